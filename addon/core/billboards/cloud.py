@@ -1,0 +1,86 @@
+"""What a billboard cloud is: quads in space, the faces drawn on each, and their places in an atlas, level by level."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Quads:
+    """Q rectangles in world space and the primitives (triangles or points) that they stand for.
+
+    centers (Q, 3); frames (Q, 3, 3): rows are the unit axes u, v and the normal n = u x v; half_sizes (Q, 2) along u and v. float64.
+    drawn_offsets (Q + 1,), drawn (K,) int32: quad q shows the primitives drawn[drawn_offsets[q]:drawn_offsets[q + 1]], ascending;
+    a primitive may be drawn on several quads. owner (P,) int32: the one quad that each primitive belongs to.
+    """
+
+    centers: np.ndarray
+    frames: np.ndarray
+    half_sizes: np.ndarray
+    drawn_offsets: np.ndarray
+    drawn: np.ndarray
+    owner: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.centers)
+
+    @property
+    def areas(self) -> np.ndarray:
+        """(Q,) areas of the rectangles, in squared units of length."""
+        return 4.0 * self.half_sizes[:, 0] * self.half_sizes[:, 1]
+
+    def corners(self) -> np.ndarray:
+        """(Q, 4, 3) corners, counter-clockwise seen from the side of the normal, from (-u, -v) on."""
+        signs = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+        offsets = signs[None] * self.half_sizes[:, None]
+        return self.centers[:, None] + np.einsum("qci,qij->qcj", offsets, self.frames[:, :2])
+
+
+@dataclass(frozen=True)
+class Atlas:
+    """Places of the quads in one texture.
+
+    size: (width, height) in texels. rectangles (Q, 4) int32: x, y, width, height of each quad's texels, gutter not counted, row 0 at the
+    bottom; the texel (x, y) is the corner (-u, -v) of the quad and u runs along x. gutter: texels between rectangles.
+    """
+
+    size: tuple[int, int]
+    rectangles: np.ndarray
+    gutter: int
+
+    @property
+    def texels(self) -> int:
+        """Texels that the quads take, gutters not counted."""
+        return int((self.rectangles[:, 2].astype(np.int64) * self.rectangles[:, 3]).sum())
+
+
+@dataclass(frozen=True)
+class Level:
+    """One level of a cloud. error and texel are lengths in scene units; cutouts holds a (C, 2) polygon a quad in -1..1 of its half sizes."""
+
+    error: float
+    texel: float
+    quads: Quads
+    atlas: Atlas
+    cutouts: list[np.ndarray]
+
+    @property
+    def texels(self) -> int:
+        """Texels within the quads; a quad cut to a triangle takes half of its rectangle."""
+        sizes = self.atlas.rectangles[:, 2:].astype(np.int64).prod(axis=1)
+        halved = np.array([len(cutout) == 3 for cutout in self.cutouts])
+        return int(np.where(halved, 0.5 * sizes, sizes).sum())
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """A billboard cloud from fine to coarse, and the figures of the run that made it."""
+
+    levels: list[Level]
+    source_triangles: int
+    dropped_triangles: int
+    longest_side: float
+    max_plane_distance: float  # largest distance of a vertex to the plane of a quad that shows it, over the level's error
+    faces_beyond_normal_bound: int
+    uncovered_faces: int
+    seconds: dict[str, float] = field(default_factory=dict)

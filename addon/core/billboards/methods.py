@@ -1,0 +1,129 @@
+"""The three ways to find the quads of a level: one function each, from primitives to coverings, finest level first."""
+
+import numpy as np
+
+from ..mesh import face_areas_and_normals
+from ..progress import Progress, StageClock, Steps, scaled
+from ..spatial import nearest_pairs, neighbour_pairs
+from .cover import CoverBounds, SafePlanes, cover
+from .hierarchy import ClusterBounds, merge_in_rounds
+from .patches import Covering, Patch, members_of, owners_of_groups, squarest
+from .planes import frames_of
+from .primitives import Primitives
+from .rectangles import around, bounds_of, smallest_rectangle
+from .settings import BillboardSettings
+
+NEIGHBOURS = 50  # n of section 4.3.1
+REGION_NEIGHBOURS = 12  # through which a quad's region grows
+QUAD_COST = 4.0  # what one more quad is worth, in mean areas of a cluster
+ROUNDS = 4
+COARSE_ROUNDS = 2
+
+
+def clusters(primitives: Primitives, errors: list[float], settings: BillboardSettings, clock: StageClock) -> Steps[list[Covering]]:
+    """Generalised hierarchical face clustering (section 4.3), then the fewest overlapping quads that cover everything.
+
+    Ownership is settled at the finest level; a coarser quad owns whole clusters of the finer level, so levels nest.
+    """
+    yield Progress(0.0, "Looking for neighbours")
+    with clock.stage("neighbours"):
+        pairs, distances = neighbour_pairs(primitives.positions, NEIGHBOURS)
+        near = pairs[nearest_pairs(pairs, distances, len(primitives), REGION_NEIGHBOURS)] if len(pairs) else pairs
+    bounds = ClusterBounds(errors[0], settings.max_normal_deviation, settings.max_texture_waste)
+    groups = np.arange(len(primitives), dtype=np.int32)
+    safe = SafePlanes(primitives.normals, np.einsum("pi,pi->p", primitives.normals, primitives.positions[:, 0]))
+    coverings: list[Covering] = []
+    for level, error in enumerate(errors):
+        start, stop = 0.1 + 0.9 * level / len(errors), 0.1 + 0.9 * (level + 1) / len(errors)
+        merging = merge_in_rounds(primitives, groups, pairs, distances, bounds, level)
+        with clock.stage("clusters"):
+            labels = yield from scaled(merging, start, 0.5 * (start + stop))
+        sets = members_of(labels) + [patch.shown for covering in coverings[-1:] for patch in covering.patches]
+        rounds = ROUNDS if level == 0 else COARSE_ROUNDS
+        quad_cost = QUAD_COST * float(primitives.areas.sum()) / (int(labels.max()) + 1)
+        cover_bounds = CoverBounds(error, settings.max_normal_deviation, quad_cost, rounds)
+        steps = cover(primitives, groups, safe, near, sets, cover_bounds)
+        with clock.stage("cover"):
+            patches = yield from scaled(steps, 0.5 * (start + stop), stop)
+        owner = squarest(primitives, patches) if level == 0 else owners_of_groups(primitives, patches, groups)
+        coverings.append(Covering(patches, owner))
+        owning, groups = np.unique(owner, return_inverse=True)
+        groups = groups.reshape(-1).astype(np.int32)
+        safe = SafePlanes(np.array([patches[index].normal for index in owning]), np.array([patches[index].offset for index in owning]))
+    return coverings
+
+
+def hough(primitives: Primitives, errors: list[float], settings: BillboardSettings, clock: StageClock) -> Steps[list[Covering]]:
+    """Greedy planes in Hough space (section 4.1), each level on its own."""
+    from .hough import find_planes
+
+    coverings = []
+    for level, error in enumerate(errors):
+        steps = find_planes(primitives.positions, primitives.areas, primitives.normals, error, settings.seed)
+        with clock.stage("planes"):
+            planes = yield from scaled(steps, level / len(errors), (level + 1) / len(errors))
+        frames = frames_of(planes.normals)
+        patches = []
+        for normal, offset, frame, shown in zip(planes.normals, planes.offsets, frames, planes.covers, strict=True):
+            positions = primitives.positions[shown]
+            axes = smallest_rectangle(positions.reshape(-1, 3) @ frame[:2].T) @ frame[:2]
+            patches.append(Patch(normal, float(offset), axes, around(bounds_of(positions, axes)), shown, shown))
+        coverings.append(Covering(patches, planes.owner))
+    return coverings
+
+
+def decimate(primitives: Primitives, errors: list[float], settings: BillboardSettings, clock: StageClock) -> Steps[list[Covering]]:
+    """Edge collapse with a measured error (section 4.2), each level on its own; every triangle of the result becomes a quad."""
+    from .decimate import decimate_to_error
+
+    coverings = []
+    for level, error in enumerate(errors):
+        steps = decimate_to_error(primitives.points, primitives.corners, error, settings.max_normal_deviation)
+        with clock.stage("decimate"):
+            result = yield from scaled(steps, level / len(errors), (level + 1) / len(errors))
+        corners = result.vertices[result.triangles]
+        patches = _triangle_patches(primitives, corners, members_of_triangles(result.primitive_of, len(corners)), error, settings)
+        coverings.append(Covering(patches, result.primitive_of))
+    return coverings
+
+
+def members_of_triangles(labels: np.ndarray, count: int) -> list[np.ndarray]:
+    """Like `members_of` for `count` labels, empty ones included."""
+    order = np.argsort(labels, kind="stable")
+    return np.split(order, np.cumsum(np.bincount(labels, minlength=count))[:-1])
+
+
+def _triangle_patches(
+    primitives: Primitives, corners: np.ndarray, owned: list[np.ndarray], error: float, settings: BillboardSettings
+) -> list[Patch]:
+    """A patch for each triangle: the rectangle on its longest side, and all primitives within its bounds that reach into it."""
+    normals = face_areas_and_normals(corners)[1]
+    sides = np.roll(corners, -1, axis=1) - corners
+    longest = np.linalg.norm(sides, axis=2).argmax(axis=1)
+    u = sides[np.arange(len(corners)), longest]
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    patches = []
+    for index, triangle in enumerate(corners):
+        axes = np.stack([u[index], np.cross(normals[index], u[index])])
+        outline = triangle @ axes.T
+        rectangle = around(np.repeat(outline, 2, axis=1))
+        offset = float(normals[index] @ triangle[0])
+        shown = np.union1d(
+            owned[index], _reaching(primitives, normals[index], offset, axes, rectangle, error, settings.max_normal_deviation)
+        )
+        middle, half = rectangle.reshape(2, 2).mean(axis=1), 0.5 * np.ptp(rectangle.reshape(2, 2), axis=1)
+        patches.append(Patch(normals[index], offset, axes, rectangle, shown, shown, (outline - middle) / half))
+    return patches
+
+
+def _reaching(
+    primitives: Primitives, normal: np.ndarray, offset: float, axes: np.ndarray, rectangle: np.ndarray, error: float, deviation: float
+) -> np.ndarray:
+    """Primitives within the bounds of a plane whose bounding boxes along `axes` touch `rectangle`."""
+    facing = np.flatnonzero(primitives.normals @ normal >= np.cos(deviation))
+    near = facing[(np.abs(primitives.positions[facing] @ normal - offset) <= error).all(axis=1)]
+    bounds = bounds_of(primitives.positions[near], axes)
+    touches = (
+        (bounds[:, 0] <= rectangle[1]) & (bounds[:, 1] >= rectangle[0]) & (bounds[:, 2] <= rectangle[3]) & (bounds[:, 3] >= rectangle[2])
+    )
+    return near[touches]

@@ -1,0 +1,79 @@
+"""Patches: quads to be, as the methods find them, and who owns what."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .cloud import Quads
+from .primitives import Primitives
+
+
+@dataclass(frozen=True)
+class Patch:
+    """One quad to be.
+
+    normal (3,) unit and offset: the plane normal . x = offset. axes (2, 3): unit u and v in it, u x v = normal. rectangle (4,): u_min,
+    u_max, v_min, v_max along them. shown (K,): the primitives drawn on it. region (R,): those it could show within its bounds.
+    outline: (C, 2) polygon in the rectangle, in -1..1 of its half sides, where the method knows it; else None.
+    """
+
+    normal: np.ndarray
+    offset: float
+    axes: np.ndarray
+    rectangle: np.ndarray
+    shown: np.ndarray
+    region: np.ndarray
+    outline: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Covering:
+    """The patches of one level, and the patch (P,) int32 that owns each primitive."""
+
+    patches: list[Patch]
+    owner: np.ndarray
+
+
+def members_of(labels: np.ndarray) -> list[np.ndarray]:
+    """The members of every label 0..max, ascending."""
+    order = np.argsort(labels, kind="stable")
+    return np.split(order, np.cumsum(np.bincount(labels))[:-1])
+
+
+def squarest(primitives: Primitives, patches: list[Patch]) -> np.ndarray:
+    """The patch (P,) int32 that each primitive faces most squarely among those that show it; -1 where none does."""
+    owner = np.full(len(primitives), -1, np.int32)
+    best = np.full(len(primitives), -np.inf)
+    for number, patch in enumerate(patches):
+        facing = primitives.normals[patch.shown] @ patch.normal
+        better = facing > best[patch.shown]
+        owner[patch.shown[better]] = number
+        best[patch.shown[better]] = facing[better]
+    return owner
+
+
+def owners_of_groups(primitives: Primitives, patches: list[Patch], groups: np.ndarray) -> np.ndarray:
+    """The patch (P,) int32 that owns each primitive when groups are owned whole: the one that shows most of the group's area."""
+    count = int(groups.max()) + 1
+    best, owner = np.zeros(count), np.full(count, -1, np.int32)
+    for number, patch in enumerate(patches):
+        shown = np.bincount(groups[patch.shown], primitives.areas[patch.shown], count)
+        better = shown > best
+        owner[better] = number
+        best[better] = shown[better]
+    return owner[groups]
+
+
+def to_quads(patches: list[Patch], owner: np.ndarray) -> Quads:
+    """The patches as arrays."""
+    frames = np.array([np.vstack([patch.axes, patch.normal]) for patch in patches]).reshape(-1, 3, 3)
+    rectangles = np.array([patch.rectangle for patch in patches]).reshape(-1, 2, 2)
+    middles = np.column_stack([rectangles.mean(axis=2), [patch.offset for patch in patches]])
+    return Quads(
+        centers=np.einsum("qi,qij->qj", middles, frames),
+        frames=frames,
+        half_sizes=0.5 * np.ptp(rectangles, axis=2),
+        drawn_offsets=np.cumsum([0] + [len(patch.shown) for patch in patches]).astype(np.int32),
+        drawn=np.concatenate([np.sort(patch.shown) for patch in patches]).astype(np.int32),
+        owner=owner.astype(np.int32),
+    )
