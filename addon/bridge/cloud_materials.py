@@ -1,0 +1,104 @@
+"""The material of a cloud: ordinary nodes, so that it renders the same where Farfield is not installed."""
+
+import itertools
+
+import bpy
+
+from ..compat import give_nodes
+from .wiring import Operand, Wiring
+
+GROUP_NAME = "Farfield Cloud"
+GROUP_VERSION = 1
+MAPS = ("Colour", "Normal", "Surface")
+SIDES = ("Front", "Back")
+
+
+def cloud_material(name: str, images: dict[tuple[str, str], bpy.types.Image], shadowless: float) -> bpy.types.Material:
+    """A material that shows `images`, keyed by side ("Front", "Back") and map ("Colour", "Normal", "Surface").
+
+    shadowless: the length within which it casts no shadow, in the unit of the cloud's objects.
+    """
+    material = bpy.data.materials.new(name)
+    _render_settings(material)
+    give_nodes(material)
+    tree = material.node_tree
+    tree.nodes.clear()
+    wiring = Wiring(tree)
+    group = wiring.node("ShaderNodeGroup", {"node_tree": _group(), "width": 220.0})
+    group.inputs["Shadowless"].default_value = shadowless
+    output = wiring.node("ShaderNodeOutputMaterial")
+    wiring.connect(group.outputs["BSDF"], output.inputs["Surface"])
+    for side, map_name in itertools.product(SIDES, MAPS):
+        settings = {"image": images[side, map_name], "extension": "EXTEND", "label": f"{side} {map_name.lower()}"}
+        texture = wiring.node("ShaderNodeTexImage", settings)
+        wiring.connect(texture.outputs["Color"], group.inputs[f"{side} {map_name}"])
+        if map_name == "Colour":
+            wiring.connect(texture.outputs["Alpha"], group.inputs[f"{side} Alpha"])
+    wiring.arrange()
+    return material
+
+
+def grey_material(name: str) -> bpy.types.Material:
+    """Blender's grey, for clouds without textures."""
+    material = bpy.data.materials.new(name)
+    _render_settings(material)
+    return material
+
+
+def _render_settings(material: bpy.types.Material) -> None:
+    """Two-sided, and transparent by dithering: blended surfaces are sorted by object only, so stacked quads would come out wrong."""
+    material.surface_render_method = "DITHERED"
+    material.use_transparent_shadow = True
+    material.use_backface_culling = material.use_backface_culling_shadow = False
+    # A quad's normal map leans far from its plane on purpose; the correction for bumps would darken it.
+    material.cycles.use_bump_map_correction = False
+
+
+def _group() -> bpy.types.NodeTree:
+    """The node group of all clouds in the file, made at first need."""
+    for group in bpy.data.node_groups:
+        if group.get("farfield_version") == GROUP_VERSION and group.name.startswith(GROUP_NAME) and group.library is None:
+            return group
+    group = bpy.data.node_groups.new(GROUP_NAME, "ShaderNodeTree")
+    group["farfield_version"] = GROUP_VERSION
+    for side in SIDES:
+        for name, kind in (("Colour", "Color"), ("Alpha", "Float"), ("Normal", "Color"), ("Surface", "Color")):
+            group.interface.new_socket(f"{side} {name}", in_out="INPUT", socket_type=f"NodeSocket{kind}")
+    group.interface.new_socket("Shadowless", in_out="INPUT", socket_type="NodeSocketFloat")
+    group.interface.new_socket("BSDF", in_out="OUTPUT", socket_type="NodeSocketShader")
+    _fill(Wiring(group))
+    return group
+
+
+def _fill(wiring: Wiring) -> None:
+    """Pick the side that is seen, and shade it."""
+    inputs = wiring.node("NodeGroupInput").outputs
+    seen_from_behind = wiring.node("ShaderNodeNewGeometry").outputs["Backfacing"]
+
+    def seen(name: str) -> Operand:
+        return wiring.mix(seen_from_behind, inputs[f"Front {name}"], inputs[f"Back {name}"])
+
+    roughness, metallic, _ = wiring.separate(seen("Surface"))
+    decoded = wiring.vector("SUBTRACT", wiring.vector("SCALE", seen("Normal"), 2.0), (1.0, 1.0, 1.0))
+    turned = wiring.node("ShaderNodeVectorTransform", {"vector_type": "NORMAL", "convert_from": "OBJECT", "convert_to": "WORLD"})
+    wiring.connect(decoded, turned.inputs[0])
+    shader = wiring.node("ShaderNodeBsdfPrincipled")
+    wiring.connect(seen("Colour"), shader.inputs["Base Color"])
+    wiring.connect(roughness, shader.inputs["Roughness"])
+    wiring.connect(metallic, shader.inputs["Metallic"])
+    alpha = wiring.separate(seen("Alpha"))[0]
+    wiring.connect(wiring.math("MULTIPLY", alpha, _casts_shadow(wiring, inputs["Shadowless"])), shader.inputs["Alpha"])
+    wiring.connect(turned.outputs[0], shader.inputs["Normal"])
+    wiring.connect(shader.outputs[0], wiring.node("NodeGroupOutput").inputs["BSDF"])
+    wiring.arrange()
+
+
+def _casts_shadow(wiring: Wiring, shadowless: Operand) -> Operand:
+    """0 for a shadow ray that comes from nearer than `shadowless`, else 1. Cycles only: in EEVEE the length is that to the lamp."""
+    path = wiring.node("ShaderNodeLightPath")
+    scaled = wiring.node("ShaderNodeVectorTransform", {"vector_type": "VECTOR", "convert_from": "OBJECT", "convert_to": "WORLD"})
+    wiring.connect(wiring.combine(shadowless, 0.0, 0.0), scaled.inputs[0])
+    reach = wiring.node("ShaderNodeVectorMath", {"operation": "LENGTH"})
+    wiring.connect(scaled.outputs[0], reach.inputs[0])
+    near = wiring.math("LESS_THAN", path.outputs["Ray Length"], reach.outputs["Value"])
+    return wiring.math("SUBTRACT", 1.0, wiring.math("MULTIPLY", path.outputs["Is Shadow Ray"], near))

@@ -1,0 +1,125 @@
+"""A billboard cloud as Blender objects: a collection with one mesh of textured quads a level."""
+
+import math
+
+import bpy
+import numpy as np
+
+from ..core.billboards.cloud import Cloud, Level
+from ..core.cameras import Camera
+from ..core.images import EMPTY, dilate, unpremultiply
+from ..core.metrics import encode_srgb
+from .cameras import scene_camera
+from .cloud_materials import cloud_material, grey_material
+from .images import data_image, packed_bytes
+from .meshes import Source
+from .quad_normals import corner_normals
+from .slots import slots_of, texture_coordinates
+from .textures import LevelTextures, Maps
+
+SHADOWLESS_ERRORS = 4.0  # quads cast no shadow upon what is nearer than so many errors: they stand for one surface and overlap within that
+
+
+def make_cloud(
+    cloud: Cloud, textures: list[LevelTextures] | None, source: Source, collection_parent: bpy.types.Collection
+) -> bpy.types.Collection:
+    """A collection "<name> Cloud" below `collection_parent` with one object a level, finest first; only that one is visible.
+
+    The objects stand at the source's origin without rotation or scale. Each carries farfield_kind ("cloud"), farfield_level,
+    farfield_error (a length), farfield_switch_distance (for the camera of the first scene that holds the parent, else of an ordinary one;
+    inf for an orthographic camera that shows the error), farfield_quads, farfield_texels and farfield_texture_bytes. Without `textures`
+    they are grey.
+    """
+    collection = bpy.data.collections.new(f"{source.name} Cloud")
+    camera = _camera(collection_parent)
+    for number, level in enumerate(cloud.levels):
+        name = f"{collection.name} L{number}"
+        material = grey_material(name) if textures is None else _textured_material(name, level, textures[number])
+        level_object = bpy.data.objects.new(name, _mesh(name, level, None if textures is None else textures[number].front, source.origin))
+        level_object.location = source.origin
+        level_object.data.materials.append(material)
+        _describe(level_object, number, level, camera, material)
+        level_object.hide_viewport = level_object.hide_render = number > 0
+        collection.objects.link(level_object)
+    collection_parent.children.link(collection)
+    return collection
+
+
+def needed_transparent_bounces(cloud: Cloud) -> int:
+    """Transparent bounces with which Cycles shows quads behind quads without turning dark: 32 to 1024, Cycles' limit.
+
+    An estimate: four times the mean number of quads that a line through the bounding sphere meets in the level where that is most.
+    """
+    stacked = [4.0 * float(level.quads.areas.sum()) / (0.25 * math.pi * cloud.longest_side**2) for level in cloud.levels]
+    return int(min(max([32.0, *stacked]), 1024.0))
+
+
+def _camera(parent: bpy.types.Collection) -> Camera:
+    """The camera whose pixels the levels are measured by."""
+    for scene in bpy.data.scenes:
+        if parent == scene.collection or parent in scene.collection.children_recursive:
+            camera = scene_camera(scene)
+            if camera is not None:
+                return camera
+    return Camera(np.zeros(3), 1920, math.radians(39.6))
+
+
+def _describe(level_object: bpy.types.Object, number: int, level: Level, camera: Camera, material: bpy.types.Material) -> None:
+    level_object["farfield_kind"] = "cloud"
+    level_object["farfield_level"] = number
+    level_object["farfield_error"] = float(level.error)
+    level_object["farfield_switch_distance"] = float(camera.switch_distance(level.error))
+    level_object["farfield_quads"] = len(level.quads)
+    level_object["farfield_texels"] = level.atlas.texels
+    images = [node.image for node in material.node_tree.nodes if node.type == "TEX_IMAGE"] if material.node_tree else []
+    level_object["farfield_texture_bytes"] = sum(packed_bytes(image) for image in images)
+
+
+def _mesh(name: str, level: Level, maps: Maps | None, origin: np.ndarray) -> bpy.types.Mesh:
+    """The quads of `level`, each cut to its polygon, with UVs and the normals that `maps` suggest; vertices relative to `origin`."""
+    quads, slots = level.quads, slots_of(level)
+    positions, uvs, normals = [], [], []
+    for quad, cutout in enumerate(level.cutouts):
+        flat = cutout * quads.half_sizes[quad]
+        positions.append(quads.centers[quad] - origin + flat @ quads.frames[quad, :2])
+        uvs.append(texture_coordinates(level, slots, quad, cutout))
+        if maps is not None:
+            normals.append(corner_normals(level, maps, quad, cutout))
+    corners = np.array([len(cutout) for cutout in level.cutouts])
+    count = int(corners.sum())
+    mesh = bpy.data.meshes.new(name)
+    mesh.vertices.add(count)
+    mesh.loops.add(count)
+    mesh.polygons.add(len(corners))
+    mesh.vertices.foreach_set("co", np.concatenate(positions).astype(np.float32).ravel())
+    mesh.loops.foreach_set("vertex_index", np.arange(count, dtype=np.int32))
+    mesh.polygons.foreach_set("loop_start", (np.cumsum(corners) - corners).astype(np.int32))
+    mesh.update(calc_edges=True)
+    if maps is not None:
+        free_normals = mesh.attributes.new("custom_normal", "FLOAT_VECTOR", "POINT")
+        free_normals.data.foreach_set("vector", np.concatenate(normals).astype(np.float32).ravel())
+    layer = mesh.attributes.new("UVMap", "FLOAT2", "CORNER")
+    layer.data.foreach_set("vector", np.concatenate(uvs).astype(np.float32).ravel())
+    return mesh
+
+
+def _textured_material(name: str, level: Level, textures: LevelTextures) -> bpy.types.Material:
+    images = {}
+    for side, maps in (("Front", textures.front), ("Back", textures.back)):
+        for map_name, pixels in _encoded(maps, level.atlas.gutter).items():
+            images[side, map_name] = data_image(f"{name} {side} {map_name}", pixels, is_data=map_name != "Colour")
+    return cloud_material(name, images, SHADOWLESS_ERRORS * level.error)
+
+
+def _encoded(maps: Maps, gutter: int) -> dict[str, np.ndarray]:
+    """The maps of one side as 8-bit images hold them: (H, W, 4) in 0..1."""
+    straight = unpremultiply(maps.colour)
+    alpha = np.clip(straight[..., 3:], 0.0, 1.0)
+    colour = dilate(straight[..., :3], maps.colour[..., 3] * (maps.colour[..., 3] > EMPTY), gutter // 2 + 1)
+    surface = maps.surface * np.float32([1.0, 1.0, 0.5]) + np.float32([0.0, 0.0, 0.5])
+    opaque = np.ones_like(alpha)
+    return {
+        "Colour": np.concatenate([encode_srgb(colour), alpha], axis=2),
+        "Normal": np.concatenate([0.5 + 0.5 * maps.normal, opaque], axis=2),
+        "Surface": np.concatenate([surface, opaque], axis=2),
+    }

@@ -1,0 +1,74 @@
+"""Between arrays and Blender images, and whether the images of materials are there."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ..core.errors import FileError
+from .meshes import Source
+
+
+def data_image(name: str, pixels: np.ndarray, is_data: bool) -> bpy.types.Image:
+    """A packed 8-bit image of `pixels` (H, W, 4), row 0 at the bottom.
+
+    is_data: the numbers are kept as they are; else the colours are sRGB-encoded values. Alpha is straight and kept beside the colours
+    ("channel packed"), so that colours under no alpha survive and Cycles and EEVEE read the same.
+    """
+    height, width = pixels.shape[:2]
+    image = bpy.data.images.new(name, width, height, alpha=True, float_buffer=False, is_data=is_data)
+    # Before the pixels: setting it afterwards would wipe them.
+    image.colorspace_settings.name = "Non-Color" if is_data else "sRGB"
+    image.alpha_mode = "CHANNEL_PACKED"
+    image.pixels.foreach_set(np.ascontiguousarray(pixels, np.float32).ravel())
+    image.update()
+    image.pack()
+    return image
+
+
+def packed_bytes(image: bpy.types.Image) -> int:
+    """Bytes that a packed image takes in the .blend."""
+    return sum(packed.packed_file.size for packed in image.packed_files)
+
+
+def check_images(source: Source) -> None:
+    """Raise FileError when a material of `source` needs an image whose file is missing; the sentence names both."""
+    for material, image in missing_images(source):
+        path = bpy.path.abspath(image.filepath, library=image.library)
+        raise FileError(
+            f'The image "{image.name}" of the material "{material.name}" is missing: there is no file "{path}". '
+            "Find it with File > External Data > Find Missing Files, or take the image out of the material."
+        )
+
+
+def missing_images(source: Source) -> list[tuple[bpy.types.Material, bpy.types.Image]]:
+    """Materials of `source` and images they use whose file is not there; packed and generated images need none."""
+    return [
+        (material, image)
+        for material in source.materials
+        if material.node_tree is not None
+        for image in _images(material.node_tree)
+        if _is_missing(image)
+    ]
+
+
+def _images(tree: bpy.types.NodeTree) -> Iterator[bpy.types.Image]:
+    for node in tree.nodes:
+        if node.type == "GROUP" and node.node_tree is not None:
+            yield from _images(node.node_tree)
+        elif getattr(node, "image", None) is not None:
+            yield node.image
+
+
+def _is_missing(image: bpy.types.Image) -> bool:
+    if image.source not in {"FILE", "TILED"} or image.packed_files:
+        return False
+    path = bpy.path.abspath(image.filepath, library=image.library)
+    tiles = [tile.number for tile in image.tiles] if image.source == "TILED" else [0]
+    return any(not Path(path.replace("<UDIM>", str(tile)).replace("<UVTILE>", _uv_tile(tile))).is_file() for tile in tiles)
+
+
+def _uv_tile(number: int) -> str:
+    column, row = (number - 1001) % 10, (number - 1001) // 10
+    return f"u{column + 1}_v{row + 1}"

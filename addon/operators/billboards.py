@@ -1,0 +1,128 @@
+"""Operators of the tool `billboards`: build clouds, estimate them beforehand, show the level that suits the camera."""
+
+import bpy
+
+from ..bridge import cameras
+from ..core.billboards.settings import BillboardSettings
+from ..core.errors import FarfieldError
+from . import billboards_estimates, long_work, properties
+from .billboards_clouds import clouds_in
+from .billboards_job import BillboardJob, BuildOptions, may_have_surface, prepare
+
+
+class FARFIELD_PG_billboards(bpy.types.PropertyGroup):
+    """What the panel *Billboard Cloud* holds, kept with each scene."""
+
+    __annotations__ = properties.annotations(BillboardSettings, set()) | properties.annotations(BuildOptions, set())
+
+
+class FARFIELD_OT_billboards_build(long_work.LongWork, bpy.types.Operator):
+    """Let few textured quads stand for each selected mesh, in levels for growing distances"""
+
+    bl_idname = "farfield.billboards_build"
+    bl_label = "Build Billboard Cloud"
+    bl_options = {"REGISTER", "UNDO"}
+    # SKIP_SAVE: what the caller leaves out comes from the panel, not from the last call
+    __annotations__ = properties.annotations(BillboardSettings, {"SKIP_SAVE"}) | properties.annotations(BuildOptions, {"SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether there is something to build from, and nothing else under way."""
+        return _poll(cls, refusal(context))
+
+    def prepare(self, context: bpy.types.Context) -> BillboardJob:
+        """Read the selected objects."""
+        for settings_type in (BillboardSettings, BuildOptions):
+            properties.fill_unset(settings_type, self, context.scene.farfield_billboards)
+        return prepare(context, context.selected_objects, properties.read(BillboardSettings, self), properties.read(BuildOptions, self))
+
+
+class FARFIELD_OT_billboards_estimate(bpy.types.Operator):
+    """Tell beforehand how many quads, texels and megabytes the selected objects will take"""
+
+    bl_idname = "farfield.billboards_estimate"
+    bl_label = "Estimate"
+    bl_options = {"REGISTER"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether there is something to estimate."""
+        return _poll(cls, refusal(context))
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Estimate and keep the figures for the panel."""
+        try:
+            settings = properties.read(BillboardSettings, context.scene.farfield_billboards)
+            found = billboards_estimates.answer(context, billboards_estimates.question(context, settings))
+        except FarfieldError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        levels = [f"{level.quads:,} quads, {level.texels:,} texels, {level.bytes / 1e6:.1f} MB" for level in found.levels]
+        self.report({"INFO"}, f"About {'; '.join(levels)}.")
+        return {"FINISHED"}
+
+
+class FARFIELD_OT_billboards_show_level(bpy.types.Operator):
+    """Show of each cloud the coarsest level that looks like the original from the scene's camera, or the original itself when it is near"""
+
+    bl_idname = "farfield.billboards_show_level"
+    bl_label = "Show Level for Camera"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether there are a camera and a cloud."""
+        reason = ""
+        if cameras.scene_camera(context.scene) is None:
+            reason = "The scene has no camera"
+        elif not clouds_in(context.scene):
+            reason = "The scene has no billboard cloud"
+        return _poll(cls, reason)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Hide and show."""
+        context.view_layer.update()
+        camera = cameras.scene_camera(context.scene)
+        shown = []
+        for cloud in clouds_in(context.scene):
+            level = cloud.show_for(camera)
+            shown.append(f'"{cloud.collection.name}" {"original" if level is None else f"level {level}"}')
+        self.report({"INFO"}, f"Shown: {', '.join(shown)}.")
+        return {"FINISHED"}
+
+
+def refusal(context: bpy.types.Context) -> str:
+    """Why nothing can be built now, or an empty string."""
+    run = long_work.current()
+    if run is not None:
+        return f"{run.title} is still running"
+    return "" if any(may_have_surface(item) for item in context.selected_objects) else "Select an object with a surface"
+
+
+def _poll(operator: type[bpy.types.Operator], reason: str) -> bool:
+    if reason:
+        operator.poll_message_set(reason)
+    return not reason
+
+
+CLASSES = (
+    FARFIELD_PG_billboards,
+    FARFIELD_OT_billboards_build,
+    FARFIELD_OT_billboards_estimate,
+    FARFIELD_OT_billboards_show_level,
+)
+
+
+def register() -> None:
+    """Register the classes and hang the settings on scenes."""
+    for each in CLASSES:
+        bpy.utils.register_class(each)
+    bpy.types.Scene.farfield_billboards = bpy.props.PointerProperty(type=FARFIELD_PG_billboards)
+
+
+def unregister() -> None:
+    """The reverse."""
+    billboards_estimates.forget()
+    del bpy.types.Scene.farfield_billboards
+    for each in reversed(CLASSES):
+        bpy.utils.unregister_class(each)

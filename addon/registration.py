@@ -1,0 +1,20 @@
+"""Everything that Blender learns when the extension is enabled, in order, and forgets in reverse."""
+
+from .operators import billboards as billboards_operators
+from .operators import long_work
+from .panels import billboards as billboards_panels
+
+MODULES = (billboards_operators, billboards_panels)
+
+
+def register() -> None:
+    """Register all operators, settings and panels."""
+    for module in MODULES:
+        module.register()
+
+
+def unregister() -> None:
+    """Take all of them away again, after ending what still runs."""
+    long_work.close()
+    for module in reversed(MODULES):
+        module.unregister()
