@@ -1,0 +1,157 @@
+"""The main job from start to end: `python3 scripts/demo.py [--input FILE] [--quick] [--out DIR]`.
+
+Grows a tree, builds its billboard cloud in three levels, compares every level with the tree in Cycles, and leaves in out/demo/ the scene
+(demo.blend), a contact sheet (contact-sheet.png) and the figures (report.json, report.md). --input takes a mesh of your own instead of
+the tree; --quick makes a smaller tree and fewer, coarser renders.
+"""
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not put a script's folder there
+
+import environment
+
+environment.ensure()
+
+import bpy
+import numpy as np
+
+import billboards
+import command_line
+import scene_files
+from comparison import Comparison, compare, sheet
+from contact_sheet import write_png
+from demo_report import markdown
+from demo_tree import grow
+from farfield.addon.core.billboards.settings import BillboardSettings
+from farfield.addon.core.directions import held_out_views
+from farfield.addon.core.progress import StageClock, finish, scaled
+from farfield.addon.operators.billboards_clouds import StandingCloud
+from farfield.addon.operators.billboards_job import BuildOptions
+from farfield.addon.operators.long_work import whole
+from studio import SUN_ANGLE, SUN_STRENGTH, bounds, looking_along, paint_sky, studio, sun_matrix
+from whole_files import check_writable, whole_folder
+
+LEVELS = 3
+COLUMNS = 6
+NEARER = 3.0  # the close-up shows what is a pixel at the switch size as so many
+VIEWER = np.array([0.55, -0.80, 0.22]) / np.linalg.norm([0.55, -0.80, 0.22])  # where the scene's camera stands, seen from the tree
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much the demo does."""
+
+    leaves: int
+    capture_samples: int
+    views: int
+    samples: int
+    compared_levels: int
+
+
+FULL = Effort(leaves=6000, capture_samples=16, views=12, samples=64, compared_levels=LEVELS)
+QUICK = Effort(leaves=1200, capture_samples=4, views=6, samples=8, compared_levels=1)
+
+
+def main(arguments: list[str], line: command_line.ProgressLine) -> None:
+    """Run the demo; raises FarfieldError when the input or the folder is bad."""
+    parser = command_line.Parser(prog="demo.py", description="Grow a tree, build its billboard cloud, compare the two.")
+    parser.add_argument("--input", type=Path, help="a mesh of your own instead of the tree: .blend .obj .ply .stl .glb .gltf .fbx .usd")
+    parser.add_argument("--quick", action="store_true", help="a smaller tree and fewer renders, done within a minute")
+    parser.add_argument("--out", type=Path, default=Path("out") / "demo", help="the folder for the results (default: out/demo)")
+    given = parser.parse_args(arguments)
+    effort = QUICK if given.quick else FULL
+    out = given.out.absolute()
+    check_writable(out / "report.json")
+    clock = StageClock()
+    with clock.stage("scene"):
+        set_scene(given.input, effort)
+    job = billboards.prepare_input(BillboardSettings(levels=LEVELS, samples=effort.capture_samples), BuildOptions(together=True))
+    finish(scaled(whole(job), 0.0, 0.5), line.show)
+    cloud = billboards.standing(job)[0]
+    with clock.stage("compare"):
+        comparisons = compare_levels(cloud, effort, line)
+        close_up = near_pictures(cloud, effort)
+    line.clear()
+    stand_at_switch_distance(cloud)
+    report = billboards.report(job, clock)
+    for level, compared in zip(report["levels"], comparisons, strict=False):
+        level["pictures"] = compared.figures()
+    leave(out, title(cloud, report), comparisons[0], close_up, report)
+
+
+def set_scene(path: Path | None, effort: Effort) -> None:
+    """Open the user's file or grow the tree, and give the scene a camera, a sun and a sky where it has none."""
+    if path is None:
+        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+        grow(seed=0, leaves=effort.leaves)
+    else:
+        scene_files.open_scene(path.absolute())
+    scene = bpy.context.scene
+    if scene.camera is None:
+        scene.camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+        scene.collection.objects.link(scene.camera)
+    if not any(item.type == "LIGHT" for item in scene.objects):
+        light = bpy.data.lights.new("Sun", "SUN")
+        light.energy, light.angle = SUN_STRENGTH, SUN_ANGLE
+        sun = bpy.data.objects.new("Sun", light)
+        sun.matrix_world = sun_matrix()
+        scene.collection.objects.link(sun)
+    if scene.world is None:
+        scene.world = bpy.data.worlds.new("Sky")
+        paint_sky(scene.world)
+
+
+def compare_levels(cloud: StandingCloud, effort: Effort, line: command_line.ProgressLine) -> list[Comparison]:
+    """Comparisons of the levels with the original, finest first, each at its own switch size."""
+    comparisons = []
+    for index, level in enumerate(cloud.levels[: effort.compared_levels]):
+        steps = compare(cloud.sources, level, directions=held_out_views(effort.views), samples=effort.samples)
+        start = 0.5 + 0.5 * index / effort.compared_levels
+        comparisons.append(finish(scaled(steps, start, start + 0.5 / effort.compared_levels), line.show))
+    return comparisons
+
+
+def near_pictures(cloud: StandingCloud, effort: Effort) -> np.ndarray:
+    """Renders (2, H, W, 4) of the original and of the finest level, from nearer than that level is meant for."""
+    center, radius = bounds(cloud.sources)
+    pixel_size = cloud.errors[0] / NEARER
+    size = int(np.ceil(2.0 * radius / pixel_size))
+    finest = cloud.levels[0]
+    with studio([*cloud.sources, finest], effort.samples) as room:
+        return np.stack([room.picture(shown, VIEWER, center, pixel_size, size) for shown in (cloud.sources, [finest])])
+
+
+def stand_at_switch_distance(cloud: StandingCloud) -> None:
+    """Put the camera where the finest level is just not told from the original, and show what belongs there."""
+    center, radius = bounds(cloud.sources)
+    scene = bpy.context.scene
+    distance = float(cloud.levels[0]["farfield_switch_distance"]) + radius
+    scene.camera.matrix_world = looking_along(VIEWER, center + 1.01 * distance * VIEWER)
+    scene.camera.data.clip_end = max(scene.camera.data.clip_end, 4.0 * distance)
+    bpy.context.view_layer.update()
+    bpy.ops.farfield.billboards_show_level()
+
+
+def title(cloud: StandingCloud, report: dict[str, Any]) -> str:
+    """The line above the contact sheet."""
+    size = f"{report['source_triangles']:,} triangles as {report['quads']:,} quads and {report['texels']:,} texels"
+    return f"{cloud.collection.name}: {size}, at the size where its error is one pixel"
+
+
+def leave(out: Path, heading: str, finest: Comparison, close_up: np.ndarray, report: dict[str, Any]) -> None:
+    """Write all results into `out`, whole or not at all, and say where they are."""
+    columns = np.linspace(0, len(finest.directions) - 1, COLUMNS).round().astype(int).tolist()
+    with whole_folder(out) as folder:
+        write_png(folder / "contact-sheet.png", sheet(heading, finest, columns, close_up))
+        command_line.write_report(folder / "report.json", report)
+        (folder / "report.md").write_text(markdown(heading, report), encoding="utf-8")
+        scene_files.save_scene(folder / "demo.blend")
+    print(f"{heading}.\nPictures, figures and the scene are in {out}.", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    command_line.run(main)
