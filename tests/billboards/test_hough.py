@@ -1,0 +1,135 @@
+"""Greedy planes cover every primitive within the error, and no more planes than the shape needs."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from addon.core.billboards.hough import Planes, find_planes
+from addon.core.billboards.regions import split_into_regions
+from addon.core.mesh import face_areas_and_normals
+from addon.core.progress import finish
+
+
+def planes_of(corners: np.ndarray, error: float, seed: int = 0) -> Planes:
+    return finish(find_planes(corners, *face_areas_and_normals(corners), error, seed))
+
+
+def grid(side: int, height=lambda x, y: 0.0 * x) -> np.ndarray:
+    """Corners (2 side^2, 3, 3) of a unit square in the plane z = height(x, y)."""
+    x, y = np.meshgrid(np.linspace(0.0, 1.0, side + 1), np.linspace(0.0, 1.0, side + 1), indexing="ij")
+    points = np.stack([x, y, height(x, y)], axis=2)
+    a, b, c, d = points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]
+    return np.concatenate([np.stack([a, b, c], axis=2).reshape(-1, 3, 3), np.stack([a, c, d], axis=2).reshape(-1, 3, 3)])
+
+
+def box(side: int = 6) -> np.ndarray:
+    """A unit box of six grids."""
+    bottom = grid(side)
+    top = bottom[:, ::-1] + [0.0, 0.0, 1.0]
+    return np.concatenate([np.roll(sheet, axis, axis=2) for axis in range(3) for sheet in (bottom, top)])
+
+
+def check_promises(planes: Planes, corners: np.ndarray, error: float) -> None:
+    tight = error * (1.0 + 1e-9)
+    np.testing.assert_allclose(np.linalg.norm(planes.normals, axis=1), 1.0)
+    for normal, offset, covered in zip(planes.normals, planes.offsets, planes.covers, strict=True):
+        assert np.abs(corners[covered] @ normal - offset).max() <= tight
+        assert (np.diff(covered) > 0).all()
+    assert planes.owner.shape == (len(corners),)
+    for primitive, region in enumerate(planes.owner):
+        assert primitive in planes.covers[region]
+    assert set(planes.owner) == set(range(len(planes.covers)))
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 80), st.floats(0.005, 0.3), st.sampled_from([1e-6, 1.0, 1e6]))
+def test_every_corner_is_within_the_error_of_its_plane(seed, count, error, unit):
+    random = np.random.default_rng(seed)
+    corners = unit * (random.normal(size=(count, 1, 3)) + random.uniform(0.01, 1.0) * random.normal(size=(count, 3, 3)))
+    check_promises(planes_of(corners, error * unit), corners, error * unit)
+
+
+def test_a_box_gives_its_six_sides():
+    planes = planes_of(box(), 0.01)
+    assert len(planes.covers) == 6
+    np.testing.assert_allclose(np.abs(planes.normals).max(axis=1), 1.0, atol=0.02)
+    check_promises(planes, box(), 0.01)
+
+
+def test_two_large_triangles_at_odd_angles_get_their_own_planes():
+    corners = np.array([[[0.0, 0.0, 0.0], [3.0, 0.2, 0.1], [0.3, 2.0, 0.9]], [[0.0, 0.0, 5.0], [-0.2, 3.0, 6.1], [2.0, 0.4, 7.7]]])
+    planes = planes_of(corners, 1e-4)
+    assert len(planes.covers) == 2
+    check_promises(planes, corners, 1e-4)
+
+
+def test_far_parallel_sheets_stay_two_and_near_ones_become_one():
+    sheet = grid(8)
+    both = np.concatenate([sheet, sheet + [0.0, 0.0, 0.5]])
+    assert len(planes_of(both, 0.02).covers) == 2
+    assert len(planes_of(both, 0.3).covers) == 1
+
+
+def test_a_plane_serves_both_sides():
+    sheet = grid(4)
+    planes = planes_of(np.concatenate([sheet, sheet[:, ::-1]]), 0.01)
+    assert len(planes.covers) == 1
+    assert len(planes.covers[0]) == 2 * len(sheet)
+
+
+def test_far_parts_of_one_plane_are_regions_of_their_own():
+    sheet = grid(8)
+    planes = planes_of(np.concatenate([sheet, sheet + [9.0, 0.0, 0.0]]), 0.05)
+    assert len(planes.covers) == 2
+    np.testing.assert_allclose(planes.normals[0], planes.normals[1])
+    assert planes.offsets[0] == planes.offsets[1]
+    assert sorted(len(covered) for covered in planes.covers) == [len(sheet), len(sheet)]
+
+
+def test_faces_at_the_foot_of_a_plane_are_drawn_on_it_too():
+    """Gaps close: next to a ridge, faces of one side that lie within the error of the other side's plane are drawn on both."""
+    ridge = grid(20, lambda x, y: np.abs(x - 0.5))
+    planes = planes_of(ridge, 0.05)
+    assert sum(len(covered) for covered in planes.covers) > len(ridge)
+    check_promises(planes, ridge, 0.05)
+
+
+def test_points_are_covered_too():
+    random = np.random.default_rng(3)
+    points = random.normal(size=(400, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    planes = finish(find_planes(points[:, None], np.full(400, 0.03), points, 0.1, 0))
+    check_promises(planes, points[:, None], 0.1)
+    assert len(planes.covers) < 60
+
+
+def test_equal_seeds_give_equal_bytes():
+    wave = grid(12, lambda x, y: 0.2 * np.sin(5.0 * x) * np.cos(4.0 * y))
+    first, second = planes_of(wave, 0.02, seed=5), planes_of(wave, 0.02, seed=5)
+    assert first.normals.tobytes() == second.normals.tobytes()
+    assert first.owner.tobytes() == second.owner.tobytes()
+
+
+def test_more_error_needs_no_more_planes():
+    wave = grid(16, lambda x, y: 0.2 * np.sin(5.0 * x) * np.cos(4.0 * y))
+    counts = [len(planes_of(wave, error).covers) for error in (0.01, 0.03, 0.1)]
+    assert counts[0] > counts[1] > counts[2]
+
+
+@pytest.mark.parametrize(("gap", "regions"), [(0.2, 1), (6.0, 2)])
+def test_regions_are_split_only_where_that_saves_half_the_rectangle(gap, regions):
+    sheet = grid(6)
+    corners = np.concatenate([sheet, sheet + [1.0 + gap, 0.0, 0.0]])
+    masks = split_into_regions(corners, np.ones(len(corners), bool), np.array([0.0, 0.0, 1.0]), 0.02)
+    assert len(masks) == regions
+    assert np.logical_or.reduce(masks).all()
+
+
+def test_a_part_that_owns_nothing_brings_no_region():
+    sheet = grid(6)
+    corners = np.concatenate([sheet, sheet + [7.0, 0.0, 0.0]])
+    owned = np.arange(len(corners)) < len(sheet)
+    masks = split_into_regions(corners, owned, np.array([0.0, 0.0, 1.0]), 0.02)
+    assert len(masks) == 1
+    np.testing.assert_array_equal(masks[0], owned)

@@ -1,0 +1,228 @@
+"""`scripts/billboards.py`: every kind of file in and out, the report, and the exit codes."""
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import bpy
+import numpy as np
+import pytest
+
+import billboards
+import command_line
+import environment
+import scene_files
+from farfield.addon.core.errors import FileError
+from farfield.addon.core.progress import Progress
+
+pytestmark = pytest.mark.usefixtures("empty_scene")
+SCRIPT = environment.ROOT / "scripts" / "billboards.py"
+CUBE = """\
+v -1 -1 -1
+v 1 -1 -1
+v 1 1 -1
+v -1 1 -1
+v -1 -1 1
+v 1 -1 1
+v 1 1 1
+v -1 1 1
+f 4 3 2 1
+f 5 6 7 8
+f 1 2 6 5
+f 2 3 7 6
+f 3 4 8 7
+f 4 1 5 8
+"""
+REPORT_KEYS = {
+    "source_triangles",
+    "dropped_triangles",
+    "quads",
+    "texels",
+    "levels",
+    "max_plane_distance",
+    "faces_beyond_normal_bound",
+    "uncovered_faces",
+    "skipped",
+    "seconds",
+    "peak_memory_mb",
+}
+
+
+@pytest.fixture
+def cube(tmp_path):
+    """A cube of side 2 in a file whose path has spaces and letters beyond ASCII."""
+    folder = tmp_path / "été à la mer"
+    folder.mkdir()
+    path = folder / "würfel 立方体.obj"
+    path.write_text(CUBE, encoding="utf-8")
+    return path
+
+
+def run(*arguments, **how):
+    """The script in a process of its own."""
+    return subprocess.run([sys.executable, str(SCRIPT), *map(str, arguments)], capture_output=True, text=True, check=False, **how)
+
+
+def main(*arguments):
+    """The script in this process; raises what it would have said."""
+    billboards.main([str(argument) for argument in arguments], command_line.ProgressLine())
+
+
+def cloud_levels():
+    """Level objects in the open file, finest first."""
+    return sorted((item for item in bpy.data.objects if item.get("farfield_kind") == "cloud"), key=lambda item: item.name)
+
+
+def test_a_cube_into_a_blend_with_a_report(cube):
+    out, figures = cube.with_name("wolke Ω.blend"), cube.with_name("figures.json")
+    outcome = run(cube, "--out", out, "--error", "10%", "--levels", "2", "--samples", "1", "--report", figures)
+    assert outcome.returncode == 0, outcome.stderr
+    assert sorted(path.name for path in cube.parent.iterdir()) == sorted([cube.name, out.name, figures.name])
+
+    report = json.loads(figures.read_text(encoding="utf-8"))
+    assert set(report) == REPORT_KEYS
+    assert report["source_triangles"] == 12 and report["dropped_triangles"] == 0 and report["uncovered_faces"] == 0
+    assert report["quads"] == report["levels"][0]["quads"] == 6
+    assert report["max_plane_distance"] <= 1.0
+    assert [set(level) for level in report["levels"]] == [{"error", "quads", "texels", "switch_distance"}] * 2
+    assert report["levels"][0]["error"] == pytest.approx(0.2) and report["levels"][1]["error"] == pytest.approx(0.4)
+    assert {"read", "capture", "objects", "write"} <= set(report["seconds"]) and report["peak_memory_mb"] > 10
+
+    bpy.ops.wm.open_mainfile(filepath=str(out))
+    levels = cloud_levels()
+    assert [level["farfield_quads"] for level in levels] == [level["quads"] for level in report["levels"]]
+    assert len(bpy.data.meshes) == 3 and not levels[0].hide_render and levels[1].hide_render
+
+
+def test_bad_input_is_one_sentence_and_code_2(cube):
+    outcome = run(cube.with_name("nowhere.obj"), "--out", cube.with_name("out.blend"))
+    assert outcome.returncode == 2
+    assert outcome.stderr.strip().count("\n") == 0 and "nowhere.obj" in outcome.stderr and "Traceback" not in outcome.stderr
+    assert [path.name for path in cube.parent.iterdir()] == [cube.name]
+
+
+def test_unknown_flags_are_one_sentence_and_code_2(cube):
+    outcome = run(cube, "--out", "x.blend", "--magic")
+    assert outcome.returncode == 2 and outcome.stderr.strip().count("\n") == 0 and "--magic" in outcome.stderr
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT to send to one process")
+def test_stopped_is_code_130_and_leaves_nothing(cube):
+    out = cube.with_name("out.blend")
+    process = subprocess.Popen(
+        [sys.executable, "-u", str(SCRIPT), str(cube), "--out", str(out), "--error", "0.4%", "--samples", "64", "--levels", "8"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    for line in process.stdout:
+        if "Saved" in line:  # the first capture is done
+            break
+    process.send_signal(signal.SIGINT)
+    started = time.monotonic()
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode == 130, errors
+    assert errors.strip() == "Stopped."
+    assert time.monotonic() - started < 60
+    assert [path.name for path in cube.parent.iterdir()] == [cube.name]
+
+
+@pytest.mark.parametrize("ending", [".blend", ".ply", ".stl", ".glb", ".gltf", ".fbx", ".usd"])
+def test_every_kind_of_file_is_read(ending, cube):
+    scene_files.open_scene(cube)
+    path = cube.with_name(f"cube 立方体{ending}")
+    export = {
+        ".blend": lambda: bpy.ops.wm.save_as_mainfile(filepath=str(path)),
+        ".ply": lambda: bpy.ops.wm.ply_export(filepath=str(path)),
+        ".stl": lambda: bpy.ops.wm.stl_export(filepath=str(path)),
+        ".glb": lambda: bpy.ops.export_scene.gltf(filepath=str(path), export_format="GLB"),
+        ".gltf": lambda: bpy.ops.export_scene.gltf(filepath=str(path), export_format="GLTF_SEPARATE"),
+        ".fbx": lambda: bpy.ops.export_scene.fbx(filepath=str(path)),
+        ".usd": lambda: bpy.ops.wm.usd_export(filepath=str(path)),
+    }[ending]
+    export()
+    figures = cube.with_name("figures.json")
+    main(path, "--out", cube.with_name("out.blend"), "--no-textures", "--error", "5%", "--levels", "1", "--report", figures)
+    report = json.loads(figures.read_text(encoding="utf-8"))
+    assert report["source_triangles"] == 12 and report["quads"] == 6
+
+
+def test_points_without_faces_are_read_from_ply(cube):
+    height, angle = np.meshgrid(np.linspace(0.0, 1.0, 20), np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False))
+    points = np.column_stack([np.cos(angle).ravel(), np.sin(angle).ravel(), height.ravel()])
+    path, figures = cube.with_name("points.ply"), cube.with_name("figures.json")
+    head = f"ply\nformat ascii 1.0\nelement vertex {len(points)}\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    path.write_text(head + "\n".join(" ".join(f"{value:.6f}" for value in point) for point in points) + "\n")
+    main(path, "--out", cube.with_name("out.blend"), "--no-textures", "--error", "5%", "--levels", "1", "--report", figures)
+    report = json.loads(figures.read_text(encoding="utf-8"))
+    assert report["quads"] >= 3 and report["uncovered_faces"] == 0
+
+
+def test_obj_out_is_read_back_as_the_same_quads(cube):
+    out = cube.with_name("cloud out.obj")
+    main(cube, "--out", out, "--error", "10%", "--levels", "2", "--samples", "1")
+    corners = [sorted(tuple(np.round(level.matrix_basis @ v.co, 4)) for v in level.data.vertices) for level in cloud_levels()]
+    names = {path.name for path in cube.parent.iterdir()}
+    assert names == {cube.name, out.name, "cloud out.mtl", *(path.name for path in cube.parent.glob("cloud out_*_L[01].png"))}
+    assert len(names) == 5
+
+    scene_files.open_scene(out)
+    objects = sorted(bpy.data.objects, key=lambda item: item.name)
+    assert len(objects) == 2
+    for item, expected in zip(objects, corners, strict=True):
+        assert len(item.data.polygons) == 6 and item.data.uv_layers
+        read = sorted(tuple(np.round(item.matrix_world @ v.co, 4)) for v in item.data.vertices)
+        assert np.allclose(read, expected, atol=1e-3)
+        textures = [node.image for node in item.data.materials[0].node_tree.nodes if node.type == "TEX_IMAGE"]
+        assert textures and all(image.has_data or image.size[0] for image in textures)
+
+
+def test_glb_out_is_read_back_with_textures_and_figures(cube):
+    out = cube.with_name("cloud.glb")
+    main(cube, "--out", out, "--error", "10%", "--levels", "2", "--samples", "1")
+    figures = [level["farfield_quads"] for level in cloud_levels()]
+    before = {path.name for path in cube.parent.iterdir()}
+    assert before == {cube.name, out.name}
+
+    scene_files.open_scene(out)
+    levels = cloud_levels()
+    assert [level["farfield_quads"] for level in levels] == figures
+    for level in levels:
+        nodes = level.data.materials[0].node_tree.nodes
+        assert any(node.type == "TEX_IMAGE" and node.image.size[0] > 1 for node in nodes)
+        assert max(level.dimensions) == pytest.approx(2.0, abs=0.5)
+
+
+def test_two_runs_with_the_same_seed_give_the_same_figures(cube):
+    reports = []
+    for number in range(2):
+        figures = cube.with_name(f"{number}.json")
+        main(cube, "--out", cube.with_name("out.blend"), "--no-textures", "--error", "3%", "--seed", "7", "--report", figures)
+        report = json.loads(figures.read_text(encoding="utf-8"))
+        reports.append({key: value for key, value in report.items() if key not in {"seconds", "peak_memory_mb"}})
+    assert reports[0] == reports[1]
+
+
+@pytest.mark.parametrize("name", ["out.txt", "out", "out.gltf"])
+def test_unknown_ending_of_out_is_refused(cube, name):
+    with pytest.raises(FileError, match=r"\.blend, \.obj, \.glb"):
+        main(cube, "--out", cube.with_name(name))
+
+
+def test_progress_line_is_for_terminals_only(monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    for stream, expected in ((Terminal(), True), (io.StringIO(), False)):
+        monkeypatch.setattr(sys, "stderr", stream)
+        line = command_line.ProgressLine()
+        line.show(Progress(0.5, "Clustering"))
+        line.show(Progress(0.5, "Clustering"))
+        line.clear()
+        assert ("50% Clustering" in stream.getvalue()) is expected
+        assert stream.getvalue().count("Clustering") == int(expected)
