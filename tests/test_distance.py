@@ -80,7 +80,7 @@ def test_weights_name_the_closest_point_and_the_foot_on_the_plane():
 
 def test_one_sided_distance_sees_what_no_corner_sees():
     roof = np.array([[[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]])
-    far_left, far_right = roof - [2.0, 0.0, 0.0], roof + [2.0, 0.0, 0.0]
+    far_left, far_right = roof - [2.0, 0.0, 0.0], roof + np.array([2.0, 0.0, 0.0])
     target = np.concatenate([far_left, far_right])
     distance = one_sided_distance(np.array([[[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1e-3, 0.0]]]), target, 1e-3)
     assert 1.0 <= distance <= 1.0 + 2e-3
@@ -90,5 +90,5 @@ def test_one_sided_distance_between_parallel_sheets_is_their_gap_and_zero_to_its
     random = np.random.default_rng(2)
     sheet = random.normal(size=(40, 3, 3)) * [1.0, 1.0, 0.0]
     assert one_sided_distance(sheet, sheet, 1e-6) <= 1e-6 + 1e-9
-    gap = one_sided_distance(sheet + [0.0, 0.0, 0.25], sheet, 1e-6)
+    gap = one_sided_distance(sheet + np.array([0.0, 0.0, 0.25]), sheet, 1e-6)
     assert 0.25 <= gap <= 0.25 + 2e-6

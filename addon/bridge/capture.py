@@ -53,7 +53,7 @@ def capture(source: Source, cloud: Cloud, settings: BillboardSettings) -> Steps[
                     work.scene.cycles.samples = _samples(channel, settings)
                     picture = work.render()
                     renders[side, channel] = picture if side == "front" else picture[:, ::-1]
-        maps = (maps_of(*(renders[side, channel] for channel in CHANNELS), level.atlas.gutter) for side in ("front", "back"))
+        maps = (maps_of(*(renders[side, channel] for channel in CHANNELS), level) for side in ("front", "back"))
         textures.append(LevelTextures(*maps))
     return textures
 

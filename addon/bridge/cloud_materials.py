@@ -9,6 +9,8 @@ from .wiring import Operand, Wiring
 
 GROUP_NAME = "Farfield Cloud"
 GROUP_VERSION = 1
+JOINED_ATTRIBUTE = "farfield_joined"  # of faces: 1 where the quad shows a piece of a surface that goes on on others
+SOLID_ATTRIBUTE = "farfield_solid"  # of faces: 1 where a camera cannot see the back, since it is the inside of a solid
 MAPS = ("Colour", "Normal", "Surface")
 SIDES = ("Front", "Back")
 
@@ -16,7 +18,7 @@ SIDES = ("Front", "Back")
 def cloud_material(name: str, images: dict[tuple[str, str], bpy.types.Image], shadowless: float) -> bpy.types.Material:
     """A material that shows `images`, keyed by side ("Front", "Back") and map ("Colour", "Normal", "Surface").
 
-    shadowless: the length within which it casts no shadow, in the unit of the cloud's objects.
+    shadowless: the length within which it stops no light, in the unit of the cloud's objects.
     """
     material = bpy.data.materials.new(name)
     _render_settings(material)
@@ -87,18 +89,32 @@ def _fill(wiring: Wiring) -> None:
     wiring.connect(roughness, shader.inputs["Roughness"])
     wiring.connect(metallic, shader.inputs["Metallic"])
     alpha = wiring.separate(seen("Alpha"))[0]
-    wiring.connect(wiring.math("MULTIPLY", alpha, _casts_shadow(wiring, inputs["Shadowless"])), shader.inputs["Alpha"])
+    lit = wiring.math("MULTIPLY", alpha, _stops_light(wiring, inputs["Shadowless"]))
+    wiring.connect(wiring.math("MULTIPLY", lit, _is_seen(wiring, seen_from_behind)), shader.inputs["Alpha"])
     wiring.connect(turned.outputs[0], shader.inputs["Normal"])
     wiring.connect(shader.outputs[0], wiring.node("NodeGroupOutput").inputs["BSDF"])
     wiring.arrange()
 
 
-def _casts_shadow(wiring: Wiring, shadowless: Operand) -> Operand:
-    """0 for a shadow ray that comes from nearer than `shadowless`, else 1. Cycles only: in EEVEE the length is that to the lamp."""
+def _stops_light(wiring: Wiring, shadowless: Operand) -> Operand:
+    """0 for a ray of light that comes from nearer than `shadowless`, else 1: quads of one surface must not darken each
+    other, while leaves do.
+
+    Cycles only; EEVEE knows camera and shadow rays alone, and the length of the latter is that to the lamp.
+    """
     path = wiring.node("ShaderNodeLightPath")
     scaled = wiring.node("ShaderNodeVectorTransform", {"vector_type": "VECTOR", "convert_from": "OBJECT", "convert_to": "WORLD"})
     wiring.connect(wiring.combine(shadowless, 0.0, 0.0), scaled.inputs[0])
     reach = wiring.node("ShaderNodeVectorMath", {"operation": "LENGTH"})
     wiring.connect(scaled.outputs[0], reach.inputs[0])
     near = wiring.math("LESS_THAN", path.outputs["Ray Length"], reach.outputs["Value"])
-    return wiring.math("SUBTRACT", 1.0, wiring.math("MULTIPLY", path.outputs["Is Shadow Ray"], near))
+    not_seen = wiring.math("SUBTRACT", 1.0, path.outputs["Is Camera Ray"])
+    of_light = wiring.math("MULTIPLY", not_seen, wiring.attribute(JOINED_ATTRIBUTE, number=True))
+    return wiring.math("SUBTRACT", 1.0, wiring.math("MULTIPLY", of_light, near))
+
+
+def _is_seen(wiring: Wiring, seen_from_behind: Operand) -> Operand:
+    """0 for a camera ray that meets the inside of a solid: only past the outline, where a quad sticks out by its error; else 1."""
+    camera = wiring.node("ShaderNodeLightPath").outputs["Is Camera Ray"]
+    inside = wiring.math("MULTIPLY", seen_from_behind, wiring.attribute(SOLID_ATTRIBUTE, number=True))
+    return wiring.math("SUBTRACT", 1.0, wiring.math("MULTIPLY", inside, camera))

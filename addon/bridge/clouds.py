@@ -10,7 +10,7 @@ from ..core.cameras import Camera
 from ..core.images import EMPTY, dilate, unpremultiply
 from ..core.metrics import encode_srgb
 from .cameras import scene_camera
-from .cloud_materials import cloud_material, grey_material
+from .cloud_materials import JOINED_ATTRIBUTE, SOLID_ATTRIBUTE, cloud_material, grey_material
 from .images import data_image, packed_bytes
 from .meshes import Source
 from .quad_normals import corner_normals
@@ -98,6 +98,8 @@ def _mesh(name: str, level: Level, maps: Maps | None, origin: np.ndarray) -> bpy
     if maps is not None:
         free_normals = mesh.attributes.new("custom_normal", "FLOAT_VECTOR", "POINT")
         free_normals.data.foreach_set("vector", np.concatenate(normals).astype(np.float32).ravel())
+    for attribute, flags in ((SOLID_ATTRIBUTE, level.solid), (JOINED_ATTRIBUTE, level.joined)):
+        mesh.attributes.new(attribute, "FLOAT", "FACE").data.foreach_set("value", flags.astype(np.float32))
     layer = mesh.attributes.new("UVMap", "FLOAT2", "CORNER")
     layer.data.foreach_set("vector", np.concatenate(uvs).astype(np.float32).ravel())
     return mesh

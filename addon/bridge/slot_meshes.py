@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 
 from ..core.billboards.cloud import Level
-from ..core.mesh import TriangleMesh, connected_parts
+from ..core.mesh import connected_parts
 from .channels import INSIDE
 from .meshes import Source
 from .slots import Slots
@@ -136,7 +136,7 @@ def _thrice(values: np.ndarray) -> np.ndarray:
 
 def _island_randoms(surface: Surface) -> np.ndarray:
     """A number 0..1 (T,) for each triangle, one for each of the connected parts. Evenly spread as Cycles' own, but not the same numbers."""
-    islands = connected_parts(TriangleMesh(surface.vertices.astype(np.float64), surface.triangles))
+    islands = connected_parts(surface.vertices.astype(np.float64), surface.triangles)
     return np.random.default_rng(0).random(int(islands.max()) + 1)[islands]
 
 

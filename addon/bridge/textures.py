@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core.images import EMPTY, dilate
+from ..core.billboards.cloud import Level
+from ..core.images import EMPTY, dilate, grow_outline
 
 
 @dataclass(frozen=True)
@@ -30,15 +31,26 @@ class LevelTextures:
     back: Maps
 
 
-def maps_of(colour: np.ndarray, normal: np.ndarray, surface: np.ndarray, gutter: int) -> Maps:
+def maps_of(colour: np.ndarray, normal: np.ndarray, surface: np.ndarray, level: Level) -> Maps:
     """The maps of one side out of its three renders (H, W, 4): premultiplied, with normal and depth moved to 0..1."""
+    gutter = level.atlas.gutter
     reach = gutter // 2 + 1
     directions = _straight(normal, reach) * 2.0 - 1.0
     lengths = np.linalg.norm(directions, axis=2, keepdims=True)
     directions = np.where(lengths > EMPTY, directions / np.maximum(lengths, EMPTY), np.float32([0.0, 0.0, 1.0]))
     properties = _straight(surface, reach)
     properties[..., 2] = properties[..., 2] * 2.0 - 1.0
-    return Maps(np.clip(colour, 0.0, None), directions.astype(np.float32), properties)
+    return Maps(grow_outline(np.clip(colour, 0.0, None), _joined_texels(level), reach), directions.astype(np.float32), properties)
+
+
+def _joined_texels(level: Level) -> np.ndarray:
+    """Which texels of the atlas (H, W) belong to joined quads, half of the gutter with them."""
+    width, height = level.atlas.size
+    texels = np.zeros((height, width), bool)
+    room = level.atlas.gutter // 2
+    for x, y, wide, tall in level.atlas.rectangles[level.joined]:
+        texels[y - room : y + tall + room, x - room : x + wide + room] = True
+    return texels
 
 
 def _straight(render: np.ndarray, reach: int) -> np.ndarray:

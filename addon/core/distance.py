@@ -1,4 +1,4 @@
-"""Exact distance from points to a triangle mesh, through a hierarchy of boxes that is descended a level at a time for all points at once."""
+"""Exact distance from points to a triangle mesh: a hierarchy of boxes, descended a level at a time by all points at once."""
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -35,7 +35,7 @@ def point_triangle_distances(points: np.ndarray, corners: np.ndarray) -> np.ndar
 
 
 def closest_weights(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Barycentric weights (N, 3), none below zero, of the point of each triangle `corners` (N, 3, 3) closest to its point of `points` (N, 3)."""
+    """Barycentric weights (N, 3), none below zero, of the point of each of `corners` (N, 3, 3) closest to its row of `points` (N, 3)."""
     _, along_b, along_c = _closest(points, corners)
     return np.stack([1.0 - along_b - along_c, along_b, along_c], axis=1)
 
@@ -84,7 +84,7 @@ def plane_weights(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 def one_sided_distance(corners: np.ndarray, target: np.ndarray, tolerance: float, least: float = 0.0) -> float:
-    """Largest distance of any point of the triangles `corners` (T, 3, 3) to the triangles `target` (K, 3, 3), too large by `tolerance` at most.
+    """Largest distance of any point of triangles (T, 3, 3) to the triangles `target` (K, 3, 3), too large by `tolerance` at most.
 
     The distance to one triangle is convex, so over a whole face it is largest at a corner: that bounds a face from above, and its corners
     bound it from below. Faces for which the bounds differ are cut in four until they do not, or until there are too many pieces: then the
@@ -115,7 +115,7 @@ def _cut_in_four(corners: np.ndarray) -> np.ndarray:
 
 
 def _box_hierarchy(corners: np.ndarray) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray]:
-    """Boxes (2^l, 3) low and high of every level l, and the order (T,) in which node k of 2^l holds positions k T / 2^l to (k + 1) T / 2^l."""
+    """Boxes (2^l, 3) low and high of every level l, and the order (T,); node k of 2^l holds its positions k T / 2^l to (k + 1) T / 2^l."""
     count = len(corners)
     depth = max(0, int(np.log2(count / LEAF_TRIANGLES))) if count > LEAF_TRIANGLES else 0
     low, high, centers = corners.min(axis=1), corners.max(axis=1), corners.mean(axis=1)

@@ -38,6 +38,19 @@ def dilate(image: np.ndarray, known: np.ndarray, texels: int = 4) -> np.ndarray:
     return _pull_push(filled, weight)
 
 
+def grow_outline(image: np.ndarray, where: np.ndarray, reach: int) -> np.ndarray:
+    """Premultiplied `image` (H, W, 4) with its opaque parts grown by one texel within `where` (H, W) bool.
+
+    Alpha becomes the largest of the texel and the four beside it; colours come from up to `reach` texels away.
+    """
+    alpha = image[..., 3]
+    padded = np.pad(alpha, 1)
+    beside = np.max([padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:]], axis=0)
+    grown = np.where(where, np.maximum(alpha, beside), alpha)[..., None]
+    straight = dilate(unpremultiply(image)[..., :3], alpha, reach)
+    return np.concatenate([straight * grown, grown], axis=2)
+
+
 def mips(image: np.ndarray) -> list[np.ndarray]:
     """`image` (H, W, C) and its halves down to one texel, each texel the mean of the up to 2 x 2 it covers. Premultiply colours first."""
     chain = [image]

@@ -3,10 +3,18 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from .errors import GeometryError
 
 ZERO_AREA = 1e-14  # of the squared longest side: below this a triangle has no direction that double precision could tell
+
+SOLID_RIM = 0.5  # of the root of its area: the longest rim of holes in what still counts as a solid
+LOOSE_AREA = 0.05  # of the whole: a part with more is no leaf
+LOOSE_TRIANGLES = 32
+LOOSE_SIDE = 0.05  # of the longest side of the whole
+LEAST_VOLUME = 1e-3  # of its area to the power 1.5 (a ball has 0.094): anything flatter is a folded sheet
 
 
 @dataclass(frozen=True)
@@ -96,14 +104,56 @@ def merge(meshes: list[TriangleMesh]) -> TriangleMesh:
     )
 
 
-def connected_parts(mesh: TriangleMesh) -> np.ndarray:
-    """Label (T,) int32 of the connected part of every triangle; vertices at exactly the same place count as one."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
+def connected_parts(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Label (P,) int32 of the connected part of every face; points at exactly the same place count as one.
 
-    _, welded = np.unique(mesh.vertices, axis=0, return_inverse=True)
-    corners = welded.reshape(-1)[mesh.triangles]
-    links = np.concatenate([corners[:, :2], corners[:, 1:]])
+    Args:
+        points: (V, 3) float64. corners: (P, C) int32 into points.
+    """
+    _, welded = np.unique(points, axis=0, return_inverse=True)
+    corners = welded.reshape(-1)[corners]
+    links = np.stack([corners[:, :-1], corners[:, 1:]], axis=2).reshape(-1, 2)
     count = int(corners.max()) + 1
     graph = coo_matrix((np.ones(len(links), np.int8), (links[:, 0], links[:, 1])), shape=(count, count))
     return connected_components(graph, directed=False)[1][corners[:, 0]].astype(np.int32)
+
+
+def solid_parts(points: np.ndarray, triangles: np.ndarray, parts: np.ndarray) -> np.ndarray:
+    """Whether the connected part of each triangle bounds a solid whose outside its normals look to: (T,) bool.
+
+    Holes whose summed rim is shorter than SOLID_RIM times the root of the part's area are overlooked, as those under a scanned bust are;
+    a leaf, a cup or a sheet is no solid.
+
+    Args:
+        points: (V, 3) float64. triangles: (T, 3) int32. parts: (T,) int32 from `connected_parts`.
+    """
+    _, welded = np.unique(points, axis=0, return_inverse=True)
+    corners = welded.reshape(-1)[triangles]
+    starts, ends = corners.reshape(-1), np.roll(corners, -1, axis=1).reshape(-1)
+    count = int(corners.max()) + 1
+    forward, backward = starts.astype(np.int64) * count + ends, ends.astype(np.int64) * count + starts
+    positions = points[triangles]
+    lengths = np.linalg.norm(positions - np.roll(positions, -1, axis=1), axis=2)
+    rim = np.where(np.isin(forward, backward).reshape(-1, 3), 0.0, lengths).sum(axis=1)
+    areas, _ = face_areas_and_normals(positions)
+    total = np.bincount(parts, areas)
+    centres = np.stack([np.bincount(parts, areas * positions[:, :, axis].mean(axis=1)) / total for axis in range(3)], axis=1)
+    volumes = np.bincount(parts, np.einsum("ti,ti->t", scaled_normals(positions), positions[:, 0] - centres[parts]) / 6.0)
+    solid = (np.bincount(parts, rim) < SOLID_RIM * np.sqrt(total)) & (volumes > LEAST_VOLUME * total**1.5)
+    return solid[parts]
+
+
+def loose_parts(points: np.ndarray, triangles: np.ndarray, parts: np.ndarray) -> np.ndarray:
+    """Whether each triangle belongs to a loose part, such as a leaf or a card of leaves, and not to a connected surface: (T,) bool.
+
+    A loose part has little of the area, and is made of few triangles or small. Arguments as in `solid_parts`.
+    """
+    positions = points[triangles]
+    areas, _ = face_areas_and_normals(positions)
+    order = np.argsort(parts, kind="stable")
+    starts = np.searchsorted(parts[order], np.arange(int(parts.max()) + 1))
+    low = np.minimum.reduceat(positions.min(axis=1)[order], starts)
+    high = np.maximum.reduceat(positions.max(axis=1)[order], starts)
+    few = np.bincount(parts) < LOOSE_TRIANGLES
+    small = (high - low).max(axis=1) < LOOSE_SIDE * longest_side(positions.reshape(-1, 3))
+    return ((np.bincount(parts, areas) < LOOSE_AREA * areas.sum()) & (few | small))[parts]

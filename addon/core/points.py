@@ -58,32 +58,28 @@ def _signs(points: np.ndarray, normals: np.ndarray, near: np.ndarray) -> np.ndar
     # A stored zero would count as no edge at all.
     weights = np.maximum(turning[cheapest][once], 1e-9)
     tree = minimum_spanning_tree(coo_matrix((weights, (low[once], high[once])), shape=(count, count))).tocoo()
-    roots = _outermost(points, connected_components(tree, directed=False)[1])
+    parts = connected_components(tree, directed=False)[1]
+    outward = points - _part_centroids(points, parts)
+    roots = _outermost(outward, parts)
     rows, columns = np.append(tree.row, np.full(len(roots), count)), np.append(tree.col, roots)
     rooted = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(count + 1, count + 1))
     parent = breadth_first_order(rooted.tocsr(), count, directed=False)[1]
     parent[count] = count
-    away = points[roots] - _part_centroids(points, tree)[roots]
     along = np.vstack([normals, np.zeros(3)])
     signs = np.where(np.einsum("ij,ij->i", along, along[parent]) < 0.0, -1.0, 1.0)
-    signs[roots] = np.where(np.einsum("ij,ij->i", normals[roots], away) < 0.0, -1.0, 1.0)
+    signs[roots] = np.where(np.einsum("ij,ij->i", normals[roots], outward[roots]) < 0.0, -1.0, 1.0)
     while (parent != count).any():
         signs, parent = signs * np.where(parent == count, 1.0, signs[parent]), parent[parent]
     return signs[:count]
 
 
-def _part_centroids(points: np.ndarray, tree: coo_matrix) -> np.ndarray:
+def _part_centroids(points: np.ndarray, parts: np.ndarray) -> np.ndarray:
     """(N, 3) centroid of the connected part of every point."""
-    parts = connected_components(tree, directed=False)[1]
-    sizes = np.bincount(parts)
     sums = np.stack([np.bincount(parts, points[:, axis]) for axis in range(3)], axis=1)
-    return (sums / sizes[:, None])[parts]
+    return (sums / np.bincount(parts)[:, None])[parts]
 
 
-def _outermost(points: np.ndarray, parts: np.ndarray) -> np.ndarray:
-    """Index of the point of every part that is farthest from the part's centroid."""
-    sizes = np.bincount(parts)
-    sums = np.stack([np.bincount(parts, points[:, axis]) for axis in range(3)], axis=1)
-    reach = np.linalg.norm(points - (sums / sizes[:, None])[parts], axis=1)
-    ranked = np.lexsort((-reach, parts))
+def _outermost(outward: np.ndarray, parts: np.ndarray) -> np.ndarray:
+    """Index of the point of every part that is farthest from the part's centroid; `outward` (N, 3) leads from there to each point."""
+    ranked = np.lexsort((-np.linalg.norm(outward, axis=1), parts))
     return ranked[np.flatnonzero(np.diff(parts[ranked], prepend=-1))]

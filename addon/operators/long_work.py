@@ -76,7 +76,7 @@ class Run:
         """Go on for about one tick; True when the job has finished. What the job raises is raised here, `Stopped` too."""
         if self._scene_steps is None:
             step = self._worker.progress
-            self.progress = Progress(CORE_SHARE * step.fraction, step.label)
+            self._take(Progress(CORE_SHARE * step.fraction, step.label))
             if not self._worker.done:
                 return False
             self._scene_steps = scaled(self._job.scene_steps(self._worker.result()), CORE_SHARE, 1.0)
@@ -85,11 +85,15 @@ class Run:
         until = time.monotonic() + TICK
         while time.monotonic() < until:
             try:
-                self.progress = next(self._scene_steps)
+                self._take(next(self._scene_steps))
             except StopIteration as finished:
                 self.sentence = finished.value
                 return True
         return False
+
+    def _take(self, step: Progress) -> None:
+        """Show `step`; the bar never goes back, also where a job finds that it has more to do than it thought."""
+        self.progress = Progress(max(step.fraction, self.progress.fraction), step.label)
 
 
 _current: Run | None = None

@@ -15,7 +15,7 @@ def planes_of(corners: np.ndarray, error: float, seed: int = 0) -> Planes:
     return finish(find_planes(corners, *face_areas_and_normals(corners), error, seed))
 
 
-def grid(side: int, height=lambda x, y: 0.0 * x) -> np.ndarray:
+def grid(side: int, height=lambda x, y: 0.0 * (x + y)) -> np.ndarray:
     """Corners (2 side^2, 3, 3) of a unit square in the plane z = height(x, y)."""
     x, y = np.meshgrid(np.linspace(0.0, 1.0, side + 1), np.linspace(0.0, 1.0, side + 1), indexing="ij")
     points = np.stack([x, y, height(x, y)], axis=2)
@@ -66,7 +66,7 @@ def test_two_large_triangles_at_odd_angles_get_their_own_planes():
 
 def test_far_parallel_sheets_stay_two_and_near_ones_become_one():
     sheet = grid(8)
-    both = np.concatenate([sheet, sheet + [0.0, 0.0, 0.5]])
+    both = np.concatenate([sheet, sheet + np.array([0.0, 0.0, 0.5])])
     assert len(planes_of(both, 0.02).covers) == 2
     assert len(planes_of(both, 0.3).covers) == 1
 
@@ -80,7 +80,7 @@ def test_a_plane_serves_both_sides():
 
 def test_far_parts_of_one_plane_are_regions_of_their_own():
     sheet = grid(8)
-    planes = planes_of(np.concatenate([sheet, sheet + [9.0, 0.0, 0.0]]), 0.05)
+    planes = planes_of(np.concatenate([sheet, sheet + np.array([9.0, 0.0, 0.0])]), 0.05)
     assert len(planes.covers) == 2
     np.testing.assert_allclose(planes.normals[0], planes.normals[1])
     assert planes.offsets[0] == planes.offsets[1]
@@ -89,7 +89,7 @@ def test_far_parts_of_one_plane_are_regions_of_their_own():
 
 def test_faces_at_the_foot_of_a_plane_are_drawn_on_it_too():
     """Gaps close: next to a ridge, faces of one side that lie within the error of the other side's plane are drawn on both."""
-    ridge = grid(20, lambda x, y: np.abs(x - 0.5))
+    ridge = grid(20, lambda x, y: np.abs(x - 0.5) + 0.0 * y)
     planes = planes_of(ridge, 0.05)
     assert sum(len(covered) for covered in planes.covers) > len(ridge)
     check_promises(planes, ridge, 0.05)
@@ -120,7 +120,7 @@ def test_more_error_needs_no_more_planes():
 @pytest.mark.parametrize(("gap", "regions"), [(0.2, 1), (6.0, 2)])
 def test_regions_are_split_only_where_that_saves_half_the_rectangle(gap, regions):
     sheet = grid(6)
-    corners = np.concatenate([sheet, sheet + [1.0 + gap, 0.0, 0.0]])
+    corners = np.concatenate([sheet, sheet + np.array([1.0 + gap, 0.0, 0.0])])
     masks = split_into_regions(corners, np.ones(len(corners), bool), np.array([0.0, 0.0, 1.0]), 0.02)
     assert len(masks) == regions
     assert np.logical_or.reduce(masks).all()
@@ -128,7 +128,7 @@ def test_regions_are_split_only_where_that_saves_half_the_rectangle(gap, regions
 
 def test_a_part_that_owns_nothing_brings_no_region():
     sheet = grid(6)
-    corners = np.concatenate([sheet, sheet + [7.0, 0.0, 0.0]])
+    corners = np.concatenate([sheet, sheet + np.array([7.0, 0.0, 0.0])])
     owned = np.arange(len(corners)) < len(sheet)
     masks = split_into_regions(corners, owned, np.array([0.0, 0.0, 1.0]), 0.02)
     assert len(masks) == 1

@@ -114,7 +114,7 @@ def test_unknown_flags_are_one_sentence_and_code_2(cube):
 def test_stopped_is_code_130_and_leaves_nothing(cube):
     out = cube.with_name("out.blend")
     process = subprocess.Popen(
-        [sys.executable, "-u", str(SCRIPT), str(cube), "--out", str(out), "--error", "0.4%", "--samples", "64", "--levels", "8"],
+        [sys.executable, "-u", str(SCRIPT), str(cube), "--out", str(out), "--error", "1%", "--samples", "16"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

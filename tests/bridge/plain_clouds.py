@@ -37,7 +37,9 @@ def cloud_of_directions(mesh: TriangleMesh, directions: np.ndarray, texel: float
     )
     error = max(float(heights.max()), 1e-3 * longest_side(mesh.vertices))
     square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    level = Level(error, texel, quads, _shelf(half_sizes, texel), [square] * len(quads))
+    level = Level(
+        error, texel, quads, _shelf(half_sizes, texel), [square] * len(quads), np.ones(len(quads), bool), np.zeros(len(quads), bool)
+    )
     return Cloud([level], len(mesh.triangles), 0, longest_side(mesh.vertices), 1.0, 0, 0)
 
 

@@ -75,20 +75,30 @@ class Hand:
         for value in ("PRESS", "RELEASE"):
             self.window.event_simulate(type=key, value=value, x=x, y=y, ctrl=ctrl)
 
+    def is_on_button(self, operator: str) -> bool:
+        """Whether Blender says that the mouse is on the button of `operator`: it can copy that button's call."""
+        window_manager = bpy.context.window_manager
+        with bpy.context.temp_override(window=self.window, area=self.area, region=self.region("UI")):
+            if not bpy.ops.ui.copy_python_command_button.poll():
+                return False
+            window_manager.clipboard = ""
+            bpy.ops.ui.copy_python_command_button()
+        return window_manager.clipboard.startswith(f"bpy.ops.{operator}(")
+
     def find_button(self, operator: str) -> Iterator[float | tuple[int, int]]:
-        """Pass over the sidebar from top to bottom until Blender says that the mouse is on the button of `operator`."""
+        """Pass over the sidebar from top to bottom until the mouse is on the button of `operator`; where that is."""
         sidebar = self.region("UI")
         x = sidebar.x + sidebar.width // 2
+        self.move(sidebar.x - 200, sidebar.y + sidebar.height // 2)  # away, or the button that was pressed last still counts
+        yield 3 * LOOK
         for y in range(sidebar.y + sidebar.height - 10, sidebar.y, -9):
             self.move(x, y)
             yield LOOK
-            with bpy.context.temp_override(window=self.window, area=self.area, region=sidebar):
-                if not bpy.ops.ui.copy_python_command_button.poll():
-                    continue
-                bpy.context.window_manager.clipboard = ""
-                bpy.ops.ui.copy_python_command_button()
-            if bpy.context.window_manager.clipboard.startswith(f"bpy.ops.{operator}("):
-                return x, y
+            if self.is_on_button(operator):
+                self.move(x, y - 1)
+                yield 3 * LOOK
+                if self.is_on_button(operator):
+                    return x, y - 1
         raise AssertionError(f"the sidebar has no button for {operator}")
 
 
@@ -109,6 +119,18 @@ def state() -> dict:
         kind: sorted(item.name for item in getattr(bpy.data, kind))
         for kind in ("objects", "meshes", "materials", "images", "scenes", "collections", "cameras", "node_groups")
     }
+
+
+def start(hand: Hand) -> Iterator[float | tuple[int, int]]:
+    """Press the button and wait until its job runs; where the button is."""
+    work = sys.modules[f"{PACKAGE}.addon.operators.long_work"]
+    x, y = yield from hand.find_button("farfield.billboards_build")
+    hand.press("LEFTMOUSE", x, y)
+    started = time.monotonic()
+    while work.current() is None:
+        assert time.monotonic() - started < 20.0, "the button starts nothing"
+        yield 0.02
+    return x, y
 
 
 def watch(until_fraction: float | None = None) -> Iterator[float | list[float]]:
@@ -142,20 +164,17 @@ def visit() -> Iterator[float]:
 
     seen["stopped"] = {}
     for half, fraction in (("core", 0.02), ("scene", 0.4)):
-        x, y = yield from hand.find_button("farfield.billboards_build")
-        hand.press("LEFTMOUSE", x, y)
-        yield 0.2
+        x, y = yield from start(hand)
         fractions = yield from watch(until_fraction=fraction)
+        running = sys.modules[f"{PACKAGE}.addon.operators.long_work"].current() is not None
         picture(f"2-running-{half}")
         hand.press("ESC", x, y)
         yield from watch()
         yield 0.5
-        seen["stopped"][half] = {"fractions": fractions, "after": state()}
+        seen["stopped"][half] = {"running": running, "fractions": fractions, "after": state()}
     picture("3-stopped")
 
-    x, y = yield from hand.find_button("farfield.billboards_build")
-    hand.press("LEFTMOUSE", x, y)
-    yield 0.2
+    yield from start(hand)
     seen["fractions"] = yield from watch()
     yield 3.0
     seen["levels"] = clouds()

@@ -9,10 +9,13 @@ from . import methods
 from .atlas import pack
 from .cloud import Cloud, Level, Quads
 from .cutouts import cut_corners
-from .patches import Covering, Patch, to_quads
+from .patches import Covering, Patch, overlapping, to_quads
 from .primitives import Primitives, from_mesh, from_points
+from .rectangles import bounds_of
 from .settings import BillboardSettings
+from .surfaces import Surfaces, shared_surfaces, surfaces_of
 
+MARGIN = 0.25  # of the error: quads of a convex surface that meet at 30 degrees are apart by about this much
 KEPT_BACK = 1e-4  # of the error and the normal bound: room for rounding to single precision in Blender and in files
 
 
@@ -32,11 +35,13 @@ def build(source: TriangleMesh | PointCloud, settings: BillboardSettings, name: 
     errors = [settings.error * side * 2.0**level for level in range(settings.levels)]
     inner = [error * (1.0 - KEPT_BACK) for error in errors]
     centred, middle = _about_origin(primitives)
-    coverings = yield from scaled(METHODS[settings.method](centred, inner, settings, clock), 0.0, 0.95)
+    with clock.stage("parts"):
+        surfaces = surfaces_of(centred)
+    coverings = yield from scaled(METHODS[settings.method](centred, surfaces, inner, settings, clock), 0.0, 0.95)
     yield Progress(0.95, "Packing the atlas")
     with clock.stage("pack"):
         levels = [
-            _level(centred, covering, error, settings.texel_error * error, settings.cutout_corners)
+            _level(centred, covering, surfaces, error, settings.texel_error * error, settings.cutout_corners)
             for covering, error in zip(coverings, errors, strict=True)
         ]
     distance, beyond, uncovered = _figures(centred, levels, settings.max_normal_deviation)
@@ -69,11 +74,15 @@ def _about_origin(primitives: Primitives) -> tuple[Primitives, np.ndarray]:
     return Primitives(primitives.points - middle, primitives.corners, primitives.areas, primitives.normals), middle
 
 
-def _level(primitives: Primitives, covering: Covering, error: float, texel: float, most_corners: int) -> Level:
+def _level(primitives: Primitives, covering: Covering, surfaces: Surfaces, error: float, texel: float, most_corners: int) -> Level:
     """Quads, atlas and cutouts of one level."""
+    shared = shared_surfaces(surfaces, covering.owner)
+    covering = overlapping(primitives, covering, shared, MARGIN * error)
     quads = to_quads(covering.patches, covering.owner)
     cutouts = [_cutout(primitives, patch, texel, most_corners) for patch in covering.patches]
-    return Level(error, texel, quads, pack(quads.half_sizes, texel), cutouts)
+    joined = np.array([patch.outline is None and bool(shared[patch.shown].any()) for patch in covering.patches])
+    solid = np.array([bool(surfaces.solid[patch.shown].all()) for patch in covering.patches])
+    return Level(error, texel, quads, pack(quads.half_sizes, texel), cutouts, joined, solid)
 
 
 def _cutout(primitives: Primitives, patch: Patch, texel: float, most_corners: int) -> np.ndarray:
@@ -82,8 +91,13 @@ def _cutout(primitives: Primitives, patch: Patch, texel: float, most_corners: in
         return patch.outline
     middle = patch.rectangle.reshape(2, 2).mean(axis=1)
     half = np.maximum(0.5 * np.ptp(patch.rectangle.reshape(2, 2), axis=1), 1e-12 * texel)
-    local = (primitives.positions[patch.shown].reshape(-1, 3) @ patch.axes.T - middle) / half
-    return cut_corners(np.clip(local, -1.0, 1.0), 0.5 * texel / half, most_corners)
+    bounds = (bounds_of(primitives.positions[patch.shown], patch.axes).reshape(-1, 2, 2) - middle[:, None]) / half[:, None]
+    sticking_out = (np.abs(bounds) > 1.0 + 1e-6).any(axis=(1, 2))
+    local = (primitives.positions[patch.shown[~sticking_out]].reshape(-1, 3) @ patch.axes.T - middle) / half
+    # What sticks out is cut at the rectangle: the corners of its box hold all that is left of it.
+    boxes = np.clip(bounds[sticking_out], -1.0, 1.0)
+    corners = np.stack([boxes[:, 0][:, [0, 1, 1, 0]], boxes[:, 1][:, [0, 0, 1, 1]]], axis=2).reshape(-1, 2)
+    return cut_corners(np.clip(np.concatenate([local, corners]), -1.0, 1.0), 0.5 * texel / half, most_corners)
 
 
 def _figures(primitives: Primitives, levels: list[Level], max_normal_deviation: float) -> tuple[float, int, int]:
@@ -110,4 +124,4 @@ def _in_source(level: Level, middle: np.ndarray, kept: np.ndarray, total: int) -
     owner[kept] = level.quads.owner
     quads = level.quads
     moved = Quads(quads.centers + middle, quads.frames, quads.half_sizes, quads.drawn_offsets, kept[quads.drawn].astype(np.int32), owner)
-    return Level(level.error, level.texel, moved, level.atlas, level.cutouts)
+    return Level(level.error, level.texel, moved, level.atlas, level.cutouts, level.joined, level.solid)

@@ -56,13 +56,20 @@ class Atlas:
 
 @dataclass(frozen=True)
 class Level:
-    """One level of a cloud. error and texel are lengths in scene units; cutouts holds a (C, 2) polygon a quad in -1..1 of its half sizes."""
+    """One level of a cloud.
+
+    error and texel are lengths in scene units. cutouts: a (C, 2) polygon a quad, in -1..1 of its half sizes. joined (Q,) bool: whether a
+    quad shows a surface that goes on on another quad; its textures are grown by a texel, so that no crack opens between the two. solid (Q,) bool:
+    whether a quad shows nothing but the outside of solids, so that no camera outside can see its back.
+    """
 
     error: float
     texel: float
     quads: Quads
     atlas: Atlas
     cutouts: list[np.ndarray]
+    joined: np.ndarray
+    solid: np.ndarray
 
     @property
     def texels(self) -> int:

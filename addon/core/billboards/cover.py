@@ -227,18 +227,21 @@ def shrink(primitives: Primitives, patches: list[Patch], quad_cost: float, passe
     count = np.zeros(len(primitives), np.int32)
     for patch in patches:
         count[patch.shown] += 1
+    fitted_to: dict[int, np.ndarray] = {}
     for _ in range(passes):
-        worth = [primitives.areas[patch.shown].sum() / (quad_cost + area(patch.rectangle)) for patch in patches]
+        patches.sort(key=lambda patch: primitives.areas[patch.shown].sum() / (quad_cost + area(patch.rectangle)))
         kept = []
-        for index in np.argsort(worth, kind="stable"):
-            patch = patches[index]
+        for patch in patches:
             alone = patch.shown[count[patch.shown] == 1]
-            count[patch.shown] -= 1
-            if len(alone) == 0:
+            if len(alone) and np.array_equal(alone, fitted_to.get(id(patch))):
+                kept.append(patch)
                 continue
-            kept.append(_fitted(primitives, patch, alone))
-            count[kept[-1].shown] += 1
-        if len(kept) == len(patches) and all(new.rectangle is old.rectangle for new, old in zip(kept, patches, strict=True)):
+            count[patch.shown] -= 1
+            if len(alone):
+                kept.append(_fitted(primitives, patch, alone))
+                fitted_to[id(kept[-1])] = alone
+                count[kept[-1].shown] += 1
+        if len(kept) == len(patches) and all(new is old for new, old in zip(kept, patches, strict=True)):
             break
         patches = kept
     return patches

@@ -15,21 +15,26 @@ from ..distance import closest_on_mesh, closest_weights, one_sided_distance, pla
 from ..mesh import face_areas_and_normals
 from ..progress import Progress, Steps
 from .remesh import collapse, compact, flip
-from .straddle import LEAST_WEIGHT, solve_moves, straddle
+from .straddle import LEAST_WEIGHT, SPRINGS, solve_moves, straddle
 
-MAX_SAMPLES = 10_000
+MAX_SAMPLES = 16_000
 JUDGED_STRIDE = 2  # collapses and flips are judged by every second sample
 STRADDLED = 1.4  # a proposal up to so many errors away comes within the error by moving its vertices
 JUDGED_LIMIT = 1.25  # in errors, of a collapse before vertices are moved again
 PROMISING = 1.2  # in errors, at the samples: what the last moves may still mend
 ROUND_SHARE = 0.2
+DESCENT_SHARE = 0.06  # from the coarsest mesh that passed on, a few collapses at a time
+MAX_DESCENT = 4
 MAX_ROUNDS = 24
 ROUND_POWERS = (2.0, 3.0, 4.0)
 LAST_POWERS = (3.0, 4.0, 4.0, 6.0, 6.0, 6.0)
-FAR = 0.6  # in errors: points of the original that the last moves look at whether they are samples or not
-SETTLING_STEPS = 24
+FAR = 0.5  # in errors: points of the original that the last moves look at whether they are samples or not
+SETTLINGS = 3  # times that the far points are looked up anew
+SETTLING_STEPS = 12
+PATIENCE = 4  # steps without a better one
 SETTLING_POWER = 8.0
 NEWTON = 1.0 / (SETTLING_POWER - 1.0)  # of a reweighted step is the Newton step of that power
+TIGHT = 0.3  # springs while the area is too large and the distances are not
 SETTLED = 0.97  # in errors; the rest is for points between the samples
 BEYOND_SHARE = 0.02  # of the area may turn farther than the normal bound from every triangle near it, for creases are rounded off
 AREA_GROWTH = 1.02  # over the area of the original, as a folded or spiky mesh would have; this is what texture costs
@@ -69,7 +74,7 @@ def decimate_to_error(vertices: np.ndarray, triangles: np.ndarray, error: float,
     for round_number in range(MAX_ROUNDS):
         coarse, faces = history[-1]
         yield Progress(0.05 + 0.75 * round_number / MAX_ROUNDS, f"{len(faces)} triangles")
-        coarse, faces = _coarsen(original.samples, coarse, faces, error)
+        coarse, faces = _coarsen(original.samples, coarse, faces, error, ROUND_SHARE)
         stuck = len(faces) > 0.985 * len(history[-1][1])
         if closest_on_mesh(original.samples, coarse[faces])[0].max() <= PROMISING * error:
             history.append((coarse, faces))
@@ -82,12 +87,21 @@ def decimate_to_error(vertices: np.ndarray, triangles: np.ndarray, error: float,
         found = original.accept(*history[middle])
         best, low, high = (best, low, middle) if found is None else (found, middle + 1, high)
         yield Progress(1.0 - 0.2 * (high - low) / len(history), "measuring")
-    return best if best is not None else original.proposal_within(*welded)
+    if best is None:
+        return original.proposal_within(*welded)
+    for _ in range(MAX_DESCENT):
+        yield Progress(1.0, f"{len(best.triangles)} triangles")
+        coarse, faces = _coarsen(original.samples, best.vertices, best.triangles, error, DESCENT_SHARE)
+        found = original.accept(coarse, faces) if len(faces) < len(best.triangles) else None
+        if found is None:
+            break
+        best = found
+    return best
 
 
-def _coarsen(samples: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, error: float) -> tuple[np.ndarray, np.ndarray]:
-    """One round of collapses, flips and moves."""
-    most = max(1, int(0.5 * ROUND_SHARE * len(triangles)))
+def _coarsen(samples: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, error: float, share: float) -> tuple[np.ndarray, np.ndarray]:
+    """One round of collapses, flips and moves that takes up to `share` of the triangles away."""
+    most = max(1, int(0.5 * share * len(triangles)))
     vertices, triangles = collapse(samples[::JUDGED_STRIDE], vertices, triangles, JUDGED_LIMIT * error, most)
     vertices = straddle(samples, vertices, triangles, ROUND_POWERS)
     triangles = flip(samples[::JUDGED_STRIDE], vertices, triangles, 0.02 * error)
@@ -139,10 +153,18 @@ class _Original:
 
     def accept(self, vertices: np.ndarray, triangles: np.ndarray) -> Decimated | None:
         """The coarse mesh after its last moves, or None when it does not keep the bounds."""
+        vertices = straddle(self._watched(vertices, triangles), vertices, triangles, LAST_POWERS)
+        for _ in range(SETTLINGS):
+            vertices = self._settled(self._watched(vertices, triangles), vertices, triangles)
+            found = self.measure(vertices, triangles)
+            if found is not None:
+                return found
+        return None
+
+    def _watched(self, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+        """The samples, and all points of the original that are far from the coarse mesh."""
         far = closest_on_mesh(self.points, vertices[triangles])[0] > FAR * self.error
-        samples = np.concatenate([self.samples, self.points[far]])
-        vertices = straddle(samples, vertices, triangles, LAST_POWERS)
-        return self.measure(self._settled(samples, vertices, triangles), triangles)
+        return np.concatenate([self.samples, self.points[far]])
 
     def measure(self, vertices: np.ndarray, triangles: np.ndarray) -> Decimated | None:
         """The coarse mesh with its figures, or None when it does not keep the bounds."""
@@ -186,18 +208,23 @@ class _Original:
         return chosen, heights, turned
 
     def _settled(self, samples: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-        """Vertices moved until the planes keep the corners of their faces and the triangles keep the `samples`, or the best on the way there."""
+        """Vertices moved until planes keep the corners of their faces and triangles keep the `samples`, or the best on the way there.
+
+        Where they do with an area too large, springs shrink it.
+        """
         watched = np.flatnonzero(self.assign(vertices, triangles)[1] > FAR * self.error)
-        best, least = vertices, np.inf
-        for _ in range(SETTLING_STEPS):
+        best, least, best_step = vertices, np.inf, 0
+        for step in range(SETTLING_STEPS):
             corners = vertices[triangles]
             _, normals = face_areas_and_normals(corners)
             plane, heights, _ = self.assign(vertices, triangles, watched)
             distances, nearest = closest_on_mesh(samples, corners)
             worst = max(float(heights.max(initial=0.0)), float(distances.max()))
-            if worst < least:
-                best, least = vertices, worst
-            if worst <= SETTLED * self.error:
+            growth = face_areas_and_normals(corners)[0].sum() / self.areas.sum() / AREA_GROWTH
+            badness = max(worst / (SETTLED * self.error), 1.0) + max(growth - 1.0, 0.0)
+            if badness < least:
+                best, least, best_step = vertices, badness, step
+            if badness <= 1.0 or step - best_step > PATIENCE:
                 break
             points, plane = self.corners[watched].reshape(-1, 3), np.repeat(plane, 3)
             at_samples = closest_weights(samples, corners[nearest])
@@ -212,6 +239,7 @@ class _Original:
                 np.concatenate([away / apart[:, None], normals[plane]]),
                 residuals,
                 (np.abs(residuals) / worst) ** SETTLING_POWER + LEAST_WEIGHT,
+                TIGHT if growth > 1.0 and worst <= SETTLED * self.error else SPRINGS,
             )
         return best
 

@@ -17,10 +17,29 @@ from .settings import BillboardSettings
 SEEDS = 64  # faces whose clusters are guessed
 NEAR = 300  # nearest faces of each seed, taken one by one
 FAR = 900  # faces that stand for all the others, drawn in proportion to area
-COMPACT = 2.0  # most waste of a guessed cluster
 SEARCH_ROUNDS = 10  # halvings of the range of errors, on a logarithmic scale: ends within one per cent
-CALIBRATION = {"clusters": (2.3, 0.5), "hough": (0.8, 3.0), "decimate": (2.0, 0.0)}  # quads by cluster guessed, exponent of the waste
 BYTES_PER_TEXEL = 24  # three maps of four bytes, front and back
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What guessed clusters have to do with the quads that a method builds, measured on a sphere, a head and four trees.
+
+    most_waste: of a guessed cluster, area of its rectangle over that of its faces. bounds_normals: whether the method keeps faces off quads
+    that they lean away from. quads: for each guessed cluster. area: of the quads, for each area of guessed rectangles.
+    """
+
+    most_waste: float
+    bounds_normals: bool
+    quads: float
+    area: float
+
+
+CALIBRATION = {
+    "clusters": Calibration(most_waste=1.05, bounds_normals=True, quads=1.55, area=1.6),
+    "hough": Calibration(most_waste=30.0, bounds_normals=False, quads=1.3, area=2.0),
+    "decimate": Calibration(most_waste=1.05, bounds_normals=True, quads=3.4, area=2.0),
+}
 
 
 @dataclass(frozen=True)
@@ -122,32 +141,29 @@ def estimate(sample: Sample, settings: BillboardSettings) -> list[LevelEstimate]
 def _level(sample: Sample, settings: BillboardSettings, share: float) -> LevelEstimate:
     """One level with the error `share` of the longest side."""
     error = share * sample.longest_side
-    clusters, waste = _clusters(sample, settings, error)
-    count_factor, waste_exponent = CALIBRATION[settings.method]
-    quads = min(max(round(count_factor * clusters), 1), sample.faces)
-    texels = sample.area * waste**waste_exponent / (error * settings.texel_error) ** 2
-    texels = max(texels, quads)
-    return LevelEstimate(error, quads, round(texels), round(texels * BYTES_PER_TEXEL) if settings.textures else 0)
+    calibration = CALIBRATION[settings.method]
+    clusters, waste = _clusters(sample, error, math.cos(settings.max_normal_deviation), calibration)
+    quads = min(max(round(calibration.quads * clusters), 1), sample.faces)
+    texels = max(round(calibration.area * waste * sample.area / (error * settings.texel_error) ** 2), quads)
+    return LevelEstimate(error, quads, texels, texels * BYTES_PER_TEXEL if settings.textures else 0)
 
 
-def _clusters(sample: Sample, settings: BillboardSettings, error: float) -> tuple[float, float]:
-    """Number of the largest clusters that the seeds allow, and their mean waste: area of the quad over that of its faces."""
+def _clusters(sample: Sample, error: float, least_cosine: float, calibration: Calibration) -> tuple[float, float]:
+    """How many of the largest clusters around the seeds it takes to hold the whole surface, and their mean waste."""
     rows = np.arange(len(sample.lows))
-    facing = sample.cosines >= math.cos(settings.max_normal_deviation)
-    if settings.method == "hough":
-        facing = np.ones_like(facing)
-    most = np.zeros(len(rows))
-    waste = np.full(len(rows), 1.0)
+    facing = (sample.cosines >= least_cosine) | (not calibration.bounds_normals)
+    most, waste = np.zeros(len(rows)), np.ones(len(rows))
     for shift in (-1.0, 0.0, 1.0):  # the seed may lie anywhere between the two sides of the slab that the error allows
         fits = facing & (sample.lows >= (shift - 1.0) * error) & (sample.highs <= (shift + 1.0) * error)
+        fits[:, 0] = True  # the seed itself, however steep
         inside = np.where(fits, sample.areas, 0.0)
         held = np.maximum(np.cumsum(inside, axis=1), np.finfo(float).tiny)
-        spread = _rectangle_areas(inside, held, sample.places) / held
-        allowed = np.where(spread <= COMPACT, held, 0.0)
+        spread = np.maximum(_rectangle_areas(inside, held, sample.places) / held, 1.0)
+        allowed = np.where(spread <= calibration.most_waste, held, 0.0)
         chosen = allowed.argmax(axis=1)
         larger = allowed[rows, chosen] > most
         most = np.where(larger, allowed[rows, chosen], most)
-        waste = np.where(larger, np.maximum(spread[rows, chosen], 1.0), waste)
+        waste = np.where(larger, spread[rows, chosen], waste)
     return float(np.mean(sample.area / most)), float(waste.mean())
 
 

@@ -12,6 +12,7 @@ from .planes import frames_of
 from .primitives import Primitives
 from .rectangles import around, bounds_of, smallest_rectangle
 from .settings import BillboardSettings
+from .surfaces import Surfaces
 
 NEIGHBOURS = 50  # n of section 4.3.1
 REGION_NEIGHBOURS = 12  # through which a quad's region grows
@@ -20,14 +21,19 @@ ROUNDS = 4
 COARSE_ROUNDS = 2
 
 
-def clusters(primitives: Primitives, errors: list[float], settings: BillboardSettings, clock: StageClock) -> Steps[list[Covering]]:
+def clusters(
+    primitives: Primitives, surfaces: Surfaces, errors: list[float], settings: BillboardSettings, clock: StageClock
+) -> Steps[list[Covering]]:
     """Generalised hierarchical face clustering (section 4.3), then the fewest overlapping quads that cover everything.
 
-    Ownership is settled at the finest level; a coarser quad owns whole clusters of the finer level, so levels nest.
+    Ownership is settled at the finest level; a coarser quad owns whole clusters of the finer level, so levels nest. Loose parts and
+    connected surfaces, leaves and trunk, never meet on one quad.
     """
     yield Progress(0.0, "Looking for neighbours")
     with clock.stage("neighbours"):
         pairs, distances = neighbour_pairs(primitives.positions, NEIGHBOURS)
+        alike = surfaces.loose[pairs[:, 0]] == surfaces.loose[pairs[:, 1]]
+        pairs, distances = pairs[alike], distances[alike]
         near = pairs[nearest_pairs(pairs, distances, len(primitives), REGION_NEIGHBOURS)] if len(pairs) else pairs
     bounds = ClusterBounds(errors[0], settings.max_normal_deviation, settings.max_texture_waste)
     groups = np.arange(len(primitives), dtype=np.int32)
@@ -53,7 +59,9 @@ def clusters(primitives: Primitives, errors: list[float], settings: BillboardSet
     return coverings
 
 
-def hough(primitives: Primitives, errors: list[float], settings: BillboardSettings, clock: StageClock) -> Steps[list[Covering]]:
+def hough(
+    primitives: Primitives, _surfaces: Surfaces, errors: list[float], settings: BillboardSettings, clock: StageClock
+) -> Steps[list[Covering]]:
     """Greedy planes in Hough space (section 4.1), each level on its own."""
     from .hough import find_planes
 
@@ -72,7 +80,9 @@ def hough(primitives: Primitives, errors: list[float], settings: BillboardSettin
     return coverings
 
 
-def decimate(primitives: Primitives, errors: list[float], settings: BillboardSettings, clock: StageClock) -> Steps[list[Covering]]:
+def decimate(
+    primitives: Primitives, _surfaces: Surfaces, errors: list[float], settings: BillboardSettings, clock: StageClock
+) -> Steps[list[Covering]]:
     """Edge collapse with a measured error (section 4.2), each level on its own; every triangle of the result becomes a quad."""
     from .decimate import decimate_to_error
 

@@ -1,11 +1,12 @@
 """Patches: quads to be, as the methods find them, and who owns what."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from .cloud import Quads
 from .primitives import Primitives
+from .rectangles import bounds_of
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,36 @@ def owners_of_groups(primitives: Primitives, patches: list[Patch], groups: np.nd
         owner[better] = number
         best[better] = shown[better]
     return owner[groups]
+
+
+def overlapping(primitives: Primitives, covering: Covering, shared: np.ndarray, margin: float) -> Covering:
+    """The patches with all that should be drawn on them, so that no crack opens between two quads of one surface.
+
+    Where a connected surface is shared by quads, each reaches `margin` (a length) farther and also draws what comes in from beside
+    within its bounds. Other parts, such as leaves, are drawn on their owner alone: a second picture of one would blur its outline.
+    Patches with an outline of their own stay as they are; those that are left with nothing to draw go.
+
+    Args:
+        shared: (P,) bool from `surfaces.shared_surfaces`.
+    """
+    drawn = []
+    for number, patch in enumerate(covering.patches):
+        if patch.outline is not None:
+            drawn.append(patch)
+            continue
+        rectangle = patch.rectangle
+        if shared[patch.shown].any():
+            rectangle = rectangle + margin * np.array([-1.0, 1.0, -1.0, 1.0])
+        bounds = bounds_of(primitives.positions[patch.region], patch.axes)
+        reaching = (
+            (bounds[:, 0] < rectangle[1]) & (bounds[:, 1] > rectangle[0]) & (bounds[:, 2] < rectangle[3]) & (bounds[:, 3] > rectangle[2])
+        )
+        candidates = np.union1d(patch.region[reaching], patch.shown)
+        shown = candidates[shared[candidates] | (covering.owner[candidates] == number)]
+        drawn.append(replace(patch, rectangle=rectangle, shown=shown))
+    needed = np.array([len(patch.shown) > 0 for patch in drawn])
+    number = np.cumsum(needed, dtype=np.int32) - 1
+    return Covering([patch for patch, keep in zip(drawn, needed, strict=True) if keep], number[covering.owner])
 
 
 def to_quads(patches: list[Patch], owner: np.ndarray) -> Quads:

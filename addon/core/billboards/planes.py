@@ -6,7 +6,8 @@ from ..directions import fibonacci_sphere
 from .primitives import Primitives
 
 SUPPORT = 64  # extreme points of a set that the fit looks at
-ROUNDS = 40  # of Lawson's reweighting; it gains little after 30
+ROUNDS = 30  # of Lawson's reweighting; it gains little after that
+FLAT = 1e-6  # of its extent: a thinner set needs no better plane
 
 
 def frames_of(normals: np.ndarray) -> np.ndarray:
@@ -40,23 +41,42 @@ def fit_planes(primitives: Primitives, sets: list[np.ndarray]) -> tuple[np.ndarr
     """
     means = mean_normals(primitives, sets)
     points = _support_points(primitives, sets, means)
-    weights = np.full(points.shape[:2], 1.0 / SUPPORT)
-    best = np.full(len(sets), np.inf)
-    normals, offsets = means.copy(), np.zeros(len(sets))
-    for _ in range(ROUNDS):
-        weights /= weights.sum(axis=1, keepdims=True)
-        centred = points - np.einsum("qs,qsi->qi", weights, points)[:, None]
-        axes = np.linalg.eigh(np.einsum("qs,qsi,qsj->qij", weights, centred, centred, optimize=True))[1]
-        normal = axes[:, :, 0]
-        heights = np.einsum("qsi,qi->qs", points, normal)
-        low, high = heights.min(axis=1), heights.max(axis=1)
-        better = high - low < best * (1.0 - 1e-12)
-        best[better] = (high - low)[better]
-        normals[better] = normal[better]
-        offsets[better] = 0.5 * (high + low)[better]
-        weights *= np.abs(heights - 0.5 * (high + low)[:, None]) + 1e-3 * (high - low)[:, None] + 1e-300
+    normals, offsets, thickness = _midway(points, _least_axes(points, np.full(points.shape[:2], 1.0 / SUPPORT)))
+    thick = np.flatnonzero(thickness > FLAT * np.ptp(points, axis=1).max(axis=1))
+    if len(thick):
+        better_normals, better_offsets = _lawson(points[thick])
+        normals[thick], offsets[thick] = better_normals, better_offsets
     sign = np.where(np.einsum("qi,qi->q", normals, means) < 0.0, -1.0, 1.0)
     return normals * sign[:, None], offsets * sign
+
+
+def _lawson(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normals (Q, 3) and offsets (Q,) of the planes with the least largest distance to `points` (Q, SUPPORT, 3)."""
+    weights = np.full(points.shape[:2], 1.0 / SUPPORT)
+    best = np.full(len(points), np.inf)
+    normals, offsets = np.zeros((len(points), 3)), np.zeros(len(points))
+    for _ in range(ROUNDS):
+        normal = _least_axes(points, weights)
+        normal, offset, thickness = _midway(points, normal)
+        better = thickness < best
+        best[better], normals[better], offsets[better] = thickness[better], normal[better], offset[better]
+        distances = np.abs(np.einsum("qsi,qi->qs", points, normal) - offset[:, None])
+        weights *= distances + 1e-3 * thickness[:, None] + 1e-300
+        weights /= weights.sum(axis=1, keepdims=True)
+    return normals, offsets
+
+
+def _least_axes(points: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Unit directions (Q, 3) in which weighted `points` (Q, S, 3) spread least."""
+    centred = points - np.einsum("qs,qsi->qi", weights, points)[:, None]
+    return np.linalg.eigh(np.swapaxes(centred * weights[:, :, None], 1, 2) @ centred)[1][:, :, 0]
+
+
+def _midway(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The planes midway between the outermost of `points` (Q, S, 3) along `normals`: normals, offsets (Q,), thickness (Q,)."""
+    heights = np.einsum("qsi,qi->qs", points, normals)
+    low, high = heights.min(axis=1), heights.max(axis=1)
+    return normals, 0.5 * (low + high), high - low
 
 
 def _support_points(primitives: Primitives, sets: list[np.ndarray], means: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Move the vertices of a coarse mesh so that its surface straddles the fine one: half the distance of a coarse mesh that only touches it."""
+"""Move the vertices of a coarse mesh so that its surface straddles the fine one, at half the distance of one that only touches it."""
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags, identity, kron
@@ -47,11 +47,12 @@ def solve_moves(
     directions: np.ndarray,
     residuals: np.ndarray,
     emphasis: np.ndarray,
+    stiffness: float = SPRINGS,
 ) -> np.ndarray:
-    """Vertex moves (V, 3) that take the points at `weights` (N, 3) on the triangles `chosen` (N,) by `residuals` (N,) along `directions` (N, 3).
+    """Vertex moves (V, 3) that take the points at `weights` (N, 3) on the triangles `chosen` (N,) by `residuals` (N,) along `directions`.
 
-    Least squares weighted by `emphasis` (N,), damped, with springs along the edges that keep the mesh from folding; no move is longer than
-    the largest residual.
+    directions (N, 3) are unit vectors. Least squares weighted by `emphasis` (N,), damped, with springs along the edges that keep the mesh
+    from folding, as stiff as `stiffness`; no move is longer than the largest residual.
     """
     count = 3 * len(vertices)
     columns = (3 * triangles[chosen][:, :, None] + np.arange(3)).reshape(-1)
@@ -59,7 +60,7 @@ def solve_moves(
     rows = csr_matrix((values, columns, np.arange(0, len(columns) + 1, 9)), shape=(len(residuals), count))
     normal_matrix = rows.T @ rows.multiply(emphasis[:, None])
     scale = max(float(normal_matrix.diagonal().mean()), 1e-300)
-    springs = SPRINGS * scale * _edge_springs(triangles, len(vertices))
+    springs = stiffness * scale * _edge_springs(triangles, len(vertices))
     right = rows.T @ (emphasis * residuals) - springs @ vertices.ravel()
     moves = spsolve((normal_matrix + springs + DAMPING * scale * identity(count)).tocsc(), right).reshape(-1, 3)
     lengths = np.linalg.norm(moves, axis=1)
