@@ -1,11 +1,11 @@
-"""The picture at the head of the README: `python3 docs/pictures.py [out/demo/demo.blend] [--out docs/pictures/forest.png]`.
+"""The pictures of the README and the docs: `python3 docs/pictures.py [out/demo/demo.blend] [--only tree levels head wood]`.
 
-A wood of the demo's tree. What stands near is the tree itself, what stands farther is the level of its cloud whose error is less than a
-pixel there; all are turned, lit by one low sun, and cast their shadows.
+tree: the demo's tree beside its cloud. levels: all its levels, their quads, and how each looks from its own distance. head: a closed
+surface with a material of nodes, which needs no demo. wood: hundreds of trees, each as the level that its distance asks for.
 """
 
 import sys
-from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "scripts"))
@@ -15,120 +15,205 @@ import environment
 environment.ensure()
 
 import bpy  # noqa: E402 - only the environment has it
-import mathutils  # noqa: E402
 import numpy as np  # noqa: E402
+from wood import render_wood  # noqa: E402
 
+import billboards  # noqa: E402
 import command_line  # noqa: E402
 import scene_files  # noqa: E402
-from farfield.addon.bridge.cameras import scene_camera  # noqa: E402
-from farfield.addon.core.cameras import choose_level  # noqa: E402
+from contact_sheet import PAPER, contact_sheet, enlarged, write_png  # noqa: E402
+from farfield.addon.core import metrics  # noqa: E402
+from farfield.addon.core.billboards.settings import BillboardSettings  # noqa: E402
 from farfield.addon.core.errors import FarfieldError  # noqa: E402
-from farfield.addon.core.progress import Progress  # noqa: E402
+from farfield.addon.core.progress import Progress, finish  # noqa: E402
 from farfield.addon.operators.billboards_clouds import StandingCloud, clouds_in  # noqa: E402
-from studio import STACKED_QUADS, looking_along  # noqa: E402
+from farfield.addon.operators.billboards_job import BuildOptions  # noqa: E402
+from farfield.addon.operators.long_work import whole  # noqa: E402
+from studio import bounds, studio  # noqa: E402
 from whole_files import whole_file  # noqa: E402
 
-SPACING = 6.8  # metres between two trees, about
-ROWS = 34
-SIZES = (0.8, 1.15)  # of the demo's tree
-OPENING = 0.55  # of the camera's half width that the wood fills beyond the picture's edge
-SUN_DIRECTION = np.array([-0.66, 0.30, 0.55])
-GLADE_WIDTH, GLADE_DEPTH, GLADE_BEND = 6.0, 70.0, 0.12
-EYE = np.array([0.0, -27.0, 13.0])
-GAZE = np.array([0.0, 40.0, 1.5])
+VIEWER = np.array([0.55, -0.80, 0.22]) / np.linalg.norm([0.55, -0.80, 0.22])  # where the camera stands, seen from the object
+TREE_PIXELS = 440
+LEVEL_PIXELS = 250
+HEAD_PIXELS = 290
+HEAD_ERROR = 0.02
+WOOD_WIDTH = 800
 
 
 def main(arguments: list[str], line: command_line.ProgressLine) -> None:
-    """Open the demo's scene, plant the wood, render it."""
-    parser = command_line.Parser(prog="pictures.py", description="Render the README's picture from the demo's scene.")
+    """Make the pictures that are asked for; raises FarfieldError when there is no scene to make them from."""
+    parser = command_line.Parser(prog="pictures.py", description="Render the pictures of the README and the docs.")
     parser.add_argument("scene", type=Path, nargs="?", default=environment.ROOT / "out" / "demo" / "demo.blend")
-    parser.add_argument("--out", type=Path, default=environment.ROOT / "docs" / "pictures" / "forest.png")
-    parser.add_argument("--width", type=int, default=1280, help="pixels across; half as many down (default: 1280)")
-    parser.add_argument("--samples", type=int, default=96, help="Cycles samples a pixel (default: 96)")
+    parser.add_argument("--only", nargs="+", choices=list(PICTURES), default=list(PICTURES), help="the pictures to make (default: all)")
+    parser.add_argument("--out", type=Path, default=environment.ROOT / "docs" / "pictures", help="the folder (default: docs/pictures)")
+    parser.add_argument("--samples", type=int, default=128, help="Cycles samples a pixel (default: 128)")
     given = parser.parse_args(arguments)
-    scene_files.open_scene(given.scene.absolute())
+    for number, name in enumerate(given.only):
+        line.show(Progress(number / len(given.only), f"Rendering {name}"))
+        PICTURES[name](given.scene.absolute(), given.out.absolute() / f"{name}.png", given.samples)
+
+
+def tree(scene: Path, path: Path, samples: int) -> None:
+    """The demo's tree and the finest level of its cloud, nearer than that level is meant for."""
+    cloud = demo_cloud(scene)
+    both = near([cloud.sources, [cloud.levels[0]]], TREE_PIXELS, samples)
+    nearer = pixels_across(cloud, cloud.errors[0])
+    columns = [
+        [f"the tree: {triangles(cloud.sources):,} triangles"],
+        [f"its billboard cloud: {cloud.levels[0]['farfield_quads']:,} quads"],
+    ]
+    title = f"Seen {TREE_PIXELS / nearer:.0f} times nearer than this level of the cloud is meant for"
+    write(path, contact_sheet(title, [both], [""], columns))
+
+
+def levels(scene: Path, path: Path, samples: int) -> None:
+    """Every level of the demo's cloud: near, in quads, and with as many pixels as its distance leaves it."""
+    cloud = demo_cloud(scene)
+    shown = [cloud.sources, *([level] for level in cloud.levels)]
+    close = near(shown, LEVEL_PIXELS, samples)
+    errors = [cloud.errors[0], *cloud.errors]
+    size = close[0].shape[:2]
+    far = [at_switch_size(cloud, items, error, samples, size) for items, error in zip(shown, errors, strict=True)]
+    paint_pieces([item for items in shown for item in items])
+    pieces = near(shown, LEVEL_PIXELS, samples)
+    columns = [["original", f"{triangles(cloud.sources):,} triangles"]]
+    columns += [
+        [f"level {number}", f"{level['farfield_quads']:,} quads, {level['farfield_texels'] / 1000:,.0f}k texels"]
+        for number, level in enumerate(cloud.levels)
+    ]
+    rows = ["seen near", "faces and quads", "error = 1 pixel"]
+    write(path, contact_sheet("One tree and the levels of its cloud", [close, pieces, far], rows, columns))
+
+
+def head(_scene: Path, path: Path, samples: int) -> None:
+    """Blender's monkey, a mostly closed surface with a procedural material, its quads and its cloud."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    bpy.ops.mesh.primitive_monkey_add()
+    monkey = bpy.context.object
+    monkey.modifiers.new("Subdivision", "SUBSURF").levels = 3
+    monkey.data.shade_smooth()
+    monkey.data.materials.append(veined_clay())
+    settings = BillboardSettings(levels=1, error=HEAD_ERROR, samples=32)
+    job = billboards.prepare_input(settings, BuildOptions())
+    finish(whole(job))
+    cloud = billboards.standing(job)[0]
+    level = cloud.levels[0]
+    original, copy = near([[monkey], [level]], HEAD_PIXELS, samples)
+    paint_pieces([level])
+    pieces = near([[level], [monkey]], HEAD_PIXELS, samples)[0]
+    columns = [
+        ["original", f"{job.made[0][1].source_triangles:,} triangles"],
+        ["the quads", f"{level['farfield_quads']:,} of them"],
+        ["the cloud", f"{level['farfield_texels']:,} texels"],
+    ]
+    share = f"{HEAD_ERROR:.0%}".replace("%", " %")
+    title = f"Error {share} of the longest side, seen {HEAD_PIXELS / pixels_across(cloud, cloud.errors[0]):.0f} times nearer than meant"
+    write(path, contact_sheet(title, [[original, pieces, copy]], [""], columns))
+
+
+def wood(scene: Path, path: Path, samples: int) -> None:
+    """Hundreds of the demo's trees."""
+    cloud = demo_cloud(scene)
+    planted = render_wood(cloud, path, WOOD_WIDTH, samples)
+    names = {None: "original", **{number: f"level {number}" for number in range(len(cloud.levels))}}
+    print(", ".join(f"{count} of {names[level]}" for level, count in planted.items()), file=sys.stderr)
+
+
+PICTURES = {"tree": tree, "levels": levels, "head": head, "wood": wood}
+
+
+def demo_cloud(scene: Path) -> StandingCloud:
+    """The cloud of the scene file, which is opened.
+
+    Raises:
+        FarfieldError: when it holds none beside its original.
+    """
+    scene_files.open_scene(scene)
     clouds = [cloud for cloud in clouds_in(bpy.context.scene) if cloud.sources]
     if not clouds:
-        raise FarfieldError(f'"{given.scene}" holds no cloud beside its original; run scripts/demo.py first.')
-    set_up_picture(given.width, given.samples)
-    planted = plant(clouds[0])
-    names = {None: "original", **{number: f"level {number}" for number in range(len(clouds[0].levels))}}
-    print(", ".join(f"{count} of {names[level]}" for level, count in planted.items()), file=sys.stderr)
-    line.show(Progress(0.5, "Rendering the wood"))
-    with whole_file(given.out.absolute()) as path:
-        bpy.context.scene.render.filepath = str(path)
-        bpy.ops.render.render(write_still=True)
+        raise FarfieldError(f'"{scene}" holds no cloud beside its original; run scripts/demo.py first.')
+    return clouds[0]
 
 
-def plant(cloud: StandingCloud) -> Counter:
-    """Stand turned trees in jittered rows before the camera; returns how many of each level, None for the original."""
-    scene = bpy.context.scene
-    camera = scene_camera(scene)
-    random = np.random.default_rng(4)
-    planted: Counter = Counter()
-    for place in places(random):
-        distance = float(np.linalg.norm(place - EYE))
-        level = choose_level(cloud.errors, distance - SPACING / 2.0, camera)
-        turn = mathutils.Matrix.Rotation(random.uniform(0.0, 2.0 * np.pi), 4, "Z") @ mathutils.Matrix.Scale(random.uniform(*SIZES), 4)
-        for item in cloud.sources if level is None else [cloud.levels[level]]:
-            copy = item.copy()  # shares the mesh and the material of `item`
-            copy.matrix_world = mathutils.Matrix.Translation(place.tolist()) @ turn @ item.matrix_world
-            copy.hide_render = copy.hide_viewport = False
-            scene.collection.objects.link(copy)
-        planted[level] += 1
-    for item in [*cloud.sources, *cloud.levels]:
-        item.hide_render = True
-    return planted
+def near(shown: Sequence[Sequence[bpy.types.Object]], pixels: int, samples: int) -> list[np.ndarray]:
+    """One picture (H, W, 3) of each group of objects, all cut to what the first group fills of `pixels` across; sRGB on paper."""
+    center, radius = bounds(shown[0])
+    everything = [item for items in shown for item in items]
+    with studio(everything, samples) as room:
+        renders = [room.picture(items, VIEWER, center, 2.0 * radius / pixels, pixels) for items in shown]
+    window = metrics.crop_to_object(renders[0][..., 3], margin=pixels // 40)
+    return [metrics.over_grey(render[window], PAPER) for render in renders]
 
 
-def places(random: np.random.Generator) -> list[np.ndarray]:
-    """Where trees stand: rows that widen with the view, with a glade in front."""
-    found = []
-    for row in range(ROWS):
-        depth = row * SPACING * (1.0 + 0.06 * row)
-        half_width = (1.0 + OPENING) * 0.5 * (depth - EYE[1])
-        for across in np.arange(-half_width, half_width, SPACING * (1.0 + 0.03 * row)):
-            place = np.array([across, depth, 0.0])
-            place[:2] += random.uniform(-0.36, 0.36, 2) * SPACING
-            if abs(place[0] - GLADE_BEND * place[1]) > GLADE_WIDTH or depth > GLADE_DEPTH:
-                found.append(place)
-    return found
+def at_switch_size(
+    cloud: StandingCloud, items: Sequence[bpy.types.Object], error: float, samples: int, size: tuple[int, int]
+) -> np.ndarray:
+    """The objects where `error` is one pixel, single pixels enlarged, in the middle of a picture of `size`: (H, W, 3) sRGB on paper."""
+    center, radius = bounds(cloud.sources)
+    pixels = int(np.ceil(2.0 * radius / error)) + 2
+    with studio(items, samples) as room:
+        render = room.picture(items, VIEWER, center, error, pixels)
+    small = metrics.over_grey(render[metrics.crop_to_object(render[..., 3], margin=1)], PAPER)
+    small = enlarged(small, max(1, min(size[0] // small.shape[0], size[1] // small.shape[1])))
+    canvas = np.full((*size, 3), PAPER)
+    low = [(have - want) // 2 for have, want in zip(size, small.shape[:2], strict=True)]
+    canvas[low[0] : low[0] + small.shape[0], low[1] : low[1] + small.shape[1]] = small
+    return canvas
 
 
-def set_up_picture(width: int, samples: int) -> None:
-    """Camera, sun, sky, meadow and Cycles for the picture."""
-    scene = bpy.context.scene
-    scene.camera.data.sensor_fit, scene.camera.data.angle = "HORIZONTAL", np.radians(46.0)
-    scene.camera.data.clip_end = 5000.0
-    scene.camera.matrix_world = looking_along((EYE - GAZE) / np.linalg.norm(EYE - GAZE), EYE)
-    sun = next(item for item in scene.objects if item.type == "LIGHT")
-    sun.matrix_world = looking_along(SUN_DIRECTION / np.linalg.norm(SUN_DIRECTION), np.zeros(3))
-    sun.data.energy, sun.data.color = 5.0, (1.0, 0.86, 0.68)
-    background = next(node for node in scene.world.node_tree.nodes if node.type == "BACKGROUND")
-    background.inputs["Color"].default_value, background.inputs["Strength"].default_value = (0.46, 0.62, 0.85, 1.0), 0.8
-    _add_meadow(scene)
-    render = scene.render
-    render.engine, render.film_transparent, render.use_persistent_data = "CYCLES", False, False
-    render.resolution_x, render.resolution_y, render.resolution_percentage = width, width // 2, 100
-    render.image_settings.file_format, render.image_settings.color_mode = "PNG", "RGB"
-    scene.cycles.samples, scene.cycles.use_denoising = samples, True
-    scene.cycles.transparent_max_bounces = STACKED_QUADS
-    scene.cycles.max_bounces = 3
-    scene.view_settings.view_transform = "Standard"
-    bpy.context.view_layer.update()
+def pixels_across(cloud: StandingCloud, error: float) -> float:
+    """Pixels across the sphere around the sources where `error` is one pixel."""
+    return 2.0 * bounds(cloud.sources)[1] / error
 
 
-def _add_meadow(scene: bpy.types.Scene) -> None:
-    mesh = bpy.data.meshes.new("Meadow")
-    mesh.from_pydata([(-4000, -200, 0), (4000, -200, 0), (4000, 6000, 0), (-4000, 6000, 0)], [], [(0, 1, 2, 3)])
-    material = bpy.data.materials.new("Meadow")
+def triangles(objects: Sequence[bpy.types.Object]) -> int:
+    """Triangles of the meshes of `objects`, before modifiers."""
+    return sum(len(polygon.vertices) - 2 for item in objects for polygon in item.data.polygons)
+
+
+def paint_pieces(objects: Sequence[bpy.types.Object]) -> None:
+    """Give every connected piece, such as a quad, a colour of its own instead of its material."""
+    material = bpy.data.materials.new("Pieces")
     if material.node_tree is None:
         material.use_nodes = True
-    surface = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
-    surface.inputs["Base Color"].default_value = (0.17, 0.22, 0.06, 1.0)
-    surface.inputs["Roughness"].default_value = 1.0
-    mesh.materials.append(material)
-    scene.collection.objects.link(bpy.data.objects.new("Meadow", mesh))
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    surface = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
+    surface.inputs["Roughness"].default_value = 0.9
+    geometry, color = nodes.new("ShaderNodeNewGeometry"), nodes.new("ShaderNodeCombineColor")
+    color.mode = "HSV"
+    color.inputs[1].default_value, color.inputs[2].default_value = 0.45, 0.75
+    links.new(geometry.outputs["Random Per Island"], color.inputs[0])
+    links.new(color.outputs[0], surface.inputs["Base Color"])
+    for item in objects:
+        for slot in range(len(item.data.materials)):
+            item.data.materials[slot] = material
+        if "custom_normal" in item.data.attributes:  # a quad's follow its textures, these colours have none
+            item.data.attributes.remove(item.data.attributes["custom_normal"])
+
+
+def veined_clay() -> bpy.types.Material:
+    """Clay with darker, duller veins: noise in object coordinates, as no image holds it."""
+    material = bpy.data.materials.new("Clay")
+    if material.node_tree is None:
+        material.use_nodes = True
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    surface = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
+    place, noise, ramp = nodes.new("ShaderNodeTexCoord"), nodes.new("ShaderNodeTexNoise"), nodes.new("ShaderNodeValToRGB")
+    noise.inputs["Scale"].default_value, noise.inputs["Detail"].default_value = 2.5, 4.0
+    stops = ramp.color_ramp.elements
+    stops[0].position, stops[0].color = 0.44, (0.22, 0.06, 0.03, 1.0)
+    stops[1].position, stops[1].color = 0.56, (0.72, 0.38, 0.20, 1.0)
+    links.new(place.outputs["Object"], noise.inputs["Vector"])
+    links.new(noise.outputs[0], ramp.inputs[0])
+    links.new(ramp.outputs["Color"], surface.inputs["Base Color"])
+    surface.inputs["Roughness"].default_value = 0.45
+    return material
+
+
+def write(path: Path, picture: np.ndarray) -> None:
+    """Write a picture (H, W, 3), whole or not at all."""
+    with whole_file(path) as temporary:
+        write_png(temporary, picture)
 
 
 if __name__ == "__main__":

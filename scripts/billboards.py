@@ -130,7 +130,7 @@ def level_report(levels: list[Level], objects: list[bpy.types.Object]) -> dict[s
     return {
         "error": max(level.error for level in levels),
         "quads": sum(len(level.quads) for level in levels),
-        "texels": sum(level.atlas.texels for level in levels),
+        "texels": sum(level.texels for level in levels),
         "switch_distance": distance if math.isfinite(distance) else None,
     }
 

@@ -2,7 +2,7 @@
 
 Grows a tree, builds its billboard cloud in three levels, compares every level with the tree in Cycles, and leaves in out/demo/ the scene
 (demo.blend), a contact sheet (contact-sheet.png) and the figures (report.json, report.md). --input takes a mesh of your own instead of
-the tree; --quick makes a smaller tree and fewer, coarser renders.
+the tree; --quick makes fewer leaves, a coarser cloud and fewer renders.
 """
 
 import sys
@@ -46,21 +46,22 @@ class Effort:
     """How much the demo does."""
 
     leaves: int
+    error: float
     capture_samples: int
     views: int
     samples: int
     compared_levels: int
 
 
-FULL = Effort(leaves=6000, capture_samples=16, views=12, samples=64, compared_levels=LEVELS)
-QUICK = Effort(leaves=1200, capture_samples=4, views=6, samples=8, compared_levels=1)
+FULL = Effort(leaves=6000, error=0.01, capture_samples=16, views=12, samples=64, compared_levels=LEVELS)
+QUICK = Effort(leaves=1000, error=0.015, capture_samples=4, views=6, samples=8, compared_levels=1)
 
 
 def main(arguments: list[str], line: command_line.ProgressLine) -> None:
     """Run the demo; raises FarfieldError when the input or the folder is bad."""
     parser = command_line.Parser(prog="demo.py", description="Grow a tree, build its billboard cloud, compare the two.")
     parser.add_argument("--input", type=Path, help="a mesh of your own instead of the tree: .blend .obj .ply .stl .glb .gltf .fbx .usd")
-    parser.add_argument("--quick", action="store_true", help="a smaller tree and fewer renders, done within a minute")
+    parser.add_argument("--quick", action="store_true", help="fewer leaves, a coarser cloud and fewer renders, done within a minute")
     parser.add_argument("--out", type=Path, default=Path("out") / "demo", help="the folder for the results (default: out/demo)")
     given = parser.parse_args(arguments)
     effort = QUICK if given.quick else FULL
@@ -69,7 +70,8 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> None:
     clock = StageClock()
     with clock.stage("scene"):
         set_scene(given.input, effort)
-    job = billboards.prepare_input(BillboardSettings(levels=LEVELS, samples=effort.capture_samples), BuildOptions(together=True))
+    settings = BillboardSettings(error=effort.error, levels=LEVELS, samples=effort.capture_samples)
+    job = billboards.prepare_input(settings, BuildOptions(together=True))
     finish(scaled(whole(job), 0.0, 0.5), line.show)
     cloud = billboards.standing(job)[0]
     with clock.stage("compare"):

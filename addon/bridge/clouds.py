@@ -70,7 +70,7 @@ def _describe(level_object: bpy.types.Object, number: int, level: Level, camera:
     level_object["farfield_error"] = float(level.error)
     level_object["farfield_switch_distance"] = float(camera.switch_distance(level.error))
     level_object["farfield_quads"] = len(level.quads)
-    level_object["farfield_texels"] = level.atlas.texels
+    level_object["farfield_texels"] = level.texels
     images = [node.image for node in material.node_tree.nodes if node.type == "TEX_IMAGE"] if material.node_tree else []
     level_object["farfield_texture_bytes"] = sum(packed_bytes(image) for image in images)
 

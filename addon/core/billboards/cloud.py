@@ -58,9 +58,9 @@ class Atlas:
 class Level:
     """One level of a cloud.
 
-    error and texel are lengths in scene units. cutouts: a (C, 2) polygon a quad, in -1..1 of its half sizes. joined (Q,) bool: whether a
-    quad shows a surface that goes on on another quad; its textures are grown by a texel, so that no crack opens between the two. solid (Q,) bool:
-    whether a quad shows nothing but the outside of solids, so that no camera outside can see its back.
+    error and texel are lengths in scene units. cutouts: a (C, 2) polygon a quad, in -1..1 of its half sizes.
+    joined (Q,) bool: whether a quad shows a surface that goes on on another quad; its textures are grown by a texel, so that no crack
+    opens between the two. solid (Q,) bool: whether a quad shows nothing but the outside of solids, whose inside no camera sees.
     """
 
     error: float
