@@ -20,8 +20,11 @@ def spread_directions(count: int) -> np.ndarray:
     return np.column_stack([np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), np.cos(polar)])
 
 
-def cloud_of_directions(mesh: TriangleMesh, directions: np.ndarray, texel: float) -> Cloud:
-    """One level with a quad for each of `directions` (D, 3) that some face of the convex `mesh` looks into most."""
+def cloud_of_directions(mesh: TriangleMesh, directions: np.ndarray, texel: float, joined: bool = False) -> Cloud:
+    """One level with a quad for each of `directions` (D, 3) that some face of the convex `mesh` looks into most.
+
+    Its quads are taken as pieces of one closed surface if they are `joined`, else as what they are alone.
+    """
     normals = face_areas_and_normals(mesh.corners)[1]
     owner = np.argmax(normals @ directions.T, axis=1)
     groups = [np.flatnonzero(owner == index) for index in np.unique(owner)]
@@ -37,9 +40,8 @@ def cloud_of_directions(mesh: TriangleMesh, directions: np.ndarray, texel: float
     )
     error = max(float(heights.max()), 1e-3 * longest_side(mesh.vertices))
     square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    level = Level(
-        error, texel, quads, _shelf(half_sizes, texel), [square] * len(quads), np.ones(len(quads), bool), np.zeros(len(quads), bool)
-    )
+    pieces = np.full(len(quads), joined)
+    level = Level(error, texel, quads, _shelf(half_sizes, texel), [square] * len(quads), joined=pieces, solid=pieces)
     return Cloud([level], len(mesh.triangles), 0, longest_side(mesh.vertices), 1.0, 0, 0)
 
 

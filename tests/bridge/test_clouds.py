@@ -24,9 +24,9 @@ def fresh_scene():
     blender_scenes.fresh()
 
 
-def made_cloud(source, directions, texel, textures=True):
+def made_cloud(source, directions, texel, textures=True, joined=False):
     """A plain cloud of `source` and the collection made of it."""
-    cloud = plain_clouds.cloud_of_directions(source.mesh, directions, texel)
+    cloud = plain_clouds.cloud_of_directions(source.mesh, directions, texel, joined)
     captured = finish(capture(source, cloud, BillboardSettings(samples=4))) if textures else None
     return cloud, make_cloud(cloud, captured, source, bpy.context.scene.collection)
 
@@ -82,7 +82,7 @@ def test_a_quad_spans_its_rectangle_of_the_texture():
 @pytest.mark.parametrize("sun", [(1.0, -0.5, 1.0), (-1.0, 0.2, 0.3)], ids=["front", "grazing"])
 def test_a_ball_of_quads_is_lit_like_the_ball(sun):
     ball = blender_scenes.ball(made=blender_scenes.material("Clay", (0.8, 0.4, 0.2), 0.6))
-    _, collection = made_cloud(blender_scenes.taken(ball), plain_clouds.spread_directions(60), 0.04)
+    _, collection = made_cloud(blender_scenes.taken(ball), plain_clouds.spread_directions(60), 0.04, joined=True)
     original, cloud = picture(ball, sun), picture(collection.objects[0], sun)
     both = np.minimum(original[..., 3], cloud[..., 3]) > 0.99
     assert both.sum() > 0.85 * (original[..., 3] > 0.99).sum()

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from farfield.addon.core.images import dilate, mips, preserve_coverage, unpremultiply
+from farfield.addon.core.images import dilate, grow_outline, mips, preserve_coverage, unpremultiply
 
 
 @settings(max_examples=40, deadline=None)
@@ -61,3 +61,17 @@ def test_premultiplied_colours_come_back_straight():
     back = unpremultiply(premultiplied)
     assert back[1:] == pytest.approx(straight[1:], abs=1e-5)
     assert (back[0] == 0.0).all()
+
+
+def test_grown_outlines_reach_one_texel_farther_where_asked_and_nowhere_else():
+    image = np.zeros((8, 8, 4), np.float32)
+    image[3:5, 2:5] = [0.2, 0.4, 0.6, 1.0]
+    image[6, 6] = [0.1, 0.0, 0.0, 0.5]
+    left = np.zeros((8, 8), bool)
+    left[:, :5] = True
+    grown = grow_outline(image, left, 3)
+    expected = image[..., 3].copy()
+    expected[2, 2:5] = expected[5, 2:5] = expected[3:5, 1] = 1.0
+    np.testing.assert_array_equal(grown[..., 3], expected)
+    np.testing.assert_allclose(grown[2, 3], [0.2, 0.4, 0.6, 1.0], atol=1e-6)
+    np.testing.assert_allclose(grown[~left], image[~left], atol=1e-6)
