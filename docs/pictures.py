@@ -14,30 +14,31 @@ import environment
 
 environment.ensure()
 
-import bpy  # noqa: E402 - only the environment has it
-import numpy as np  # noqa: E402
-from wood import render_wood  # noqa: E402
+import bpy
+import numpy as np
+from wood import render_wood
 
-import billboards  # noqa: E402
-import command_line  # noqa: E402
-import scene_files  # noqa: E402
-from contact_sheet import PAPER, contact_sheet, enlarged, write_png  # noqa: E402
-from farfield.addon.core import metrics  # noqa: E402
-from farfield.addon.core.billboards.settings import BillboardSettings  # noqa: E402
-from farfield.addon.core.errors import FarfieldError  # noqa: E402
-from farfield.addon.core.progress import Progress, finish  # noqa: E402
-from farfield.addon.operators.billboards_clouds import StandingCloud, clouds_in  # noqa: E402
-from farfield.addon.operators.billboards_job import BuildOptions  # noqa: E402
-from farfield.addon.operators.long_work import whole  # noqa: E402
-from studio import bounds, studio  # noqa: E402
-from whole_files import whole_file  # noqa: E402
+import billboards
+import command_line
+import scene_files
+from contact_sheet import PAPER, contact_sheet, enlarged, write_png
+from farfield.addon.core import metrics
+from farfield.addon.core.billboards.settings import BillboardSettings
+from farfield.addon.core.errors import FarfieldError
+from farfield.addon.core.progress import Progress, finish
+from farfield.addon.operators.billboards_clouds import StandingCloud, clouds_in
+from farfield.addon.operators.billboards_job import BuildOptions
+from farfield.addon.operators.long_work import whole
+from studio import bounds, studio
+from whole_files import whole_file
 
 VIEWER = np.array([0.55, -0.80, 0.22]) / np.linalg.norm([0.55, -0.80, 0.22])  # where the camera stands, seen from the object
-TREE_PIXELS = 440
+TREE_PIXELS = 600
 LEVEL_PIXELS = 250
 HEAD_PIXELS = 290
 HEAD_ERROR = 0.02
-WOOD_WIDTH = 800
+HEAD_VOXEL = 0.04
+WOOD_WIDTH = 660
 
 
 def main(arguments: list[str], line: command_line.ProgressLine) -> None:
@@ -56,7 +57,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> None:
 def tree(scene: Path, path: Path, samples: int) -> None:
     """The demo's tree and the finest level of its cloud, nearer than that level is meant for."""
     cloud = demo_cloud(scene)
-    both = near([cloud.sources, [cloud.levels[0]]], TREE_PIXELS, samples)
+    both = on_paper(near([cloud.sources, [cloud.levels[0]]], TREE_PIXELS, samples))
     nearer = pixels_across(cloud, cloud.errors[0])
     columns = [
         [f"the tree: {triangles(cloud.sources):,} triangles"],
@@ -72,13 +73,14 @@ def levels(scene: Path, path: Path, samples: int) -> None:
     shown = [cloud.sources, *([level] for level in cloud.levels)]
     close = near(shown, LEVEL_PIXELS, samples)
     errors = [cloud.errors[0], *cloud.errors]
-    size = close[0].shape[:2]
-    far = [at_switch_size(cloud, items, error, samples, size) for items, error in zip(shown, errors, strict=True)]
+    far = [at_switch_size(cloud, items, error, samples) for items, error in zip(shown, errors, strict=True)]
     paint_pieces([item for items in shown for item in items])
-    pieces = near(shown, LEVEL_PIXELS, samples)
+    pictures = on_paper(close + near(shown, LEVEL_PIXELS, samples))
+    close, pieces = pictures[: len(shown)], pictures[len(shown) :]
+    far = [enlarged_into(picture, close[0].shape[:2]) for picture in far]
     columns = [["original", f"{triangles(cloud.sources):,} triangles"]]
     columns += [
-        [f"level {number}", f"{level['farfield_quads']:,} quads, {level['farfield_texels'] / 1000:,.0f}k texels"]
+        [f"level {number}", f"{level['farfield_quads']:,} quads", f"{level['farfield_texels'] / 1000:,.0f}k texels"]
         for number, level in enumerate(cloud.levels)
     ]
     rows = ["seen near", "faces and quads", "error = 1 pixel"]
@@ -86,21 +88,21 @@ def levels(scene: Path, path: Path, samples: int) -> None:
 
 
 def head(_scene: Path, path: Path, samples: int) -> None:
-    """Blender's monkey, a mostly closed surface with a procedural material, its quads and its cloud."""
+    """Blender's monkey, made a closed surface, with a procedural material; its quads and its cloud."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     bpy.ops.mesh.primitive_monkey_add()
     monkey = bpy.context.object
-    monkey.modifiers.new("Subdivision", "SUBSURF").levels = 3
-    monkey.data.shade_smooth()
+    remesh = monkey.modifiers.new("Remesh", "REMESH")  # the monkey has holes behind its eyes
+    remesh.mode, remesh.voxel_size, remesh.use_smooth_shade = "VOXEL", HEAD_VOXEL, True
     monkey.data.materials.append(veined_clay())
     settings = BillboardSettings(levels=1, error=HEAD_ERROR, samples=32)
     job = billboards.prepare_input(settings, BuildOptions())
     finish(whole(job))
     cloud = billboards.standing(job)[0]
     level = cloud.levels[0]
-    original, copy = near([[monkey], [level]], HEAD_PIXELS, samples)
+    renders = near([[monkey], [level]], HEAD_PIXELS, samples)
     paint_pieces([level])
-    pieces = near([[level], [monkey]], HEAD_PIXELS, samples)[0]
+    original, copy, pieces = on_paper([*renders, near([[monkey], [level]], HEAD_PIXELS, samples)[1]])
     columns = [
         ["original", f"{job.made[0][1].source_triangles:,} triangles"],
         ["the quads", f"{level['farfield_quads']:,} of them"],
@@ -136,28 +138,32 @@ def demo_cloud(scene: Path) -> StandingCloud:
 
 
 def near(shown: Sequence[Sequence[bpy.types.Object]], pixels: int, samples: int) -> list[np.ndarray]:
-    """One picture (H, W, 3) of each group of objects, all cut to what the first group fills of `pixels` across; sRGB on paper."""
+    """One render (pixels, pixels, 4) of each group of objects, all from VIEWER and as large as the first group fits."""
     center, radius = bounds(shown[0])
-    everything = [item for items in shown for item in items]
-    with studio(everything, samples) as room:
-        renders = [room.picture(items, VIEWER, center, 2.0 * radius / pixels, pixels) for items in shown]
-    window = metrics.crop_to_object(renders[0][..., 3], margin=pixels // 40)
+    with studio([item for items in shown for item in items], samples) as room:
+        return [room.picture(items, VIEWER, center, 2.0 * radius / pixels, pixels) for items in shown]
+
+
+def on_paper(renders: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """The renders (H, W, 4) cut to what any of them shows, as sRGB pictures (h, w, 3) on the sheet's paper."""
+    window = metrics.crop_to_object(np.max([render[..., 3] for render in renders], axis=0), margin=4)
     return [metrics.over_grey(render[window], PAPER) for render in renders]
 
 
-def at_switch_size(
-    cloud: StandingCloud, items: Sequence[bpy.types.Object], error: float, samples: int, size: tuple[int, int]
-) -> np.ndarray:
-    """The objects where `error` is one pixel, single pixels enlarged, in the middle of a picture of `size`: (H, W, 3) sRGB on paper."""
+def at_switch_size(cloud: StandingCloud, items: Sequence[bpy.types.Object], error: float, samples: int) -> np.ndarray:
+    """The objects where `error` is one pixel: (h, w, 3) sRGB on paper."""
     center, radius = bounds(cloud.sources)
-    pixels = int(np.ceil(2.0 * radius / error)) + 2
     with studio(items, samples) as room:
-        render = room.picture(items, VIEWER, center, error, pixels)
-    small = metrics.over_grey(render[metrics.crop_to_object(render[..., 3], margin=1)], PAPER)
-    small = enlarged(small, max(1, min(size[0] // small.shape[0], size[1] // small.shape[1])))
+        render = room.picture(items, VIEWER, center, error, int(np.ceil(2.0 * radius / error)) + 2)
+    return metrics.over_grey(render[metrics.crop_to_object(render[..., 3], margin=1)], PAPER)
+
+
+def enlarged_into(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """`picture` with every pixel repeated as often as fits, in the middle of a paper of `size`."""
+    large = enlarged(picture, max(1, min(size[0] // picture.shape[0], size[1] // picture.shape[1])))
     canvas = np.full((*size, 3), PAPER)
-    low = [(have - want) // 2 for have, want in zip(size, small.shape[:2], strict=True)]
-    canvas[low[0] : low[0] + small.shape[0], low[1] : low[1] + small.shape[1]] = small
+    y, x = ((have - want) // 2 for have, want in zip(size, large.shape[:2], strict=True))
+    canvas[y : y + large.shape[0], x : x + large.shape[1]] = large
     return canvas
 
 

@@ -26,7 +26,7 @@ def strip(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndar
     return np.stack([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)], axis=-2)
 
 
-def sheet(side: int = 6, height=lambda x, y: 0.0 * x) -> TriangleMesh:
+def sheet(side: int = 6, height=lambda x, y: 0.0 * (x + y)) -> TriangleMesh:
     """The graph of `height` over the unit square 0..1, 2 side^2 triangles that look up."""
     x, y = np.meshgrid(np.linspace(0.0, 1.0, side + 1), np.linspace(0.0, 1.0, side + 1), indexing="ij")
     index = np.arange((side + 1) ** 2).reshape(side + 1, side + 1)
@@ -60,3 +60,27 @@ def soup(count: int, size: float = 0.1, seed: int = 0) -> TriangleMesh:
     random = np.random.default_rng(seed)
     corners = random.normal(size=(count, 1, 3)) + size * random.normal(size=(count, 3, 3))
     return TriangleMesh(corners.reshape(-1, 3), np.arange(3 * count, dtype=np.int32).reshape(-1, 3))
+
+
+def cards(count: int = 100, size: float = 0.03, spread: float = 0.4, seed: int = 0) -> TriangleMesh:
+    """Loose rhombi of two triangles each, such as leaves, at random in a ball of standard deviation `spread`."""
+    random = np.random.default_rng(seed)
+    centers = spread * random.normal(size=(count, 3))
+    across, along = size * random.normal(size=(2, count, 3))
+    vertices = np.stack([centers - across, centers + along, centers + across, centers - along], axis=1).reshape(-1, 3)
+    first = 4 * np.arange(count)
+    return TriangleMesh(vertices, strip(first, first + 1, first + 2, first + 3).reshape(-1, 3).astype(np.int32))
+
+
+def bumpy_sphere(rings: int = 10, height: float = 0.1, seed: int = 0) -> TriangleMesh:
+    """A sphere with vertices at random radii 1 to 1 + height, at coordinates that are whole multiples of 2^-20: no two distances are equal,
+    and moving it by whole numbers or scaling it by powers of two rounds nothing."""
+    smooth = sphere(rings)
+    radii = 1.0 + height * np.random.default_rng(seed).random((len(smooth.vertices), 1))
+    return TriangleMesh(np.round(smooth.vertices * radii * 2.0**20) / 2.0**20, smooth.triangles)
+
+
+def rotation(seed: int) -> np.ndarray:
+    """A random rotation matrix (3, 3)."""
+    turned = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
+    return turned * np.sign(np.linalg.det(turned))

@@ -22,11 +22,13 @@ def pack(half_sizes: np.ndarray, texel: float, gutter: int = GUTTER) -> Atlas:
     padded = sizes + gutter
     width = int(max(padded[:, 0].max() + gutter, np.ceil(np.sqrt(1.05 * padded.prod(axis=1).sum()))))
     width += -width % MULTIPLE
-    places, height = skyline(padded, width - gutter)
-    height += gutter + -(height + gutter) % MULTIPLE
+    height = int(padded.prod(axis=1).sum() // width)
+    if width <= LARGEST:  # looking for places in more than that takes minutes
+        places, height = skyline(padded, width - gutter)
+        height += gutter + -(height + gutter) % MULTIPLE
     if max(width, height) > LARGEST:
         raise SettingsError(
-            f"The quads need a texture of {width} x {height} texels and {LARGEST} is the largest side; choose a larger error or texel."
+            f"The quads need a texture of at least {width} x {height} texels and {LARGEST} is the largest side; take a larger error."
         )
     return Atlas((width, height), np.column_stack([places + gutter, sizes]).astype(np.int32), gutter)
 

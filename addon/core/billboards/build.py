@@ -5,18 +5,12 @@ import numpy as np
 from ..errors import GeometryError, SettingsError
 from ..mesh import PointCloud, TriangleMesh, check_points, longest_side, without_zero_area
 from ..progress import Progress, StageClock, Steps, scaled
-from . import methods
-from .atlas import pack
+from .budget import budget_of, within_budget
 from .cloud import Cloud, Level, Quads
-from .cutouts import cut_corners
-from .patches import Covering, Patch, overlapping, to_quads
+from .levels import LevelBuilder
 from .primitives import Primitives, from_mesh, from_points
-from .rectangles import bounds_of
 from .settings import BillboardSettings
-from .surfaces import Surfaces, shared_surfaces, surfaces_of
-
-MARGIN = 0.25  # of the error: quads of a convex surface that meet at 30 degrees are apart by about this much
-KEPT_BACK = 1e-4  # of the error and the normal bound: room for rounding to single precision in Blender and in files
+from .surfaces import surfaces_of
 
 
 def build(source: TriangleMesh | PointCloud, settings: BillboardSettings, name: str = "mesh") -> Steps[Cloud]:
@@ -27,29 +21,26 @@ def build(source: TriangleMesh | PointCloud, settings: BillboardSettings, name: 
 
     Raises:
         GeometryError: when the source is empty, not finite or without area; `name` says whose it is.
-        SettingsError: when the settings contradict the source.
+        SettingsError: when the settings contradict each other or the source, or no error keeps the cloud within the budget asked for.
     """
+    budget = budget_of(settings)
     clock = StageClock()
     primitives, kept, total = prepare(source, settings, name)
     side = longest_side(primitives.points[np.unique(primitives.corners)])
-    errors = [settings.error * side * 2.0**level for level in range(settings.levels)]
-    inner = [error * (1.0 - KEPT_BACK) for error in errors]
     centred, middle = _about_origin(primitives)
     with clock.stage("parts"):
         surfaces = surfaces_of(centred)
-    coverings = yield from scaled(METHODS[settings.method](centred, surfaces, inner, settings, clock), 0.0, 0.95)
+    builder = LevelBuilder(settings, side, clock)
+    if budget is None:
+        coverings = yield from scaled(builder.coverings(centred, surfaces, settings.error, settings.levels), 0.0, 0.95)
+        error = settings.error
+    else:
+        coverings, error = yield from scaled(within_budget(centred, surfaces, builder, budget, name), 0.0, 0.95)
     yield Progress(0.95, "Packing the atlas")
-    with clock.stage("pack"):
-        levels = [
-            _level(centred, covering, surfaces, error, settings.texel_error * error, settings.cutout_corners)
-            for covering, error in zip(coverings, errors, strict=True)
-        ]
+    levels = builder.levels(centred, surfaces, coverings, error)
     distance, beyond, uncovered = _figures(centred, levels, settings.max_normal_deviation)
     levels = [_in_source(level, middle, kept, total) for level in levels]
     return Cloud(levels, total, total - len(kept), side, distance, beyond, uncovered, clock.seconds)
-
-
-METHODS = {"clusters": methods.clusters, "hough": methods.hough, "decimate": methods.decimate}
 
 
 def prepare(source: TriangleMesh | PointCloud, settings: BillboardSettings, name: str) -> tuple[Primitives, np.ndarray, int]:
@@ -72,32 +63,6 @@ def _about_origin(primitives: Primitives) -> tuple[Primitives, np.ndarray]:
     used = primitives.positions.reshape(-1, 3)
     middle = 0.5 * (used.min(axis=0) + used.max(axis=0))
     return Primitives(primitives.points - middle, primitives.corners, primitives.areas, primitives.normals), middle
-
-
-def _level(primitives: Primitives, covering: Covering, surfaces: Surfaces, error: float, texel: float, most_corners: int) -> Level:
-    """Quads, atlas and cutouts of one level."""
-    shared = shared_surfaces(surfaces, covering.owner)
-    covering = overlapping(primitives, covering, shared, MARGIN * error)
-    quads = to_quads(covering.patches, covering.owner)
-    cutouts = [_cutout(primitives, patch, texel, most_corners) for patch in covering.patches]
-    joined = np.array([patch.outline is None and bool(shared[patch.shown].any()) for patch in covering.patches])
-    solid = np.array([bool(surfaces.solid[patch.shown].all()) for patch in covering.patches])
-    return Level(error, texel, quads, pack(quads.half_sizes, texel), cutouts, joined, solid)
-
-
-def _cutout(primitives: Primitives, patch: Patch, texel: float, most_corners: int) -> np.ndarray:
-    """The polygon that `patch` is cut to, in -1..1 of its half sides; half a texel stays free around what it shows."""
-    if patch.outline is not None:
-        return patch.outline
-    middle = patch.rectangle.reshape(2, 2).mean(axis=1)
-    half = np.maximum(0.5 * np.ptp(patch.rectangle.reshape(2, 2), axis=1), 1e-12 * texel)
-    bounds = (bounds_of(primitives.positions[patch.shown], patch.axes).reshape(-1, 2, 2) - middle[:, None]) / half[:, None]
-    sticking_out = (np.abs(bounds) > 1.0 + 1e-6).any(axis=(1, 2))
-    local = (primitives.positions[patch.shown[~sticking_out]].reshape(-1, 3) @ patch.axes.T - middle) / half
-    # What sticks out is cut at the rectangle: the corners of its box hold all that is left of it.
-    boxes = np.clip(bounds[sticking_out], -1.0, 1.0)
-    corners = np.stack([boxes[:, 0][:, [0, 1, 1, 0]], boxes[:, 1][:, [0, 0, 1, 1]]], axis=2).reshape(-1, 2)
-    return cut_corners(np.clip(np.concatenate([local, corners]), -1.0, 1.0), 0.5 * texel / half, most_corners)
 
 
 def _figures(primitives: Primitives, levels: list[Level], max_normal_deviation: float) -> tuple[float, int, int]:

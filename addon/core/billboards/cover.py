@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..progress import Progress, Steps
+from ..progress import Progress, Steps, scaled
 from .growth import Groups, groups_of, grow
 from .patches import Patch, members_of, squarest
 from .planes import fit_planes
@@ -55,7 +55,8 @@ def cover(
     best_cost = np.inf
     for number in range(bounds.rounds):
         yield Progress(number / bounds.rounds, f"Covering, round {number + 1} of {bounds.rounds}")
-        patches = yield from _cover_all(primitives, graph, safe, sets, bounds)
+        covering = _cover_all(primitives, graph, safe, sets, bounds)
+        patches = yield from scaled(covering, number / bounds.rounds, (number + 1) / bounds.rounds)
         cost = total_cost(patches, bounds.quad_cost)
         gain = 1.0 - cost / best_cost
         if gain > 0.0:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..mesh import PointCloud, TriangleMesh, check_points, face_areas_and_normals, longest_side, without_zero_area
 from ..settings import describe
+from .primitives import Primitives
 from .settings import BillboardSettings
 
 SEEDS = 64  # faces whose clusters are guessed
@@ -85,6 +86,11 @@ def take_sample(geometry: TriangleMesh | PointCloud, name: str) -> Sample:
     corners = mesh.corners
     areas, normals = face_areas_and_normals(corners)
     return _sample(corners, normals, areas, longest_side(corners.reshape(-1, 3)))
+
+
+def sample_of(primitives: Primitives, side: float) -> Sample:
+    """A sample of `primitives` that are a part of something with the longest side `side`."""
+    return _sample(primitives.positions, primitives.normals, primitives.areas, side)
 
 
 def _sample(corners: np.ndarray, normals: np.ndarray, areas: np.ndarray, side: float) -> Sample:

@@ -1,10 +1,16 @@
-"""The three ways to find the quads of a level: one function each, from primitives to coverings, finest level first."""
+"""The three ways to find the quads of a level: one function each, from primitives to coverings, finest level first.
+
+`errors` are those of all levels; levels that are `standing` already, with the same errors, are handed back as they are. `area` is what a
+quad is weighed against, instead of the area of the primitives, where these are part of something larger.
+"""
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from ..mesh import face_areas_and_normals
 from ..progress import Progress, StageClock, Steps, scaled
-from ..spatial import nearest_pairs, neighbour_pairs
+from ..spatial import nearest_pairs
 from .cover import CoverBounds, SafePlanes, cover
 from .hierarchy import ClusterBounds, merge_in_rounds
 from .patches import Covering, Patch, members_of, owners_of_groups, squarest
@@ -14,7 +20,6 @@ from .rectangles import around, bounds_of, smallest_rectangle
 from .settings import BillboardSettings
 from .surfaces import Surfaces
 
-NEIGHBOURS = 50  # n of section 4.3.1
 REGION_NEIGHBOURS = 12  # through which a quad's region grows
 QUAD_COST = 4.0  # what one more quad is worth, in mean areas of a cluster
 ROUNDS = 4
@@ -22,7 +27,13 @@ COARSE_ROUNDS = 2
 
 
 def clusters(
-    primitives: Primitives, surfaces: Surfaces, errors: list[float], settings: BillboardSettings, clock: StageClock
+    primitives: Primitives,
+    surfaces: Surfaces,
+    errors: list[float],
+    settings: BillboardSettings,
+    clock: StageClock,
+    standing: Sequence[Covering] = (),
+    area: float | None = None,
 ) -> Steps[list[Covering]]:
     """Generalised hierarchical face clustering (section 4.3), then the fewest overlapping quads that cover everything.
 
@@ -31,45 +42,64 @@ def clusters(
     """
     yield Progress(0.0, "Looking for neighbours")
     with clock.stage("neighbours"):
-        pairs, distances = neighbour_pairs(primitives.positions, NEIGHBOURS)
+        pairs, distances = primitives.neighbours
         alike = surfaces.loose[pairs[:, 0]] == surfaces.loose[pairs[:, 1]]
         pairs, distances = pairs[alike], distances[alike]
         near = pairs[nearest_pairs(pairs, distances, len(primitives), REGION_NEIGHBOURS)] if len(pairs) else pairs
     bounds = ClusterBounds(errors[0], settings.max_normal_deviation, settings.max_texture_waste)
-    groups = np.arange(len(primitives), dtype=np.int32)
-    safe = SafePlanes(primitives.normals, np.einsum("pi,pi->p", primitives.normals, primitives.positions[:, 0]))
-    coverings: list[Covering] = []
-    for level, error in enumerate(errors):
-        start, stop = 0.1 + 0.9 * level / len(errors), 0.1 + 0.9 * (level + 1) / len(errors)
+    coverings = list(standing)
+    for level, start, stop in _spans(len(standing), len(errors), 0.1):
+        groups, safe = _groups_to_merge(primitives, coverings)
         merging = merge_in_rounds(primitives, groups, pairs, distances, bounds, level)
         with clock.stage("clusters"):
             labels = yield from scaled(merging, start, 0.5 * (start + stop))
         sets = members_of(labels) + [patch.shown for covering in coverings[-1:] for patch in covering.patches]
         rounds = ROUNDS if level == 0 else COARSE_ROUNDS
-        quad_cost = QUAD_COST * float(primitives.areas.sum()) / (int(labels.max()) + 1)
-        cover_bounds = CoverBounds(error, settings.max_normal_deviation, quad_cost, rounds)
+        quad_cost = QUAD_COST * (area or float(primitives.areas.sum())) / (int(labels.max()) + 1)
+        cover_bounds = CoverBounds(errors[level], settings.max_normal_deviation, quad_cost, rounds)
         steps = cover(primitives, groups, safe, near, sets, cover_bounds)
         with clock.stage("cover"):
             patches = yield from scaled(steps, 0.5 * (start + stop), stop)
         owner = squarest(primitives, patches) if level == 0 else owners_of_groups(primitives, patches, groups)
         coverings.append(Covering(patches, owner))
-        owning, groups = np.unique(owner, return_inverse=True)
-        groups = groups.reshape(-1).astype(np.int32)
-        safe = SafePlanes(np.array([patches[index].normal for index in owning]), np.array([patches[index].offset for index in owning]))
     return coverings
 
 
+def _spans(first: int, count: int, start: float) -> list[tuple[int, float, float]]:
+    """The levels from `first` to the last of `count`, each with its part of the fractions from `start` to 1."""
+    step = (1.0 - start) / max(count - first, 1)
+    return [(level, start + step * (level - first), start + step * (level - first + 1)) for level in range(first, count)]
+
+
+def _groups_to_merge(primitives: Primitives, coverings: list[Covering]) -> tuple[np.ndarray, SafePlanes]:
+    """Where the level above `coverings` starts: the clusters (P,) int32 of the level below, each with the plane of the quad that owns it;
+    every primitive by itself where there is none."""
+    if not coverings:
+        offsets = np.einsum("pi,pi->p", primitives.normals, primitives.positions[:, 0])
+        return np.arange(len(primitives), dtype=np.int32), SafePlanes(primitives.normals, offsets)
+    owning, groups = np.unique(coverings[-1].owner, return_inverse=True)
+    patches = [coverings[-1].patches[number] for number in owning]
+    planes = SafePlanes(np.array([patch.normal for patch in patches]), np.array([patch.offset for patch in patches]))
+    return groups.reshape(-1).astype(np.int32), planes
+
+
 def hough(
-    primitives: Primitives, _surfaces: Surfaces, errors: list[float], settings: BillboardSettings, clock: StageClock
+    primitives: Primitives,
+    _surfaces: Surfaces,
+    errors: list[float],
+    settings: BillboardSettings,
+    clock: StageClock,
+    standing: Sequence[Covering] = (),
+    _area: float | None = None,
 ) -> Steps[list[Covering]]:
     """Greedy planes in Hough space (section 4.1), each level on its own."""
     from .hough import find_planes
 
-    coverings = []
-    for level, error in enumerate(errors):
-        steps = find_planes(primitives.positions, primitives.areas, primitives.normals, error, settings.seed)
+    coverings = list(standing)
+    for level, start, stop in _spans(len(standing), len(errors), 0.0):
+        steps = find_planes(primitives.positions, primitives.areas, primitives.normals, errors[level], settings.seed)
         with clock.stage("planes"):
-            planes = yield from scaled(steps, level / len(errors), (level + 1) / len(errors))
+            planes = yield from scaled(steps, start, stop)
         frames = frames_of(planes.normals)
         patches = []
         for normal, offset, frame, shown in zip(planes.normals, planes.offsets, frames, planes.covers, strict=True):
@@ -81,16 +111,23 @@ def hough(
 
 
 def decimate(
-    primitives: Primitives, _surfaces: Surfaces, errors: list[float], settings: BillboardSettings, clock: StageClock
+    primitives: Primitives,
+    _surfaces: Surfaces,
+    errors: list[float],
+    settings: BillboardSettings,
+    clock: StageClock,
+    standing: Sequence[Covering] = (),
+    _area: float | None = None,
 ) -> Steps[list[Covering]]:
     """Edge collapse with a measured error (section 4.2), each level on its own; every triangle of the result becomes a quad."""
     from .decimate import decimate_to_error
 
-    coverings = []
-    for level, error in enumerate(errors):
+    coverings = list(standing)
+    for level, start, stop in _spans(len(standing), len(errors), 0.0):
+        error = errors[level]
         steps = decimate_to_error(primitives.points, primitives.corners, error, settings.max_normal_deviation)
         with clock.stage("decimate"):
-            result = yield from scaled(steps, level / len(errors), (level + 1) / len(errors))
+            result = yield from scaled(steps, start, stop)
         corners = result.vertices[result.triangles]
         patches = _triangle_patches(primitives, corners, members_of_triangles(result.primitive_of, len(corners)), error, settings)
         coverings.append(Covering(patches, result.primitive_of))

@@ -69,12 +69,13 @@ def overlapping(primitives: Primitives, covering: Covering, shared: np.ndarray, 
     """The patches with all that should be drawn on them, so that no crack opens between two quads of one surface.
 
     Where a connected surface is shared by quads, each reaches `margin` (a length) farther and also draws what comes in from beside
-    within its bounds. Other parts, such as leaves, are drawn on their owner alone: a second picture of one would blur its outline.
+    within its bounds. Other parts, such as leaves, are drawn on one quad alone: a second picture of one would blur its outline.
     Patches with an outline of their own stay as they are; those that are left with nothing to draw go.
 
     Args:
         shared: (P,) bool from `surfaces.shared_surfaces`.
     """
+    alone_on = _only_pictures(primitives, covering)
     drawn = []
     for number, patch in enumerate(covering.patches):
         if patch.outline is not None:
@@ -88,11 +89,22 @@ def overlapping(primitives: Primitives, covering: Covering, shared: np.ndarray, 
             (bounds[:, 0] < rectangle[1]) & (bounds[:, 1] > rectangle[0]) & (bounds[:, 2] < rectangle[3]) & (bounds[:, 3] > rectangle[2])
         )
         candidates = np.union1d(patch.region[reaching], patch.shown)
-        shown = candidates[shared[candidates] | (covering.owner[candidates] == number)]
+        shown = candidates[shared[candidates] | (alone_on[candidates] == number)]
         drawn.append(replace(patch, rectangle=rectangle, shown=shown))
     needed = np.array([len(patch.shown) > 0 for patch in drawn])
     number = np.cumsum(needed, dtype=np.int32) - 1
     return Covering([patch for patch, keep in zip(drawn, needed, strict=True) if keep], number[covering.owner])
+
+
+def _only_pictures(primitives: Primitives, covering: Covering) -> np.ndarray:
+    """The patch (P,) int32 that draws each primitive where only one may: its owner, or the squarest of the others that show it.
+
+    A coarse quad owns whole clusters of the finer level, and the rest of such a cluster may lie beyond its rectangle.
+    """
+    alone_on = squarest(primitives, covering.patches)
+    for number, patch in enumerate(covering.patches):
+        alone_on[patch.shown[covering.owner[patch.shown] == number]] = number
+    return alone_on
 
 
 def to_quads(patches: list[Patch], owner: np.ndarray) -> Quads:

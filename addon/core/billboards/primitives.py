@@ -6,7 +6,9 @@ from functools import cached_property
 import numpy as np
 
 from ..mesh import PointCloud, TriangleMesh, face_areas_and_normals
+from ..spatial import neighbour_pairs
 
+NEIGHBOURS = 50  # n of section 4.3.1
 TRIANGLE_SPREAD = 1.0 / 4.0  # covariance of a triangle's area over the mean covariance of its corners
 SQUARE_SPREAD = 1.0 / 3.0  # the same for a square
 
@@ -37,6 +39,15 @@ class Primitives:
         spread = TRIANGLE_SPREAD if self.corners.shape[1] == 3 else SQUARE_SPREAD
         centred = self.positions - self.positions.mean(axis=1, keepdims=True)
         return spread * np.einsum("pci,pcj->pij", centred, centred) / self.corners.shape[1]
+
+    @cached_property
+    def neighbours(self) -> tuple[np.ndarray, np.ndarray]:
+        """The proximity graph, pairs (E, 2) int32 and distances (E,), see `spatial.neighbour_pairs`; the same for every error."""
+        return neighbour_pairs(self.positions, NEIGHBOURS)
+
+    def subset(self, index: np.ndarray) -> "Primitives":
+        """The pieces `index` (K,) alone, numbered in that order; all points stay."""
+        return Primitives(self.points, self.corners[index], self.areas[index], self.normals[index])
 
 
 def from_mesh(mesh: TriangleMesh) -> Primitives:

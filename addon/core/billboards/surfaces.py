@@ -16,6 +16,10 @@ class Surfaces:
     solid: np.ndarray
     loose: np.ndarray
 
+    def subset(self, index: np.ndarray) -> "Surfaces":
+        """What the primitives `index` (K,) are part of; parts keep their numbers."""
+        return Surfaces(self.parts[index], self.solid[index], self.loose[index])
+
 
 def surfaces_of(primitives: Primitives) -> Surfaces:
     """The connected parts of `primitives`; the points of a cloud count as one part, neither solid nor loose."""
