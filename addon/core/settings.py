@@ -45,8 +45,9 @@ class Description:
 
     @property
     def flag(self) -> str:
-        """The command-line flag, for instance `--max-normal-deviation`."""
-        return "--" + self.name.replace("_", "-")
+        """The command-line flag, for instance `--max-normal-deviation`; a switch that is on by default is turned off by `--no-...`."""
+        switched_on = self.type is bool and self.default
+        return ("--no-" if switched_on else "--") + self.name.replace("_", "-")
 
     def shown(self, value: Any) -> str:
         """`value` as people write it: `1%`, `60`, `clusters`."""
@@ -123,12 +124,11 @@ def check(description: Description, value: Any) -> None:
 
 
 def add_flags(parser: argparse.ArgumentParser, settings_type: type[Settings]) -> None:
-    """Add one flag a setting to `parser`; switches that are on by default become `--no-...`."""
+    """Add one flag a setting to `parser`."""
     for description in describe(settings_type):
         text = description.help.replace("%", "%%")
         if description.type is bool:
-            flag = description.flag if not description.default else "--no-" + description.flag[2:]
-            parser.add_argument(flag, dest=description.name, action="store_const", const=not description.default, help=text)
+            parser.add_argument(description.flag, dest=description.name, action="store_const", const=not description.default, help=text)
         else:
             default = description.shown(description.default).replace("%", "%%")
             parser.add_argument(

@@ -69,10 +69,10 @@ def test_more_quads_asked_for_are_more_quads_with_smaller_errors():
         assert fewer.levels[0].error > more.levels[0].error
 
 
-@pytest.mark.parametrize(("method", "mesh", "asked"), [("hough", shapes.sphere(10), 40), ("decimate", shapes.sphere(5), 40)])
+@pytest.mark.parametrize(("method", "mesh", "asked"), [("hough", shapes.sphere(10), 40), ("decimate", shapes.box(cuts=2), 12)])
 def test_every_method_keeps_to_a_budget(method, mesh, asked):
     cloud = cloud_of(mesh, quads=asked, levels=1, method=method)
-    assert 0.5 * asked <= len(cloud.levels[0].quads) <= asked
+    assert 0.75 * asked <= len(cloud.levels[0].quads) <= asked
     assert cloud.max_plane_distance <= 1.0
 
 
@@ -127,7 +127,7 @@ def test_a_budget_that_no_error_meets_is_refused_with_the_number_that_is_needed(
         cloud_of(mesh, quads=5)
     assert len(cloud_of(mesh, quads=6).levels[0].quads) == 6
     with pytest.raises(SettingsError, match=r"takes at least [\d.]+ MB of texture.* and 0.001 MB of texture were asked for"):
-        cloud_of(mesh, texture_mb=0.001)
+        cloud_of(mesh, texture_mb=0.001, levels=1)
 
 
 def test_quads_that_a_plane_has_no_use_for_cost_no_texture():

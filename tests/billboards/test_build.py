@@ -194,7 +194,7 @@ class TestOddInput:
 
     @pytest.mark.parametrize("method", METHODS)
     def test_duplicate_and_non_manifold_faces_are_fine(self, method):
-        cube = box(cuts=2)
+        cube = box(cuts=1)
         fin = TriangleMesh(np.array([[0.5, 0.5, -0.5], [0.5, 0.5, 0.5], [1.0, 1.0, 0.0]]), np.array([[0, 1, 2]], np.int32))
         odd = merge([cube, cube, fin])
         cloud = cloud_of(odd, method=method, error=0.02)

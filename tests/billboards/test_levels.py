@@ -10,10 +10,9 @@ from farfield.addon.core.billboards.cloud import Cloud
 from farfield.addon.core.billboards.settings import BillboardSettings
 from farfield.addon.core.mesh import TriangleMesh, merge
 from farfield.addon.core.progress import Progress, finish
-from shapes import box, bumpy_sphere, cards, cylinder, sheet, sphere
+from shapes import box, bumpy_sphere, cards, cylinder, sheet
 
 MESHES = {
-    "sphere": sphere(10),
     "bumpy": bumpy_sphere(),
     "leaves": cards(100),
     "tree": merge([cylinder(radius=0.1, sides=16, cuts=5), cards(60)]),

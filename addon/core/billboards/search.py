@@ -83,8 +83,8 @@ def _coarser(over: Sequence[Attempt], limit: float, power: float) -> float | Non
     if coarsest.share >= LARGEST:
         return None
     fitting = limit > 0.0 and math.isfinite(coarsest.used)
-    step = (coarsest.used / (AIM * limit)) ** (1.0 / _power(ordered, power)) if fitting else MOST_COARSER
-    return min(LARGEST, coarsest.share * min(max(step, LEAST_STEP), MOST_COARSER))
+    step = _step(coarsest.used / (AIM * limit), _power(ordered, power), MOST_COARSER) if fitting else MOST_COARSER
+    return min(LARGEST, coarsest.share * step)
 
 
 def _finer(within: Sequence[Attempt], limit: float, power: float) -> float | None:
@@ -94,8 +94,12 @@ def _finer(within: Sequence[Attempt], limit: float, power: float) -> float | Non
     in_vain = any(other.share >= NOTHING_GAINED * finest.share and other.used >= finest.used for other in within)
     if in_vain or finest.share <= SMALLEST:
         return None
-    step = (AIM * limit / finest.used) ** (1.0 / _power(ordered, power))
-    return max(SMALLEST, finest.share / min(max(step, LEAST_STEP), MOST_FINER))
+    return max(SMALLEST, finest.share / _step(AIM * limit / finest.used, _power(ordered, power), MOST_FINER))
+
+
+def _step(ratio: float, power: float, most: float) -> float:
+    """The factor of the error, LEAST_STEP to `most`, that changes what is used by `ratio`."""
+    return math.exp(min(max(math.log(ratio) / power, math.log(LEAST_STEP)), math.log(most)))
 
 
 def _power(ordered: Sequence[Attempt], power: float) -> float:
