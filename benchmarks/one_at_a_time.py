@@ -31,7 +31,7 @@ def merge_one_at_a_time(primitives: Primitives, pairs: np.ndarray, bounds: Clust
 
 
 def texture_waste(primitives: Primitives, labels: np.ndarray) -> float:
-    """What merging tries to keep low: summed area of the clusters' rectangles along their main axes, over the area of the primitives."""
+    """What merging keeps low: summed area of the clusters' rectangles along their main axes, over the area of the primitives."""
     total = 0.0
     for number in range(int(labels.max()) + 1):
         points = primitives.positions[labels == number].reshape(-1, 3)

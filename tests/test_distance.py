@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from addon.core.distance import closest_on_mesh, closest_weights, one_sided_distance, plane_weights
+from farfield.addon.core.distance import closest_on_mesh, closest_weights, one_sided_distance, plane_weights
 
 TRIANGLE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from addon.core.points import estimate_normals, splat_radii
+from farfield.addon.core.points import estimate_normals, splat_radii
 
 
 def sphere(count: int, center=(0.0, 0.0, 0.0), radius: float = 1.0) -> np.ndarray:

@@ -154,7 +154,7 @@ def test_equal_input_gives_equal_clouds():
     [
         (tree(40), {"levels": 3}),
         (tree(40), {"levels": 2, "method": "hough", "error": 0.04}),
-        (shapes.sphere(4), {"levels": 2, "method": "decimate", "error": 0.1}),
+        (shapes.box(cuts=2), {"levels": 2, "method": "decimate", "error": 0.1}),
         (tree(40), {"levels": 2, "quads": 40}),
         (tree(40), {"levels": 2, "texture_mb": 0.1}),
         (tree(40), {"levels": 2, "quads": 40, "loose_part_share": 0.1}),
@@ -185,7 +185,7 @@ def test_the_proximity_graph_is_looked_up_once_a_kind(monkeypatch):
 
 @pytest.mark.parametrize(
     ("method", "mesh", "error"),
-    [("clusters", shapes.bumpy_sphere(8), 0.02), ("hough", shapes.bumpy_sphere(6), 0.02), ("decimate", shapes.sphere(4), 0.05)],
+    [("clusters", shapes.bumpy_sphere(8), 0.02), ("hough", shapes.bumpy_sphere(6), 0.02), ("decimate", shapes.box(cuts=2), 0.05)],
 )
 def test_levels_above_standing_ones_are_those_of_a_whole_run(method, mesh, error):
     primitives = from_mesh(mesh)

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from addon.core.billboards.decimate import Decimated, decimate_to_error, propose
-from addon.core.billboards.remesh import collapse, flip, unique_edges
-from addon.core.billboards.straddle import straddle
-from addon.core.distance import closest_on_mesh, one_sided_distance
-from addon.core.mesh import face_areas_and_normals
-from addon.core.progress import finish
+from farfield.addon.core.billboards.decimate import Decimated, decimate_to_error, propose
+from farfield.addon.core.billboards.remesh import collapse, flip, unique_edges
+from farfield.addon.core.billboards.straddle import straddle
+from farfield.addon.core.distance import closest_on_mesh, one_sided_distance
+from farfield.addon.core.mesh import face_areas_and_normals
+from farfield.addon.core.progress import finish
 
 BOUND = np.radians(60.0)
 

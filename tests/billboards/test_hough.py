@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from addon.core.billboards.hough import Planes, find_planes
-from addon.core.billboards.regions import split_into_regions
-from addon.core.mesh import face_areas_and_normals
-from addon.core.progress import finish
+from farfield.addon.core.billboards.hough import Planes, find_planes
+from farfield.addon.core.billboards.regions import split_into_regions
+from farfield.addon.core.mesh import face_areas_and_normals
+from farfield.addon.core.progress import finish
 
 
 def planes_of(corners: np.ndarray, error: float, seed: int = 0) -> Planes:
