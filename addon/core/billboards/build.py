@@ -38,7 +38,7 @@ def build(source: TriangleMesh | PointCloud, settings: BillboardSettings, name: 
         coverings, error = yield from scaled(within_budget(centred, surfaces, builder, budget, name), 0.0, 0.95)
     yield Progress(0.95, "Packing the atlas")
     levels = builder.levels(centred, surfaces, coverings, error)
-    distance, beyond, uncovered = _figures(centred, levels, settings.max_normal_deviation)
+    distance, beyond, uncovered = _figures(centred, levels, settings)
     levels = [_in_source(level, middle, kept, total) for level in levels]
     return Cloud(levels, total, total - len(kept), side, distance, beyond, uncovered, clock.seconds)
 
@@ -65,8 +65,11 @@ def _about_origin(primitives: Primitives) -> tuple[Primitives, np.ndarray]:
     return Primitives(primitives.points - middle, primitives.corners, primitives.areas, primitives.normals), middle
 
 
-def _figures(primitives: Primitives, levels: list[Level], max_normal_deviation: float) -> tuple[float, int, int]:
-    """Largest corner distance to a plane that shows it over the level's error; faces beyond the normal bound and faces shown nowhere."""
+def _figures(primitives: Primitives, levels: list[Level], settings: BillboardSettings) -> tuple[float, int, int]:
+    """Largest corner distance to a plane that shows it over the level's error; faces beyond the normal bound and faces shown nowhere.
+
+    A plane of the method hough serves both of its sides, so there it is the smaller angle to either that counts.
+    """
     distance, beyond, uncovered = 0.0, 0, 0
     for number, level in enumerate(levels):
         quads = level.quads
@@ -79,7 +82,8 @@ def _figures(primitives: Primitives, levels: list[Level], max_normal_deviation: 
         uncovered = max(uncovered, int((~shown).sum()))
         if number == 0:
             facing = np.einsum("pi,pi->p", primitives.normals, quads.frames[quads.owner, 2])
-            beyond = int((facing < np.cos(max_normal_deviation)).sum())
+            facing = np.abs(facing) if settings.method == "hough" else facing
+            beyond = int((facing < np.cos(settings.max_normal_deviation)).sum())
     return distance, beyond, uncovered
 
 
