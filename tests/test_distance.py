@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from farfield.addon.core.distance import closest_on_mesh, closest_weights, faces_beyond, one_sided_distance, plane_weights, points_beyond
+from farfield.addon.core.distance import closest_on_mesh, closest_weights, one_sided_distance, plane_weights
 
 TRIANGLE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
@@ -92,24 +92,3 @@ def test_one_sided_distance_between_parallel_sheets_is_their_gap_and_zero_to_its
     assert one_sided_distance(sheet, sheet, 1e-6) <= 1e-6 + 1e-9
     gap = one_sided_distance(sheet + np.array([0.0, 0.0, 0.25]), sheet, 1e-6)
     assert 0.25 <= gap <= 0.25 + 2e-6
-
-
-def test_points_beyond_are_those_whose_distance_says_so():
-    random = np.random.default_rng(3)
-    corners, points = random.normal(size=(50, 3, 3)), 3.0 * random.normal(size=(400, 3))
-    beyond = points_beyond(points, corners, 1.0)
-    np.testing.assert_array_equal(beyond, np.flatnonzero(closest_on_mesh(points, corners)[0] > 1.0))
-    assert 0 < len(beyond) < len(points)
-
-
-def test_faces_beyond_are_found_by_their_inside_and_the_others_keep_the_distance():
-    bridge = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1e-3, 0.0]])
-    pillars = np.concatenate([TRIANGLE[None] * 0.1 + [1.0, 0.0, 0.0], TRIANGLE[None] * 0.1 - [1.1, 0.0, 0.0]])
-    np.testing.assert_array_equal(faces_beyond(np.stack([bridge, bridge - 2.0, pillars[0]]), pillars, 0.9, 1e-3), [True, True, False])
-    random = np.random.default_rng(4)
-    faces, target = random.normal(size=(60, 3, 3)), random.normal(size=(60, 3, 3))
-    beyond = faces_beyond(faces, target, 0.6, 1e-2)
-    assert 0 < beyond.sum() < len(faces)
-    assert one_sided_distance(faces[~beyond], target, 1e-3) <= 0.6 + 1e-3
-    for face in faces[beyond]:
-        assert one_sided_distance(face[None], target, 1e-3) >= 0.6 - 1e-2

@@ -82,6 +82,7 @@ class TestBounds:
         _, normals = face_areas_and_normals(mesh.corners)
         quads = cloud.levels[0].quads
         facing = np.einsum("ti,ti->t", normals, quads.frames[quads.owner, 2])
+        facing = np.abs(facing) if method == "hough" else facing  # a Hough plane serves both of its sides
         assert cloud.faces_beyond_normal_bound == (facing < 0.5).sum()
 
     @pytest.mark.parametrize("method", METHODS)
@@ -164,7 +165,9 @@ class TestKnownShapes:
         both = merge([low, TriangleMesh(low.vertices + [0.0, 0.0, 0.5], low.triangles)])
         (level,) = cloud_of(both, method=method).levels
         assert len(level.quads) == 2 or (method == "decimate" and len(level.quads) >= 4)
-        np.testing.assert_allclose(np.unique(level.quads.centers[:, 2].round(9)), [0.0, 0.5])
+        off_plane = np.abs(level.quads.centers[:, 2, None] - [0.0, 0.5])
+        assert off_plane.min(axis=1).max() <= (1e-9 if method != "decimate" else level.error)
+        assert (off_plane.min(axis=0) <= level.error).all()
         assert not set(level.quads.owner[:8]) & set(level.quads.owner[8:])
 
     def test_leaves_and_trunk_never_meet_on_one_quad(self):

@@ -10,39 +10,32 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from ..distance import closest_on_mesh, closest_weights, one_sided_distance, plane_weights, points_beyond
+from ..distance import closest_on_mesh, closest_weights, one_sided_distance, plane_weights
 from ..errors import FarfieldError
 from ..mesh import face_areas_and_normals
-from ..progress import Progress, Steps, scaled
-from .remesh import Collapses, compact, flip, judge_collapses
+from ..progress import Progress, Steps
+from .remesh import collapse, compact, flip
 from .straddle import LEAST_WEIGHT, SPRINGS, solve_moves, straddle
 
 MAX_SAMPLES = 16_000
-LEAST_SAMPLES = 1_000
-SAMPLES_A_TRIANGLE = 16  # of the coarse mesh, by which vertices are moved, collapses and flips are judged
-FAR = 0.6  # in errors: samples farther than this count whether they are among those few or not
-STRADDLED = 0.7  # in errors, of almost all samples to the proposal to start from, once its vertices are moved
-ALMOST_ALL = 0.995
-JUDGED_LIMIT = 0.9  # in errors, of a collapse before vertices are moved again
-FORCED_LIMIT = 2.0  # in the descent, where every collapse is tried out
-PROMISING = 1.1  # in errors, at the samples: what the last moves may still mend
-ROUND_SHARE = 0.12
-MAX_ROUNDS = 16
-ROUND_WORK = 4_000  # triangles judged in all rounds
+JUDGED_STRIDE = 2  # collapses and flips are judged by every second sample
+STRADDLED = 1.4  # a proposal up to so many errors away comes within the error by moving its vertices
+JUDGED_LIMIT = 1.25  # in errors, of a collapse before vertices are moved again
+PROMISING = 1.2  # in errors, at the samples: what the last moves may still mend
+ROUND_SHARE = 0.2
 DESCENT_SHARE = 0.06  # from the coarsest mesh that passed on, a few collapses at a time
-MAX_TRIALS = 6  # of meshes from the rounds, and of the descent
-TRIAL_WORK = 1_200  # triangles in all trials of each kind
-STARTING_POWERS = (2.0, 3.0, 4.0)
-MOVING_POWERS = (3.0, 4.0, 6.0, 6.0, 8.0, 8.0)
+MAX_DESCENT = 4
+MAX_ROUNDS = 24
+ROUND_POWERS = (2.0, 3.0, 4.0)
+LAST_POWERS = (3.0, 4.0, 4.0, 6.0, 6.0, 6.0)
+FAR = 0.5  # in errors: points of the original that the last moves look at whether they are samples or not
 SETTLINGS = 3  # times that the far points are looked up anew
-SETTLING_STEPS = 10
-PATIENCE = 3  # steps without a better one
+SETTLING_STEPS = 12
+PATIENCE = 4  # steps without a better one
 SETTLING_POWER = 8.0
 NEWTON = 1.0 / (SETTLING_POWER - 1.0)  # of a reweighted step is the Newton step of that power
 TIGHT = 0.3  # springs while the area is too large and the distances are not
 SETTLED = 0.97  # in errors; the rest is for points between the samples
-HOPELESS = 1.35  # in errors, after the last step of a settling
-MOST_APART = 0.25  # of the coarse triangles: original faces across a crease that stand for themselves
 BEYOND_SHARE = 0.02  # of the area may turn farther than the normal bound from every triangle near it, for creases are rounded off
 AREA_GROWTH = 1.02  # over the area of the original, as a folded or spiky mesh would have; this is what texture costs
 TOLERANCE = 0.01  # of the error, in measuring
@@ -77,83 +70,51 @@ def decimate_to_error(vertices: np.ndarray, triangles: np.ndarray, error: float,
     original = _Original(vertices[triangles], error, float(np.cos(max_normal_deviation)))
     welded = _weld(vertices, triangles)
     yield Progress(0.0, "proposing a coarse mesh")
-    history = yield from scaled(_rounds(original, *original.start(*welded)), 0.1, 0.6)
-    best, work_left = None, TRIAL_WORK
-    for trial, (coarse, faces) in enumerate(reversed(history[-MAX_TRIALS:])):
-        work_left -= len(faces)
-        if best is not None and (len(faces) >= len(best.result.triangles) or work_left < 0):
+    history = [original.start(*welded)]
+    for round_number in range(MAX_ROUNDS):
+        coarse, faces = history[-1]
+        yield Progress(0.05 + 0.75 * round_number / MAX_ROUNDS, f"{len(faces)} triangles")
+        coarse, faces = _coarsen(original.samples, coarse, faces, error, ROUND_SHARE)
+        stuck = len(faces) > 0.985 * len(history[-1][1])
+        if closest_on_mesh(original.samples, coarse[faces])[0].max() <= PROMISING * error:
+            history.append((coarse, faces))
+        if stuck:
             break
-        yield Progress(0.6 + 0.2 * trial / MAX_TRIALS, f"measuring {len(faces)} triangles")
-        best = _fewer(best, original.accept(coarse, faces))
+    yield Progress(0.8, "measuring")
+    best, low, high = None, 0, len(history)
+    while low < high:
+        middle = high - 1 if best is None else (low + high) // 2
+        found = original.accept(*history[middle])
+        best, low, high = (best, low, middle) if found is None else (found, middle + 1, high)
+        yield Progress(1.0 - 0.2 * (high - low) / len(history), "measuring")
     if best is None:
         return original.proposal_within(*welded)
-    return (yield from scaled(_descent(original, best), 0.8, 1.0))
-
-
-def _fewer(first: "_Accepted | None", second: "_Accepted | None") -> "_Accepted | None":
-    if first is None or second is None:
-        return first or second
-    return second if len(second.result.triangles) < len(first.result.triangles) else first
-
-
-def _rounds(original: "_Original", vertices: np.ndarray, triangles: np.ndarray) -> Steps[list[tuple[np.ndarray, np.ndarray]]]:
-    """Ever coarser meshes that come near the bounds, by rounds of collapses, flips and moves; the first is the given one."""
-    history = [(vertices, triangles)]
-    work_left = ROUND_WORK
-    for round_number in range(MAX_ROUNDS):
-        before = len(triangles)
-        work_left -= before
-        yield Progress(round_number / MAX_ROUNDS, f"{before} triangles")
-        if work_left < 0:
+    for _ in range(MAX_DESCENT):
+        yield Progress(1.0, f"{len(best.triangles)} triangles")
+        coarse, faces = _coarsen(original.samples, best.vertices, best.triangles, error, DESCENT_SHARE)
+        found = original.accept(coarse, faces) if len(faces) < len(best.triangles) else None
+        if found is None:
             break
-        collapses = original.judge(vertices, triangles)
-        limit, most = JUDGED_LIMIT * original.error, max(1, int(0.5 * ROUND_SHARE * before))
-        vertices, triangles = original.smooth(*collapses.carry_out(vertices, triangles, limit, most))
-        if len(original.far(vertices, triangles, PROMISING)) == 0:
-            history.append((vertices, triangles))
-        if len(triangles) > 0.985 * before:
-            break
-    return history
+        best = found
+    return best
 
 
-def _descent(original: "_Original", best: "_Accepted") -> Steps[Decimated]:
-    """From `best` on, collapses that are tried out a few at a time: half as many after each that fails, then the next ones in line."""
-    most, skipped, collapses = max(1, int(0.5 * DESCENT_SHARE * len(best.triangles))), 0, None
-    work_left = TRIAL_WORK
-    for trial in range(MAX_TRIALS):
-        yield Progress(trial / MAX_TRIALS, f"{len(best.result.triangles)} triangles")
-        work_left -= len(best.triangles)
-        if work_left < 0:
-            break
-        collapses = collapses or original.judge(best.vertices, best.triangles)
-        fewer = collapses.carry_out(best.vertices, best.triangles, FORCED_LIMIT * original.error, most, skipped)
-        if len(fewer[1]) == len(best.triangles):
-            break
-        coarse, faces = original.smooth(*fewer)
-        near = len(original.far(coarse, faces, PROMISING)) == 0
-        found = _fewer(best, original.accept(coarse, faces)) if near else best
-        if found is not best:
-            best, collapses, skipped = found, None, 0
-        elif most > 1:
-            most //= 2
-        else:
-            skipped += 1
-    return best.result
+def _coarsen(samples: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, error: float, share: float) -> tuple[np.ndarray, np.ndarray]:
+    """One round of collapses, flips and moves that takes up to `share` of the triangles away."""
+    most = max(1, int(0.5 * share * len(triangles)))
+    collapsed = collapse(samples[::JUDGED_STRIDE], vertices, triangles, JUDGED_LIMIT * error, most)
+    if len(collapsed[1]) == 0:
+        return vertices, triangles
+    vertices, triangles = collapsed
+    vertices = straddle(samples, vertices, triangles, ROUND_POWERS)
+    triangles = flip(samples[::JUDGED_STRIDE], vertices, triangles, 0.02 * error)
+    return straddle(samples, vertices, triangles, ROUND_POWERS), triangles
 
 
 def _weld(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The mesh with one vertex a place and no face twice."""
     places, index = np.unique(vertices, axis=0, return_inverse=True)
     return compact(places, index.reshape(-1)[triangles])
-
-
-@dataclass(frozen=True)
-class _Accepted:
-    """What may be handed out, and the coarse mesh alone, without the original faces that stand for themselves, to go on from."""
-
-    result: Decimated
-    vertices: np.ndarray
-    triangles: np.ndarray
 
 
 class _Original:
@@ -165,45 +126,22 @@ class _Original:
         middles = 0.5 * (corners + np.roll(corners, -1, axis=1))
         on_edges = np.unique(np.concatenate([corners, middles]).reshape(-1, 3), axis=0)
         self.points = np.concatenate([on_edges, corners.mean(axis=1)])
-        self.samples = _spread(self.points, MAX_SAMPLES)
+        stride = max(1.0, len(self.points) / MAX_SAMPLES)
+        self.samples = self.points[np.arange(0, len(self.points), stride).astype(np.int64)]
 
     def start(self, vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The coarsest proposal that comes near enough when its vertices are moved."""
+        """The coarsest proposal that is near enough to be moved within the error."""
         low, high = 2, len(triangles)
         best = vertices, triangles
         while high > 1.15 * low:
             target = int(np.sqrt(low * high))
             coarse, faces = propose(vertices, triangles, target)
-            if len(faces):
-                samples = self._few(faces)
-                coarse = straddle(samples, coarse, faces, STARTING_POWERS)
-            if len(faces) and np.quantile(closest_on_mesh(samples, coarse[faces])[0], ALMOST_ALL) <= STRADDLED * self.error:
+            near = len(faces) > 0 and closest_on_mesh(self.samples, coarse[faces])[0].max() <= STRADDLED * self.error
+            if near:
                 best, high = (coarse, faces), target
             else:
                 low = target + 1
-        return best
-
-    def judge(self, vertices: np.ndarray, triangles: np.ndarray) -> Collapses:
-        """All collapses of the coarse mesh, judged by as many samples as it deserves."""
-        return judge_collapses(self._watched(vertices, triangles), vertices, triangles)
-
-    def smooth(self, vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The coarse mesh with its vertices moved, edges flipped where that helps, and moved again."""
-        vertices = straddle(self._watched(vertices, triangles), vertices, triangles, MOVING_POWERS)
-        watched = self._watched(vertices, triangles)
-        triangles = flip(watched, vertices, triangles, 0.02 * self.error)
-        return straddle(watched, vertices, triangles, MOVING_POWERS), triangles
-
-    def far(self, vertices: np.ndarray, triangles: np.ndarray, errors: float) -> np.ndarray:
-        """Samples (K, 3) that are more than so many errors away from the coarse mesh."""
-        return self.samples[points_beyond(self.samples, vertices[triangles], errors * self.error)]
-
-    def _few(self, triangles: np.ndarray) -> np.ndarray:
-        return _spread(self.samples, max(LEAST_SAMPLES, SAMPLES_A_TRIANGLE * len(triangles)))
-
-    def _watched(self, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-        """A few samples everywhere, and all that are far."""
-        return np.concatenate([self._few(triangles), self.far(vertices, triangles, FAR)])
+        return straddle(self.samples, best[0], best[1], ROUND_POWERS), best[1]
 
     def proposal_within(self, vertices: np.ndarray, triangles: np.ndarray) -> Decimated:
         """The coarsest proposal that passes as it is; the original where none does."""
@@ -216,38 +154,27 @@ class _Original:
             best, low, high = (best, target + 1, high) if found is None else (found, low, target)
         return best if best is not None else self.measure(vertices, triangles)
 
-    def accept(self, vertices: np.ndarray, triangles: np.ndarray) -> _Accepted | None:
-        """The coarse mesh after its last moves, with the fewest triangles of its own that still break a bound, or None where many do."""
-        best = None
+    def accept(self, vertices: np.ndarray, triangles: np.ndarray) -> Decimated | None:
+        """The coarse mesh after its last moves, or None when it does not keep the bounds."""
+        vertices = straddle(self._watched(vertices, triangles), vertices, triangles, LAST_POWERS)
         for _ in range(SETTLINGS):
-            far = self.points[points_beyond(self.points, vertices[triangles], FAR * self.error)]
-            vertices, badness = self._settled(np.concatenate([self._few(triangles), far]), vertices, triangles)
-            found = self.measure(vertices, triangles) if badness < HOPELESS else None
-            best = _fewer(best, _Accepted(found, vertices, triangles) if found is not None else None)
-            if badness > HOPELESS or (found is not None and len(found.triangles) == len(triangles)):
-                break
-        return best
+            vertices = self._settled(self._watched(vertices, triangles), vertices, triangles)
+            found = self.measure(vertices, triangles)
+            if found is not None:
+                return found
+        return None
+
+    def _watched(self, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+        """The samples, and all points of the original that are far from the coarse mesh."""
+        far = closest_on_mesh(self.points, vertices[triangles])[0] > FAR * self.error
+        return np.concatenate([self.samples, self.points[far]])
 
     def measure(self, vertices: np.ndarray, triangles: np.ndarray) -> Decimated | None:
-        """The coarse mesh with its figures, or None when it does not keep the bounds.
-
-        A few original faces that lie across a crease, within the error of no one plane, may join the coarse mesh and stand for themselves.
-        """
+        """The coarse mesh with its figures, or None when it does not keep the bounds."""
         if face_areas_and_normals(vertices[triangles])[0].sum() > AREA_GROWTH * self.areas.sum():
             return None
         primitive_of, heights, turned = self.assign(vertices, triangles)
-        apart = heights > self.error
-        if apart.sum() > MOST_APART * len(triangles):
-            return None
-        far = points_beyond(self.corners.reshape(-1, 3), vertices[triangles], (1.0 - TOLERANCE) * self.error)
-        apart[far // 3] = True
-        own = np.flatnonzero(apart)
-        if len(own):
-            primitive_of[own] = len(triangles) + np.arange(len(own))
-            turned[own] = False
-            triangles = np.concatenate([triangles, len(vertices) + np.arange(3 * len(own), dtype=np.int32).reshape(-1, 3)])
-            vertices = np.concatenate([vertices, self.corners[own].reshape(-1, 3)])
-        if len(own) > MOST_APART * len(triangles) or self.areas[turned].sum() > BEYOND_SHARE * self.areas.sum():
+        if heights.max() > self.error or self.areas[turned].sum() > BEYOND_SHARE * self.areas.sum():
             return None
         distance = one_sided_distance(self.corners, vertices[triangles], TOLERANCE * self.error, 0.5 * self.error)
         if distance > self.error:
@@ -283,9 +210,8 @@ class _Original:
             chosen[rows], heights[rows], turned[rows] = options[index, pick], height[index, pick], ~facing[index, pick]
         return chosen, heights, turned
 
-    def _settled(self, samples: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, float]:
-        """Vertices moved until planes keep the corners of their faces and triangles keep the `samples`, or the best on the way there; and
-        how bad these still are, where 1 keeps all bounds.
+    def _settled(self, samples: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+        """Vertices moved until planes keep the corners of their faces and triangles keep the `samples`, or the best on the way there.
 
         Where they do with an area too large, springs shrink it.
         """
@@ -318,27 +244,19 @@ class _Original:
                 (np.abs(residuals) / worst) ** SETTLING_POWER + LEAST_WEIGHT,
                 TIGHT if growth > 1.0 and worst <= SETTLED * self.error else SPRINGS,
             )
-        return best, least
-
-
-def _spread(points: np.ndarray, most: int) -> np.ndarray:
-    """Every so many of `points` (N, 3) that at most about `most` are left."""
-    return points[np.arange(0, len(points), max(1.0, len(points) / most)).astype(np.int64)]
+        return best
 
 
 def propose(vertices: np.ndarray, triangles: np.ndarray, target: int) -> tuple[np.ndarray, np.ndarray]:
     """About `target` triangles by quadric collapses.
 
     Raises:
-        FarfieldError: when the package that does it is not installed.
+        FarfieldError: when the library that does it is missing.
     """
     try:
         import fast_simplification
-    except ImportError:
-        raise FarfieldError(
-            "The method decimate needs the package fast-simplification, which this Python lacks; install Farfield from its zip, which "
-            "brings it along, or choose the method clusters."
-        ) from None
+    except ModuleNotFoundError as missing:
+        raise FarfieldError("The method decimate needs the library fast-simplification; install Farfield from its zip.") from missing
     coarse, faces = fast_simplification.simplify(vertices, triangles, target_count=target, agg=7)
     return compact(np.asarray(coarse, np.float64), np.asarray(faces, np.int32)) if len(faces) else (coarse, faces)
 
