@@ -5,6 +5,10 @@ It takes the cheapest pair of all, merges it, and looks again; far too slow for 
 
 import numpy as np
 
+import environment
+
+environment.import_farfield()
+
 from farfield.addon.core.billboards.hierarchy import ClusterBounds, Clusters
 from farfield.addon.core.billboards.primitives import Primitives
 

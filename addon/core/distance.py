@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 LEAF_TRIANGLES = 4
-CHUNK_POINTS = 32_768
+CHUNK_POINTS = 4096  # of closest points and of tests at once: what stays in a core's cache
 MAX_PIECES = 400_000
 SLIVER = 1e-14  # squared sine of a corner below which a triangle is a segment: dot products could not tell its plane
 
@@ -23,25 +23,37 @@ def closest_on_mesh(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray
     centroids = cKDTree(corners.mean(axis=1))
     distances = np.empty(len(points))
     nearest = np.empty(len(points), np.int32)
-    for start in range(0, len(points), CHUNK_POINTS):
-        chunk = slice(start, start + CHUNK_POINTS)
+    for chunk in _chunks(len(points)):
         distances[chunk], nearest[chunk] = _descend(points[chunk], corners, levels, order, centroids)
     return distances, nearest
 
 
 def point_triangle_distances(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Squared distance (N,) of each of `points` (N, 3) to the triangle `corners` (N, 3, 3) of the same row."""
-    return _closest(points, corners)[0]
+    return np.concatenate([closest_points(points[rows], corners[rows])[0] for rows in _chunks(len(points))])
+
+
+def points_beyond(points: np.ndarray, corners: np.ndarray, distance: float) -> np.ndarray:
+    """Indices (K,) of the `points` (N, 3) that are farther than `distance` from every triangle of `corners` (T, 3, 3), ascending."""
+    centroids = cKDTree(corners.mean(axis=1))
+    squared = np.concatenate([_first_guess(points[rows], corners, centroids)[0] for rows in _chunks(len(points))])
+    unsure = np.flatnonzero(squared > distance**2)
+    return unsure[closest_on_mesh(points[unsure], corners)[0] > distance]
+
+
+def _chunks(count: int) -> list[slice]:
+    return [slice(start, start + CHUNK_POINTS) for start in range(0, max(count, 1), CHUNK_POINTS)]
 
 
 def closest_weights(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Barycentric weights (N, 3), none below zero, of the point of each of `corners` (N, 3, 3) closest to its row of `points` (N, 3)."""
-    _, along_b, along_c = _closest(points, corners)
+    _, along_b, along_c = closest_points(points, corners)
     return np.stack([1.0 - along_b - along_c, along_b, along_c], axis=1)
 
 
-def _closest(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Squared distances (N,), and the weights (N,) of the second and third corner at the closest points.
+def closest_points(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Squared distance (N,) of each of `points` (N, 3) to its row of `corners` (N, 3, 3), and the weights (N,) of the second and third
+    corner at the closest point.
 
     Which point is closest is told from dot products alone; its distance is then taken from the vector, where nothing cancels.
     """
@@ -70,6 +82,13 @@ def _share(along: np.ndarray, length_squared: np.ndarray) -> np.ndarray:
     return np.clip(along / np.where(length_squared > 0.0, length_squared, 1.0), 0.0, 1.0)
 
 
+def first_least(values: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """Index (G,) of the first least of `values` (N,) in each of the ranges that begin at `starts` (G,), ascending; none is empty."""
+    group = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(values))))
+    least = np.flatnonzero(values == np.minimum.reduceat(values, starts)[group])
+    return least[np.flatnonzero(np.diff(group[least], prepend=-1))]
+
+
 def plane_weights(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Barycentric weights (N, 3) of each point's foot on the plane of its triangle; below zero outside, -1 all over where no area is."""
     ab, ac, ap = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], points - corners[:, 0]
@@ -92,20 +111,53 @@ def one_sided_distance(corners: np.ndarray, target: np.ndarray, tolerance: float
     """
     largest, pieces = least, corners
     while True:
-        samples = np.concatenate([pieces, pieces.mean(axis=1, keepdims=True)], axis=1)
-        distances, nearest = (values.reshape(len(pieces), 4) for values in closest_on_mesh(samples.reshape(-1, 3), target))
-        largest = max(largest, float(distances.max()))
-        above = np.full(len(pieces), np.inf)
-        for choice in range(4):
-            triangles = np.repeat(target[nearest[:, choice]], 3, axis=0)
-            squared = point_triangle_distances(pieces.reshape(-1, 3), triangles).reshape(len(pieces), 3)
-            above = np.minimum(above, np.sqrt(squared.max(axis=1)))
-        open_still = above > largest + tolerance
-        if not open_still.any():
+        below, above = _distance_bounds(pieces, target, largest + tolerance)
+        largest = max(largest, float(below.max()))
+        still_open = above > largest + tolerance
+        if not still_open.any():
             return largest + tolerance
-        if 4 * open_still.sum() > MAX_PIECES:
+        if 4 * still_open.sum() > MAX_PIECES:
             return float(above.max())
-        pieces = _cut_in_four(pieces[open_still])
+        pieces = _cut_in_four(pieces[still_open])
+
+
+def faces_beyond(corners: np.ndarray, target: np.ndarray, distance: float, tolerance: float) -> np.ndarray:
+    """Which of the triangles (T, 3, 3) have a point farther than `distance` from the triangles `target` (K, 3, 3): (T,) bool.
+
+    None of them is missed. One that comes within `tolerance` of the distance may be named as well; and so may any that is still open when
+    there are too many pieces, see `one_sided_distance`.
+    """
+    beyond = np.zeros(len(corners), bool)
+    pieces, face = corners, np.arange(len(corners))
+    while len(pieces):
+        below, above = _distance_bounds(pieces, target, distance)
+        beyond[face[below > distance - tolerance]] = True
+        still_open = (above > distance) & ~beyond[face]
+        if 4 * still_open.sum() > MAX_PIECES:
+            beyond[face[still_open]] = True
+            break
+        pieces, face = _cut_in_four(pieces[still_open]), np.tile(face[still_open], 4)
+    return beyond
+
+
+def _distance_bounds(pieces: np.ndarray, target: np.ndarray, enough: float) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds (P,) from below and above of the largest distance of any point of each of `pieces` (P, 3, 3); loose where below `enough`."""
+    below, nearest = closest_on_mesh(pieces.mean(axis=1), target)
+    # The triangle nearest to the middle settles most faces; only the others ask for those nearest to their corners.
+    above = _farthest_corner(pieces, target[nearest])
+    unsure = np.flatnonzero(above > enough)
+    if len(unsure):
+        distances, nearest = closest_on_mesh(pieces[unsure].reshape(-1, 3), target)
+        below[unsure] = np.maximum(below[unsure], distances.reshape(-1, 3).max(axis=1))
+        for choice in nearest.reshape(-1, 3).T:
+            above[unsure] = np.minimum(above[unsure], _farthest_corner(pieces[unsure], target[choice]))
+    return below, above
+
+
+def _farthest_corner(pieces: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Largest distance (P,) of the corners of each of `pieces` (P, 3, 3) to the triangle (P, 3, 3) of the same row."""
+    squared = point_triangle_distances(pieces.reshape(-1, 3), np.repeat(triangles, 3, axis=0))
+    return np.sqrt(squared.reshape(-1, 3).max(axis=1))
 
 
 def _cut_in_four(corners: np.ndarray) -> np.ndarray:
@@ -156,8 +208,7 @@ def _descend(points, corners, levels, order, centroids) -> tuple[np.ndarray, np.
     triangle = order[np.repeat(starts[node], sizes) + within]
     if len(point):
         squared = point_triangle_distances(points[point], corners[triangle])
-        ranked = np.lexsort((squared, point))
-        first = ranked[np.flatnonzero(np.diff(point[ranked], prepend=-1))]
+        first = first_least(squared, np.flatnonzero(np.diff(point, prepend=-1)))
         better = first[squared[first] < best[point[first]]]
         best[point[better]], nearest[point[better]] = squared[better], triangle[better]
     return np.sqrt(best), nearest.astype(np.int32)

@@ -3,11 +3,16 @@
 import numpy as np
 import pytest
 
-from farfield.addon.core.billboards.decimate import Decimated, decimate_to_error, propose
+from farfield.addon.core.billboards.build import build
+from farfield.addon.core.billboards.cloud import Cloud
+from farfield.addon.core.billboards.decimate import decimate_to_error, propose
+from farfield.addon.core.billboards.fine_mesh import Decimated
 from farfield.addon.core.billboards.remesh import collapse, flip, unique_edges
+from farfield.addon.core.billboards.settings import BillboardSettings
 from farfield.addon.core.billboards.straddle import straddle
+from farfield.addon.core.billboards.triangles import flat_parts
 from farfield.addon.core.distance import closest_on_mesh, one_sided_distance
-from farfield.addon.core.mesh import face_areas_and_normals
+from farfield.addon.core.mesh import TriangleMesh, face_areas_and_normals
 from farfield.addon.core.progress import finish
 
 BOUND = np.radians(60.0)
@@ -43,9 +48,11 @@ def sheet(side: int, height) -> tuple[np.ndarray, np.ndarray]:
 
 
 def check_promises(found: Decimated, vertices: np.ndarray, triangles: np.ndarray, error: float) -> None:
+    assert len(found.apart) <= 0.25 * len(found.triangles)
     coarse = found.vertices[found.triangles]
     _, normals = face_areas_and_normals(coarse)
-    of = found.primitive_of
+    kept = found.primitive_of >= 0
+    of, triangles = found.primitive_of[kept], triangles[kept]
     heights = np.einsum("tci,ti->tc", vertices[triangles] - coarse[of][:, :1], normals[of])
     assert np.abs(heights).max() <= error * (1.0 + 1e-9)
     assert closest_on_mesh(vertices[triangles].reshape(-1, 3), coarse)[0].max() <= error * (1.0 + 1e-9)
@@ -90,6 +97,48 @@ def test_where_nothing_coarser_holds_the_original_stands():
     found = finish(decimate_to_error(vertices, triangles, 1e-7, BOUND))
     check_promises(found, vertices, triangles, 1e-7)
     assert len(found.triangles) == len(triangles)
+    assert len(found.apart) == 0
+
+
+def built(vertices: np.ndarray, triangles: np.ndarray, error: float) -> Cloud:
+    return finish(build(TriangleMesh(vertices, triangles), BillboardSettings(method="decimate", error=error, levels=1)))
+
+
+def disc(sides: int) -> tuple[np.ndarray, np.ndarray]:
+    turn = 2.0 * np.pi * np.arange(sides) / sides
+    rim = np.stack([np.cos(turn), np.sin(turn), 0.3 * np.cos(turn)], axis=1)
+    around = np.arange(sides)
+    return np.vstack([rim, np.zeros(3)]), np.stack([around, np.roll(around, -1), np.full(sides, sides)], axis=1).astype(np.int32)
+
+
+@pytest.mark.parametrize("flat", [sheet(7, lambda x, y: 0.2 * x + 0.1 * y), disc(40)], ids=["square", "disc"])
+def test_what_lies_in_one_plane_is_one_quad(flat):
+    level = built(*flat, 0.01).levels[0]
+    assert len(level.quads) == 1
+
+
+def test_the_sides_of_a_box_are_one_quad_each():
+    corners = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 2.0) for z in (0.0, 3.0)])
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    triangles = np.array([[a, b, c] for a, b, c, d in quads] + [[a, c, d] for a, b, c, d in quads], np.int32)
+    level = built(corners, triangles, 0.01).levels[0]
+    assert len(level.quads) == 6
+    np.testing.assert_allclose(sorted(4.0 * level.quads.half_sizes.prod(axis=1)), [2.0, 2.0, 3.0, 3.0, 6.0, 6.0], rtol=0.05)
+
+
+def test_a_plane_is_flat_over_its_edges_alone():
+    vertices = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.001], [2.0, 0.0, 1.0], [2.0, 1.0, 1.0]])
+    triangles = np.array([[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2]], np.int32)
+    for tolerance, parts in ((0.01, [0, 0, 1, 1]), (1e-5, [0, 1, 2, 2])):
+        np.testing.assert_array_equal(flat_parts(vertices, triangles, tolerance), parts)
+
+
+def test_faces_that_no_triangle_keeps_get_quads_of_their_own():
+    """Long faces across the ridges of a corrugated sheet: few triangles can follow, and every face is still shown within the error."""
+    vertices, triangles = sheet(16, lambda x, y: 0.08 * np.abs((5.0 * x + 2.0 * y) % 1.0 - 0.5))
+    cloud = built(vertices, triangles, 0.02)
+    assert cloud.uncovered_faces == 0
+    assert cloud.max_plane_distance <= 1.0
 
 
 def test_moving_vertices_halves_the_distance_of_an_inscribed_mesh():

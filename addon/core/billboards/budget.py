@@ -17,7 +17,7 @@ from ..progress import Steps, scaled
 from .cloud import Level
 from .estimate import BYTES_PER_TEXEL, estimate, sample_of
 from .levels import LevelBuilder
-from .patches import Covering, Patch
+from .patches import Covering, union
 from .primitives import Primitives
 from .search import ENOUGH, LARGEST, Attempt, search
 from .settings import BillboardSettings
@@ -230,10 +230,6 @@ class _Task:
 
     def together(self, found: Found) -> list[Covering]:
         """The union, level by level, of the coverings in `found`, in the numbering of all primitives."""
-        patches: list[list[Patch]] = [[] for _ in found[0][1].coverings]
-        owners = np.empty((len(patches), len(self.primitives)), np.int32)
-        for kind, attempt in found:
-            for own, owner, covering in zip(patches, owners, attempt.coverings, strict=True):
-                owner[kind.index] = covering.owner + len(own)
-                own += [replace(patch, shown=kind.index[patch.shown], region=kind.index[patch.region]) for patch in covering.patches]
-        return [Covering(own, owner) for own, owner in zip(patches, owners, strict=True)]
+        levels = zip(*(attempt.coverings for _, attempt in found), strict=True)
+        indices = [kind.index for kind, _ in found]
+        return [union(list(zip(indices, coverings, strict=True)), len(self.primitives)) for coverings in levels]

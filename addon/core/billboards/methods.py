@@ -8,17 +8,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..mesh import face_areas_and_normals
 from ..progress import Progress, StageClock, Steps, scaled
 from ..spatial import nearest_pairs
 from .cover import CoverBounds, SafePlanes, cover
 from .hierarchy import ClusterBounds, merge_in_rounds
-from .patches import Covering, Patch, members_of, owners_of_groups, squarest
+from .patches import Covering, Patch, members_of, owners_of_groups, squarest, union
 from .planes import frames_of
 from .primitives import Primitives
 from .rectangles import around, bounds_of, smallest_rectangle
 from .settings import BillboardSettings
 from .surfaces import Surfaces
+from .triangles import patches_of_triangles
 
 REGION_NEIGHBOURS = 12  # through which a quad's region grows
 QUAD_COST = 4.0  # what one more quad is worth, in mean areas of a cluster
@@ -112,14 +112,15 @@ def hough(
 
 def decimate(
     primitives: Primitives,
-    _surfaces: Surfaces,
+    surfaces: Surfaces,
     errors: list[float],
     settings: BillboardSettings,
     clock: StageClock,
     standing: Sequence[Covering] = (),
     _area: float | None = None,
 ) -> Steps[list[Covering]]:
-    """Edge collapse with a measured error (section 4.2), each level on its own; every triangle of the result becomes a quad."""
+    """Edge collapse with a measured error (section 4.2), each level on its own; every triangle of the result becomes a quad, and those in
+    one plane become one together. Faces that no triangle stands for are clustered."""
     from .decimate import decimate_to_error
 
     coverings = list(standing)
@@ -127,50 +128,10 @@ def decimate(
         error = errors[level]
         steps = decimate_to_error(primitives.points, primitives.corners, error, settings.max_normal_deviation)
         with clock.stage("decimate"):
-            result = yield from scaled(steps, start, stop)
-        corners = result.vertices[result.triangles]
-        patches = _triangle_patches(primitives, corners, members_of_triangles(result.primitive_of, len(corners)), error, settings)
-        coverings.append(Covering(patches, result.primitive_of))
+            result = yield from scaled(steps, start, 0.1 * start + 0.9 * stop)
+        parts = [patches_of_triangles(primitives, result, error, settings.max_normal_deviation, QUAD_COST)]
+        if len(result.apart):
+            rest = clusters(primitives.subset(result.apart), surfaces.subset(result.apart), [error], settings, clock)
+            parts.append((result.apart, (yield from scaled(rest, 0.1 * start + 0.9 * stop, stop))[0]))
+        coverings.append(union(parts, len(primitives)))
     return coverings
-
-
-def members_of_triangles(labels: np.ndarray, count: int) -> list[np.ndarray]:
-    """Like `members_of` for `count` labels, empty ones included."""
-    order = np.argsort(labels, kind="stable")
-    return np.split(order, np.cumsum(np.bincount(labels, minlength=count))[:-1])
-
-
-def _triangle_patches(
-    primitives: Primitives, corners: np.ndarray, owned: list[np.ndarray], error: float, settings: BillboardSettings
-) -> list[Patch]:
-    """A patch for each triangle: the rectangle on its longest side, and all primitives within its bounds that reach into it."""
-    normals = face_areas_and_normals(corners)[1]
-    sides = np.roll(corners, -1, axis=1) - corners
-    longest = np.linalg.norm(sides, axis=2).argmax(axis=1)
-    u = sides[np.arange(len(corners)), longest]
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    patches = []
-    for index, triangle in enumerate(corners):
-        axes = np.stack([u[index], np.cross(normals[index], u[index])])
-        outline = triangle @ axes.T
-        rectangle = around(np.repeat(outline, 2, axis=1))
-        offset = float(normals[index] @ triangle[0])
-        shown = np.union1d(
-            owned[index], _reaching(primitives, normals[index], offset, axes, rectangle, error, settings.max_normal_deviation)
-        )
-        middle, half = rectangle.reshape(2, 2).mean(axis=1), 0.5 * np.ptp(rectangle.reshape(2, 2), axis=1)
-        patches.append(Patch(normals[index], offset, axes, rectangle, shown, shown, (outline - middle) / half))
-    return patches
-
-
-def _reaching(
-    primitives: Primitives, normal: np.ndarray, offset: float, axes: np.ndarray, rectangle: np.ndarray, error: float, deviation: float
-) -> np.ndarray:
-    """Primitives within the bounds of a plane whose bounding boxes along `axes` touch `rectangle`."""
-    facing = np.flatnonzero(primitives.normals @ normal >= np.cos(deviation))
-    near = facing[(np.abs(primitives.positions[facing] @ normal - offset) <= error).all(axis=1)]
-    bounds = bounds_of(primitives.positions[near], axes)
-    touches = (
-        (bounds[:, 0] <= rectangle[1]) & (bounds[:, 1] >= rectangle[0]) & (bounds[:, 2] <= rectangle[3]) & (bounds[:, 3] >= rectangle[2])
-    )
-    return near[touches]

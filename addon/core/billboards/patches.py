@@ -65,6 +65,16 @@ def owners_of_groups(primitives: Primitives, patches: list[Patch], groups: np.nd
     return owner[groups]
 
 
+def union(parts: list[tuple[np.ndarray, Covering]], count: int) -> Covering:
+    """One covering of `count` primitives of coverings of some of them: each part names its primitives (K,) in the numbering of all."""
+    patches: list[Patch] = []
+    owner = np.full(count, -1, np.int32)
+    for index, covering in parts:
+        owner[index] = covering.owner + len(patches)
+        patches += [replace(patch, shown=index[patch.shown], region=index[patch.region]) for patch in covering.patches]
+    return Covering(patches, owner)
+
+
 def overlapping(primitives: Primitives, covering: Covering, shared: np.ndarray, margin: float) -> Covering:
     """The patches with all that should be drawn on them, so that no crack opens between two quads of one surface.
 

@@ -4,14 +4,19 @@ All edges are judged at once; then those are done that help most, as long as no 
 comes out: samples that were closest to the replaced triangles are no farther from the new ones than was found.
 """
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from ..distance import closest_on_mesh, point_triangle_distances
+from ..distance import closest_on_mesh, closest_points, first_least, point_triangle_distances
 from ..mesh import face_areas_and_normals
 
 LEAST_TURN = 0.2  # cosine: a triangle that turns farther by a collapse has folded over
-CHUNK_PAIRS = 1_000_000
+CHUNK_TESTS = 20_000  # of a sample against a triangle: what stays in a core's cache
+PLACING_POWERS = (2.0, 4.0)
+PLACING_DAMPING = 1e-3  # of the trace
 
 
 def unique_edges(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -21,41 +26,67 @@ def unique_edges(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return edges, index.reshape(-1, 3)
 
 
-def collapse(samples: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, limit: float, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Collapse up to `most` edges, the least harmful first, where the samples around stay within `limit`.
+@dataclass(frozen=True)
+class Collapses:
+    """Every edge of a mesh that may be collapsed, judged.
+
+    edges (E, 2) int; targets (E, 3) where the joined vertex goes; costs (E,) the largest distance of a sample around to the triangles that
+    are left, infinite where one of them would fold over. around, touched: pairs of an edge, ascending, and a triangle at one of its ends.
+    """
+
+    edges: np.ndarray
+    targets: np.ndarray
+    costs: np.ndarray
+    around: np.ndarray
+    touched: np.ndarray
+
+    def carry_out(
+        self, vertices: np.ndarray, triangles: np.ndarray, limit: float, most: int, skipped: int = 0
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The mesh after up to `most` collapses that cost `limit` at most, the cheapest first but for `skipped`, none beside another."""
+        costs = self.costs.copy()
+        costs[np.argsort(costs, kind="stable")[:skipped]] = np.inf
+        chosen = _independent(costs, costs <= limit, self.around, self.touched, len(triangles), most)
+        moved, merged = vertices.copy(), np.arange(len(vertices))
+        moved[self.edges[chosen, 0]] = self.targets[chosen]
+        merged[self.edges[chosen, 1]] = self.edges[chosen, 0]
+        return compact(moved, merged[triangles])
+
+
+def judge_collapses(samples: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> Collapses:
+    """Look for the best place of the vertex that each edge would be collapsed to, by the samples around.
 
     Args:
         samples: (S, 3) float64 points of the fine surface.
         vertices, triangles: (V, 3) float64 and (T, 3) int, the coarse mesh.
-        limit: largest distance of a sample to the triangles that replace those around a collapsed edge.
-
-    Returns:
-        New vertices and triangles; the same number of triangles when nothing could be collapsed.
     """
     edges, _ = unique_edges(triangles)
     edges = edges[_keeps_topology(edges, triangles, len(vertices))]
-    around, triangle = _stars(edges, triangles, len(vertices))
+    around, touched = _stars(edges, triangles, len(vertices))
+    first = triangles[touched] == edges[around, :1]
+    second = triangles[touched] == edges[around, 1:]
+    kept = ~(first.any(axis=1) & second.any(axis=1))
+    star = _Star(around, touched, kept, first | second)
+    border = _on_border(triangles, len(vertices))[edges].any(axis=1)
     samples_of = _samples_of_triangles(samples, vertices[triangles])
-    has_first = (triangles[triangle] == edges[around, :1]).any(axis=1)
-    has_second = (triangles[triangle] == edges[around, 1:]).any(axis=1)
-    kept = ~(has_first & has_second)
-    replaced = (triangles[triangle] == edges[around, :1]) | (triangles[triangle] == edges[around, 1:])
-    cost, target = np.full(len(edges), np.inf), np.zeros((len(edges), 3))
-    for share in (0.5, 0.0, 1.0):
-        positions = (1.0 - share) * vertices[edges[:, 0]] + share * vertices[edges[:, 1]]
-        corners = np.where(replaced[:, :, None], positions[around][:, None], vertices[triangles[triangle]])
-        folded = np.zeros(len(edges), bool)
-        folded[around[kept & _turns_over(vertices[triangles[triangle]], corners)]] = True
-        judged = np.flatnonzero(~folded)
-        found = np.full(len(edges), np.inf)
-        found[judged] = _distances_after(samples, samples_of, judged, around, triangle, kept, corners)
-        better = found < cost
-        cost[better], target[better] = found[better], positions[better]
-    chosen = _independent(cost, cost <= limit, around, triangle, len(triangles), most)
-    moved, merged = vertices.copy(), np.arange(len(vertices))
-    moved[edges[chosen, 0]] = target[chosen]
-    merged[edges[chosen, 1]] = edges[chosen, 0]
-    return compact(moved, merged[triangles])
+    costs, targets = np.full(len(edges), np.inf), vertices[edges].mean(axis=1)
+    # From the middle, moves find the best place but for the corners of a border, which only an end of the edge keeps.
+    at_border = np.flatnonzero(border)
+    for share, judged, powers in ((0.5, np.arange(len(edges)), PLACING_POWERS), (0.0, at_border, ()), (1.0, at_border, ())):
+        for tests in _tests(samples_of, star, judged):
+            first_end, second_end = vertices[edges[tests.rows].T]
+            position = (1.0 - share) * first_end + share * second_end
+            for power in (*powers, None):
+                cost, move = _place(tests, star, samples, vertices[triangles], position, power)
+                better = cost < costs[tests.rows]
+                costs[tests.rows[better]], targets[tests.rows[better]] = cost[better], position[better]
+                position = position + move
+    return Collapses(edges, targets, costs, around, touched)
+
+
+def collapse(samples: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, limit: float, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and triangles after up to `most` collapses, the least harmful first, where the samples (S, 3) around stay within `limit`."""
+    return judge_collapses(samples, vertices, triangles).carry_out(vertices, triangles, limit, most)
 
 
 def flip(samples: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, least_gain: float) -> np.ndarray:
@@ -71,8 +102,8 @@ def flip(samples: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, least
     sides = np.stack([order[starts[inner]], order[starts[inner] + 1]], axis=1)
     tips = triangles[sides // 3, sides % 3]
     ends = triangles[sides[:, 0] // 3, (sides[:, 0] % 3 + 1) % 3], triangles[sides[:, 0] // 3, (sides[:, 0] % 3 + 2) % 3]
-    exists = {(int(a), int(b)) for a, b in edges}
-    fresh = np.array([(min(a, b), max(a, b)) not in exists and a != b for a, b in tips.tolist()], bool)
+    codes = np.array([len(vertices), 1])
+    fresh = (tips[:, 0] != tips[:, 1]) & ~np.isin(np.sort(tips, axis=1) @ codes, edges @ codes)
     sides, tips, ends = sides[fresh], tips[fresh], (ends[0][fresh], ends[1][fresh])
     pairs = np.stack([np.stack([tips[:, 0], ends[0], tips[:, 1]], axis=1), np.stack([tips[:, 0], tips[:, 1], ends[1]], axis=1)], axis=1)
     around, triangle = np.repeat(np.arange(len(sides)), 2), (sides // 3).ravel()
@@ -82,12 +113,12 @@ def flip(samples: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, least
     both = face_areas_and_normals(old)[1].reshape(-1, 2, 3).sum(axis=1)
     folded[around[np.einsum("ij,ij->i", face_areas_and_normals(new)[1], both[around]) < LEAST_TURN]] = True
     judged = np.flatnonzero(~folded)
-    everything = np.ones(len(around), bool)
-    before = _distances_after(samples, samples_of, judged, around, triangle, everything, old)
-    after = np.full(len(sides), np.inf)
+    star = _Star(around, triangle, np.ones(len(around), bool), None)
     gain = np.full(len(sides), -np.inf)
-    after[judged] = _distances_after(samples, samples_of, judged, around, triangle, everything, new)
-    gain[judged] = before - after[judged]
+    for tests in _tests(samples_of, star, judged):
+        points = samples[tests.sample]
+        before, after = (tests.largest(point_triangle_distances(points, corners[tests.pair])) for corners in (old, new))
+        gain[tests.rows] = before - after
     chosen = _independent(-gain, gain > least_gain, around, triangle, len(triangles), len(sides))
     flipped = triangles.copy()
     flipped[sides[chosen] // 3] = pairs[chosen]
@@ -111,9 +142,16 @@ def _keeps_topology(edges: np.ndarray, triangles: np.ndarray, count: int) -> np.
     ones = np.ones(2 * len(edges), np.int32)
     links = csr_matrix((ones, (edges.ravel(), edges[:, ::-1].ravel())), shape=(count, count))
     common = np.asarray(links[edges[:, 0]].multiply(links[edges[:, 1]]).sum(axis=1)).ravel()
-    border = np.zeros(count, bool)
-    border[edges[shared == 1]] = True
+    border = _on_border(triangles, count)
     return (common == shared) & (shared <= 2) & ((shared == 1) | ~border[edges].all(axis=1))
+
+
+def _on_border(triangles: np.ndarray, count: int) -> np.ndarray:
+    """(count,) bool: which vertices are at the end of an edge of one triangle only."""
+    edges, opposite = unique_edges(triangles)
+    border = np.zeros(count, bool)
+    border[edges[np.bincount(opposite.ravel(), minlength=len(edges)) == 1]] = True
+    return border
 
 
 def _stars(edges: np.ndarray, triangles: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -136,34 +174,87 @@ def _turns_over(old: np.ndarray, new: np.ndarray) -> np.ndarray:
     return np.einsum("ij,ij->i", face_areas_and_normals(old)[1], face_areas_and_normals(new)[1]) < LEAST_TURN
 
 
-def _distances_after(samples, samples_of, judged, around, triangle, kept, corners) -> np.ndarray:
-    """Largest distance (J,) of the samples of the triangles around each of `judged` to the `kept` ones of the new `corners` (N, 3, 3).
+@dataclass(frozen=True)
+class _Star:
+    """Pairs (P,) of a candidate, ascending in `around`, and a triangle `touched` by it; which are `kept`; which corners (P, 3) it moves."""
 
-    around, triangle, kept, corners run over pairs of a candidate, ascending, and a triangle around it.
+    around: np.ndarray
+    touched: np.ndarray
+    kept: np.ndarray
+    moved: np.ndarray | None
+
+
+@dataclass(frozen=True)
+class _Tests:
+    """Each sample around the candidates `rows` (R,) against each triangle that its candidate keeps.
+
+    sample, pair (N,): one test; the pair is one of a star's. starts (M,): first test of each candidate and sample. row (M,): the place in
+    `rows` of that candidate, ascending; no row is without a test.
     """
+
+    rows: np.ndarray
+    sample: np.ndarray
+    pair: np.ndarray
+    starts: np.ndarray
+    row: np.ndarray
+
+    def largest(self, squared: np.ndarray) -> np.ndarray:
+        """Largest distance (R,) of a sample of each row to its nearest triangle, from the `squared` (N,) distance of each test."""
+        nearest = np.minimum.reduceat(squared, self.starts)
+        return np.sqrt(np.maximum.reduceat(nearest, np.flatnonzero(np.diff(self.row, prepend=-1))))
+
+
+def _tests(samples_of: tuple[np.ndarray, np.ndarray], star: _Star, judged: np.ndarray) -> Iterator[_Tests]:
+    """The tests of the candidates `judged` (J,), ascending, some at a time; those without samples or kept triangles are left out."""
     starts, order = samples_of
-    pair_starts = np.searchsorted(around, np.append(judged, judged[-1] + 1 if len(judged) else 0))
-    per_pair = np.diff(starts)[triangle]
-    new_starts = np.append(0, np.cumsum(kept))
-    new_pairs = np.flatnonzero(kept)
-    result = np.zeros(len(judged))
-    stops = np.searchsorted(around, judged, side="right")
-    work = np.array([per_pair[a:b].sum() for a, b in zip(pair_starts[:-1], stops, strict=True)]) * (
-        new_starts[stops] - new_starts[pair_starts[:-1]]
-    )
-    chunk = np.cumsum(work) // CHUNK_PAIRS
-    for part in np.unique(chunk):
-        rows = np.flatnonzero((chunk == part) & (work > 0))
-        if len(rows) == 0:
-            continue
-        row_of_pair, pair = _expand(pair_starts[rows], stops[rows])
-        row_of_sample, place = _expand(starts[triangle[pair]], starts[triangle[pair] + 1])
-        row, sample = row_of_pair[row_of_sample], order[place]
-        row_of_test, new = _expand(new_starts[pair_starts[rows]][row], new_starts[stops[rows]][row])
-        squared = point_triangle_distances(samples[sample[row_of_test]], corners[new_pairs[new]])
-        nearest = np.minimum.reduceat(squared, np.flatnonzero(np.diff(row_of_test, prepend=-1)))
-        result[rows] = np.sqrt(np.maximum.reduceat(nearest, np.flatnonzero(np.diff(row, prepend=-1))))
-    return result
+    first, stop = np.searchsorted(star.around, judged), np.searchsorted(star.around, judged, side="right")
+    kept_before, kept_pairs = np.append(0, np.cumsum(star.kept)), np.flatnonzero(star.kept)
+    samples_before = np.append(0, np.cumsum(np.diff(starts)[star.touched]))
+    work = (samples_before[stop] - samples_before[first]) * (kept_before[stop] - kept_before[first])
+    chunk = np.cumsum(work) // CHUNK_TESTS
+    able = np.flatnonzero(work > 0)
+    for chosen in np.split(able, np.flatnonzero(np.diff(chunk[able])) + 1) if len(able) else []:
+        row_of_pair, pair = _expand(first[chosen], stop[chosen])
+        row_of_sample, place = _expand(starts[star.touched[pair]], starts[star.touched[pair] + 1])
+        row = row_of_pair[row_of_sample]
+        test, new = _expand(kept_before[first[chosen]][row], kept_before[stop[chosen]][row])
+        yield _Tests(judged[chosen], order[place][test], kept_pairs[new], np.flatnonzero(np.diff(test, prepend=-1)), row)
+
+
+def _place(
+    tests: _Tests, star: _Star, samples: np.ndarray, corners: np.ndarray, position: np.ndarray, power: float | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Costs (R,) with the moved corners at `position` (R, 3), and the moves (R, 3) that lower the sum of distance^power; 0 without one."""
+    count = len(tests.rows)
+    lowest = tests.pair.min()
+    used = np.bincount(tests.pair - lowest) > 0
+    pairs, pair_of_test = lowest + np.flatnonzero(used), (np.cumsum(used) - 1)[tests.pair - lowest]
+    row_of_pair = np.searchsorted(tests.rows, star.around[pairs])
+    old = corners[star.touched[pairs]]
+    new = np.where(star.moved[pairs][:, :, None], position[row_of_pair][:, None], old)
+    points = samples[tests.sample]
+    squared, along_b, along_c = closest_points(points, new[pair_of_test])
+    costs = tests.largest(squared)
+    costs[row_of_pair[_turns_over(old, new)]] = np.inf
+    if power is None:
+        return costs, np.zeros((count, 3))
+    best = first_least(squared, tests.starts)
+    weights = np.stack([1.0 - along_b[best] - along_c[best], along_b[best], along_c[best]], axis=1)
+    triangle = pair_of_test[best]
+    away = points[best] - np.einsum("nk,nkj->nj", weights, new[triangle])
+    distances = np.sqrt(squared[best])
+    largest = tests.largest(squared)[tests.row]
+    share = (weights * star.moved[pairs][triangle]).sum(axis=1)
+    normals = face_areas_and_normals(new)[1][triangle]
+    apart = distances > 1e-6 * largest
+    along = share[:, None] * np.where(apart[:, None], away / np.where(apart, distances, 1.0)[:, None], normals)
+    emphasis = (distances / np.where(largest > 0.0, largest, 1.0)) ** (power - 2.0)
+    bins = np.flatnonzero(np.diff(tests.row, prepend=-1))
+    matrix = np.add.reduceat(emphasis[:, None, None] * along[:, :, None] * along[:, None, :], bins)
+    right = np.add.reduceat((emphasis * distances)[:, None] * along, bins)
+    damping = PLACING_DAMPING * np.trace(matrix, axis1=1, axis2=2) + 1e-300
+    moves = np.linalg.solve(matrix + damping[:, None, None] * np.eye(3), right[:, :, None])[:, :, 0]
+    return costs, moves / (power - 1.0)
 
 
 def _expand(starts: np.ndarray, stops: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

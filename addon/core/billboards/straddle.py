@@ -10,6 +10,7 @@ from ..mesh import face_areas_and_normals
 DAMPING = 1e-2  # of the mean diagonal of the normal equations
 SPRINGS = 3e-3  # of the same
 LEAST_WEIGHT = 3e-2
+EXACT = 1e-12  # of the longest side: no distance that a move could lower
 
 
 def straddle(samples: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, powers: tuple[float, ...]) -> np.ndarray:
@@ -25,7 +26,7 @@ def straddle(samples: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, p
         largest = float(distances.max())
         if largest < best_distance:
             best, best_distance = vertices, largest
-        if power is None or largest == 0.0:
+        if power is None or largest <= EXACT * np.ptp(samples, axis=0).max():
             break
         weights = closest_weights(samples, corners[nearest])
         away = samples - np.einsum("nk,nkj->nj", weights, corners[nearest])
