@@ -1,5 +1,7 @@
 """Rectangles in a plane: the smallest one around points, and the part of one that is worth its area."""
 
+from functools import reduce
+
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
@@ -49,8 +51,11 @@ _TURNS = np.stack([np.concatenate([np.cos(_TURN), -np.sin(_TURN)]), np.concatena
 def bounds_of(positions: np.ndarray, axes: np.ndarray) -> np.ndarray:
     """Bounds (K, 4) u_min, u_max, v_min, v_max of pieces with corner `positions` (K, C, 3) along `axes` (2, 3)."""
     local = positions @ axes.T
-    low, high = local.min(axis=1), local.max(axis=1)
-    return np.stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]], axis=1)
+    corners = [local[:, corner] for corner in range(local.shape[1])]  # one by one: NumPy is slow along short axes
+    bounds = np.empty((len(local), 4))
+    bounds[:, 0::2] = reduce(np.minimum, corners)
+    bounds[:, 1::2] = reduce(np.maximum, corners)
+    return bounds
 
 
 def around(bounds: np.ndarray) -> np.ndarray:
@@ -86,23 +91,29 @@ def worthwhile_part(bounds: np.ndarray, areas: np.ndarray, fixed_cost: float) ->
     Returns:
         worth: covered area over cost; indices (K',) of the pieces that stay.
     """
-    index = np.arange(len(bounds))
-    worth = areas.sum() / (fixed_cost + area(around(bounds)))
-    while len(index) > 1:
-        cut_worth, kept = _best_cut(bounds[index], areas[index], fixed_cost)
+    keys = bounds.T * _OUTWARD
+    orders = np.argsort(keys, axis=1)
+    kept = np.ones(len(bounds), bool)
+    worth = float(areas.sum() / (fixed_cost + area(around(bounds))))
+    while orders.shape[1] > 1:
+        cut_worth, stay = _best_cut(keys, orders, areas, fixed_cost)
         if cut_worth <= worth * (1.0 + 1e-9):
             break
-        worth, index = cut_worth, index[kept]
-    return float(worth), index
+        worth = cut_worth
+        kept = np.zeros(len(bounds), bool)
+        kept[stay] = True
+        orders = orders[kept[orders]].reshape(4, -1)
+    return worth, np.flatnonzero(kept)
 
 
-def _best_cut(bounds: np.ndarray, areas: np.ndarray, fixed_cost: float) -> tuple[float, np.ndarray]:
-    """The best side, and place, to move one side inwards to: worth, indices of the pieces that stay inside."""
-    keys = bounds.T * _OUTWARD
-    order = np.argsort(keys, axis=1)
+def _best_cut(keys: np.ndarray, order: np.ndarray, areas: np.ndarray, fixed_cost: float) -> tuple[float, np.ndarray]:
+    """The best side, and place, to move one side inwards to: worth, indices of the pieces that stay inside.
+
+    keys (4, K): how far each piece reaches to each side. order (4, L): those still inside by each of them, ascending.
+    """
     high = np.maximum.accumulate(keys[:, order], axis=2)  # [side of the box, side that moves, pieces kept]
     worth = np.cumsum(areas[order], axis=1) / (fixed_cost + (high[0] + high[1]) * (high[2] + high[3]))
-    side, place = divmod(int(worth.argmax()), len(bounds))
+    side, place = divmod(int(worth.argmax()), order.shape[1])
     return float(worth[side, place]), order[side, : place + 1]
 
 
