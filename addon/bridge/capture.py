@@ -15,6 +15,7 @@ from ..core.progress import Progress, Steps
 from .channels import CHANNELS, CaptureMaterial, capture_material
 from .images import check_images
 from .meshes import Source
+from .outlines import Continuations
 from .slot_meshes import drawn_surfaces, places_inside, slot_mesh, slot_positions
 from .slots import slots_of
 from .surfaces import MaterialKey
@@ -22,6 +23,7 @@ from .temporary import TemporaryScene, temporary_scene
 from .textures import LevelTextures, maps_of
 from .world_nodes import asked_layers
 
+SIDES = ("front", "back")
 MOST_TRANSPARENT_BOUNCES = 1024
 ORDINARY_TEXELS = (1e-3, 1e3)  # lengths that single precision and the camera's clipping take as they are
 
@@ -37,13 +39,14 @@ def capture(source: Source, cloud: Cloud, settings: BillboardSettings) -> Steps[
         FarfieldError: when Cycles is switched off.
     """
     check_images(source)
+    continuations = Continuations(source)
     textures = []
     for number, level in enumerate(cloud.levels):
         with temporary_scene("Farfield Capture") as work:
             _prepare_render(work.scene, level, settings)
             materials, reach = _lay_out(work, source, level)
             renders: dict[tuple[str, str], np.ndarray] = {}
-            for side in ("front", "back"):
+            for side in SIDES:
                 _look_from(work.camera, side, reach)
                 for channel in CHANNELS:
                     fraction = (number + len(renders) / 6.0) / len(cloud.levels)
@@ -53,7 +56,8 @@ def capture(source: Source, cloud: Cloud, settings: BillboardSettings) -> Steps[
                     work.scene.cycles.samples = _samples(channel, settings)
                     picture = work.render()
                     renders[side, channel] = picture if side == "front" else picture[:, ::-1]
-        maps = (maps_of(*(renders[side, channel] for channel in CHANNELS), level) for side in ("front", "back"))
+        goes_on = continuations.texels(level, [renders[side, "colour"][..., 3] for side in SIDES])
+        maps = (maps_of(*(renders[side, channel] for channel in CHANNELS), level, goes_on) for side in SIDES)
         textures.append(LevelTextures(*maps))
     return textures
 
@@ -96,7 +100,8 @@ def _lay_out(work: TemporaryScene, source: Source, level: Level) -> tuple[list[C
     slots, unit = slots_of(level), _unit(level)
     copies: dict[tuple[MaterialKey | None, str, bool], CaptureMaterial] = {}
     reach = 0.0
-    for drawn in drawn_surfaces(source, level):
+    quads = np.repeat(np.arange(len(level.quads)), np.diff(level.quads.drawn_offsets))
+    for drawn in drawn_surfaces(source, level.quads.drawn, quads):
         world, moved = slot_positions(drawn, slots)
         inside = places_inside(level, slots, moved, drawn.quads)
         clip = bool(np.abs(inside).max() > 1.0)

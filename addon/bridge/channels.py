@@ -59,10 +59,11 @@ class Channels:
 
 @dataclass(frozen=True)
 class CaptureMaterial:
-    """A material copy that shows one channel at a time."""
+    """A material copy that shows one channel at a time: `emission` shines with it, `transparent` lets through what is behind."""
 
     material: bpy.types.Material
     emission: bpy.types.Node
+    transparent: bpy.types.Node
     channels: Channels
 
     def show(self, channel: str) -> None:
@@ -88,13 +89,13 @@ def capture_material(
     output = tree.get_output_node("CYCLES") or tree.nodes.new("ShaderNodeOutputMaterial")
     scope = _Scope(Wiring(tree), error)
     channels = scope.clipped(scope.of_input(output.inputs["Surface"])) if clip else scope.of_input(output.inputs["Surface"])
-    emission = _shine(scope.wiring, output, channels.alpha)
+    emission, transparent = _shine(scope.wiring, output, channels.alpha)
     _remove_links(tree, output.inputs["Volume"])
     if material.displacement_method != "BUMP":
         _remove_links(tree, output.inputs["Displacement"])
     # Thousands of faces in the tree of lamps would cost time, and light nothing here.
     material.cycles.emission_sampling = "NONE"
-    return CaptureMaterial(material, emission, channels)
+    return CaptureMaterial(material, emission, transparent, channels)
 
 
 def _plain_nodes(material: bpy.types.Material, color_layer: str) -> None:
@@ -120,8 +121,8 @@ def _own_groups(tree: bpy.types.NodeTree, work: TemporaryScene) -> None:
             answer_for_the_scene(node.node_tree)
 
 
-def _shine(wiring: Wiring, output: bpy.types.Node, alpha: Operand) -> bpy.types.Node:
-    """Replace the surface of `output` by an Emission over what `alpha` lets through; returns the Emission node."""
+def _shine(wiring: Wiring, output: bpy.types.Node, alpha: Operand) -> tuple[bpy.types.Node, bpy.types.Node]:
+    """Replace the surface of `output` by an Emission over what `alpha` lets through; returns the Emission and the Transparent node."""
     emission, transparent, added = (
         wiring.node(kind) for kind in ("ShaderNodeEmission", "ShaderNodeBsdfTransparent", "ShaderNodeAddShader")
     )
@@ -129,7 +130,7 @@ def _shine(wiring: Wiring, output: bpy.types.Node, alpha: Operand) -> bpy.types.
     wiring.connect(emission.outputs[0], added.inputs[0])
     wiring.connect(transparent.outputs[0], added.inputs[1])
     wiring.connect(added.outputs[0], output.inputs["Surface"])
-    return emission
+    return emission, transparent
 
 
 def _remove_links(tree: bpy.types.NodeTree, target: bpy.types.NodeSocket) -> None:

@@ -71,6 +71,7 @@ def _describe(level_object: bpy.types.Object, number: int, level: Level, camera:
     level_object["farfield_switch_distance"] = float(camera.switch_distance(level.error))
     level_object["farfield_quads"] = len(level.quads)
     level_object["farfield_texels"] = level.texels
+    level_object["farfield_atlas"] = list(level.atlas.size)
     images = [node.image for node in material.node_tree.nodes if node.type == "TEX_IMAGE"] if material.node_tree else []
     level_object["farfield_texture_bytes"] = sum(packed_bytes(image) for image in images)
 

@@ -18,9 +18,13 @@ LAYER_TYPES = {1: ("FLOAT", "value"), 2: ("FLOAT2", "vector"), 3: ("FLOAT_VECTOR
 
 @dataclass(frozen=True)
 class Drawn:
-    """K triangles of one surface that are drawn, each on one quad for one part: four arrays (K,) int, and the parts' matrices (P, 4, 4)."""
+    """K triangles of one surface that are drawn, each on one quad for one part: four arrays (K,) int, and the parts' matrices (P, 4, 4).
+
+    primitives: their numbers in the source.
+    """
 
     surface: Surface
+    primitives: np.ndarray
     triangles: np.ndarray
     quads: np.ndarray
     parts: np.ndarray
@@ -38,12 +42,12 @@ class Drawn:
         return np.take_along_axis(corners, self.corner_order[:, :, None], axis=1)
 
 
-def drawn_surfaces(source: Source, level: Level) -> list[Drawn]:
-    """What `level` shows, one entry for each surface that a part of `source` has, however many parts share it."""
-    quads = np.repeat(np.arange(len(level.quads)), np.diff(level.quads.drawn_offsets))
+def drawn_surfaces(source: Source, primitives: np.ndarray, quads: np.ndarray) -> list[Drawn]:
+    """The `primitives` (D,) of `source`, each drawn on the one of `quads` (D,) beside it: one entry for each surface that a part has,
+    however many parts share it."""
     firsts = np.array([part.first for part in source.parts])
-    parts = np.searchsorted(firsts, level.quads.drawn, side="right") - 1
-    local = level.quads.drawn - firsts[parts]
+    parts = np.searchsorted(firsts, primitives, side="right") - 1
+    local = primitives - firsts[parts]
     surfaces = {id(part.surface): part.surface for part in source.parts}
     surface_of_part = np.array([list(surfaces).index(id(part.surface)) for part in source.parts])
     matrices, randoms = np.stack([part.matrix for part in source.parts]), np.array([part.random for part in source.parts])
@@ -53,8 +57,8 @@ def drawn_surfaces(source: Source, level: Level) -> list[Drawn]:
         chosen = np.flatnonzero(surface_of_part[parts] == number)
         if len(chosen):
             triangles = (local[chosen][:, None] * len(fan) + fan).ravel()
-            of_quad, of_part = (np.repeat(values[chosen], len(fan)) for values in (quads, parts))
-            drawn.append(Drawn(surface, triangles, of_quad, of_part, matrices, randoms))
+            numbers, of_quad, of_part = (np.repeat(values[chosen], len(fan)) for values in (primitives, quads, parts))
+            drawn.append(Drawn(surface, numbers, triangles, of_quad, of_part, matrices, randoms))
     return drawn
 
 

@@ -31,26 +31,18 @@ class LevelTextures:
     back: Maps
 
 
-def maps_of(colour: np.ndarray, normal: np.ndarray, surface: np.ndarray, level: Level) -> Maps:
-    """The maps of one side out of its three renders (H, W, 4): premultiplied, with normal and depth moved to 0..1."""
-    gutter = level.atlas.gutter
-    reach = gutter // 2 + 1
+def maps_of(colour: np.ndarray, normal: np.ndarray, surface: np.ndarray, level: Level, goes_on: np.ndarray) -> Maps:
+    """The maps of one side out of its three renders (H, W, 4): premultiplied, with normal and depth moved to 0..1.
+
+    goes_on: texels (H, W) bool into which outlines grow, since their surface goes on there (see `outlines`).
+    """
+    reach = level.atlas.gutter // 2 + 1
     directions = _straight(normal, reach) * 2.0 - 1.0
     lengths = np.linalg.norm(directions, axis=2, keepdims=True)
     directions = np.where(lengths > EMPTY, directions / np.maximum(lengths, EMPTY), np.float32([0.0, 0.0, 1.0]))
     properties = _straight(surface, reach)
     properties[..., 2] = properties[..., 2] * 2.0 - 1.0
-    return Maps(grow_outline(np.clip(colour, 0.0, None), _joined_texels(level), reach), directions.astype(np.float32), properties)
-
-
-def _joined_texels(level: Level) -> np.ndarray:
-    """Which texels of the atlas (H, W) belong to joined quads, half of the gutter with them."""
-    width, height = level.atlas.size
-    texels = np.zeros((height, width), bool)
-    room = level.atlas.gutter // 2
-    for x, y, wide, tall in level.atlas.rectangles[level.joined]:
-        texels[y - room : y + tall + room, x - room : x + wide + room] = True
-    return texels
+    return Maps(grow_outline(np.clip(colour, 0.0, None), goes_on, reach), directions.astype(np.float32), properties)
 
 
 def _straight(render: np.ndarray, reach: int) -> np.ndarray:

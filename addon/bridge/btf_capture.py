@@ -1,0 +1,140 @@
+"""What a cloud's texels see of the original: one Cycles render for every view and light, and one of face numbers for every view."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import bpy
+import mathutils
+import numpy as np
+
+from ..core.btf.settings import BtfSettings
+from ..core.btf.texels import Picture, View
+from ..core.progress import Progress, Steps
+from .identity import add_stand_in, faces_in
+from .meshes import Source
+from .temporary import TemporaryScene, temporary_scene
+
+MOST_TRANSPARENT_BOUNCES = 256
+POINT_FILTER = 0.01  # pixels: the narrowest filter that Cycles has
+LIGHTS_TOGETHER = "dome"
+
+
+class Booth:
+    """A scene with the originals, one sun and one dome, to be photographed from everywhere; and one with their face numbers."""
+
+    def __init__(self, lit: TemporaryScene, numbered: TemporaryScene, source: Source, settings: BtfSettings) -> None:
+        self._lit, self._numbered, self._source, self._settings = lit, numbered, source, settings
+        light = lit.keep(bpy.data.lights.new("Farfield Sun", "SUN"))
+        light.energy, light.angle = 1.0, 0.0
+        self._sun = lit.add(light)
+        self._dark, self._even = (_world(lit, strength) for strength in (0.0, 1.0))
+
+    def pictures(self, view: View) -> Steps[Picture]:
+        """All renders from one view: under every sun of the settings' grid, and last under the dome."""
+        suns = self._settings.light_grid.directions
+        for work in (self._lit, self._numbered):
+            _look(work, view)
+        faces = faces_in(self._numbered.render())
+        radiance = np.empty((len(suns) + 1, view.side, view.side, 3), np.float32)
+        coverage = np.zeros((view.side, view.side), np.float32)
+        self._lit.scene.world, self._sun.hide_render = self._dark, False
+        for number in range(len(suns) + 1):
+            yield Progress(number / (len(suns) + 1), f"light {number + 1} of {len(suns) + 1}")
+            if number < len(suns):
+                self._sun.matrix_world = mathutils.Vector(suns[number]).to_track_quat("Z", "Y").to_matrix().to_4x4()
+            else:
+                self._lit.scene.world, self._sun.hide_render = self._even, True
+            picture = self._lit.render()
+            radiance[number] = picture[..., :3]
+            coverage += picture[..., 3] / (len(suns) + 1)
+        return Picture(radiance, coverage, faces, self._heights(view, faces))
+
+    def _heights(self, view: View, faces: np.ndarray) -> np.ndarray:
+        """Heights (H, W) above the view's centre of the places seen in the middle of each pixel, on the planes of their faces."""
+        row, column = np.nonzero(faces >= 0)
+        first, normal = _planes(self._source, faces[row, column])
+        x = (column + 0.5 - 0.5 * view.side) * view.pixel
+        y = (row + 0.5 - 0.5 * view.side) * view.pixel
+        base = view.center + x[:, None] * view.right + y[:, None] * view.up
+        facing = normal @ view.direction
+        facing = np.where(np.abs(facing) < 1e-3, np.copysign(1e-3, facing), facing)
+        heights = np.full(faces.shape, -np.inf)
+        heights[row, column] = np.einsum("ni,ni->n", first - base, normal) / facing
+        return heights
+
+
+@contextmanager
+def booth(objects: Sequence[bpy.types.Object], source: Source, settings: BtfSettings) -> Iterator[Booth]:
+    """A booth for the `objects` that `source` was taken from. Leaves nothing behind; whether they are disabled in renders is as before."""
+    hidden = [item.hide_render for item in objects]
+    with temporary_scene("Farfield Lit") as lit, temporary_scene("Farfield Numbers") as numbered:
+        add_stand_in(numbered, source)
+        for item in objects:
+            lit.scene.collection.objects.link(item)
+            item.hide_render = False
+        for work in (lit, numbered):
+            _set_up(work, settings)
+        numbered.scene.cycles.samples = 1
+        numbered.scene.cycles.max_bounces = 0
+        numbered.scene.cycles.filter_width = POINT_FILTER
+        try:
+            yield Booth(lit, numbered, source, settings)
+        finally:
+            for item, was_hidden in zip(objects, hidden, strict=True):
+                item.hide_render = was_hidden
+
+
+def views_of(source: Source, settings: BtfSettings, pixel: float) -> list[View]:
+    """One view for each direction of the settings' grid, with the whole source in it, `pixel` (a length) a pixel."""
+    points = source.mesh.vertices if source.mesh is not None else source.points.points
+    low, high = points.min(axis=0), points.max(axis=0)
+    center = 0.5 * (low + high)
+    reach = float(np.linalg.norm(points - center, axis=1).max())
+    side = int(np.ceil(2.0 * reach / pixel)) + 2
+    return [View(direction, center, side, pixel) for direction in settings.view_grid.directions]
+
+
+def _planes(source: Source, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A point (N, 3) and a unit normal (N, 3) of each of `faces`."""
+    if source.mesh is None:
+        return source.points.points[faces], source.points.normals[faces]
+    corners = source.mesh.vertices[source.mesh.triangles[faces]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return corners[:, 0], normals / np.where(lengths > 0.0, lengths, 1.0)
+
+
+def _world(work: TemporaryScene, strength: float) -> bpy.types.World:
+    world = work.keep(bpy.data.worlds.new("Farfield"))
+    if world.node_tree is None:
+        world.use_nodes = True
+    background = next(node for node in world.node_tree.nodes if node.type == "BACKGROUND")
+    background.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
+    background.inputs["Strength"].default_value = strength
+    return world
+
+
+def _look(work: TemporaryScene, view: View) -> None:
+    extent = view.side * view.pixel
+    camera, render = work.camera, work.scene.render
+    camera.data.ortho_scale = extent
+    camera.data.clip_start, camera.data.clip_end = 0.01 * extent, 4.0 * extent
+    matrix = np.eye(4)
+    matrix[:3] = np.column_stack([view.right, view.up, view.direction, view.center + 2.0 * extent * view.direction])
+    camera.matrix_world = mathutils.Matrix(matrix.tolist())
+    render.resolution_x = render.resolution_y = view.side
+
+
+def _set_up(work: TemporaryScene, settings: BtfSettings) -> None:
+    scene = work.scene
+    scene.render.engine = "CYCLES"
+    scene.render.film_transparent = True
+    scene.render.use_persistent_data = True
+    scene.render.resolution_percentage = 100
+    scene.render.use_compositing = scene.render.use_sequencer = False
+    cycles = scene.cycles
+    cycles.device = "CPU"
+    cycles.samples, cycles.seed = settings.samples, settings.seed
+    cycles.use_adaptive_sampling = cycles.use_denoising = False
+    cycles.transparent_max_bounces = MOST_TRANSPARENT_BOUNCES
+    work.camera.data.type = "ORTHO"

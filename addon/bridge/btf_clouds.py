@@ -1,0 +1,106 @@
+"""A level of a cloud that wears relightable textures, and the lamps that light it."""
+
+from collections.abc import Sequence
+
+import bpy
+import numpy as np
+
+from ..core.btf.factors import Factors
+from ..core.btf.settings import BtfSettings
+from ..core.btf.tables import tables_of, weight_images
+from ..core.btf.texels import Texels, texels_of
+from ..core.images import dilate
+from .btf_materials import AMBIENT, SUNS, BtfImages, btf_material, light_property, sun_property
+
+PLAIN_MATERIAL = "farfield_plain_material"  # on the level object: name of the material with the plain maps
+DILATED = 3  # texels around what is known
+
+
+def texels_of_level(level_object: bpy.types.Object) -> Texels:
+    """The texels under the quads of a level object, in world space as the cloud was made (its object is only moved)."""
+    mesh = level_object.data
+    positions = np.empty(3 * len(mesh.vertices), np.float32)
+    mesh.vertices.foreach_get("co", positions)
+    uvs = np.empty(2 * len(mesh.loops), np.float32)
+    mesh.attributes["UVMap"].data.foreach_get("vector", uvs)
+    world = positions.reshape(-1, 3).astype(np.float64) + np.array(level_object.matrix_world.translation, np.float64)
+    corners, places = [], []
+    for polygon in mesh.polygons:
+        loops = slice(polygon.loop_start, polygon.loop_start + polygon.loop_total)
+        corners.append(world[list(polygon.vertices)])
+        places.append(uvs.reshape(-1, 2)[loops].astype(np.float64))
+    return texels_of(corners, places, tuple(level_object["farfield_atlas"]))
+
+
+def wear(level_object: bpy.types.Object, texels: Texels, colour: Factors, alpha: Factors, settings: BtfSettings) -> None:
+    """Give a level object the material that decodes `colour` and `alpha`; its plain material stays in the file."""
+    tables = tables_of(colour, alpha, settings.view_grid, settings.light_grid)
+    name = f"{level_object.name} BTF"
+    known = texels.image(colour.known[:, None].astype(np.float32))[..., 0]
+    weights = dilate(texels.image(colour.weights), known, DILATED)
+    images = BtfImages(
+        weights=[_half_image(f"{name} Weights {number}", image) for number, image in enumerate(weight_images(weights))],
+        basis=_half_image(f"{name} Basis", tables.basis),
+        dome=_half_image(f"{name} Dome", tables.dome),
+        alpha_weights=[
+            _half_image(f"{name} Alpha Weights {number}", image) for number, image in enumerate(weight_images(texels.image(alpha.weights)))
+        ],
+        alpha_basis=_half_image(f"{name} Alpha", tables.alpha_basis),
+    )
+    material = btf_material(name, images, tables)
+    plain = level_object.data.materials[0]
+    if plain is not None:
+        plain.use_fake_user = True
+        level_object[PLAIN_MATERIAL] = plain.name
+    level_object.data.materials[0] = material
+    for number in range(SUNS):
+        level_object[sun_property(number)] = [0.0, 0.0, 1.0]
+        level_object[light_property(number)] = [0.0, 0.0, 0.0]
+    level_object[AMBIENT] = [0.0, 0.0, 0.0]
+
+
+def light_with(level_object: bpy.types.Object, suns: Sequence[bpy.types.Object], ambient: Sequence[float]) -> None:
+    """Let up to four sun lamps light a level, by drivers, and a dome of the colour `ambient` (three numbers, radiance)."""
+    for number in range(SUNS):
+        for name in (sun_property(number), light_property(number)):
+            level_object.driver_remove(f'["{name}"]')
+        if number >= len(suns):
+            level_object[light_property(number)] = [0.0, 0.0, 0.0]
+            continue
+        for axis in range(3):
+            _drive(level_object, sun_property(number), axis, suns[number], {"value": f"matrix_world[2][{axis}]"}, "value")
+            _drive(
+                level_object,
+                light_property(number),
+                axis,
+                suns[number],
+                {"colour": f"data.color[{axis}]", "strength": "data.energy"},
+                "colour * strength",
+            )
+    level_object[AMBIENT] = [float(value) for value in ambient]
+
+
+def _drive(level_object: bpy.types.Object, name: str, axis: int, sun: bpy.types.Object, paths: dict[str, str], expression: str) -> None:
+    """One number of a custom property as a formula of what `paths` of the sun say."""
+    driver = level_object.driver_add(f'["{name}"]', axis).driver
+    driver.type = "SCRIPTED"
+    for key, path in paths.items():
+        variable = driver.variables.new()
+        variable.name = key
+        variable.targets[0].id = sun
+        variable.targets[0].data_path = path
+    driver.expression = expression
+
+
+def _half_image(name: str, pixels: np.ndarray) -> bpy.types.Image:
+    """A packed image of half floats that holds the numbers of `pixels` (H, W, 4) as they are."""
+    height, width = pixels.shape[:2]
+    image = bpy.data.images.new(name, width, height, alpha=True, float_buffer=True, is_data=True)
+    image.colorspace_settings.name = "Non-Color"
+    image.alpha_mode = "CHANNEL_PACKED"
+    image.use_half_precision = True
+    image.file_format = "OPEN_EXR"
+    image.pixels.foreach_set(np.ascontiguousarray(pixels, np.float32).ravel())
+    image.update()
+    image.pack()
+    return image

@@ -1,0 +1,200 @@
+"""The shader that decodes a relightable cloud: ordinary nodes and images, so that it renders the same where Farfield is not installed.
+
+A texel's colour from a view under a light is the sum over the components of its weight times the basis at that view and light. The basis
+lies in one image: tiles of lights, bordered so that the texture unit can interpolate them; one tile for every view, bordered as well; one
+block of these for every component. Four taps find the views around, the texture unit the lights.
+"""
+
+from dataclasses import dataclass
+
+import bpy
+
+from ..compat import give_nodes
+from ..core.btf.tables import Tables
+from .wiring import Operand, Wiring
+
+SUNS = 4
+AMBIENT = "farfield_ambient"  # on the level object: colour of the dome
+
+
+def sun_property(number: int) -> str:
+    """The custom property that holds the direction towards sun `number`, in world space."""
+    return f"farfield_sun_{number}"
+
+
+def light_property(number: int) -> str:
+    """The custom property that holds colour times strength of sun `number`."""
+    return f"farfield_light_{number}"
+
+
+@dataclass(frozen=True)
+class BtfImages:
+    """weights, alpha_weights: images of four components each. basis, dome, alpha_basis: tables, see `core.btf.tables`."""
+
+    weights: list[bpy.types.Image]
+    basis: bpy.types.Image
+    dome: bpy.types.Image
+    alpha_weights: list[bpy.types.Image]
+    alpha_basis: bpy.types.Image
+
+
+def btf_material(name: str, images: BtfImages, tables: Tables) -> bpy.types.Material:
+    """A material that shines with what the suns and the dome of its object make of the cloud."""
+    material = bpy.data.materials.new(name)
+    material.surface_render_method = "DITHERED"
+    material.use_transparent_shadow = True
+    material.use_backface_culling = material.use_backface_culling_shadow = False
+    material.cycles.emission_sampling = "NONE"
+    give_nodes(material)
+    tree = material.node_tree
+    tree.nodes.clear()
+    wiring = Wiring(tree)
+    view = _place_node(wiring, tables.views_upper, wiring.node("ShaderNodeNewGeometry").outputs["Incoming"])
+    weights = [_texture(wiring, image) for image in images.weights]
+    colour = _lookup(wiring, f"{name} Dome", tables, images.dome, weights, view, None)
+    colour = wiring.vector("MULTIPLY", colour, _of_object(wiring, AMBIENT))
+    lamp = _lamp_group(name, tables, images.basis, len(weights))
+    for number in range(SUNS):
+        node = wiring.node("ShaderNodeGroup", {"node_tree": lamp, "label": f"Sun {number + 1}"})
+        for operand, target in zip((view, _of_object(wiring, sun_property(number)), *_pairs(weights)), node.inputs, strict=True):
+            wiring.connect(operand, target)
+        lit = wiring.vector("MULTIPLY", node.outputs[0], _of_object(wiring, light_property(number)))
+        colour = wiring.vector("ADD", colour, lit)
+    alpha = _alpha(wiring, tables, images, view)
+    emission, transparent, mixed = (
+        wiring.node(kind) for kind in ("ShaderNodeEmission", "ShaderNodeBsdfTransparent", "ShaderNodeMixShader")
+    )
+    wiring.connect(wiring.vector("MAXIMUM", colour, (0.0, 0.0, 0.0)), emission.inputs["Color"])
+    wiring.connect(alpha, mixed.inputs[0])
+    wiring.connect(transparent.outputs[0], mixed.inputs[1])
+    wiring.connect(emission.outputs[0], mixed.inputs[2])
+    wiring.connect(mixed.outputs[0], wiring.node("ShaderNodeOutputMaterial").inputs["Surface"])
+    wiring.arrange()
+    return material
+
+
+def _pairs(weights: list[tuple[Operand, Operand]]) -> list[Operand]:
+    return [operand for pair in weights for operand in pair]
+
+
+def _texture(wiring: Wiring, image: bpy.types.Image, place: Operand | None = None) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]:
+    """Colour and alpha of `image` at a place, or at the UV map."""
+    node = wiring.node("ShaderNodeTexImage", {"image": image, "extension": "EXTEND", "interpolation": "Linear"})
+    if place is not None:
+        wiring.connect(place, node.inputs["Vector"])
+    return node.outputs["Color"], node.outputs["Alpha"]
+
+
+def _of_object(wiring: Wiring, name: str) -> bpy.types.NodeSocket:
+    node = wiring.node("ShaderNodeAttribute", {"attribute_type": "OBJECT", "attribute_name": name, "label": name})
+    return node.outputs["Vector"]
+
+
+def _place_node(wiring: Wiring, upper: bool, direction: Operand) -> bpy.types.NodeSocket:
+    """The place (x, y, 0) in 0..1 of a world-space `direction` on the map of the object's directions."""
+    node = wiring.node("ShaderNodeGroup", {"node_tree": _octahedral_group(upper)})
+    wiring.connect(direction, node.inputs[0])
+    return node.outputs[0]
+
+
+def _octahedral_group(upper: bool) -> bpy.types.NodeTree:
+    """World-space direction to a place on the octahedral map of the whole sphere, or of the upper half, in the object's frame."""
+    name = "Farfield Hemi-octahedral" if upper else "Farfield Octahedral"
+    for group in bpy.data.node_groups:
+        if group.name.startswith(name) and group.get("farfield_version") == 1 and group.library is None:
+            return group
+    group = bpy.data.node_groups.new(name, "ShaderNodeTree")
+    group["farfield_version"] = 1
+    group.interface.new_socket("Direction", in_out="INPUT", socket_type="NodeSocketVector")
+    group.interface.new_socket("Place", in_out="OUTPUT", socket_type="NodeSocketVector")
+    wiring = Wiring(group)
+    turned = wiring.node("ShaderNodeVectorTransform", {"vector_type": "VECTOR", "convert_from": "WORLD", "convert_to": "OBJECT"})
+    wiring.connect(wiring.node("NodeGroupInput").outputs[0], turned.inputs[0])
+    direction = turned.outputs[0]
+    if upper:
+        direction = wiring.vector("MAXIMUM", direction, (-1e6, -1e6, 0.0))
+    size = wiring.vector("DOT_PRODUCT", wiring.vector("ABSOLUTE", direction), (1.0, 1.0, 1.0))
+    flat = wiring.vector("SCALE", direction, wiring.math("DIVIDE", 1.0, wiring.math("MAXIMUM", size, 1e-12)))
+    x, y, z = wiring.separate(flat)
+    if upper:
+        place = wiring.combine(wiring.math("ADD", x, y), wiring.math("SUBTRACT", x, y), 0.0)
+    else:
+        # Below the horizon the corners fold outwards.
+        folded = wiring.math("MAXIMUM", wiring.math("MULTIPLY", z, -1.0), 0.0)
+        signs = wiring.combine(
+            *(wiring.math("SUBTRACT", wiring.math("MULTIPLY", wiring.math("GREATER_THAN", value, 0.0), 2.0), 1.0) for value in (x, y)), 0.0
+        )
+        place = wiring.vector("ADD", wiring.combine(x, y, 0.0), wiring.vector("SCALE", signs, folded))
+    half = wiring.vector("ADD", wiring.vector("SCALE", place, 0.5), (0.5, 0.5, 0.0))
+    wiring.connect(half, wiring.node("NodeGroupOutput").inputs[0])
+    wiring.arrange()
+    return group
+
+
+def _lamp_group(name: str, tables: Tables, basis: bpy.types.Image, weight_images: int) -> bpy.types.NodeTree:
+    """What one sun makes of a texel, for a sun of unit irradiance."""
+    group = bpy.data.node_groups.new(f"{name} Sun", "ShaderNodeTree")
+    group.interface.new_socket("View", in_out="INPUT", socket_type="NodeSocketVector")
+    group.interface.new_socket("Sun", in_out="INPUT", socket_type="NodeSocketVector")
+    for number in range(weight_images):
+        group.interface.new_socket(f"Weights {number}", in_out="INPUT", socket_type="NodeSocketVector")
+        group.interface.new_socket(f"Fourth {number}", in_out="INPUT", socket_type="NodeSocketFloat")
+    group.interface.new_socket("Colour", in_out="OUTPUT", socket_type="NodeSocketVector")
+    wiring = Wiring(group)
+    view, sun, *rest = list(wiring.node("NodeGroupInput").outputs)[: 2 + 2 * weight_images]
+    weights = list(zip(rest[::2], rest[1::2], strict=True))
+    light = _place_node(wiring, tables.lights_upper, sun)
+    wiring.connect(_lookup(wiring, name, tables, basis, weights, view, light), wiring.node("NodeGroupOutput").inputs[0])
+    wiring.arrange()
+    return group
+
+
+def _lookup(
+    wiring: Wiring,
+    _name: str,
+    tables: Tables,
+    image: bpy.types.Image,
+    weights: list[tuple[Operand, Operand]],
+    view: Operand,
+    light: Operand | None,
+) -> Operand:
+    """The sum over the components of weight times basis; without a `light`, of the dome."""
+    scalars = [number for vector, fourth in weights for number in (*wiring.separate(vector), fourth)][: tables.components]
+    if light is None:
+        uv = wiring.vector("ADD", wiring.vector("MULTIPLY", view, tables.dome_scale), tables.dome_start)
+        return _weighted_sum(wiring, image, uv, tables.dome_step, scalars)
+    cell = wiring.vector("ADD", wiring.vector("SCALE", view, float(tables.views)), (0.5, 0.5, 0.0))
+    low = wiring.vector("FLOOR", cell)
+    share_x, share_y, _ = wiring.separate(wiring.vector("SUBTRACT", cell, low))
+    in_tile = wiring.vector("ADD", wiring.vector("MULTIPLY", light, tables.light_scale), tables.light_start)
+    total: Operand | None = None
+    for right, up in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        factor = wiring.math(
+            "MULTIPLY",
+            share_x if right else wiring.math("SUBTRACT", 1.0, share_x),
+            share_y if up else wiring.math("SUBTRACT", 1.0, share_y),
+        )
+        tile = wiring.vector("MULTIPLY", wiring.vector("ADD", low, (float(right), float(up), 0.0)), tables.tile_scale)
+        part = _weighted_sum(wiring, image, wiring.vector("ADD", tile, in_tile), tables.step, scalars)
+        part = wiring.vector("SCALE", part, factor)
+        total = part if total is None else wiring.vector("ADD", total, part)
+    return total
+
+
+def _weighted_sum(wiring: Wiring, image: bpy.types.Image, uv: Operand, step: float, scalars: list[Operand]) -> Operand:
+    """Sum over the components k of scalars[k] times `image` at `uv` moved up by k steps."""
+    total: Operand | None = None
+    for number, scalar in enumerate(scalars):
+        place = wiring.vector("ADD", uv, (0.0, number * step, 0.0)) if number else uv
+        part = wiring.vector("SCALE", _texture(wiring, image, place)[0], scalar)
+        total = part if total is None else wiring.vector("ADD", total, part)
+    return total
+
+
+def _alpha(wiring: Wiring, tables: Tables, images: BtfImages, view: Operand) -> Operand:
+    """The silhouette from the view: a sum over its own components, 0..1."""
+    uv = wiring.vector("ADD", wiring.vector("MULTIPLY", view, tables.alpha_scale), tables.alpha_start)
+    weights = [_texture(wiring, image) for image in images.alpha_weights]
+    scalars = [number for vector, fourth in weights for number in (*wiring.separate(vector), fourth)][: tables.alpha_components]
+    total = wiring.separate(_weighted_sum(wiring, images.alpha_basis, uv, tables.alpha_step, scalars))[0]
+    return wiring.math("ADD", total, 0.0, clamp=True)

@@ -1,0 +1,115 @@
+"""Low-rank factors of a matrix that is known in part: alternating least squares, one pass over the data each.
+
+Rows are texels, columns come in groups: all that was seen of a texel from one view. From a view a texel is known as a whole or not at all,
+so the least-squares problem of every row has a normal matrix that is a sum over its views: exact weighted PCA, out of core, without
+filling in what is not known. (The paper compresses with local PCA after filling, section 5.2; factorisation with weights after Srebro and
+Jaakkola 2003.)
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from ..progress import Progress, Steps
+
+PASSES = 8
+RIDGE = 1e-3  # of the mean diagonal of a row's normal matrix: rows seen from few views do not run away
+CHUNK = 65_536  # rows solved at once
+
+
+class ViewData(Protocol):
+    """What one view knows."""
+
+    def read(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows (M,) int that are known from it, ascending, and their values (M, D) float32."""
+
+
+@dataclass(frozen=True)
+class Factors:
+    """values of view v and row x are about weights[x] @ basis[v]. weights (N, K) float32; basis (V, K, D) float32.
+
+    Components come in falling energy; every column of `weights` has a largest magnitude of 1. known (N,) bool: rows seen from any view.
+    """
+
+    weights: np.ndarray
+    basis: np.ndarray
+    known: np.ndarray
+
+    @property
+    def components(self) -> int:
+        """K."""
+        return self.weights.shape[1]
+
+
+def factorise(
+    views: Sequence[ViewData], rows: int, components: int, view_weights: np.ndarray, column_weights: np.ndarray, seed: int = 0
+) -> Steps[Factors]:
+    """Factors of the matrix that `views` know.
+
+    Args:
+        view_weights: (V,) what each view counts, its solid angle for instance. column_weights: (D,) the same for each column.
+    """
+    random = np.random.default_rng(seed)
+    roots = np.sqrt(column_weights / column_weights.mean()).astype(np.float32)
+    view_weights = view_weights / view_weights.mean()
+    weights = random.standard_normal((rows, components)).astype(np.float32)
+    weights[:, 0] = 1.0
+    basis = np.zeros((len(views), components, len(roots)), np.float32)
+    seen = np.zeros(rows, np.int32)
+    for number in range(PASSES + 1):
+        last = number == PASSES
+        normal = np.zeros((rows, components, components), np.float32) if not last else None
+        right = np.zeros((rows, components), np.float32) if not last else None
+        for place, view in enumerate(views):
+            yield Progress((number + place / len(views)) / (PASSES + 1), f"Compressing, pass {number + 1} of {PASSES + 1}")
+            index, values = view.read()
+            scaled = values * roots
+            basis[place] = _solved_basis(weights[index], scaled)
+            if not last:
+                normal[index] += view_weights[place] * (basis[place] @ basis[place].T)
+                right[index] += view_weights[place] * (scaled @ basis[place].T)
+                seen[index] += number == 0
+        if not last:
+            weights = _solved_rows(normal, right)
+    weights, basis = _in_order(weights, basis, view_weights)
+    return Factors(weights, basis / roots, seen > 0)
+
+
+def _solved_basis(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The basis (K, D) that fits `values` (M, D) best from `weights` (M, K)."""
+    normal = (weights.T @ weights).astype(np.float64)
+    normal += (1e-6 * np.trace(normal) / len(normal) + 1e-12) * np.eye(len(normal))
+    return np.linalg.solve(normal, (weights.T @ values).astype(np.float64)).astype(np.float32)
+
+
+def _solved_rows(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """The weights (N, K) that solve every row's equations; 0 where a row is not known."""
+    count = normal.shape[1]
+    diagonal = np.einsum("nkk->n", normal) / count
+    known = diagonal > 0.0
+    ridge = RIDGE * (diagonal[known].mean() if known.any() else 1.0)
+    weights = np.zeros_like(right)
+    for start in range(0, len(right), CHUNK):
+        rows = slice(start, start + CHUNK)
+        padded = normal[rows].astype(np.float64) + ridge * np.eye(count)
+        weights[rows] = np.linalg.solve(padded, right[rows, :, None].astype(np.float64))[..., 0]
+    return weights
+
+
+def _in_order(weights: np.ndarray, basis: np.ndarray, view_weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same product with orthogonal components in falling energy, and columns of weights with magnitude 1."""
+    energy = np.einsum("v,vkd,vld->kl", view_weights, basis, basis, optimize=True).astype(np.float64)
+    spread = (weights.T @ weights).astype(np.float64)
+    # Both sums are made diagonal at once: with energy = R R', the eigenvectors of R' spread R turn one into the identity.
+    values, vectors = np.linalg.eigh(energy)
+    values = np.maximum(values, 1e-12 * values.max(initial=1e-300))
+    root, inverse = vectors * np.sqrt(values), vectors / np.sqrt(values)
+    _, turn = np.linalg.eigh(root.T @ spread @ root)
+    turn = turn[:, ::-1]
+    to_weights, to_basis = root @ turn, (inverse @ turn).T
+    weights, basis = weights @ to_weights.astype(np.float32), np.einsum("jk,vkd->vjd", to_basis.astype(np.float32), basis)
+    largest = np.abs(weights).max(axis=0, initial=0.0)
+    largest[largest == 0.0] = 1.0
+    return weights / largest, basis * largest[:, None]

@@ -1,0 +1,49 @@
+"""What a user can choose about relightable textures."""
+
+import math
+from dataclasses import dataclass
+
+from ..direction_grids import DirectionGrid
+from ..errors import SettingsError
+from ..settings import Settings, Unit, setting
+
+CODECS = {"pca": "One set of components for all quads: linear, filtered and mip-mapped like any texture"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class BtfSettings(Settings):
+    """Settings of the tool `btf`."""
+
+    views: int = setting(64, "Number of view directions, a square number", minimum=4, maximum=1024, unit=Unit.COUNT)
+    lights: int = setting(
+        64, "Number of light directions, a square number; a dome of even light comes on top", minimum=4, maximum=1024, unit=Unit.COUNT
+    )
+    upper_hemisphere: bool = setting(False, "Views and lights from above the horizon only, twice as dense, for what stands on the ground")
+    codec: str = setting("pca", "How the textures are compressed", choices=CODECS)
+    components: int = setting(12, "Components of colour; four share a texture", minimum=1, maximum=64, unit=Unit.COUNT)
+    alpha_components: int = setting(12, "Components of the silhouette; four share a texture", minimum=1, maximum=64, unit=Unit.COUNT)
+    samples: int = setting(
+        4, "Cycles samples a pixel of every render; compression removes their noise", minimum=1, maximum=4096, unit=Unit.COUNT
+    )
+    seed: int = setting(0, "Seed of random choices", minimum=0, maximum=2**31 - 1)
+
+    @property
+    def view_grid(self) -> DirectionGrid:
+        """The views.
+
+        Raises:
+            SettingsError: when their number is no square.
+        """
+        return DirectionGrid(_side(self.views, "views"), self.upper_hemisphere)
+
+    @property
+    def light_grid(self) -> DirectionGrid:
+        """The lights without the dome; see `view_grid`."""
+        return DirectionGrid(_side(self.lights, "lights"), self.upper_hemisphere)
+
+
+def _side(count: int, what: str) -> int:
+    side = math.isqrt(count)
+    if side * side != count:
+        raise SettingsError(f"--{what} {count} is no square number; take {side * side} or {(side + 1) ** 2}.")
+    return side

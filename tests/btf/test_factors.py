@@ -1,0 +1,85 @@
+"""Factors of a matrix known in part: exact where the rank allows it, the best there is where not."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from farfield.addon.core.btf.factors import factorise
+from farfield.addon.core.progress import finish
+
+
+@dataclass(frozen=True)
+class Known:
+    index: np.ndarray
+    values: np.ndarray
+
+    def read(self):
+        return self.index, self.values
+
+
+def low_rank(rank: int, rows: int = 300, views: int = 10, columns: int = 12) -> np.ndarray:
+    random = np.random.default_rng(3)
+    return np.einsum("nk,vkd->vnd", random.random((rows, rank)), random.normal(size=(views, rank, columns))).astype(np.float32)
+
+
+def seen(values: np.ndarray, share: float) -> list[Known]:
+    random = np.random.default_rng(5)
+    indices = [np.flatnonzero(random.random(values.shape[1]) < share) for _ in values]
+    return [Known(index, values[view, index]) for view, index in enumerate(indices)]
+
+
+def fitted(values: np.ndarray, share: float, components: int, columns: np.ndarray | None = None):
+    weights = np.ones(values.shape[2]) if columns is None else columns
+    return finish(factorise(seen(values, share), values.shape[1], components, np.ones(len(values)), weights))
+
+
+def relative(values: np.ndarray, factors) -> float:
+    guess = np.einsum("nk,vkd->vnd", factors.weights, factors.basis)
+    return float(np.linalg.norm(guess - values) / np.linalg.norm(values))
+
+
+@pytest.mark.parametrize("share", [1.0, 0.6])
+def test_what_was_not_seen_follows_from_what_was(share):
+    values = low_rank(3)
+    assert relative(values, fitted(values, share, 3)) < 0.02
+
+
+def test_fully_known_it_is_as_good_as_the_svd():
+    random = np.random.default_rng(0)
+    values = low_rank(3) + 0.3 * random.normal(size=(10, 300, 12)).astype(np.float32)
+    flat = values.transpose(1, 0, 2).reshape(300, -1)
+    strengths = np.linalg.svd(flat, compute_uv=False)
+    best = np.sqrt((strengths[4:] ** 2).sum() / (strengths**2).sum())
+    assert relative(values, fitted(values, 1.0, 4)) <= 1.03 * best
+
+
+def test_components_come_in_falling_energy_with_weights_up_to_one():
+    factors = fitted(low_rank(5), 0.8, 5)
+    np.testing.assert_allclose(np.abs(factors.weights).max(axis=0), 1.0, rtol=1e-5)
+    spread = (factors.weights**2).sum(axis=0) * np.einsum("vkd,vkd->k", factors.basis, factors.basis)
+    assert (np.diff(spread) <= 1e-3 * spread[0]).all()
+
+
+def test_noise_is_averaged_out():
+    clean = low_rank(2, rows=2000)
+    noise = 0.5 * np.abs(clean).mean() * np.random.default_rng(1).normal(size=clean.shape).astype(np.float32)
+    factors = fitted(clean + noise, 1.0, 2)
+    assert relative(clean, factors) < 0.35 * np.linalg.norm(noise) / np.linalg.norm(clean)
+
+
+def test_a_row_that_nobody_saw_is_empty_and_said_to_be():
+    values = low_rank(2)
+    views = [Known(np.arange(1, 300), view[1:]) for view in values]
+    factors = finish(factorise(views, 300, 2, np.ones(10), np.ones(12)))
+    assert not factors.known[0] and factors.known[1:].all()
+    assert (factors.weights[0] == 0.0).all()
+
+
+def test_heavier_columns_are_fitted_better():
+    random = np.random.default_rng(2)
+    values = random.normal(size=(4, 400, 6)).astype(np.float32)
+    columns = np.array([100.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+    guess = np.einsum("nk,vkd->vnd", *(getattr(fitted(values, 1.0, 5, columns), name) for name in ("weights", "basis")))
+    errors = ((guess - values) ** 2).mean(axis=(0, 1))
+    assert errors[0] < 0.2 * errors[1:].min()
