@@ -1,10 +1,12 @@
 """Everything that Blender learns when the extension is enabled, in order, and forgets in reverse."""
 
 from .operators import billboards as billboards_operators
+from .operators import btf as btf_operators
 from .operators import long_work
 from .panels import billboards as billboards_panels
+from .panels import btf as btf_panels
 
-MODULES = (billboards_operators, billboards_panels)
+MODULES = (billboards_operators, btf_operators, billboards_panels, btf_panels)
 
 
 def register() -> None:

@@ -16,9 +16,10 @@ environment.ensure()
 environment.import_farfield()
 
 from farfield.addon.core.billboards.settings import BillboardSettings
+from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.settings import markdown_table
 
-SETTINGS = {"billboards": BillboardSettings}
+SETTINGS = {"billboards": BillboardSettings, "btf": BtfSettings}
 TABLE = re.compile(r"(<!-- settings: (\w+) -->\n).*?(<!-- end of settings -->)", re.DOTALL)
 
 

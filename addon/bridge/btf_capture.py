@@ -8,7 +8,7 @@ import mathutils
 import numpy as np
 
 from ..core.btf.settings import BtfSettings
-from ..core.btf.texels import Picture, View
+from ..core.btf.texels import FINER, Picture, View
 from ..core.progress import Progress, Steps
 from .identity import add_stand_in, faces_in
 from .meshes import Source
@@ -16,69 +16,100 @@ from .temporary import TemporaryScene, temporary_scene
 
 MOST_TRANSPARENT_BOUNCES = 256
 POINT_FILTER = 0.01  # pixels: the narrowest filter that Cycles has
-LIGHTS_TOGETHER = "dome"
 
 
-class Booth:
-    """A scene with the originals, one sun and one dome, to be photographed from everywhere; and one with their face numbers."""
+class NumberBooth:
+    """A scene with the face numbers of a source, to be photographed from everywhere."""
 
-    def __init__(self, lit: TemporaryScene, numbered: TemporaryScene, source: Source, settings: BtfSettings) -> None:
-        self._lit, self._numbered, self._source, self._settings = lit, numbered, source, settings
-        light = lit.keep(bpy.data.lights.new("Farfield Sun", "SUN"))
+    def __init__(self, work: TemporaryScene) -> None:
+        self._work = work
+
+    @property
+    def render_seconds(self) -> float:
+        """What Cycles took so far."""
+        return self._work.render_seconds
+
+    def faces(self, view: View) -> np.ndarray:
+        """The face (F H, F W) int32 in the middle of every pixel of a picture FINER times as fine as `view`, -1 for none."""
+        _look(self._work, view.finer(FINER))
+        return faces_in(self._work.render())
+
+
+class LitBooth:
+    """A scene with the originals, one sun and one dome, to be photographed from everywhere."""
+
+    def __init__(self, work: TemporaryScene, source: Source, settings: BtfSettings) -> None:
+        self._work, self._source, self._settings = work, source, settings
+        light = work.keep(bpy.data.lights.new("Farfield Sun", "SUN"))
         light.energy, light.angle = 1.0, 0.0
-        self._sun = lit.add(light)
-        self._dark, self._even = (_world(lit, strength) for strength in (0.0, 1.0))
+        self._sun = work.add(light)
+        self._dark, self._even = (_world(work, strength) for strength in (0.0, 1.0))
 
-    def pictures(self, view: View) -> Steps[Picture]:
-        """All renders from one view: under every sun of the settings' grid, and last under the dome."""
+    @property
+    def render_seconds(self) -> float:
+        """What Cycles took so far."""
+        return self._work.render_seconds
+
+    def pictures(self, view: View, faces: np.ndarray) -> Steps[Picture]:
+        """All renders from one view, where `faces` are seen: under every sun of the settings' grid, and last under the dome."""
         suns = self._settings.light_grid.directions
-        for work in (self._lit, self._numbered):
-            _look(work, view)
-        faces = faces_in(self._numbered.render())
+        _look(self._work, view)
         radiance = np.empty((len(suns) + 1, view.side, view.side, 3), np.float32)
         coverage = np.zeros((view.side, view.side), np.float32)
-        self._lit.scene.world, self._sun.hide_render = self._dark, False
+        self._work.scene.world, self._sun.hide_render = self._dark, False
         for number in range(len(suns) + 1):
             yield Progress(number / (len(suns) + 1), f"light {number + 1} of {len(suns) + 1}")
             if number < len(suns):
                 self._sun.matrix_world = mathutils.Vector(suns[number]).to_track_quat("Z", "Y").to_matrix().to_4x4()
             else:
-                self._lit.scene.world, self._sun.hide_render = self._even, True
-            picture = self._lit.render()
+                self._work.scene.world, self._sun.hide_render = self._even, True
+            picture = self._work.render()
             radiance[number] = picture[..., :3]
             coverage += picture[..., 3] / (len(suns) + 1)
-        return Picture(radiance, coverage, faces, self._heights(view, faces))
+        return Picture(radiance, coverage, faces, _heights(self._source, view.finer(FINER), faces))
 
-    def _heights(self, view: View, faces: np.ndarray) -> np.ndarray:
-        """Heights (H, W) above the view's centre of the places seen in the middle of each pixel, on the planes of their faces."""
-        row, column = np.nonzero(faces >= 0)
-        first, normal = _planes(self._source, faces[row, column])
-        x = (column + 0.5 - 0.5 * view.side) * view.pixel
-        y = (row + 0.5 - 0.5 * view.side) * view.pixel
-        base = view.center + x[:, None] * view.right + y[:, None] * view.up
-        facing = normal @ view.direction
-        facing = np.where(np.abs(facing) < 1e-3, np.copysign(1e-3, facing), facing)
-        heights = np.full(faces.shape, -np.inf)
-        heights[row, column] = np.einsum("ni,ni->n", first - base, normal) / facing
-        return heights
+
+def _heights(source: Source, view: View, faces: np.ndarray) -> np.ndarray:
+    """Heights (H, W) above the view's centre of the places seen in the middle of each pixel, on the planes of their faces."""
+    row, column = np.nonzero(faces >= 0)
+    first, normal = _planes(source, faces[row, column])
+    x = (column + 0.5 - 0.5 * view.side) * view.pixel
+    y = (row + 0.5 - 0.5 * view.side) * view.pixel
+    base = view.center + x[:, None] * view.right + y[:, None] * view.up
+    facing = normal @ view.direction
+    facing = np.where(np.abs(facing) < 1e-3, np.copysign(1e-3, facing), facing)
+    heights = np.full(faces.shape, -np.inf)
+    heights[row, column] = np.einsum("ni,ni->n", first - base, normal) / facing
+    return heights
+
+
+# One booth after the other, never both at once: Blender keeps the data of one scene between renders, not of two.
 
 
 @contextmanager
-def booth(objects: Sequence[bpy.types.Object], source: Source, settings: BtfSettings) -> Iterator[Booth]:
+def number_booth(source: Source, settings: BtfSettings) -> Iterator[NumberBooth]:
+    """A booth for the face numbers of `source`. Leaves nothing behind."""
+    with temporary_scene("Farfield Numbers") as work:
+        add_stand_in(work, source)
+        _set_up(work, settings)
+        cycles = work.scene.cycles
+        cycles.samples, cycles.max_bounces = 1, 0
+        cycles.pixel_filter_type = "BLACKMAN_HARRIS"  # the one whose width can be set
+        cycles.filter_width = POINT_FILTER
+        yield NumberBooth(work)
+
+
+@contextmanager
+def lit_booth(objects: Sequence[bpy.types.Object], source: Source, settings: BtfSettings) -> Iterator[LitBooth]:
     """A booth for the `objects` that `source` was taken from. Leaves nothing behind; whether they are disabled in renders is as before."""
     hidden = [item.hide_render for item in objects]
-    with temporary_scene("Farfield Lit") as lit, temporary_scene("Farfield Numbers") as numbered:
-        add_stand_in(numbered, source)
+    with temporary_scene("Farfield Lit") as work:
         for item in objects:
-            lit.scene.collection.objects.link(item)
+            work.scene.collection.objects.link(item)
             item.hide_render = False
-        for work in (lit, numbered):
-            _set_up(work, settings)
-        numbered.scene.cycles.samples = 1
-        numbered.scene.cycles.max_bounces = 0
-        numbered.scene.cycles.filter_width = POINT_FILTER
+        _set_up(work, settings)
         try:
-            yield Booth(lit, numbered, source, settings)
+            yield LitBooth(work, source, settings)
         finally:
             for item, was_hidden in zip(objects, hidden, strict=True):
                 item.hide_render = was_hidden
@@ -136,5 +167,6 @@ def _set_up(work: TemporaryScene, settings: BtfSettings) -> None:
     cycles.device = "CPU"
     cycles.samples, cycles.seed = settings.samples, settings.seed
     cycles.use_adaptive_sampling = cycles.use_denoising = False
+    cycles.pixel_filter_type = "BOX"
     cycles.transparent_max_bounces = MOST_TRANSPARENT_BOUNCES
     work.camera.data.type = "ORTHO"

@@ -11,6 +11,7 @@ from ..core.btf.tables import tables_of, weight_images
 from ..core.btf.texels import Texels, texels_of
 from ..core.images import dilate
 from .btf_materials import AMBIENT, SUNS, BtfImages, btf_material, light_property, sun_property
+from .cloud_materials import FRONT_COLOUR
 
 PLAIN_MATERIAL = "farfield_plain_material"  # on the level object: name of the material with the plain maps
 DILATED = 3  # texels around what is known
@@ -32,8 +33,28 @@ def texels_of_level(level_object: bpy.types.Object) -> Texels:
     return texels_of(corners, places, tuple(level_object["farfield_atlas"]))
 
 
+def plain_alpha(level_object: bpy.types.Object, texels: Texels) -> np.ndarray:
+    """The coverage (N,) float32 of texels in the plain maps of a level; 0 where it has none."""
+    image = _plain_image(level_object)
+    if image is None:
+        return np.zeros(len(texels), np.float32)
+    pixels = np.empty(4 * image.size[0] * image.size[1], np.float32)
+    image.pixels.foreach_get(pixels)
+    return pixels.reshape(image.size[1], image.size[0], 4)[texels.pixels[:, 1], texels.pixels[:, 0], 3]
+
+
+def _plain_image(level_object: bpy.types.Object) -> bpy.types.Image | None:
+    """The image of the plain maps that holds colour and alpha of the fronts."""
+    plain = bpy.data.materials.get(level_object.get(PLAIN_MATERIAL, "")) or level_object.data.materials[0]
+    nodes = plain.node_tree.nodes if plain is not None and plain.node_tree is not None else []
+    return next((node.image for node in nodes if node.type == "TEX_IMAGE" and node.label == FRONT_COLOUR), None)
+
+
 def wear(level_object: bpy.types.Object, texels: Texels, colour: Factors, alpha: Factors, settings: BtfSettings) -> None:
-    """Give a level object the material that decodes `colour` and `alpha`; its plain material stays in the file."""
+    """Give a level object the material that decodes `colour` and `alpha`; its plain material stays in the file.
+
+    `alpha` is what the silhouette from a view has more than that of the plain maps.
+    """
     tables = tables_of(colour, alpha, settings.view_grid, settings.light_grid)
     name = f"{level_object.name} BTF"
     known = texels.image(colour.known[:, None].astype(np.float32))[..., 0]
@@ -46,10 +67,11 @@ def wear(level_object: bpy.types.Object, texels: Texels, colour: Factors, alpha:
             _half_image(f"{name} Alpha Weights {number}", image) for number, image in enumerate(weight_images(texels.image(alpha.weights)))
         ],
         alpha_basis=_half_image(f"{name} Alpha", tables.alpha_basis),
+        plain=_plain_image(level_object),
     )
     material = btf_material(name, images, tables)
     plain = level_object.data.materials[0]
-    if plain is not None:
+    if plain is not None and PLAIN_MATERIAL not in level_object:
         plain.use_fake_user = True
         level_object[PLAIN_MATERIAL] = plain.name
     level_object.data.materials[0] = material
@@ -57,6 +79,20 @@ def wear(level_object: bpy.types.Object, texels: Texels, colour: Factors, alpha:
         level_object[sun_property(number)] = [0.0, 0.0, 1.0]
         level_object[light_property(number)] = [0.0, 0.0, 0.0]
     level_object[AMBIENT] = [0.0, 0.0, 0.0]
+
+
+def take_off(level_object: bpy.types.Object) -> None:
+    """Give a level its plain material back; the relightable one goes, with its drivers."""
+    light_with(level_object, (), (0.0, 0.0, 0.0))
+    baked = level_object.data.materials[0]
+    plain = bpy.data.materials.get(level_object[PLAIN_MATERIAL])
+    level_object.data.materials[0] = plain
+    for name in (AMBIENT, PLAIN_MATERIAL, *(name(number) for number in range(SUNS) for name in (sun_property, light_property))):
+        del level_object[name]
+    if plain is not None:
+        plain.use_fake_user = False
+    if baked is not None and baked.users == 0:
+        bpy.data.materials.remove(baked)
 
 
 def light_with(level_object: bpy.types.Object, suns: Sequence[bpy.types.Object], ambient: Sequence[float]) -> None:

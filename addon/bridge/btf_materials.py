@@ -29,13 +29,17 @@ def light_property(number: int) -> str:
 
 @dataclass(frozen=True)
 class BtfImages:
-    """weights, alpha_weights: images of four components each. basis, dome, alpha_basis: tables, see `core.btf.tables`."""
+    """weights, alpha_weights: images of four components each. basis, dome, alpha_basis: tables, see `core.btf.tables`.
+
+    plain: the plain colour map, whose alpha the components of alpha come on top of; None where there is none.
+    """
 
     weights: list[bpy.types.Image]
     basis: bpy.types.Image
     dome: bpy.types.Image
     alpha_weights: list[bpy.types.Image]
     alpha_basis: bpy.types.Image
+    plain: bpy.types.Image | None
 
 
 def btf_material(name: str, images: BtfImages, tables: Tables) -> bpy.types.Material:
@@ -197,4 +201,5 @@ def _alpha(wiring: Wiring, tables: Tables, images: BtfImages, view: Operand) -> 
     weights = [_texture(wiring, image) for image in images.alpha_weights]
     scalars = [number for vector, fourth in weights for number in (*wiring.separate(vector), fourth)][: tables.alpha_components]
     total = wiring.separate(_weighted_sum(wiring, images.alpha_basis, uv, tables.alpha_step, scalars))[0]
-    return wiring.math("ADD", total, 0.0, clamp=True)
+    plain = 0.0 if images.plain is None else _texture(wiring, images.plain)[1]
+    return wiring.math("ADD", total, plain, clamp=True)

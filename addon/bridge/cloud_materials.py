@@ -13,6 +13,7 @@ JOINED_ATTRIBUTE = "farfield_joined"  # of faces: 1 where the quad shows a piece
 SOLID_ATTRIBUTE = "farfield_solid"  # of faces: 1 where a camera cannot see the back, since it is the inside of a solid
 MAPS = ("Colour", "Normal", "Surface")
 SIDES = ("Front", "Back")
+FRONT_COLOUR = "Front colour"  # label of the node whose image holds colour and alpha of the fronts
 
 
 def cloud_material(name: str, images: dict[tuple[str, str], bpy.types.Image], shadowless: float) -> bpy.types.Material:

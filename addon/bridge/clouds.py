@@ -17,6 +17,8 @@ from .quad_normals import corner_normals
 from .slots import slots_of, texture_coordinates
 from .textures import LevelTextures, Maps
 
+FINGERPRINT = "farfield_source_fingerprint"  # on a cloud's collection, see `Source.fingerprint`
+DRAWN_OFFSETS, DRAWN = "farfield_drawn_offsets", "farfield_drawn"  # on a level's mesh
 SHADOWLESS_ERRORS = 4.0  # quads cast no shadow upon what is nearer than so many errors: they stand for one surface and overlap within that
 
 
@@ -39,10 +41,22 @@ def make_cloud(
         level_object.location = source.origin
         level_object.data.materials.append(material)
         _describe(level_object, number, level, camera, material)
+        _remember_drawn(level_object.data, level)
         level_object.hide_viewport = level_object.hide_render = number > 0
         collection.objects.link(level_object)
+    collection[FINGERPRINT] = source.fingerprint
     collection_parent.children.link(collection)
     return collection
+
+
+def _remember_drawn(mesh: bpy.types.Mesh, level: Level) -> None:
+    """Keep which faces of the source each quad shows: what bakes later textures for the quads needs it."""
+    mesh[DRAWN_OFFSETS], mesh[DRAWN] = level.quads.drawn_offsets.tolist(), level.quads.drawn.tolist()
+
+
+def drawn_on(mesh: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """The starts (Q + 1,) and the faces of the source that the quads of a level's mesh show, see `Quads`."""
+    return np.array(mesh[DRAWN_OFFSETS], np.int64), np.array(mesh[DRAWN], np.int64)
 
 
 def needed_transparent_bounces(cloud: Cloud) -> int:

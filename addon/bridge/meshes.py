@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 
 from ..core.errors import GeometryError
-from ..core.mesh import PointCloud, TriangleMesh, check_points
+from ..core.mesh import PointCloud, TriangleMesh, check_points, fingerprint
 from ..core.points import estimate_normals, splat_radii
 from .surfaces import MaterialKey, MeshAttribute, Surface, read_surface
 
@@ -54,6 +54,13 @@ class Source:
     def geometry(self) -> TriangleMesh | PointCloud:
         """What the core works on."""
         return self.points if self.mesh is None else self.mesh
+
+    @property
+    def fingerprint(self) -> str:
+        """Tells whether a geometry is the one that a cloud was built from."""
+        if self.mesh is None:
+            return fingerprint(self.points.points, np.arange(len(self.points.points)))
+        return fingerprint(self.mesh.vertices, self.mesh.triangles)
 
     @property
     def triangles_per_primitive(self) -> int:

@@ -2,6 +2,7 @@
 
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,10 +15,14 @@ from ..core.errors import FarfieldError, FileError
 
 
 class TemporaryScene:
-    """A scene with its camera, a folder for its pictures, and the list of all data made for it."""
+    """A scene with its camera, a folder for its pictures, and the list of all data made for it.
+
+    render_seconds: what Blender's renders took so far, reading them back not counted.
+    """
 
     def __init__(self, name: str, folder: Path) -> None:
         self.folder = folder
+        self.render_seconds = 0.0
         self.made: list[bpy.types.ID] = []
         self.scene = self.keep(bpy.data.scenes.new(name))
         self.camera = self.add(self.keep(bpy.data.cameras.new(name)))
@@ -46,11 +51,13 @@ class TemporaryScene:
         settings.image_settings.color_depth = "32"
         settings.image_settings.exr_codec = "NONE"
         settings.filepath = str(self.folder / "picture.exr")
+        started = time.perf_counter()
         try:
             bpy.ops.render.render(write_still=True, scene=self.scene.name)
         except RuntimeError as error:
             reason = str(error).strip()
             raise FileError(f'Rendering into the temporary folder "{self.folder}" failed: {reason} Free some space there.') from error
+        self.render_seconds += time.perf_counter() - started
         return _read_picture(Path(settings.filepath), settings.resolution_x, settings.resolution_y)
 
     def close(self) -> None:

@@ -1,5 +1,6 @@
 """Triangle meshes and oriented points as plain arrays, and the checks that every tool's input passes."""
 
+import hashlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -157,3 +158,10 @@ def loose_parts(points: np.ndarray, triangles: np.ndarray, parts: np.ndarray) ->
     few = np.bincount(parts) < LOOSE_TRIANGLES
     small = (high - low).max(axis=1) < LOOSE_SIDE * longest_side(positions.reshape(-1, 3))
     return ((np.bincount(parts, areas) < LOOSE_AREA * areas.sum()) & (few | small))[parts]
+
+
+def fingerprint(points: np.ndarray, corners: np.ndarray) -> str:
+    """Digest of a geometry: points (V, 3) to a ten-thousandth of the longest side, and which of them are joined (any ints)."""
+    side = longest_side(points) or 1.0
+    rounded = np.rint(points * (1e4 / side)).astype(np.int64)
+    return hashlib.sha256(rounded.tobytes() + np.ascontiguousarray(corners, np.int64).tobytes()).hexdigest()

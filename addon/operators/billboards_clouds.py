@@ -25,10 +25,14 @@ class StandingCloud:
         return [level["farfield_error"] for level in self.levels]
 
     @property
+    def source_names(self) -> list[str]:
+        """The names of the objects that the cloud was built from."""
+        return json.loads(self.collection.get(SOURCES, "[]"))
+
+    @property
     def sources(self) -> list[bpy.types.Object]:
         """The objects that the cloud stands for, those that still exist under their names."""
-        names = json.loads(self.collection.get(SOURCES, "[]"))
-        return [bpy.data.objects[name] for name in names if name in bpy.data.objects]
+        return [bpy.data.objects[name] for name in self.source_names if name in bpy.data.objects]
 
     def texture_bytes(self, level: int) -> int:
         """Bytes that the textures of one level take in memory, unpacked."""

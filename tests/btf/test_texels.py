@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from farfield.addon.core.btf.texels import Belonging, Picture, View, sight, texels_of
+from farfield.addon.core.btf.texels import FINER, Belonging, Picture, View, sight, texels_of
 
 SIZE = (16, 16)
 
@@ -18,14 +18,11 @@ def above(side: int = 16) -> View:
     return View(np.array([0.0, 0.0, 1.0]), np.array([8.0, 8.0, 0.0]), side, 16.0 / side)
 
 
-def picture(faces: np.ndarray, heights: float | np.ndarray = 0.0, colour=(0.2, 0.4, 0.6)) -> Picture:
+def picture(faces: np.ndarray, heights: float = 0.0, colour=(0.2, 0.4, 0.6)) -> Picture:
     seen = faces >= 0
     radiance = seen[None, ..., None] * np.array(colour, np.float32)
-    return Picture(radiance.astype(np.float32), seen.astype(np.float32), faces.astype(np.int32), np.where(seen, heights, -np.inf))
-
-
-def inside(texels) -> np.ndarray:
-    return ((texels.pixels >= 5) & (texels.pixels < 11)).all(axis=1)
+    fine = np.kron(faces, np.ones((FINER, FINER))).astype(np.int32)
+    return Picture(radiance.astype(np.float32), seen.astype(np.float32), fine, np.where(fine >= 0, heights, -np.inf))
 
 
 def test_texels_are_where_the_texture_says():
@@ -89,10 +86,26 @@ def test_the_border_between_two_surfaces_keeps_their_colours_apart():
     assert sighting.known[left].all() and not sighting.known[~left].any()
 
 
-def test_half_a_pixel_of_cover_is_half_opaque():
+def test_a_texel_that_its_surface_half_covers_is_half_opaque():
+    """The edge lies a third into the texels at x = 8: one part in three is covered, and its colour is that of the surface alone."""
+    whole = picture(np.zeros((16, 16)))
+    whole.faces[:, 25:] = -1
     texels = texels_of(*square(), SIZE)
+    sighting = sight(texels, above(), whole, Belonging(np.array([0, 1]), np.array([0]), 9), 0.5)
+    edge = texels.pixels[:, 0] == 8
+    np.testing.assert_allclose(sighting.coverage[edge], 1.0 / 3.0, rtol=1e-6)
+    np.testing.assert_allclose(sighting.radiance[0], np.broadcast_to([0.2, 0.4, 0.6], sighting.radiance[0].shape), rtol=1e-6)
+
+
+def test_antialiased_colours_are_made_straight():
     whole = picture(np.zeros((16, 16)))
     half = Picture(0.5 * whole.radiance, 0.5 * whole.coverage, whole.faces, whole.heights)
-    sighting = sight(texels, above(), half, Belonging(np.array([0, 1]), np.array([0]), 9), 0.5)
-    np.testing.assert_allclose(sighting.coverage, 0.5)
-    np.testing.assert_allclose(sighting.radiance[0, 0], [0.2, 0.4, 0.6], rtol=1e-6)
+    sighting = sight(texels_of(*square(), SIZE), above(), half, Belonging(np.array([0, 1]), np.array([0]), 9), 0.5)
+    np.testing.assert_allclose(sighting.radiance[0], np.broadcast_to([0.2, 0.4, 0.6], sighting.radiance[0].shape), rtol=1e-6)
+
+
+def test_a_view_from_the_side_reads_the_side():
+    view = View(np.array([1.0, 0.0, 0.0]), np.array([8.0, 8.0, 0.0]), 16, 1.0)
+    rows, columns = view.cells(np.array([[0.0, 9.5, 2.5], [5.0, 100.0, 0.0]]))
+    np.testing.assert_array_equal(rows, [10, 8])
+    np.testing.assert_array_equal(columns, [9, 15])

@@ -28,6 +28,11 @@ class BtfSettings(Settings):
     seed: int = setting(0, "Seed of random choices", minimum=0, maximum=2**31 - 1)
 
     @property
+    def of_capture(self) -> str:
+        """Those settings that the renders depend on, in words; the same renders can be compressed again in other ways."""
+        return f"views={self.views} lights={self.lights} upper={self.upper_hemisphere} samples={self.samples} seed={self.seed}"
+
+    @property
     def view_grid(self) -> DirectionGrid:
         """The views.
 

@@ -1,5 +1,7 @@
 """Sightings on disk, one file a view, so that a bake that was stopped goes on from what stands."""
 
+import hashlib
+import io
 import json
 import os
 import zipfile
@@ -12,11 +14,12 @@ from ..errors import FileError
 from .texels import Sighting
 
 JOB = "job.json"
+DIGEST = hashlib.sha256().digest_size
 
 
 @dataclass(frozen=True)
 class ShardStore:
-    """The views of one bake in `folder`. Files appear whole or not at all; their checksums (of the zip format) tell damaged ones."""
+    """The views of one bake in `folder`. Files appear whole or not at all; a digest before the arrays tells damaged ones."""
 
     folder: Path
 
@@ -41,25 +44,57 @@ class ShardStore:
 
     def path(self, view: int) -> Path:
         """Where a view's file is."""
-        return self.folder / f"view-{view:04d}.npz"
+        return self.folder / f"view-{view:04d}.shard"
 
     def write(self, view: int, sighting: Sighting) -> None:
-        """Keep what is known from a view.
+        """Keep what is known from a view; its picture of faces is needed no longer.
 
         Raises:
             FileError: when the disk does not take it.
         """
-        temporary = self.path(view).with_suffix(f".{os.getpid()}.part")
+        arrays = {
+            "known": np.packbits(sighting.known),
+            "coverage": np.rint(255.0 * sighting.coverage).astype(np.uint8),
+            "visible": sighting.visible,
+            "radiance": np.minimum(sighting.radiance, np.finfo(np.float16).max).astype(np.float16),
+        }
+        self._write(self.path(view), arrays)
+        self._faces_path(view).unlink(missing_ok=True)
+
+    def write_faces(self, view: int, faces: np.ndarray) -> None:
+        """Keep the picture of faces (H, W) int32 of a view until its other pictures are there. Raises FileError like `write`."""
+        self._write(self._faces_path(view), {"faces": faces})
+
+    def read_faces(self, view: int) -> np.ndarray:
+        """What `write_faces` has kept."""
+        return self._read(self._faces_path(view))["faces"]
+
+    def read(self, view: int) -> dict[str, np.ndarray]:
+        """What `write` has kept of a view, as it lies in its file: known, coverage, visible, radiance.
+
+        Raises:
+            FileError: when the file is gone or damaged.
+        """
+        return self._read(self.path(view))
+
+    def _faces_path(self, view: int) -> Path:
+        return self.folder / f"faces-{view:04d}.shard"
+
+    def _read(self, path: Path) -> dict[str, np.ndarray]:
         try:
-            with temporary.open("wb") as file:
-                np.savez(
-                    file,
-                    known=np.packbits(sighting.known),
-                    coverage=np.rint(255.0 * sighting.coverage).astype(np.uint8),
-                    visible=sighting.visible,
-                    radiance=np.minimum(sighting.radiance, np.finfo(np.float16).max).astype(np.float16),
-                )
-            temporary.replace(self.path(view))
+            with np.load(io.BytesIO(path.read_bytes()[DIGEST:]), allow_pickle=False) as file:
+                return dict(file)
+        except (OSError, ValueError, zipfile.BadZipFile) as error:
+            raise FileError(f'The file "{path}" of a bake cannot be read: {error}. Bake again; views that stand are kept.') from error
+
+    def _write(self, path: Path, arrays: dict[str, np.ndarray]) -> None:
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, **arrays)
+        content = buffer.getvalue()
+        temporary = path.with_suffix(f".{os.getpid()}.part")
+        try:
+            temporary.write_bytes(hashlib.sha256(content).digest() + content)
+            temporary.replace(path)
         except OSError as error:
             temporary.unlink(missing_ok=True)
             raise FileError(f'A finished view cannot be kept in "{self.folder}": {error}. Free some space there and resume.') from error
@@ -67,10 +102,10 @@ class ShardStore:
     def stands(self, view: int) -> bool:
         """Whether a view is finished and undamaged."""
         try:
-            with zipfile.ZipFile(self.path(view)) as file:
-                return file.testzip() is None
-        except (OSError, zipfile.BadZipFile):
+            content = self.path(view).read_bytes()
+        except OSError:
             return False
+        return hashlib.sha256(content[DIGEST:]).digest() == content[:DIGEST]
 
     def bytes(self, views: int) -> int:
         """What the files of all `views` take."""
@@ -86,24 +121,25 @@ class Colours:
 
     def read(self) -> tuple[np.ndarray, np.ndarray]:
         """Visible texels (M,) and (M, L * 3) float32."""
-        with np.load(self.store.path(self.view), allow_pickle=False) as file:
-            radiance = file["radiance"]
-            return file["visible"], np.ascontiguousarray(radiance.swapaxes(0, 1), np.float32).reshape(radiance.shape[1], -1)
+        arrays = self.store.read(self.view)
+        radiance = arrays["radiance"]
+        return arrays["visible"], np.ascontiguousarray(radiance.swapaxes(0, 1), np.float32).reshape(radiance.shape[1], -1)
 
 
 @dataclass(frozen=True)
 class Silhouettes:
-    """The coverage of a view, for `factors.factorise`: one column."""
+    """The coverage of a view, for `factors.factorise`: one column, what it has more than `plain` (N,), the coverage from everywhere."""
 
     store: ShardStore
     view: int
+    plain: np.ndarray
 
     def read(self) -> tuple[np.ndarray, np.ndarray]:
         """Known texels (M,) and (M, 1) float32."""
-        with np.load(self.store.path(self.view), allow_pickle=False) as file:
-            coverage = file["coverage"]
-            known = np.flatnonzero(np.unpackbits(file["known"], count=len(coverage)))
-            return known, coverage[known, None].astype(np.float32) / 255.0
+        arrays = self.store.read(self.view)
+        coverage = arrays["coverage"]
+        known = np.flatnonzero(np.unpackbits(arrays["known"], count=len(coverage)))
+        return known, (coverage[known].astype(np.float32) / 255.0 - self.plain[known])[:, None]
 
 
 def _write_whole(path: Path, content: bytes) -> None:

@@ -1,9 +1,14 @@
 """The texels of a level in space, and what each of them sees from a view."""
 
+import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+FINER = 3  # pixels of the picture of faces along one of the others
+PARTS = 3  # along each side of a texel, looked up one by one
+LEAST_COVERAGE = 0.1  # of the parts, summed: below it a colour is noise
 ROOM = 1e-6  # of a texel: corners that lie on the border between two texels
 
 
@@ -12,16 +17,28 @@ class Texels:
     """N texels that lie on quads.
 
     size: (width, height) of the texture. pixels (N, 2) int32: x, y in it, row 0 at the bottom. quads (N,) int32. positions (N, 3) float64:
-    the middle of each in the space of the quads' corners.
+    the middle of each in the space of the quads' corners. steps (Q, 2, 3): from a texel of a quad to the next along x, and along y.
     """
 
     size: tuple[int, int]
     pixels: np.ndarray
     quads: np.ndarray
     positions: np.ndarray
+    steps: np.ndarray
 
     def __len__(self) -> int:
         return len(self.quads)
+
+    @property
+    def side(self) -> float:
+        """Length of a texel: the median over the quads."""
+        return float(np.median(np.linalg.norm(self.steps, axis=2)))
+
+    def parts(self, count: int) -> Iterator[np.ndarray]:
+        """The middles (N, 3) of count x count parts of every texel, one part of all texels at a time."""
+        places = (2.0 * np.arange(count) + 1.0) / (2.0 * count) - 0.5
+        for x, y in itertools.product(places, places):
+            yield self.positions + (x * self.steps[:, 0] + y * self.steps[:, 1])[self.quads]
 
     def image(self, values: np.ndarray) -> np.ndarray:
         """`values` (N, C) in their places of an image (H, W, C); 0 elsewhere."""
@@ -35,7 +52,7 @@ def texels_of(corners: list[np.ndarray], uvs: list[np.ndarray], size: tuple[int,
 
     A texel counts when its middle is within half a texel of the bounding box of the polygon in the texture.
     """
-    pixels, quads, positions = [], [], []
+    pixels, quads, positions, steps = [], [], [], []
     for quad, (places, coordinates) in enumerate(zip(corners, uvs, strict=True)):
         at = coordinates * size
         low = np.maximum(np.floor(at.min(axis=0) - 0.5 + ROOM) + 0.0, 0).astype(np.int64)
@@ -46,17 +63,19 @@ def texels_of(corners: list[np.ndarray], uvs: list[np.ndarray], size: tuple[int,
         pixels.append(own)
         quads.append(np.full(len(own), quad))
         positions.append(np.column_stack([own + 0.5, np.ones(len(own))]) @ affine)
+        steps.append(affine[:2])
     joined = np.concatenate(pixels)
     # Two boxes may share a column between them; its texels belong to the first.
     _, first = np.unique(joined[:, 1] * size[0] + joined[:, 0], return_index=True)
-    return Texels(size, joined[first].astype(np.int32), np.concatenate(quads)[first].astype(np.int32), np.concatenate(positions)[first])
+    joined, quad, position = joined[first], np.concatenate(quads)[first], np.concatenate(positions)[first]
+    return Texels(size, joined.astype(np.int32), quad.astype(np.int32), position, np.array(steps))
 
 
 @dataclass(frozen=True)
 class View:
     """An orthographic picture from `direction` (3,), a unit vector towards the viewer, with `center` (3,) in its middle.
 
-    side: pixels along each side. pixel: length of one. right, up (3,): unit axes of the picture.
+    side: pixels along each side. pixel: length of one.
     """
 
     direction: np.ndarray
@@ -76,6 +95,15 @@ class View:
         """The picture's y axis."""
         return np.cross(self.direction, self.right)
 
+    def finer(self, times: int) -> "View":
+        """The same picture with so many times the pixels along each side."""
+        return View(self.direction, self.center, self.side * times, self.pixel / times)
+
+    def cells(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Row and column (N,) of the pixel that shows each place, the nearest one for places outside."""
+        column, row = np.clip(np.floor(self.project(positions)[0]), 0, self.side - 1).astype(np.int64).T
+        return row, column
+
     def project(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Places (N, 2) in pixels from the lower left corner of the picture, and heights (N,) above the centre towards the viewer."""
         from_center = positions - self.center
@@ -87,8 +115,8 @@ class View:
 class Picture:
     """What Cycles saw from one view.
 
-    radiance (L, H, W, 3) float32: premultiplied, one a light. coverage (H, W): alpha. faces (H, W) int32: the face seen in the middle of
-    each pixel, -1 for none. heights (H, W): of that place above the centre, towards the viewer.
+    radiance (L, H, W, 3) float32: premultiplied, one a light. coverage (H, W): alpha. faces (F H, F W) int32: the face seen in the middle
+    of each pixel of a picture FINER times as fine, -1 for none. heights (F H, F W): of that place above the centre, towards the viewer.
     """
 
     radiance: np.ndarray
@@ -126,37 +154,31 @@ class Belonging:
         return (self._keys[place] == keys) & (faces >= 0)
 
 
-LEAST_COVERAGE = 0.05  # below it a colour is noise
-
-
 def sight(texels: Texels, view: View, picture: Picture, belongs: Belonging, error: float) -> Sighting:
-    """Project every texel along `view` into `picture` and take what is seen there, if it is the texel's own surface.
+    """Project parts of every texel along `view` into `picture` and take what is seen there, if it is the texel's own surface.
 
-    A pixel that shows a surface of another quad more than `error` (a length) before the texel hides it: nothing is known. One that shows
-    what lies behind, or nothing, knows that the texel is empty there.
+    A surface of another quad more than `error` (a length) before the texel hides the part: nothing is known of it. What lies behind, or
+    nothing, tells that the texel is empty there. A texel is known when half of it is.
     """
-    places, heights = view.project(texels.positions)
-    low = np.floor(places - 0.5).astype(np.int64)
-    share = places - 0.5 - low
-    taps = []
-    own_weight, free_weight, coverage = np.zeros((3, len(texels)))
-    for right, up in ((0, 0), (1, 0), (0, 1), (1, 1)):
-        weight = np.abs(1 - right - share[:, 0]) * np.abs(1 - up - share[:, 1])
-        column = np.clip(low[:, 0] + right, 0, view.side - 1)
-        row = np.clip(low[:, 1] + up, 0, view.side - 1)
+    fine = view.finer(FINER)
+    own, empty, coverage = np.zeros((3, len(texels)), np.float32)
+    taken = []
+    for positions in texels.parts(PARTS):
+        row, column = fine.cells(positions)
         face = picture.faces[row, column]
-        own = belongs(texels.quads, face)
-        hidden = ~own & (face >= 0) & (picture.heights[row, column] > heights + error)
-        taken = np.where(own, weight, 0.0)
-        own_weight += taken
-        free_weight += np.where(hidden, 0.0, weight)
-        coverage += taken * picture.coverage[row, column]
-        taps.append((row, column, taken))
-    known = free_weight > 0.5
-    visible = np.flatnonzero((coverage > LEAST_COVERAGE) & (own_weight > LEAST_COVERAGE)).astype(np.int32)
+        is_own = belongs(texels.quads, face)
+        heights = (positions - view.center) @ view.direction
+        hidden = ~is_own & (face >= 0) & (picture.heights[row, column] > heights + error)
+        own += is_own
+        empty += ~is_own & ~hidden
+        cell = row // FINER, column // FINER
+        coverage += np.where(is_own, picture.coverage[cell], 0.0)
+        taken.append((cell, is_own))
+    known = own + empty >= 0.5 * PARTS**2
+    visible = np.flatnonzero(coverage > LEAST_COVERAGE).astype(np.int32)
     radiance = np.zeros((len(picture.radiance), len(visible), 3), np.float32)
-    for row, column, taken in taps:
-        radiance += taken[visible, None].astype(np.float32) * picture.radiance[:, row[visible], column[visible]]
-    radiance /= coverage[visible, None].astype(np.float32)
-    alpha = np.clip(coverage / np.where(known, free_weight, 1.0), 0.0, 1.0)
-    return Sighting(known, np.where(known, alpha, 0.0).astype(np.float32), visible, radiance)
+    for (row, column), is_own in taken:
+        radiance += is_own[visible, None] * picture.radiance[:, row[visible], column[visible]]
+    radiance /= coverage[visible, None]
+    alpha = own / np.maximum(own + empty, 1.0)
+    return Sighting(known, np.where(known, alpha, np.float32(0.0)), visible, radiance)

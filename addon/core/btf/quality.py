@@ -1,0 +1,40 @@
+"""How near the factors come to what was captured, by the number of components."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..progress import Progress, Steps
+from .factors import Factors, ViewData
+
+PEAK = 0.99  # quantile of the captured values that counts as white
+
+
+@dataclass(frozen=True)
+class Fit:
+    """rms: root of the mean squared error of `components` components, views and columns weighted. psnr: in decibels, under `peak`."""
+
+    components: int
+    rms: float
+    psnr: float
+
+
+def quality(views: Sequence[ViewData], factors: Factors, view_weights: np.ndarray, column_weights: np.ndarray) -> Steps[list[Fit]]:
+    """One fit for every number of components from 1 on. Noise of the capture counts as error."""
+    squares, weight = np.zeros(factors.components), 0.0
+    peaks = []
+    for place, view in enumerate(views):
+        yield Progress(place / len(views), "Measuring")
+        index, values = view.read()
+        if len(index) == 0:
+            continue
+        peaks.append(np.quantile(values, PEAK))
+        rest = values.copy()
+        for number in range(factors.components):
+            rest -= factors.weights[index, number, None] * factors.basis[place, number]
+            squares[number] += view_weights[place] * float((rest.astype(np.float64) ** 2 @ column_weights).sum())
+        weight += view_weights[place] * len(index) * float(column_weights.sum())
+    rms = np.sqrt(squares / max(weight, 1e-300))
+    peak = max(peaks, default=1.0)
+    return [Fit(number + 1, float(each), float(20.0 * np.log10(max(peak, 1e-12) / max(each, 1e-12)))) for number, each in enumerate(rms)]

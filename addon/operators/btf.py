@@ -1,0 +1,148 @@
+"""Operators of the tool `btf`: bake relightable textures for a cloud, choose the suns that light it, go back to the plain maps."""
+
+import hashlib
+import tempfile
+from pathlib import Path
+
+import bpy
+
+from ..bridge import btf_clouds, clouds
+from ..bridge.btf_materials import SUNS
+from ..core.btf.settings import BtfSettings
+from . import long_work, properties
+from .billboards_clouds import StandingCloud, cloud_for
+from .btf_job import BtfJob, prepare
+
+
+def sun_pointer(number: int) -> str:
+    """The property of the panel that names sun `number`."""
+    return f"sun_{number + 1}"
+
+
+def _is_sun(_group: bpy.types.PropertyGroup, item: bpy.types.Object) -> bool:
+    return item.type == "LIGHT" and item.data.type == "SUN"
+
+
+class FARFIELD_PG_btf(bpy.types.PropertyGroup):
+    """What the panel *Relightable Textures* holds, kept with each scene."""
+
+    __annotations__ = (
+        properties.annotations(BtfSettings, set())
+        | {
+            sun_pointer(number): bpy.props.PointerProperty(
+                name=f"Sun {number + 1}", description="A sun lamp that lights the cloud", type=bpy.types.Object, poll=_is_sun
+            )
+            for number in range(SUNS)
+        }
+        | {
+            "ambient": bpy.props.FloatVectorProperty(
+                name="Ambient", description="Colour of even light from everywhere", subtype="COLOR", size=3, min=0.0, soft_max=1.0
+            )
+        }
+    )
+
+
+class FARFIELD_OT_btf_bake(long_work.LongWork, bpy.types.Operator):
+    """Bake textures for the active billboard cloud that change with view and light, with Cycles"""
+
+    bl_idname = "farfield.btf_bake"
+    bl_label = "Bake Relightable Textures"
+    bl_options = {"REGISTER", "UNDO"}
+    __annotations__ = properties.annotations(BtfSettings, {"SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether a cloud is chosen and nothing else under way."""
+        reason = refusal(context)
+        if reason:
+            cls.poll_message_set(reason)
+        return not reason
+
+    def prepare(self, context: bpy.types.Context) -> BtfJob:
+        """Read the original of the active cloud. Finished views wait in a temporary folder, so that a stopped bake goes on."""
+        properties.fill_unset(BtfSettings, self, context.scene.farfield_btf)
+        settings = properties.read(BtfSettings, self)
+        return prepare(context, chosen(context), settings, work_folder(chosen(context), settings), keeps_work=False)
+
+
+class FARFIELD_OT_btf_light(bpy.types.Operator):
+    """Let the chosen sun lamps and the ambient colour light the active cloud; turning a lamp relights it from then on"""
+
+    bl_idname = "farfield.btf_light"
+    bl_label = "Light with Suns"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether the active cloud has relightable textures."""
+        return is_baked(chosen(context))
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Make the drivers anew."""
+        group = context.scene.farfield_btf
+        suns = [sun for sun in (getattr(group, sun_pointer(number)) for number in range(SUNS)) if sun is not None]
+        for level in chosen(context).levels:
+            btf_clouds.light_with(level, suns, group.ambient)
+        self.report({"INFO"}, f"Lit by {', '.join(sun.name for sun in suns) or 'the ambient colour alone'}.")
+        return {"FINISHED"}
+
+
+class FARFIELD_OT_btf_plain(bpy.types.Operator):
+    """Take the relightable textures off the active cloud: under many lamps or an environment image, the plain maps are right"""
+
+    bl_idname = "farfield.btf_plain"
+    bl_label = "Back to Plain Maps"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether the active cloud has relightable textures."""
+        return is_baked(chosen(context))
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Put the plain material back."""
+        for level in chosen(context).levels:
+            btf_clouds.take_off(level)
+        return {"FINISHED"}
+
+
+def chosen(context: bpy.types.Context) -> StandingCloud | None:
+    """The cloud that the active object is a level of or was built into."""
+    return cloud_for(context.scene, context.active_object)
+
+
+def is_baked(cloud: StandingCloud | None) -> bool:
+    """Whether a cloud wears relightable textures."""
+    return cloud is not None and all(btf_clouds.PLAIN_MATERIAL in level for level in cloud.levels)
+
+
+def refusal(context: bpy.types.Context) -> str:
+    """Why nothing can be baked now, or an empty string."""
+    run = long_work.current()
+    if run is not None:
+        return f"{run.title} is still running"
+    return "" if chosen(context) is not None else "Select a billboard cloud or its original"
+
+
+def work_folder(cloud: StandingCloud, settings: BtfSettings) -> Path:
+    """Where finished views of a bake wait for its end: one folder for each cloud and each set of renders."""
+    errors = " ".join(f"{error:.9g}" for error in cloud.errors)
+    words = f"{cloud.collection.get(clouds.FINGERPRINT, '')} {errors} {settings.of_capture}"
+    return Path(tempfile.gettempdir()) / f"farfield-btf-{hashlib.sha256(words.encode()).hexdigest()[:16]}"
+
+
+CLASSES = (FARFIELD_PG_btf, FARFIELD_OT_btf_bake, FARFIELD_OT_btf_light, FARFIELD_OT_btf_plain)
+
+
+def register() -> None:
+    """Register the classes and hang the settings on scenes."""
+    for each in CLASSES:
+        bpy.utils.register_class(each)
+    bpy.types.Scene.farfield_btf = bpy.props.PointerProperty(type=FARFIELD_PG_btf)
+
+
+def unregister() -> None:
+    """The reverse."""
+    del bpy.types.Scene.farfield_btf
+    for each in reversed(CLASSES):
+        bpy.utils.unregister_class(each)

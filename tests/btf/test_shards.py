@@ -1,0 +1,78 @@
+"""Finished views stand on disk whole, belong to one bake, and show when they are damaged."""
+
+import numpy as np
+import pytest
+
+from farfield.addon.core.btf.shards import Colours, ShardStore, Silhouettes
+from farfield.addon.core.btf.texels import Sighting
+from farfield.addon.core.errors import FileError
+
+
+@pytest.fixture
+def store(tmp_path):
+    made = ShardStore(tmp_path / "Ansichten ü")
+    made.open("this bake")
+    return made
+
+
+def sighting() -> Sighting:
+    random = np.random.default_rng(0)
+    visible = np.array([1, 4, 6], np.int32)
+    known = np.array([True, True, False, True, True, True, True, False, True])
+    coverage = np.where(known, np.rint(255.0 * random.random(9)) / 255.0, 0.0).astype(np.float32)
+    return Sighting(known, coverage, visible, random.random((2, 3, 3)).astype(np.float32))
+
+
+def test_what_goes_in_comes_out(store):
+    kept = sighting()
+    store.write(3, kept)
+    visible, values = Colours(store, 3).read()
+    np.testing.assert_array_equal(visible, kept.visible)
+    np.testing.assert_allclose(values.reshape(3, 2, 3), kept.radiance.swapaxes(0, 1), rtol=1e-3)
+    plain = np.full(9, 0.25, np.float32)
+    known, more = Silhouettes(store, 3, plain).read()
+    np.testing.assert_array_equal(known, np.flatnonzero(kept.known))
+    np.testing.assert_allclose(more[:, 0] + 0.25, kept.coverage[kept.known], atol=1e-6)
+
+
+def test_equal_views_are_equal_bytes(store):
+    store.write(0, sighting())
+    store.write(1, sighting())
+    assert store.path(0).read_bytes() == store.path(1).read_bytes()
+
+
+def test_a_damaged_view_does_not_stand(store):
+    assert not store.stands(0)
+    store.write(0, sighting())
+    assert store.stands(0)
+    whole = bytearray(store.path(0).read_bytes())
+    whole[len(whole) // 2] ^= 0xFF
+    store.path(0).write_bytes(whole)
+    assert not store.stands(0)
+    store.path(0).write_bytes(whole[:50])
+    assert not store.stands(0)
+
+
+def test_faces_wait_for_the_rest_of_their_view(store):
+    faces = np.arange(-1, 35, dtype=np.int32).reshape(6, 6)
+    store.write_faces(2, faces)
+    np.testing.assert_array_equal(store.read_faces(2), faces)
+    assert not store.stands(2)
+
+
+def test_nothing_but_whole_files_is_left(store):
+    store.write_faces(0, np.zeros((2, 2), np.int32))
+    store.write(0, sighting())
+    assert {path.name for path in store.folder.iterdir()} == {"job.json", "view-0000.shard"}
+
+
+def test_the_folder_of_another_bake_is_refused(store):
+    store.open("this bake")
+    with pytest.raises(FileError, match="another cloud"):
+        store.open("that bake")
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path):
+    (tmp_path / "file").write_text("in the way", encoding="utf-8")
+    with pytest.raises(FileError, match="file"):
+        ShardStore(tmp_path / "file").open("x")

@@ -1,0 +1,58 @@
+"""Looked up as the shader does, the tables give what the factors say."""
+
+import numpy as np
+import pytest
+
+from farfield.addon.core.btf.factors import Factors
+from farfield.addon.core.btf.tables import Tables, tables_of, weight_images
+from farfield.addon.core.direction_grids import DirectionGrid
+from farfield.addon.core.directions import fibonacci_sphere
+
+
+def bilinear(image: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """`image` at `place` (x, y) in 0..1, as a texture unit reads it."""
+    at = place[:2] * [image.shape[1], image.shape[0]] - 0.5
+    low = np.floor(at).astype(int)
+    right, up = at - low
+    columns, rows = (np.clip([low[axis], low[axis] + 1], 0, image.shape[1 - axis] - 1) for axis in (0, 1))
+    corners = image[np.ix_(rows, columns)][..., :3]
+    return (1 - up) * ((1 - right) * corners[0, 0] + right * corners[0, 1]) + up * ((1 - right) * corners[1, 0] + right * corners[1, 1])
+
+
+def under_a_sun(tables: Tables, view: np.ndarray, light: np.ndarray, component: int) -> np.ndarray:
+    cell = view * tables.views + 0.5
+    low = np.floor(cell)
+    right, up = cell - low
+    total = np.zeros(3)
+    for x, y in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        weight = (right if x else 1 - right) * (up if y else 1 - up)
+        place = (low + [x, y]) * tables.tile_scale[:2] + light * tables.light_scale[:2] + tables.light_start[:2]
+        total += weight * bilinear(tables.basis, place + [0.0, component * tables.step])
+    return total
+
+
+@pytest.mark.parametrize(("views", "lights"), [(DirectionGrid(4), DirectionGrid(3)), (DirectionGrid(3, True), DirectionGrid(5, True))])
+def test_look_ups_give_the_interpolated_factors(views, lights):
+    random = np.random.default_rng(0)
+    colour = Factors(np.ones((1, 3), np.float32), random.random((len(views), 3, 3 * (len(lights) + 1)), np.float32), np.ones(1, bool))
+    alpha = Factors(np.ones((1, 2), np.float32), random.random((len(views), 2, 1), np.float32), np.ones(1, bool))
+    tables = tables_of(colour, alpha, views, lights)
+    values = colour.basis.reshape(len(views), 3, len(lights) + 1, 3)
+    for view, light in zip(fibonacci_sphere(40), fibonacci_sphere(40)[::-1] @ np.diag([1.0, -1.0, 1.0]), strict=True):
+        (view_taps,), (view_weights,) = views.taps(view[None])
+        (light_taps,), (light_weights,) = lights.taps(light[None])
+        at_view, at_light = 0.5 * views.places(view[None])[0] + 0.5, 0.5 * lights.places(light[None])[0] + 0.5
+        expected = np.einsum("v,l,vlc->c", view_weights, light_weights, values[view_taps][:, 1, light_taps])
+        np.testing.assert_allclose(under_a_sun(tables, at_view, at_light, 1), expected, atol=1e-5)
+        dome = bilinear(tables.dome, at_view * tables.dome_scale[:2] + tables.dome_start[:2] + [0.0, 2 * tables.dome_step])
+        np.testing.assert_allclose(dome, view_weights @ values[view_taps, 2, -1], atol=1e-5)
+        silhouette = bilinear(tables.alpha_basis, at_view * tables.alpha_scale[:2] + tables.alpha_start[:2] + [0.0, tables.alpha_step])
+        np.testing.assert_allclose(silhouette, view_weights @ alpha.basis[view_taps, 1, 0], atol=1e-5)
+
+
+def test_weights_go_four_to_an_image():
+    weights = np.arange(2 * 3 * 6, dtype=np.float32).reshape(2, 3, 6)
+    images = weight_images(weights)
+    assert [image.shape for image in images] == [(2, 3, 4)] * 2
+    np.testing.assert_array_equal(np.concatenate(images, axis=2)[..., :6], weights)
+    assert (images[1][..., 2:] == 0.0).all()
