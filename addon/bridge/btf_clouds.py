@@ -50,17 +50,19 @@ def _plain_image(level_object: bpy.types.Object) -> bpy.types.Image | None:
     return next((node.image for node in nodes if node.type == "TEX_IMAGE" and node.label == FRONT_COLOUR), None)
 
 
-def wear(level_object: bpy.types.Object, texels: Texels, colour: Factors, alpha: Factors, settings: BtfSettings) -> None:
+def wear(level_object: bpy.types.Object, texels: Texels, tints: np.ndarray, colour: Factors, alpha: Factors, settings: BtfSettings) -> None:
     """Give a level object the material that decodes `colour` and `alpha`; its plain material stays in the file.
 
-    `alpha` is what the silhouette from a view has more than that of the plain maps.
+    tints: (N, 3), what the colours are multiplied by. `alpha` is what the silhouette from a view has more than that of the plain maps.
     """
     tables = tables_of(colour, alpha, settings.view_grid, settings.light_grid)
     name = f"{level_object.name} BTF"
     known = texels.image(colour.known[:, None].astype(np.float32))[..., 0]
     weights = dilate(texels.image(colour.weights), known, DILATED)
+    hues = dilate(texels.image(tints), known, DILATED)
     images = BtfImages(
         weights=[_half_image(f"{name} Weights {number}", image) for number, image in enumerate(weight_images(weights))],
+        tints=_half_image(f"{name} Tints", np.concatenate([hues, np.ones_like(hues[..., :1])], axis=2)),
         basis=_half_image(f"{name} Basis", tables.basis),
         dome=_half_image(f"{name} Dome", tables.dome),
         alpha_weights=[

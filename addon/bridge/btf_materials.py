@@ -14,6 +14,7 @@ from ..core.btf.tables import Tables
 from .wiring import Operand, Wiring
 
 SUNS = 4
+BLACK = (0.0, 0.0, 0.0)
 AMBIENT = "farfield_ambient"  # on the level object: colour of the dome
 
 
@@ -29,12 +30,14 @@ def light_property(number: int) -> str:
 
 @dataclass(frozen=True)
 class BtfImages:
-    """weights, alpha_weights: images of four components each. basis, dome, alpha_basis: tables, see `core.btf.tables`.
+    """weights, alpha_weights: images of four components each. tints: what the colours are multiplied by.
 
+    basis, dome, alpha_basis: tables, see `core.btf.tables`.
     plain: the plain colour map, whose alpha the components of alpha come on top of; None where there is none.
     """
 
     weights: list[bpy.types.Image]
+    tints: bpy.types.Image
     basis: bpy.types.Image
     dome: bpy.types.Image
     alpha_weights: list[bpy.types.Image]
@@ -64,6 +67,7 @@ def btf_material(name: str, images: BtfImages, tables: Tables) -> bpy.types.Mate
             wiring.connect(operand, target)
         lit = wiring.vector("MULTIPLY", node.outputs[0], _of_object(wiring, light_property(number)))
         colour = wiring.vector("ADD", colour, lit)
+    colour = wiring.vector("MULTIPLY", colour, _texture(wiring, images.tints)[0])
     alpha = _alpha(wiring, tables, images, view)
     emission, transparent, mixed = (
         wiring.node(kind) for kind in ("ShaderNodeEmission", "ShaderNodeBsdfTransparent", "ShaderNodeMixShader")
@@ -81,11 +85,14 @@ def _pairs(weights: list[tuple[Operand, Operand]]) -> list[Operand]:
     return [operand for pair in weights for operand in pair]
 
 
-def _texture(wiring: Wiring, image: bpy.types.Image, place: Operand | None = None) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]:
-    """Colour and alpha of `image` at a place, or at the UV map."""
+def _texture(
+    wiring: Wiring, image: bpy.types.Image, place: Operand | None = None, higher: float = 0.0
+) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]:
+    """Colour and alpha of `image` so much `higher` than a place, or at the UV map."""
     node = wiring.node("ShaderNodeTexImage", {"image": image, "extension": "EXTEND", "interpolation": "Linear"})
     if place is not None:
         wiring.connect(place, node.inputs["Vector"])
+        node.texture_mapping.translation = (0.0, higher, 0.0)
     return node.outputs["Color"], node.outputs["Alpha"]
 
 
@@ -141,9 +148,9 @@ def _lamp_group(name: str, tables: Tables, basis: bpy.types.Image, weight_images
     group.interface.new_socket("View", in_out="INPUT", socket_type="NodeSocketVector")
     group.interface.new_socket("Sun", in_out="INPUT", socket_type="NodeSocketVector")
     for number in range(weight_images):
-        group.interface.new_socket(f"Weights {number}", in_out="INPUT", socket_type="NodeSocketVector")
+        group.interface.new_socket(f"Weights {number}", in_out="INPUT", socket_type="NodeSocketColor")
         group.interface.new_socket(f"Fourth {number}", in_out="INPUT", socket_type="NodeSocketFloat")
-    group.interface.new_socket("Colour", in_out="OUTPUT", socket_type="NodeSocketVector")
+    group.interface.new_socket("Colour", in_out="OUTPUT", socket_type="NodeSocketColor")
     wiring = Wiring(group)
     view, sun, *rest = list(wiring.node("NodeGroupInput").outputs)[: 2 + 2 * weight_images]
     weights = list(zip(rest[::2], rest[1::2], strict=True))
@@ -163,7 +170,7 @@ def _lookup(
     light: Operand | None,
 ) -> Operand:
     """The sum over the components of weight times basis; without a `light`, of the dome."""
-    scalars = [number for vector, fourth in weights for number in (*wiring.separate(vector), fourth)][: tables.components]
+    scalars = [number for vector, fourth in weights for number in (*wiring.channels(vector), fourth)][: tables.components]
     if light is None:
         uv = wiring.vector("ADD", wiring.vector("MULTIPLY", view, tables.dome_scale), tables.dome_start)
         return _weighted_sum(wiring, image, uv, tables.dome_step, scalars)
@@ -171,7 +178,7 @@ def _lookup(
     low = wiring.vector("FLOOR", cell)
     share_x, share_y, _ = wiring.separate(wiring.vector("SUBTRACT", cell, low))
     in_tile = wiring.vector("ADD", wiring.vector("MULTIPLY", light, tables.light_scale), tables.light_start)
-    total: Operand | None = None
+    total: Operand = BLACK
     for right, up in ((0, 0), (1, 0), (0, 1), (1, 1)):
         factor = wiring.math(
             "MULTIPLY",
@@ -180,18 +187,20 @@ def _lookup(
         )
         tile = wiring.vector("MULTIPLY", wiring.vector("ADD", low, (float(right), float(up), 0.0)), tables.tile_scale)
         part = _weighted_sum(wiring, image, wiring.vector("ADD", tile, in_tile), tables.step, scalars)
-        part = wiring.vector("SCALE", part, factor)
-        total = part if total is None else wiring.vector("ADD", total, part)
+        total = wiring.add_scaled(total, factor, part)
     return total
 
 
 def _weighted_sum(wiring: Wiring, image: bpy.types.Image, uv: Operand, step: float, scalars: list[Operand]) -> Operand:
-    """Sum over the components k of scalars[k] times `image` at `uv` moved up by k steps."""
-    total: Operand | None = None
+    """Sum over the components k of scalars[k] times `image` at `uv` moved up by k steps.
+
+    Colours all the way, and the move up within the texture node: where Cycles has to turn one kind of vector into another it runs what
+    follows after all else, so that every texture would wait on the shader's stack, which is small before Blender 5.2; a shader without
+    room there is black.
+    """
+    total: Operand = BLACK
     for number, scalar in enumerate(scalars):
-        place = wiring.vector("ADD", uv, (0.0, number * step, 0.0)) if number else uv
-        part = wiring.vector("SCALE", _texture(wiring, image, place)[0], scalar)
-        total = part if total is None else wiring.vector("ADD", total, part)
+        total = wiring.add_scaled(total, scalar, _texture(wiring, image, uv, number * step)[0])
     return total
 
 
@@ -199,7 +208,7 @@ def _alpha(wiring: Wiring, tables: Tables, images: BtfImages, view: Operand) -> 
     """The silhouette from the view: a sum over its own components, 0..1."""
     uv = wiring.vector("ADD", wiring.vector("MULTIPLY", view, tables.alpha_scale), tables.alpha_start)
     weights = [_texture(wiring, image) for image in images.alpha_weights]
-    scalars = [number for vector, fourth in weights for number in (*wiring.separate(vector), fourth)][: tables.alpha_components]
-    total = wiring.separate(_weighted_sum(wiring, images.alpha_basis, uv, tables.alpha_step, scalars))[0]
+    scalars = [number for vector, fourth in weights for number in (*wiring.channels(vector), fourth)][: tables.alpha_components]
+    total = wiring.channels(_weighted_sum(wiring, images.alpha_basis, uv, tables.alpha_step, scalars))[0]
     plain = 0.0 if images.plain is None else _texture(wiring, images.plain)[1]
     return wiring.math("ADD", total, plain, clamp=True)

@@ -69,6 +69,21 @@ class Wiring:
         self.connect(vector, made.inputs[0])
         return list(made.outputs)
 
+    def add_scaled(self, total: Operand, factor: Operand, color: Operand) -> bpy.types.NodeSocket:
+        """total + factor * color of two colours, for any factor."""
+        properties = {"data_type": "RGBA", "blend_type": "ADD", "clamp_factor": False, "clamp_result": False}
+        made = self.node("ShaderNodeMix", properties)
+        self.connect(factor, made.inputs[0])
+        self.connect(total, made.inputs[6])
+        self.connect(color, made.inputs[7])
+        return made.outputs[2]
+
+    def channels(self, color: Operand) -> list[bpy.types.NodeSocket]:
+        """Red, green and blue of a colour."""
+        made = self.node("ShaderNodeSeparateColor", {"mode": "RGB"})
+        self.connect(color, made.inputs[0])
+        return list(made.outputs)[:3]
+
     def attribute(self, name: str, number: bool = False) -> bpy.types.NodeSocket:
         """The geometry attribute `name` as a vector, or as a number."""
         made = self.node("ShaderNodeAttribute", {"attribute_name": name})

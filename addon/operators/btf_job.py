@@ -16,12 +16,14 @@ from ..core.btf.quality import quality
 from ..core.btf.settings import BtfSettings
 from ..core.btf.shards import Colours, ShardStore, Silhouettes
 from ..core.btf.texels import Belonging, Texels, sight
+from ..core.btf.tints import tints
 from ..core.errors import FarfieldError, GeometryError
 from ..core.progress import Progress, StageClock, Steps, scaled
 from .billboards_clouds import StandingCloud, cloud_of
 
 DOME_WEIGHT = 4.0 * np.pi  # as much as all suns together
 CAPTURED = 0.8  # of the bar
+TINTED = 0.82
 NUMBERED = 0.05  # of that
 
 
@@ -60,8 +62,8 @@ class BtfJob:
             for number in range(levels):
                 steps = self._bake(number, folder / f"level-{number}")
                 baked.append((yield from scaled(steps, number / levels, (number + 1) / levels)))
-            for level_object, (texels, colour, alpha) in zip(self._cloud().levels, baked, strict=True):
-                btf_clouds.wear(level_object, texels, colour, alpha, self.settings)
+            for level_object, (texels, hues, colour, alpha) in zip(self._cloud().levels, baked, strict=True):
+                btf_clouds.wear(level_object, texels, hues, colour, alpha, self.settings)
             done = True
         finally:
             if self.work is None or (done and not self.keeps_work):
@@ -75,25 +77,28 @@ class BtfJob:
             raise GeometryError(f'The cloud "{self.collection}" was removed while it was being baked; build and bake it again.')
         return cloud
 
-    def _bake(self, number: int, folder: Path) -> Steps[tuple[Texels, Factors, Factors]]:
-        """Texels, colours and silhouettes of one level."""
+    def _bake(self, number: int, folder: Path) -> Steps[tuple[Texels, np.ndarray, Factors, Factors]]:
+        """Texels, their tints, colours and silhouettes of one level."""
         level_object = self._cloud().levels[number]
         texels = btf_clouds.texels_of_level(level_object)
         store = ShardStore(folder)
         store.open(f"{self.source.fingerprint} {self.settings.of_capture} {len(texels)} {float(level_object['farfield_error']):.9g}")
         bare = yield from scaled(self._capture(level_object, texels, store), 0.0, CAPTURED)
         views, lights = self.settings.view_grid, self.settings.light_grid
-        columns = np.repeat(np.append(lights.solid_angles, DOME_WEIGHT), 3)
-        colours = [Colours(store, view) for view in range(len(views))]
+        light_weights = np.append(lights.solid_angles, DOME_WEIGHT)
+        columns = np.repeat(light_weights, 3)
         plain = btf_clouds.plain_alpha(level_object, texels)
         silhouettes = [Silhouettes(store, view, plain) for view in range(len(views))]
         with self.clock.stage("compress"):
+            captured = [Colours(store, view) for view in range(len(views))]
+            hues = yield from scaled(tints(captured, len(texels), views.solid_angles, light_weights), CAPTURED, TINTED)
+            colours = [Colours(store, view, hues) for view in range(len(views))]
             steps = factorise(colours, len(texels), self.settings.components, views.solid_angles, columns, self.settings.seed)
-            colour = yield from scaled(steps, CAPTURED, 0.92)
+            colour = yield from scaled(steps, TINTED, 0.92)
             steps = factorise(silhouettes, len(texels), self.settings.alpha_components, views.solid_angles, np.ones(1), self.settings.seed)
             alpha = yield from scaled(steps, 0.92, 0.97)
         with self.clock.stage("measure"):
-            fits = yield from scaled(quality(colours, colour, views.solid_angles, columns), 0.97, 1.0)
+            fits = yield from scaled(quality(colours, colour, hues, views.solid_angles, columns), 0.97, 1.0)
         self.figures.append(
             {
                 "level": number,
@@ -103,11 +108,11 @@ class BtfJob:
                 "bare_render_seconds": round(bare, 3),
                 "raw_bytes": 2 * 3 * len(texels) * len(views) * (len(lights) + 1),
                 "captured_bytes": store.bytes(len(views)),
-                "compressed_bytes": 2 * (colour.weights.size + colour.basis.size + alpha.weights.size + alpha.basis.size),
+                "compressed_bytes": 2 * (hues.size + colour.weights.size + colour.basis.size + alpha.weights.size + alpha.basis.size),
                 "fits": [asdict(fit) for fit in fits],
             }
         )
-        return texels, colour, alpha
+        return texels, hues, colour, alpha
 
     def _capture(self, level_object: bpy.types.Object, texels: Texels, store: ShardStore) -> Steps[float]:
         """Render and keep all views that do not stand yet; returns the seconds that Cycles took."""

@@ -94,9 +94,8 @@ class TestBounds:
             drawn, owned = quads.drawn[first:last], np.flatnonzero(quads.owner == number)
             assert (np.diff(drawn) > 0).all()
             assert np.isin(owned, drawn).all()
-            if method == "decimate":
-                assert len(level.cutouts[number]) == 3
-                continue
+            if method == "decimate" and len(level.cutouts[number]) == 3:
+                continue  # what reaches over the sides of a triangle is drawn beside it
             local = ((mesh.corners[owned] - quads.centers[number]) @ quads.frames[number, :2].T / quads.half_sizes[number]).reshape(-1, 2)
             polygon = level.cutouts[number]
             sides = np.roll(polygon, -1, axis=0) - polygon
@@ -136,10 +135,10 @@ class TestKnownShapes:
         assert level.texels == level.atlas.texels == 100**2  # texels of 0.01 on a side of 1
         np.testing.assert_allclose(np.abs(level.quads.frames[0, 2]), UP, atol=1e-9)
 
-    def test_a_decimated_flat_sheet_is_a_few_triangles_that_take_its_area_in_texels(self):
+    def test_a_decimated_flat_sheet_is_one_quad_that_takes_its_area_in_texels(self):
         (level,) = cloud_of(sheet(3), method="decimate", error=0.02).levels
-        assert 2 <= len(level.quads) < 18
-        np.testing.assert_allclose(level.quads.frames[:, 2], np.tile(UP, (len(level.quads), 1)), atol=1e-9)
+        assert len(level.quads) == 1
+        np.testing.assert_allclose(level.quads.frames[:, 2], [UP], atol=1e-9)
         assert level.texels == pytest.approx(100**2, rel=0.05)
 
     @pytest.mark.parametrize("error", [0.02, 0.05])

@@ -20,8 +20,10 @@ class Fit:
     psnr: float
 
 
-def quality(views: Sequence[ViewData], factors: Factors, view_weights: np.ndarray, column_weights: np.ndarray) -> Steps[list[Fit]]:
-    """One fit for every number of components from 1 on. Noise of the capture counts as error."""
+def quality(
+    views: Sequence[ViewData], factors: Factors, tints: np.ndarray, view_weights: np.ndarray, column_weights: np.ndarray
+) -> Steps[list[Fit]]:
+    """One fit for every number of components from 1 on, of colours with their `tints` (N, 3). Noise of the capture counts as error."""
     squares, weight = np.zeros(factors.components), 0.0
     peaks = []
     for place, view in enumerate(views):
@@ -29,10 +31,11 @@ def quality(views: Sequence[ViewData], factors: Factors, view_weights: np.ndarra
         index, values = view.read()
         if len(index) == 0:
             continue
-        peaks.append(np.quantile(values, PEAK))
-        rest = values.copy()
+        tint = np.tile(tints[index], (1, values.shape[1] // 3))
+        rest = values * tint
+        peaks.append(np.quantile(rest, PEAK))
         for number in range(factors.components):
-            rest -= factors.weights[index, number, None] * factors.basis[place, number]
+            rest -= tint * (factors.weights[index, number, None] * factors.basis[place, number])
             squares[number] += view_weights[place] * float((rest.astype(np.float64) ** 2 @ column_weights).sum())
         weight += view_weights[place] * len(index) * float(column_weights.sum())
     rms = np.sqrt(squares / max(weight, 1e-300))

@@ -114,16 +114,20 @@ class ShardStore:
 
 @dataclass(frozen=True)
 class Colours:
-    """The colours of a view, for `factors.factorise`: a column for every light and channel."""
+    """The colours of a view, for `factors.factorise`: a column for every light and channel, over `tints` (N, 3) where these are given."""
 
     store: ShardStore
     view: int
+    tints: np.ndarray | None = None
 
     def read(self) -> tuple[np.ndarray, np.ndarray]:
         """Visible texels (M,) and (M, L * 3) float32."""
         arrays = self.store.read(self.view)
         radiance = arrays["radiance"]
-        return arrays["visible"], np.ascontiguousarray(radiance.swapaxes(0, 1), np.float32).reshape(radiance.shape[1], -1)
+        values = np.ascontiguousarray(radiance.swapaxes(0, 1), np.float32)
+        if self.tints is not None:
+            values /= self.tints[arrays["visible"], None]
+        return arrays["visible"], values.reshape(len(values), -1)
 
 
 @dataclass(frozen=True)
