@@ -53,9 +53,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> None:
     out = given.out.absolute()
     if out.suffix.lower() not in ENDINGS:
         raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(ENDINGS)}.')
-    for path in (out, given.report):
-        if path is not None:
-            check_writable(path)
+    check_writable(out, given.report)
     clock = StageClock()
     with clock.stage("read"):
         scene_files.open_scene(given.input.absolute())

@@ -45,8 +45,14 @@ def whole_file(path: Path) -> Iterator[Path]:
         yield folder / path.name
 
 
-def check_writable(path: Path) -> None:
-    """Raise FileError when `path` cannot be made, before any work is spent on it."""
+def check_writable(*paths: Path | None) -> None:
+    """Raise FileError when one of `paths` cannot be made, before any work is spent on it; those that were not asked for are None."""
+    for path in paths:
+        if path is not None:
+            _check_writable(path)
+
+
+def _check_writable(path: Path) -> None:
     if path.is_dir():
         raise FileError(f'"{path}" is a folder; give the name of a file.')
     folder = next(parent for parent in path.absolute().parents if parent.exists())

@@ -12,6 +12,7 @@ from ..core.btf.texels import Texels, texels_of
 from ..core.images import dilate
 from .btf_materials import AMBIENT, SUNS, BtfImages, btf_material, light_property, sun_property
 from .cloud_materials import FRONT_COLOUR
+from .images import data_image, pixels_of
 
 PLAIN_MATERIAL = "farfield_plain_material"  # on the level object: name of the material with the plain maps
 DILATED = 3  # texels around what is known
@@ -38,9 +39,7 @@ def plain_alpha(level_object: bpy.types.Object, texels: Texels) -> np.ndarray:
     image = _plain_image(level_object)
     if image is None:
         return np.zeros(len(texels), np.float32)
-    pixels = np.empty(4 * image.size[0] * image.size[1], np.float32)
-    image.pixels.foreach_get(pixels)
-    return pixels.reshape(image.size[1], image.size[0], 4)[texels.pixels[:, 1], texels.pixels[:, 0], 3]
+    return pixels_of(image)[texels.pixels[:, 1], texels.pixels[:, 0], 3]
 
 
 def _plain_image(level_object: bpy.types.Object) -> bpy.types.Image | None:
@@ -64,11 +63,11 @@ def wear(level_object: bpy.types.Object, texels: Texels, tints: np.ndarray, colo
         weights=[_half_image(f"{name} Weights {number}", image) for number, image in enumerate(weight_images(weights))],
         tints=_half_image(f"{name} Tints", np.concatenate([hues, np.ones_like(hues[..., :1])], axis=2)),
         basis=_half_image(f"{name} Basis", tables.basis),
-        dome=_half_image(f"{name} Dome", tables.dome),
+        dome=_half_image(f"{name} Dome", tables.dome.image),
         alpha_weights=[
             _half_image(f"{name} Alpha Weights {number}", image) for number, image in enumerate(weight_images(texels.image(alpha.weights)))
         ],
-        alpha_basis=_half_image(f"{name} Alpha", tables.alpha_basis),
+        alpha_basis=_half_image(f"{name} Alpha", tables.alpha.image),
         plain=_plain_image(level_object),
     )
     material = btf_material(name, images, tables)
@@ -131,14 +130,4 @@ def _drive(level_object: bpy.types.Object, name: str, axis: int, sun: bpy.types.
 
 
 def _half_image(name: str, pixels: np.ndarray) -> bpy.types.Image:
-    """A packed image of half floats that holds the numbers of `pixels` (H, W, 4) as they are."""
-    height, width = pixels.shape[:2]
-    image = bpy.data.images.new(name, width, height, alpha=True, float_buffer=True, is_data=True)
-    image.colorspace_settings.name = "Non-Color"
-    image.alpha_mode = "CHANNEL_PACKED"
-    image.use_half_precision = True
-    image.file_format = "OPEN_EXR"
-    image.pixels.foreach_set(np.ascontiguousarray(pixels, np.float32).ravel())
-    image.update()
-    image.pack()
-    return image
+    return data_image(name, pixels, is_data=True, half_floats=True)

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import bpy
 
 from ..compat import give_nodes
-from ..core.btf.tables import Tables
+from ..core.btf.tables import Tables, ViewTable
+from .cloud_materials import set_two_sided
 from .wiring import Operand, Wiring
 
 SUNS = 4
@@ -48,9 +49,7 @@ class BtfImages:
 def btf_material(name: str, images: BtfImages, tables: Tables) -> bpy.types.Material:
     """A material that shines with what the suns and the dome of its object make of the cloud."""
     material = bpy.data.materials.new(name)
-    material.surface_render_method = "DITHERED"
-    material.use_transparent_shadow = True
-    material.use_backface_culling = material.use_backface_culling_shadow = False
+    set_two_sided(material)
     material.cycles.emission_sampling = "NONE"
     give_nodes(material)
     tree = material.node_tree
@@ -58,7 +57,8 @@ def btf_material(name: str, images: BtfImages, tables: Tables) -> bpy.types.Mate
     wiring = Wiring(tree)
     view = _place_node(wiring, tables.views_upper, wiring.node("ShaderNodeNewGeometry").outputs["Incoming"])
     weights = [_texture(wiring, image) for image in images.weights]
-    colour = _lookup(wiring, f"{name} Dome", tables, images.dome, weights, view, None)
+    scalars = _scalars(wiring, weights, tables.components)
+    colour = _weighted_sum(wiring, images.dome, _in_views(wiring, tables.dome, view), tables.dome.step, scalars)
     colour = wiring.vector("MULTIPLY", colour, _of_object(wiring, AMBIENT))
     lamp = _lamp_group(name, tables, images.basis, len(weights))
     for number in range(SUNS):
@@ -72,7 +72,7 @@ def btf_material(name: str, images: BtfImages, tables: Tables) -> bpy.types.Mate
     emission, transparent, mixed = (
         wiring.node(kind) for kind in ("ShaderNodeEmission", "ShaderNodeBsdfTransparent", "ShaderNodeMixShader")
     )
-    wiring.connect(wiring.vector("MAXIMUM", colour, (0.0, 0.0, 0.0)), emission.inputs["Color"])
+    wiring.connect(wiring.vector("MAXIMUM", colour, BLACK), emission.inputs["Color"])
     wiring.connect(alpha, mixed.inputs[0])
     wiring.connect(transparent.outputs[0], mixed.inputs[1])
     wiring.connect(emission.outputs[0], mixed.inputs[2])
@@ -155,25 +155,26 @@ def _lamp_group(name: str, tables: Tables, basis: bpy.types.Image, weight_images
     view, sun, *rest = list(wiring.node("NodeGroupInput").outputs)[: 2 + 2 * weight_images]
     weights = list(zip(rest[::2], rest[1::2], strict=True))
     light = _place_node(wiring, tables.lights_upper, sun)
-    wiring.connect(_lookup(wiring, name, tables, basis, weights, view, light), wiring.node("NodeGroupOutput").inputs[0])
+    wiring.connect(_under_sun(wiring, tables, basis, weights, view, light), wiring.node("NodeGroupOutput").inputs[0])
     wiring.arrange()
     return group
 
 
-def _lookup(
-    wiring: Wiring,
-    _name: str,
-    tables: Tables,
-    image: bpy.types.Image,
-    weights: list[tuple[Operand, Operand]],
-    view: Operand,
-    light: Operand | None,
+def _scalars(wiring: Wiring, weights: list[tuple[Operand, Operand]], count: int) -> list[Operand]:
+    """The first `count` numbers of weight images, four of each."""
+    return [number for color, fourth in weights for number in (*wiring.channels(color), fourth)][:count]
+
+
+def _in_views(wiring: Wiring, table: ViewTable, view: Operand) -> Operand:
+    """Where the first component of `view` stands in a table."""
+    return wiring.vector("ADD", wiring.vector("MULTIPLY", view, table.scale), table.start)
+
+
+def _under_sun(
+    wiring: Wiring, tables: Tables, image: bpy.types.Image, weights: list[tuple[Operand, Operand]], view: Operand, light: Operand
 ) -> Operand:
-    """The sum over the components of weight times basis; without a `light`, of the dome."""
-    scalars = [number for vector, fourth in weights for number in (*wiring.channels(vector), fourth)][: tables.components]
-    if light is None:
-        uv = wiring.vector("ADD", wiring.vector("MULTIPLY", view, tables.dome_scale), tables.dome_start)
-        return _weighted_sum(wiring, image, uv, tables.dome_step, scalars)
+    """The sum over the components of weight times basis, interpolated between the views and lights around."""
+    scalars = _scalars(wiring, weights, tables.components)
     cell = wiring.vector("ADD", wiring.vector("SCALE", view, float(tables.views)), (0.5, 0.5, 0.0))
     low = wiring.vector("FLOOR", cell)
     share_x, share_y, _ = wiring.separate(wiring.vector("SUBTRACT", cell, low))
@@ -206,9 +207,9 @@ def _weighted_sum(wiring: Wiring, image: bpy.types.Image, uv: Operand, step: flo
 
 def _alpha(wiring: Wiring, tables: Tables, images: BtfImages, view: Operand) -> Operand:
     """The silhouette from the view: a sum over its own components, 0..1."""
-    uv = wiring.vector("ADD", wiring.vector("MULTIPLY", view, tables.alpha_scale), tables.alpha_start)
     weights = [_texture(wiring, image) for image in images.alpha_weights]
-    scalars = [number for vector, fourth in weights for number in (*wiring.channels(vector), fourth)][: tables.alpha_components]
-    total = wiring.channels(_weighted_sum(wiring, images.alpha_basis, uv, tables.alpha_step, scalars))[0]
+    scalars = _scalars(wiring, weights, tables.alpha_components)
+    uv = _in_views(wiring, tables.alpha, view)
+    total = wiring.channels(_weighted_sum(wiring, images.alpha_basis, uv, tables.alpha.step, scalars))[0]
     plain = 0.0 if images.plain is None else _texture(wiring, images.plain)[1]
     return wiring.math("ADD", total, plain, clamp=True)

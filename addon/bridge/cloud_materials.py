@@ -22,7 +22,7 @@ def cloud_material(name: str, images: dict[tuple[str, str], bpy.types.Image], sh
     shadowless: the length within which it stops no light, in the unit of the cloud's objects.
     """
     material = bpy.data.materials.new(name)
-    _render_settings(material)
+    set_two_sided(material)
     give_nodes(material)
     tree = material.node_tree
     tree.nodes.clear()
@@ -44,11 +44,11 @@ def cloud_material(name: str, images: dict[tuple[str, str], bpy.types.Image], sh
 def grey_material(name: str) -> bpy.types.Material:
     """Blender's grey, for clouds without textures."""
     material = bpy.data.materials.new(name)
-    _render_settings(material)
+    set_two_sided(material)
     return material
 
 
-def _render_settings(material: bpy.types.Material) -> None:
+def set_two_sided(material: bpy.types.Material) -> None:
     """Two-sided, and transparent by dithering: blended surfaces are sorted by object only, so stacked quads would come out wrong."""
     material.surface_render_method = "DITHERED"
     material.use_transparent_shadow = True

@@ -5,7 +5,7 @@ import numpy as np
 
 from .channels import capture_material
 from .meshes import Source
-from .slot_meshes import LAYER_TYPES, drawn_surfaces, slot_mesh
+from .slot_meshes import LAYER_TYPES, drawn_surfaces, slot_mesh, slot_positions
 from .slots import Slots
 from .surfaces import MaterialKey
 from .temporary import TemporaryScene
@@ -28,9 +28,7 @@ def add_stand_in(work: TemporaryScene, source: Source) -> None:
         for key in keys:
             if key not in copies:
                 copies[key] = _numbering(None if key[0] is None else bpy.data.materials[key[0]], color_layer, work)
-        corners = drawn.ordered(drawn.surface.vertices[drawn.surface.triangles[drawn.triangles]]).astype(np.float64)
-        matrices = drawn.matrices[drawn.parts]
-        world = np.einsum("kij,kcj->kci", matrices[:, :3, :3], corners) + matrices[:, None, :3, 3]
+        world, _ = slot_positions(drawn, in_place)
         asked = set().union(*(asked_layers(copies[key].node_tree) for key in keys))
         mesh = work.keep(slot_mesh("Farfield Numbers", drawn, world, world, np.zeros_like(world), in_place, asked))
         numbers = np.stack([drawn.primitives // BASE, drawn.primitives % BASE, np.ones(len(drawn.primitives))], axis=1)

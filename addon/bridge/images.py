@@ -10,21 +10,31 @@ from ..core.errors import FileError
 from .meshes import Source
 
 
-def data_image(name: str, pixels: np.ndarray, is_data: bool) -> bpy.types.Image:
-    """A packed 8-bit image of `pixels` (H, W, 4), row 0 at the bottom.
+def data_image(name: str, pixels: np.ndarray, is_data: bool, half_floats: bool = False) -> bpy.types.Image:
+    """A packed image of `pixels` (H, W, 4), row 0 at the bottom, of 8 bits a channel or of half floats.
 
     is_data: the numbers are kept as they are; else the colours are sRGB-encoded values. Alpha is straight and kept beside the colours
     ("channel packed"), so that colours under no alpha survive and Cycles and EEVEE read the same.
     """
     height, width = pixels.shape[:2]
-    image = bpy.data.images.new(name, width, height, alpha=True, float_buffer=False, is_data=is_data)
+    image = bpy.data.images.new(name, width, height, alpha=True, float_buffer=half_floats, is_data=is_data)
     # Before the pixels: setting it afterwards would wipe them.
     image.colorspace_settings.name = "Non-Color" if is_data else "sRGB"
     image.alpha_mode = "CHANNEL_PACKED"
+    if half_floats:
+        image.use_half_precision, image.file_format = True, "OPEN_EXR"
     image.pixels.foreach_set(np.ascontiguousarray(pixels, np.float32).ravel())
     image.update()
     image.pack()
     return image
+
+
+def pixels_of(image: bpy.types.Image) -> np.ndarray:
+    """The pixels (H, W, 4) float32 of an image, row 0 at the bottom."""
+    width, height = image.size
+    pixels = np.empty(width * height * 4, np.float32)
+    image.pixels.foreach_get(pixels)
+    return pixels.reshape(height, width, 4)
 
 
 def packed_bytes(image: bpy.types.Image) -> int:

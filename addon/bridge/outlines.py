@@ -5,7 +5,7 @@ from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
 from ..core.billboards.cloud import Level
-from ..core.images import EMPTY
+from ..core.images import EMPTY, largest_beside
 from .meshes import Source
 from .slots import slots_of
 
@@ -23,20 +23,17 @@ class Continuations:
         """Texels (H, W) bool of joined quads, on the outline of one of `alphas` (H, W) or beside it, over which the surface goes on."""
         candidates = np.zeros(alphas[0].shape, bool)
         for alpha in alphas:
-            candidates |= (alpha < 1.0 - EMPTY) & (_beside(alpha) > EMPTY)
+            candidates |= (alpha < 1.0 - EMPTY) & (largest_beside(alpha) > EMPTY)
         quads = _joined_quads(level)
         row, column = np.nonzero(candidates & (quads >= 0))
         if self._mesh is None or len(row) == 0:  # the discs of a point cloud have no outline of their own
             return quads >= 0
         quad = quads[row, column]
-        slots = slots_of(level)
-        middle = 0.5 * np.array(level.atlas.size, np.float64)
-        flat = level.texel * (np.column_stack([column, row]) + 0.5 - middle) - slots.places[quad, :2]
-        flat /= slots.scales[quad, None]
-        axes = level.quads.frames[quad]
-        start = level.quads.centers[quad] + np.einsum("ni,nij->nj", flat, axes[:, :2]) - REACH * level.error * axes[:, 2]
+        flat = level.texel * (np.column_stack([column, row]) + 0.5 - 0.5 * np.array(level.atlas.size, np.float64))
+        normals = level.quads.frames[quad, 2]
+        start = slots_of(level).restore(flat, quad) - REACH * level.error * normals
         goes_on = np.zeros(candidates.shape, bool)
-        goes_on[row, column] = self._hits(start, axes[:, 2], 2.0 * REACH * level.error)
+        goes_on[row, column] = self._hits(start, normals, 2.0 * REACH * level.error)
         return goes_on
 
     def _hits(self, starts: np.ndarray, directions: np.ndarray, distance: float) -> np.ndarray:
@@ -50,12 +47,6 @@ class Continuations:
         rays = zip(local, directions.tolist(), strict=True)
         reach = distance / self._unit
         return np.array([self._tree.ray_cast(Vector(start), Vector(along), reach)[0] is not None for start, along in rays], bool)
-
-
-def _beside(alpha: np.ndarray) -> np.ndarray:
-    """The largest of the four texels beside each."""
-    padded = np.pad(alpha, 1)
-    return np.max([padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:]], axis=0)
 
 
 def _joined_quads(level: Level) -> np.ndarray:

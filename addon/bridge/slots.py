@@ -29,6 +29,11 @@ class Slots:
         local = np.einsum("nij,nkj->nki", self.axes[quads], points - self.centers[quads][:, None])
         return self.scales[quads][:, None, None] * local + self.places[quads][:, None]
 
+    def restore(self, flat: np.ndarray, quads: np.ndarray) -> np.ndarray:
+        """World places (N, 3) on the quads `quads` (N,) of points `flat` (N, 2) in the plane of the slots: the inverse of `move`."""
+        local = (flat - self.places[quads, :2]) / self.scales[quads, None]
+        return self.centers[quads] + np.einsum("ni,nij->nj", local, self.axes[quads, :2])
+
 
 def slots_of(level: Level) -> Slots:
     """The slots of every quad of `level`: centred on the rectangles of its atlas."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..compat import set_file_format
 from ..core.errors import FarfieldError, FileError
+from .images import pixels_of
 
 
 class TemporaryScene:
@@ -58,7 +59,7 @@ class TemporaryScene:
             reason = str(error).strip()
             raise FileError(f'Rendering into the temporary folder "{self.folder}" failed: {reason} Free some space there.') from error
         self.render_seconds += time.perf_counter() - started
-        return _read_picture(Path(settings.filepath), settings.resolution_x, settings.resolution_y)
+        return _read_picture(Path(settings.filepath))
 
     def close(self) -> None:
         """Remove all that was made, and the folder."""
@@ -87,13 +88,11 @@ def temporary_scene(name: str) -> Iterator[TemporaryScene]:
         work.close()
 
 
-def _read_picture(path: Path, width: int, height: int) -> np.ndarray:
+def _read_picture(path: Path) -> np.ndarray:
     """The pixels of a picture file that holds numbers, not colours to be converted."""
     picture = bpy.data.images.load(str(path), check_existing=False)
     try:
         picture.colorspace_settings.is_data = True
-        pixels = np.empty(width * height * 4, np.float32)
-        picture.pixels.foreach_get(pixels)
+        return pixels_of(picture)
     finally:
         bpy.data.images.remove(picture)
-    return pixels.reshape(height, width, 4)

@@ -44,11 +44,15 @@ def grow_outline(image: np.ndarray, where: np.ndarray, reach: int) -> np.ndarray
     Alpha becomes the largest of the texel and the four beside it; colours come from up to `reach` texels away.
     """
     alpha = image[..., 3]
-    padded = np.pad(alpha, 1)
-    beside = np.max([padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:]], axis=0)
-    grown = np.where(where, np.maximum(alpha, beside), alpha)[..., None]
+    grown = np.where(where, np.maximum(alpha, largest_beside(alpha)), alpha)[..., None]
     straight = dilate(unpremultiply(image)[..., :3], alpha, reach)
     return np.concatenate([straight * grown, grown], axis=2)
+
+
+def largest_beside(values: np.ndarray) -> np.ndarray:
+    """The largest (H, W) of the four texels beside each of `values` (H, W); past the border there is 0."""
+    padded = np.pad(values, 1)
+    return np.max([padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:]], axis=0)
 
 
 def mips(image: np.ndarray) -> list[np.ndarray]:

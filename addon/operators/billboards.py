@@ -28,7 +28,7 @@ class FARFIELD_OT_billboards_build(long_work.LongWork, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether there is something to build from, and nothing else under way."""
-        return _poll(cls, refusal(context))
+        return long_work.allowed(cls, refusal(context))
 
     def prepare(self, context: bpy.types.Context) -> BillboardJob:
         """Read the selected objects."""
@@ -47,7 +47,7 @@ class FARFIELD_OT_billboards_estimate(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether there is something to estimate."""
-        return _poll(cls, refusal(context))
+        return long_work.allowed(cls, refusal(context))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Estimate and keep the figures for the panel."""
@@ -77,7 +77,7 @@ class FARFIELD_OT_billboards_show_level(bpy.types.Operator):
             reason = "The scene has no camera"
         elif not clouds_in(context.scene):
             reason = "The scene has no billboard cloud"
-        return _poll(cls, reason)
+        return long_work.allowed(cls, reason)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Hide and show."""
@@ -93,16 +93,8 @@ class FARFIELD_OT_billboards_show_level(bpy.types.Operator):
 
 def refusal(context: bpy.types.Context) -> str:
     """Why nothing can be built now, or an empty string."""
-    run = long_work.current()
-    if run is not None:
-        return f"{run.title} is still running"
-    return "" if any(may_have_surface(item) for item in context.selected_objects) else "Select an object with a surface"
-
-
-def _poll(operator: type[bpy.types.Operator], reason: str) -> bool:
-    if reason:
-        operator.poll_message_set(reason)
-    return not reason
+    chosen = any(may_have_surface(item) for item in context.selected_objects)
+    return long_work.busy() or ("" if chosen else "Select an object with a surface")
 
 
 CLASSES = (

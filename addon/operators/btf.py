@@ -53,10 +53,7 @@ class FARFIELD_OT_btf_bake(long_work.LongWork, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether a cloud is chosen and nothing else under way."""
-        reason = refusal(context)
-        if reason:
-            cls.poll_message_set(reason)
-        return not reason
+        return long_work.allowed(cls, refusal(context))
 
     def prepare(self, context: bpy.types.Context) -> BtfJob:
         """Read the original of the active cloud. Finished views wait in a temporary folder, so that a stopped bake goes on."""
@@ -65,17 +62,21 @@ class FARFIELD_OT_btf_bake(long_work.LongWork, bpy.types.Operator):
         return prepare(context, chosen(context), settings, work_folder(chosen(context), settings), keeps_work=False)
 
 
-class FARFIELD_OT_btf_light(bpy.types.Operator):
-    """Let the chosen sun lamps and the ambient colour light the active cloud; turning a lamp relights it from then on"""
-
-    bl_idname = "farfield.btf_light"
-    bl_label = "Light with Suns"
-    bl_options = {"REGISTER", "UNDO"}
+class OnBakedCloud:
+    """Mixin of operators that need relightable textures."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether the active cloud has relightable textures."""
         return is_baked(chosen(context))
+
+
+class FARFIELD_OT_btf_light(OnBakedCloud, bpy.types.Operator):
+    """Let the chosen sun lamps and the ambient colour light the active cloud; turning a lamp relights it from then on"""
+
+    bl_idname = "farfield.btf_light"
+    bl_label = "Light with Suns"
+    bl_options = {"REGISTER", "UNDO"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Make the drivers anew."""
@@ -87,17 +88,12 @@ class FARFIELD_OT_btf_light(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class FARFIELD_OT_btf_plain(bpy.types.Operator):
+class FARFIELD_OT_btf_plain(OnBakedCloud, bpy.types.Operator):
     """Take the relightable textures off the active cloud: under many lamps or an environment image, the plain maps are right"""
 
     bl_idname = "farfield.btf_plain"
     bl_label = "Back to Plain Maps"
     bl_options = {"REGISTER", "UNDO"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether the active cloud has relightable textures."""
-        return is_baked(chosen(context))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Put the plain material back."""
@@ -118,10 +114,7 @@ def is_baked(cloud: StandingCloud | None) -> bool:
 
 def refusal(context: bpy.types.Context) -> str:
     """Why nothing can be baked now, or an empty string."""
-    run = long_work.current()
-    if run is not None:
-        return f"{run.title} is still running"
-    return "" if chosen(context) is not None else "Select a billboard cloud or its original"
+    return long_work.busy() or ("" if chosen(context) is not None else "Select a billboard cloud or its original")
 
 
 def work_folder(cloud: StandingCloud, settings: BtfSettings) -> Path:

@@ -104,6 +104,18 @@ def current() -> Run | None:
     return _current
 
 
+def busy() -> str:
+    """Why nothing else can be started now, or an empty string."""
+    return "" if _current is None else f"{_current.title} is still running"
+
+
+def allowed(operator: type[bpy.types.Operator], reason: str) -> bool:
+    """The answer of an operator's `poll`: whether there is no `reason` against it, which Blender then shows."""
+    if reason:
+        operator.poll_message_set(reason)
+    return not reason
+
+
 class LongWork:
     """Mixin of operators whose work is a `Job`. The operator supplies `prepare`; this supplies execute, invoke, modal and cancel."""
 

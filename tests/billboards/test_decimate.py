@@ -7,7 +7,7 @@ from farfield.addon.core.billboards.build import build
 from farfield.addon.core.billboards.cloud import Cloud
 from farfield.addon.core.billboards.decimate import decimate_to_error, propose
 from farfield.addon.core.billboards.fine_mesh import Decimated
-from farfield.addon.core.billboards.remesh import collapse, flip, unique_edges
+from farfield.addon.core.billboards.remesh import flip, judge_collapses, unique_edges
 from farfield.addon.core.billboards.settings import BillboardSettings
 from farfield.addon.core.billboards.straddle import straddle
 from farfield.addon.core.billboards.triangles import flat_parts
@@ -151,7 +151,7 @@ def test_moving_vertices_halves_the_distance_of_an_inscribed_mesh():
 
 def test_a_collapse_keeps_its_limit_and_the_topology():
     vertices, triangles = sphere(10)
-    coarse, faces = collapse(vertices, vertices, triangles, 0.08, 40)
+    coarse, faces = judge_collapses(vertices, vertices, triangles).carry_out(vertices, triangles, 0.08, 40)
     assert len(faces) < len(triangles)
     assert closest_on_mesh(vertices, coarse[faces])[0].max() <= 0.08 * (1.0 + 1e-9)
     edges, opposite = unique_edges(faces)

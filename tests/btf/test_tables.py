@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from farfield.addon.core.btf.factors import Factors
-from farfield.addon.core.btf.tables import Tables, tables_of, weight_images
+from farfield.addon.core.btf.tables import Tables, ViewTable, tables_of, weight_images
 from farfield.addon.core.direction_grids import DirectionGrid
 from farfield.addon.core.directions import fibonacci_sphere
 
@@ -31,6 +31,10 @@ def under_a_sun(tables: Tables, view: np.ndarray, light: np.ndarray, component: 
     return total
 
 
+def in_views(table: ViewTable, view: np.ndarray, component: int) -> np.ndarray:
+    return bilinear(table.image, view * table.scale[:2] + table.start[:2] + [0.0, component * table.step])
+
+
 @pytest.mark.parametrize(("views", "lights"), [(DirectionGrid(4), DirectionGrid(3)), (DirectionGrid(3, True), DirectionGrid(5, True))])
 def test_look_ups_give_the_interpolated_factors(views, lights):
     random = np.random.default_rng(0)
@@ -44,9 +48,9 @@ def test_look_ups_give_the_interpolated_factors(views, lights):
         at_view, at_light = 0.5 * views.places(view[None])[0] + 0.5, 0.5 * lights.places(light[None])[0] + 0.5
         expected = np.einsum("v,l,vlc->c", view_weights, light_weights, values[view_taps][:, 1, light_taps])
         np.testing.assert_allclose(under_a_sun(tables, at_view, at_light, 1), expected, atol=1e-5)
-        dome = bilinear(tables.dome, at_view * tables.dome_scale[:2] + tables.dome_start[:2] + [0.0, 2 * tables.dome_step])
+        dome = in_views(tables.dome, at_view, 2)
         np.testing.assert_allclose(dome, view_weights @ values[view_taps, 2, -1], atol=1e-5)
-        silhouette = bilinear(tables.alpha_basis, at_view * tables.alpha_scale[:2] + tables.alpha_start[:2] + [0.0, tables.alpha_step])
+        silhouette = in_views(tables.alpha, at_view, 1)
         np.testing.assert_allclose(silhouette, view_weights @ alpha.basis[view_taps, 1, 0], atol=1e-5)
 
 

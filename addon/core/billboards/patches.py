@@ -35,10 +35,10 @@ class Covering:
     owner: np.ndarray
 
 
-def members_of(labels: np.ndarray) -> list[np.ndarray]:
-    """The members of every label 0..max, ascending."""
+def members_of(labels: np.ndarray, count: int = 0) -> list[np.ndarray]:
+    """The members of every label, ascending: of 0..max, and on up to `count` - 1 where nothing has these."""
     order = np.argsort(labels, kind="stable")
-    return np.split(order, np.cumsum(np.bincount(labels))[:-1])
+    return np.split(order, np.cumsum(np.bincount(labels, minlength=count))[:-1])
 
 
 def squarest(primitives: Primitives, patches: list[Patch]) -> np.ndarray:

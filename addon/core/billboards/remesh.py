@@ -26,6 +26,14 @@ def unique_edges(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return edges, index.reshape(-1, 3)
 
 
+def inner_sides(opposite: np.ndarray) -> np.ndarray:
+    """The two sides (I, 2) of every edge between just two triangles, from `unique_edges`: side 3 t + c lies opposite to corner c of t."""
+    order = np.argsort(opposite.ravel(), kind="stable")
+    counts = np.bincount(opposite.ravel())
+    first = (np.cumsum(counts) - counts)[counts == 2]
+    return np.stack([order[first], order[first + 1]], axis=1)
+
+
 @dataclass(frozen=True)
 class Collapses:
     """Every edge of a mesh that may be collapsed, judged.
@@ -84,22 +92,13 @@ def judge_collapses(samples: np.ndarray, vertices: np.ndarray, triangles: np.nda
     return Collapses(edges, targets, costs, around, touched)
 
 
-def collapse(samples: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, limit: float, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and triangles after up to `most` collapses, the least harmful first, where the samples (S, 3) around stay within `limit`."""
-    return judge_collapses(samples, vertices, triangles).carry_out(vertices, triangles, limit, most)
-
-
 def flip(samples: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, least_gain: float) -> np.ndarray:
     """Triangles (T, 3) after flipping the edges between two triangles where that lowers the largest distance of the samples around.
 
     `samples` (S, 3), `vertices` (V, 3); `least_gain` is a length: a flip that gains less is not worth it.
     """
     edges, opposite = unique_edges(triangles)
-    order = np.argsort(opposite.ravel(), kind="stable")
-    counts = np.bincount(opposite.ravel())
-    starts = np.cumsum(counts) - counts
-    inner = np.flatnonzero(counts == 2)
-    sides = np.stack([order[starts[inner]], order[starts[inner] + 1]], axis=1)
+    sides = inner_sides(opposite)
     tips = triangles[sides // 3, sides % 3]
     ends = triangles[sides[:, 0] // 3, (sides[:, 0] % 3 + 1) % 3], triangles[sides[:, 0] // 3, (sides[:, 0] % 3 + 2) % 3]
     codes = np.array([len(vertices), 1])

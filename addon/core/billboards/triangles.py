@@ -7,9 +7,10 @@ from scipy.sparse.csgraph import connected_components
 from ..mesh import face_areas_and_normals
 from .fine_mesh import Decimated
 from .patches import Covering, Patch, members_of
+from .planes import frames_of
 from .primitives import Primitives
 from .rectangles import area, around, bounds_of, smallest_rectangle
-from .remesh import unique_edges
+from .remesh import inner_sides, unique_edges
 
 FLAT = 0.05  # of the error: triangles whose corners are within this of each other's planes lie in one plane
 
@@ -24,7 +25,7 @@ def patches_of_triangles(
     index = np.flatnonzero(decimated.primitive_of >= 0)
     bounded = _Bounded(primitives.subset(index), error, float(np.cos(max_normal_deviation)))
     corners = decimated.vertices[decimated.triangles]
-    owned = _members(decimated.primitive_of[index], len(corners))
+    owned = members_of(decimated.primitive_of[index], len(corners))
     areas, normals = face_areas_and_normals(corners)
     labels = flat_parts(decimated.vertices, decimated.triangles, FLAT * error)
     patches: list[Patch] = []
@@ -50,11 +51,7 @@ def patches_of_triangles(
 
 def flat_parts(vertices: np.ndarray, triangles: np.ndarray, tolerance: float) -> np.ndarray:
     """The part (T,) of every triangle: what hangs together over edges whose two triangles lie in one plane within `tolerance`."""
-    edges, opposite = unique_edges(triangles)
-    order = np.argsort(opposite.ravel(), kind="stable")
-    counts = np.bincount(opposite.ravel(), minlength=len(edges))
-    first = (np.cumsum(counts) - counts)[counts == 2]
-    a, b = order[first], order[first + 1]
+    a, b = inner_sides(unique_edges(triangles)[1]).T
     corners = vertices[triangles]
     _, normals = face_areas_and_normals(corners)
     flat = np.einsum("ij,ij->i", normals[a // 3], normals[b // 3]) > 0.0
@@ -81,9 +78,7 @@ class _Bounded:
         """The patch of several triangles `corners` (T, 3, 3) that lie in one plane and stand for `faces`; None where it keeps not all."""
         if not self.fits(faces, normal, offset).all():
             return None
-        helper = np.cross(np.eye(3)[np.abs(normal).argmin()], normal)
-        u = helper / np.linalg.norm(helper)
-        frame = np.stack([u, np.cross(normal, u)])
+        frame = frames_of(normal[None])[0, :2]
         points = np.concatenate([corners.reshape(-1, 3), self.primitives.positions[faces].reshape(-1, 3)])
         axes = smallest_rectangle(points @ frame.T) @ frame
         rectangle = around(bounds_of(points[:, None], axes))
@@ -114,9 +109,3 @@ class _Bounded:
             & (bounds[:, 3] >= rectangle[2])
         )
         return near[touches]
-
-
-def _members(labels: np.ndarray, count: int) -> list[np.ndarray]:
-    """Like `members_of` for the labels 0..count - 1, empty ones included."""
-    order = np.argsort(labels, kind="stable")
-    return np.split(order, np.cumsum(np.bincount(labels, minlength=count))[:-1])

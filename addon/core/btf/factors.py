@@ -57,7 +57,7 @@ def factorise(
     weights = random.standard_normal((rows, components)).astype(np.float32)
     weights[:, 0] = 1.0
     basis = np.zeros((len(views), components, len(roots)), np.float32)
-    seen = np.zeros(rows, np.int32)
+    known = np.zeros(rows, bool)
     for number in range(PASSES + 1):
         last = number == PASSES
         normal = np.zeros((rows, components, components), np.float32) if not last else None
@@ -70,11 +70,11 @@ def factorise(
             if not last:
                 normal[index] += view_weights[place] * (basis[place] @ basis[place].T)
                 right[index] += view_weights[place] * (scaled @ basis[place].T)
-                seen[index] += number == 0
+                known[index] = True
         if not last:
             weights = _solved_rows(normal, right)
     weights, basis = _in_order(weights, basis, view_weights)
-    return Factors(weights, basis / roots, seen > 0)
+    return Factors(weights, basis / roots, known)
 
 
 def _solved_basis(weights: np.ndarray, values: np.ndarray) -> np.ndarray:

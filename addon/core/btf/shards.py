@@ -5,6 +5,7 @@ import io
 import json
 import os
 import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -58,38 +59,38 @@ class ShardStore:
             "visible": sighting.visible,
             "radiance": np.minimum(sighting.radiance, np.finfo(np.float16).max).astype(np.float16),
         }
-        self._write(self.path(view), arrays)
+        self._write(self.path(view), np.savez, arrays)
         self._faces_path(view).unlink(missing_ok=True)
 
     def write_faces(self, view: int, faces: np.ndarray) -> None:
         """Keep the picture of faces (H, W) int32 of a view until its other pictures are there. Raises FileError like `write`."""
-        self._write(self._faces_path(view), {"faces": faces})
+        self._write(self._faces_path(view), np.savez_compressed, {"faces": faces})
 
     def read_faces(self, view: int) -> np.ndarray:
         """What `write_faces` has kept."""
-        return self._read(self._faces_path(view))["faces"]
+        return self._read(self._faces_path(view), "faces")[0]
 
-    def read(self, view: int) -> dict[str, np.ndarray]:
-        """What `write` has kept of a view, as it lies in its file: known, coverage, visible, radiance.
+    def read(self, view: int, *names: str) -> list[np.ndarray]:
+        """Some of what `write` has kept of a view, as it lies in its file: known, coverage, visible, radiance.
 
         Raises:
             FileError: when the file is gone or damaged.
         """
-        return self._read(self.path(view))
+        return self._read(self.path(view), *names)
 
     def _faces_path(self, view: int) -> Path:
         return self.folder / f"faces-{view:04d}.shard"
 
-    def _read(self, path: Path) -> dict[str, np.ndarray]:
+    def _read(self, path: Path, *names: str) -> list[np.ndarray]:
         try:
             with np.load(io.BytesIO(path.read_bytes()[DIGEST:]), allow_pickle=False) as file:
-                return dict(file)
-        except (OSError, ValueError, zipfile.BadZipFile) as error:
+                return [file[name] for name in names]
+        except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
             raise FileError(f'The file "{path}" of a bake cannot be read: {error}. Bake again; views that stand are kept.') from error
 
-    def _write(self, path: Path, arrays: dict[str, np.ndarray]) -> None:
+    def _write(self, path: Path, save: Callable[..., None], arrays: dict[str, np.ndarray]) -> None:
         buffer = io.BytesIO()
-        np.savez_compressed(buffer, **arrays)
+        save(buffer, **arrays)
         content = buffer.getvalue()
         temporary = path.with_suffix(f".{os.getpid()}.part")
         try:
@@ -122,12 +123,11 @@ class Colours:
 
     def read(self) -> tuple[np.ndarray, np.ndarray]:
         """Visible texels (M,) and (M, L * 3) float32."""
-        arrays = self.store.read(self.view)
-        radiance = arrays["radiance"]
+        visible, radiance = self.store.read(self.view, "visible", "radiance")
         values = np.ascontiguousarray(radiance.swapaxes(0, 1), np.float32)
         if self.tints is not None:
-            values /= self.tints[arrays["visible"], None]
-        return arrays["visible"], values.reshape(len(values), -1)
+            values /= self.tints[visible, None]
+        return visible, values.reshape(len(values), -1)
 
 
 @dataclass(frozen=True)
@@ -140,9 +140,8 @@ class Silhouettes:
 
     def read(self) -> tuple[np.ndarray, np.ndarray]:
         """Known texels (M,) and (M, 1) float32."""
-        arrays = self.store.read(self.view)
-        coverage = arrays["coverage"]
-        known = np.flatnonzero(np.unpackbits(arrays["known"], count=len(coverage)))
+        known_bits, coverage = self.store.read(self.view, "known", "coverage")
+        known = np.flatnonzero(np.unpackbits(known_bits, count=len(coverage)))
         return known, (coverage[known].astype(np.float32) / 255.0 - self.plain[known])[:, None]
 
 

@@ -11,13 +11,22 @@ Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
+class ViewTable:
+    """An image with one texel a view, bordered blocks above each other: place * scale + start + (0, k * step)."""
+
+    image: np.ndarray
+    scale: Vector
+    start: Vector
+    step: float
+
+
+@dataclass(frozen=True)
 class Tables:
     """Images (H, W, 4) float32, row 0 at the bottom, and how to look them up. A place is (x, y) in 0..1 on an octahedral map.
 
     basis: blocks of (views + 2) x (views + 2) tiles of (lights + 2) x (lights + 2) lights, one block above the other for every component;
     tile (0, 0) is the border. The texel of place p under tap t of view cell c, and component k, is at
     (c + t) * tile_scale + light * light_scale + light_start + (0, k * step), where c = floor(view * views + 0.5).
-    dome, alpha_basis: one texel a view, bordered blocks above each other: view * scale + start + (0, k * step).
     """
 
     views: int
@@ -30,14 +39,8 @@ class Tables:
     light_scale: Vector
     light_start: Vector
     step: float
-    dome: np.ndarray
-    dome_scale: Vector
-    dome_start: Vector
-    dome_step: float
-    alpha_basis: np.ndarray
-    alpha_scale: Vector
-    alpha_start: Vector
-    alpha_step: float
+    dome: ViewTable
+    alpha: ViewTable
 
 
 def tables_of(colour: Factors, alpha: Factors, views: DirectionGrid, lights: DirectionGrid) -> Tables:
@@ -49,10 +52,7 @@ def tables_of(colour: Factors, alpha: Factors, views: DirectionGrid, lights: Dir
     wide, tall = blocks.shape[0], blocks.shape[2]
     # component, view row, light row; view column, light column
     basis = blocks.transpose(4, 0, 2, 1, 3, 5).reshape(components * wide * tall, wide * tall, 3)
-    dome = _stacked(views, np.moveaxis(values[:, :, count], 0, 0))
-    alpha_basis = _stacked(views, np.repeat(alpha.basis, 3, axis=2))
     width, height = wide * tall, components * wide * tall
-    per_view = wide / 1.0
     return Tables(
         views=views.size,
         views_upper=views.upper,
@@ -64,14 +64,8 @@ def tables_of(colour: Factors, alpha: Factors, views: DirectionGrid, lights: Dir
         light_scale=(lights.size / width, lights.size / height, 0.0),
         light_start=(1.0 / width, 1.0 / height, 0.0),
         step=1.0 / components,
-        dome=_opaque(dome),
-        dome_scale=(views.size / per_view, views.size / (per_view * components), 0.0),
-        dome_start=(1.0 / per_view, 1.0 / (per_view * components), 0.0),
-        dome_step=1.0 / components,
-        alpha_basis=_opaque(alpha_basis),
-        alpha_scale=(views.size / per_view, views.size / (per_view * alpha.components), 0.0),
-        alpha_start=(1.0 / per_view, 1.0 / (per_view * alpha.components), 0.0),
-        alpha_step=1.0 / alpha.components,
+        dome=_view_table(views, values[:, :, count]),
+        alpha=_view_table(views, np.repeat(alpha.basis, 3, axis=2)),
     )
 
 
@@ -82,10 +76,13 @@ def weight_images(weights: np.ndarray) -> list[np.ndarray]:
     return [padded[..., start : start + 4] for start in range(0, padded.shape[2], 4)]
 
 
-def _stacked(views: DirectionGrid, values: np.ndarray) -> np.ndarray:
-    """`values` (V, K, 3) as K bordered maps of the views, one above the other."""
+def _view_table(views: DirectionGrid, values: np.ndarray) -> ViewTable:
+    """The table of `values` (V, K, 3)."""
     maps = views.bordered(values)
-    return maps.transpose(2, 0, 1, 3).reshape(-1, maps.shape[1], 3)
+    wide, components = maps.shape[1:3]
+    image = maps.transpose(2, 0, 1, 3).reshape(-1, wide, 3)
+    height = wide * components
+    return ViewTable(_opaque(image), (views.size / wide, views.size / height, 0.0), (1.0 / wide, 1.0 / height, 0.0), 1.0 / components)
 
 
 def _opaque(image: np.ndarray) -> np.ndarray:
