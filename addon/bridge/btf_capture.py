@@ -9,7 +9,6 @@ import numpy as np
 
 from ..core.btf.settings import BtfSettings
 from ..core.btf.texels import FINER, Picture, View
-from ..core.progress import Progress, Steps
 from .identity import add_stand_in, faces_in
 from .meshes import Source
 from .temporary import TemporaryScene, temporary_scene
@@ -50,7 +49,7 @@ class LitBooth:
         """What Cycles took so far."""
         return self._work.render_seconds
 
-    def pictures(self, view: View, faces: np.ndarray) -> Steps[Picture]:
+    def picture(self, view: View, faces: np.ndarray) -> Picture:
         """All renders from one view, where `faces` are seen: under every sun of the settings' grid, and last under the dome."""
         suns = self._settings.light_grid.directions
         _look(self._work, view)
@@ -58,7 +57,6 @@ class LitBooth:
         coverage = np.zeros((view.side, view.side), np.float32)
         self._work.scene.world, self._sun.hide_render = self._dark, False
         for number in range(len(suns) + 1):
-            yield Progress(number / (len(suns) + 1), f"light {number + 1} of {len(suns) + 1}")
             if number < len(suns):
                 self._sun.matrix_world = mathutils.Vector(suns[number]).to_track_quat("Z", "Y").to_matrix().to_4x4()
             else:
@@ -87,11 +85,11 @@ def _heights(source: Source, view: View, faces: np.ndarray) -> np.ndarray:
 
 
 @contextmanager
-def number_booth(source: Source, settings: BtfSettings) -> Iterator[NumberBooth]:
-    """A booth for the face numbers of `source`. Leaves nothing behind."""
+def number_booth(source: Source, settings: BtfSettings, threads: int) -> Iterator[NumberBooth]:
+    """A booth for the face numbers of `source`, rendered by so many `threads`. Leaves nothing behind."""
     with temporary_scene("Farfield Numbers") as work:
         add_stand_in(work, source)
-        _set_up(work, settings)
+        _set_up(work, settings, threads)
         cycles = work.scene.cycles
         cycles.samples, cycles.max_bounces = 1, 0
         cycles.pixel_filter_type = "BLACKMAN_HARRIS"  # the one whose width can be set
@@ -100,14 +98,15 @@ def number_booth(source: Source, settings: BtfSettings) -> Iterator[NumberBooth]
 
 
 @contextmanager
-def lit_booth(objects: Sequence[bpy.types.Object], source: Source, settings: BtfSettings) -> Iterator[LitBooth]:
-    """A booth for the `objects` that `source` was taken from. Leaves nothing behind; whether they are disabled in renders is as before."""
+def lit_booth(objects: Sequence[bpy.types.Object], source: Source, settings: BtfSettings, threads: int) -> Iterator[LitBooth]:
+    """A booth for the `objects` that `source` was taken from, rendered by so many `threads`. Leaves nothing behind; whether they are
+    disabled in renders is as before."""
     hidden = [item.hide_render for item in objects]
     with temporary_scene("Farfield Lit") as work:
         for item in objects:
             work.scene.collection.objects.link(item)
             item.hide_render = False
-        _set_up(work, settings)
+        _set_up(work, settings, threads)
         try:
             yield LitBooth(work, source, settings)
         finally:
@@ -156,8 +155,9 @@ def _look(work: TemporaryScene, view: View) -> None:
     render.resolution_x = render.resolution_y = view.side
 
 
-def _set_up(work: TemporaryScene, settings: BtfSettings) -> None:
+def _set_up(work: TemporaryScene, settings: BtfSettings, threads: int) -> None:
     scene = work.scene
+    scene.render.threads_mode, scene.render.threads = "FIXED", threads
     scene.render.engine = "CYCLES"
     scene.render.film_transparent = True
     scene.render.use_persistent_data = True

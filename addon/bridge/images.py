@@ -52,6 +52,12 @@ def check_images(source: Source) -> None:
         )
 
 
+def images_of(source: Source) -> list[bpy.types.Image]:
+    """Every image that the materials of `source` use, once."""
+    trees = [material.node_tree for material in source.materials if material.node_tree is not None]
+    return list(dict.fromkeys(image for tree in trees for image in _images(tree)))
+
+
 def missing_images(source: Source) -> list[tuple[bpy.types.Material, bpy.types.Image]]:
     """Materials of `source` and images they use whose file is not there; packed and generated images need none."""
     return [

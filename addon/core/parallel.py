@@ -1,10 +1,21 @@
-"""Work that spreads over cores. Equal input gives equal bytes, serial or spread."""
+"""Work that spreads over cores and machines. Equal input gives equal bytes, serial or spread."""
 
 import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+
+from .errors import FarfieldError, SettingsError
+
+MOST_BY_ITSELF = 8  # processes that the word `processes` starts: each holds the scene, and so its memory
+ANSWER = 5.0  # seconds within which a scheduler has to answer
+WORD = re.compile(r"(serial)|processes(?::([1-9]\d{0,3}))?|dask:(\w+://[^\s/]+:\d+)")
 
 
 def in_chunks(function: Callable[[np.ndarray], np.ndarray], rows: np.ndarray, size: int) -> np.ndarray:
@@ -17,3 +28,90 @@ def in_chunks(function: Callable[[np.ndarray], np.ndarray], rows: np.ndarray, si
         return function(parts[0])
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         return np.concatenate(list(threads.map(function, parts)))
+
+
+@dataclass(frozen=True)
+class Spread:
+    """An executor and what it is like. Its tasks must wait for processes of their own: here they are threads.
+
+    slots: tasks that run at a time. sharing: how many of these share a machine, at most. here: whether that is this machine; elsewhere a
+    task is a function of the standard library, since nothing else need be there.
+    """
+
+    executor: Executor
+    slots: int
+    sharing: int
+    here: bool
+
+
+@dataclass(frozen=True)
+class Word:
+    """What a user's word for an executor means: so many processes of this machine, or the scheduler at an address."""
+
+    processes: int
+    scheduler: str | None
+
+
+def read_word(word: str) -> Word:
+    """The meaning of `serial`, `processes`, `processes:N` or `dask:tcp://HOST:PORT`.
+
+    Raises:
+        SettingsError: when `word` is none of these.
+    """
+    found = WORD.fullmatch(word.strip())
+    if found is None:
+        raise SettingsError(f'--executor is "{word}"; it must be serial, processes, processes:N with N from 1 on, or dask:tcp://HOST:PORT.')
+    serial, count, scheduler = found.groups()
+    by_itself = min(os.cpu_count() or 1, MOST_BY_ITSELF)
+    return Word(1 if serial else int(count) if count else by_itself, scheduler)
+
+
+@contextmanager
+def open_executor(word: str) -> Iterator[Spread]:
+    """The executor that `word` names, see `read_word`; tasks that have not begun when the block ends never will.
+
+    Raises:
+        SettingsError: when `word` has no meaning.
+        FarfieldError: when Dask is not installed, or no scheduler with workers answers.
+    """
+    meaning = read_word(word)
+    if meaning.scheduler is not None:
+        with _client(meaning.scheduler) as client:
+            threads = client.nthreads()
+            machines = Counter()
+            for address, count in threads.items():
+                machines[address.rpartition(":")[0]] += count
+            if not threads:
+                raise FarfieldError(f'The Dask scheduler at "{meaning.scheduler}" has no workers; start some and bake again.')
+            executor = client.get_executor(pure=False)
+            try:
+                yield Spread(executor, sum(threads.values()), max(machines.values()), here=False)
+            finally:
+                executor.shutdown(wait=False)  # which cancels
+        return
+    executor = ThreadPoolExecutor(meaning.processes, thread_name_prefix="farfield-task")
+    try:
+        yield Spread(executor, meaning.processes, meaning.processes, here=True)
+    finally:
+        executor.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _client(address: str) -> Iterator[Any]:
+    """A client of the Dask scheduler at `address`."""
+    try:
+        import distributed
+    except ImportError:
+        raise FarfieldError(
+            "Dask is not installed for this Python; install the package distributed there, or use --executor processes."
+        ) from None
+    try:
+        client = distributed.Client(address, timeout=ANSWER, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise FarfieldError(
+            f'No Dask scheduler answers at "{address}" within {ANSWER:g} seconds; start one there, or use --executor processes.'
+        ) from error
+    try:
+        yield client
+    finally:
+        client.close(timeout=ANSWER)

@@ -30,6 +30,8 @@ class BuildOptions(Settings):
 class BillboardJob:
     """Builds one cloud for each source; `made` holds them, each with the name of its collection, once the job is done."""
 
+    core_share = 0.35  # renders take longer than the search for planes
+
     sources: list[meshes.Source]
     settings: BillboardSettings
     options: BuildOptions

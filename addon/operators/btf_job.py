@@ -2,7 +2,6 @@
 
 import shutil
 import tempfile
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,142 +9,154 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..bridge import btf_capture, btf_clouds, clouds, images, meshes
+from ..bridge import btf_clouds, btf_snapshot, btf_worker, clouds, images
+from ..bridge.originals import read_original
 from ..core.btf.factors import Factors, factorise
+from ..core.btf.orders import LevelOrder
 from ..core.btf.quality import quality
 from ..core.btf.settings import BtfSettings
 from ..core.btf.shards import Colours, ShardStore, Silhouettes
-from ..core.btf.texels import Belonging, Texels, sight
+from ..core.btf.spreading import render_missing
+from ..core.btf.texels import Texels
 from ..core.btf.tints import tints
-from ..core.errors import FarfieldError, GeometryError
-from ..core.progress import Progress, StageClock, Steps, scaled
+from ..core.errors import FileError, GeometryError
+from ..core.parallel import read_word
+from ..core.progress import StageClock, Steps, scaled
 from .billboards_clouds import StandingCloud, cloud_of
 
 DOME_WEIGHT = 4.0 * np.pi  # as much as all suns together
 CAPTURED = 0.8  # of the bar
-TINTED = 0.82
-NUMBERED = 0.05  # of that
+TINTED, COLOURED, SHAPED = 0.1, 0.65, 0.85  # of the compression's part of it
+
+
+@dataclass(frozen=True)
+class Level:
+    """One level to be baked: what its capture needs, the coverage (N,) of its texels in the plain maps, and where finished views lie."""
+
+    order: LevelOrder
+    plain: np.ndarray
+    store: ShardStore
+
+
+@dataclass(frozen=True)
+class Baked:
+    """One level that was baked: tints (N, 3) and factors of its texels."""
+
+    texels: Texels
+    hues: np.ndarray
+    colour: Factors
+    alpha: Factors
 
 
 @dataclass
 class BtfJob:
     """Bakes every level of one cloud; `figures` tells about each once the job is done.
 
-    work: the folder for finished views; without one they go when the job ends, however it ends. keeps_work: whether they stay when it is
-    done; when it is stopped they do.
+    folder: for finished views. keeps_work: whether they stay when the job is done; when it is stopped they do. temporary: what removes the
+    folder with the job, however it ends.
     """
 
+    core_share = 0.98
+
     collection: str
-    sources: list[str]
-    source: meshes.Source
+    fingerprint: str
     settings: BtfSettings
-    work: Path | None
+    levels: list[Level]
+    folder: Path
     keeps_work: bool
+    temporary: tempfile.TemporaryDirectory | None
     figures: list[dict[str, Any]] = field(default_factory=list)
     clock: StageClock = field(default_factory=StageClock)
 
-    def core_steps(self) -> Steps[None]:
-        """Nothing can be done before the renders."""
-        yield Progress(0.0, "Preparing")
-
-    def scene_steps(self, _core_result: None) -> Steps[str]:
-        """Capture, compress, and dress all levels at once.
+    def core_steps(self) -> Steps[list[Baked]]:
+        """Let worker processes capture what is missing, then compress.
 
         Raises:
-            FileError: when the work folder is another bake's or cannot be written.
+            FarfieldError: when there is no executor of that name, or workers cannot do their part; see `render_missing`.
         """
-        folder = self.work or Path(tempfile.mkdtemp(prefix="farfield-btf-"))
-        done = False
-        try:
-            baked = []
-            levels = len(self._cloud().levels)
-            for number in range(levels):
-                steps = self._bake(number, folder / f"level-{number}")
-                baked.append((yield from scaled(steps, number / levels, (number + 1) / levels)))
-            for level_object, (texels, hues, colour, alpha) in zip(self._cloud().levels, baked, strict=True):
-                btf_clouds.wear(level_object, texels, hues, colour, alpha, self.settings)
-            done = True
-        finally:
-            if self.work is None or (done and not self.keeps_work):
-                shutil.rmtree(folder, ignore_errors=True)
+        views = len(self.settings.view_grid)
+        stores = [level.store for level in self.levels]
+        with self.clock.stage("capture"):
+            steps = render_missing(self.folder, stores, views, self.settings.executor, lambda shard: btf_worker.command(self.folder, shard))
+            yield from scaled(steps, 0.0, CAPTURED)
+        baked = []
+        for number in range(len(self.levels)):
+            part = (CAPTURED + (1.0 - CAPTURED) * place / len(self.levels) for place in (number, number + 1))
+            baked.append((yield from scaled(self._compress(number), *part)))
+        return baked
+
+    def scene_steps(self, core_result: list[Baked]) -> Steps[str]:
+        """Dress all levels at once.
+
+        Raises:
+            GeometryError: when the cloud was removed or built anew in the meantime.
+        """
+        yield from ()
+        with self.clock.stage("dress"):
+            for level_object, baked in zip(self._cloud().levels, core_result, strict=True):
+                btf_clouds.wear(level_object, baked.texels, baked.hues, baked.colour, baked.alpha, self.settings)
+        if self.temporary is not None:
+            self.temporary.cleanup()
+        elif not self.keeps_work:
+            shutil.rmtree(self.folder, ignore_errors=True)
         return f'Baked "{self.collection}": {sum(figure["renders"] for figure in self.figures):,} renders.'
 
     def _cloud(self) -> StandingCloud:
+        """The cloud, which a user may have touched while workers rendered."""
         collection = bpy.data.collections.get(self.collection)
         cloud = cloud_of(collection) if collection is not None else None
         if cloud is None:
             raise GeometryError(f'The cloud "{self.collection}" was removed while it was being baked; build and bake it again.')
+        sizes = [len(btf_clouds.texels_of_level(level_object)) for level_object in cloud.levels]
+        if cloud.collection.get(clouds.FINGERPRINT) != self.fingerprint or sizes != [len(level.order.texels) for level in self.levels]:
+            raise GeometryError(f'The cloud "{self.collection}" was built anew while it was being baked; bake it again.')
         return cloud
 
-    def _bake(self, number: int, folder: Path) -> Steps[tuple[Texels, np.ndarray, Factors, Factors]]:
-        """Texels, their tints, colours and silhouettes of one level."""
-        level_object = self._cloud().levels[number]
-        texels = btf_clouds.texels_of_level(level_object)
-        store = ShardStore(folder)
-        store.open(f"{self.source.fingerprint} {self.settings.of_capture} {len(texels)} {float(level_object['farfield_error']):.9g}")
-        bare = yield from scaled(self._capture(level_object, texels, store), 0.0, CAPTURED)
-        views, lights = self.settings.view_grid, self.settings.light_grid
+    def _compress(self, number: int) -> Steps[Baked]:
+        """Tints and factors of one level, all of whose views stand."""
+        level = self.levels[number]
+        texels, store, settings = level.order.texels, level.store, self.settings
+        views, lights = settings.view_grid, settings.light_grid
         light_weights = np.append(lights.solid_angles, DOME_WEIGHT)
         columns = np.repeat(light_weights, 3)
-        plain = btf_clouds.plain_alpha(level_object, texels)
-        silhouettes = [Silhouettes(store, view, plain) for view in range(len(views))]
+        silhouettes = [Silhouettes(store, view, level.plain) for view in range(len(views))]
         with self.clock.stage("compress"):
             captured = [Colours(store, view) for view in range(len(views))]
-            hues = yield from scaled(tints(captured, len(texels), views.solid_angles, light_weights), CAPTURED, TINTED)
+            hues = yield from scaled(tints(captured, len(texels), views.solid_angles, light_weights), 0.0, TINTED)
             colours = [Colours(store, view, hues) for view in range(len(views))]
-            steps = factorise(colours, len(texels), self.settings.components, views.solid_angles, columns, self.settings.seed)
-            colour = yield from scaled(steps, TINTED, 0.92)
-            steps = factorise(silhouettes, len(texels), self.settings.alpha_components, views.solid_angles, np.ones(1), self.settings.seed)
-            alpha = yield from scaled(steps, 0.92, 0.97)
+            steps = factorise(colours, len(texels), settings.components, views.solid_angles, columns, settings.seed)
+            colour = yield from scaled(steps, TINTED, COLOURED)
+            steps = factorise(silhouettes, len(texels), settings.alpha_components, views.solid_angles, np.ones(1), settings.seed)
+            alpha = yield from scaled(steps, COLOURED, SHAPED)
         with self.clock.stage("measure"):
-            fits = yield from scaled(quality(colours, colour, hues, views.solid_angles, columns), 0.97, 1.0)
+            fits = yield from scaled(quality(colours, colour, hues, views.solid_angles, columns), SHAPED, 1.0)
         self.figures.append(
             {
                 "level": number,
                 "renders": len(views) * (len(lights) + 1),
                 "shards": len(views),
                 "texels": len(texels),
-                "bare_render_seconds": round(bare, 3),
+                "bare_render_seconds": round(store.render_seconds(len(views)), 3),
                 "raw_bytes": 2 * 3 * len(texels) * len(views) * (len(lights) + 1),
                 "captured_bytes": store.bytes(len(views)),
                 "compressed_bytes": 2 * (hues.size + colour.weights.size + colour.basis.size + alpha.weights.size + alpha.basis.size),
                 "fits": [asdict(fit) for fit in fits],
             }
         )
-        return texels, hues, colour, alpha
-
-    def _capture(self, level_object: bpy.types.Object, texels: Texels, store: ShardStore) -> Steps[float]:
-        """Render and keep all views that do not stand yet; returns the seconds that Cycles took."""
-        error = float(level_object["farfield_error"])
-        offsets, drawn = clouds.drawn_on(level_object.data)
-        belongs = Belonging(offsets, drawn, int(drawn.max()) + 1)
-        views = btf_capture.views_of(self.source, self.settings, texels.side)
-        missing = [number for number in range(len(views)) if not store.stands(number)]
-        objects = [bpy.data.objects[name] for name in self.sources if name in bpy.data.objects]
-        if not missing:
-            return 0.0
-        with self.clock.stage("numbers"), btf_capture.number_booth(self.source, self.settings) as numbers:
-            for done, number in enumerate(missing):
-                yield Progress(NUMBERED * done / len(missing), f"Faces of view {done + 1} of {len(missing)}")
-                store.write_faces(number, numbers.faces(views[number]))
-            seconds = numbers.render_seconds
-        with self.clock.stage("capture"), btf_capture.lit_booth(objects, self.source, self.settings) as booth:
-            for done, number in enumerate(missing):
-                part = (NUMBERED + (1.0 - NUMBERED) * place / len(missing) for place in (done, done + 1))
-                picture = yield from scaled(booth.pictures(views[number], store.read_faces(number)), *part)
-                store.write(number, sight(texels, views[number], picture, belongs, error))
-            return seconds + booth.render_seconds
+        return Baked(texels, hues, colour, alpha)
 
 
 def prepare(context: bpy.types.Context, cloud: StandingCloud, settings: BtfSettings, work: Path | None, keeps_work: bool) -> BtfJob:
     """The job that bakes `cloud`, whose original must stand in the scene as it was when the cloud was built; see `BtfJob`.
 
+    work: the folder for finished views; without one they go when the job does. All that workers need is written there now.
+
     Raises:
         GeometryError: when the original was removed or edited, or the cloud was built by a version that kept too little.
-        FileError: when an image file of a material is missing.
-        SettingsError: when the numbers of views and lights are no squares.
+        FileError: when an image file of a material is missing, or the work folder is another bake's or cannot be written.
+        SettingsError: when the numbers of views and lights are no squares, or there is no such executor.
     """
-    _ = settings.view_grid, settings.light_grid
+    _ = settings.view_grid, settings.light_grid, read_word(settings.executor)
     name = cloud.collection.name
     sources = cloud.sources
     if not sources or len(sources) < len(cloud.source_names):
@@ -153,30 +164,28 @@ def prepare(context: bpy.types.Context, cloud: StandingCloud, settings: BtfSetti
         raise GeometryError(f'The original of "{name}" is gone ({", ".join(missing)}); bring it back, or build the cloud anew.')
     if clouds.DRAWN not in cloud.levels[0].data or clouds.FINGERPRINT not in cloud.collection:
         raise GeometryError(f'"{name}" was built by an older Farfield; build the cloud anew.')
-    source = _taken(context, sources)
+    source = read_original(context, sources)
     if source.fingerprint != cloud.collection[clouds.FINGERPRINT]:
         raise GeometryError(f'The original of "{name}" was edited or moved since the cloud was built; build the cloud anew.')
     images.check_images(source)
-    return BtfJob(name, [item.name for item in sources], source, settings, work, keeps_work)
+    temporary = _temporary_folder() if work is None else None
+    folder = work if temporary is None else Path(temporary.name)
+    levels = [_level(level_object, folder, number) for number, level_object in enumerate(cloud.levels)]
+    for level in levels:
+        level.store.open(f"{source.fingerprint} {settings.of_capture} {len(level.order.texels)} {level.order.error:.9g}")
+    btf_snapshot.write_snapshot(folder, context.scene, sources, source, [level.order for level in levels], settings)
+    return BtfJob(name, source.fingerprint, settings, levels, folder, keeps_work, temporary)
 
 
-def _taken(context: bpy.types.Context, sources: Sequence[bpy.types.Object]) -> meshes.Source:
-    """The geometry of the sources, also of those that are hidden because the cloud is shown instead."""
-    hidden = [(item, item.hide_viewport, item.hide_get()) for item in sources]
+def _level(level_object: bpy.types.Object, folder: Path, number: int) -> Level:
+    texels = btf_clouds.texels_of_level(level_object)
+    order = LevelOrder(texels, *clouds.drawn_on(level_object.data), float(level_object["farfield_error"]))
+    store = ShardStore(btf_snapshot.store_folder(folder, number))
+    return Level(order, btf_clouds.plain_alpha(level_object, texels), store)
+
+
+def _temporary_folder() -> tempfile.TemporaryDirectory:
     try:
-        for item in sources:
-            item.hide_viewport = False
-            item.hide_set(False)
-        context.view_layer.update()
-        depsgraph = context.evaluated_depsgraph_get()
-        first = sources[0].evaluated_get(depsgraph).data
-        if len(sources) == 1 and isinstance(first, bpy.types.Mesh) and len(first.vertices) and not len(first.polygons):
-            return meshes.take_points(sources[0])
-        return meshes.take(list(sources), depsgraph)
-    except FarfieldError as error:
-        raise GeometryError(f"The original cannot be read: {error}") from error
-    finally:
-        for item, viewport, here in hidden:
-            item.hide_viewport = viewport
-            item.hide_set(here)
-        context.view_layer.update()
+        return tempfile.TemporaryDirectory(prefix="farfield-btf-", ignore_cleanup_errors=True)
+    except OSError as error:
+        raise FileError(f"No temporary folder can be made ({error.strerror}); free some space on that disk.") from error

@@ -15,11 +15,15 @@ from ..core.progress import Progress, Steps, finish, scaled, time_left
 from ..core.worker import Worker
 
 TICK = 0.05  # seconds between two looks at the job
-CORE_SHARE = 0.35  # of the bar; renders take longer than the search for planes
 
 
 class Job(Protocol):
-    """What `LongWork` runs. It keeps no reference to Blender data between steps, only names and arrays."""
+    """What `LongWork` runs. It keeps no reference to Blender data between steps, only names and arrays.
+
+    core_share: of the bar, what the half without Blender takes.
+    """
+
+    core_share: float
 
     def core_steps(self) -> Steps[Any]:
         """The part without Blender, for any thread."""
@@ -30,8 +34,8 @@ class Job(Protocol):
 
 def whole(job: Job) -> Steps[str]:
     """Both halves of `job` one after the other, in the thread that runs them: what scripts and `execute` use."""
-    core_result = yield from scaled(job.core_steps(), 0.0, CORE_SHARE)
-    return (yield from scaled(job.scene_steps(core_result), CORE_SHARE, 1.0))
+    core_result = yield from scaled(job.core_steps(), 0.0, job.core_share)
+    return (yield from scaled(job.scene_steps(core_result), job.core_share, 1.0))
 
 
 class Run:
@@ -76,10 +80,10 @@ class Run:
         """Go on for about one tick; True when the job has finished. What the job raises is raised here, `Stopped` too."""
         if self._scene_steps is None:
             step = self._worker.progress
-            self._take(Progress(CORE_SHARE * step.fraction, step.label))
+            self._take(Progress(self._job.core_share * step.fraction, step.label))
             if not self._worker.done:
                 return False
-            self._scene_steps = scaled(self._job.scene_steps(self._worker.result()), CORE_SHARE, 1.0)
+            self._scene_steps = scaled(self._job.scene_steps(self._worker.result()), self._job.core_share, 1.0)
         if self.stopping:
             raise Stopped("Stopped; nothing was changed.")
         until = time.monotonic() + TICK

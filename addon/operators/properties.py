@@ -26,6 +26,8 @@ def blender_property(description: Description, options: set[str]) -> Any:
         return bpy.props.EnumProperty(items=items, default=description.default, **common)
     if description.type is bool:
         return bpy.props.BoolProperty(default=description.default, **common)
+    if description.type is str:
+        return bpy.props.StringProperty(default=description.default, **common)
     limits = {
         word: to_blender(description, limit)
         for word, limit in (("min", description.minimum), ("max", description.maximum))

@@ -25,7 +25,7 @@ def sighting() -> Sighting:
 
 def test_what_goes_in_comes_out(store):
     kept = sighting()
-    store.write(3, kept)
+    store.write(3, kept, 0.5)
     visible, values = Colours(store, 3).read()
     np.testing.assert_array_equal(visible, kept.visible)
     np.testing.assert_allclose(values.reshape(3, 2, 3), kept.radiance.swapaxes(0, 1), rtol=1e-3)
@@ -36,14 +36,14 @@ def test_what_goes_in_comes_out(store):
 
 
 def test_equal_views_are_equal_bytes(store):
-    store.write(0, sighting())
-    store.write(1, sighting())
+    store.write(0, sighting(), 1.5)
+    store.write(1, sighting(), 1.5)
     assert store.path(0).read_bytes() == store.path(1).read_bytes()
 
 
 def test_a_damaged_view_does_not_stand(store):
     assert not store.stands(0)
-    store.write(0, sighting())
+    store.write(0, sighting(), 1.5)
     assert store.stands(0)
     whole = bytearray(store.path(0).read_bytes())
     whole[len(whole) // 2] ^= 0xFF
@@ -62,8 +62,8 @@ def test_faces_wait_for_the_rest_of_their_view(store):
 
 def test_nothing_but_whole_files_is_left(store):
     store.write_faces(0, np.zeros((2, 2), np.int32))
-    store.write(0, sighting())
-    assert {path.name for path in store.folder.iterdir()} == {"job.json", "view-0000.shard"}
+    store.write(0, sighting(), 1.5)
+    assert {path.name for path in store.folder.iterdir()} == {"job.json", "view-0000.json", "view-0000.shard"}
 
 
 def test_the_folder_of_another_bake_is_refused(store):

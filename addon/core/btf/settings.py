@@ -25,6 +25,10 @@ class BtfSettings(Settings):
     samples: int = setting(
         4, "Cycles samples a pixel of every render; compression removes their noise", minimum=1, maximum=4096, unit=Unit.COUNT
     )
+    executor: str = setting(
+        "processes",
+        "Where the renders run: serial, processes, processes:N for N at a time, or dask:tcp://HOST:PORT for a Dask scheduler",
+    )
     seed: int = setting(0, "Seed of random choices", minimum=0, maximum=2**31 - 1)
 
     @property

@@ -3,9 +3,10 @@
 import hashlib
 import io
 import json
-import os
+import uuid
 import zipfile
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from ..errors import FileError
 from .texels import Sighting
 
 JOB = "job.json"
+PART = ".part"
 DIGEST = hashlib.sha256().digest_size
 
 
@@ -47,8 +49,25 @@ class ShardStore:
         """Where a view's file is."""
         return self.folder / f"view-{view:04d}.shard"
 
-    def write(self, view: int, sighting: Sighting) -> None:
-        """Keep what is known from a view; its picture of faces is needed no longer.
+    def remove_parts(self) -> None:
+        """Remove what dead processes have left unfinished; nobody may be writing here now."""
+        for part in self.folder.glob(f"*{PART}"):
+            part.unlink(missing_ok=True)
+
+    def keeps(self, view: int) -> bool:
+        """Whether a view stands; what is left of a damaged one is removed, so that from then on `has` says the same."""
+        standing = self.stands(view)
+        if not standing:
+            self.path(view).unlink(missing_ok=True)
+        return standing
+
+    def has(self, view: int) -> bool:
+        """Whether a view is finished; `stands` tells whether it is undamaged too."""
+        return self.path(view).exists()
+
+    def write(self, view: int, sighting: Sighting, render_seconds: float) -> None:
+        """Keep what is known from a view; its picture of faces is needed no longer. What its renders took lies beside it, so that the
+        view's own file has the same bytes whoever renders it.
 
         Raises:
             FileError: when the disk does not take it.
@@ -59,6 +78,7 @@ class ShardStore:
             "visible": sighting.visible,
             "radiance": np.minimum(sighting.radiance, np.finfo(np.float16).max).astype(np.float16),
         }
+        self._keep(self._figures_path(view), json.dumps({"render_seconds": render_seconds}).encode())
         self._write(self.path(view), np.savez, arrays)
         self._faces_path(view).unlink(missing_ok=True)
 
@@ -78,6 +98,17 @@ class ShardStore:
         """
         return self._read(self.path(view), *names)
 
+    def render_seconds(self, views: int) -> float:
+        """What Cycles took for those of all `views` that are finished, also in runs before this one, as far as is known."""
+        total = 0.0
+        for path in (self._figures_path(view) for view in range(views) if self.has(view)):
+            with suppress(OSError, KeyError, TypeError, ValueError):  # a figure that is gone is not worth a view
+                total += float(json.loads(path.read_bytes())["render_seconds"])
+        return total
+
+    def _figures_path(self, view: int) -> Path:
+        return self.folder / f"view-{view:04d}.json"
+
     def _faces_path(self, view: int) -> Path:
         return self.folder / f"faces-{view:04d}.shard"
 
@@ -92,12 +123,12 @@ class ShardStore:
         buffer = io.BytesIO()
         save(buffer, **arrays)
         content = buffer.getvalue()
-        temporary = path.with_suffix(f".{os.getpid()}.part")
+        self._keep(path, hashlib.sha256(content).digest() + content)
+
+    def _keep(self, path: Path, content: bytes) -> None:
         try:
-            temporary.write_bytes(hashlib.sha256(content).digest() + content)
-            temporary.replace(path)
+            _write_whole(path, content)
         except OSError as error:
-            temporary.unlink(missing_ok=True)
             raise FileError(f'A finished view cannot be kept in "{self.folder}": {error}. Free some space there and resume.') from error
 
     def stands(self, view: int) -> bool:
@@ -110,7 +141,7 @@ class ShardStore:
 
     def bytes(self, views: int) -> int:
         """What the files of all `views` take."""
-        return sum(self.path(view).stat().st_size for view in range(views) if self.path(view).exists())
+        return sum(self.path(view).stat().st_size for view in range(views) if self.has(view))
 
 
 @dataclass(frozen=True)
@@ -146,6 +177,10 @@ class Silhouettes:
 
 
 def _write_whole(path: Path, content: bytes) -> None:
-    temporary = path.with_suffix(f".{os.getpid()}.part")
-    temporary.write_bytes(content)
-    temporary.replace(path)
+    temporary = path.with_suffix(f".{uuid.uuid4().hex}{PART}")
+    try:
+        temporary.write_bytes(content)
+        temporary.replace(path)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
