@@ -7,6 +7,7 @@ import bpy
 import mathutils
 import numpy as np
 
+from ..core.btf.estimate import side_of
 from ..core.btf.settings import BtfSettings
 from ..core.btf.texels import FINER, Picture, View
 from .identity import add_stand_in, faces_in
@@ -120,8 +121,7 @@ def views_of(source: Source, settings: BtfSettings, pixel: float) -> list[View]:
     low, high = points.min(axis=0), points.max(axis=0)
     center = 0.5 * (low + high)
     reach = float(np.linalg.norm(points - center, axis=1).max())
-    side = int(np.ceil(2.0 * reach / pixel)) + 2
-    return [View(direction, center, side, pixel) for direction in settings.view_grid.directions]
+    return [View(direction, center, side_of(reach, pixel), pixel) for direction in settings.view_grid.directions]
 
 
 def _planes(source: Source, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,16 +1,13 @@
 """Operators of the tool `btf`: bake relightable textures for a cloud, choose the suns that light it, go back to the plain maps."""
 
-import hashlib
-import tempfile
-from pathlib import Path
-
 import bpy
 
-from ..bridge import btf_clouds, clouds
+from ..bridge import btf_clouds
 from ..bridge.btf_materials import SUNS
 from ..core.btf.settings import BtfSettings
 from . import long_work, properties
 from .billboards_clouds import StandingCloud, cloud_for
+from .btf_estimates import work_folder
 from .btf_job import BtfJob, prepare
 
 
@@ -115,13 +112,6 @@ def is_baked(cloud: StandingCloud | None) -> bool:
 def refusal(context: bpy.types.Context) -> str:
     """Why nothing can be baked now, or an empty string."""
     return long_work.busy() or ("" if chosen(context) is not None else "Select a billboard cloud or its original")
-
-
-def work_folder(cloud: StandingCloud, settings: BtfSettings) -> Path:
-    """Where finished views of a bake wait for its end: one folder for each cloud and each set of renders."""
-    errors = " ".join(f"{error:.9g}" for error in cloud.errors)
-    words = f"{cloud.collection.get(clouds.FINGERPRINT, '')} {errors} {settings.of_capture}"
-    return Path(tempfile.gettempdir()) / f"farfield-btf-{hashlib.sha256(words.encode()).hexdigest()[:16]}"
 
 
 CLASSES = (FARFIELD_PG_btf, FARFIELD_OT_btf_bake, FARFIELD_OT_btf_light, FARFIELD_OT_btf_plain)

@@ -22,6 +22,7 @@ from ..core.btf.tints import tints
 from ..core.errors import FileError, GeometryError
 from ..core.parallel import read_word
 from ..core.progress import StageClock, Steps, scaled
+from . import btf_estimates
 from .billboards_clouds import StandingCloud, cloud_of
 
 DOME_WEIGHT = 4.0 * np.pi  # as much as all suns together
@@ -67,6 +68,7 @@ class BtfJob:
     temporary: tempfile.TemporaryDirectory | None
     figures: list[dict[str, Any]] = field(default_factory=list)
     clock: StageClock = field(default_factory=StageClock)
+    _rendered: int = 0
 
     def core_steps(self) -> Steps[list[Baked]]:
         """Let worker processes capture what is missing, then compress.
@@ -78,7 +80,7 @@ class BtfJob:
         stores = [level.store for level in self.levels]
         with self.clock.stage("capture"):
             steps = render_missing(self.folder, stores, views, self.settings.executor, lambda shard: btf_worker.command(self.folder, shard))
-            yield from scaled(steps, 0.0, CAPTURED)
+            self._rendered = yield from scaled(steps, 0.0, CAPTURED)
         baked = []
         for number in range(len(self.levels)):
             part = (CAPTURED + (1.0 - CAPTURED) * place / len(self.levels) for place in (number, number + 1))
@@ -92,8 +94,11 @@ class BtfJob:
             GeometryError: when the cloud was removed or built anew in the meantime.
         """
         yield from ()
+        cloud = self._cloud()
+        if self._rendered == self.settings.views * len(self.levels):
+            btf_estimates.remember_pace(cloud, self.settings, sum(self.clock.seconds.values()))
         with self.clock.stage("dress"):
-            for level_object, baked in zip(self._cloud().levels, core_result, strict=True):
+            for level_object, baked in zip(cloud.levels, core_result, strict=True):
                 btf_clouds.wear(level_object, baked.texels, baked.hues, baked.colour, baked.alpha, self.settings)
         if self.temporary is not None:
             self.temporary.cleanup()

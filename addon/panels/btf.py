@@ -5,8 +5,9 @@ import bpy
 from ..bridge.btf_materials import SUNS
 from ..core.btf.settings import BtfSettings
 from ..core.settings import describe
-from ..operators import btf, long_work
-from .billboards import SidebarPanel
+from ..operators import btf, btf_estimates, long_work, properties
+from ..operators.billboards_clouds import StandingCloud
+from .billboards import SidebarPanel, megabytes
 from .progress import draw_progress
 
 ROWS = [item.name for item in describe(BtfSettings) if item.name not in ("codec", "seed")]
@@ -33,15 +34,17 @@ class FARFIELD_PT_btf(SidebarPanel, bpy.types.Panel):
         if run is not None:
             draw_progress(layout, run)
             return
-        cloud, reason = btf.chosen(context), btf.refusal(context)
+        cloud, reason, done = btf.chosen(context), btf.refusal(context), 0
+        settings = properties.read(BtfSettings, group)
+        reason = reason or btf_estimates.check(settings)
         if reason:
             layout.label(text=reason, icon="INFO")
         else:
-            renders = group.views * (group.lights + 1) * len(cloud.levels)
-            layout.label(text=f"{renders:,} renders for {len(cloud.levels)} levels", icon="RENDER_STILL")
+            done = btf_estimates.views_done(cloud, settings)
+            draw_estimate(layout, cloud, settings, done)
         row = layout.row()
         row.scale_y = 1.4
-        row.operator(btf.FARFIELD_OT_btf_bake.bl_idname, text="Bake", icon="LIGHT_SUN")
+        row.operator(btf.FARFIELD_OT_btf_bake.bl_idname, text="Resume" if done else "Bake", icon="LIGHT_SUN")
         if btf.is_baked(cloud):
             lamps = layout.column()
             for number in range(SUNS):
@@ -49,6 +52,17 @@ class FARFIELD_PT_btf(SidebarPanel, bpy.types.Panel):
             lamps.prop(group, "ambient")
             lamps.operator(btf.FARFIELD_OT_btf_light.bl_idname)
             lamps.operator(btf.FARFIELD_OT_btf_plain.bl_idname)
+
+
+def draw_estimate(layout: bpy.types.UILayout, cloud: StandingCloud, settings: BtfSettings, done: int) -> None:
+    """What a bake will take, and how many of its views stand already."""
+    figures = btf_estimates.estimated(cloud, settings)
+    every = settings.views * len(cloud.levels)
+    column = layout.box().column(align=True)
+    column.label(text=f"{figures.renders:,} renders, about {long_work.duration(figures.seconds)}", icon="RENDER_STILL")
+    column.label(text=f"{megabytes(figures.raw_bytes)} MB raw, {megabytes(figures.final_bytes)} MB in the end", icon="FILE_IMAGE")
+    if done:
+        column.label(text=f"{done} of {every} views stand", icon="CHECKMARK")
 
 
 CLASSES = (FARFIELD_PT_btf,)
