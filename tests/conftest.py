@@ -36,6 +36,17 @@ def empty_scene(extension):
     return bpy.context.scene
 
 
+@pytest.fixture
+def scheduler(tmp_path) -> Iterator:
+    """A Dask scheduler of one's own on this machine, see `dask_farm.Farm`; the test is skipped where Dask is not installed."""
+    pytest.importorskip("distributed")
+    from dask_farm import Farm
+
+    farm = Farm(tmp_path)
+    yield farm
+    farm.close()
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Fast tests first: who runs the suite sees what is broken soon."""
     items.sort(key=lambda item: 2 if item.get_closest_marker("gui") else 1 if item.get_closest_marker("slow") else 0)

@@ -68,9 +68,9 @@ def render_missing(folder: Path, stores: Sequence[ShardStore], views: int, word:
                 for done in wait(pending, LOOK, FIRST_COMPLETED).done:
                     shard, again = pending.pop(done)
                     code, words = outcome(done)
+                    held.renew()  # first of all: workers also end because another run took over
                     rest = [view for view in shard.views if not all(store.has(view) for store in stores)]
                     if code == REFUSED or (rest and again):
-                        held.renew()
                         raise FarfieldError(_why(code, words))
                     if rest:
                         successor = Shard(rest, shard.lease, shard.sharing)
