@@ -66,7 +66,7 @@ def write_snapshot(
         for number, image in enumerate(_unsaved(source)):
             words["images"][image.name] = f"image-{number}.npy"
             np.save(folder / f"image-{number}.npy", pixels_of(image), allow_pickle=False)
-        bpy.data.libraries.write(str(folder / BLEND), set(objects), path_remap="ABSOLUTE")
+        words["collection"] = _write_blend(folder / BLEND, objects)
         for number, order in enumerate(orders):
             order.save(_order_path(folder, number))
         (folder / WORDS).write_text(json.dumps(words), encoding="utf-8")
@@ -91,13 +91,14 @@ def open_snapshot(folder: Path) -> Snapshot:
                 setattr(owner, key, value)
         scene.frame_set(words["frame"], subframe=words["values"]["scene"]["frame_subframe"])
         with bpy.data.libraries.load(str(folder / BLEND)) as (_, appended):
-            appended.objects = words["objects"]
+            appended.collections = [words["collection"]]
+        held = {item.name: item for item in appended.collections[0].objects}
+        objects = [held[name] for name in words["objects"]]
         for name, file in words["images"].items():
             bpy.data.images[name].pixels.foreach_set(np.load(folder / file, allow_pickle=False).ravel())
         orders = [load_order(_order_path(folder, number)) for number in range(words["levels"])]
-    except (OSError, KeyError, TypeError, ValueError, RuntimeError) as error:
+    except (OSError, AttributeError, KeyError, TypeError, ValueError, RuntimeError) as error:
         raise FileError(f'The snapshot in "{folder}" cannot be read: {error}. Bake again; views that stand are kept.') from error
-    objects = [item for item in appended.objects if item is not None]
     for item in objects:
         scene.collection.objects.link(item)
     source = read_original(bpy.context, objects)
@@ -107,6 +108,19 @@ def open_snapshot(folder: Path) -> Snapshot:
             "simulation or a script. Apply its modifiers, build the cloud anew and bake again."
         )
     return Snapshot(objects, source, BtfSettings(**words["settings"]), orders)
+
+
+def _write_blend(path: Path, objects: Sequence[bpy.types.Object]) -> str:
+    """Write `objects` in a collection that is there for the file alone, since linked ones are only written where something holds them;
+    its name."""
+    collection = bpy.data.collections.new("Farfield Snapshot")
+    try:
+        for item in objects:
+            collection.objects.link(item)
+        bpy.data.libraries.write(str(path), {collection}, path_remap="ABSOLUTE")
+        return collection.name
+    finally:
+        bpy.data.collections.remove(collection)
 
 
 def _order_path(folder: Path, number: int) -> Path:

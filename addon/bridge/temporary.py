@@ -59,7 +59,10 @@ class TemporaryScene:
             reason = str(error).strip()
             raise FileError(f'Rendering into the temporary folder "{self.folder}" failed: {reason} Free some space there.') from error
         self.render_seconds += time.perf_counter() - started
-        return _read_picture(Path(settings.filepath))
+        path = Path(settings.filepath)
+        if path.stat().st_size < 16 * settings.resolution_x * settings.resolution_y:  # Blender does not always see that a disk is full
+            raise FileError(f'Rendering into the temporary folder "{self.folder}" failed: the picture is cut off. Free some space there.')
+        return _read_picture(path)
 
     def close(self) -> None:
         """Remove all that was made, and the folder."""

@@ -99,7 +99,7 @@ def test_runs_hold_every_view_once_in_order_and_keep_all_slots_busy(missing, slo
     runs = runs_of(missing, slots)
     assert [view for run in runs for view in run] == missing
     lengths = [len(run) for run in runs]
-    assert 1 <= min(lengths) and max(lengths) <= min(min(lengths) + 1, SHARD_VIEWS)
+    assert min(lengths) >= 1 and max(lengths) <= min(min(lengths) + 1, SHARD_VIEWS)
     assert len(runs) == len(missing) or len(runs) % slots == 0
 
 
@@ -110,7 +110,7 @@ def test_every_view_is_rendered_once(bake, undisturbed, word):
     assert sorted(bake.log("view")) == sorted(f"{level} {view}" for level in (0, 1) for view in range(VIEWS))
     assert len(bake.log("start")) == (1 if word == "serial" else 2)
     assert bake.bytes() == undisturbed
-    assert fractions == sorted(fractions) and 0.0 <= fractions[0] and fractions[-1] <= 1.0
+    assert fractions == sorted(fractions) and fractions[0] >= 0.0 and fractions[-1] <= 1.0
     assert sum(store.render_seconds(VIEWS) for store in bake.stores) == pytest.approx(0.25 * 2 * VIEWS)
 
 
