@@ -1,50 +1,16 @@
 """The button in a real window: a tree, the bar, Esc, a finished cloud, undo."""
 
-import json
-import os
-import shutil
-import subprocess
-from pathlib import Path
-
 import pytest
 
-import environment
-from gui.blender_program import launcher
-
-SECONDS = 400
+from gui.visits import findings_of
 
 pytestmark = pytest.mark.gui
 
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory) -> dict:
-    """What a visitor to a Blender window with this checkout installed saw; see drive.py."""
-    resources, findings = tmp_path_factory.mktemp("blender"), tmp_path_factory.mktemp("seen")
-    install(resources / "extensions" / "user_default" / "farfield")
-    drive = shutil.copy(Path(__file__).with_name("drive.py"), resources)
-    command = [launcher(), "run", "-s", "1400x1000", "-t", str(SECONDS), "--", "--factory-startup", "--enable-event-simulate"]
-    log = subprocess.run(
-        [*command, "--python", drive, "--", findings],
-        cwd=environment.ROOT,
-        env=os.environ | {"BLENDER_USER_RESOURCES": str(resources)},
-        capture_output=True,
-        text=True,
-        errors="replace",
-        check=False,
-    )
-    result = findings / "seen.json"
-    assert result.exists(), f"Blender ended with {log.returncode} and left no findings:\n{log.stdout[-3000:]}\n{log.stderr[-3000:]}"
-    print(f"pictures and findings: {findings}")
-    print(*(line for line in (log.stdout + log.stderr).splitlines() if "Error" in line or "Traceback" in line), sep="\n")
-    return json.loads(result.read_text(encoding="utf-8"))
-
-
-def install(folder: Path) -> None:
-    """Put this checkout where Blender looks for extensions."""
-    folder.mkdir(parents=True)
-    for name in ("__init__.py", "blender_manifest.toml"):
-        shutil.copy(environment.ROOT / name, folder)
-    shutil.copytree(environment.ROOT / "addon", folder / "addon", ignore=shutil.ignore_patterns("__pycache__"))
+    """What a visitor who builds a cloud saw; see drive.py."""
+    return findings_of("drive.py", tmp_path_factory)
 
 
 def test_the_visit_went_through(seen):
