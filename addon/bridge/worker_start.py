@@ -9,14 +9,16 @@ FOLDER holds SciPy, which a Blender program that knows no extensions does not fi
 import importlib
 import importlib.util
 import sys
+import traceback
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 NAME = "farfield_worker"
+FAILED = 1  # exit code where nothing else was said
 
 
-def main() -> int:
-    """Load the package and hand over; returns the exit code."""
+def main() -> None:
+    """Load the package, hand over, and end with the exit code that comes back."""
     given = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
     module, folder, *arguments = given
     if importlib.util.find_spec("scipy") is None:
@@ -25,8 +27,15 @@ def main() -> int:
     package = importlib.util.module_from_spec(spec)
     sys.modules[NAME] = package
     spec.loader.exec_module(package)
-    return importlib.import_module(f"{NAME}.{module}").main(arguments)
+    processes = importlib.import_module(f"{NAME}.addon.bridge.worker_processes")
+    code = FAILED
+    try:
+        code = importlib.import_module(f"{NAME}.{module}").main(arguments)
+    finally:
+        if sys.exc_info()[0] is not None:
+            traceback.print_exc()  # here, since a Blender program would print it and end as if nothing had happened
+        processes.leave(code)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

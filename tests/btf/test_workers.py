@@ -254,7 +254,7 @@ class TestSnapshot:
         image.file_format = "PNG"
         image.save()
         painted = np.random.default_rng(0).integers(0, 256, (4, 8, 4)).astype(np.float32) / 255.0
-        image.pixels.foreach_set(painted.ravel())
+        image.pixels = painted.ravel().tolist()
         red = blender_scenes.material("Painted")
         node = red.node_tree.nodes.new("ShaderNodeTexImage")
         node.image = image

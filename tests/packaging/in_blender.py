@@ -24,7 +24,7 @@ def tab(names: list[str]) -> set[str]:
 
 
 def main() -> None:
-    """Enable and disable twice; while enabled the second time, build a cloud of the startup cube."""
+    """Enable and disable twice; while enabled the second time, build a cloud of a cube and bake it."""
     import addon_utils  # stands only where bpy has been imported
 
     addon_utils.extensions_refresh(addon_modules_pending=[MODULE])
@@ -35,8 +35,10 @@ def main() -> None:
         seen["tabs"].append(sorted(tab(classes())))
         if turn == 1:
             bpy.ops.mesh.primitive_cube_add()
-            bpy.ops.farfield.billboards_build(textures=False, levels=1)
+            bpy.ops.farfield.billboards_build(samples=1, levels=1)
             seen["clouds"] = sum(item.get("farfield_kind") == "cloud" for item in bpy.data.objects)
+            bpy.ops.farfield.btf_bake(views=4, lights=4, samples=1, components=1, alpha_components=1, executor="processes:2")
+            seen["baked"] = [item.data.materials[0].name for item in bpy.data.objects if item.get("farfield_kind") == "cloud"]
         addon_utils.disable(MODULE, default_set=True, handle_error=passes_on)
         seen["disabled"].append(classes())
     seen["wheels"] = {name: sys.modules[name].__file__ for name in ("scipy", "xatlas", "fast_simplification") if name in sys.modules}

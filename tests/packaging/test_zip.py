@@ -94,6 +94,10 @@ def test_installed_extension_builds_a_cloud_with_the_wheels_it_brought(seen, res
         assert Path(path).is_relative_to(resources / "extensions" / ".local")
 
 
+def test_workers_start_from_the_installed_extension(seen):
+    assert seen["baked"] == ["Cube.001 Cloud L0 BTF"]
+
+
 def test_a_torn_wheel_in_the_cache_is_not_used(tmp_path, monkeypatch):
     import build_extension
 
