@@ -41,7 +41,7 @@ def read_fmf(path: Path) -> FmfFile:
     data = _Bytes(path.read_bytes())
     assert data.take("9s")[0] == b"!DFMF08FC"
     start = data.place
-    size, version, setup, sensor, light, per_millimetre, *rgb = data.take("II80s80s80s4f")
+    size, version, setup, _, _, per_millimetre, *_ = data.take("II80s80s80s4f")
     cosine, length = data.take("II")
     (note,) = data.take(f"{length}s")
     names = [data.take(f"{data.take('I')[0]}s")[0].decode() for _ in range(data.take("I")[0])]

@@ -42,9 +42,14 @@ def plain_alpha(level_object: bpy.types.Object, texels: Texels) -> np.ndarray:
     return pixels_of(image)[texels.pixels[:, 1], texels.pixels[:, 0], 3]
 
 
+def plain_material(level_object: bpy.types.Object) -> bpy.types.Material | None:
+    """The material with the plain maps of a level, whether it wears it or relightable textures."""
+    return bpy.data.materials.get(level_object.get(PLAIN_MATERIAL, "")) or level_object.data.materials[0]
+
+
 def _plain_image(level_object: bpy.types.Object) -> bpy.types.Image | None:
     """The image of the plain maps that holds colour and alpha of the fronts."""
-    plain = bpy.data.materials.get(level_object.get(PLAIN_MATERIAL, "")) or level_object.data.materials[0]
+    plain = plain_material(level_object)
     nodes = plain.node_tree.nodes if plain is not None and plain.node_tree is not None else []
     return next((node.image for node in nodes if node.type == "TEX_IMAGE" and node.label == FRONT_COLOUR), None)
 

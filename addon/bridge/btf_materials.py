@@ -17,6 +17,10 @@ from .wiring import Operand, Wiring
 SUNS = 4
 BLACK = (0.0, 0.0, 0.0)
 AMBIENT = "farfield_ambient"  # on the level object: colour of the dome
+LAYOUT = "farfield_btf"  # on the material: the numbers of `core.btf.tables.Tables` that tell what its images hold
+WEIGHTS, TINTS, BASIS, DOME = "Weights", "Tints", "Basis", "Dome"  # labels of image nodes; of weights there are several, numbered from 0
+LAYOUT_NUMBERS = ("views", "views_upper", "lights", "lights_upper", "clusters", "components", "alpha_components")
+ALPHA_WEIGHTS, ALPHA_BASIS, PLAIN = "Alpha Weights", "Alpha Basis", "Plain"
 
 
 def sun_property(number: int) -> str:
@@ -49,6 +53,7 @@ class BtfImages:
 def btf_material(name: str, images: BtfImages, tables: Tables) -> bpy.types.Material:
     """A material that shines with what the suns and the dome of its object make of the cloud."""
     material = bpy.data.materials.new(name)
+    material[LAYOUT] = {name: int(getattr(tables, name)) for name in LAYOUT_NUMBERS}
     set_two_sided(material)
     material.cycles.emission_sampling = "NONE"
     give_nodes(material)
@@ -56,9 +61,9 @@ def btf_material(name: str, images: BtfImages, tables: Tables) -> bpy.types.Mate
     tree.nodes.clear()
     wiring = Wiring(tree)
     view = _place_node(wiring, tables.views_upper, wiring.node("ShaderNodeNewGeometry").outputs["Incoming"])
-    weights = [_texture(wiring, image) for image in images.weights]
+    weights = [_texture(wiring, image, f"{WEIGHTS} {number}") for number, image in enumerate(images.weights)]
     scalars = _scalars(wiring, weights, tables.components)
-    colour = _weighted_sum(wiring, images.dome, _in_views(wiring, tables.dome, view), tables.dome.step, scalars)
+    colour = _weighted_sum(wiring, images.dome, DOME, _in_views(wiring, tables.dome, view), tables.dome.step, scalars)
     colour = wiring.vector("MULTIPLY", colour, _of_object(wiring, AMBIENT))
     lamp = _lamp_group(name, tables, images.basis, len(weights))
     for number in range(SUNS):
@@ -67,7 +72,7 @@ def btf_material(name: str, images: BtfImages, tables: Tables) -> bpy.types.Mate
             wiring.connect(operand, target)
         lit = wiring.vector("MULTIPLY", node.outputs[0], _of_object(wiring, light_property(number)))
         colour = wiring.vector("ADD", colour, lit)
-    colour = wiring.vector("MULTIPLY", colour, _texture(wiring, images.tints)[0])
+    colour = wiring.vector("MULTIPLY", colour, _texture(wiring, images.tints, TINTS)[0])
     alpha = _alpha(wiring, tables, images, view)
     emission, transparent, mixed = (
         wiring.node(kind) for kind in ("ShaderNodeEmission", "ShaderNodeBsdfTransparent", "ShaderNodeMixShader")
@@ -86,10 +91,10 @@ def _pairs(weights: list[tuple[Operand, Operand]]) -> list[Operand]:
 
 
 def _texture(
-    wiring: Wiring, image: bpy.types.Image, place: Operand | None = None, higher: float = 0.0
+    wiring: Wiring, image: bpy.types.Image, label: str, place: Operand | None = None, higher: float = 0.0
 ) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]:
     """Colour and alpha of `image` so much `higher` than a place, or at the UV map."""
-    node = wiring.node("ShaderNodeTexImage", {"image": image, "extension": "EXTEND", "interpolation": "Linear"})
+    node = wiring.node("ShaderNodeTexImage", {"image": image, "label": label, "extension": "EXTEND"})
     if place is not None:
         wiring.connect(place, node.inputs["Vector"])
         node.texture_mapping.translation = (0.0, higher, 0.0)
@@ -187,12 +192,12 @@ def _under_sun(
             share_y if up else wiring.math("SUBTRACT", 1.0, share_y),
         )
         tile = wiring.vector("MULTIPLY", wiring.vector("ADD", low, (float(right), float(up), 0.0)), tables.tile_scale)
-        part = _weighted_sum(wiring, image, wiring.vector("ADD", tile, in_tile), tables.step, scalars)
+        part = _weighted_sum(wiring, image, BASIS, wiring.vector("ADD", tile, in_tile), tables.step, scalars)
         total = wiring.add_scaled(total, factor, part)
     return total
 
 
-def _weighted_sum(wiring: Wiring, image: bpy.types.Image, uv: Operand, step: float, scalars: list[Operand]) -> Operand:
+def _weighted_sum(wiring: Wiring, image: bpy.types.Image, label: str, uv: Operand, step: float, scalars: list[Operand]) -> Operand:
     """Sum over the components k of scalars[k] times `image` at `uv` moved up by k steps.
 
     Colours all the way, and the move up within the texture node: where Cycles has to turn one kind of vector into another it runs what
@@ -201,15 +206,15 @@ def _weighted_sum(wiring: Wiring, image: bpy.types.Image, uv: Operand, step: flo
     """
     total: Operand = BLACK
     for number, scalar in enumerate(scalars):
-        total = wiring.add_scaled(total, scalar, _texture(wiring, image, uv, number * step)[0])
+        total = wiring.add_scaled(total, scalar, _texture(wiring, image, label, uv, number * step)[0])
     return total
 
 
 def _alpha(wiring: Wiring, tables: Tables, images: BtfImages, view: Operand) -> Operand:
     """The silhouette from the view: a sum over its own components, 0..1."""
-    weights = [_texture(wiring, image) for image in images.alpha_weights]
+    weights = [_texture(wiring, image, f"{ALPHA_WEIGHTS} {number}") for number, image in enumerate(images.alpha_weights)]
     scalars = _scalars(wiring, weights, tables.alpha_components)
     uv = _in_views(wiring, tables.alpha, view)
-    total = wiring.channels(_weighted_sum(wiring, images.alpha_basis, uv, tables.alpha.step, scalars))[0]
-    plain = 0.0 if images.plain is None else _texture(wiring, images.plain)[1]
+    total = wiring.channels(_weighted_sum(wiring, images.alpha_basis, ALPHA_BASIS, uv, tables.alpha.step, scalars))[0]
+    plain = 0.0 if images.plain is None else _texture(wiring, images.plain, PLAIN)[1]
     return wiring.math("ADD", total, plain, clamp=True)

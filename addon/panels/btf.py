@@ -5,7 +5,7 @@ import bpy
 from ..bridge.btf_materials import SUNS
 from ..core.btf.settings import BtfSettings
 from ..core.settings import describe
-from ..operators import btf, long_work
+from ..operators import btf, btf_exports, long_work
 from .billboards import SidebarPanel
 from .progress import draw_progress
 
@@ -49,6 +49,7 @@ class FARFIELD_PT_btf(SidebarPanel, bpy.types.Panel):
             lamps.prop(group, "ambient")
             lamps.operator(btf.FARFIELD_OT_btf_light.bl_idname)
             lamps.operator(btf.FARFIELD_OT_btf_plain.bl_idname)
+            lamps.operator(btf_exports.FARFIELD_OT_btf_export.bl_idname, icon="EXPORT")
 
 
 CLASSES = (FARFIELD_PT_btf,)

@@ -9,6 +9,18 @@ from ..settings import Settings, Unit, setting
 
 CODECS = {"pca": "One set of components for all quads: linear, filtered and mip-mapped like any texture"}
 
+DIRECTIONS = {
+    "bonn": "The 81 directions of the Bonn measurements, above the horizon, interpolated from those of the bake",
+    "baked": "The directions of the bake, as they are",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportSettings(Settings):
+    """What a user can choose about files for other programs."""
+
+    directions: str = setting("bonn", "Views and lights of an exported folder or .btf file", choices=DIRECTIONS)
+
 
 @dataclass(frozen=True, kw_only=True)
 class BtfSettings(Settings):
