@@ -5,10 +5,11 @@ import numpy as np
 
 from ..core.btf.decoding import BakedAtlas
 from ..core.btf.factors import Factors
+from ..core.btf.lpca import LocalFactors
 from ..core.btf.tables import alpha_basis, colour_basis, weights_in
 from ..core.direction_grids import DirectionGrid
 from ..core.errors import GeometryError
-from .btf_materials import ALPHA_BASIS, ALPHA_WEIGHTS, BASIS, DOME, LAYOUT, LAYOUT_NUMBERS, PLAIN, TINTS, WEIGHTS
+from .btf_materials import ALPHA_BASIS, ALPHA_WEIGHTS, BASIS, CLUSTERS, DOME, LAYOUT, LAYOUT_NUMBERS, PLAIN, TINTS, WEIGHTS
 from .images import pixels_of
 
 
@@ -39,11 +40,15 @@ def baked_atlas(level_object: bpy.types.Object) -> BakedAtlas:
     tints = pixels(TINTS)[..., :3]
     known = np.ones(tints.shape[0] * tints.shape[1], bool)
     basis = colour_basis(pixels(BASIS), pixels(DOME), views, lights, numbers["clusters"], components)
+    colour = Factors(weights(WEIGHTS, components).reshape(-1, components), basis, known)
+    if CLUSTERS in images:
+        labels = np.rint(pixels(CLUSTERS)[..., 0]).astype(np.int32).ravel()
+        colour = LocalFactors(colour.weights, colour.basis, known, labels)
     plain = pixels(PLAIN)[..., 3] if PLAIN in images else np.zeros(tints.shape[:2], np.float32)
     return BakedAtlas(
         size=(tints.shape[1], tints.shape[0]),
         tints=tints.reshape(-1, 3),
-        colour=Factors(weights(WEIGHTS, components).reshape(-1, components), basis, known),
+        colour=colour,
         alpha=Factors(
             weights(ALPHA_WEIGHTS, alpha_components).reshape(-1, alpha_components),
             alpha_basis(pixels(ALPHA_BASIS), views, alpha_components),

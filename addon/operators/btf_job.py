@@ -11,6 +11,7 @@ import bpy
 import numpy as np
 
 from ..bridge import btf_capture, btf_clouds, clouds, images, meshes
+from ..core.btf.codecs import compressed_colours
 from ..core.btf.factors import Factors, factorise
 from ..core.btf.quality import quality
 from ..core.btf.settings import BtfSettings
@@ -93,7 +94,7 @@ class BtfJob:
             captured = [Colours(store, view) for view in range(len(views))]
             hues = yield from scaled(tints(captured, len(texels), views.solid_angles, light_weights), CAPTURED, TINTED)
             colours = [Colours(store, view, hues) for view in range(len(views))]
-            steps = factorise(colours, len(texels), self.settings.components, views.solid_angles, columns, self.settings.seed)
+            steps = compressed_colours(colours, len(texels), views.solid_angles, columns, self.settings)
             colour = yield from scaled(steps, TINTED, 0.92)
             steps = factorise(silhouettes, len(texels), self.settings.alpha_components, views.solid_angles, np.ones(1), self.settings.seed)
             alpha = yield from scaled(steps, 0.92, 0.97)
@@ -108,7 +109,7 @@ class BtfJob:
                 "bare_render_seconds": round(bare, 3),
                 "raw_bytes": 2 * 3 * len(texels) * len(views) * (len(lights) + 1),
                 "captured_bytes": store.bytes(len(views)),
-                "compressed_bytes": 2 * (hues.size + colour.weights.size + colour.basis.size + alpha.weights.size + alpha.basis.size),
+                "compressed_bytes": 2 * hues.size + colour.bytes + alpha.bytes,
                 "fits": [asdict(fit) for fit in fits],
             }
         )
@@ -143,9 +144,9 @@ def prepare(context: bpy.types.Context, cloud: StandingCloud, settings: BtfSetti
     Raises:
         GeometryError: when the original was removed or edited, or the cloud was built by a version that kept too little.
         FileError: when an image file of a material is missing.
-        SettingsError: when the numbers of views and lights are no squares.
+        SettingsError: see `BtfSettings.check`.
     """
-    _ = settings.view_grid, settings.light_grid
+    settings.check()
     name = cloud.collection.name
     sources = cloud.sources
     if not sources or len(sources) < len(cloud.source_names):

@@ -9,7 +9,8 @@ from ..operators import btf, btf_exports, long_work
 from .billboards import SidebarPanel
 from .progress import draw_progress
 
-ROWS = [item.name for item in describe(BtfSettings) if item.name not in ("codec", "seed")]
+ROWS = [item.name for item in describe(BtfSettings) if item.name != "seed"]
+OF_CODEC = {"components": "pca", "clusters": "lpca", "cluster_components": "lpca", "blend_texels": "lpca"}  # rows of one codec alone
 
 
 class FARFIELD_PT_btf(SidebarPanel, bpy.types.Panel):
@@ -29,7 +30,8 @@ class FARFIELD_PT_btf(SidebarPanel, bpy.types.Panel):
         rows = layout.column()
         rows.enabled = run is None
         for name in ROWS:
-            rows.prop(group, name)
+            if OF_CODEC.get(name, group.codec) == group.codec:
+                rows.prop(group, name)
         if run is not None:
             draw_progress(layout, run)
             return

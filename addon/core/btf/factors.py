@@ -47,6 +47,11 @@ class Factors:
         """How many sets of components there are; every row has those of one."""
         return 1
 
+    @property
+    def bytes(self) -> int:
+        """What it takes as half floats."""
+        return 2 * (self.weights.size + self.basis.size)
+
     def applied(self, basis: np.ndarray) -> np.ndarray:
         """The values (N, D) of all rows with `basis` (clusters * K, D), that of a view for instance."""
         return self.weights @ basis

@@ -36,6 +36,11 @@ class LocalFactors(Factors):
         """How many sets of components there are; every row has those of one."""
         return self.basis.shape[1] // self.components
 
+    @property
+    def bytes(self) -> int:
+        """What it takes as half floats, the number of a cluster as a byte."""
+        return super().bytes + len(self.labels)
+
     def applied(self, basis: np.ndarray) -> np.ndarray:
         """The values (N, D) of all rows with `basis` (clusters * K, D), that of a view for instance."""
         values = np.empty((len(self.weights), basis.shape[1]), np.result_type(self.weights, basis))
