@@ -110,14 +110,14 @@ def test_blended_texels_are_those_around_in_the_mean():
     lit(card, atlas.lights.directions[3])
     view = atlas.views.directions[5]
     assert view[2] > 0.5
-    picture, taken = rendered(card, view, 24)
+    picture, taken = rendered(card, view, 12)
     decoded = atlas.picture(atlas.seen_from(view[None], atlas.lights.directions[[3]])[0, :, 0])
     texels = texels_of_level(card)
     halfway = 0.5 * (texels.positions.reshape(SIDE, SIDE, 3)[:, 1:] + texels.positions.reshape(SIDE, SIDE, 3)[:, :-1])
     shown = picture[taken.cells(halfway.reshape(-1, 3))][:, :3].reshape(SIDE, SIDE - 1, 3)
     mean = 0.5 * (decoded[:, 1:] + decoded[:, :-1])
     apart = np.abs(decoded[:, 1:] - decoded[:, :-1]).mean()
-    assert np.abs(shown - mean).mean() < 0.12 * apart, "24 draws of one of two leave a tenth of their distance"
+    assert np.abs(shown - mean).mean() < 0.2 * apart, "one of the two alone would be half their distance off"
     assert np.abs(shown.mean() - mean.mean()) < 0.02 * mean.mean()
 
 
