@@ -2,11 +2,11 @@
 
 from .operators import billboards as billboards_operators
 from .operators import btf as btf_operators
-from .operators import long_work
+from .operators import btf_exports, long_work
 from .panels import billboards as billboards_panels
 from .panels import btf as btf_panels
 
-MODULES = (billboards_operators, btf_operators, billboards_panels, btf_panels)
+MODULES = (billboards_operators, btf_operators, btf_exports, billboards_panels, btf_panels)
 
 
 def register() -> None:

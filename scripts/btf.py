@@ -20,10 +20,11 @@ import bpy
 import command_line
 import scene_files
 from farfield.addon.bridge.btf_clouds import light_with
-from farfield.addon.core.btf.settings import BtfSettings
+from farfield.addon.core.btf.settings import BtfSettings, ExportSettings
 from farfield.addon.core.errors import FileError, GeometryError
 from farfield.addon.core.progress import StageClock, finish, scaled
 from farfield.addon.core.settings import add_flags, from_flags
+from farfield.addon.operators import btf_export_job
 from farfield.addon.operators.billboards_clouds import clouds_in
 from farfield.addon.operators.btf_job import BtfJob, prepare
 from farfield.addon.operators.long_work import whole
@@ -38,18 +39,30 @@ def parser() -> command_line.Parser:
     made.add_argument("--work", type=Path, help="a folder for finished views, so that a stopped bake goes on (default: none kept)")
     made.add_argument("--sun", default="Sun", help="name of the sun lamp that lights the result, made when missing (default: Sun)")
     made.add_argument("--report", type=Path, help="a JSON file for the figures of the run")
+    made.add_argument(
+        "--export",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="PATH",
+        help="also write the result for other programs, by its ending: .glb, .btf, or none for a folder of pictures; may be given again",
+    )
     add_flags(made, BtfSettings)
+    add_flags(made, ExportSettings)
     return made
 
 
 def main(arguments: list[str], line: command_line.ProgressLine) -> None:
     """Run the script; raises FarfieldError when the input is bad."""
     given = parser().parse_args(arguments)
-    settings = from_flags(BtfSettings, given)
+    settings, export_settings = from_flags(BtfSettings, given), from_flags(ExportSettings, given)
     out = given.out.absolute()
     if out.suffix.lower() != ".blend":
         raise FileError(f'--out is "{given.out}"; it must end in .blend.')
     check_writable(out, given.report)
+    exports = [path.absolute() for path in given.export]
+    for path in exports:
+        btf_export_job.check_target(path)
     clock = StageClock()
     with clock.stage("read"):
         scene_files.open_scene(given.input.absolute())
@@ -63,6 +76,11 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> None:
             for level in cloud.levels:
                 light_with(level, [sun], world_colour())
         scene_files.save_scene(out)
+    with clock.stage("export"):
+        levels = [level for cloud in clouds_in(bpy.context.scene) for level in cloud.levels]
+        for path in exports:
+            finish(whole(btf_export_job.prepare(levels, path, export_settings)), line.show)
+            line.clear()
     if given.report is not None:
         command_line.write_report(given.report.absolute(), report(jobs, clock))
 

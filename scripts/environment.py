@@ -66,13 +66,13 @@ def ensure(also: tuple[str, ...] = ()) -> None:
         _require_in_blender(also)
         return
     lock = _wanted_lock()
-    if _stamp(Path(sys.prefix)) == lock.digest() or _complete_without_help(lock, also):
+    if stamp(Path(sys.prefix)) == lock.digest() or _complete_without_help(lock, also):
         return
-    folder = Path(os.environ.get("FARFIELD_VENV") or ROOT / ".venv").absolute() / lock.name
+    folder = environments() / lock.name
     try:
-        if _stamp(folder) != lock.digest():
+        if stamp(folder) != lock.digest():
             _make(folder, lock)
-        _restart(_python_of(folder))
+        _restart(python_of(folder))
     except KeyboardInterrupt:
         sys.exit(130)
 
@@ -86,6 +86,11 @@ def import_farfield() -> ModuleType:
     sys.modules["farfield"] = package
     spec.loader.exec_module(package)
     return package
+
+
+def environments() -> Path:
+    """The folder that environments are kept in."""
+    return Path(os.environ.get("FARFIELD_VENV") or ROOT / ".venv").absolute()
 
 
 def interpreter(version: tuple[int, int]) -> list[str] | None:
@@ -171,13 +176,14 @@ def _candidates(version: tuple[int, int]) -> list[list[str]]:
     return commands
 
 
-def _stamp(folder: Path) -> str | None:
+def stamp(folder: Path) -> str | None:
     """What the environment in `folder` was made from, None where none of ours stands."""
-    stamp = folder / STAMP
-    return stamp.read_text(encoding="utf-8").strip() if stamp.is_file() else None
+    written = folder / STAMP
+    return written.read_text(encoding="utf-8").strip() if written.is_file() else None
 
 
-def _python_of(folder: Path) -> Path:
+def python_of(folder: Path) -> Path:
+    """The Python of the environment in `folder`."""
     return folder / ("Scripts/python.exe" if WINDOWS else "bin/python")
 
 
@@ -187,10 +193,10 @@ def _make(folder: Path, lock: Lock) -> None:
     version = ".".join(str(number) for number in lock.python)
     if python is None:
         _refuse(f"Blender {lock.blender} needs Python {version} with its venv module, which was not found; install it and run this again.")
-    if folder.is_dir() and any(folder.iterdir()) and _stamp(folder) is None:
+    if folder.is_dir() and any(folder.iterdir()) and stamp(folder) is None:
         _refuse(f'"{folder}" holds something that Farfield did not make; move it away or name another folder with FARFIELD_VENV.')
     print(f"Farfield makes its environment in {folder}; this takes a few minutes, once.", file=sys.stderr, flush=True)
-    install = [str(_python_of(folder)), "-m", "pip", "install", "--require-hashes", "--only-binary", ":all:", "--no-input"]
+    install = [str(python_of(folder)), "-m", "pip", "install", "--require-hashes", "--only-binary", ":all:", "--no-input"]
     install += ["--disable-pip-version-check", "-r", str(lock.path)]
     if not sys.stderr.isatty():
         install.append("--quiet")

@@ -1,7 +1,7 @@
 """Write the lock files in requirements/: exact versions, with the hashes of the wheels for every platform.
 
     python3 scripts/lock.py              all of them
-    python3 scripts/lock.py py311-bpy5.0 wheels    some of them
+    python3 scripts/lock.py py311-bpy5.0 wheels peers    some of them
 
 pip resolves each set once a platform, as it would install it there, from the index that this machine's pip is set up for.
 """
@@ -13,6 +13,9 @@ import tempfile
 from pathlib import Path
 
 from environment import LOCKS, ROOT, Lock, interpreter
+from peers import LOCK as PEERS_LOCK
+from peers import PYTHON as PEERS_PYTHON
+from peers import SOURCES_LOCK as PEERS_SOURCES_LOCK
 
 PLATFORMS = {  # wheel tags by the name that Blender gives a platform; older and newer tags of one platform may be different wheels
     "linux-x64": [["manylinux_2_28_x86_64", "manylinux_2_27_x86_64", "manylinux_2_17_x86_64", "manylinux2014_x86_64"]],
@@ -25,6 +28,12 @@ BPY = {"4.5": "4.5.15", "5.0": "5.0.1", "5.2": "5.2.3"}
 WHEELS = ["scipy==1.17.1", "xatlas==0.0.11", "fast-simplification==0.2.0"]  # what the extension brings along, the same for both Pythons
 TESTS = ["pytest==9.2.0", "pytest-timeout==2.4.0", "hypothesis==6.170.15", "ruff==0.17.5", "distributed==2026.8.0"]
 NUMPY = {(3, 11): "numpy==1.26.4", (3, 13): "numpy==2.5.5"}  # 1.26 is what Blender 4.5 and 5.0 hold
+PEERS = [  # other people's programs that tests and benchmarks hold ours against, and what btf-extractor needs to be built and run
+    "flip-evaluator==1.7",
+    *["cython==3.1.6", "poetry-core==2.2.1", "setuptools==80.9.0"],
+    *["imageio==2.38.1", "nptyping==1.4.4", "numpy==1.26.4", "pillow==13.0.0", "simplejpeg==1.9.0", "typish==1.9.3"],
+]
+PEER_SOURCES = {"btf-extractor==1.7.0": {"5d2107344395e82280c384f6bfc8dcd5466f9a25d8a2b9e1cf00afb39af0b38d"}}  # there are no wheels of it
 ON_WINDOWS = ["colorama==0.4.6"]  # pytest asks for it there; pip weighs such conditions for the machine that it runs on
 
 Pins = dict[str, set[str]]  # "name==version" to sha256 hashes
@@ -113,6 +122,20 @@ def lock_wheels() -> None:
     write(ROOT / "requirements" / "wheels.txt", comments, merged)
 
 
+def lock_peers() -> None:
+    """Write the locks of what scripts/peers.py installs: wheels, and sources that are built with them."""
+    pins, left_out = resolve_everywhere(PEERS_PYTHON, PEERS, dependencies=False)
+    comments = [
+        f"What scripts/peers.py installs, for Python {PEERS_PYTHON[0]}.{PEERS_PYTHON[1]}. Written by scripts/lock.py; change it there."
+    ]
+    write(PEERS_LOCK, [*comments, *(f"Not for {platform}: {package} has no wheel there." for platform, package in left_out.items())], pins)
+    write(
+        PEERS_SOURCES_LOCK,
+        [*comments, "Built from sources, after the wheels of the other file are in place."],
+        {"every platform": PEER_SOURCES},
+    )
+
+
 def main() -> None:
     wanted = set(sys.argv[1:])
     for lock in LOCKS:
@@ -120,6 +143,8 @@ def main() -> None:
             lock_environment(lock)
     if not wanted or "wheels" in wanted:
         lock_wheels()
+    if not wanted or "peers" in wanted:
+        lock_peers()
 
 
 if __name__ == "__main__":

@@ -73,3 +73,24 @@ def test_held_out_views_are_spread_and_off_the_axes(seed):
     assert np.abs(views).max() < np.cos(np.radians(10.0))
     assert nearest_angles(views).min() > np.radians(40.0)
     assert (views == directions.held_out_views(12, seed)).all()
+
+
+@given(st.floats(0.01, np.pi - 0.01), st.floats(0.0, 2.0 * np.pi, exclude_max=True))
+def test_angles_go_there_and_back(polar, turn):
+    angles = np.array([[polar, turn]])
+    vectors = directions.from_spherical(angles)
+    assert_unit(vectors)
+    np.testing.assert_allclose(directions.from_spherical(directions.to_spherical(vectors)), vectors, atol=1e-12)
+    assert directions.to_spherical(vectors)[0, 0] == pytest.approx(polar)
+
+
+def test_the_directions_of_bonn_are_six_rings_around_the_pole():
+    vectors = directions.bonn_directions()
+    assert vectors.shape == (81, 3)
+    assert_unit(vectors)
+    polar, turns = np.degrees(directions.to_spherical(vectors)).T
+    rings, counts = np.unique(np.rint(polar), return_counts=True)
+    assert rings.tolist() == [0.0, 15.0, 30.0, 45.0, 60.0, 75.0]
+    assert counts.tolist() == [1, 6, 12, 18, 20, 24]
+    assert np.rint(turns[1:7]).tolist() == [0.0, 60.0, 120.0, 180.0, 240.0, 300.0]
+    assert nearest_angles(vectors).min() > np.radians(12.0)

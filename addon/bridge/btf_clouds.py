@@ -6,10 +6,11 @@ import bpy
 import numpy as np
 
 from ..core.btf.factors import Factors
+from ..core.btf.lpca import LocalFactors
 from ..core.btf.settings import BtfSettings
 from ..core.btf.tables import tables_of, weight_images
 from ..core.btf.texels import Texels, texels_of
-from ..core.images import dilate
+from ..core.images import dilate, nearest_known
 from .btf_materials import AMBIENT, SUNS, BtfImages, btf_material, light_property, sun_property
 from .cloud_materials import FRONT_COLOUR
 from .images import data_image, pixels_of
@@ -42,9 +43,14 @@ def plain_alpha(level_object: bpy.types.Object, texels: Texels) -> np.ndarray:
     return pixels_of(image)[texels.pixels[:, 1], texels.pixels[:, 0], 3]
 
 
+def plain_material(level_object: bpy.types.Object) -> bpy.types.Material | None:
+    """The material with the plain maps of a level, whether it wears it or relightable textures."""
+    return bpy.data.materials.get(level_object.get(PLAIN_MATERIAL, "")) or level_object.data.materials[0]
+
+
 def _plain_image(level_object: bpy.types.Object) -> bpy.types.Image | None:
     """The image of the plain maps that holds colour and alpha of the fronts."""
-    plain = bpy.data.materials.get(level_object.get(PLAIN_MATERIAL, "")) or level_object.data.materials[0]
+    plain = plain_material(level_object)
     nodes = plain.node_tree.nodes if plain is not None and plain.node_tree is not None else []
     return next((node.image for node in nodes if node.type == "TEX_IMAGE" and node.label == FRONT_COLOUR), None)
 
@@ -57,10 +63,11 @@ def wear(level_object: bpy.types.Object, texels: Texels, tints: np.ndarray, colo
     tables = tables_of(colour, alpha, settings.view_grid, settings.light_grid)
     name = f"{level_object.name} BTF"
     known = texels.image(colour.known[:, None].astype(np.float32))[..., 0]
-    weights = dilate(texels.image(colour.weights), known, DILATED)
+    weights, clusters = _weights_of(colour, texels, known)
     hues = dilate(texels.image(tints), known, DILATED)
     images = BtfImages(
         weights=[_half_image(f"{name} Weights {number}", image) for number, image in enumerate(weight_images(weights))],
+        clusters=None if clusters is None else _half_image(f"{name} Clusters", np.repeat(clusters[..., None], 4, axis=2)),
         tints=_half_image(f"{name} Tints", np.concatenate([hues, np.ones_like(hues[..., :1])], axis=2)),
         basis=_half_image(f"{name} Basis", tables.basis),
         dome=_half_image(f"{name} Dome", tables.dome.image),
@@ -70,7 +77,7 @@ def wear(level_object: bpy.types.Object, texels: Texels, tints: np.ndarray, colo
         alpha_basis=_half_image(f"{name} Alpha", tables.alpha.image),
         plain=_plain_image(level_object),
     )
-    material = btf_material(name, images, tables)
+    material = btf_material(name, images, tables, settings.blend_texels)
     plain = level_object.data.materials[0]
     if plain is not None and PLAIN_MATERIAL not in level_object:
         plain.use_fake_user = True
@@ -80,6 +87,18 @@ def wear(level_object: bpy.types.Object, texels: Texels, tints: np.ndarray, colo
         level_object[sun_property(number)] = [0.0, 0.0, 1.0]
         level_object[light_property(number)] = [0.0, 0.0, 0.0]
     level_object[AMBIENT] = [0.0, 0.0, 0.0]
+
+
+def _weights_of(colour: Factors, texels: Texels, known: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Images of the weights (H, W, K) and of cluster numbers (H, W), in all pixels; None where there is one set of components for all.
+
+    Weights of different clusters do not mix: what is not `known` (H, W) takes both from the nearest texel that is.
+    """
+    weights = texels.image(colour.weights)
+    if not isinstance(colour, LocalFactors):
+        return dilate(weights, known, DILATED), None
+    nearest = nearest_known(known > 0.0)
+    return weights[nearest], texels.image(colour.labels[:, None].astype(np.float32))[..., 0][nearest]
 
 
 def take_off(level_object: bpy.types.Object) -> None:

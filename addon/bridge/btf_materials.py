@@ -2,7 +2,8 @@
 
 A texel's colour from a view under a light is the sum over the components of its weight times the basis at that view and light. The basis
 lies in one image: tiles of lights, bordered so that the texture unit can interpolate them; one tile for every view, bordered as well; one
-block of these for every component. Four taps find the views around, the texture unit the lights.
+block of these for every component. Four taps find the views around, the texture unit the lights. With local components, texels are in
+clusters, and the blocks of each cluster are a column of that image.
 """
 
 from dataclasses import dataclass
@@ -17,6 +18,11 @@ from .wiring import Operand, Wiring
 SUNS = 4
 BLACK = (0.0, 0.0, 0.0)
 AMBIENT = "farfield_ambient"  # on the level object: colour of the dome
+LAYOUT = "farfield_btf"  # on the material: the numbers of `core.btf.tables.Tables` that tell what its images hold
+WEIGHTS, TINTS, BASIS, DOME = "Weights", "Tints", "Basis", "Dome"  # labels of image nodes; of weights there are several, numbered from 0
+LAYOUT_NUMBERS = ("views", "views_upper", "lights", "lights_upper", "clusters", "components", "alpha_components")
+CLUSTERS = "Clusters"
+ALPHA_WEIGHTS, ALPHA_BASIS, PLAIN = "Alpha Weights", "Alpha Basis", "Plain"
 
 
 def sun_property(number: int) -> str:
@@ -33,11 +39,14 @@ def light_property(number: int) -> str:
 class BtfImages:
     """weights, alpha_weights: images of four components each. tints: what the colours are multiplied by.
 
+    clusters: the number of each texel's cluster, in all channels; None where all have the same components.
+
     basis, dome, alpha_basis: tables, see `core.btf.tables`.
     plain: the plain colour map, whose alpha the components of alpha come on top of; None where there is none.
     """
 
     weights: list[bpy.types.Image]
+    clusters: bpy.types.Image | None
     tints: bpy.types.Image
     basis: bpy.types.Image
     dome: bpy.types.Image
@@ -46,9 +55,13 @@ class BtfImages:
     plain: bpy.types.Image | None
 
 
-def btf_material(name: str, images: BtfImages, tables: Tables) -> bpy.types.Material:
-    """A material that shines with what the suns and the dome of its object make of the cloud."""
+def btf_material(name: str, images: BtfImages, tables: Tables, blend_texels: bool) -> bpy.types.Material:
+    """A material that shines with what the suns and the dome of its object make of the cloud.
+
+    blend_texels: texels in clusters are blended at random instead of not at all.
+    """
     material = bpy.data.materials.new(name)
+    material[LAYOUT] = {name: int(getattr(tables, name)) for name in LAYOUT_NUMBERS}
     set_two_sided(material)
     material.cycles.emission_sampling = "NONE"
     give_nodes(material)
@@ -56,18 +69,24 @@ def btf_material(name: str, images: BtfImages, tables: Tables) -> bpy.types.Mate
     tree.nodes.clear()
     wiring = Wiring(tree)
     view = _place_node(wiring, tables.views_upper, wiring.node("ShaderNodeNewGeometry").outputs["Incoming"])
-    weights = [_texture(wiring, image) for image in images.weights]
+    column, texel, closest = None, None, images.clusters is not None
+    if closest:
+        texel = _texel_place(wiring, images.clusters, blend_texels)
+        column = wiring.math("MULTIPLY", _texture(wiring, images.clusters, CLUSTERS, texel, closest=True)[1], tables.column)
+    weights = [_texture(wiring, image, f"{WEIGHTS} {number}", texel, closest=closest) for number, image in enumerate(images.weights)]
     scalars = _scalars(wiring, weights, tables.components)
-    colour = _weighted_sum(wiring, images.dome, _in_views(wiring, tables.dome, view), tables.dome.step, scalars)
+    in_views = _in_column(wiring, _in_views(wiring, tables.dome, view), column)
+    colour = _weighted_sum(wiring, images.dome, DOME, in_views, tables.dome.step, scalars)
     colour = wiring.vector("MULTIPLY", colour, _of_object(wiring, AMBIENT))
-    lamp = _lamp_group(name, tables, images.basis, len(weights))
+    lamp = _lamp_group(name, tables, images.basis, len(weights), column is not None)
     for number in range(SUNS):
         node = wiring.node("ShaderNodeGroup", {"node_tree": lamp, "label": f"Sun {number + 1}"})
-        for operand, target in zip((view, _of_object(wiring, sun_property(number)), *_pairs(weights)), node.inputs, strict=True):
+        operands = (view, _of_object(wiring, sun_property(number)), *_pairs(weights), *([] if column is None else [column]))
+        for operand, target in zip(operands, node.inputs, strict=True):
             wiring.connect(operand, target)
         lit = wiring.vector("MULTIPLY", node.outputs[0], _of_object(wiring, light_property(number)))
         colour = wiring.vector("ADD", colour, lit)
-    colour = wiring.vector("MULTIPLY", colour, _texture(wiring, images.tints)[0])
+    colour = wiring.vector("MULTIPLY", colour, _texture(wiring, images.tints, TINTS)[0])
     alpha = _alpha(wiring, tables, images, view)
     emission, transparent, mixed = (
         wiring.node(kind) for kind in ("ShaderNodeEmission", "ShaderNodeBsdfTransparent", "ShaderNodeMixShader")
@@ -86,14 +105,32 @@ def _pairs(weights: list[tuple[Operand, Operand]]) -> list[Operand]:
 
 
 def _texture(
-    wiring: Wiring, image: bpy.types.Image, place: Operand | None = None, higher: float = 0.0
+    wiring: Wiring, image: bpy.types.Image, label: str, place: Operand | None = None, higher: float = 0.0, closest: bool = False
 ) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]:
-    """Colour and alpha of `image` so much `higher` than a place, or at the UV map."""
-    node = wiring.node("ShaderNodeTexImage", {"image": image, "extension": "EXTEND", "interpolation": "Linear"})
+    """Colour and alpha of `image` so much `higher` than a place, or at the UV map; without filter if it is the `closest` pixel."""
+    properties = {"image": image, "label": label, "extension": "EXTEND", "interpolation": "Closest" if closest else "Linear"}
+    node = wiring.node("ShaderNodeTexImage", properties)
     if place is not None:
         wiring.connect(place, node.inputs["Vector"])
         node.texture_mapping.translation = (0.0, higher, 0.0)
     return node.outputs["Color"], node.outputs["Alpha"]
+
+
+def _texel_place(wiring: Wiring, image: bpy.types.Image, blend: bool) -> bpy.types.NodeSocket:
+    """The place in the UV map, for textures that cannot be filtered. Blended, it is moved by up to half a pixel of `image` at random.
+
+    The nearest pixel is then each of the four around as often as bilinear filtering would weigh it.
+    """
+    place = wiring.node("ShaderNodeUVMap").outputs[0]
+    if not blend:
+        return place
+    moves = []
+    for seed, size in enumerate(image.size):
+        noise = wiring.node("ShaderNodeTexWhiteNoise", {"noise_dimensions": "4D"})
+        wiring.connect(wiring.node("ShaderNodeNewGeometry").outputs["Position"], noise.inputs["Vector"])
+        wiring.connect(float(seed), noise.inputs["W"])
+        moves.append(wiring.math("DIVIDE", wiring.math("SUBTRACT", noise.outputs["Value"], 0.5), float(size)))
+    return wiring.vector("ADD", place, wiring.combine(*moves, 0.0))
 
 
 def _of_object(wiring: Wiring, name: str) -> bpy.types.NodeSocket:
@@ -142,20 +179,23 @@ def _octahedral_group(upper: bool) -> bpy.types.NodeTree:
     return group
 
 
-def _lamp_group(name: str, tables: Tables, basis: bpy.types.Image, weight_images: int) -> bpy.types.NodeTree:
-    """What one sun makes of a texel, for a sun of unit irradiance."""
+def _lamp_group(name: str, tables: Tables, basis: bpy.types.Image, weight_images: int, in_columns: bool) -> bpy.types.NodeTree:
+    """What one sun makes of a texel, for a sun of unit irradiance. in_columns: it is told where the column of the texel's cluster is."""
     group = bpy.data.node_groups.new(f"{name} Sun", "ShaderNodeTree")
     group.interface.new_socket("View", in_out="INPUT", socket_type="NodeSocketVector")
     group.interface.new_socket("Sun", in_out="INPUT", socket_type="NodeSocketVector")
     for number in range(weight_images):
         group.interface.new_socket(f"Weights {number}", in_out="INPUT", socket_type="NodeSocketColor")
         group.interface.new_socket(f"Fourth {number}", in_out="INPUT", socket_type="NodeSocketFloat")
+    if in_columns:
+        group.interface.new_socket("Column", in_out="INPUT", socket_type="NodeSocketFloat")
     group.interface.new_socket("Colour", in_out="OUTPUT", socket_type="NodeSocketColor")
     wiring = Wiring(group)
-    view, sun, *rest = list(wiring.node("NodeGroupInput").outputs)[: 2 + 2 * weight_images]
+    view, sun, *rest = list(wiring.node("NodeGroupInput").outputs)[:-1]  # the last is the empty one that makes new sockets
+    column = rest.pop() if in_columns else None
     weights = list(zip(rest[::2], rest[1::2], strict=True))
     light = _place_node(wiring, tables.lights_upper, sun)
-    wiring.connect(_under_sun(wiring, tables, basis, weights, view, light), wiring.node("NodeGroupOutput").inputs[0])
+    wiring.connect(_under_sun(wiring, tables, basis, weights, view, light, column), wiring.node("NodeGroupOutput").inputs[0])
     wiring.arrange()
     return group
 
@@ -170,15 +210,26 @@ def _in_views(wiring: Wiring, table: ViewTable, view: Operand) -> Operand:
     return wiring.vector("ADD", wiring.vector("MULTIPLY", view, table.scale), table.start)
 
 
+def _in_column(wiring: Wiring, place: Operand, column: Operand | None) -> Operand:
+    """A place in a table, moved to the column of a cluster where there are several."""
+    return place if column is None else wiring.vector("ADD", place, wiring.combine(column, 0.0, 0.0))
+
+
 def _under_sun(
-    wiring: Wiring, tables: Tables, image: bpy.types.Image, weights: list[tuple[Operand, Operand]], view: Operand, light: Operand
+    wiring: Wiring,
+    tables: Tables,
+    image: bpy.types.Image,
+    weights: list[tuple[Operand, Operand]],
+    view: Operand,
+    light: Operand,
+    column: Operand | None,
 ) -> Operand:
     """The sum over the components of weight times basis, interpolated between the views and lights around."""
     scalars = _scalars(wiring, weights, tables.components)
     cell = wiring.vector("ADD", wiring.vector("SCALE", view, float(tables.views)), (0.5, 0.5, 0.0))
     low = wiring.vector("FLOOR", cell)
     share_x, share_y, _ = wiring.separate(wiring.vector("SUBTRACT", cell, low))
-    in_tile = wiring.vector("ADD", wiring.vector("MULTIPLY", light, tables.light_scale), tables.light_start)
+    in_tile = _in_column(wiring, wiring.vector("ADD", wiring.vector("MULTIPLY", light, tables.light_scale), tables.light_start), column)
     total: Operand = BLACK
     for right, up in ((0, 0), (1, 0), (0, 1), (1, 1)):
         factor = wiring.math(
@@ -187,12 +238,12 @@ def _under_sun(
             share_y if up else wiring.math("SUBTRACT", 1.0, share_y),
         )
         tile = wiring.vector("MULTIPLY", wiring.vector("ADD", low, (float(right), float(up), 0.0)), tables.tile_scale)
-        part = _weighted_sum(wiring, image, wiring.vector("ADD", tile, in_tile), tables.step, scalars)
+        part = _weighted_sum(wiring, image, BASIS, wiring.vector("ADD", tile, in_tile), tables.step, scalars)
         total = wiring.add_scaled(total, factor, part)
     return total
 
 
-def _weighted_sum(wiring: Wiring, image: bpy.types.Image, uv: Operand, step: float, scalars: list[Operand]) -> Operand:
+def _weighted_sum(wiring: Wiring, image: bpy.types.Image, label: str, uv: Operand, step: float, scalars: list[Operand]) -> Operand:
     """Sum over the components k of scalars[k] times `image` at `uv` moved up by k steps.
 
     Colours all the way, and the move up within the texture node: where Cycles has to turn one kind of vector into another it runs what
@@ -201,15 +252,15 @@ def _weighted_sum(wiring: Wiring, image: bpy.types.Image, uv: Operand, step: flo
     """
     total: Operand = BLACK
     for number, scalar in enumerate(scalars):
-        total = wiring.add_scaled(total, scalar, _texture(wiring, image, uv, number * step)[0])
+        total = wiring.add_scaled(total, scalar, _texture(wiring, image, label, uv, number * step)[0])
     return total
 
 
 def _alpha(wiring: Wiring, tables: Tables, images: BtfImages, view: Operand) -> Operand:
     """The silhouette from the view: a sum over its own components, 0..1."""
-    weights = [_texture(wiring, image) for image in images.alpha_weights]
+    weights = [_texture(wiring, image, f"{ALPHA_WEIGHTS} {number}") for number, image in enumerate(images.alpha_weights)]
     scalars = _scalars(wiring, weights, tables.alpha_components)
     uv = _in_views(wiring, tables.alpha, view)
-    total = wiring.channels(_weighted_sum(wiring, images.alpha_basis, uv, tables.alpha.step, scalars))[0]
-    plain = 0.0 if images.plain is None else _texture(wiring, images.plain)[1]
+    total = wiring.channels(_weighted_sum(wiring, images.alpha_basis, ALPHA_BASIS, uv, tables.alpha.step, scalars))[0]
+    plain = 0.0 if images.plain is None else _texture(wiring, images.plain, PLAIN)[1]
     return wiring.math("ADD", total, plain, clamp=True)

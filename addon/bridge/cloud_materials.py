@@ -14,6 +14,7 @@ SOLID_ATTRIBUTE = "farfield_solid"  # of faces: 1 where a camera cannot see the 
 MAPS = ("Colour", "Normal", "Surface")
 SIDES = ("Front", "Back")
 FRONT_COLOUR = "Front colour"  # label of the node whose image holds colour and alpha of the fronts
+FRONT_NORMAL = "Front normal"  # the same for their normals in the object's frame, as colours
 
 
 def cloud_material(name: str, images: dict[tuple[str, str], bpy.types.Image], shadowless: float) -> bpy.types.Material:

@@ -18,6 +18,7 @@ from .slots import slots_of, texture_coordinates
 from .textures import LevelTextures, Maps
 
 FINGERPRINT = "farfield_source_fingerprint"  # on a cloud's collection, see `Source.fingerprint`
+CORNER_NORMALS = "custom_normal"  # Blender's own name for normals of corners that are set by hand
 DRAWN_OFFSETS, DRAWN = "farfield_drawn_offsets", "farfield_drawn"  # on a level's mesh
 SHADOWLESS_ERRORS = 4.0  # quads cast no shadow upon what is nearer than so many errors: they stand for one surface and overlap within that
 
@@ -111,7 +112,7 @@ def _mesh(name: str, level: Level, maps: Maps | None, origin: np.ndarray) -> bpy
     mesh.polygons.foreach_set("loop_start", (np.cumsum(corners) - corners).astype(np.int32))
     mesh.update(calc_edges=True)
     if maps is not None:
-        free_normals = mesh.attributes.new("custom_normal", "FLOAT_VECTOR", "POINT")
+        free_normals = mesh.attributes.new(CORNER_NORMALS, "FLOAT_VECTOR", "POINT")
         free_normals.data.foreach_set("vector", np.concatenate(normals).astype(np.float32).ravel())
     for attribute, flags in ((SOLID_ATTRIBUTE, level.solid), (JOINED_ATTRIBUTE, level.joined)):
         mesh.attributes.new(attribute, "FLOAT", "FACE").data.foreach_set("value", flags.astype(np.float32))

@@ -1,11 +1,17 @@
-"""Levels of a cloud for programs that know neither Blender's nodes nor Farfield: colour and alpha on plain quads."""
+"""Levels of a cloud for programs that know neither Blender's nodes nor Farfield: colour, alpha and normals on plain quads."""
 
 from pathlib import Path
 
 import bpy
 import numpy as np
 
-FRONT_COLOUR = "Front colour"  # the label of the image node that both formats take their texture from
+from ..core.images import dilate
+from .btf_clouds import plain_material, texels_of_level
+from .cloud_materials import FRONT_COLOUR, FRONT_NORMAL
+from .clouds import CORNER_NORMALS
+from .images import data_image, pixels_of
+
+FACING = np.float32([0.0, 0.0, 1.0])  # a normal along that of its quad
 
 
 def write_obj(levels: list[bpy.types.Object], path: Path) -> None:
@@ -53,8 +59,11 @@ def write_glb(levels: list[bpy.types.Object], path: Path) -> None:
     finally:
         for copy in plain:
             material = copy.data.materials[0]
+            normals = _image_labelled(material, FRONT_NORMAL)
             bpy.data.meshes.remove(copy.data)
             bpy.data.materials.remove(material)
+            if normals is not None:
+                bpy.data.images.remove(normals)
         for item in selected:
             item.select_set(True)
         layer.objects.active = active
@@ -62,8 +71,36 @@ def write_glb(levels: list[bpy.types.Object], path: Path) -> None:
 
 def front_colour(level: bpy.types.Object) -> bpy.types.Image | None:
     """The image with the colour and alpha of the front of a level's quads, or None where no textures were captured."""
-    tree = level.data.materials[0].node_tree
-    return next((node.image for node in tree.nodes if node.label == FRONT_COLOUR), None) if tree else None
+    return _image_labelled(plain_material(level), FRONT_COLOUR)
+
+
+def tangent_normals(level: bpy.types.Object) -> np.ndarray | None:
+    """The normals of the fronts of a level's quads as a tangent-space map (H, W, 4) in 0..1, or None where none were captured.
+
+    Red goes along the texture's x on the quad, green along its y, blue along the quad's own normal, and never behind the quad.
+    """
+    image = _image_labelled(plain_material(level), FRONT_NORMAL)
+    if image is None:
+        return None
+    texels = texels_of_level(level)
+    x, y = texels.pixels.T
+    normals = 2.0 * pixels_of(image)[y, x, :3] - 1.0
+    facing = np.empty(3 * len(level.data.polygons), np.float32)
+    level.data.polygons.foreach_get("normal", facing)
+    along = texels.steps / np.linalg.norm(texels.steps, axis=2, keepdims=True)
+    frames = np.concatenate([along, facing.reshape(-1, 1, 3)], axis=1)[texels.quads]
+    local = np.einsum("nij,nj->ni", frames, normals)
+    local[:, 2] = np.maximum(local[:, 2], 0.0)
+    lengths = np.linalg.norm(local, axis=1, keepdims=True)
+    local = np.where(lengths > 0.0, local / np.where(lengths > 0.0, lengths, 1.0), FACING)
+    known = texels.image(np.ones((len(texels), 1), np.float32))
+    return dilate(texels.image(np.column_stack([0.5 + 0.5 * local, np.ones(len(local))]).astype(np.float32)), known[..., 0])
+
+
+def _image_labelled(material: bpy.types.Material | None, label: str) -> bpy.types.Image | None:
+    """The image of the first node with this label."""
+    nodes = material.node_tree.nodes if material is not None and material.node_tree is not None else []
+    return next((node.image for node in nodes if node.type == "TEX_IMAGE" and node.label == label), None)
 
 
 def _shape_lines(level: bpy.types.Object, material: str, first: int) -> list[str]:
@@ -84,19 +121,25 @@ def _shape_lines(level: bpy.types.Object, material: str, first: int) -> list[str
 
 
 def _plain_copy(level: bpy.types.Object) -> bpy.types.Object:
-    """A visible, selected copy of `level` with a material that every reader of glTF understands."""
+    """A visible, selected copy of `level` with a material that every reader of glTF understands.
+
+    With a map of normals the quads are flat: the map is measured from them, and the normals of their corners are in it.
+    """
+    normals = tangent_normals(level)
     copy = bpy.data.objects.new(level.name, level.data.copy())
     copy.matrix_basis = level.matrix_basis
     for key in level.keys():  # noqa: SIM118 - an object is no dict
         copy[key] = level[key]
     copy.data.materials.clear()
-    copy.data.materials.append(_plain_material(level.name, front_colour(level)))
+    copy.data.materials.append(_plain_copy_material(level.name, front_colour(level), normals))
+    if normals is not None and CORNER_NORMALS in copy.data.attributes:
+        copy.data.attributes.remove(copy.data.attributes[CORNER_NORMALS])
     bpy.context.scene.collection.objects.link(copy)
     copy.select_set(True)
     return copy
 
 
-def _plain_material(name: str, image: bpy.types.Image | None) -> bpy.types.Material:
+def _plain_copy_material(name: str, image: bpy.types.Image | None, normals: np.ndarray | None) -> bpy.types.Material:
     """Two-sided, without highlights; alpha cut at one half, since blended quads are not sorted by what reads the file."""
     material = bpy.data.materials.new(name)
     if material.node_tree is None:
@@ -112,4 +155,9 @@ def _plain_material(name: str, image: bpy.types.Image | None) -> bpy.types.Mater
         links.new(texture.outputs["Color"], shader.inputs["Base Color"])
         links.new(texture.outputs["Alpha"], cut.inputs[0])
         links.new(cut.outputs[0], shader.inputs["Alpha"])
+    if normals is not None:
+        texture, turned = nodes.new("ShaderNodeTexImage"), nodes.new("ShaderNodeNormalMap")
+        texture.image, texture.extension, texture.label = data_image(f"{name} Normals", normals, is_data=True), "EXTEND", FRONT_NORMAL
+        links.new(texture.outputs["Color"], turned.inputs["Color"])
+        links.new(turned.outputs[0], shader.inputs["Normal"])
     return material

@@ -1,8 +1,9 @@
-"""Sets of unit directions: spread evenly over the sphere, laid out on octahedral maps, or held out for measuring."""
+"""Sets of unit directions: spread evenly over the sphere, laid out on octahedral maps or rings, or held out for measuring."""
 
 import numpy as np
 
 GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
+BONN_RINGS = (1, 6, 12, 18, 20, 24)  # directions at 0, 15, ... 75 degrees from the pole
 
 
 def fibonacci_sphere(count: int) -> np.ndarray:
@@ -43,6 +44,30 @@ def to_hemi_octahedral(directions: np.ndarray) -> np.ndarray:
     """Places (..., 2) in -1..1 on the hemi-octahedral map for directions (..., 3) with z >= 0. Inverse of `from_hemi_octahedral`."""
     x, y, _ = np.moveaxis(directions / np.abs(directions).sum(axis=-1, keepdims=True), -1, 0)
     return np.stack([x + y, x - y], axis=-1)
+
+
+def from_spherical(angles: np.ndarray) -> np.ndarray:
+    """Unit directions (..., 3) for angles (..., 2) in radians: from +Z down, and around +Z from +X on."""
+    polar, turn = angles[..., 0], angles[..., 1]
+    return np.stack([np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), np.cos(polar)], axis=-1)
+
+
+def to_spherical(directions: np.ndarray) -> np.ndarray:
+    """Angles (..., 2) in radians for unit directions (..., 3): 0 to pi from +Z down, 0 to 2 pi around it. Inverse of `from_spherical`."""
+    across = np.hypot(directions[..., 0], directions[..., 1])
+    turn = np.arctan2(directions[..., 1], directions[..., 0]) % (2.0 * np.pi)
+    return np.stack([np.arctan2(across, directions[..., 2]), np.where(across > 1e-9, turn, 0.0)], axis=-1)
+
+
+def bonn_directions() -> np.ndarray:
+    """(81, 3) unit directions above the horizon: the rings, 15 degrees apart, that textures of the Bonn database were measured from.
+
+    (Sattler, Sarlette, Klein: Efficient and realistic visualization of cloth, 2003.)
+    """
+    rings = [np.radians(15.0 * ring) for ring in range(len(BONN_RINGS))]
+    turns = [2.0 * np.pi * np.arange(count) / count for count in BONN_RINGS]
+    angles = [np.stack([np.full(len(turn), polar), turn], axis=-1) for polar, turn in zip(rings, turns, strict=True)]
+    return from_spherical(np.concatenate(angles))
 
 
 def octahedral_grid(size: int) -> np.ndarray:

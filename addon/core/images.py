@@ -4,6 +4,7 @@ Images are (H, W, C) float32, row 0 at the bottom, scene-linear where they are c
 """
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 
 EMPTY = 1e-6  # coverage below this counts as none: a colour divided by it would be noise
 
@@ -36,6 +37,13 @@ def dilate(image: np.ndarray, known: np.ndarray, texels: int = 4) -> np.ndarray:
         filled = np.where(reached, mean, filled)
         weight = np.where(reached, np.minimum(around[..., -1:], 1.0), weight)
     return _pull_push(filled, weight)
+
+
+def nearest_known(known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Row and column (H, W) of the nearest texel where `known` (H, W) bool holds, for what cannot be mixed as `dilate` does."""
+    if not known.any():
+        return tuple(np.indices(known.shape))
+    return tuple(distance_transform_edt(~known, return_distances=False, return_indices=True))
 
 
 def grow_outline(image: np.ndarray, where: np.ndarray, reach: int) -> np.ndarray:

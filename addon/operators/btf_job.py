@@ -11,6 +11,7 @@ import numpy as np
 
 from ..bridge import btf_clouds, btf_snapshot, btf_worker, clouds, images
 from ..bridge.originals import read_original
+from ..core.btf.codecs import compressed_colours
 from ..core.btf.factors import Factors, factorise
 from ..core.btf.orders import LevelOrder
 from ..core.btf.quality import quality
@@ -129,7 +130,7 @@ class BtfJob:
             captured = [Colours(store, view) for view in range(len(views))]
             hues = yield from scaled(tints(captured, len(texels), views.solid_angles, light_weights), 0.0, TINTED)
             colours = [Colours(store, view, hues) for view in range(len(views))]
-            steps = factorise(colours, len(texels), settings.components, views.solid_angles, columns, settings.seed)
+            steps = compressed_colours(colours, len(texels), views.solid_angles, columns, settings)
             colour = yield from scaled(steps, TINTED, COLOURED)
             steps = factorise(silhouettes, len(texels), settings.alpha_components, views.solid_angles, np.ones(1), settings.seed)
             alpha = yield from scaled(steps, COLOURED, SHAPED)
@@ -144,7 +145,7 @@ class BtfJob:
                 "bare_render_seconds": round(store.render_seconds(len(views)), 3),
                 "raw_bytes": 2 * 3 * len(texels) * len(views) * (len(lights) + 1),
                 "captured_bytes": store.bytes(len(views)),
-                "compressed_bytes": 2 * (hues.size + colour.weights.size + colour.basis.size + alpha.weights.size + alpha.basis.size),
+                "compressed_bytes": 2 * hues.size + colour.bytes + alpha.bytes,
                 "fits": [asdict(fit) for fit in fits],
             }
         )
@@ -159,9 +160,10 @@ def prepare(context: bpy.types.Context, cloud: StandingCloud, settings: BtfSetti
     Raises:
         GeometryError: when the original was removed or edited, or the cloud was built by a version that kept too little.
         FileError: when an image file of a material is missing, or the work folder is another bake's or cannot be written.
-        SettingsError: when the numbers of views and lights are no squares, or there is no such executor.
+        SettingsError: see `BtfSettings.check`; or when there is no such executor.
     """
-    _ = settings.view_grid, settings.light_grid, read_word(settings.executor)
+    settings.check()
+    read_word(settings.executor)
     name = cloud.collection.name
     sources = cloud.sources
     if not sources or len(sources) < len(cloud.source_names):

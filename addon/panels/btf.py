@@ -5,12 +5,13 @@ import bpy
 from ..bridge.btf_materials import SUNS
 from ..core.btf.settings import BtfSettings
 from ..core.settings import describe
-from ..operators import btf, btf_estimates, long_work, properties
+from ..operators import btf, btf_estimates, btf_exports, long_work, properties
 from ..operators.billboards_clouds import StandingCloud
 from .billboards import SidebarPanel, megabytes
 from .progress import draw_progress
 
-ROWS = [item.name for item in describe(BtfSettings) if item.name not in ("codec", "seed")]
+ROWS = [item.name for item in describe(BtfSettings) if item.name != "seed"]
+OF_CODEC = {"components": "pca", "clusters": "lpca", "cluster_components": "lpca", "blend_texels": "lpca"}  # rows of one codec alone
 
 
 class FARFIELD_PT_btf(SidebarPanel, bpy.types.Panel):
@@ -30,7 +31,8 @@ class FARFIELD_PT_btf(SidebarPanel, bpy.types.Panel):
         rows = layout.column()
         rows.enabled = run is None
         for name in ROWS:
-            rows.prop(group, name)
+            if OF_CODEC.get(name, group.codec) == group.codec:
+                rows.prop(group, name)
         if run is not None:
             draw_progress(layout, run)
             return
@@ -52,6 +54,7 @@ class FARFIELD_PT_btf(SidebarPanel, bpy.types.Panel):
             lamps.prop(group, "ambient")
             lamps.operator(btf.FARFIELD_OT_btf_light.bl_idname)
             lamps.operator(btf.FARFIELD_OT_btf_plain.bl_idname)
+            lamps.operator(btf_exports.FARFIELD_OT_btf_export.bl_idname, icon="EXPORT")
 
 
 def draw_estimate(layout: bpy.types.UILayout, cloud: StandingCloud, settings: BtfSettings, done: int) -> None:

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from farfield.addon.core.btf.factors import Factors
-from farfield.addon.core.btf.tables import Tables, ViewTable, tables_of, weight_images
+from farfield.addon.core.btf.tables import Tables, ViewTable, alpha_basis, colour_basis, tables_of, weight_images, weights_in
 from farfield.addon.core.direction_grids import DirectionGrid
 from farfield.addon.core.directions import fibonacci_sphere
+from made_atlases import made_colour
 
 
 def bilinear(image: np.ndarray, place: np.ndarray) -> np.ndarray:
@@ -52,6 +53,36 @@ def test_look_ups_give_the_interpolated_factors(views, lights):
         np.testing.assert_allclose(dome, view_weights @ values[view_taps, 2, -1], atol=1e-5)
         silhouette = in_views(tables.alpha, at_view, 1)
         np.testing.assert_allclose(silhouette, view_weights @ alpha.basis[view_taps, 1, 0], atol=1e-5)
+
+
+@pytest.mark.parametrize("clusters", [1, 3])
+def test_the_basis_comes_back_out_of_its_images(clusters):
+    views, lights = DirectionGrid(4), DirectionGrid(3, upper=True)
+    colour = made_colour(2, clusters)
+    alpha = Factors(np.ones((2, 3), np.float32), np.random.default_rng(1).random((len(views), 3, 1), np.float32), np.ones(2, bool))
+    tables = tables_of(colour, alpha, views, lights)
+    assert (tables.clusters, tables.components) == (clusters, 5)
+    np.testing.assert_array_equal(colour_basis(tables.basis, tables.dome.image, views, lights, clusters, 5), colour.basis)
+    np.testing.assert_array_equal(alpha_basis(tables.alpha.image, views, 3), alpha.basis)
+
+
+def test_every_cluster_has_a_column():
+    views, lights = DirectionGrid(3), DirectionGrid(2)
+    colour = made_colour(2, clusters=4, components=2, views=len(views), lights=len(lights))
+    alpha = Factors(np.ones((2, 1), np.float32), np.ones((len(views), 1, 1), np.float32), np.ones(2, bool))
+    tables = tables_of(colour, alpha, views, lights)
+    own = [Factors(colour.weights, colour.basis[:, start : start + 2], colour.known) for start in range(0, 8, 2)]
+    alone = [tables_of(each, alpha, views, lights) for each in own]
+    np.testing.assert_array_equal(tables.basis, np.concatenate([each.basis for each in alone], axis=1))
+    np.testing.assert_array_equal(tables.dome.image, np.concatenate([each.dome.image for each in alone], axis=1))
+    assert tables.column == tables.dome.column == 0.25
+    np.testing.assert_allclose(np.array(tables.tile_scale) * [4, 1, 1], alone[0].tile_scale)
+    np.testing.assert_allclose(np.array(tables.dome.scale) * [4, 1, 1], alone[0].dome.scale)
+
+
+def test_weights_come_back_out_of_their_images():
+    weights = np.arange(2 * 3 * 6, dtype=np.float32).reshape(2, 3, 6)
+    np.testing.assert_array_equal(weights_in(weight_images(weights), 6), weights)
 
 
 def test_weights_go_four_to_an_image():

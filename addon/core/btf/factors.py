@@ -42,6 +42,28 @@ class Factors:
         """K."""
         return self.weights.shape[1]
 
+    @property
+    def clusters(self) -> int:
+        """How many sets of components there are; every row has those of one."""
+        return 1
+
+    @property
+    def bytes(self) -> int:
+        """What it takes as half floats."""
+        return 2 * (self.weights.size + self.basis.size)
+
+    def applied(self, basis: np.ndarray) -> np.ndarray:
+        """The values (N, D) of all rows with `basis` (clusters * K, D), that of a view for instance."""
+        return self.weights @ basis
+
+    def spread(self, rows: slice) -> np.ndarray:
+        """The weights (M, clusters * K) of some rows, 0 for the components of other clusters than their own."""
+        return self.weights[rows]
+
+    def part(self, rows: np.ndarray, view: int, number: int) -> np.ndarray:
+        """What component `number` alone adds to the values (M, D) of `rows` (M,) in a view."""
+        return self.weights[rows, number, None] * self.basis[view, number]
+
 
 def factorise(
     views: Sequence[ViewData], rows: int, components: int, view_weights: np.ndarray, column_weights: np.ndarray, seed: int = 0

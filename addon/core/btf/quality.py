@@ -35,7 +35,7 @@ def quality(
         rest = values * tint
         peaks.append(np.quantile(rest, PEAK))
         for number in range(factors.components):
-            rest -= tint * (factors.weights[index, number, None] * factors.basis[place, number])
+            rest -= tint * factors.part(index, place, number)
             squares[number] += view_weights[place] * float((rest.astype(np.float64) ** 2 @ column_weights).sum())
         weight += view_weights[place] * len(index) * float(column_weights.sum())
     rms = np.sqrt(squares / max(weight, 1e-300))

@@ -7,7 +7,23 @@ from ..direction_grids import DirectionGrid
 from ..errors import SettingsError
 from ..settings import Settings, Unit, setting
 
-CODECS = {"pca": "One set of components for all quads: linear, filtered and mip-mapped like any texture"}
+CODECS = {
+    "pca": "One set of components for all quads: linear, filtered and mip-mapped like any texture",
+    "lpca": "Local PCA: texels in clusters, each with components of its own; sharper, but not filtered like a texture",
+}
+LARGEST_SIDE = 16384  # pixels of an image that graphics cards take
+
+DIRECTIONS = {
+    "bonn": "The 81 directions of the Bonn measurements, above the horizon, interpolated from those of the bake",
+    "baked": "The directions of the bake, as they are",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportSettings(Settings):
+    """What a user can choose about files for other programs."""
+
+    directions: str = setting("bonn", "Views and lights of an exported folder or .btf file", choices=DIRECTIONS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,6 +37,9 @@ class BtfSettings(Settings):
     upper_hemisphere: bool = setting(False, "Views and lights from above the horizon only, twice as dense, for what stands on the ground")
     codec: str = setting("pca", "How the textures are compressed", choices=CODECS)
     components: int = setting(12, "Components of colour; four share a texture", minimum=1, maximum=64, unit=Unit.COUNT)
+    clusters: int = setting(32, "Clusters of texels, for lpca", minimum=1, maximum=256, unit=Unit.COUNT)
+    cluster_components: int = setting(8, "Components of colour of each cluster, for lpca", minimum=1, maximum=32, unit=Unit.COUNT)
+    blend_texels: bool = setting(True, "For lpca: blend neighbouring texels at random from sample to sample, which more samples smooth")
     alpha_components: int = setting(12, "Components of the silhouette; four share a texture", minimum=1, maximum=64, unit=Unit.COUNT)
     samples: int = setting(
         4, "Cycles samples a pixel of every render; compression removes their noise", minimum=1, maximum=4096, unit=Unit.COUNT
@@ -49,6 +68,17 @@ class BtfSettings(Settings):
     def light_grid(self) -> DirectionGrid:
         """The lights without the dome; see `view_grid`."""
         return DirectionGrid(_side(self.lights, "lights"), self.upper_hemisphere)
+
+    def check(self) -> None:
+        """Raise SettingsError when the numbers of views and lights are no squares, or a table would be larger than an image can be."""
+        tile = (self.view_grid.size + 2) * (self.light_grid.size + 2)
+        local = self.codec == "lpca"
+        width, height = tile * (self.clusters if local else 1), tile * (self.cluster_components if local else self.components)
+        if max(width, height) > LARGEST_SIDE:
+            raise SettingsError(
+                f"{self.views} views, {self.lights} lights and these components would make a table of {width} x {height} pixels, more than "
+                f"the {LARGEST_SIDE} that an image can have; take fewer of one of them."
+            )
 
 
 def _side(count: int, what: str) -> int:

@@ -1,5 +1,6 @@
-"""Basis tables as images that a shader looks up: what goes where, and the numbers that lead there."""
+"""Basis tables as images that a shader looks up: what goes where, the numbers that lead there, and the way back."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,26 +13,29 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class ViewTable:
-    """An image with one texel a view, bordered blocks above each other: place * scale + start + (0, k * step)."""
+    """An image with one texel a view, bordered blocks above each other: place * scale + start + (cluster * column, k * step)."""
 
     image: np.ndarray
     scale: Vector
     start: Vector
     step: float
+    column: float
 
 
 @dataclass(frozen=True)
 class Tables:
     """Images (H, W, 4) float32, row 0 at the bottom, and how to look them up. A place is (x, y) in 0..1 on an octahedral map.
 
-    basis: blocks of (views + 2) x (views + 2) tiles of (lights + 2) x (lights + 2) lights, one block above the other for every component;
-    tile (0, 0) is the border. The texel of place p under tap t of view cell c, and component k, is at
-    (c + t) * tile_scale + light * light_scale + light_start + (0, k * step), where c = floor(view * views + 0.5).
+    basis: blocks of (views + 2) x (views + 2) tiles of (lights + 2) x (lights + 2) lights, one block above the other for every component
+    and one column of them for every cluster; tile (0, 0) is the border. The texel of place p under tap t of view cell c, and component k,
+    is at (c + t) * tile_scale + light * light_scale + light_start + (cluster * column, k * step), where c = floor(view * views + 0.5).
     """
 
     views: int
     views_upper: bool
+    lights: int
     lights_upper: bool
+    clusters: int
     components: int
     alpha_components: int
     basis: np.ndarray
@@ -39,24 +43,27 @@ class Tables:
     light_scale: Vector
     light_start: Vector
     step: float
+    column: float
     dome: ViewTable
     alpha: ViewTable
 
 
 def tables_of(colour: Factors, alpha: Factors, views: DirectionGrid, lights: DirectionGrid) -> Tables:
     """The tables of a bake: `colour` has a column for every light, the dome last, and channel; `alpha` has one column."""
-    count, components = len(lights), colour.components
-    values = colour.basis.reshape(len(views), components, count + 1, 3)
-    tiles = lights.bordered(np.moveaxis(values[:, :, :count], 2, 0))  # light row, light column, view, component, channel
-    blocks = views.bordered(np.moveaxis(tiles, 2, 0))  # view row, view column, light row, light column, component, channel
+    count, components, clusters = len(lights), colour.components, colour.clusters
+    values = colour.basis.reshape(len(views), clusters, components, count + 1, 3)
+    tiles = lights.bordered(np.moveaxis(values[..., :count, :], 3, 0))  # light row, light column, view, cluster, component, channel
+    blocks = views.bordered(np.moveaxis(tiles, 2, 0))  # view row, view column, light row, light column, cluster, component, channel
     wide, tall = blocks.shape[0], blocks.shape[2]
-    # component, view row, light row; view column, light column
-    basis = blocks.transpose(4, 0, 2, 1, 3, 5).reshape(components * wide * tall, wide * tall, 3)
-    width, height = wide * tall, components * wide * tall
+    width, height = clusters * wide * tall, components * wide * tall
+    # component, view row, light row; cluster, view column, light column
+    basis = blocks.transpose(5, 0, 2, 4, 1, 3, 6).reshape(height, width, 3)
     return Tables(
         views=views.size,
         views_upper=views.upper,
+        lights=lights.size,
         lights_upper=lights.upper,
+        clusters=clusters,
         components=components,
         alpha_components=alpha.components,
         basis=_opaque(basis),
@@ -64,9 +71,27 @@ def tables_of(colour: Factors, alpha: Factors, views: DirectionGrid, lights: Dir
         light_scale=(lights.size / width, lights.size / height, 0.0),
         light_start=(1.0 / width, 1.0 / height, 0.0),
         step=1.0 / components,
-        dome=_view_table(views, values[:, :, count]),
-        alpha=_view_table(views, np.repeat(alpha.basis, 3, axis=2)),
+        column=1.0 / clusters,
+        dome=_view_table(views, values[..., count, :]),
+        alpha=_view_table(views, np.repeat(alpha.basis[:, None], 3, axis=3)),
     )
+
+
+def colour_basis(
+    basis: np.ndarray, dome: np.ndarray, views: DirectionGrid, lights: DirectionGrid, clusters: int, components: int
+) -> np.ndarray:
+    """The basis (V, clusters * components, (L + 1) * 3) of colours out of the images (H, W, 4) that `tables_of` has made of it."""
+    wide, tall = views.size + 2, lights.size + 2
+    blocks = basis[..., :3].reshape(components, wide, tall, clusters, wide, tall, 3)[:, 1:-1, 1:-1, :, 1:-1, 1:-1]
+    # view row, view column, cluster, component, light row, light column, channel
+    suns = blocks.transpose(1, 4, 3, 0, 2, 5, 6).reshape(len(views), clusters * components, len(lights), 3)
+    under_dome = _view_values(dome, views, clusters, components)
+    return np.concatenate([suns, under_dome[:, :, None]], axis=2).reshape(len(views), clusters * components, -1)
+
+
+def alpha_basis(image: np.ndarray, views: DirectionGrid, components: int) -> np.ndarray:
+    """The basis (V, components, 1) of silhouettes out of the image (H, W, 4) that `tables_of` has made of it."""
+    return _view_values(image, views, 1, components)[..., :1]
 
 
 def weight_images(weights: np.ndarray) -> list[np.ndarray]:
@@ -76,13 +101,26 @@ def weight_images(weights: np.ndarray) -> list[np.ndarray]:
     return [padded[..., start : start + 4] for start in range(0, padded.shape[2], 4)]
 
 
+def weights_in(images: Sequence[np.ndarray], components: int) -> np.ndarray:
+    """The weights (H, W, components) out of the images (H, W, 4) that `weight_images` has made of them."""
+    return np.concatenate(images, axis=2)[..., :components]
+
+
 def _view_table(views: DirectionGrid, values: np.ndarray) -> ViewTable:
-    """The table of `values` (V, K, 3)."""
+    """The table of `values` (V, clusters, K, 3)."""
     maps = views.bordered(values)
-    wide, components = maps.shape[1:3]
-    image = maps.transpose(2, 0, 1, 3).reshape(-1, wide, 3)
-    height = wide * components
-    return ViewTable(_opaque(image), (views.size / wide, views.size / height, 0.0), (1.0 / wide, 1.0 / height, 0.0), 1.0 / components)
+    wide, clusters, components = maps.shape[1:4]
+    width, height = clusters * wide, components * wide
+    image = maps.transpose(3, 0, 2, 1, 4).reshape(height, width, 3)
+    scale, start = (views.size / width, views.size / height, 0.0), (1.0 / width, 1.0 / height, 0.0)
+    return ViewTable(_opaque(image), scale, start, 1.0 / components, 1.0 / clusters)
+
+
+def _view_values(image: np.ndarray, views: DirectionGrid, clusters: int, components: int) -> np.ndarray:
+    """The values (V, clusters * components, 3) that `_view_table` has put in `image`."""
+    wide = views.size + 2
+    maps = image[..., :3].reshape(components, wide, clusters, wide, 3)[:, 1:-1, :, 1:-1]
+    return maps.transpose(1, 3, 2, 0, 4).reshape(len(views), clusters * components, 3)
 
 
 def _opaque(image: np.ndarray) -> np.ndarray:

@@ -1,0 +1,71 @@
+"""Relightable textures read back out of the images of a material that decodes them."""
+
+import bpy
+import numpy as np
+
+from ..core.btf.decoding import BakedAtlas
+from ..core.btf.factors import Factors
+from ..core.btf.lpca import LocalFactors
+from ..core.btf.tables import alpha_basis, colour_basis, weights_in
+from ..core.direction_grids import DirectionGrid
+from ..core.errors import GeometryError
+from .btf_materials import ALPHA_BASIS, ALPHA_WEIGHTS, BASIS, CLUSTERS, DOME, LAYOUT, LAYOUT_NUMBERS, PLAIN, TINTS, WEIGHTS
+from .images import pixels_of
+
+
+def baked_atlas(level_object: bpy.types.Object) -> BakedAtlas:
+    """What the relightable textures of a level object hold, at all pixels of its texture.
+
+    Raises:
+        GeometryError: when the level wears none, or not all of them.
+    """
+    material = level_object.data.materials[0] if level_object.data.materials else None
+    numbers = dict(material.get(LAYOUT, {})) if material is not None else {}
+    if not set(LAYOUT_NUMBERS) <= set(numbers):
+        raise GeometryError(f'"{level_object.name}" has no relightable textures; bake them first.')
+    views = DirectionGrid(numbers["views"], bool(numbers["views_upper"]))
+    lights = DirectionGrid(numbers["lights"], bool(numbers["lights_upper"]))
+    components, alpha_components = numbers["components"], numbers["alpha_components"]
+    images = _images_by_label(material.node_tree)
+
+    def pixels(label: str) -> np.ndarray:
+        image = images.get(label)
+        if image is None or (not image.has_data and not image.packed_files):
+            raise GeometryError(f'"{level_object.name}" has lost the image "{label}" of its relightable textures; bake them again.')
+        return pixels_of(image)
+
+    def weights(label: str, count: int) -> np.ndarray:
+        return weights_in([pixels(f"{label} {number}") for number in range(-(-count // 4))], count)
+
+    tints = pixels(TINTS)[..., :3]
+    known = np.ones(tints.shape[0] * tints.shape[1], bool)
+    basis = colour_basis(pixels(BASIS), pixels(DOME), views, lights, numbers["clusters"], components)
+    colour = Factors(weights(WEIGHTS, components).reshape(-1, components), basis, known)
+    if CLUSTERS in images:
+        labels = np.rint(pixels(CLUSTERS)[..., 0]).astype(np.int32).ravel()
+        colour = LocalFactors(colour.weights, colour.basis, known, labels)
+    plain = pixels(PLAIN)[..., 3] if PLAIN in images else np.zeros(tints.shape[:2], np.float32)
+    return BakedAtlas(
+        size=(tints.shape[1], tints.shape[0]),
+        tints=tints.reshape(-1, 3),
+        colour=colour,
+        alpha=Factors(
+            weights(ALPHA_WEIGHTS, alpha_components).reshape(-1, alpha_components),
+            alpha_basis(pixels(ALPHA_BASIS), views, alpha_components),
+            known,
+        ),
+        plain=plain.ravel(),
+        views=views,
+        lights=lights,
+    )
+
+
+def _images_by_label(tree: bpy.types.NodeTree) -> dict[str, bpy.types.Image]:
+    """The images of a tree and of the groups in it, by the labels of the nodes that hold them."""
+    found = {}
+    for node in tree.nodes:
+        if node.type == "GROUP" and node.node_tree is not None:
+            found |= _images_by_label(node.node_tree)
+        elif node.type == "TEX_IMAGE":
+            found[node.label] = node.image
+    return found

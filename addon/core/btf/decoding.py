@@ -1,0 +1,52 @@
+"""What relightable textures show from any view under any light: the shader's look-ups as arrays."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..direction_grids import DirectionGrid
+from .factors import Factors
+
+
+@dataclass(frozen=True)
+class BakedAtlas:
+    """The relightable textures of one level, as they lie in its images.
+
+    size: (width, height) of its texture, whose P pixels are the rows of all that follows, row 0 of the texture at the bottom. tints (P, 3):
+    what colours are multiplied by. colour: a column for every light, the dome last, and channel. alpha: one column, on top of `plain` (P,),
+    the coverage in the plain maps. views, lights: the directions of the bake in the object's frame.
+    """
+
+    size: tuple[int, int]
+    tints: np.ndarray
+    colour: Factors
+    alpha: Factors
+    plain: np.ndarray
+    views: DirectionGrid
+    lights: DirectionGrid
+
+    def seen_from(self, views: np.ndarray, lights: np.ndarray) -> np.ndarray:
+        """The basis (V, components of all clusters, L, 3) float32 of unit directions `views` (V, 3) and `lights` (L, 3), interpolated."""
+        values = self.colour.basis.reshape(len(self.views), -1, len(self.lights) + 1, 3)
+        under = _blended(self.lights, lights, np.moveaxis(values[:, :, :-1], 2, 0))  # light, view, component, channel
+        return np.moveaxis(_blended(self.views, views, np.moveaxis(under, 1, 0)), 1, 2)  # view, component, light, channel
+
+    def picture(self, basis: np.ndarray) -> np.ndarray:
+        """The texture (H, W, 3) float32 of a view under a light, from `basis` (components of all clusters, 3) as `seen_from` gives it.
+
+        Straight scene-linear colours: radiance under a sun of unit irradiance.
+        """
+        colours = np.maximum(self.colour.applied(basis) * self.tints, 0.0)
+        return colours.reshape(self.size[1], self.size[0], 3)
+
+    def coverage(self, view: np.ndarray) -> np.ndarray:
+        """The alpha (H, W) float32 from a unit direction `view` (3,)."""
+        basis = _blended(self.views, view[None], self.alpha.basis)[0]
+        alpha = self.plain + self.alpha.applied(basis)[:, 0]
+        return np.clip(alpha, 0.0, 1.0).astype(np.float32).reshape(self.size[1], self.size[0])
+
+
+def _blended(grid: DirectionGrid, directions: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """`values` (N, ...) of a grid's directions, interpolated at `directions` (M, 3)."""
+    taps, weights = grid.taps(directions)
+    return np.einsum("mt,mt...->m...", weights, values[taps]).astype(np.float32)

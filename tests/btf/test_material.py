@@ -1,0 +1,129 @@
+"""The material shows in Cycles what the arrays say: texel by texel, from baked views and between them."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("bpy")
+
+import bpy
+import mathutils
+
+from bridge import blender_scenes
+from farfield.addon.bridge.btf_clouds import texels_of_level, wear
+from farfield.addon.bridge.btf_materials import AMBIENT, light_property, sun_property
+from farfield.addon.bridge.btf_reading import baked_atlas
+from farfield.addon.bridge.temporary import temporary_scene
+from farfield.addon.core.btf.factors import Factors
+from farfield.addon.core.btf.settings import BtfSettings
+from farfield.addon.core.btf.texels import View
+from made_atlases import made_colour
+
+SIDE, PIXELS = 8, 160  # texels along the card, pixels along the picture
+BETWEEN = np.array([0.3, -0.5, 0.8]) / np.linalg.norm([0.3, -0.5, 0.8])
+
+
+@pytest.fixture(autouse=True)
+def fresh_scene(extension):
+    blender_scenes.fresh()
+
+
+def dressed(clusters: int, components: int, blend_texels: bool = False) -> bpy.types.Object:
+    """A card of 8 x 8 texels, opaque, in textures of random numbers that no light makes negative."""
+    card = blender_scenes.card()
+    card["farfield_atlas"] = [SIDE, SIDE]
+    card.data.materials.append(None)
+    texels = texels_of_level(card)
+    colour = made_colour(len(texels), clusters, components, views=16, lights=9)
+    np.abs(colour.basis, out=colour.basis)
+    alpha = Factors(np.ones((len(texels), 1), np.float32), np.ones((16, 1, 1), np.float32), colour.known)
+    tints = np.tile(np.float32([0.7, 1.3, 1.1]), (len(texels), 1))  # equal, since they alone are filtered
+    wear(card, texels, tints, colour, alpha, BtfSettings(views=16, lights=9, blend_texels=blend_texels))
+    return card
+
+
+def rendered(card: bpy.types.Object, direction: np.ndarray, samples: int) -> tuple[np.ndarray, View]:
+    """A Cycles picture (H, W, 4) of `card` from `direction`, and the view it was taken from."""
+    view = View(direction, np.zeros(3), PIXELS, 3.0 / PIXELS)
+    with temporary_scene("Card") as work:
+        work.scene.collection.objects.link(card)
+        work.scene.render.engine, work.scene.render.film_transparent = "CYCLES", True
+        cycles = work.scene.cycles
+        cycles.samples, cycles.use_denoising, cycles.use_adaptive_sampling = samples, False, False
+        cycles.pixel_filter_type, cycles.filter_width = "BLACKMAN_HARRIS", 0.01
+        work.scene.render.resolution_x = work.scene.render.resolution_y = PIXELS
+        work.camera.data.type, work.camera.data.ortho_scale = "ORTHO", PIXELS * view.pixel
+        work.camera.matrix_world = mathutils.Matrix(
+            np.vstack([np.column_stack([view.right, view.up, direction, 4.0 * direction]), [0.0, 0.0, 0.0, 1.0]]).tolist()
+        )
+        return work.render(), view
+
+
+def lit(card: bpy.types.Object, direction: np.ndarray) -> None:
+    card[sun_property(0)], card[light_property(0)] = list(direction), [1.0, 1.0, 1.0]
+
+
+def at_texels(picture: np.ndarray, view: View, card: bpy.types.Object) -> np.ndarray:
+    """What `picture` shows of every texel (H, W, 4), at the pixel nearest to its middle."""
+    texels = texels_of_level(card)
+    return texels.image(picture[view.cells(texels.positions)])
+
+
+@pytest.mark.parametrize(("clusters", "components"), [(3, 5), (32, 8)])
+@pytest.mark.parametrize("between", [False, True], ids=["baked", "between"])
+def test_texels_in_clusters_shine_as_the_arrays_say(clusters, components, between):
+    card = dressed(clusters, components)
+    atlas = baked_atlas(card)
+    view, light = (BETWEEN, BETWEEN[[1, 0, 2]]) if between else (atlas.views.directions[5], atlas.lights.directions[3])
+    lit(card, light)
+    picture, taken = rendered(card, view, 1)
+    expected = atlas.picture(atlas.seen_from(view[None], light[None])[0, :, 0])
+    shown = at_texels(picture, taken, card)
+    np.testing.assert_allclose(shown[..., :3], expected, rtol=0.01, atol=0.002)
+    assert (shown[..., 3] == 1.0).all()
+
+
+def test_texels_in_clusters_shine_under_the_dome():
+    card = dressed(3, 5)
+    atlas = baked_atlas(card)
+    card[AMBIENT] = [0.5, 1.0, 0.0]
+    view = atlas.views.directions[6]
+    picture, taken = rendered(card, view, 1)
+    dome = atlas.colour.basis[6].reshape(-1, 10, 3)[:, -1]
+    expected = (atlas.colour.applied(dome) * atlas.tints * [0.5, 1.0, 0.0]).reshape(SIDE, SIDE, 3)
+    np.testing.assert_allclose(at_texels(picture, taken, card)[..., :3], expected, rtol=0.01, atol=0.002)
+
+
+def test_one_set_of_components_shines_as_the_arrays_say():
+    card = dressed(1, 12)
+    atlas = baked_atlas(card)
+    lit(card, atlas.lights.directions[3])
+    picture, taken = rendered(card, atlas.views.directions[5], 1)
+    expected = atlas.picture(atlas.seen_from(atlas.views.directions[[5]], atlas.lights.directions[[3]])[0, :, 0])
+    shown = at_texels(picture, taken, card)[..., :3]
+    # Between texels it is filtered, and the nearest pixel is not quite in the middle of its texel.
+    assert np.abs(shown - expected).mean() < 0.04 * expected.mean()
+
+
+def test_blended_texels_are_those_around_in_the_mean():
+    card = dressed(4, 4, blend_texels=True)
+    atlas = baked_atlas(card)
+    lit(card, atlas.lights.directions[3])
+    view = atlas.views.directions[5]
+    assert view[2] > 0.5
+    picture, taken = rendered(card, view, 12)
+    decoded = atlas.picture(atlas.seen_from(view[None], atlas.lights.directions[[3]])[0, :, 0])
+    texels = texels_of_level(card)
+    halfway = 0.5 * (texels.positions.reshape(SIDE, SIDE, 3)[:, 1:] + texels.positions.reshape(SIDE, SIDE, 3)[:, :-1])
+    shown = picture[taken.cells(halfway.reshape(-1, 3))][:, :3].reshape(SIDE, SIDE - 1, 3)
+    mean = 0.5 * (decoded[:, 1:] + decoded[:, :-1])
+    apart = np.abs(decoded[:, 1:] - decoded[:, :-1]).mean()
+    assert np.abs(shown - mean).mean() < 0.2 * apart, "one of the two alone would be half their distance off"
+    assert np.abs(shown.mean() - mean.mean()) < 0.02 * mean.mean()
+
+
+def test_clusters_come_back_out_of_the_material():
+    card = dressed(3, 5)
+    atlas, meant = baked_atlas(card), made_colour(SIDE * SIDE, 3, 5, views=16, lights=9)
+    np.testing.assert_array_equal(atlas.colour.labels, meant.labels)
+    np.testing.assert_allclose(atlas.colour.weights, meant.weights, atol=5e-4)
+    assert atlas.colour.clusters == 3 and atlas.colour.basis.shape == (16, 15, 30)
