@@ -36,6 +36,8 @@ class Part:
 class BtfExportJob:
     """Writes the levels called `names` to `target`, whose ending says what it becomes; see `prepare`."""
 
+    core_share = 0.5
+
     names: list[str]
     target: Path
     settings: ExportSettings
