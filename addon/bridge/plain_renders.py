@@ -22,6 +22,8 @@ def prepare_plain_render(scene: bpy.types.Scene, width: int, height: int, seed: 
     cycles.pixel_filter_type = "BOX"
     cycles.max_bounces = 0
     cycles.transparent_max_bounces = MOST_TRANSPARENT_BOUNCES
+    # Else paths through transparent surfaces end at random, so that what shines and how much it covers no longer fit each other.
+    cycles.min_transparent_bounces = MOST_TRANSPARENT_BOUNCES
     cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0.0
     scene.camera.data.type = "ORTHO"
     scene.camera.data.sensor_fit = "HORIZONTAL"
