@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 import bpy
 import numpy as np
 
-from ..core.btf.octahedral import Atlas, FrameGrid, uniform_surface
+from ..core.btf.octahedral import FEWEST_PIXELS, Atlas, FrameGrid, uniform_surface
 from ..core.btf.texels import View
+from ..core.errors import SettingsError
 from ..core.images import EMPTY, dilate
 from ..core.progress import Progress, Steps
 from .cameras import look
@@ -73,8 +74,11 @@ def capture_atlas(source: Source, grid: FrameGrid, pixels: int, samples: int, se
 
     Raises:
         FileError: when an image file of a material is missing, or the temporary folder cannot take a picture.
+        SettingsError: when a frame has too few pixels.
         FarfieldError: when Cycles is switched off.
     """
+    if pixels < FEWEST_PIXELS:
+        raise SettingsError(f"A frame of an octahedral atlas has {FEWEST_PIXELS} pixels a side or more, not {pixels}.")
     center, half_side = frame_bounds(source, pixels)
     side = grid.frames * pixels
     size = (side, side)
@@ -144,10 +148,7 @@ def _write_colour(atlas: Atlas, number: int, picture: np.ndarray) -> None:
 
 
 def _write_normal(atlas: Atlas, number: int, picture: np.ndarray) -> None:
-    direction = atlas.grid.directions[number]
-    normals = _straight(picture) * 2.0 - 1.0
-    lengths = np.linalg.norm(normals, axis=2, keepdims=True)
-    atlas.normal[atlas.tile(number)] = np.where(lengths > EMPTY, normals / np.maximum(lengths, EMPTY), direction)
+    atlas.normal[atlas.tile(number)] = _straight(picture) * 2.0 - 1.0
 
 
 def _write_surface(atlas: Atlas, number: int, picture: np.ndarray) -> None:

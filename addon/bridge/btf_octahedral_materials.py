@@ -19,7 +19,7 @@ from .wiring import Operand, Wiring
 
 FACING = "farfield_facing"  # attribute of all corners: the unit direction that the quad faces, in the object's frame
 SHELL = 1.1  # radius of the shell in half sides of a frame; its faces keep farther out than the quad
-NOWHERE = -1e6  # nearer than anything a ray could meet
+NOWHERE = -8.0  # half sides along a ray: nearer than anything it could meet from a place in the shell
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,6 @@ class FrameImages:
     """The images of an atlas, and what its nodes have to know. surface: roughness and metallic (2,) where no image is needed for them."""
 
     grid: FrameGrid
-    half_side: float
     pixels: int
     images: dict[str, bpy.types.Image]
     surface: tuple[float, float] | None
@@ -36,7 +35,7 @@ class FrameImages:
     def of(cls, atlas: Atlas, images: dict[str, bpy.types.Image]) -> "FrameImages":
         """The `images` that hold what `atlas.encoded()` gives."""
         plain = atlas.plain_surface
-        return cls(atlas.grid, atlas.half_side, atlas.pixels, images, None if plain is None else (float(plain[0]), float(plain[1])))
+        return cls(atlas.grid, atlas.pixels, images, None if plain is None else (float(plain[0]), float(plain[1])))
 
 
 @dataclass(frozen=True)
@@ -61,10 +60,10 @@ LOOK_OUTPUTS = (
 )
 
 
-def quad_material(name: str, look: bpy.types.NodeTree) -> bpy.types.Material:
+def quad_material(name: str, look: bpy.types.NodeTree, half_side: float) -> bpy.types.Material:
     """What the camera sees on the quad. Nothing for other rays: the shell is there for them."""
     material, wiring = _material(name)
-    sight = _look(wiring, look, _place(wiring), _to_viewer(wiring), NOWHERE)
+    sight = _look(wiring, look, _place(wiring, half_side), _to_viewer(wiring), NOWHERE)
     camera = wiring.node("ShaderNodeLightPath").outputs["Is Camera Ray"]
     _shine(wiring, sight, wiring.math("MULTIPLY", sight.alpha, camera))
     return material
@@ -73,20 +72,21 @@ def quad_material(name: str, look: bpy.types.NodeTree) -> bpy.types.Material:
 def shell_material(name: str, look: bpy.types.NodeTree, half_side: float, bias: float) -> bpy.types.Material:
     """What rays of light meet, where they leave the shell. Nothing for the camera.
 
-    bias: a length; what is less than that before a place does not shade it.
+    bias: in half sides; what is less than that before a place does not shade it.
     """
     material, wiring = _material(name)
     path = wiring.node("ShaderNodeLightPath")
     back = _to_viewer(wiring)  # to where the ray comes from
     onwards = wiring.vector("SCALE", back, -1.0)
-    place = _place(wiring)
-    origin = wiring.vector("ADD", place, wiring.vector("SCALE", back, _in_object(wiring, path.outputs["Ray Length"])))
+    place = _place(wiring, half_side)
+    travelled = wiring.math("DIVIDE", _in_object(wiring, path.outputs["Ray Length"]), half_side)
+    origin = wiring.vector("ADD", place, wiring.vector("SCALE", back, travelled))
     size = wiring.vector("DOT_PRODUCT", origin, origin)
-    own = wiring.math("LESS_THAN", size, (0.5 * (1.0 + SHELL) * half_side) ** 2)
+    own = wiring.math("LESS_THAN", size, (0.5 * (1.0 + SHELL)) ** 2)
     facing = wiring.attribute(FACING)
     seen = _look(wiring, look, origin, facing, NOWHERE)
     lifted = wiring.vector("ADD", origin, wiring.vector("SCALE", facing, seen.along))
-    start = wiring.mix(own, place, lifted)
+    start = wiring.mix(own, place, wiring.vector("ADD", lifted, wiring.vector("SCALE", seen.normal, bias)))
     nearest = wiring.math("ADD", wiring.math("MULTIPLY", own, bias - NOWHERE), NOWHERE)
     outside = wiring.math("MULTIPLY", wiring.math("SUBTRACT", 1.0, own), wiring.math("SUBTRACT", 1.0, path.outputs["Is Shadow Ray"]))
     met = _look(wiring, look, start, wiring.mix(outside, onwards, back), nearest)
@@ -97,8 +97,8 @@ def shell_material(name: str, look: bpy.types.NodeTree, half_side: float, bias: 
 
 
 def look_group(name: str, frames: FrameImages) -> bpy.types.NodeTree:
-    """The group "Look": through Point (object's frame, the centre is 0) along Direction (unit, to the viewer); what lies less than
-    Nearest along, measured from Point, does not count."""
+    """The group "Look": through Point (object's frame, half sides from the centre) along Direction (unit, to the viewer); what lies less
+    than Nearest half sides along, measured from Point, does not count."""
     group = bpy.data.node_groups.new(f"{name} Look", "ShaderNodeTree")
     _sockets(group, "INPUT", (("Point", "Vector"), ("Direction", "Vector"), ("Nearest", "Float")))
     _sockets(group, "OUTPUT", LOOK_OUTPUTS)
@@ -117,8 +117,11 @@ def look_group(name: str, frames: FrameImages) -> bpy.types.NodeTree:
         for index in (3, 4, 5):
             totals[index] = wiring.math("ADD", totals[index], wiring.math("MULTIPLY", node.outputs[index], share))
     over = wiring.math("DIVIDE", 1.0, wiring.math("MAXIMUM", totals[1], EMPTY))
+    # Where normals differ their mean is short, and as much less of a light reaches the faces: all of them cannot face it.
+    agreed = wiring.node("ShaderNodeVectorMath", {"operation": "LENGTH"})
+    wiring.connect(wiring.vector("SCALE", totals[2], over), agreed.inputs[0])
     results = [
-        wiring.vector("SCALE", totals[0], over),
+        wiring.vector("SCALE", totals[0], wiring.math("MULTIPLY", over, agreed.outputs["Value"])),
         totals[1],
         wiring.vector("NORMALIZE", totals[2]),
         *(wiring.math("MULTIPLY", totals[index], over) for index in (3, 4, 5)),
@@ -175,12 +178,12 @@ def _frame_group(name: str, frames: FrameImages) -> bpy.types.NodeTree:
         along = wiring.math("DIVIDE", wiring.math("SUBTRACT", height, base), cosine)
         hit = wiring.vector("ADD", point, wiring.vector("SCALE", direction, along))
         across = wiring.combine(wiring.vector("DOT_PRODUCT", hit, right), wiring.vector("DOT_PRODUCT", hit, up), 0.0)
-        at = wiring.vector("ADD", wiring.vector("SCALE", across, 0.5 / frames.half_side), (0.5, 0.5, 0.0))
+        at = wiring.vector("ADD", wiring.vector("SCALE", across, 0.5), (0.5, 0.5, 0.0))
         edge = 0.5 / frames.pixels
         inside = wiring.vector("MINIMUM", wiring.vector("MAXIMUM", at, (edge, edge, 0.0)), (1.0 - edge, 1.0 - edge, 0.0))
         uv = wiring.vector("SCALE", wiring.vector("ADD", corner, inside), 1.0 / frames.grid.frames)
         normal, stored = _texture(wiring, frames.images["normal_height"], uv)
-        height = wiring.math("MULTIPLY", wiring.math("SUBTRACT", stored, 0.5), 2.0 * frames.half_side)
+        height = wiring.math("MULTIPLY", wiring.math("SUBTRACT", stored, 0.5), 2.0)
     colour, alpha = _texture(wiring, frames.images["colour"], uv)
     from_middle = wiring.separate(wiring.vector("ABSOLUTE", wiring.vector("SUBTRACT", at, (0.5, 0.5, 0.0))))
     within = wiring.math("LESS_THAN", wiring.math("MAXIMUM", from_middle[0], from_middle[1]), 0.5)
@@ -232,9 +235,9 @@ def _look(wiring: Wiring, group: bpy.types.NodeTree, point: Operand, direction: 
     return Sight(*node.outputs)
 
 
-def _place(wiring: Wiring) -> bpy.types.NodeSocket:
-    """Where the ray meets the mesh, in the object's frame."""
-    return wiring.node("ShaderNodeTexCoord").outputs["Object"]
+def _place(wiring: Wiring, half_side: float) -> bpy.types.NodeSocket:
+    """Where the ray meets the mesh, in the object's frame and half sides."""
+    return wiring.vector("SCALE", wiring.node("ShaderNodeTexCoord").outputs["Object"], 1.0 / half_side)
 
 
 def _to_viewer(wiring: Wiring) -> bpy.types.NodeSocket:
