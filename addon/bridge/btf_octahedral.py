@@ -17,19 +17,17 @@ from ..core.btf.octahedral import Atlas
 from .btf_octahedral_materials import FACING, SHELL, FrameImages, look_group, quad_material, shell_material
 from .images import data_image
 
-CORNERS, RINGS = 32, 8  # of the dome
-ROOM = 1.02  # radius of the dome in half sides of a frame; it has to stay inside the shell
-import os
-RISE = float(os.environ.get("RISE", 0.5))
+CORNERS = 32  # of the quad, which is round so that it stays inside the shell
+ROOM = 1.02  # radius of the quad in half sides of a frame
 SHELL_SUBDIVISIONS = 3
-BIAS = 0.04  # of half a frame: what is less than that before a place does not shade it
+BIAS = 1.0  # pixels of a frame: how far surfaces have to lie before a place to shade it
 IMAGE_NAMES = {"colour": "Colour", "normal_height": "Normal and Height", "surface": "Surface"}
 
 
 def impostor(name: str, atlas: Atlas, bias: float = BIAS) -> bpy.types.Object:
     """A new object, linked nowhere yet, that shows `atlas` with packed images, in its place in the world; `face` turns its quad.
 
-    bias: in half sides of a frame, what is less than that before a place does not shade it.
+    bias: in pixels of a frame, how far surfaces have to lie before a place to shade it.
     """
     images = atlas_images(name, atlas)
     frames = FrameImages.of(atlas, images)
@@ -37,10 +35,10 @@ def impostor(name: str, atlas: Atlas, bias: float = BIAS) -> bpy.types.Object:
     mesh = bpy.data.meshes.new(name)
     _fill(mesh, atlas.half_side)
     mesh.materials.append(quad_material(f"{name} Quad", look, atlas.half_side))
-    mesh.materials.append(shell_material(f"{name} Shell", look, atlas.half_side, bias))
+    mesh.materials.append(shell_material(f"{name} Shell", look, atlas.half_side, 2.0 * bias / atlas.pixels))
     made = bpy.data.objects.new(name, mesh)
     made.location = atlas.center.tolist()
-    made["farfield_octahedral_radius"] = atlas.half_side
+    made["farfield_octahedral_half_side"] = atlas.half_side
     made["farfield_octahedral_bytes"] = sum(4 * image.size[0] * image.size[1] for image in images.values())
     face(made, (0.0, -1.0, 0.0))
     return made
@@ -59,8 +57,9 @@ def face(impostor_object: bpy.types.Object, direction: Sequence[float]) -> None:
     positions = np.empty(3 * len(mesh.vertices), np.float32)
     mesh.vertices.foreach_get("co", positions)
     positions = positions.reshape(-1, 3)
-    dome, _ = _dome()
-    positions[: len(dome)] = impostor_object["farfield_octahedral_radius"] * dome @ np.array([right, up, facing])
+    rim = ROOM * impostor_object["farfield_octahedral_half_side"]
+    turns = 2.0 * np.pi * np.arange(CORNERS) / CORNERS
+    positions[:CORNERS] = rim * (np.cos(turns)[:, None] * np.array(right) + np.sin(turns)[:, None] * np.array(up))
     mesh.vertices.foreach_set("co", positions.ravel())
     mesh.attributes[FACING].data.foreach_set("vector", np.tile(np.float32(facing), len(mesh.vertices)))
     mesh.update()
@@ -77,29 +76,15 @@ def remove(impostor_object: bpy.types.Object) -> None:
 
 
 def _fill(mesh: bpy.types.Mesh, half_side: float) -> None:
-    """The dome, to be turned, and the shell, whose triangles face outwards."""
+    """The quad, a fan whose rim is the first CORNERS vertices, to be turned, and the shell, whose triangles face outwards."""
     shapes = bmesh.new()
-    places, triangles = _dome()
-    vertices = [shapes.verts.new(half_side * place) for place in places]
-    for corners in triangles:
-        shapes.faces.new([vertices[corner] for corner in corners])
+    rim = [shapes.verts.new((half_side, 0.0, 0.0)) for _ in range(CORNERS)]
+    middle = shapes.verts.new((0.0, 0.0, 0.0))
+    for first, second in zip(rim, rim[1:] + rim[:1], strict=True):
+        shapes.faces.new((middle, first, second))
     shell = bmesh.ops.create_icosphere(shapes, subdivisions=SHELL_SUBDIVISIONS, radius=SHELL * half_side)
     for polygon in {polygon for vertex in shell["verts"] for polygon in vertex.link_faces}:
         polygon.material_index = 1
     shapes.to_mesh(mesh)
     shapes.free()
     mesh.attributes.new(FACING, "FLOAT_VECTOR", "POINT")
-
-
-def _dome() -> tuple[np.ndarray, np.ndarray]:
-    """A cap of half an ellipsoid around +Z: vertices (V, 3), whose first is the top, and triangles (T, 3) that face upwards."""
-    rise, turn = np.meshgrid(0.5 * np.pi * np.arange(1, RINGS + 1) / RINGS, 2.0 * np.pi * np.arange(CORNERS) / CORNERS, indexing="ij")
-    ring = np.stack([np.sin(rise) * np.cos(turn), np.sin(rise) * np.sin(turn), RISE * np.cos(rise)], axis=2).reshape(-1, 3)
-    vertices = ROOM * np.concatenate([[[0.0, 0.0, RISE]], ring])
-    inner = 1 + np.arange((RINGS - 1) * CORNERS).reshape(RINGS - 1, CORNERS)
-    inner_next, outer = np.roll(inner, -1, axis=1), inner + CORNERS
-    outer_next = inner_next + CORNERS
-    first = np.arange(1, CORNERS + 1)
-    fan = np.stack([np.zeros_like(first), first, np.roll(first, -1)], axis=1)
-    sides = [np.stack(corners, axis=2).reshape(-1, 3) for corners in ((inner, outer, outer_next), (inner, outer_next, inner_next))]
-    return vertices, np.concatenate([fan, *sides])

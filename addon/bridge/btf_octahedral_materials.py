@@ -79,7 +79,8 @@ def shell_material(name: str, look: bpy.types.NodeTree, half_side: float, bias: 
     back = _to_viewer(wiring)  # to where the ray comes from
     onwards = wiring.vector("SCALE", back, -1.0)
     place = _place(wiring, half_side)
-    travelled = wiring.math("DIVIDE", _in_object(wiring, path.outputs["Ray Length"]), half_side)
+    # In EEVEE rays of a sun come from so far that single precision would turn what follows into no number.
+    travelled = wiring.math("MINIMUM", wiring.math("DIVIDE", _in_object(wiring, path.outputs["Ray Length"]), half_side), -NOWHERE)
     origin = wiring.vector("ADD", place, wiring.vector("SCALE", back, travelled))
     size = wiring.vector("DOT_PRODUCT", origin, origin)
     own = wiring.math("LESS_THAN", size, (0.5 * (1.0 + SHELL)) ** 2)

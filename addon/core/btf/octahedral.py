@@ -84,7 +84,7 @@ class Atlas:
     center (3,): what all frames look at, world space. half_side: half the side of a frame, as a length. pixels: P along a frame; with
     S = frames * P, all float32:
     colour (S, S, 4): scene-linear Rec.709, straight; alpha is the share of a pixel that is covered.
-    normal (S, S, 3): unit, world space, on the side of the viewer.
+    normal (S, S, 3): world space, on the side of the viewer; the mean of unit normals, so shorter where they differ within a pixel.
     height (S, S): of the surface above the plane through the centre that faces the viewer, in half sides, -1..1.
     surface (S, S, 2): roughness and metallic.
     All but alpha have a value in every pixel.
@@ -126,7 +126,10 @@ class Atlas:
 
 @dataclass(frozen=True)
 class Seen:
-    """What M rays see: colour (M, 4) premultiplied, normal (M, 3) unit, along (M,): from the ray's point towards the viewer to the surface."""
+    """What M rays see. colour (M, 4): premultiplied, less bright where normals differ, since not all of them can face a light.
+
+    normal (M, 3): unit, or 0 where nothing is seen. along (M,): from the ray's point towards the viewer to the surface.
+    """
 
     colour: np.ndarray
     normal: np.ndarray
@@ -172,7 +175,9 @@ def look_up(atlas: Atlas, points: np.ndarray, direction: np.ndarray) -> Seen:
         normal += share[:, None] * seen[:, 4:7]
         along += share * reach
     lengths = np.linalg.norm(normal, axis=1, keepdims=True)
-    return Seen(colour, normal / np.maximum(lengths, EMPTY), along / np.maximum(colour[:, 3], EMPTY))
+    covered = np.maximum(colour[:, 3:], EMPTY)
+    colour[:, :3] *= lengths / covered
+    return Seen(colour, normal / np.maximum(lengths, EMPTY), along / covered[:, 0])
 
 
 def _look_into(atlas: Atlas, number: int, points: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
