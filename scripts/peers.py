@@ -1,7 +1,7 @@
 """What relightable clouds are held against: octahedral impostors of as many bytes, and decimated meshes of as many triangles.
 
-Both are new objects in the scene's collection, beside their originals. A picture of an impostor is right from where it faces, so call
-`face` before each picture: `face(peer, direction)`, then `room.picture([peer], direction, ...)` of `studio`.
+Both are new objects in the scene's collection, beside their originals. A picture of an impostor is right from where it faces, so turn it
+before each picture: `peer.face(direction)`, then `room.picture(peer.objects, direction, ...)` of `studio`.
 """
 
 from collections import Counter
@@ -15,7 +15,7 @@ import environment
 
 environment.import_farfield()
 
-from farfield.addon.bridge import btf_octahedral
+from farfield.addon.bridge.btf_octahedral import Impostor, impostor
 from farfield.addon.bridge.btf_octahedral_capture import capture_atlas, surface_varies
 from farfield.addon.bridge.meshes import SURFACE_TYPES, take
 from farfield.addon.core.btf.octahedral import FrameGrid, frame_pixels
@@ -28,20 +28,19 @@ ROUNDS = 12  # of halving the interval of Decimate's ratio
 WELDED = 1e-6  # of the longest side: vertices nearer than that are one
 MAPS = 2  # colour with alpha, normal with height; a third where roughness or metallic differ
 
-face = btf_octahedral.face
 
-
-def octahedral_impostor(objects: Sequence[bpy.types.Object], total_bytes: int, samples: int, frames: int = FRAMES) -> Steps[bpy.types.Object]:
+def octahedral_impostor(objects: Sequence[bpy.types.Object], total_bytes: int, samples: int, frames: int = FRAMES) -> Steps[Impostor]:
     """An impostor of `objects` whose images take at most, and nearly, `total_bytes` without compression.
 
-    Its property `farfield_octahedral_bytes` says how many. `samples` are Cycles samples a pixel of its frames. Raises what
+    `samples` are Cycles samples a pixel of its frames. Raises what
     `capture_atlas` does, and SettingsError when the bytes do not go round.
     """
     source = take(list(objects), bpy.context.evaluated_depsgraph_get())
     pixels = frame_pixels(total_bytes, frames, MAPS + surface_varies(source))
     atlas = yield from capture_atlas(source, FrameGrid(frames), pixels, samples)
-    made = btf_octahedral.impostor(f"{source.name} Impostor", atlas)
-    bpy.context.scene.collection.objects.link(made)
+    made = impostor(f"{source.name} Impostor", atlas)
+    for item in made.objects:
+        bpy.context.scene.collection.objects.link(item)
     return made
 
 

@@ -1,12 +1,14 @@
-"""An octahedral impostor as an ordinary object: a round quad that is turned to the viewer, in a shell that light rays meet.
+"""An octahedral impostor as ordinary objects: quads that are turned to the viewer, in a shell that rays of light meet.
 
-The quad stands in the middle of the object, so that the geometric normal points to the viewer, which suits the normals in the frames
-best; on a box or a ball shading would change where its faces do. A quad cannot shade itself, though, which an impostor in a game does
-by writing depth and casting into a shadow map. Here the shell does that in Cycles, for sun and sky alike, and it casts the shadow that
-the lamp's own view has. EEVEE draws the same but for the shading of the impostor by itself: its shadows start at the quad.
+All quads go through the middle of the original and show the same; of each pixel, that one is drawn whose own normal is nearest to the
+normal in the frames, since a renderer stops light that comes from behind a geometric normal. One faces the viewer, the others lean to all
+sides. Only the camera sees them. They cannot shade each other, which an impostor in a game does by writing depth and casting into a
+shadow map. Here the shell does that in Cycles, for sun and sky alike; and it casts the shadow that the lamp's own view has. EEVEE draws
+the same but for the shading of the impostor by itself: its shadows start at the quads.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import bmesh
 import bpy
@@ -14,33 +16,74 @@ import mathutils
 import numpy as np
 
 from ..core.btf.octahedral import Atlas
-from .btf_octahedral_materials import FACING, SHELL, FrameImages, look_group, quad_material, shell_material
+from .btf_octahedral_materials import FACING, LEANING, RIGHT, SHELL, FrameImages, look_group, quad_material, shell_material
 from .images import data_image
 
-CORNERS = 32  # of the quad, which is round so that it stays inside the shell
-ROOM = 1.02  # radius of the quad in half sides of a frame
+CORNERS = 32  # of a quad, which looks round to the viewer and so stays inside the shell
+ROOM = 1.02  # radius of the quads, as the viewer sees them, in half sides of a frame
 SHELL_SUBDIVISIONS = 3
 BIAS = 1.0  # pixels of a frame: how far surfaces have to lie before a place to shade it
 IMAGE_NAMES = {"colour": "Colour", "normal_height": "Normal and Height", "surface": "Surface"}
+RAYS_OF_LIGHT = ("visible_diffuse", "visible_glossy", "visible_transmission", "visible_volume_scatter", "visible_shadow")
 
 
-def impostor(name: str, atlas: Atlas, bias: float = BIAS) -> bpy.types.Object:
-    """A new object, linked nowhere yet, that shows `atlas` with packed images, in its place in the world; `face` turns its quad.
+@dataclass(frozen=True)
+class Impostor:
+    """quads: the object that the camera sees. shell: its child that rays of light meet. half_side: of a frame, a length. images: packed."""
+
+    quads: bpy.types.Object
+    shell: bpy.types.Object
+    half_side: float
+    images: list[bpy.types.Image]
+
+    @property
+    def objects(self) -> list[bpy.types.Object]:
+        """Both objects."""
+        return [self.quads, self.shell]
+
+    @property
+    def bytes(self) -> int:
+        """What the images take without compression."""
+        return sum(4 * image.size[0] * image.size[1] for image in self.images)
+
+    def face(self, direction: Sequence[float]) -> None:
+        """Turn the quads towards `direction` (3,), world space, where the viewer is; the objects themselves do not turn."""
+        facing = (self.quads.matrix_basis.to_3x3().inverted() @ mathutils.Vector(direction)).normalized()
+        right, up = facing.to_track_quat("Z", "Y").to_matrix().to_3x3().col[:2]
+        places = ROOM * self.half_side * _quads() @ np.array([right, up, facing])
+        self.quads.data.vertices.foreach_set("co", places.astype(np.float32).ravel())
+        for item, name, axis in ((self.quads, FACING, facing), (self.quads, RIGHT, right), (self.shell, FACING, facing)):
+            item.data.attributes[name].data.foreach_set("vector", np.tile(np.float32(axis), len(item.data.vertices)))
+        for item in self.objects:
+            item.data.update()
+
+    def remove(self) -> None:
+        """Remove both objects with all that was made for them."""
+        meshes = [item.data for item in self.objects]
+        materials = [mesh.materials[0] for mesh in meshes]
+        look = next(node.node_tree for node in materials[0].node_tree.nodes if node.type == "GROUP")
+        frame = next(node.node_tree for node in look.nodes if node.type == "GROUP")
+        bpy.data.batch_remove([*self.objects, *meshes, *materials, look, frame, *self.images])
+
+
+def impostor(name: str, atlas: Atlas, bias: float = BIAS) -> Impostor:
+    """New objects, linked nowhere yet, that show `atlas` with packed images, in its place in the world.
 
     bias: in pixels of a frame, how far surfaces have to lie before a place to shade it.
     """
     images = atlas_images(name, atlas)
-    frames = FrameImages.of(atlas, images)
-    look = look_group(name, frames)
-    mesh = bpy.data.meshes.new(name)
-    _fill(mesh, atlas.half_side)
-    mesh.materials.append(quad_material(f"{name} Quad", look, atlas.half_side))
-    mesh.materials.append(shell_material(f"{name} Shell", look, atlas.half_side, 2.0 * bias / atlas.pixels))
-    made = bpy.data.objects.new(name, mesh)
-    made.location = atlas.center.tolist()
-    made["farfield_octahedral_half_side"] = atlas.half_side
-    made["farfield_octahedral_bytes"] = sum(4 * image.size[0] * image.size[1] for image in images.values())
-    face(made, (0.0, -1.0, 0.0))
+    look = look_group(name, FrameImages.of(atlas, images))
+    quads = _object(name, quad_material(f"{name} Quads", look, atlas.half_side), _fans(), (FACING, RIGHT))
+    for rays in RAYS_OF_LIGHT:
+        setattr(quads, rays, False)
+    shell_bias = 2.0 * bias / atlas.pixels
+    shell_mesh = _ball(SHELL * atlas.half_side)
+    shell = _object(f"{name} Shell", shell_material(f"{name} Shell", look, atlas.half_side, shell_bias), shell_mesh, (FACING,))
+    shell.visible_camera = False
+    shell.parent = quads
+    quads.location = atlas.center.tolist()
+    made = Impostor(quads, shell, atlas.half_side, list(images.values()))
+    made.face((0.0, -1.0, 0.0))
     return made
 
 
@@ -49,42 +92,36 @@ def atlas_images(name: str, atlas: Atlas) -> dict[str, bpy.types.Image]:
     return {key: data_image(f"{name} {IMAGE_NAMES[key]}", pixels, is_data=key != "colour") for key, pixels in atlas.encoded().items()}
 
 
-def face(impostor_object: bpy.types.Object, direction: Sequence[float]) -> None:
-    """Turn the quad of an impostor towards `direction` (3,), world space, where the viewer is; the object itself does not turn."""
-    mesh = impostor_object.data
-    facing = (impostor_object.matrix_basis.to_3x3().inverted() @ mathutils.Vector(direction)).normalized()
-    right, up = facing.to_track_quat("Z", "Y").to_matrix().to_3x3().col[:2]
-    positions = np.empty(3 * len(mesh.vertices), np.float32)
-    mesh.vertices.foreach_get("co", positions)
-    positions = positions.reshape(-1, 3)
-    rim = ROOM * impostor_object["farfield_octahedral_half_side"]
+def _object(name: str, material: bpy.types.Material, shape: bmesh.types.BMesh, attributes: Sequence[str]) -> bpy.types.Object:
+    """An object of `shape`, which is freed, with vector `attributes` still to be set."""
+    mesh = bpy.data.meshes.new(name)
+    shape.to_mesh(mesh)
+    shape.free()
+    mesh.materials.append(material)
+    for attribute in attributes:
+        mesh.attributes.new(attribute, "FLOAT_VECTOR", "POINT")
+    return bpy.data.objects.new(name, mesh)
+
+
+def _quads() -> np.ndarray:
+    """The corners of all quads as seen from +Z, fans of radius 1 that lean: Q times the middle and CORNERS of the rim, (V, 3)."""
     turns = 2.0 * np.pi * np.arange(CORNERS) / CORNERS
-    positions[:CORNERS] = rim * (np.cos(turns)[:, None] * np.array(right) + np.sin(turns)[:, None] * np.array(up))
-    mesh.vertices.foreach_set("co", positions.ravel())
-    mesh.attributes[FACING].data.foreach_set("vector", np.tile(np.float32(facing), len(mesh.vertices)))
-    mesh.update()
+    flat = np.concatenate([[[0.0, 0.0]], np.stack([np.cos(turns), np.sin(turns)], axis=1)])
+    return np.concatenate([np.column_stack([flat, -flat @ normal[:2] / normal[2]]) for normal in LEANING])
 
 
-def remove(impostor_object: bpy.types.Object) -> None:
-    """Remove an impostor with all that was made for it."""
-    mesh = impostor_object.data
-    materials = list(mesh.materials)
-    look = next(node.node_tree for node in materials[0].node_tree.nodes if node.type == "GROUP")
-    frame = next(node.node_tree for node in look.nodes if node.type == "GROUP")
-    images = {node.image for node in frame.nodes if node.type == "TEX_IMAGE"}
-    bpy.data.batch_remove([impostor_object, mesh, *materials, look, frame, *images])
+def _fans() -> bmesh.types.BMesh:
+    """The triangles between the corners of `_quads`."""
+    shape = bmesh.new()
+    for fan in np.split(_quads(), len(LEANING)):
+        middle, *rim = (shape.verts.new(place) for place in fan)
+        for first, second in zip(rim, rim[1:] + rim[:1], strict=True):
+            shape.faces.new((middle, first, second))
+    return shape
 
 
-def _fill(mesh: bpy.types.Mesh, half_side: float) -> None:
-    """The quad, a fan whose rim is the first CORNERS vertices, to be turned, and the shell, whose triangles face outwards."""
-    shapes = bmesh.new()
-    rim = [shapes.verts.new((half_side, 0.0, 0.0)) for _ in range(CORNERS)]
-    middle = shapes.verts.new((0.0, 0.0, 0.0))
-    for first, second in zip(rim, rim[1:] + rim[:1], strict=True):
-        shapes.faces.new((middle, first, second))
-    shell = bmesh.ops.create_icosphere(shapes, subdivisions=SHELL_SUBDIVISIONS, radius=SHELL * half_side)
-    for polygon in {polygon for vertex in shell["verts"] for polygon in vertex.link_faces}:
-        polygon.material_index = 1
-    shapes.to_mesh(mesh)
-    shapes.free()
-    mesh.attributes.new(FACING, "FLOAT_VECTOR", "POINT")
+def _ball(radius: float) -> bmesh.types.BMesh:
+    """A ball of triangles that face outwards."""
+    shape = bmesh.new()
+    bmesh.ops.create_icosphere(shape, subdivisions=SHELL_SUBDIVISIONS, radius=radius)
+    return shape

@@ -82,7 +82,12 @@ def capture_atlas(source: Source, grid: FrameGrid, pixels: int, samples: int, se
     center, half_side = frame_bounds(source, pixels)
     side = grid.frames * pixels
     size = (side, side)
-    empty = (np.zeros((*size, 4), np.float32), np.zeros((*size, 3), np.float32), np.zeros(size, np.float32), np.zeros((*size, 2), np.float32))
+    empty = (
+        np.zeros((*size, 4), np.float32),
+        np.zeros((*size, 3), np.float32),
+        np.zeros(size, np.float32),
+        np.zeros((*size, 2), np.float32),
+    )
     atlas = Atlas(grid, center, half_side, pixels, *empty)
     channels = (*CHANNELS, PLACE)
     with _booth(source, atlas, seed) as booth:

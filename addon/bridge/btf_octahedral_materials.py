@@ -1,14 +1,15 @@
 """The shaders that show an octahedral impostor: ordinary nodes and images, in Cycles and EEVEE. See `btf_octahedral` for the object.
 
 The node group "Look" says what a ray sees: its three frames, in each the surface where the ray meets it (group "Frame"), blended. The
-quad asks it for every camera ray and hands colour, normal and roughness to a Principled shader. The shell asks it for every other ray:
-what comes from outside meets the silhouette that its direction sees; what comes from a point on the quad sets out from the place that is
+quads ask it for every camera ray and hand colour, normal and roughness to a Principled shader. The shell asks it for every other ray:
+what comes from outside meets the silhouette that its direction sees; what comes from a point on a quad sets out from the place that is
 seen there, and is stopped when the frames of its direction show something farther out, as a shadow map would tell.
 """
 
 from dataclasses import dataclass
 
 import bpy
+import numpy as np
 
 from ..compat import give_nodes
 from ..core.btf.octahedral import LEAST_COSINE, STEPS, Atlas, FrameGrid
@@ -17,9 +18,14 @@ from .cloud_materials import set_two_sided
 from .octahedral_nodes import direction_on_map, place_on_map
 from .wiring import Operand, Wiring
 
+SIXTHS = 2.0 * np.pi * np.arange(6) / 6.0
 FACING = "farfield_facing"  # attribute of all corners: the unit direction that the quad faces, in the object's frame
-SHELL = 1.1  # radius of the shell in half sides of a frame; its faces keep farther out than the quad
-NOWHERE = -8.0  # half sides along a ray: nearer than anything it could meet from a place in the shell
+RIGHT = "farfield_right"  # the same for the x axis of the picture that the viewer has
+LEAN = np.radians(50.0)
+LEANING = np.array([[0.0, 0.0, 1.0]] + [[np.sin(LEAN) * np.cos(turn), np.sin(LEAN) * np.sin(turn), np.cos(LEAN)] for turn in SIXTHS])
+SHELL = 1.8  # radius of the shell in half sides of a frame; all quads lie inside
+OWN = 1.7  # what comes from nearer to the centre comes from a quad
+NOWHERE = -16.0  # half sides along a ray: nearer than anything it could meet from a place in the shell
 
 
 @dataclass(frozen=True)
@@ -40,7 +46,7 @@ class FrameImages:
 
 @dataclass(frozen=True)
 class Sight:
-    """What a ray sees, as sockets: scene-linear colour, alpha, unit normal in the object's frame, roughness, metallic, and how far along."""
+    """What a ray sees, as sockets: scene-linear colour, alpha, unit normal in the object's frame, and so on; `along` is in half sides."""
 
     colour: bpy.types.NodeSocket
     alpha: bpy.types.NodeSocket
@@ -61,29 +67,43 @@ LOOK_OUTPUTS = (
 
 
 def quad_material(name: str, look: bpy.types.NodeTree, half_side: float) -> bpy.types.Material:
-    """What the camera sees on the quad. Nothing for other rays: the shell is there for them."""
+    """What the camera sees on that quad which suits the normal seen."""
     material, wiring = _material(name)
     sight = _look(wiring, look, _place(wiring, half_side), _to_viewer(wiring), NOWHERE)
-    camera = wiring.node("ShaderNodeLightPath").outputs["Is Camera Ray"]
-    _shine(wiring, sight, wiring.math("MULTIPLY", sight.alpha, camera))
+    _shine(wiring, sight, wiring.math("MULTIPLY", sight.alpha, _suits(wiring, sight.normal)), "ALL")
     return material
 
 
-def shell_material(name: str, look: bpy.types.NodeTree, half_side: float, bias: float) -> bpy.types.Material:
-    """What rays of light meet, where they leave the shell. Nothing for the camera.
+def _suits(wiring: Wiring, normal: Operand) -> bpy.types.NodeSocket:
+    """1 on the quad whose own normal is nearest to `normal`, else 0."""
+    facing, right = wiring.attribute(FACING), wiring.attribute(RIGHT)
+    axes = (right, wiring.vector("CROSS_PRODUCT", facing, right), facing)
+    seen = wiring.combine(*(wiring.vector("DOT_PRODUCT", normal, axis) for axis in axes))
+    nearest: Operand = -1.0
+    for leaning in LEANING:
+        nearest = wiring.math("MAXIMUM", wiring.vector("DOT_PRODUCT", seen, leaning.tolist()), nearest)
+    own = _turned(wiring, wiring.node("ShaderNodeNewGeometry").outputs["True Normal"], "NORMAL", to_object=True)
+    nearness = wiring.vector("DOT_PRODUCT", normal, wiring.vector("NORMALIZE", own))
+    return wiring.math("GREATER_THAN", nearness, wiring.math("SUBTRACT", nearest, 1e-4))
 
-    bias: in half sides; what is less than that before a place does not shade it.
+
+def shell_material(name: str, look: bpy.types.NodeTree, half_side: float, bias: float) -> bpy.types.Material:
+    """What rays of light meet, where they leave the shell.
+
+    EEVEE, whose rays of light never come from a quad, has a shorter graph of its own. bias: in half sides; what is less than that before
+    a place does not shade it.
     """
     material, wiring = _material(name)
     path = wiring.node("ShaderNodeLightPath")
+    leaves = wiring.node("ShaderNodeNewGeometry").outputs["Backfacing"]
     back = _to_viewer(wiring)  # to where the ray comes from
     onwards = wiring.vector("SCALE", back, -1.0)
     place = _place(wiring, half_side)
-    # In EEVEE rays of a sun come from so far that single precision would turn what follows into no number.
-    travelled = wiring.math("MINIMUM", wiring.math("DIVIDE", _in_object(wiring, path.outputs["Ray Length"]), half_side), -NOWHERE)
+    from_outside = _look(wiring, look, place, onwards, NOWHERE)
+    _shine(wiring, from_outside, wiring.math("MULTIPLY", from_outside.alpha, leaves), "EEVEE")
+    travelled = wiring.math("DIVIDE", _in_object(wiring, path.outputs["Ray Length"]), half_side)
     origin = wiring.vector("ADD", place, wiring.vector("SCALE", back, travelled))
-    size = wiring.vector("DOT_PRODUCT", origin, origin)
-    own = wiring.math("LESS_THAN", size, (0.5 * (1.0 + SHELL)) ** 2)
+    own = wiring.math("LESS_THAN", wiring.vector("DOT_PRODUCT", origin, origin), OWN**2)
     facing = wiring.attribute(FACING)
     seen = _look(wiring, look, origin, facing, NOWHERE)
     lifted = wiring.vector("ADD", origin, wiring.vector("SCALE", facing, seen.along))
@@ -91,9 +111,7 @@ def shell_material(name: str, look: bpy.types.NodeTree, half_side: float, bias: 
     nearest = wiring.math("ADD", wiring.math("MULTIPLY", own, bias - NOWHERE), NOWHERE)
     outside = wiring.math("MULTIPLY", wiring.math("SUBTRACT", 1.0, own), wiring.math("SUBTRACT", 1.0, path.outputs["Is Shadow Ray"]))
     met = _look(wiring, look, start, wiring.mix(outside, onwards, back), nearest)
-    leaves = wiring.node("ShaderNodeNewGeometry").outputs["Backfacing"]
-    not_seen = wiring.math("SUBTRACT", 1.0, path.outputs["Is Camera Ray"])
-    _shine(wiring, met, wiring.math("MULTIPLY", met.alpha, wiring.math("MULTIPLY", leaves, not_seen)))
+    _shine(wiring, met, wiring.math("MULTIPLY", met.alpha, leaves), "CYCLES")
     return material
 
 
@@ -261,13 +279,13 @@ def _turned(wiring: Wiring, vector: Operand, kind: str, to_object: bool) -> bpy.
     return node.outputs[0]
 
 
-def _shine(wiring: Wiring, sight: Sight, alpha: Operand) -> None:
-    """A Principled shader of what a ray sees, as the surface of the material."""
+def _shine(wiring: Wiring, sight: Sight, alpha: Operand, renderer: str) -> None:
+    """A Principled shader of what a ray sees, as the surface of the material in the `renderer`: CYCLES, EEVEE or ALL."""
     shader = wiring.node("ShaderNodeBsdfPrincipled")
     wiring.connect(sight.colour, shader.inputs["Base Color"])
     wiring.connect(sight.roughness, shader.inputs["Roughness"])
     wiring.connect(sight.metallic, shader.inputs["Metallic"])
     wiring.connect(alpha, shader.inputs["Alpha"])
     wiring.connect(_turned(wiring, sight.normal, "NORMAL", to_object=False), shader.inputs["Normal"])
-    wiring.connect(shader.outputs[0], wiring.node("ShaderNodeOutputMaterial").inputs["Surface"])
+    wiring.connect(shader.outputs[0], wiring.node("ShaderNodeOutputMaterial", {"target": renderer}).inputs["Surface"])
     wiring.arrange()

@@ -11,7 +11,7 @@ import bpy
 
 import peers
 from bridge import blender_scenes
-from farfield.addon.bridge import btf_octahedral
+from farfield.addon.bridge.btf_octahedral import impostor
 from farfield.addon.bridge.btf_octahedral_capture import capture_atlas, surface_varies
 from farfield.addon.bridge.btf_octahedral_exports import write_octahedral_atlas
 from farfield.addon.bridge.images import pixels_of
@@ -43,11 +43,11 @@ def captured(objects, frames=3, pixels=32, samples=4):
     return finish(capture_atlas(blender_scenes.taken(*objects), FrameGrid(frames), pixels, samples))
 
 
-def pictures(objects, impostor, view, samples=16):
+def pictures(objects, made, view, samples=12):
     """Original and impostor in the studio as `view` has them."""
-    btf_octahedral.face(impostor, view.direction)
-    with studio([*objects, impostor], samples) as room:
-        return [room.picture(shown, view.direction, view.center, view.pixel, view.side) for shown in (objects, [impostor])]
+    made.face(view.direction)
+    with studio([*objects, *made.objects], samples) as room:
+        return [room.picture(shown, view.direction, view.center, view.pixel, view.side) for shown in (objects, made.objects)]
 
 
 def test_a_ball_is_captured_with_its_normals_heights_and_alpha():
@@ -67,7 +67,7 @@ def test_a_ball_is_captured_with_its_normals_heights_and_alpha():
         near = height > 0.3
         assert inside.sum() * view.pixel**2 == pytest.approx(np.pi, rel=0.1)
         assert atlas.colour[tile][inside][:, :3] == pytest.approx(np.tile([0.8, 0.2, 0.1], (len(row), 1)), abs=1e-3)
-        assert atlas.height[tile][inside][near] * atlas.half_side == pytest.approx(height[near], abs=0.03)
+        assert atlas.height[tile][inside][near] * atlas.half_side == pytest.approx(height[near], abs=0.05)
         assert np.einsum("mi,mi->m", atlas.normal[tile][inside][near], outwards[near]).min() > 0.99
 
 
@@ -95,25 +95,24 @@ def test_roughness_gets_an_image_only_where_it_differs():
 
 def test_at_a_frame_and_between_frames_it_is_nearly_the_original():
     objects = ball_and_box()
-    total = 8 * (12 * 64) ** 2
-    impostor = finish(peers.octahedral_impostor(objects, total, 4))
-    assert impostor["farfield_octahedral_bytes"] == total
-    atlas_view = FrameGrid(12).directions[17]
-    for direction, least in ((atlas_view, 30.0), (BETWEEN, 28.0)):
-        view = View(direction, np.array(impostor.location), 96, 2.2 * impostor["farfield_octahedral_half_side"] / 96)
-        original, shown = pictures(objects, impostor, view)
+    total = 8 * (8 * 72) ** 2
+    made = finish(peers.octahedral_impostor(objects, total, 4, frames=8))
+    assert made.bytes == total
+    for direction, least, overlap in ((FrameGrid(8).directions[17], 30.0, 0.96), (BETWEEN, 27.0, 0.92)):
+        view = View(direction, np.array(made.quads.location), 72, 2.2 * made.half_side / 72)
+        original, shown = pictures(objects, made, view)
         window = metrics.crop_to_object(original[..., 3])
         assert metrics.psnr(metrics.over_grey(original[window]), metrics.over_grey(shown[window])) > least
-        assert metrics.alpha_iou(original[..., 3], shown[..., 3]) > 0.96
+        assert metrics.alpha_iou(original[..., 3], shown[..., 3]) > overlap
 
 
 @pytest.mark.parametrize("upper", [False, True], ids=["whole", "upper"])
 def test_the_shader_sees_what_the_reference_sees(upper):
     source = blender_scenes.taken(*ball_and_box())
     atlas = finish(capture_atlas(source, FrameGrid(5, upper), 32, 4))
-    impostor = btf_octahedral.impostor("Impostor", atlas)
+    made = impostor("Impostor", atlas)
     view = View(BETWEEN, atlas.center, 48, 2.2 * atlas.half_side / 48)
-    _, shown = pictures([], impostor, view, 64)
+    _, shown = pictures([], made, view, 64)
     parts = (np.arange(48 * 4) + 0.5) / 4.0 - 24.0
     x, y = (values.ravel() * view.pixel for values in np.meshgrid(parts, parts))
     seen = look_up(atlas, atlas.center + x[:, None] * view.right + y[:, None] * view.up, BETWEEN)
@@ -127,14 +126,16 @@ def test_it_shades_itself_where_something_stands_before_the_sun():
     upper.location = (0.9, -1.1, 1.4)  # before the studio's sun
     bpy.context.view_layer.update()
     atlas = captured([lower, upper], frames=8, pixels=48)
-    shading, not_shading = (btf_octahedral.impostor("Impostor", atlas, bias) for bias in (1.0, 1e3))
+    shading, not_shading = (impostor("Impostor", atlas, bias) for bias in (1.0, 1e3))
     direction = np.array([-0.6, 0.6, 0.8]) / np.linalg.norm([-0.6, 0.6, 0.8])
     view = View(direction, atlas.center, 64, 2.0 * atlas.half_side / 64)
     original, shaded = pictures([lower, upper], shading, view)
     _, lit = pictures([], not_shading, view)
-    brightness = [picture[..., :3].mean() for picture in (original, shaded, lit)]
-    assert brightness[0] < 0.9 * brightness[2]
-    assert brightness[1] == pytest.approx(brightness[0], rel=0.06)
+    original, shaded, lit = (picture[..., :3].mean(axis=2) for picture in (original, shaded, lit))
+    shadow, light = lit - original > 0.3, (np.abs(lit - original) < 0.1) & (original > 0.3)
+    assert shadow.sum() > 100 and light.sum() > 300
+    assert shaded[shadow].mean() < 0.5 * (original[shadow].mean() + lit[shadow].mean())
+    assert shaded[light].mean() > 0.8 * lit[light].mean()
 
 
 def test_nothing_is_left_of_a_capture_or_of_an_impostor_that_is_removed():
@@ -145,7 +146,7 @@ def test_nothing_is_left_of_a_capture_or_of_an_impostor_that_is_removed():
     next(stopped)
     stopped.close()
     assert blender_scenes.counts() == before
-    btf_octahedral.remove(btf_octahedral.impostor("Impostor", finish(capture_atlas(source, FrameGrid(2), 16, 1))))
+    impostor("Impostor", finish(capture_atlas(source, FrameGrid(2), 16, 1))).remove()
     assert blender_scenes.counts() == before
 
 
