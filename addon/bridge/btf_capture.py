@@ -10,6 +10,7 @@ import numpy as np
 from ..core.btf.estimate import side_of
 from ..core.btf.settings import BtfSettings
 from ..core.btf.texels import FINER, Picture, View
+from .cameras import look
 from .identity import add_stand_in, faces_in
 from .meshes import Source
 from .temporary import TemporaryScene, temporary_scene
@@ -31,7 +32,7 @@ class NumberBooth:
 
     def faces(self, view: View) -> np.ndarray:
         """The face (F H, F W) int32 in the middle of every pixel of a picture FINER times as fine as `view`, -1 for none."""
-        _look(self._work, view.finer(FINER))
+        look(self._work.scene, view.finer(FINER))
         return faces_in(self._work.render())
 
 
@@ -53,7 +54,7 @@ class LitBooth:
     def picture(self, view: View, faces: np.ndarray) -> Picture:
         """All renders from one view, where `faces` are seen: under every sun of the settings' grid, and last under the dome."""
         suns = self._settings.light_grid.directions
-        _look(self._work, view)
+        look(self._work.scene, view)
         radiance = np.empty((len(suns) + 1, view.side, view.side, 3), np.float32)
         coverage = np.zeros((view.side, view.side), np.float32)
         self._work.scene.world, self._sun.hide_render = self._dark, False
@@ -142,17 +143,6 @@ def _world(work: TemporaryScene, strength: float) -> bpy.types.World:
     background.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
     background.inputs["Strength"].default_value = strength
     return world
-
-
-def _look(work: TemporaryScene, view: View) -> None:
-    extent = view.side * view.pixel
-    camera, render = work.camera, work.scene.render
-    camera.data.ortho_scale = extent
-    camera.data.clip_start, camera.data.clip_end = 0.01 * extent, 4.0 * extent
-    matrix = np.eye(4)
-    matrix[:3] = np.column_stack([view.right, view.up, view.direction, view.center + 2.0 * extent * view.direction])
-    camera.matrix_world = mathutils.Matrix(matrix.tolist())
-    render.resolution_x = render.resolution_y = view.side
 
 
 def _set_up(work: TemporaryScene, settings: BtfSettings, threads: int) -> None:

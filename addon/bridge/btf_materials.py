@@ -13,6 +13,7 @@ import bpy
 from ..compat import give_nodes
 from ..core.btf.tables import Tables, ViewTable
 from .cloud_materials import set_two_sided
+from .octahedral_nodes import place_on_map
 from .wiring import Operand, Wiring
 
 SUNS = 4
@@ -158,21 +159,7 @@ def _octahedral_group(upper: bool) -> bpy.types.NodeTree:
     wiring = Wiring(group)
     turned = wiring.node("ShaderNodeVectorTransform", {"vector_type": "VECTOR", "convert_from": "WORLD", "convert_to": "OBJECT"})
     wiring.connect(wiring.node("NodeGroupInput").outputs[0], turned.inputs[0])
-    direction = turned.outputs[0]
-    if upper:
-        direction = wiring.vector("MAXIMUM", direction, (-1e6, -1e6, 0.0))
-    size = wiring.vector("DOT_PRODUCT", wiring.vector("ABSOLUTE", direction), (1.0, 1.0, 1.0))
-    flat = wiring.vector("SCALE", direction, wiring.math("DIVIDE", 1.0, wiring.math("MAXIMUM", size, 1e-12)))
-    x, y, z = wiring.separate(flat)
-    if upper:
-        place = wiring.combine(wiring.math("ADD", x, y), wiring.math("SUBTRACT", x, y), 0.0)
-    else:
-        # Below the horizon the corners fold outwards.
-        folded = wiring.math("MAXIMUM", wiring.math("MULTIPLY", z, -1.0), 0.0)
-        signs = wiring.combine(
-            *(wiring.math("SUBTRACT", wiring.math("MULTIPLY", wiring.math("GREATER_THAN", value, 0.0), 2.0), 1.0) for value in (x, y)), 0.0
-        )
-        place = wiring.vector("ADD", wiring.combine(x, y, 0.0), wiring.vector("SCALE", signs, folded))
+    place = place_on_map(wiring, turned.outputs[0], upper)
     half = wiring.vector("ADD", wiring.vector("SCALE", place, 0.5), (0.5, 0.5, 0.0))
     wiring.connect(half, wiring.node("NodeGroupOutput").inputs[0])
     wiring.arrange()

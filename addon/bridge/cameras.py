@@ -1,8 +1,10 @@
-"""Blender's camera as the core's."""
+"""Blender's camera as the core's, and the core's views as Blender's camera."""
 
 import bpy
+import mathutils
 import numpy as np
 
+from ..core.btf.texels import View
 from ..core.cameras import Camera
 
 
@@ -20,6 +22,18 @@ def scene_camera(scene: bpy.types.Scene) -> Camera | None:
     if camera.data.type == "ORTHO":
         return Camera(position, pixels, 0.0, camera.data.ortho_scale)
     return Camera(position, pixels, camera.data.angle)
+
+
+def look(scene: bpy.types.Scene, view: View) -> None:
+    """Let the camera of `scene`, an orthographic one, take the picture `view`."""
+    extent = view.side * view.pixel
+    camera, render = scene.camera, scene.render
+    camera.data.ortho_scale = extent
+    camera.data.clip_start, camera.data.clip_end = 0.01 * extent, 4.0 * extent
+    matrix = np.eye(4)
+    matrix[:3] = np.column_stack([view.right, view.up, view.direction, view.center + 2.0 * extent * view.direction])
+    camera.matrix_world = mathutils.Matrix(matrix.tolist())
+    render.resolution_x = render.resolution_y = view.side
 
 
 def _spans_width(data: bpy.types.Camera, width: float, height: float) -> bool:

@@ -16,6 +16,7 @@ from .channels import CHANNELS, CaptureMaterial, capture_material
 from .images import check_images
 from .meshes import Source
 from .outlines import Continuations
+from .plain_renders import prepare_plain_render
 from .slot_meshes import drawn_surfaces, places_inside, slot_mesh, slot_positions
 from .slots import slots_of
 from .surfaces import MaterialKey
@@ -24,7 +25,6 @@ from .textures import LevelTextures, maps_of
 from .world_nodes import asked_layers
 
 SIDES = ("front", "back")
-MOST_TRANSPARENT_BOUNCES = 1024
 ORDINARY_TEXELS = (1e-3, 1e3)  # lengths that single precision and the camera's clipping take as they are
 
 
@@ -43,7 +43,8 @@ def capture(source: Source, cloud: Cloud, settings: BillboardSettings) -> Steps[
     textures = []
     for number, level in enumerate(cloud.levels):
         with temporary_scene("Farfield Capture") as work:
-            _prepare_render(work.scene, level, settings)
+            prepare_plain_render(work.scene, *level.atlas.size, settings.seed)
+            work.camera.data.ortho_scale = level.atlas.size[0] * level.texel / _unit(level)
             materials, reach = _lay_out(work, source, level)
             renders: dict[tuple[str, str], np.ndarray] = {}
             for side in SIDES:
@@ -60,29 +61,6 @@ def capture(source: Source, cloud: Cloud, settings: BillboardSettings) -> Steps[
         maps = (maps_of(*(renders[side, channel] for channel in CHANNELS), level, goes_on) for side in SIDES)
         textures.append(LevelTextures(*maps))
     return textures
-
-
-def _prepare_render(scene: bpy.types.Scene, level: Level, settings: BillboardSettings) -> None:
-    """The plainest render there is: no light, no bounce, no filter wider than a texel, values as they are."""
-    render, cycles = scene.render, scene.cycles
-    render.engine = "CYCLES"
-    render.resolution_x, render.resolution_y = level.atlas.size
-    render.resolution_percentage = 100
-    render.film_transparent = True
-    render.use_persistent_data = True
-    render.use_simplify = False
-    render.use_compositing = render.use_sequencer = False
-    cycles.device = "CPU"
-    cycles.seed = settings.seed
-    cycles.use_adaptive_sampling = cycles.use_denoising = cycles.use_light_tree = False
-    # The mean over each texel and nothing beyond it: bilinear look-up in the finished texture blurs enough.
-    cycles.pixel_filter_type = "BOX"
-    cycles.max_bounces = 0
-    cycles.transparent_max_bounces = MOST_TRANSPARENT_BOUNCES
-    cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0.0
-    scene.camera.data.type = "ORTHO"
-    scene.camera.data.sensor_fit = "HORIZONTAL"
-    scene.camera.data.ortho_scale = level.atlas.size[0] * level.texel / _unit(level)
 
 
 def _samples(channel: str, settings: BillboardSettings) -> int:

@@ -5,12 +5,10 @@ import numpy as np
 
 from .channels import capture_material
 from .meshes import Source
-from .slot_meshes import LAYER_TYPES, drawn_surfaces, slot_mesh, slot_positions
-from .slots import Slots
-from .surfaces import MaterialKey
+from .slot_meshes import LAYER_TYPES
+from .stand_ins import moved_as_a_whole, stand_ins
 from .temporary import TemporaryScene
 from .wiring import Wiring
-from .world_nodes import asked_layers
 
 NUMBER = "farfield_number"  # of a face, as (number // BASE, number % BASE, 1), so that single precision holds it exactly
 BASE = 4096
@@ -19,24 +17,11 @@ OPAQUE = 0.5  # alpha from which on a face counts as seen
 
 def add_stand_in(work: TemporaryScene, source: Source) -> None:
     """Add the faces of `source`, in their place in the world, to the scene of `work`; `faces_in` reads its render."""
-    count = sum(len(part.surface.triangles) for part in source.parts) // source.triangles_per_primitive
-    in_place = Slots(np.zeros((1, 3)), np.eye(3)[None], np.zeros((1, 3)), np.ones(1))
-    copies: dict[tuple[MaterialKey | None, str], bpy.types.Material] = {}
-    for drawn in drawn_surfaces(source, np.arange(count), np.zeros(count, np.int64)):
-        color_layer = drawn.surface.color if source.points is not None else ""
-        keys = [(material, color_layer) for material in drawn.surface.materials]
-        for key in keys:
-            if key not in copies:
-                copies[key] = _numbering(None if key[0] is None else bpy.data.materials[key[0]], color_layer, work)
-        world, _ = slot_positions(drawn, in_place)
-        asked = set().union(*(asked_layers(copies[key].node_tree) for key in keys))
-        mesh = work.keep(slot_mesh("Farfield Numbers", drawn, world, world, np.zeros_like(world), in_place, asked))
+    in_place = moved_as_a_whole(np.zeros(3))
+    for mesh, drawn in stand_ins(work, source, in_place, lambda original, color_layer: _numbering(original, color_layer, work)):
         numbers = np.stack([drawn.primitives // BASE, drawn.primitives % BASE, np.ones(len(drawn.primitives))], axis=1)
         kind, key_name = LAYER_TYPES[3]
         mesh.attributes.new(NUMBER, kind, "FACE").data.foreach_set(key_name, numbers.astype(np.float32).ravel())
-        for key in keys:
-            mesh.materials.append(copies[key])
-        work.add(mesh)
 
 
 def faces_in(picture: np.ndarray) -> np.ndarray:

@@ -58,7 +58,13 @@ def broad_lights(grid: DirectionGrid) -> np.ndarray:
 
 
 def refined(
-    views: Sequence[Training], colour: Factors, hues: np.ndarray, alpha: Factors, plain: np.ndarray, lights: np.ndarray, view_weights: np.ndarray
+    views: Sequence[Training],
+    colour: Factors,
+    hues: np.ndarray,
+    alpha: Factors,
+    plain: np.ndarray,
+    lights: np.ndarray,
+    view_weights: np.ndarray,
 ) -> Steps[Factors]:
     """`alpha` with weights that make the pictures right, and one more component that is the same from every view.
 
