@@ -21,11 +21,16 @@ STACKED_QUADS = 256  # transparent surfaces that a ray may pass
 
 
 class Studio:
-    """Takes pictures of chosen objects under one light; made by `studio`."""
+    """Takes pictures of chosen objects under one light; made by `studio`. sun: its lamp."""
 
     def __init__(self, work: TemporaryScene, objects: Sequence[bpy.types.Object]) -> None:
         self._work = work
         self._objects = list(objects)
+        self.sun = _add_sun(work)
+
+    def shine_from(self, direction: np.ndarray) -> None:
+        """Turn the sun: `direction` (3,) points towards it."""
+        self.sun.matrix_world = mathutils.Vector(direction).to_track_quat("Z", "Y").to_matrix().to_4x4()
 
     def picture(
         self, shown: Sequence[bpy.types.Object], direction: np.ndarray, center: np.ndarray, pixel_size: float, size: int
@@ -57,7 +62,6 @@ def studio(objects: Sequence[bpy.types.Object], samples: int) -> Iterator[Studio
         for item in objects:
             work.scene.collection.objects.link(item)
         work.camera.data.type = "ORTHO"
-        _add_sun(work)
         _add_sky(work)
         _set_up_cycles(work.scene, samples)
         try:
@@ -98,10 +102,12 @@ def paint_sky(world: bpy.types.World) -> None:
     background.inputs["Strength"].default_value = 1.0
 
 
-def _add_sun(work: TemporaryScene) -> None:
+def _add_sun(work: TemporaryScene) -> bpy.types.Object:
     light = work.keep(bpy.data.lights.new("Farfield Studio", "SUN"))
     light.energy, light.angle = SUN_STRENGTH, SUN_ANGLE
-    work.add(light).matrix_world = sun_matrix()
+    sun = work.add(light)
+    sun.matrix_world = sun_matrix()
+    return sun
 
 
 def _add_sky(work: TemporaryScene) -> None:
