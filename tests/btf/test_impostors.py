@@ -1,4 +1,4 @@
-"""An octahedral impostor looks like its original where a frame stands, and nearly so between; its files and its baselines keep their word."""
+"""An octahedral impostor looks like its original where a frame stands, and nearly so between; files and baselines keep their word."""
 
 import json
 

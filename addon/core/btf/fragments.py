@@ -13,7 +13,7 @@ EDGE_ON = 1e-3  # of the rays that would cross a quad seen face on: below it non
 
 @dataclass(frozen=True)
 class Quads:
-    """The polygons of a level. corners, coordinates: for each of Q, its convex polygon (C, 3) in space and (C, 2) in texels of the atlas."""
+    """The polygons of a level. corners, coordinates: for each its convex polygon (C, 3) in space and (C, 2) in texels of the atlas."""
 
     corners: list[np.ndarray]
     coordinates: list[np.ndarray]
@@ -96,7 +96,7 @@ def pixels_of_rays(fragments: Fragments, parts: int) -> sparse.csr_array:
 
 
 def _rays_inside(outline: np.ndarray, side: int) -> np.ndarray:
-    """Column and row (M, 2) of the rays of a square of `side` rays that pass through the middle of a cell within a convex `outline` (C, 2)."""
+    """Column and row (M, 2) of those rays, of a square of `side` along each side, that pass within a convex `outline` (C, 2)."""
     following = np.roll(outline, -1, axis=0)
     area = 0.5 * float(np.sum(outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0]))
     low = np.clip(np.floor(outline.min(axis=0)), 0, side).astype(np.int64)
