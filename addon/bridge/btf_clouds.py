@@ -9,7 +9,7 @@ from ..core.btf.factors import Factors
 from ..core.btf.lpca import LocalFactors
 from ..core.btf.settings import BtfSettings
 from ..core.btf.tables import tables_of, weight_images
-from ..core.btf.texels import Texels, texels_of
+from ..core.btf.texels import Quads, Texels, texels_of
 from ..core.images import dilate, nearest_known
 from .btf_materials import AMBIENT, SUNS, BtfImages, btf_material, light_property, sun_property
 from .cloud_materials import FRONT_COLOUR
@@ -21,18 +21,24 @@ DILATED = 3  # texels around what is known
 
 def texels_of_level(level_object: bpy.types.Object) -> Texels:
     """The texels under the quads of a level object, in world space as the cloud was made (its object is only moved)."""
+    return texels_of(quads_of_level(level_object), tuple(level_object["farfield_atlas"]))
+
+
+def quads_of_level(level_object: bpy.types.Object) -> Quads:
+    """The polygons of a level object, in world space as the cloud was made (its object is only moved)."""
     mesh = level_object.data
     positions = np.empty(3 * len(mesh.vertices), np.float32)
     mesh.vertices.foreach_get("co", positions)
     uvs = np.empty(2 * len(mesh.loops), np.float32)
     mesh.attributes["UVMap"].data.foreach_get("vector", uvs)
     world = positions.reshape(-1, 3).astype(np.float64) + np.array(level_object.matrix_world.translation, np.float64)
+    size = np.array(level_object["farfield_atlas"], np.float64)
     corners, places = [], []
     for polygon in mesh.polygons:
         loops = slice(polygon.loop_start, polygon.loop_start + polygon.loop_total)
         corners.append(world[list(polygon.vertices)])
-        places.append(uvs.reshape(-1, 2)[loops].astype(np.float64))
-    return texels_of(corners, places, tuple(level_object["farfield_atlas"]))
+        places.append(uvs.reshape(-1, 2)[loops] * size)
+    return Quads(corners, places)
 
 
 def plain_alpha(level_object: bpy.types.Object, texels: Texels) -> np.ndarray:

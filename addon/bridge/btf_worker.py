@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 from ..core.btf.orders import LevelOrder
+from ..core.btf.photographs import broad_lights, photograph_of
 from ..core.btf.shards import ShardStore
 from ..core.btf.spreading import REFUSED, Shard, refusal
 from ..core.btf.texels import View, sight
@@ -62,4 +63,5 @@ def capture_views(folder: Path, views: list[int], threads: int) -> None:
             before = booth.render_seconds
             picture = booth.picture(view, store.read_faces(number))
             sighting = sight(order.texels, view, picture, order.belongs, order.error)
-            store.write(number, sighting, seconds + booth.render_seconds - before)
+            photograph = photograph_of(picture, broad_lights(settings.light_grid))
+            store.write(number, sighting, photograph, seconds + booth.render_seconds - before)

@@ -9,33 +9,42 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..bridge import btf_clouds, btf_snapshot, btf_worker, clouds, images
+from ..bridge import btf_capture, btf_clouds, btf_snapshot, btf_worker, clouds, images, meshes
 from ..bridge.originals import read_original
 from ..core.btf.codecs import compressed_colours
 from ..core.btf.factors import Factors, factorise
 from ..core.btf.orders import LevelOrder
+from ..core.btf.photographs import broad_lights
 from ..core.btf.quality import quality
+from ..core.btf.refine import refined
 from ..core.btf.settings import BtfSettings
 from ..core.btf.shards import Colours, ShardStore, Silhouettes
 from ..core.btf.spreading import render_missing
-from ..core.btf.texels import Texels
+from ..core.btf.texels import Quads, Texels, View
 from ..core.btf.tints import tints
+from ..core.btf.training import training_views
 from ..core.errors import FileError, GeometryError
 from ..core.parallel import read_word
 from ..core.progress import StageClock, Steps, scaled
 from . import btf_estimates
 from .billboards_clouds import StandingCloud, cloud_of
 
-DOME_WEIGHT = 4.0 * np.pi  # as much as all suns together
+DOME_WEIGHT = 0.12 * np.pi  # a sky is a few tenths of what it is in the bake where a sun is a few times as strong
 CAPTURED = 0.8  # of the bar
-TINTED, COLOURED, SHAPED = 0.1, 0.65, 0.85  # of the compression's part of it
+TINTED, COLOURED, SHAPED, REFINED = 0.05, 0.4, 0.5, 0.9  # of the compression's part of it
 
 
 @dataclass(frozen=True)
 class Level:
-    """One level to be baked: what its capture needs, the coverage (N,) of its texels in the plain maps, and where finished views lie."""
+    """One level to be baked.
+
+    order: what its capture needs. quads, views: its polygons, and where it is captured from. plain: the coverage (N,) of its texels in the
+    plain maps. store: where finished views lie.
+    """
 
     order: LevelOrder
+    quads: Quads
+    views: list[View]
     plain: np.ndarray
     store: ShardStore
 
@@ -134,8 +143,14 @@ class BtfJob:
             colour = yield from scaled(steps, TINTED, COLOURED)
             steps = factorise(silhouettes, len(texels), settings.alpha_components, views.solid_angles, np.ones(1), settings.seed)
             alpha = yield from scaled(steps, COLOURED, SHAPED)
+        if settings.refine:
+            with self.clock.stage("refine"):
+                photographed = training_views(level.quads, texels, level.views, store)
+                lights_of = broad_lights(lights)
+                steps = refined(photographed, colour, hues, alpha, level.plain, lights_of, views.solid_angles)
+                alpha = yield from scaled(steps, SHAPED, REFINED)
         with self.clock.stage("measure"):
-            fits = yield from scaled(quality(colours, colour, hues, views.solid_angles, columns), SHAPED, 1.0)
+            fits = yield from scaled(quality(colours, colour, hues, views.solid_angles, columns), REFINED, 1.0)
         self.figures.append(
             {
                 "level": number,
@@ -177,18 +192,19 @@ def prepare(context: bpy.types.Context, cloud: StandingCloud, settings: BtfSetti
     images.check_images(source)
     temporary = _temporary_folder() if work is None else None
     folder = work if temporary is None else Path(temporary.name)
-    levels = [_level(level_object, folder, number) for number, level_object in enumerate(cloud.levels)]
+    levels = [_level(level_object, source, settings, folder, number) for number, level_object in enumerate(cloud.levels)]
     for level in levels:
         level.store.open(f"{source.fingerprint} {settings.of_capture} {len(level.order.texels)} {level.order.error:.9g}")
     btf_snapshot.write_snapshot(folder, context.scene, sources, source, [level.order for level in levels], settings)
     return BtfJob(name, source.fingerprint, settings, levels, folder, keeps_work, temporary)
 
 
-def _level(level_object: bpy.types.Object, folder: Path, number: int) -> Level:
+def _level(level_object: bpy.types.Object, source: meshes.Source, settings: BtfSettings, folder: Path, number: int) -> Level:
     texels = btf_clouds.texels_of_level(level_object)
+    quads, views = btf_clouds.quads_of_level(level_object), btf_capture.views_of(source, settings, texels.side)
     order = LevelOrder(texels, *clouds.drawn_on(level_object.data), float(level_object["farfield_error"]))
     store = ShardStore(btf_snapshot.store_folder(folder, number))
-    return Level(order, btf_clouds.plain_alpha(level_object, texels), store)
+    return Level(order, quads, views, btf_clouds.plain_alpha(level_object, texels), store)
 
 
 def _temporary_folder() -> tempfile.TemporaryDirectory:

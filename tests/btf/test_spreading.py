@@ -26,8 +26,11 @@ from pathlib import Path
 from farfield.addon.core import lease
 from farfield.addon.core.btf.shards import ShardStore
 from farfield.addon.core.btf.spreading import REFUSED, refusal
+from farfield.addon.core.btf.photographs import Photograph
 from farfield.addon.core.btf.texels import Sighting
 from farfield.addon.core.errors import FileError
+
+photograph = Photograph(np.ones((5, 4, 4, 3), np.float32), np.ones((4, 4), np.float32))
 
 def render(view):
     rng = np.random.default_rng(view)
@@ -45,7 +48,7 @@ for view in map(int, views):
         if store.has(view):
             continue
         exec(harm)
-        store.write(view, render(view), 0.25)
+        store.write(view, render(view), photograph, 0.25)
         print("view", level, view, file=log, flush=True)
 """
 VIEWS = 6

@@ -94,7 +94,7 @@ def factorise(
                 right[index] += view_weights[place] * (scaled @ basis[place].T)
                 known[index] = True
         if not last:
-            weights = _solved_rows(normal, right)
+            weights = solved_rows(normal, right, RIDGE)
     weights, basis = _in_order(weights, basis, view_weights)
     return Factors(weights, basis / roots, known)
 
@@ -106,17 +106,19 @@ def _solved_basis(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.linalg.solve(normal, (weights.T @ values).astype(np.float64)).astype(np.float32)
 
 
-def _solved_rows(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """The weights (N, K) that solve every row's equations; 0 where a row is not known."""
+def solved_rows(normal: np.ndarray, right: np.ndarray, ridge: float) -> np.ndarray:
+    """The weights (N, K) that solve every row's equations, `normal` (N, K, K) and `right` (N, K); 0 where a row is not known.
+
+    `ridge` is added to each diagonal, as a share of the mean diagonal of the rows that are known.
+    """
     count = normal.shape[1]
     diagonal = np.einsum("nkk->n", normal) / count
     known = diagonal > 0.0
-    ridge = RIDGE * (diagonal[known].mean() if known.any() else 1.0)
+    padding = ridge * (diagonal[known].mean() if known.any() else 1.0) * np.eye(count)
     weights = np.zeros_like(right)
     for start in range(0, len(right), CHUNK):
         rows = slice(start, start + CHUNK)
-        padded = normal[rows].astype(np.float64) + ridge * np.eye(count)
-        weights[rows] = np.linalg.solve(padded, right[rows, :, None].astype(np.float64))[..., 0]
+        weights[rows] = np.linalg.solve(normal[rows].astype(np.float64) + padding, right[rows, :, None].astype(np.float64))[..., 0]
     return weights
 
 

@@ -4,19 +4,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import sparse
 
-from .texels import Texels, View
+from .texels import Quads, Texels, View
 
 EDGE_ON = 1e-3  # of the rays that would cross a quad seen face on: below it none does
-
-
-@dataclass(frozen=True)
-class Quads:
-    """The polygons of a level. corners, coordinates: for each its convex polygon (C, 3) in space and (C, 2) in texels of the atlas."""
-
-    corners: list[np.ndarray]
-    coordinates: list[np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -35,9 +26,10 @@ class Fragments:
     def __len__(self) -> int:
         return len(self.ray)
 
-    def mixed(self, values: np.ndarray) -> np.ndarray:
-        """`values` (N, ...) of texels at the fragments, (F, ...)."""
-        return np.einsum("ft,ft...->f...", self.shares, values[self.texels], optimize=True)
+    @property
+    def bytes(self) -> int:
+        """What the arrays take."""
+        return self.ray.nbytes + self.texels.nbytes + self.shares.nbytes
 
     @cached_property
     def starts(self) -> np.ndarray:
@@ -86,13 +78,6 @@ def fragments_of(quads: Quads, texels: Texels, view: View, parts: int) -> Fragme
     order = np.lexsort((-height, ray))
     numbers, shares = _texture_unit(texels, np.concatenate(places)[order], owner[order])
     return Fragments(view.side**2 * parts**2, ray[order].astype(np.int32), numbers, shares)
-
-
-def pixels_of_rays(fragments: Fragments, parts: int) -> sparse.csr_array:
-    """The matrix (pixels, F) that takes the mean over a pixel's rays of what each fragment sends."""
-    pixel = fragments.ray // parts**2
-    values = np.full(len(fragments), 1.0 / parts**2, np.float32)
-    return sparse.csr_array((values, (pixel, np.arange(len(fragments)))), shape=(fragments.rays // parts**2, len(fragments)))
 
 
 def _rays_inside(outline: np.ndarray, side: int) -> np.ndarray:

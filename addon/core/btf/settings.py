@@ -41,6 +41,7 @@ class BtfSettings(Settings):
     cluster_components: int = setting(8, "Components of colour of each cluster, for lpca", minimum=1, maximum=32, unit=Unit.COUNT)
     blend_texels: bool = setting(True, "For lpca: blend neighbouring texels at random from sample to sample, which more samples smooth")
     alpha_components: int = setting(12, "Components of the silhouette; four share a texture", minimum=1, maximum=64, unit=Unit.COUNT)
+    refine: bool = setting(True, "Refine the silhouettes against whole pictures of the original, so that quads fit together")
     samples: int = setting(
         4, "Cycles samples a pixel of every render; compression removes their noise", minimum=1, maximum=4096, unit=Unit.COUNT
     )

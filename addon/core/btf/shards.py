@@ -13,9 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FileError
+from .photographs import Photograph
 from .texels import Sighting
 
 JOB = "job.json"
+LAYOUT = 2  # of the files: a folder that an earlier one filled is another bake's
 PART = ".part"
 DIGEST = hashlib.sha256().digest_size
 
@@ -32,7 +34,7 @@ class ShardStore:
         Raises:
             FileError: when it is another bake's or cannot be written.
         """
-        job = self.folder / JOB
+        job, fingerprint = self.folder / JOB, f"{fingerprint} layout={LAYOUT}"
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             if not job.exists():
@@ -65,7 +67,7 @@ class ShardStore:
         """Whether a view is finished; `stands` tells whether it is undamaged too."""
         return self.path(view).exists()
 
-    def write(self, view: int, sighting: Sighting, render_seconds: float) -> None:
+    def write(self, view: int, sighting: Sighting, photograph: Photograph, render_seconds: float) -> None:
         """Keep what is known from a view; its picture of faces is needed no longer. What its renders took lies beside it, so that the
         view's own file has the same bytes whoever renders it.
 
@@ -74,9 +76,11 @@ class ShardStore:
         """
         arrays = {
             "known": np.packbits(sighting.known),
-            "coverage": np.rint(255.0 * sighting.coverage).astype(np.uint8),
+            "coverage": _bytes(sighting.coverage),
             "visible": sighting.visible,
-            "radiance": np.minimum(sighting.radiance, np.finfo(np.float16).max).astype(np.float16),
+            "radiance": _half(sighting.radiance),
+            "photograph": _half(photograph.colours),
+            "silhouette": _bytes(photograph.coverage),
         }
         self._keep(self._figures_path(view), json.dumps({"render_seconds": render_seconds}).encode())
         self._write(self.path(view), np.savez, arrays)
@@ -97,6 +101,11 @@ class ShardStore:
             FileError: when the file is gone or damaged.
         """
         return self._read(self.path(view), *names)
+
+    def photograph(self, view: int) -> Photograph:
+        """The photograph that `write` has kept of a view; raises like `read`."""
+        colours, coverage = self.read(view, "photograph", "silhouette")
+        return Photograph(colours.astype(np.float32), coverage / np.float32(255.0))
 
     def render_seconds(self, views: int) -> float:
         """What Cycles took for those of all `views` that are finished, also in runs before this one, as far as is known."""
@@ -184,3 +193,12 @@ def _write_whole(path: Path, content: bytes) -> None:
     except OSError:
         temporary.unlink(missing_ok=True)
         raise
+
+
+def _half(values: np.ndarray) -> np.ndarray:
+    largest = np.finfo(np.float16).max
+    return np.clip(values, -largest, largest).astype(np.float16)
+
+
+def _bytes(shares: np.ndarray) -> np.ndarray:
+    return np.rint(255.0 * np.clip(shares, 0.0, 1.0)).astype(np.uint8)

@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -34,6 +35,13 @@ class Texels:
         """Length of a texel: the median over the quads."""
         return float(np.median(np.linalg.norm(self.steps, axis=2)))
 
+    @cached_property
+    def numbers(self) -> np.ndarray:
+        """Which texel lies at each place of the texture, (height, width) int32; -1 for none."""
+        picture = np.full((self.size[1], self.size[0]), -1, np.int32)
+        picture[self.pixels[:, 1], self.pixels[:, 0]] = np.arange(len(self))
+        return picture
+
     def parts(self, count: int) -> Iterator[np.ndarray]:
         """The middles (N, 3) of count x count parts of every texel, one part of all texels at a time."""
         places = (2.0 * np.arange(count) + 1.0) / (2.0 * count) - 0.5
@@ -47,14 +55,21 @@ class Texels:
         return picture
 
 
-def texels_of(corners: list[np.ndarray], uvs: list[np.ndarray], size: tuple[int, int]) -> Texels:
-    """The texels under quads, from each one's polygon: `corners` (C, 3) in space, `uvs` (C, 2) in the texture of `size`, C at least 3.
+@dataclass(frozen=True)
+class Quads:
+    """The convex polygons of a level: of each, `corners` (C, 3) in space and `coordinates` (C, 2) in texels of the texture, C >= 3."""
+
+    corners: list[np.ndarray]
+    coordinates: list[np.ndarray]
+
+
+def texels_of(polygons: Quads, size: tuple[int, int]) -> Texels:
+    """The texels under quads in a texture of `size`.
 
     A texel counts when its middle is within half a texel of the bounding box of the polygon in the texture.
     """
     pixels, quads, positions, steps = [], [], [], []
-    for quad, (places, coordinates) in enumerate(zip(corners, uvs, strict=True)):
-        at = coordinates * size
+    for quad, (places, at) in enumerate(zip(polygons.corners, polygons.coordinates, strict=True)):
         low = np.maximum(np.floor(at.min(axis=0) - 0.5 + ROOM) + 0.0, 0).astype(np.int64)
         high = np.minimum(np.ceil(at.max(axis=0) + 0.5 - ROOM), size).astype(np.int64)
         x, y = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))

@@ -1,0 +1,109 @@
+"""Refined silhouettes make whole pictures right: no gaps, no double cover, and the slope is that of the error."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from farfield.addon.core.btf.factors import Factors
+from farfield.addon.core.btf.fragments import Fragments, fragments_of
+from farfield.addon.core.btf.photographs import Photograph, broad_lights, photograph_of
+from farfield.addon.core.btf.refine import RAYS, _Look, refined
+from farfield.addon.core.btf.texels import Picture, Quads, View, texels_of
+from farfield.addon.core.direction_grids import DirectionGrid
+from farfield.addon.core.progress import finish
+
+SIZE = (22, 10)
+GREY = 0.4
+
+
+def sheets() -> Quads:
+    """Two sheets of 8 x 8 texels, one right above the other."""
+    flat = np.array([[0, 0], [8, 0], [8, 8], [0, 8]], float)
+    return Quads([np.column_stack([flat, np.full(4, height)]) for height in (0.0, 0.2)], [flat + [1.0, 1.0], flat + [12.0, 1.0]])
+
+
+@dataclass
+class Shot:
+    """One view with its photograph."""
+
+    view: View
+    taken: Photograph
+
+    def fragments(self) -> Fragments:
+        return fragments_of(sheets(), texels_of(sheets(), SIZE), self.view, RAYS)
+
+    def photograph(self) -> Photograph:
+        return self.taken
+
+
+def shots(coverage: float) -> list[Shot]:
+    """Views from above, straight and aslant, of a grey sheet that lets 1 - `coverage` through."""
+    views = [
+        View(np.array(each) / np.linalg.norm(each), np.array([4.0, 4.0, 0.0]), 8, 1.0) for each in ([0, 0, 1], [0.1, 0, 1], [0, 0.1, 1])
+    ]
+    alpha = np.full((8, 8), coverage, np.float32)
+    return [Shot(view, Photograph(np.broadcast_to(GREY * alpha[None, ..., None], (5, 8, 8, 3)).copy(), alpha)) for view in views]
+
+
+def grey_factors(texels: int, views: int, lights: int) -> tuple[Factors, Factors]:
+    """Colours that make every broad light GREY, and an alpha that adds nothing."""
+    known = np.ones(texels, bool)
+    colour = Factors(np.ones((texels, 1), np.float32), np.full((views, 1, 3 * (lights + 1)), GREY, np.float32), known)
+    return colour, Factors(np.zeros((texels, 1), np.float32), np.ones((views, 1, 1), np.float32), known)
+
+
+def composed(view: View, alpha: np.ndarray) -> np.ndarray:
+    found = fragments_of(sheets(), texels_of(sheets(), SIZE), view, RAYS)
+    own = np.clip((alpha[found.texels] * found.shares).sum(axis=1), 0.0, 1.0)
+    return np.bincount(found.ray // RAYS**2, found.transmitted(own) * own, minlength=64).reshape(8, 8) / RAYS**2
+
+
+@pytest.mark.parametrize(("own", "wanted"), [(0.5, 1.0), (0.5, 0.5)], ids=["gap", "double cover"])
+def test_two_quads_add_up_to_what_is_seen(own, wanted):
+    """Each texel is half covered: together that is three quarters, whatever the picture says."""
+    taken, texels = shots(wanted), texels_of(sheets(), SIZE)
+    lights = np.zeros((2, 5), np.float32)
+    lights[0] = 1.0
+    colour, alpha = grey_factors(len(texels), len(taken), 1)
+    plain = np.full(len(texels), own, np.float32)
+    hues = np.ones((len(texels), 3), np.float32)
+    better = finish(refined(taken, colour, hues, alpha, plain, lights, np.ones(len(taken))))
+    for number, shot in enumerate(taken):
+        before = np.abs(composed(shot.view, plain) - wanted)[1:-1, 1:-1]
+        after = np.abs(composed(shot.view, plain + better.weights @ better.basis[number, :, 0]) - wanted)[1:-1, 1:-1]
+        assert before.mean() == pytest.approx(0.25, abs=0.01)
+        assert after.mean() < 0.3 * before.mean()
+
+
+def test_what_is_right_stays():
+    taken, texels = shots(0.75), texels_of(sheets(), SIZE)
+    lights = np.zeros((2, 5), np.float32)
+    lights[0] = 1.0
+    colour, alpha = grey_factors(len(texels), len(taken), 1)
+    plain, hues = np.full(len(texels), 0.5, np.float32), np.ones((len(texels), 3), np.float32)
+    inner = Shot(taken[0].view, taken[0].taken)
+    better = finish(refined([inner], colour, hues, alpha, plain, lights, np.ones(1)))
+    assert np.abs(better.weights @ better.basis[0, :, 0]).max() < 0.02
+
+
+def test_the_slope_is_that_of_the_error():
+    random = np.random.default_rng(0)
+    shot, texels = shots(0.6)[1], texels_of(sheets(), SIZE)
+    look = _Look(shot.fragments(), shot.taken, random.random((len(texels), 15)))
+    alpha = random.uniform(0.2, 0.8, len(texels))
+    slope, bend = look.against(alpha)
+    for texel in random.permutation(np.flatnonzero(bend))[:12]:
+        step = np.zeros(len(texels))
+        step[texel] = 1e-3
+        numeric = (look.error(alpha + step) - look.error(alpha - step)) / 2e-3
+        assert slope[texel] == pytest.approx(numeric, rel=0.02, abs=0.02 * np.abs(slope).max())
+
+
+def test_broad_lights_are_sums_of_the_renders():
+    grid = DirectionGrid(4)
+    radiance = np.random.default_rng(1).random((len(grid) + 1, 2, 2, 3)).astype(np.float32)
+    taken = photograph_of(Picture(radiance, np.ones((2, 2), np.float32), np.zeros((6, 6), np.int32), np.zeros((6, 6))), broad_lights(grid))
+    np.testing.assert_allclose(taken.colours[0], np.tensordot(grid.solid_angles, radiance[:-1], 1), rtol=1e-5)
+    np.testing.assert_allclose(taken.colours[3], np.tensordot(grid.solid_angles * grid.directions[:, 2], radiance[:-1], 1), atol=1e-5)
+    np.testing.assert_allclose(taken.colours[4], radiance[-1])
