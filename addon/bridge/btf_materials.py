@@ -17,6 +17,7 @@ from .octahedral_nodes import place_on_map
 from .wiring import Operand, Wiring
 
 SUNS = 4
+ALONG = 0.99  # cosine from which on a ray of shadow counts as one to a sun, whose disc has some width
 BLACK = (0.0, 0.0, 0.0)
 AMBIENT = "farfield_ambient"  # on the level object: colour of the dome
 LAYOUT = "farfield_btf"  # on the material: the numbers of `core.btf.tables.Tables` that tell what its images hold
@@ -69,7 +70,8 @@ def btf_material(name: str, images: BtfImages, tables: Tables, blend_texels: boo
     tree = material.node_tree
     tree.nodes.clear()
     wiring = Wiring(tree)
-    view = _place_node(wiring, tables.views_upper, wiring.node("ShaderNodeNewGeometry").outputs["Incoming"])
+    suns = [_of_object(wiring, sun_property(number)) for number in range(SUNS)]
+    view = _place_node(wiring, tables.views_upper, _towards_viewer(wiring, suns))
     column, texel, closest = None, None, images.clusters is not None
     if closest:
         texel = _texel_place(wiring, images.clusters, blend_texels)
@@ -80,9 +82,9 @@ def btf_material(name: str, images: BtfImages, tables: Tables, blend_texels: boo
     colour = _weighted_sum(wiring, images.dome, DOME, in_views, tables.dome.step, scalars)
     colour = wiring.vector("MULTIPLY", colour, _of_object(wiring, AMBIENT))
     lamp = _lamp_group(name, tables, images.basis, len(weights), column is not None)
-    for number in range(SUNS):
+    for number, sun in enumerate(suns):
         node = wiring.node("ShaderNodeGroup", {"node_tree": lamp, "label": f"Sun {number + 1}"})
-        operands = (view, _of_object(wiring, sun_property(number)), *_pairs(weights), *([] if column is None else [column]))
+        operands = (view, sun, *_pairs(weights), *([] if column is None else [column]))
         for operand, target in zip(operands, node.inputs, strict=True):
             wiring.connect(operand, target)
         lit = wiring.vector("MULTIPLY", node.outputs[0], _of_object(wiring, light_property(number)))
@@ -99,6 +101,21 @@ def btf_material(name: str, images: BtfImages, tables: Tables, blend_texels: boo
     wiring.connect(mixed.outputs[0], wiring.node("ShaderNodeOutputMaterial").inputs["Surface"])
     wiring.arrange()
     return material
+
+
+def _towards_viewer(wiring: Wiring, suns: list[bpy.types.NodeSocket]) -> bpy.types.NodeSocket:
+    """Where a texel is seen from, in world space; the lamp is the viewer of a shadow, so that it has the silhouette which the lamp sees.
+
+    Cycles follows rays of shadow from what is shaded to the lamp: there what comes in points away from it. In EEVEE the lamp looks.
+    """
+    incoming = wiring.node("ShaderNodeNewGeometry").outputs["Incoming"]
+    away = wiring.vector("SCALE", incoming, -1.0)
+    nearest: Operand = -1.0
+    for sun in suns:
+        nearest = wiring.math("MAXIMUM", nearest, wiring.vector("DOT_PRODUCT", away, sun))
+    of_shadow = wiring.node("ShaderNodeLightPath").outputs["Is Shadow Ray"]
+    turned = wiring.math("MULTIPLY", wiring.math("GREATER_THAN", nearest, ALONG), of_shadow)
+    return wiring.vector("SCALE", incoming, wiring.math("SUBTRACT", 1.0, wiring.math("MULTIPLY", turned, 2.0)))
 
 
 def _pairs(weights: list[tuple[Operand, Operand]]) -> list[Operand]:

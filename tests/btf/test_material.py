@@ -20,6 +20,7 @@ from made_atlases import made_colour
 
 SIDE, PIXELS = 8, 160  # texels along the card, pixels along the picture
 BETWEEN = np.array([0.3, -0.5, 0.8]) / np.linalg.norm([0.3, -0.5, 0.8])
+LAMP = np.array([0.05, -0.1, 1.0]) / np.linalg.norm([0.05, -0.1, 1.0])  # among views that are all above
 
 
 @pytest.fixture(autouse=True)
@@ -41,11 +42,14 @@ def dressed(clusters: int, components: int, blend_texels: bool = False) -> bpy.t
     return card
 
 
-def rendered(card: bpy.types.Object, direction: np.ndarray, samples: int) -> tuple[np.ndarray, View]:
-    """A Cycles picture (H, W, 4) of `card` from `direction`, and the view it was taken from."""
+def rendered(
+    card: bpy.types.Object, direction: np.ndarray, samples: int, others: list[bpy.types.Object] | None = None
+) -> tuple[np.ndarray, View]:
+    """A Cycles picture (H, W, 4) of `card`, and `others` beside it, from `direction`, and the view it was taken from."""
     view = View(direction, np.zeros(3), PIXELS, 3.0 / PIXELS)
     with temporary_scene("Card") as work:
-        work.scene.collection.objects.link(card)
+        for item in [card, *(others or [])]:
+            work.scene.collection.objects.link(item)
         work.scene.render.engine, work.scene.render.film_transparent = "CYCLES", True
         cycles = work.scene.cycles
         cycles.samples, cycles.use_denoising, cycles.use_adaptive_sampling = samples, False, False
@@ -127,3 +131,30 @@ def test_clusters_come_back_out_of_the_material():
     np.testing.assert_array_equal(atlas.colour.labels, meant.labels)
     np.testing.assert_allclose(atlas.colour.weights, meant.weights, atol=5e-4)
     assert atlas.colour.clusters == 3 and atlas.colour.basis.shape == (16, 15, 30)
+
+
+@pytest.mark.parametrize("shown_from", ["above", "below"])
+def test_the_shadow_has_the_silhouette_that_the_lamp_sees(shown_from):
+    """A card that is there only for those above it, or only for those below, between a sun above and a ground."""
+    card = dressed(1, 4)
+    views = baked_atlas(card).views
+    there = (views.directions[:, 2] > 0.0) == (shown_from == "above")
+    texels = texels_of_level(card)
+    known = np.ones(len(texels), bool)
+    alpha = Factors(np.ones((len(texels), 1), np.float32), there.astype(np.float32)[:, None, None], known)
+    colour = made_colour(len(texels), 1, 4, views=16, lights=9)
+    wear(card, texels, np.ones((len(texels), 3), np.float32), colour, alpha, BtfSettings(views=16, lights=9))
+    card.location.z = 1.0
+    ground = blender_scenes.card()
+    ground.data.transform(mathutils.Matrix.Scale(5.0, 4))
+    ground.data.materials.append(blender_scenes.material("White", (1.0, 1.0, 1.0), 1.0))
+    sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
+    sun.rotation_euler = mathutils.Vector(LAMP).to_track_quat("Z", "Y").to_euler()
+    bpy.context.scene.collection.objects.link(sun)
+    card[sun_property(0)] = list(LAMP)  # and no light: the card stays black
+    beside = np.array([-0.2, 0.6, 0.77]) / np.linalg.norm([-0.2, 0.6, 0.77])
+    picture, view = rendered(card, beside, 16, [ground, sun])
+    shaded, open_ground = np.array([0.5, 0.9, 0.0]), np.array([1.3, 0.3, 0.0])
+    shade, light = picture[view.cells(np.stack([shaded, open_ground]))][:, :3].mean(axis=1)
+    assert light > 0.1
+    assert shade == pytest.approx(0.0, abs=0.02) if shown_from == "above" else shade == pytest.approx(light, rel=0.1)
