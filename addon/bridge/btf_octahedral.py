@@ -16,7 +16,7 @@ import mathutils
 import numpy as np
 
 from ..core.btf.octahedral import Atlas
-from .btf_octahedral_materials import FACING, LEANING, RIGHT, SHELL, FrameImages, look_group, quad_material, shell_material
+from .btf_octahedral_materials import FACING, LEANING, OWN_NORMAL, RIGHT, SHELL, FrameImages, look_group, quad_material, shell_material
 from .images import data_image
 
 CORNERS = 32  # of a quad, which looks round to the viewer and so stays inside the shell
@@ -73,7 +73,9 @@ def impostor(name: str, atlas: Atlas, bias: float = BIAS) -> Impostor:
     """
     images = atlas_images(name, atlas)
     look = look_group(name, FrameImages.of(atlas, images))
-    quads = _object(name, quad_material(f"{name} Quads", look, atlas.half_side), _fans(), (FACING, RIGHT))
+    quads = _object(name, quad_material(f"{name} Quads", look, atlas.half_side), _fans(), (FACING, RIGHT, OWN_NORMAL))
+    own_normals = np.repeat(LEANING, CORNERS + 1, axis=0)
+    quads.data.attributes[OWN_NORMAL].data.foreach_set("vector", own_normals.astype(np.float32).ravel())
     for rays in RAYS_OF_LIGHT:
         setattr(quads, rays, False)
     shell_bias = 2.0 * bias / atlas.pixels

@@ -21,7 +21,9 @@ from .wiring import Operand, Wiring
 SIXTHS = 2.0 * np.pi * np.arange(6) / 6.0
 FACING = "farfield_facing"  # attribute of all corners: the unit direction that the quad faces, in the object's frame
 RIGHT = "farfield_right"  # the same for the x axis of the picture that the viewer has
+OWN_NORMAL = "farfield_own_normal"  # attribute of the quads: one of LEANING
 LEAN = np.radians(50.0)
+# normals of the quads as the viewer sees them: x to the right, y up, z to the viewer
 LEANING = np.array([[0.0, 0.0, 1.0]] + [[np.sin(LEAN) * np.cos(turn), np.sin(LEAN) * np.sin(turn), np.cos(LEAN)] for turn in SIXTHS])
 SHELL = 1.8  # radius of the shell in half sides of a frame; all quads lie inside
 OWN = 1.7  # what comes from nearer to the centre comes from a quad
@@ -82,8 +84,7 @@ def _suits(wiring: Wiring, normal: Operand) -> bpy.types.NodeSocket:
     nearest: Operand = -1.0
     for leaning in LEANING:
         nearest = wiring.math("MAXIMUM", wiring.vector("DOT_PRODUCT", seen, leaning.tolist()), nearest)
-    own = _turned(wiring, wiring.node("ShaderNodeNewGeometry").outputs["True Normal"], "NORMAL", to_object=True)
-    nearness = wiring.vector("DOT_PRODUCT", normal, wiring.vector("NORMALIZE", own))
+    nearness = wiring.vector("DOT_PRODUCT", seen, wiring.attribute(OWN_NORMAL))
     return wiring.math("GREATER_THAN", nearness, wiring.math("SUBTRACT", nearest, 1e-4))
 
 
