@@ -4,10 +4,10 @@ All quads go through the middle of the original and show the same; of each pixel
 normal in the frames, since a renderer stops light that comes from behind a geometric normal. One faces the viewer, the others lean to all
 sides. Only the camera sees them. They cannot shade each other, which an impostor in a game does by writing depth and casting into a
 shadow map. Here the shell does that in Cycles, for sun and sky alike; and it casts the shadow that the lamp's own view has. EEVEE draws
-the same but for the shading of the impostor by itself: its shadows start at the quads.
+the same but for the shading of the impostor by itself, since its shadows start at the quads, and does not filter within frames.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import bmesh
@@ -16,7 +16,7 @@ import mathutils
 import numpy as np
 
 from ..core.btf.octahedral import Atlas
-from .btf_octahedral_materials import FACING, LEANING, RIGHT, SHELL, FrameImages, look_group, quad_material, shell_material
+from .btf_octahedral_materials import FACING, LEANING, OWN_NORMAL, RIGHT, SHELL, FrameImages, look_groups, quad_material, shell_material
 from .images import data_image
 
 CORNERS = 32  # of a quad, which looks round to the viewer and so stays inside the shell
@@ -61,9 +61,8 @@ class Impostor:
         """Remove both objects with all that was made for them."""
         meshes = [item.data for item in self.objects]
         materials = [mesh.materials[0] for mesh in meshes]
-        look = next(node.node_tree for node in materials[0].node_tree.nodes if node.type == "GROUP")
-        frame = next(node.node_tree for node in look.nodes if node.type == "GROUP")
-        bpy.data.batch_remove([*self.objects, *meshes, *materials, look, frame, *self.images])
+        looks = _groups_in(material.node_tree for material in materials)
+        bpy.data.batch_remove([*self.objects, *meshes, *materials, *looks, *_groups_in(looks), *self.images])
 
 
 def impostor(name: str, atlas: Atlas, bias: float = BIAS) -> Impostor:
@@ -72,13 +71,15 @@ def impostor(name: str, atlas: Atlas, bias: float = BIAS) -> Impostor:
     bias: in pixels of a frame, how far surfaces have to lie before a place to shade it.
     """
     images = atlas_images(name, atlas)
-    look = look_group(name, FrameImages.of(atlas, images))
-    quads = _object(name, quad_material(f"{name} Quads", look, atlas.half_side), _fans(), (FACING, RIGHT))
+    looks = look_groups(name, FrameImages.of(atlas, images))
+    quads = _object(name, quad_material(f"{name} Quads", looks, atlas.half_side), _fans(), (FACING, RIGHT, OWN_NORMAL))
+    own_normals = np.repeat(LEANING, CORNERS + 1, axis=0)
+    quads.data.attributes[OWN_NORMAL].data.foreach_set("vector", own_normals.astype(np.float32).ravel())
     for rays in RAYS_OF_LIGHT:
         setattr(quads, rays, False)
     shell_bias = 2.0 * bias / atlas.pixels
     shell_mesh = _ball(SHELL * atlas.half_side)
-    shell = _object(f"{name} Shell", shell_material(f"{name} Shell", look, atlas.half_side, shell_bias), shell_mesh, (FACING,))
+    shell = _object(f"{name} Shell", shell_material(f"{name} Shell", looks, atlas.half_side, shell_bias), shell_mesh, (FACING,))
     shell.visible_camera = False
     shell.parent = quads
     quads.location = atlas.center.tolist()
@@ -90,6 +91,11 @@ def impostor(name: str, atlas: Atlas, bias: float = BIAS) -> Impostor:
 def atlas_images(name: str, atlas: Atlas) -> dict[str, bpy.types.Image]:
     """The maps of `atlas` as new packed images of 8 bits a channel, by their keys in `Atlas.encoded`."""
     return {key: data_image(f"{name} {IMAGE_NAMES[key]}", pixels, is_data=key != "colour") for key, pixels in atlas.encoded().items()}
+
+
+def _groups_in(trees: Iterable[bpy.types.NodeTree]) -> set[bpy.types.NodeTree]:
+    """The groups that the nodes of `trees` stand for."""
+    return {node.node_tree for tree in trees for node in tree.nodes if node.type == "GROUP"}
 
 
 def _object(name: str, material: bpy.types.Material, shape: bmesh.types.BMesh, attributes: Sequence[str]) -> bpy.types.Object:

@@ -6,6 +6,7 @@ what comes from outside meets the silhouette that its direction sees; what comes
 seen there, and is stopped when the frames of its direction show something farther out, as a shadow map would tell.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import bpy
@@ -21,10 +22,14 @@ from .wiring import Operand, Wiring
 SIXTHS = 2.0 * np.pi * np.arange(6) / 6.0
 FACING = "farfield_facing"  # attribute of all corners: the unit direction that the quad faces, in the object's frame
 RIGHT = "farfield_right"  # the same for the x axis of the picture that the viewer has
+OWN_NORMAL = "farfield_own_normal"  # attribute of the quads: one of LEANING
 LEAN = np.radians(50.0)
+# normals of the quads as the viewer sees them: x to the right, y up, z to the viewer
 LEANING = np.array([[0.0, 0.0, 1.0]] + [[np.sin(LEAN) * np.cos(turn), np.sin(LEAN) * np.sin(turn), np.cos(LEAN)] for turn in SIXTHS])
 SHELL = 1.8  # radius of the shell in half sides of a frame; all quads lie inside
 OWN = 1.7  # what comes from nearer to the centre comes from a quad
+# EEVEE takes a smaller mip of a filtered image where places jump from pixel to pixel, as they do behind heights: frames would run together.
+FILTERING = {"CYCLES": "Linear", "EEVEE": "Closest"}
 NOWHERE = -16.0  # half sides along a ray: nearer than anything it could meet from a place in the shell
 
 
@@ -66,11 +71,12 @@ LOOK_OUTPUTS = (
 )
 
 
-def quad_material(name: str, look: bpy.types.NodeTree, half_side: float) -> bpy.types.Material:
+def quad_material(name: str, looks: Mapping[str, bpy.types.NodeTree], half_side: float) -> bpy.types.Material:
     """What the camera sees on that quad which suits the normal seen."""
     material, wiring = _material(name)
-    sight = _look(wiring, look, _place(wiring, half_side), _to_viewer(wiring), NOWHERE)
-    _shine(wiring, sight, wiring.math("MULTIPLY", sight.alpha, _suits(wiring, sight.normal)), "ALL")
+    for renderer, look in looks.items():
+        sight = _look(wiring, look, _place(wiring, half_side), _to_viewer(wiring), NOWHERE)
+        _shine(wiring, sight, wiring.math("MULTIPLY", sight.alpha, _suits(wiring, sight.normal)), renderer)
     return material
 
 
@@ -82,12 +88,11 @@ def _suits(wiring: Wiring, normal: Operand) -> bpy.types.NodeSocket:
     nearest: Operand = -1.0
     for leaning in LEANING:
         nearest = wiring.math("MAXIMUM", wiring.vector("DOT_PRODUCT", seen, leaning.tolist()), nearest)
-    own = _turned(wiring, wiring.node("ShaderNodeNewGeometry").outputs["True Normal"], "NORMAL", to_object=True)
-    nearness = wiring.vector("DOT_PRODUCT", normal, wiring.vector("NORMALIZE", own))
+    nearness = wiring.vector("DOT_PRODUCT", seen, wiring.attribute(OWN_NORMAL))
     return wiring.math("GREATER_THAN", nearness, wiring.math("SUBTRACT", nearest, 1e-4))
 
 
-def shell_material(name: str, look: bpy.types.NodeTree, half_side: float, bias: float) -> bpy.types.Material:
+def shell_material(name: str, looks: Mapping[str, bpy.types.NodeTree], half_side: float, bias: float) -> bpy.types.Material:
     """What rays of light meet, where they leave the shell.
 
     EEVEE, whose rays of light never come from a quad, has a shorter graph of its own. bias: in half sides; what is less than that before
@@ -99,30 +104,35 @@ def shell_material(name: str, look: bpy.types.NodeTree, half_side: float, bias: 
     back = _to_viewer(wiring)  # to where the ray comes from
     onwards = wiring.vector("SCALE", back, -1.0)
     place = _place(wiring, half_side)
-    from_outside = _look(wiring, look, place, onwards, NOWHERE)
+    from_outside = _look(wiring, looks["EEVEE"], place, onwards, NOWHERE)
     _shine(wiring, from_outside, wiring.math("MULTIPLY", from_outside.alpha, leaves), "EEVEE")
     travelled = wiring.math("DIVIDE", _in_object(wiring, path.outputs["Ray Length"]), half_side)
     origin = wiring.vector("ADD", place, wiring.vector("SCALE", back, travelled))
     own = wiring.math("LESS_THAN", wiring.vector("DOT_PRODUCT", origin, origin), OWN**2)
     facing = wiring.attribute(FACING)
-    seen = _look(wiring, look, origin, facing, NOWHERE)
+    seen = _look(wiring, looks["CYCLES"], origin, facing, NOWHERE)
     lifted = wiring.vector("ADD", origin, wiring.vector("SCALE", facing, seen.along))
     start = wiring.mix(own, place, wiring.vector("ADD", lifted, wiring.vector("SCALE", seen.normal, bias)))
     nearest = wiring.math("ADD", wiring.math("MULTIPLY", own, bias - NOWHERE), NOWHERE)
     outside = wiring.math("MULTIPLY", wiring.math("SUBTRACT", 1.0, own), wiring.math("SUBTRACT", 1.0, path.outputs["Is Shadow Ray"]))
-    met = _look(wiring, look, start, wiring.mix(outside, onwards, back), nearest)
+    met = _look(wiring, looks["CYCLES"], start, wiring.mix(outside, onwards, back), nearest)
     _shine(wiring, met, wiring.math("MULTIPLY", met.alpha, leaves), "CYCLES")
     return material
 
 
-def look_group(name: str, frames: FrameImages) -> bpy.types.NodeTree:
+def look_groups(name: str, frames: FrameImages) -> dict[str, bpy.types.NodeTree]:
+    """The group "Look" for each renderer."""
+    return {renderer: _look_group(f"{name} {renderer.title()}", frames, filtering) for renderer, filtering in FILTERING.items()}
+
+
+def _look_group(name: str, frames: FrameImages, filtering: str) -> bpy.types.NodeTree:
     """The group "Look": through Point (object's frame, half sides from the centre) along Direction (unit, to the viewer); what lies less
     than Nearest half sides along, measured from Point, does not count."""
     group = bpy.data.node_groups.new(f"{name} Look", "ShaderNodeTree")
     _sockets(group, "INPUT", (("Point", "Vector"), ("Direction", "Vector"), ("Nearest", "Float")))
     _sockets(group, "OUTPUT", LOOK_OUTPUTS)
     wiring = Wiring(group)
-    frame = _frame_group(name, frames)
+    frame = _frame_group(name, frames, filtering)
     point, direction, nearest = list(wiring.node("NodeGroupInput").outputs)[:3]
     totals: list[Operand] = [(0.0, 0.0, 0.0), 0.0, (0.0, 0.0, 0.0), 0.0, 0.0, 0.0]
     for column, row, weight in _triangle(wiring, direction, frames.grid):
@@ -176,7 +186,7 @@ def _triangle(wiring: Wiring, direction: Operand, grid: FrameGrid) -> list[tuple
     ]
 
 
-def _frame_group(name: str, frames: FrameImages) -> bpy.types.NodeTree:
+def _frame_group(name: str, frames: FrameImages, filtering: str) -> bpy.types.NodeTree:
     """The group "Frame": what a ray sees in the frame at Column, Row; see `core.btf.octahedral.look_up`."""
     group = bpy.data.node_groups.new(f"{name} Frame", "ShaderNodeTree")
     inputs = (("Point", "Vector"), ("Direction", "Vector"), ("Nearest", "Float"), ("Column", "Float"), ("Row", "Float"))
@@ -201,14 +211,14 @@ def _frame_group(name: str, frames: FrameImages) -> bpy.types.NodeTree:
         edge = 0.5 / frames.pixels
         inside = wiring.vector("MINIMUM", wiring.vector("MAXIMUM", at, (edge, edge, 0.0)), (1.0 - edge, 1.0 - edge, 0.0))
         uv = wiring.vector("SCALE", wiring.vector("ADD", corner, inside), 1.0 / frames.grid.frames)
-        normal, stored = _texture(wiring, frames.images["normal_height"], uv)
+        normal, stored = _texture(wiring, frames.images["normal_height"], uv, filtering)
         height = wiring.math("MULTIPLY", wiring.math("SUBTRACT", stored, 0.5), 2.0)
-    colour, alpha = _texture(wiring, frames.images["colour"], uv)
+    colour, alpha = _texture(wiring, frames.images["colour"], uv, filtering)
     from_middle = wiring.separate(wiring.vector("ABSOLUTE", wiring.vector("SUBTRACT", at, (0.5, 0.5, 0.0))))
     within = wiring.math("LESS_THAN", wiring.math("MAXIMUM", from_middle[0], from_middle[1]), 0.5)
     counts = wiring.math("MULTIPLY", within, wiring.math("GREATER_THAN", along, nearest))
     if frames.surface is None:
-        roughness, metallic, _ = wiring.channels(_texture(wiring, frames.images["surface"], uv)[0])
+        roughness, metallic, _ = wiring.channels(_texture(wiring, frames.images["surface"], uv, filtering)[0])
     else:
         roughness, metallic = frames.surface
     decoded = wiring.vector("SUBTRACT", wiring.vector("SCALE", normal, 2.0), (1.0, 1.0, 1.0))
@@ -227,9 +237,9 @@ def _right(wiring: Wiring, direction: Operand) -> bpy.types.NodeSocket:
     return wiring.vector("NORMALIZE", wiring.vector("ADD", across, wiring.combine(upright, 0.0, 0.0)))
 
 
-def _texture(wiring: Wiring, image: bpy.types.Image, uv: Operand) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]:
+def _texture(wiring: Wiring, image: bpy.types.Image, uv: Operand, filtering: str) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]:
     """Colour and alpha of `image` at a place."""
-    node = wiring.node("ShaderNodeTexImage", {"image": image, "extension": "EXTEND", "interpolation": "Linear"})
+    node = wiring.node("ShaderNodeTexImage", {"image": image, "extension": "EXTEND", "interpolation": filtering})
     wiring.connect(uv, node.inputs["Vector"])
     return node.outputs["Color"], node.outputs["Alpha"]
 
@@ -280,7 +290,7 @@ def _turned(wiring: Wiring, vector: Operand, kind: str, to_object: bool) -> bpy.
 
 
 def _shine(wiring: Wiring, sight: Sight, alpha: Operand, renderer: str) -> None:
-    """A Principled shader of what a ray sees, as the surface of the material in the `renderer`: CYCLES, EEVEE or ALL."""
+    """A Principled shader of what a ray sees, as the surface of the material in the `renderer`, CYCLES or EEVEE."""
     shader = wiring.node("ShaderNodeBsdfPrincipled")
     wiring.connect(sight.colour, shader.inputs["Base Color"])
     wiring.connect(sight.roughness, shader.inputs["Roughness"])
