@@ -80,10 +80,9 @@ def test_what_is_right_stays():
     taken, texels = shots(0.75), texels_of(sheets(), SIZE)
     lights = np.zeros((2, 5), np.float32)
     lights[0] = 1.0
-    colour, alpha = grey_factors(len(texels), len(taken), 1)
+    colour, alpha = grey_factors(len(texels), 1, 1)
     plain, hues = np.full(len(texels), 0.5, np.float32), np.ones((len(texels), 3), np.float32)
-    inner = Shot(taken[0].view, taken[0].taken)
-    better = finish(refined([inner], colour, hues, alpha, plain, lights, np.ones(1)))
+    better = finish(refined(taken[:1], colour, hues, alpha, plain, lights, np.ones(1)))
     assert np.abs(better.weights @ better.basis[0, :, 0]).max() < 0.02
 
 

@@ -16,7 +16,7 @@ from ..progress import Progress, Steps
 
 PASSES = 8
 RIDGE = 1e-3  # of the mean diagonal of a row's normal matrix: rows seen from few views do not run away
-CHUNK = 65_536  # rows solved at once
+CHUNK = 16_384  # rows solved at once
 
 
 class ViewData(Protocol):
@@ -79,24 +79,22 @@ def factorise(
     weights = random.standard_normal((rows, components)).astype(np.float32)
     weights[:, 0] = 1.0
     basis = np.zeros((len(views), components, len(roots)), np.float32)
-    known = np.zeros(rows, bool)
+    seen = np.zeros((len(views), rows), bool)
     for number in range(PASSES + 1):
         last = number == PASSES
-        normal = np.zeros((rows, components, components), np.float32) if not last else None
-        right = np.zeros((rows, components), np.float32) if not last else None
+        right = np.zeros((rows, components), np.float32)
         for place, view in enumerate(views):
             yield Progress((number + place / len(views)) / (PASSES + 1), f"Compressing, pass {number + 1} of {PASSES + 1}")
             index, values = view.read()
             scaled = values * roots
             basis[place] = _solved_basis(weights[index], scaled)
             if not last:
-                normal[index] += view_weights[place] * (basis[place] @ basis[place].T)
                 right[index] += view_weights[place] * (scaled @ basis[place].T)
-                known[index] = True
+                seen[place, index] = True
         if not last:
-            weights = solved_rows(normal, right, RIDGE)
+            weights = solved_rows(seen, view_weights[:, None, None] * (basis @ basis.transpose(0, 2, 1)), right, RIDGE)
     weights, basis = _in_order(weights, basis, view_weights)
-    return Factors(weights, basis / roots, known)
+    return Factors(weights, basis / roots, seen.any(axis=0))
 
 
 def _solved_basis(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -106,19 +104,23 @@ def _solved_basis(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.linalg.solve(normal, (weights.T @ values).astype(np.float64)).astype(np.float32)
 
 
-def solved_rows(normal: np.ndarray, right: np.ndarray, ridge: float) -> np.ndarray:
-    """The weights (N, K) that solve every row's equations, `normal` (N, K, K) and `right` (N, K); 0 where a row is not known.
+def solved_rows(shares: np.ndarray, grams: np.ndarray, right: np.ndarray, ridge: float | np.ndarray) -> np.ndarray:
+    """The weights (N, K) float32 that solve every row's equations; 0 where a row has no share.
 
-    `ridge` is added to each diagonal, as a share of the mean diagonal of the rows that are known.
+    On the left is the sum over views of `shares` (V, N) times `grams` (V, K, K), `right` (N, K) on the right.
+
+    `ridge`, one number or (K,), is added to each diagonal, as a share of the mean diagonal of the rows that have shares.
     """
-    count = normal.shape[1]
-    diagonal = np.einsum("nkk->n", normal) / count
+    count = right.shape[1]
+    diagonal = np.einsum("vkk->v", grams).astype(np.float64) @ shares / count
     known = diagonal > 0.0
-    padding = ridge * (diagonal[known].mean() if known.any() else 1.0) * np.eye(count)
-    weights = np.zeros_like(right)
+    padding = (diagonal[known].mean() if known.any() else 1.0) * ridge * np.eye(count)
+    weights = np.zeros(right.shape, np.float32)
+    flat = grams.reshape(len(grams), -1).astype(np.float32)
     for start in range(0, len(right), CHUNK):
         rows = slice(start, start + CHUNK)
-        weights[rows] = np.linalg.solve(normal[rows].astype(np.float64) + padding, right[rows, :, None].astype(np.float64))[..., 0]
+        normal = (shares[:, rows].T.astype(np.float32) @ flat).reshape(-1, count, count)
+        weights[rows] = np.linalg.solve(normal.astype(np.float64) + padding, right[rows, :, None].astype(np.float64))[..., 0]
     return weights
 
 

@@ -60,18 +60,17 @@ def refined(
     alpha = _with_constant(alpha)
     weights, count = alpha.weights, alpha.components
     view_weights = view_weights / view_weights.mean()
+    from_views = alpha.basis[:, :, 0]
+    grams = np.einsum("v,vk,vl->vkl", view_weights, from_views, from_views)
+    damping = np.append(np.full(count - 1, VARYING_DAMPING), DAMPING)
     for number in range(STEPS):
-        normal = np.zeros((len(weights), count, count), np.float32)
-        right = np.zeros((len(weights), count), np.float32)
+        slopes, bends = np.zeros((2, len(views), len(weights)), np.float32)
         for place, view in enumerate(views):
             yield Progress((number + place / len(views)) / STEPS, f"Refining, step {number + 1} of {STEPS}")
-            from_view = alpha.basis[place, :, 0]
             look = _Look(view.fragments(), view.photograph(), _texel_colours(colour, place, hues, lights))
-            slope, bend = look.against(plain + weights @ from_view)
-            right -= view_weights[place] * slope[:, None] * from_view
-            touched = np.flatnonzero(bend)
-            normal[touched] += (view_weights[place] * bend[touched, None, None]) * np.outer(from_view, from_view)
-        weights = weights + STRIDE * _damped(normal, right)
+            slopes[place], bends[place] = look.against(plain + weights @ from_views[place])
+        right = -slopes.T @ (view_weights[:, None] * from_views)
+        weights = weights + STRIDE * solved_rows(bends, grams, right, damping)
     return replace(alpha, weights=weights)
 
 
@@ -80,15 +79,6 @@ def _with_constant(alpha: Factors) -> Factors:
     weights = np.column_stack([alpha.weights, np.zeros(len(alpha.weights), np.float32)])
     size = np.float32(np.sqrt((alpha.basis**2).mean()) or 1.0)
     return replace(alpha, weights=weights, basis=np.concatenate([alpha.basis, np.full_like(alpha.basis[:, :1], size)], axis=1))
-
-
-def _damped(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """A step (N, K) of all rows, whose last component is the one that is the same from every view."""
-    count = normal.shape[1]
-    bends = np.einsum("nkk->n", normal) / count
-    mean = float(bends[bends > 0.0].mean()) if (bends > 0.0).any() else 1.0
-    normal[:, range(count), range(count)] += mean * np.float32([VARYING_DAMPING] * (count - 1) + [DAMPING])
-    return solved_rows(normal, right, 0.0)
 
 
 def _texel_colours(colour: Factors, view: int, hues: np.ndarray, lights: np.ndarray) -> np.ndarray:

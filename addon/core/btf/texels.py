@@ -98,14 +98,14 @@ class View:
     side: int
     pixel: float
 
-    @property
+    @cached_property
     def right(self) -> np.ndarray:
         """The picture's x axis; for a view from straight above or below the world's x."""
         across = np.cross([0.0, 0.0, 1.0], self.direction)
         length = np.linalg.norm(across)
         return across / length if length > 1e-6 else np.array([1.0, 0.0, 0.0])
 
-    @property
+    @cached_property
     def up(self) -> np.ndarray:
         """The picture's y axis."""
         return np.cross(self.direction, self.right)
