@@ -129,12 +129,14 @@ def report(jobs: list[BtfJob], clock: StageClock) -> dict[str, Any]:
         for stage, taken in job.clock.seconds.items():
             seconds[stage] = seconds.get(stage, 0.0) + taken
     levels = [figure for job in jobs for figure in job.figures]
+    workers = command_line.children_peak_memory_mb()
     totals = ("renders", "shards", "bare_render_seconds", "raw_bytes", "captured_bytes", "compressed_bytes")
     return {
         **{name: sum(figure[name] for figure in levels) for name in totals},
         "levels": levels,
         "seconds": {stage: round(taken, 4) for stage, taken in seconds.items()},
         "peak_memory_mb": round(command_line.peak_memory_mb(), 1),
+        "workers_peak_memory_mb": None if workers is None else round(workers, 1),
     }
 
 

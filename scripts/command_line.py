@@ -107,8 +107,23 @@ def peak_memory_mb() -> float:
         return _peak_memory_windows() / 1e6
     import resource
 
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak * (1 if sys.platform == "darwin" else 1024) / 1e6
+    return _peak_megabytes(resource.getrusage(resource.RUSAGE_SELF))
+
+
+def children_peak_memory_mb() -> float | None:
+    """The most memory that any one process held which this one has started and seen end; None where the system does not tell.
+
+    Linux counts in what this process itself held when it started them.
+    """
+    if sys.platform == "win32":
+        return None
+    import resource
+
+    return _peak_megabytes(resource.getrusage(resource.RUSAGE_CHILDREN)) or None
+
+
+def _peak_megabytes(usage: Any) -> float:
+    return usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024) / 1e6
 
 
 def _peak_memory_windows() -> int:

@@ -24,11 +24,15 @@ SCORES = ("psnr", "ssim", "alpha_iou")
 
 @dataclass(frozen=True)
 class Contestant:
-    """What is photographed: `objects`, which `face` turns to a viewer first where they need it."""
+    """What is photographed: `objects`, which `face` turns to a viewer first where they need it.
+
+    relightable: whether they wear relightable textures, which have to be told of the studio's lights.
+    """
 
     name: str
     objects: list[bpy.types.Object]
     face: Callable[[np.ndarray], None] = lambda _direction: None
+    relightable: bool = False
 
 
 @dataclass(frozen=True)
@@ -78,33 +82,44 @@ def relight(
     pixel_size: float,
     pairs: tuple[np.ndarray, np.ndarray],
     samples: int,
+    reference_samples: int | None = None,
 ) -> Steps[Relighting]:
     """Photograph the originals, the relightable `level` and the `others` for every pair of view and sun; each step is one render.
 
-    The level is lit by the studio's sun when this ends: give it the user's lamps again.
+    `samples` a pixel are for all; `reference_samples` for the originals, where their noise should not count.
+    Relightable textures are without lamps when this ends: give them the user's again.
     """
-    contestants = [Contestant("original", list(originals)), Contestant("relightable", [level]), *others]
+    contestants = [Contestant("original", list(originals)), Contestant("relightable", [level], relightable=True), *others]
+    relit = [item for contestant in contestants if contestant.relightable for item in contestant.objects]
     center, radius = bounds(originals)
     size = math.ceil(2.0 * radius / pixel_size) + 2 * BORDER
     views, suns = pairs
     pictures = np.empty((len(contestants), len(views), size, size, 4), np.float32)
     with studio([item for contestant in contestants for item in contestant.objects], samples) as room:
-        light_with(level, [room.sun], [SKY_RADIANCE] * 3)
+        for item in relit:
+            light_with(item, [room.sun], [SKY_RADIANCE] * 3)
         for number, contestant in enumerate(contestants):
+            room.take_samples(samples if number or reference_samples is None else reference_samples)
             for place, (view, sun) in enumerate(zip(views, suns, strict=True)):
                 yield Progress(
                     (number + place / len(views)) / len(contestants), f"Rendering: {contestant.name}, {place + 1} of {len(views)}"
                 )
                 pictures[number, place] = _photograph(room, contestant, view, sun, center, pixel_size, size)
-        light_with(level, [], [0.0] * 3)
+        for item in relit:
+            light_with(item, [], [0.0] * 3)
     return Relighting(views, suns, [contestant.name for contestant in contestants], pictures, pixel_size)
 
 
 def score(original: np.ndarray, picture: np.ndarray) -> tuple[float, float, float]:
     """PSNR, SSIM and overlap of silhouettes of two renders (H, W, 4)."""
+    first, second = encoded(original, picture)
+    return metrics.psnr(first, second), metrics.ssim(first, second), metrics.alpha_iou(original[..., 3], picture[..., 3])
+
+
+def encoded(original: np.ndarray, picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What is compared of two renders (H, W, 4): the rectangle that holds both, over mid-grey, as sRGB values (h, w, 3)."""
     window = metrics.crop_to_object(np.maximum(original[..., 3], picture[..., 3]))
-    first, second = metrics.over_grey(original[window]), metrics.over_grey(picture[window])
-    return metrics.psnr(first, second), metrics.ssim(first, second), metrics.alpha_iou(original[window][..., 3], picture[window][..., 3])
+    return metrics.over_grey(original[window]), metrics.over_grey(picture[window])
 
 
 def relighting_sheet(title: str, relighting: Relighting, columns: Sequence[int]) -> np.ndarray:

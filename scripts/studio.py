@@ -32,6 +32,15 @@ class Studio:
         """Turn the sun: `direction` (3,) points towards it."""
         self.sun.matrix_world = mathutils.Vector(direction).to_track_quat("Z", "Y").to_matrix().to_4x4()
 
+    def take_samples(self, samples: int) -> None:
+        """From now on take so many samples a pixel."""
+        scene = self._work.scene
+        scene.cycles.samples = scene.eevee.taa_render_samples = samples
+
+    def render_with(self, engine: str) -> None:
+        """From now on render with another engine than Cycles."""
+        self._work.scene.render.engine = engine
+
     def picture(
         self, shown: Sequence[bpy.types.Object], direction: np.ndarray, center: np.ndarray, pixel_size: float, size: int
     ) -> np.ndarray:
