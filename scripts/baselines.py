@@ -29,15 +29,17 @@ WELDED = 1e-6  # of the longest side: vertices nearer than that are one
 MAPS = 2  # colour with alpha, normal with height; a third where roughness or metallic differ
 
 
-def octahedral_impostor(objects: Sequence[bpy.types.Object], total_bytes: int, samples: int, frames: int = FRAMES) -> Steps[Impostor]:
+def octahedral_impostor(
+    objects: Sequence[bpy.types.Object], total_bytes: int, samples: int, frames: int = FRAMES, upper: bool = False
+) -> Steps[Impostor]:
     """An impostor of `objects` whose images take at most, and nearly, `total_bytes` without compression.
 
-    `samples` are Cycles samples a pixel of its frames. Raises what
+    `samples` are Cycles samples a pixel of its frames, which stand above the horizon alone where `upper`. Raises what
     `capture_atlas` does, and SettingsError when the bytes do not go round.
     """
     source = take(list(objects), bpy.context.evaluated_depsgraph_get())
     pixels = frame_pixels(total_bytes, frames, MAPS + surface_varies(source))
-    atlas = yield from capture_atlas(source, FrameGrid(frames), pixels, samples)
+    atlas = yield from capture_atlas(source, FrameGrid(frames, upper), pixels, samples)
     made = impostor(f"{source.name} Impostor", atlas)
     for item in made.objects:
         bpy.context.scene.collection.objects.link(item)

@@ -1,12 +1,13 @@
 """The main job from start to end: `python3 scripts/demo.py [--input FILE] [--quick] [--out DIR]`.
 
-Grows a tree, builds its billboard cloud in three levels, compares every level with the tree in Cycles, and leaves in out/demo/ the scene
-(demo.blend), a contact sheet (contact-sheet.png) and the figures (report.json, report.md). --input takes a mesh of your own instead of
-the tree; --quick makes fewer leaves, a coarser cloud and fewer renders.
+Grows a tree, builds its billboard cloud in three levels, compares every level with the tree in Cycles, bakes relightable textures for one
+of them, compares that under other suns, and plants a forest of it. Leaves in out/demo/ the scene (demo.blend), contact sheets
+(contact-sheet.png, relighting.png), the forest (forest.blend, forest.png) and the figures (report.json, report.md). --input takes a mesh
+of your own instead of the tree; --quick makes fewer leaves, a coarser cloud, and fewer and smaller renders.
 """
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,14 +25,17 @@ import command_line
 import scene_files
 from comparison import Comparison, compare, sheet
 from contact_sheet import write_png
+from demo_relighting import RelightingEffort, bake_and_compare
 from demo_report import markdown
 from demo_tree import grow
 from farfield.addon.core.billboards.settings import BillboardSettings
+from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.directions import held_out_views
 from farfield.addon.core.progress import StageClock, finish, scaled
 from farfield.addon.operators.billboards_clouds import StandingCloud
 from farfield.addon.operators.billboards_job import BuildOptions
 from farfield.addon.operators.long_work import whole
+from forest import DAY, TREES, render_day, write_forest
 from studio import SUN_ANGLE, SUN_STRENGTH, bounds, looking_along, paint_sky, studio, sun_matrix
 from whole_files import check_writable, whole_folder
 
@@ -51,10 +55,48 @@ class Effort:
     views: int
     samples: int
     compared_levels: int
+    relighting: RelightingEffort
+    forest_width: int
+    forest_samples: int
 
 
-FULL = Effort(leaves=6000, error=0.01, capture_samples=16, views=12, samples=64, compared_levels=LEVELS)
-QUICK = Effort(leaves=1000, error=0.015, capture_samples=4, views=6, samples=8, compared_levels=1)
+FULL = Effort(
+    leaves=6000,
+    error=0.01,
+    capture_samples=16,
+    views=12,
+    samples=64,
+    compared_levels=LEVELS,
+    relighting=RelightingEffort(
+        level=1,
+        bake=BtfSettings(views=36, lights=16, components=8, alpha_components=8, samples=4),
+        pairs=8,
+        samples=64,
+        frames=12,
+        frame_samples=16,
+    ),
+    forest_width=480,
+    forest_samples=6,
+)
+QUICK = Effort(
+    leaves=1000,
+    error=0.02,
+    capture_samples=4,
+    views=6,
+    samples=8,
+    compared_levels=1,
+    relighting=RelightingEffort(
+        level=2,
+        bake=BtfSettings(views=9, lights=9, components=4, alpha_components=4, samples=2),
+        pairs=2,
+        samples=8,
+        frames=6,
+        frame_samples=2,
+    ),
+    forest_width=240,
+    forest_samples=2,
+)
+BUILT, COMPARED, RELIT = 0.25, 0.4, 0.8  # of the bar
 
 
 def main(arguments: list[str], line: command_line.ProgressLine) -> None:
@@ -72,17 +114,22 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> None:
         set_scene(given.input, effort)
     settings = BillboardSettings(error=effort.error, levels=LEVELS, samples=effort.capture_samples)
     job = billboards.prepare_input(settings, BuildOptions(together=True))
-    finish(scaled(whole(job), 0.0, 0.5), line.show)
+    finish(scaled(whole(job), 0.0, BUILT), line.show)
     cloud = billboards.standing(job)[0]
     with clock.stage("compare"):
         comparisons = compare_levels(cloud, effort, line)
         close_up = near_pictures(cloud, effort)
-    line.clear()
-    stand_at_switch_distance(cloud)
     report = billboards.report(job, clock)
     for level, compared in zip(report["levels"], comparisons, strict=False):
         level["pictures"] = compared.figures()
-    leave(out, title(cloud, report), comparisons[0], close_up, report)
+    heading = title(cloud, report)
+    with whole_folder(out) as folder:
+        leave_cloud(folder, heading, cloud, comparisons[0], close_up)
+        report |= relight(folder, cloud, effort, upper=given.input is None, line=line)
+        command_line.write_report(folder / "report.json", report)
+        (folder / "report.md").write_text(markdown(heading, report), encoding="utf-8")
+    line.clear()
+    print(f"{heading}.\nPictures, figures and scenes are in {out}.", file=sys.stderr)
 
 
 def set_scene(path: Path | None, effort: Effort) -> None:
@@ -112,8 +159,8 @@ def compare_levels(cloud: StandingCloud, effort: Effort, line: command_line.Prog
     comparisons = []
     for index, level in enumerate(cloud.levels[: effort.compared_levels]):
         steps = compare(cloud.sources, level, directions=held_out_views(effort.views), samples=effort.samples)
-        start = 0.5 + 0.5 * index / effort.compared_levels
-        comparisons.append(finish(scaled(steps, start, start + 0.5 / effort.compared_levels), line.show))
+        start, stop = (BUILT + (COMPARED - BUILT) * place / effort.compared_levels for place in (index, index + 1))
+        comparisons.append(finish(scaled(steps, start, stop), line.show))
     return comparisons
 
 
@@ -144,15 +191,35 @@ def title(cloud: StandingCloud, report: dict[str, Any]) -> str:
     return f"{cloud.collection.name}: {size}, at the size where its error is one pixel"
 
 
-def leave(out: Path, heading: str, finest: Comparison, close_up: np.ndarray, report: dict[str, Any]) -> None:
-    """Write all results into `out`, whole or not at all, and say where they are."""
+def leave_cloud(folder: Path, heading: str, cloud: StandingCloud, finest: Comparison, close_up: np.ndarray) -> None:
+    """Write the sheet of the cloud and its scene into `folder`. In the scene that is open the original is seen as before."""
     columns = np.linspace(0, len(finest.directions) - 1, COLUMNS).round().astype(int).tolist()
-    with whole_folder(out) as folder:
-        write_png(folder / "contact-sheet.png", sheet(heading, finest, columns, close_up))
-        command_line.write_report(folder / "report.json", report)
-        (folder / "report.md").write_text(markdown(heading, report), encoding="utf-8")
-        scene_files.save_scene(folder / "demo.blend")
-    print(f"{heading}.\nPictures, figures and the scene are in {out}.", file=sys.stderr)
+    write_png(folder / "contact-sheet.png", sheet(heading, finest, columns, close_up))
+    hidden = [(item, item.hide_viewport, item.hide_render) for item in cloud.sources]
+    stand_at_switch_distance(cloud)
+    scene_files.save_scene(folder / "demo.blend")
+    for item, in_viewport, in_render in hidden:
+        item.hide_viewport, item.hide_render = in_viewport, in_render
+
+
+def relight(folder: Path, cloud: StandingCloud, effort: Effort, upper: bool, line: command_line.ProgressLine) -> dict[str, Any]:
+    """Bake one level of `cloud`, compare it and plant a forest of it, which replaces the scene; all pictures into `folder`.
+
+    upper: the original stands on the ground; whether a user's does, nobody knows. Returns the figures.
+    """
+    clock = StageClock()
+    relighting = replace(effort.relighting, bake=replace(effort.relighting.bake, upper_hemisphere=upper))
+    with clock.stage("bake and compare"):
+        relit = finish(scaled(bake_and_compare(cloud, relighting), COMPARED, RELIT), line.show)
+    figures = relit.figures()
+    write_png(folder / "relighting.png", relit.sheet())
+    with clock.stage("forest"):
+        write_forest(relit.cloud, folder / "forest.blend", effort.forest_width, effort.forest_samples)
+        pictures = finish(scaled(render_day(folder / "forest.blend"), RELIT, 1.0), line.show)
+    write_png(folder / "forest.png", pictures)
+    forest = {"trees": TREES, "hours": [hour.name for hour in DAY]}
+    seconds = {**relit.job.clock.seconds, **clock.seconds}
+    return {"relighting": {**figures, "seconds": {stage: round(taken, 4) for stage, taken in seconds.items()}}, "forest": forest}
 
 
 if __name__ == "__main__":

@@ -27,14 +27,21 @@ def test_the_demo_leaves_scene_sheet_and_figures(tmp_path):
     out = tmp_path / "out folder"
     ran = run_demo("--quick", "--input", mesh, "--out", out)
     assert ran.returncode == 0, ran.stderr
-    assert sorted(path.name for path in out.iterdir()) == ["contact-sheet.png", "demo.blend", "report.json", "report.md"]
-    assert (out / "contact-sheet.png").read_bytes().startswith(b"\x89PNG")
+    sheets = ["contact-sheet.png", "forest.png", "relighting.png"]
+    assert sorted(path.name for path in out.iterdir()) == sorted([*sheets, "demo.blend", "forest.blend", "report.json", "report.md"])
+    assert all((out / name).read_bytes().startswith(b"\x89PNG") for name in sheets)
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
     assert report["source_triangles"] == 12
     assert [level["quads"] for level in report["levels"]] == [6, 6, 6]
     pictures = report["levels"][0]["pictures"]
     assert len(pictures["views"]) == 6
     assert pictures["mean_alpha_iou"] > 0.95
+    relighting = report["relighting"]
+    assert relighting["renders"] == relighting["views"] * (relighting["lights"] + 1)
+    assert not relighting["upper_hemisphere"], "nobody knows whether a user's mesh stands on the ground"
+    assert set(relighting["scores"]) == {"relightable", "plain maps", "impostor"}
+    assert relighting["scores"]["relightable"]["alpha_iou"] > 0.8
+    assert report["forest"]["trees"] == 1000
     assert "12 triangles as 6 quads" in (out / "report.md").read_text(encoding="utf-8")
 
 
@@ -57,3 +64,32 @@ def test_the_page_tells_every_level_and_view():
     assert "| 0 | 0.01 | 1,234 | 5,678 | 12.5 | 0.900 | 0.950 |" in page
     assert "| 1 | 0.02 | 99 | 100 | never | not compared | not compared |" in page
     assert "| 0.60, 0.00, 0.80 | 0.900 | 0.950 |" in page
+
+
+def test_the_page_tells_of_bake_and_comparison():
+    scores = {
+        "relightable": {"psnr": 27.25, "ssim": 0.91, "alpha_iou": 0.88},
+        "plain maps": {"psnr": 24.0, "ssim": 0.85, "alpha_iou": 0.83},
+    }
+    relighting = {
+        "level": 1,
+        "views": 36,
+        "lights": 16,
+        "upper_hemisphere": True,
+        "samples": 4,
+        "renders": 612,
+        "bare_render_seconds": 61.5,
+        "raw_bytes": 400_000_000,
+        "compressed_bytes": 2_000_000,
+        "fit": {"components": 8, "rms": 0.01, "psnr": 24.5},
+        "pairs": 8,
+        "scores": scores,
+        "seconds": {"capture": 33.0},
+    }
+    forest = {"trees": 1000, "hours": ["morning", "noon", "evening"]}
+    page = markdown("A tree", {"levels": [], "seconds": {}, "peak_memory_mb": 1.0, "relighting": relighting, "forest": forest})
+    assert "36 views under 16 lights and a dome, above the horizon: 612 renders" in page
+    assert "400.0 MB became 2.00 MB, 200 to 1" in page
+    assert "| relightable | 27.2 | 0.910 | 0.880 |" in page and "| plain maps | 24.0 |" in page
+    assert "](relighting.png)" in page and "](forest.png)" in page
+    assert "1,000 instances in forest.blend, where the day passes from morning to evening" in page

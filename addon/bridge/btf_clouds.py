@@ -11,7 +11,7 @@ from ..core.btf.settings import BtfSettings
 from ..core.btf.tables import tables_of, weight_images
 from ..core.btf.texels import Quads, Texels, texels_of
 from ..core.images import dilate, nearest_known
-from .btf_materials import AMBIENT, SUNS, BtfImages, btf_material, light_property, sun_property
+from .btf_materials import AMBIENT, SUNS, BtfImages, btf_material, light_property, sun_label, sun_property
 from .cloud_materials import FRONT_COLOUR
 from .images import data_image, pixels_of
 
@@ -140,6 +140,15 @@ def light_with(level_object: bpy.types.Object, suns: Sequence[bpy.types.Object],
                 "colour * strength",
             )
     level_object[AMBIENT] = [float(value) for value in ambient]
+    _decode_only(level_object.data.materials[0], len(suns))
+
+
+def _decode_only(material: bpy.types.Material, suns: int) -> None:
+    """Mute what decodes the suns from number `suns` on: renderers would work out what is then multiplied by no light."""
+    idle = {sun_label(number) for number in range(suns, SUNS)}
+    for node in material.node_tree.nodes:
+        if node.type == "GROUP" and node.label:
+            node.mute = node.label in idle
 
 
 def _drive(level_object: bpy.types.Object, name: str, axis: int, sun: bpy.types.Object, paths: dict[str, str], expression: str) -> None:

@@ -37,6 +37,11 @@ def light_property(number: int) -> str:
     return f"farfield_light_{number}"
 
 
+def sun_label(number: int) -> str:
+    """The label of the node that decodes sun `number`."""
+    return f"Sun {number + 1}"
+
+
 @dataclass(frozen=True)
 class BtfImages:
     """weights, alpha_weights: images of four components each. tints: what the colours are multiplied by.
@@ -83,7 +88,7 @@ def btf_material(name: str, images: BtfImages, tables: Tables, blend_texels: boo
     colour = wiring.vector("MULTIPLY", colour, _of_object(wiring, AMBIENT))
     lamp = _lamp_group(name, tables, images.basis, len(weights), column is not None)
     for number, sun in enumerate(suns):
-        node = wiring.node("ShaderNodeGroup", {"node_tree": lamp, "label": f"Sun {number + 1}"})
+        node = wiring.node("ShaderNodeGroup", {"node_tree": lamp, "label": sun_label(number)})
         operands = (view, sun, *_pairs(weights), *([] if column is None else [column]))
         for operand, target in zip(operands, node.inputs, strict=True):
             wiring.connect(operand, target)
