@@ -17,6 +17,7 @@ from .images import data_image, pixels_of
 
 PLAIN_MATERIAL = "farfield_plain_material"  # on the level object: name of the material with the plain maps
 DILATED = 3  # texels around what is known
+ROOM = 8  # transparent surfaces of the rest of a scene
 
 
 def texels_of_level(level_object: bpy.types.Object) -> Texels:
@@ -105,6 +106,16 @@ def _weights_of(colour: Factors, texels: Texels, known: np.ndarray) -> tuple[np.
         return dilate(weights, known, DILATED), None
     nearest = nearest_known(known > 0.0)
     return weights[nearest], texels.image(colour.labels[:, None].astype(np.float32))[..., 0][nearest]
+
+
+def let_through(collection: bpy.types.Collection, stacked: int) -> None:
+    """Let rays pass so many quads behind each other, in all scenes that show `collection`: Cycles turns black what they cannot pass.
+
+    A scene that allows more keeps what it has.
+    """
+    for scene in bpy.data.scenes:
+        if collection in scene.collection.children_recursive and hasattr(scene, "cycles"):
+            scene.cycles.transparent_max_bounces = max(scene.cycles.transparent_max_bounces, stacked + ROOM)
 
 
 def take_off(level_object: bpy.types.Object) -> None:

@@ -51,12 +51,13 @@ class Level:
 
 @dataclass(frozen=True)
 class Baked:
-    """One level that was baked: tints (N, 3) and factors of its texels."""
+    """One level that was baked: tints (N, 3) and factors of its texels; deepest: the most of its quads that stand behind each other."""
 
     texels: Texels
     hues: np.ndarray
     colour: Factors
     alpha: Factors
+    deepest: int
 
 
 @dataclass
@@ -110,6 +111,7 @@ class BtfJob:
         with self.clock.stage("dress"):
             for level_object, baked in zip(cloud.levels, core_result, strict=True):
                 btf_clouds.wear(level_object, baked.texels, baked.hues, baked.colour, baked.alpha, self.settings)
+            btf_clouds.let_through(cloud.collection, max(baked.deepest for baked in core_result))
         if self.temporary is not None:
             self.temporary.cleanup()
         elif not self.keeps_work:
@@ -143,12 +145,12 @@ class BtfJob:
             colour = yield from scaled(steps, TINTED, COLOURED)
             steps = factorise(silhouettes, len(texels), settings.alpha_components, views.solid_angles, np.ones(1), settings.seed)
             alpha = yield from scaled(steps, COLOURED, SHAPED)
-        if settings.refine:
-            with self.clock.stage("refine"):
-                photographed = training_views(level.quads, texels, level.views, store)
-                lights_of = broad_lights(lights)
-                steps = refined(photographed, colour, hues, alpha, level.plain, lights_of, views.solid_angles)
+        with self.clock.stage("refine"):
+            photographed = training_views(level.quads, texels, level.views, store)
+            if settings.refine:
+                steps = refined(photographed, colour, hues, alpha, level.plain, broad_lights(lights), views.solid_angles)
                 alpha = yield from scaled(steps, SHAPED, REFINED)
+            deepest = max(view.fragments().deepest for view in photographed)
         with self.clock.stage("measure"):
             fits = yield from scaled(quality(colours, colour, hues, views.solid_angles, columns), REFINED, 1.0)
         self.figures.append(
@@ -157,6 +159,7 @@ class BtfJob:
                 "renders": len(views) * (len(lights) + 1),
                 "shards": len(views),
                 "texels": len(texels),
+                "stacked_quads": deepest,
                 "bare_render_seconds": round(store.render_seconds(len(views)), 3),
                 "raw_bytes": 2 * 3 * len(texels) * len(views) * (len(lights) + 1),
                 "captured_bytes": store.bytes(len(views)),
@@ -164,7 +167,7 @@ class BtfJob:
                 "fits": [asdict(fit) for fit in fits],
             }
         )
-        return Baked(texels, hues, colour, alpha)
+        return Baked(texels, hues, colour, alpha, deepest)
 
 
 def prepare(context: bpy.types.Context, cloud: StandingCloud, settings: BtfSettings, work: Path | None, keeps_work: bool) -> BtfJob:

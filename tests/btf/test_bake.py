@@ -91,6 +91,16 @@ def test_it_goes_back_to_the_plain_maps(cloud):
     assert not [key for key in tuple(level.keys()) if key.startswith(("farfield_sun", "farfield_light", "farfield_ambient"))]
 
 
+def test_rays_may_pass_all_quads(cloud):
+    scene = bpy.context.scene
+    scene.cycles.transparent_max_bounces = 1
+    bpy.ops.farfield.btf_bake(**{**BAKE, "views": 4, "lights": 4, "samples": 1})
+    assert 2 < scene.cycles.transparent_max_bounces <= len(cloud.levels[0].data.polygons) + 8
+    scene.cycles.transparent_max_bounces = 999
+    bpy.ops.farfield.btf_bake(**{**BAKE, "views": 4, "lights": 4, "samples": 1})
+    assert scene.cycles.transparent_max_bounces == 999
+
+
 def test_nothing_of_the_bake_is_left_in_the_scene(cloud):
     scenes, lights, worlds = len(bpy.data.scenes), len(bpy.data.lights), len(bpy.data.worlds)
     bpy.ops.farfield.btf_bake(**{**BAKE, "views": 4, "lights": 4, "samples": 1})

@@ -31,6 +31,11 @@ class Fragments:
         """What the arrays take."""
         return self.ray.nbytes + self.texels.nbytes + self.shares.nbytes
 
+    @property
+    def deepest(self) -> int:
+        """The most quads behind each other along a ray."""
+        return int(self._lengths.max(initial=0))
+
     @cached_property
     def starts(self) -> np.ndarray:
         """Where a ray's fragments begin."""
