@@ -19,15 +19,20 @@ from .cloud_materials import set_two_sided
 from .octahedral_nodes import direction_on_map, place_on_map
 from .wiring import Operand, Wiring
 
-SIXTHS = 2.0 * np.pi * np.arange(6) / 6.0
 FACING = "farfield_facing"  # attribute of all corners: the unit direction that the quad faces, in the object's frame
 RIGHT = "farfield_right"  # the same for the x axis of the picture that the viewer has
 OWN_NORMAL = "farfield_own_normal"  # attribute of the quads: one of LEANING
-LEAN = np.radians(50.0)
-# normals of the quads as the viewer sees them: x to the right, y up, z to the viewer
-LEANING = np.array([[0.0, 0.0, 1.0]] + [[np.sin(LEAN) * np.cos(turn), np.sin(LEAN) * np.sin(turn), np.cos(LEAN)] for turn in SIXTHS])
-SHELL = 1.8  # radius of the shell in half sides of a frame; all quads lie inside
-OWN = 1.7  # what comes from nearer to the centre comes from a quad
+LEANS = ((0.0, 1), (28.0, 5), (58.0, 9))  # degrees from the viewer, and quads that lean as much, evenly all around
+# Normals of the quads as the viewer sees them: x to the right, y up, z to the viewer.
+LEANING = np.array(
+    [
+        (np.sin(lean) * np.cos(turn), np.sin(lean) * np.sin(turn), np.cos(lean))
+        for lean, count in ((np.radians(degrees), count) for degrees, count in LEANS)
+        for turn in 2.0 * np.pi * np.arange(count) / count
+    ]
+)
+SHELL = 2.1  # radius of the shell in half sides of a frame; all quads lie inside
+OWN = 2.0  # what comes from nearer to the centre comes from a quad
 # EEVEE takes a smaller mip of a filtered image where places jump from pixel to pixel, as they do behind heights: frames would run together.
 FILTERING = {"CYCLES": "Linear", "EEVEE": "Closest"}
 NOWHERE = -16.0  # half sides along a ray: nearer than anything it could meet from a place in the shell

@@ -125,7 +125,7 @@ def test_a_frame_seen_from_its_own_side_is_that_frame():
     across = (column.ravel()[:, None] + 0.5 - 0.5 * view.side) * view.right + (row.ravel()[:, None] + 0.5 - 0.5 * view.side) * view.up
     seen = look_up(atlas, atlas.center + view.pixel * across, view.direction)
     stored = atlas.colour[atlas.tile(number)].reshape(-1, 4)
-    assert seen.colour == pytest.approx(stored * [1.0, 1.0, 1.0, 1.0] * stored[:, 3:], abs=1e-6)
+    assert seen.colour == pytest.approx(stored * stored[:, 3:], abs=1e-6)
 
 
 def test_normals_that_differ_within_a_pixel_make_it_darker():
