@@ -44,6 +44,7 @@ def parser() -> command_line.Parser:
     )
     made.add_argument("--sheets", type=Path, help="a folder for contact sheets")
     made.add_argument("--report", type=Path, help="a JSON file for the figures")
+    made.add_argument("--no-lpca", dest="lpca", action="store_false", help="leave out the other codec, which takes longest to compress")
     made.add_argument("--error", default="2%", help="error of the clouds (default: 2%%)")
     for name, default, what in (
         ("views", 64, "views of a bake"),

@@ -47,7 +47,8 @@ def _model(name: str, effort: Effort) -> Steps[dict[str, Any]]:
         reports["unrefined"] = baked(cloud, "unrefined", work, effort, UNREFINED)
     else:
         left_out.append(f"Scores without refinement: scripts/btf.py has no {UNREFINED}.")
-    reports["lpca"] = baked(cloud, "lpca", work, effort, *LPCA)
+    if effort.lpca:
+        reports["lpca"] = baked(cloud, "lpca", work, effort, *LPCA)
     figures: dict[str, Any] = {"error": effort.error, **{key: cloud.report[key] for key in ("quads", "texels")}}
     figures["views"], figures["lights"] = effort.views, effort.lights
     figures["bakes"] = {variant: _bake_figures(report) for variant, report in reports.items()}
