@@ -67,7 +67,10 @@ def test_the_page_tells_every_level_and_view():
 
 
 def test_the_page_tells_of_bake_and_comparison():
-    scores = {"relightable": {"psnr": 27.25, "ssim": 0.91, "alpha_iou": 0.88}, "plain maps": {"psnr": 24.0, "ssim": 0.85, "alpha_iou": 0.83}}
+    scores = {
+        "relightable": {"psnr": 27.25, "ssim": 0.91, "alpha_iou": 0.88},
+        "plain maps": {"psnr": 24.0, "ssim": 0.85, "alpha_iou": 0.83},
+    }
     relighting = {
         "level": 1,
         "views": 36,
