@@ -1,9 +1,11 @@
-"""The pictures of the README and the docs: `python3 docs/pictures.py [out/demo/demo.blend] [--only tree levels head wood]`.
+"""The pictures of README and docs: `python3 docs/pictures.py [out/demo/demo.blend] [--only tree levels head wood relighting forest]`.
 
 tree: the demo's tree beside its cloud. levels: all its levels, their quads, and how each looks from its own distance. head: a closed
-surface with a material of nodes, which needs no demo. wood: hundreds of trees, each as the level that its distance asks for.
+surface with a material of nodes, which needs no demo. wood: hundreds of trees, each as the level that its distance asks for. relighting,
+forest: what the demo left beside its scene, as it is.
 """
 
+import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -121,7 +123,20 @@ def wood(scene: Path, path: Path, samples: int) -> None:
     print(", ".join(f"{count} of {names[level]}" for level, count in planted.items()), file=sys.stderr)
 
 
-PICTURES = {"tree": tree, "levels": levels, "head": head, "wood": wood}
+def left_by_demo(scene: Path, path: Path, _samples: int) -> None:
+    """A picture of that name from the folder of the demo's scene.
+
+    Raises:
+        FarfieldError: when it is not there.
+    """
+    made = scene.with_name(path.name)
+    if not made.is_file():
+        raise FarfieldError(f'There is no "{made}"; run scripts/demo.py first.')
+    with whole_file(path) as temporary:
+        shutil.copyfile(made, temporary)
+
+
+PICTURES = {"tree": tree, "levels": levels, "head": head, "wood": wood, "relighting": left_by_demo, "forest": left_by_demo}
 
 
 def demo_cloud(scene: Path) -> StandingCloud:
