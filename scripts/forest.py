@@ -45,7 +45,7 @@ POLL = 0.2  # seconds between two looks at the process that renders
 
 @dataclass(frozen=True)
 class Hour:
-    """A time of day. towards_sun: a direction, the camera looks along +Y. colour, strength (W/m2): of the sun. sky: radiance."""
+    """A time of day. towards_sun: a direction, the camera looks along +Y. colour, strength (W/m2): the sun's. sky: radiance."""
 
     name: str
     towards_sun: tuple[float, float, float]
