@@ -131,6 +131,8 @@ def _set_up_cycles(scene: bpy.types.Scene, samples: int) -> None:
     scene.cycles.use_adaptive_sampling = False
     scene.cycles.use_denoising = False
     scene.cycles.transparent_max_bounces = STACKED_QUADS
+    # Else paths through stacks end at random, which is noise in colour and alpha.
+    scene.cycles.min_transparent_bounces = STACKED_QUADS
     scene.render.film_transparent = True
     scene.render.use_persistent_data = True
     scene.render.resolution_percentage = 100
