@@ -25,7 +25,7 @@ environment.ensure()
 from btf_bakes import Effort, built_cloud, cloud_folder
 from btf_costs import memory, times
 from btf_models import DATA, MODELS
-from btf_pictures import RELIGHTABLE, pictures
+from btf_pictures import RELIGHTABLE, SIZES, pictures
 
 import command_line
 from farfield.addon.core.progress import Progress, Steps, finish, scaled
@@ -46,6 +46,7 @@ def parser() -> command_line.Parser:
     made.add_argument("--report", type=Path, help="a JSON file for the figures")
     made.add_argument("--no-lpca", dest="lpca", action="store_false", help="leave out the other codec, which takes longest to compress")
     made.add_argument("--error", default="2%", help="error of the clouds (default: 2%%)")
+    made.add_argument("--sizes", nargs="+", choices=list(SIZES), default=list(SIZES), help="sizes of the pictures (default: all)")
     for name, default, what in (
         ("views", 64, "views of a bake"),
         ("lights", 64, "lights of a bake, without the dome"),

@@ -20,8 +20,8 @@ class Effort:
     """How much is measured.
 
     data: the folder of the meshes. work: keeps clouds and finished views. error: of the clouds, as --error takes it. capture_samples:
-    Cycles samples of every render of a bake. pairs: held-out views and suns. samples, reference_samples: of the pictures to be
-    compared, and of the original in them. repeats: runs of each executor. lpca: whether to try that codec.
+    Cycles samples of every render of a bake. pairs: held-out views and suns. sizes: of the pictures that are compared. samples,
+    reference_samples: of these pictures, and of the original in them. repeats: runs of each executor. lpca: whether to try that codec.
     sheets: a folder for contact sheets.
     """
 
@@ -33,6 +33,7 @@ class Effort:
     lights: int
     capture_samples: int
     pairs: int
+    sizes: list[str]
     samples: int
     reference_samples: int
     repeats: int

@@ -1,5 +1,6 @@
 """Relightable clouds side by side with what they are held against, under held-out views and suns."""
 
+import json
 import math
 import sys
 from collections.abc import Iterator
@@ -53,12 +54,14 @@ def _model(name: str, effort: Effort) -> Steps[dict[str, Any]]:
     figures["views"], figures["lights"] = effort.views, effort.lights
     figures["bakes"] = {variant: _bake_figures(report) for variant, report in reports.items()}
     with _contest(cloud, reports, effort, left_out) as (standing, others):
-        for number, (size, finer) in enumerate(SIZES.items()):
+        pairs = held_out_pairs(effort.pairs, cloud.upper)
+        for number, size in enumerate(effort.sizes):
+            finer = SIZES[size]
             pixel = standing.errors[0] / finer
-            pairs = held_out_pairs(effort.pairs, cloud.upper)
             steps = relight(standing.sources, standing.levels[0], others, pixel, pairs, effort.samples, effort.reference_samples)
-            compared = yield from scaled(steps, number / len(SIZES), (number + 1) / len(SIZES))
+            compared = yield from scaled(steps, number / len(effort.sizes), (number + 1) / len(effort.sizes))
             figures[size] = _scores(compared, left_out)
+            print(f"{name}, {size}: {json.dumps(figures[size])}", file=sys.stderr)
             if effort.sheets is not None:
                 _draw(effort.sheets, f"{name} {size}", f"{name}, {cloud.report['quads']} quads, error = {finer:g} px", compared)
     for words in left_out:
