@@ -158,5 +158,5 @@ def _set_up(work: TemporaryScene, settings: BtfSettings, threads: int) -> None:
     cycles.samples, cycles.seed = settings.samples, settings.seed
     cycles.use_adaptive_sampling = cycles.use_denoising = False
     cycles.pixel_filter_type = "BOX"
-    cycles.transparent_max_bounces = MOST_TRANSPARENT_BOUNCES
+    cycles.transparent_max_bounces = cycles.min_transparent_bounces = MOST_TRANSPARENT_BOUNCES  # the least: else paths end at random
     work.camera.data.type = "ORTHO"
