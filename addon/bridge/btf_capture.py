@@ -42,7 +42,7 @@ class LitBooth:
     def __init__(self, work: TemporaryScene, source: Source, settings: BtfSettings) -> None:
         self._work, self._source, self._settings = work, source, settings
         light = work.keep(bpy.data.lights.new("Farfield Sun", "SUN"))
-        light.energy, light.angle = 1.0, 0.0
+        light.energy, light.angle = 1.0, sun_angle(settings)
         self._sun = work.add(light)
         self._dark, self._even = (_world(work, strength) for strength in (0.0, 1.0))
 
@@ -114,6 +114,14 @@ def lit_booth(objects: Sequence[bpy.types.Object], source: Source, settings: Btf
         finally:
             for item, was_hidden in zip(objects, hidden, strict=True):
                 item.hide_render = was_hidden
+
+
+def sun_angle(settings: BtfSettings) -> float:
+    """Width of the disc, in radians, of a sun as large as a cell of the lights' grid.
+
+    A point-like sun makes highlights that are narrower than the grid is wide: one view and light would hold a spike, and its neighbours none.
+    """
+    return 2.0 * float(np.arccos(1.0 - 2.0 * (1.0 if settings.upper_hemisphere else 2.0) / (2.0 * settings.lights)))
 
 
 def views_of(source: Source, settings: BtfSettings, pixel: float) -> list[View]:
