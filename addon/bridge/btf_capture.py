@@ -119,9 +119,9 @@ def lit_booth(objects: Sequence[bpy.types.Object], source: Source, settings: Btf
 def sun_angle(settings: BtfSettings) -> float:
     """Width of the disc, in radians, of a sun as large as a cell of the lights' grid.
 
-    A point-like sun makes highlights that are narrower than the grid is wide: one view and light would hold a spike, and its neighbours none.
+    A sun like a point makes highlights narrower than the grid: one view and light would hold a spike, and its neighbours nothing.
     """
-    return 2.0 * float(np.arccos(1.0 - 2.0 * (1.0 if settings.upper_hemisphere else 2.0) / (2.0 * settings.lights)))
+    return 2.0 * float(np.arccos(1.0 - settings.light_grid.solid_angles.mean() / (2.0 * np.pi)))
 
 
 def views_of(source: Source, settings: BtfSettings, pixel: float) -> list[View]:

@@ -9,7 +9,9 @@ import bpy
 import mathutils
 
 from bridge import blender_scenes
+from farfield.addon.bridge.btf_capture import sun_angle
 from farfield.addon.bridge.btf_clouds import PLAIN_MATERIAL, let_through, light_with
+from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.direction_grids import DirectionGrid
 from farfield.addon.operators.billboards_clouds import clouds_in
 from studio import bounds, studio
@@ -126,3 +128,10 @@ def test_a_cloud_whose_original_is_another_is_refused(cloud, harm, words):
 def test_a_number_that_is_no_square_is_refused(cloud):
     with pytest.raises(RuntimeError, match="no square number; take 36 or 49"):
         bpy.ops.farfield.btf_bake(**{**BAKE, "views": 40})
+
+
+@pytest.mark.parametrize(("lights", "upper"), [(64, False), (64, True), (9, True)])
+def test_suns_cover_the_sphere_or_its_upper_half_once(lights, upper):
+    width = sun_angle(BtfSettings(lights=lights, upper_hemisphere=upper))
+    disc = 2.0 * np.pi * (1.0 - np.cos(0.5 * width))
+    assert lights * disc == pytest.approx((2.0 if upper else 4.0) * np.pi)
