@@ -156,7 +156,7 @@ def test_a_second_death_is_one_sentence_and_views_stand(bake, undisturbed):
 
 def test_a_refusal_reaches_the_user_word_for_word(bake):
     with pytest.raises(FarfieldError) as refused:
-        finish(bake.steps("processes:2", REFUSE))
+        finish(bake.steps("serial", REFUSE))
     assert str(refused.value) == "Kein Platz für „Ansicht 3“."
     assert bake.stores[0].has(0)
 
