@@ -28,3 +28,8 @@ def made_atlas(size: tuple[int, int] = (7, 4), clusters: int = 1) -> BakedAtlas:
     alpha = Factors(random.random((rows, 2), np.float32), random.normal(size=(len(VIEWS), 2, 1)).astype(np.float32), np.ones(rows, bool))
     tints = random.uniform(0.5, 1.5, (rows, 3)).astype(np.float32)
     return BakedAtlas(size, tints, made_colour(rows, clusters), alpha, random.random(rows, np.float32), VIEWS, LIGHTS)
+
+
+def decoded(atlas: BakedAtlas, view: np.ndarray, light: np.ndarray) -> np.ndarray:
+    """What the arrays say of a view (3,) under a light (3,): (H, W, 3)."""
+    return atlas.picture(atlas.seen_from(view[None], light[None])[0, :, 0], view, light)

@@ -121,7 +121,12 @@ def sun_angle(settings: BtfSettings) -> float:
 
     A sun like a point makes highlights narrower than the grid: one view and light would hold a spike, and its neighbours nothing.
     """
-    return 2.0 * float(np.arccos(1.0 - settings.light_grid.solid_angles.mean() / (2.0 * np.pi)))
+    return 2.0 * float(np.arccos(1.0 - sun_size(settings) / (2.0 * np.pi)))
+
+
+def sun_size(settings: BtfSettings) -> float:
+    """The solid angle of the same sun, in steradians."""
+    return float(settings.light_grid.solid_angles.mean())
 
 
 def views_of(source: Source, settings: BtfSettings, pixel: float) -> list[View]:

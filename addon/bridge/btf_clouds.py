@@ -6,13 +6,14 @@ import bpy
 import numpy as np
 
 from ..core.btf.factors import Factors
+from ..core.btf.lobes import Lobes, Surface
 from ..core.btf.lpca import LocalFactors
 from ..core.btf.settings import BtfSettings
 from ..core.btf.tables import tables_of, weight_images
 from ..core.btf.texels import Quads, Texels, texels_of
 from ..core.images import dilate, nearest_known
-from .btf_materials import AMBIENT, SUNS, BtfImages, btf_material, light_property, sun_label, sun_property
-from .cloud_materials import FRONT_COLOUR
+from .btf_materials import AMBIENT, SUNS, BtfImages, btf_material, light_property, sun_labels, sun_property
+from .cloud_materials import FRONT_COLOUR, FRONT_NORMAL, FRONT_SURFACE
 from .images import data_image, pixels_of
 
 PLAIN_MATERIAL = "farfield_plain_material"  # on the level object: name of the material with the plain maps
@@ -44,10 +45,21 @@ def quads_of_level(level_object: bpy.types.Object) -> Quads:
 
 def plain_alpha(level_object: bpy.types.Object, texels: Texels) -> np.ndarray:
     """The coverage (N,) float32 of texels in the plain maps of a level; 0 where it has none."""
-    image = _plain_image(level_object)
+    image = _plain_image(level_object, FRONT_COLOUR)
     if image is None:
         return np.zeros(len(texels), np.float32)
     return pixels_of(image)[texels.pixels[:, 1], texels.pixels[:, 0], 3]
+
+
+def plain_surface(level_object: bpy.types.Object, texels: Texels) -> Surface | None:
+    """Normals and roughness of texels in the plain maps of a level; None where it has none."""
+    images = [_plain_image(level_object, label) for label in (FRONT_NORMAL, FRONT_SURFACE)]
+    if None in images:
+        return None
+    normals, surface = (pixels_of(image)[texels.pixels[:, 1], texels.pixels[:, 0]] for image in images)
+    normals = normals[:, :3] * 2.0 - 1.0
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return Surface(np.where(lengths > 0.0, normals / np.where(lengths > 0.0, lengths, 1.0), np.float32([0.0, 0.0, 1.0])), surface[:, 0])
 
 
 def plain_material(level_object: bpy.types.Object) -> bpy.types.Material | None:
@@ -55,17 +67,26 @@ def plain_material(level_object: bpy.types.Object) -> bpy.types.Material | None:
     return bpy.data.materials.get(level_object.get(PLAIN_MATERIAL, "")) or level_object.data.materials[0]
 
 
-def _plain_image(level_object: bpy.types.Object) -> bpy.types.Image | None:
-    """The image of the plain maps that holds colour and alpha of the fronts."""
+def _plain_image(level_object: bpy.types.Object, label: str) -> bpy.types.Image | None:
+    """The image of the plain maps in the node called `label`."""
     plain = plain_material(level_object)
     nodes = plain.node_tree.nodes if plain is not None and plain.node_tree is not None else []
-    return next((node.image for node in nodes if node.type == "TEX_IMAGE" and node.label == FRONT_COLOUR), None)
+    return next((node.image for node in nodes if node.type == "TEX_IMAGE" and node.label == label), None)
 
 
-def wear(level_object: bpy.types.Object, texels: Texels, tints: np.ndarray, colour: Factors, alpha: Factors, settings: BtfSettings) -> None:
+def wear(
+    level_object: bpy.types.Object,
+    texels: Texels,
+    tints: np.ndarray,
+    colour: Factors,
+    alpha: Factors,
+    settings: BtfSettings,
+    lobes: Lobes | None = None,
+) -> None:
     """Give a level object the material that decodes `colour` and `alpha`; its plain material stays in the file.
 
     tints: (N, 3), what the colours are multiplied by. `alpha` is what the silhouette from a view has more than that of the plain maps.
+    lobes: what comes on top of the colours; their normals must be those of the plain maps.
     """
     tables = tables_of(colour, alpha, settings.view_grid, settings.light_grid)
     name = f"{level_object.name} BTF"
@@ -82,7 +103,8 @@ def wear(level_object: bpy.types.Object, texels: Texels, tints: np.ndarray, colo
             _half_image(f"{name} Alpha Weights {number}", image) for number, image in enumerate(weight_images(texels.image(alpha.weights)))
         ],
         alpha_basis=_half_image(f"{name} Alpha", tables.alpha.image),
-        plain=_plain_image(level_object),
+        plain=_plain_image(level_object, FRONT_COLOUR),
+        **_lobe_images(level_object, name, texels, lobes, known),
     )
     material = btf_material(name, images, tables, settings.blend_texels)
     plain = level_object.data.materials[0]
@@ -94,6 +116,22 @@ def wear(level_object: bpy.types.Object, texels: Texels, tints: np.ndarray, colo
         level_object[sun_property(number)] = [0.0, 0.0, 1.0]
         level_object[light_property(number)] = [0.0, 0.0, 0.0]
     level_object[AMBIENT] = [0.0, 0.0, 0.0]
+
+
+def _lobe_images(
+    level_object: bpy.types.Object, name: str, texels: Texels, lobes: Lobes | None, known: np.ndarray
+) -> dict[str, bpy.types.Image | None]:
+    if lobes is None:
+        return dict.fromkeys(("diffuse", "specular", "normals"))
+    diffuse, specular = (
+        dilate(texels.image(np.column_stack(parts)), known, DILATED)
+        for parts in ((lobes.diffuse, lobes.surface.roughness), (lobes.specular, lobes.rim))
+    )
+    return {
+        "diffuse": _half_image(f"{name} Diffuse", diffuse),
+        "specular": _half_image(f"{name} Specular", specular),
+        "normals": _plain_image(level_object, FRONT_NORMAL),
+    }
 
 
 def _weights_of(colour: Factors, texels: Texels, known: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
@@ -156,7 +194,7 @@ def light_with(level_object: bpy.types.Object, suns: Sequence[bpy.types.Object],
 
 def _decode_only(material: bpy.types.Material, suns: int) -> None:
     """Mute what decodes the suns from number `suns` on: renderers would work out what is then multiplied by no light."""
-    idle = {sun_label(number) for number in range(suns, SUNS)}
+    idle = {label for number in range(suns, SUNS) for label in sun_labels(number)}
     for node in material.node_tree.nodes:
         if node.type == "GROUP" and node.label:
             node.mute = node.label in idle

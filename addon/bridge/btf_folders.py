@@ -38,9 +38,9 @@ def write_folder(atlas: BakedAtlas, folder: Path, views: np.ndarray, lights: np.
             basis = atlas.seen_from(view[None], lights)[0]
             (folder / view_name).mkdir()
             _save(work, image, np.repeat(atlas.coverage(view)[..., None], 3, axis=2), folder / "coverage" / f"{view_name}.exr")
-            for number, light_name in enumerate(light_names):
+            for number, (light, light_name) in enumerate(zip(lights, light_names, strict=True)):
                 yield Progress((place + number / len(lights)) / len(views), f"Picture {number + 1} of view {place + 1} of {len(views)}")
-                _save(work, image, atlas.picture(basis[:, number]), folder / view_name / f"{light_name}_{view_name}.exr")
+                _save(work, image, atlas.picture(basis[:, number], view, light), folder / view_name / f"{light_name}_{view_name}.exr")
 
 
 def _blank(work: TemporaryScene, size: tuple[int, int]) -> bpy.types.Image:

@@ -13,6 +13,7 @@ import bpy
 from ..compat import give_nodes
 from ..core.btf.tables import Tables, ViewTable
 from .cloud_materials import set_two_sided
+from .lobe_nodes import LobeMaps, add_dome, add_lobes
 from .octahedral_nodes import place_on_map
 from .wiring import Operand, Wiring
 
@@ -24,6 +25,7 @@ LAYOUT = "farfield_btf"  # on the material: the numbers of `core.btf.tables.Tabl
 WEIGHTS, TINTS, BASIS, DOME = "Weights", "Tints", "Basis", "Dome"  # labels of image nodes; of weights there are several, numbered from 0
 LAYOUT_NUMBERS = ("views", "views_upper", "lights", "lights_upper", "clusters", "components", "alpha_components")
 CLUSTERS = "Clusters"
+DIFFUSE, SPECULAR, NORMALS = "Diffuse", "Specular", "Normals"
 ALPHA_WEIGHTS, ALPHA_BASIS, PLAIN = "Alpha Weights", "Alpha Basis", "Plain"
 
 
@@ -37,9 +39,9 @@ def light_property(number: int) -> str:
     return f"farfield_light_{number}"
 
 
-def sun_label(number: int) -> str:
-    """The label of the node that decodes sun `number`."""
-    return f"Sun {number + 1}"
+def sun_labels(number: int) -> tuple[str, str]:
+    """The labels of the nodes that decode sun `number`, and add its lobes."""
+    return f"Sun {number + 1}", f"Sun {number + 1} Lobes"
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,7 @@ class BtfImages:
 
     basis, dome, alpha_basis: tables, see `core.btf.tables`.
     plain: the plain colour map, whose alpha the components of alpha come on top of; None where there is none.
+    diffuse, specular: colours of the lobes, with roughness and rim as alpha; normals: the plain normal map. None where there are no lobes.
     """
 
     weights: list[bpy.types.Image]
@@ -60,6 +63,9 @@ class BtfImages:
     alpha_weights: list[bpy.types.Image]
     alpha_basis: bpy.types.Image
     plain: bpy.types.Image | None
+    diffuse: bpy.types.Image | None
+    specular: bpy.types.Image | None
+    normals: bpy.types.Image | None
 
 
 def btf_material(name: str, images: BtfImages, tables: Tables, blend_texels: bool) -> bpy.types.Material:
@@ -76,36 +82,52 @@ def btf_material(name: str, images: BtfImages, tables: Tables, blend_texels: boo
     tree.nodes.clear()
     wiring = Wiring(tree)
     suns = [_of_object(wiring, sun_property(number)) for number in range(SUNS)]
-    view = _place_node(wiring, tables.views_upper, _towards_viewer(wiring, suns))
+    viewer = _towards_viewer(wiring, suns)
+    view = _place_node(wiring, tables.views_upper, viewer)
     column, texel, closest = None, None, images.clusters is not None
     if closest:
         texel = _texel_place(wiring, images.clusters, blend_texels)
         column = wiring.math("MULTIPLY", _texture(wiring, images.clusters, CLUSTERS, texel, closest=True)[1], tables.column)
     weights = [_texture(wiring, image, f"{WEIGHTS} {number}", texel, closest=closest) for number, image in enumerate(images.weights)]
     scalars = _scalars(wiring, weights, tables.components)
+    tint, lobes = _texture(wiring, images.tints, TINTS)[0], _lobe_maps(wiring, images, viewer)
     in_views = _in_column(wiring, _in_views(wiring, tables.dome, view), column)
-    colour = _weighted_sum(wiring, images.dome, DOME, in_views, tables.dome.step, scalars)
-    colour = wiring.vector("MULTIPLY", colour, _of_object(wiring, AMBIENT))
+    even = wiring.vector("MULTIPLY", _weighted_sum(wiring, images.dome, DOME, in_views, tables.dome.step, scalars), tint)
+    colour = wiring.vector("MULTIPLY", _cut(wiring, even if lobes is None else add_dome(wiring, lobes, even)), _of_object(wiring, AMBIENT))
     lamp = _lamp_group(name, tables, images.basis, len(weights), column is not None)
     for number, sun in enumerate(suns):
-        node = wiring.node("ShaderNodeGroup", {"node_tree": lamp, "label": sun_label(number)})
+        decoded, added = sun_labels(number)
+        node = wiring.node("ShaderNodeGroup", {"node_tree": lamp, "label": decoded})
         operands = (view, sun, *_pairs(weights), *([] if column is None else [column]))
         for operand, target in zip(operands, node.inputs, strict=True):
             wiring.connect(operand, target)
-        lit = wiring.vector("MULTIPLY", node.outputs[0], _of_object(wiring, light_property(number)))
-        colour = wiring.vector("ADD", colour, lit)
-    colour = wiring.vector("MULTIPLY", colour, _texture(wiring, images.tints, TINTS)[0])
+        shown = wiring.vector("MULTIPLY", node.outputs[0], tint)
+        shown = shown if lobes is None else add_lobes(wiring, lobes, sun, shown, added)
+        colour = wiring.vector("ADD", colour, wiring.vector("MULTIPLY", _cut(wiring, shown), _of_object(wiring, light_property(number))))
     alpha = _alpha(wiring, tables, images, view)
     emission, transparent, mixed = (
         wiring.node(kind) for kind in ("ShaderNodeEmission", "ShaderNodeBsdfTransparent", "ShaderNodeMixShader")
     )
-    wiring.connect(wiring.vector("MAXIMUM", colour, BLACK), emission.inputs["Color"])
+    wiring.connect(colour, emission.inputs["Color"])
     wiring.connect(alpha, mixed.inputs[0])
     wiring.connect(transparent.outputs[0], mixed.inputs[1])
     wiring.connect(emission.outputs[0], mixed.inputs[2])
     wiring.connect(mixed.outputs[0], wiring.node("ShaderNodeOutputMaterial").inputs["Surface"])
     wiring.arrange()
     return material
+
+
+def _cut(wiring: Wiring, colour: Operand) -> Operand:
+    return wiring.vector("MAXIMUM", colour, BLACK)
+
+
+def _lobe_maps(wiring: Wiring, images: BtfImages, viewer: Operand) -> LobeMaps | None:
+    """What the lobes of the texel are, where there are any."""
+    if images.diffuse is None:
+        return None
+    diffuse, roughness = _texture(wiring, images.diffuse, DIFFUSE)
+    specular, rim = _texture(wiring, images.specular, SPECULAR)
+    return LobeMaps(viewer, _texture(wiring, images.normals, NORMALS)[0], roughness, diffuse, specular, rim)
 
 
 def _towards_viewer(wiring: Wiring, suns: list[bpy.types.NodeSocket]) -> bpy.types.NodeSocket:

@@ -5,11 +5,26 @@ import numpy as np
 
 from ..core.btf.decoding import BakedAtlas
 from ..core.btf.factors import Factors
+from ..core.btf.lobes import Lobes, Surface
 from ..core.btf.lpca import LocalFactors
 from ..core.btf.tables import alpha_basis, colour_basis, weights_in
 from ..core.direction_grids import DirectionGrid
 from ..core.errors import GeometryError
-from .btf_materials import ALPHA_BASIS, ALPHA_WEIGHTS, BASIS, CLUSTERS, DOME, LAYOUT, LAYOUT_NUMBERS, PLAIN, TINTS, WEIGHTS
+from .btf_materials import (
+    ALPHA_BASIS,
+    ALPHA_WEIGHTS,
+    BASIS,
+    CLUSTERS,
+    DIFFUSE,
+    DOME,
+    LAYOUT,
+    LAYOUT_NUMBERS,
+    NORMALS,
+    PLAIN,
+    SPECULAR,
+    TINTS,
+    WEIGHTS,
+)
 from .images import pixels_of
 
 
@@ -44,6 +59,7 @@ def baked_atlas(level_object: bpy.types.Object) -> BakedAtlas:
     if CLUSTERS in images:
         labels = np.rint(pixels(CLUSTERS)[..., 0]).astype(np.int32).ravel()
         colour = LocalFactors(colour.weights, colour.basis, known, labels)
+    lobes = _lobes(*(pixels(label).reshape(-1, 4) for label in (NORMALS, DIFFUSE, SPECULAR))) if DIFFUSE in images else None
     plain = pixels(PLAIN)[..., 3] if PLAIN in images else np.zeros(tints.shape[:2], np.float32)
     return BakedAtlas(
         size=(tints.shape[1], tints.shape[0]),
@@ -57,7 +73,15 @@ def baked_atlas(level_object: bpy.types.Object) -> BakedAtlas:
         plain=plain.ravel(),
         views=views,
         lights=lights,
+        lobes=lobes,
     )
+
+
+def _lobes(normals: np.ndarray, diffuse: np.ndarray, specular: np.ndarray) -> Lobes:
+    """Lobes out of the pixels (P, 4) of their maps."""
+    directions = 2.0 * normals[:, :3] - 1.0
+    directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-6)
+    return Lobes(Surface(directions, diffuse[:, 3]), diffuse[:, :3], specular[:, :3], specular[:, 3])
 
 
 def _images_by_label(tree: bpy.types.NodeTree) -> dict[str, bpy.types.Image]:

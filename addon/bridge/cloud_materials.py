@@ -15,6 +15,7 @@ MAPS = ("Colour", "Normal", "Surface")
 SIDES = ("Front", "Back")
 FRONT_COLOUR = "Front colour"  # label of the node whose image holds colour and alpha of the fronts
 FRONT_NORMAL = "Front normal"  # the same for their normals in the object's frame, as colours
+FRONT_SURFACE = "Front surface"  # the same for roughness, metallic and depth
 
 
 def cloud_material(name: str, images: dict[tuple[str, str], bpy.types.Image], shadowless: float) -> bpy.types.Material:

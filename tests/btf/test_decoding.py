@@ -12,7 +12,7 @@ from made_atlases import LIGHTS, VIEWS, made_atlas
 def test_at_baked_directions_it_is_weights_times_basis(clusters):
     atlas = made_atlas(clusters=clusters)
     basis = atlas.seen_from(VIEWS.directions[[2, 9]], LIGHTS.directions[[4]])
-    picture = atlas.picture(basis[1, :, 0])
+    picture = atlas.picture(basis[1, :, 0], VIEWS.directions[9], LIGHTS.directions[4])
     labels = atlas.colour.labels if clusters > 1 else np.zeros(28, int)
     table = atlas.colour.basis[9].reshape(clusters, 5, -1, 3)[:, :, 4]
     expected = np.array(

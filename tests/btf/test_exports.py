@@ -23,7 +23,7 @@ from farfield.addon.operators.billboards_clouds import clouds_in
 from farfield.addon.operators.btf_export_job import prepare
 from farfield.addon.operators.long_work import whole
 from fmf_reader import read_fmf
-from made_atlases import made_colour
+from made_atlases import decoded, made_colour
 
 SETTINGS = BtfSettings(views=16, lights=9)
 BAKED = ExportSettings(directions="baked")
@@ -103,7 +103,7 @@ def test_a_folder_holds_a_picture_for_each_view_and_light(cloud, tmp_path):
         for letter, each in (("v", angles[view]), ("l", np.loadtxt(folder / "lights.txt")[light]))
     ]
     assert number == view + 1
-    expected = atlas.picture(atlas.seen_from(atlas.views.directions[[view]], atlas.lights.directions[[light]])[0, :, 0])
+    expected = decoded(atlas, atlas.views.directions[view], atlas.lights.directions[light])
     read = pixels_in(folder / names[0] / f"{names[1]}_{names[0]}.exr")[..., :3]
     np.testing.assert_allclose(read, expected, rtol=1e-3, atol=1e-6)
     coverage = pixels_in(folder / "coverage" / f"{names[0]}.exr")[..., 0]
@@ -117,7 +117,7 @@ def test_a_btf_file_holds_the_same(cloud, tmp_path):
     atlas = baked_atlas(cloud.levels[0])
     directions = bonn_directions()
     assert (len(file.views), len(file.lights), file.size) == (81, 81, atlas.size)
-    expected = atlas.picture(atlas.seen_from(directions[[40]], directions[[7]])[0, :, 0])
+    expected = decoded(atlas, directions[40], directions[7])
     np.testing.assert_allclose(np.maximum(file.image(40, 7), 0.0), expected, atol=1e-4)
     assert file.header["per_millimetre"] == pytest.approx(0.001 / texels_of_level(cloud.levels[0]).side)
 

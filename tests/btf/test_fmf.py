@@ -34,7 +34,7 @@ def written(path, atlas, views, lights, per_millimetre=2.0):
 def uncut(atlas, view, light) -> np.ndarray:
     """The texture (H, W, 3) from a view under a light, negative numbers left in."""
     basis = atlas.seen_from(view[None], light[None])[0, :, 0]
-    return (atlas.colour.applied(basis) * atlas.tints).reshape(atlas.size[1], atlas.size[0], 3)
+    return atlas.uncut(basis, view, light).reshape(atlas.size[1], atlas.size[0], 3)
 
 
 @pytest.mark.parametrize("clusters", [1, 3])
@@ -63,7 +63,7 @@ def test_it_is_a_singular_value_decomposition(tmp_path):
 def test_pieces_are_the_whole(tmp_path, monkeypatch):
     atlas, views = made_atlas(), fibonacci_sphere(4)
     whole = written(tmp_path / "whole.btf", atlas, views, views).read_bytes()
-    monkeypatch.setattr(fmf, "CHUNK", 5)
+    monkeypatch.setattr(fmf, "PIECE", 5 * 16 * 3)
     pieces = written(tmp_path / "pieces.btf", atlas, views, views)
     np.testing.assert_allclose(read_fmf(pieces).image(1, 2), uncut(atlas, views[1], views[2]), atol=2e-5)
     assert len(pieces.read_bytes()) == len(whole)

@@ -12,11 +12,14 @@ from bridge import blender_scenes
 from farfield.addon.bridge.btf_clouds import texels_of_level, wear
 from farfield.addon.bridge.btf_materials import AMBIENT, light_property, sun_property
 from farfield.addon.bridge.btf_reading import baked_atlas
+from farfield.addon.bridge.cloud_materials import FRONT_NORMAL
+from farfield.addon.bridge.images import data_image
 from farfield.addon.bridge.temporary import temporary_scene
 from farfield.addon.core.btf.factors import Factors
+from farfield.addon.core.btf.lobes import Lobes, Surface, glossy_lobe
 from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.btf.texels import View
-from made_atlases import made_colour
+from made_atlases import decoded, made_colour
 
 SIDE, PIXELS = 8, 160  # texels along the card, pixels along the picture
 BETWEEN = np.array([0.3, -0.5, 0.8]) / np.linalg.norm([0.3, -0.5, 0.8])
@@ -28,18 +31,36 @@ def fresh_scene(extension):
     blender_scenes.fresh()
 
 
-def dressed(clusters: int, components: int, blend_texels: bool = False) -> bpy.types.Object:
+def dressed(clusters: int, components: int, blend_texels: bool = False, lobes: Lobes | None = None) -> bpy.types.Object:
     """A card of 8 x 8 texels, opaque, in textures of random numbers that no light makes negative."""
     card = blender_scenes.card()
     card["farfield_atlas"] = [SIDE, SIDE]
-    card.data.materials.append(None)
+    card.data.materials.append(None if lobes is None else plain_maps(lobes.surface.normals[0]))
     texels = texels_of_level(card)
     colour = made_colour(len(texels), clusters, components, views=16, lights=9)
     np.abs(colour.basis, out=colour.basis)
     alpha = Factors(np.ones((len(texels), 1), np.float32), np.ones((16, 1, 1), np.float32), colour.known)
     tints = np.tile(np.float32([0.7, 1.3, 1.1]), (len(texels), 1))  # equal, since they alone are filtered
-    wear(card, texels, tints, colour, alpha, BtfSettings(views=16, lights=9, blend_texels=blend_texels))
+    wear(card, texels, tints, colour, alpha, BtfSettings(views=16, lights=9, blend_texels=blend_texels), lobes)
     return card
+
+
+def plain_maps(normal: np.ndarray) -> bpy.types.Material:
+    """A material with one map, of the same `normal` everywhere."""
+    made = blender_scenes.material("Plain")
+    pixels = np.broadcast_to(np.append(0.5 * normal + 0.5, 1.0), (SIDE, SIDE, 4))
+    texture = made.node_tree.nodes.new("ShaderNodeTexImage")
+    texture.label, texture.image = FRONT_NORMAL, data_image("Normals", pixels, is_data=True)
+    return made
+
+
+def even_lobes(roughness: float, diffuse: float = 0.3, specular: float = 0.2, rim: float = 0.5) -> Lobes:
+    """Lobes that are the same at all texels, leaning to one side."""
+    normal = np.array([0.36, -0.16, 0.92]) / np.linalg.norm([0.36, -0.16, 0.92])
+    count = SIDE * SIDE
+    surface = Surface(np.tile(normal, (count, 1)).astype(np.float32), np.full(count, roughness, np.float32))
+    hue = np.float32([1.0, 0.5, 0.25])
+    return Lobes(surface, np.tile(diffuse * hue, (count, 1)), np.tile(specular * hue[::-1], (count, 1)), np.full(count, rim, np.float32))
 
 
 def rendered(
@@ -80,7 +101,7 @@ def test_texels_in_clusters_shine_as_the_arrays_say(clusters, components, betwee
     view, light = (BETWEEN, BETWEEN[[1, 0, 2]]) if between else (atlas.views.directions[5], atlas.lights.directions[3])
     lit(card, light)
     picture, taken = rendered(card, view, 1)
-    expected = atlas.picture(atlas.seen_from(view[None], light[None])[0, :, 0])
+    expected = decoded(atlas, view, light)
     shown = at_texels(picture, taken, card)
     np.testing.assert_allclose(shown[..., :3], expected, rtol=0.01, atol=0.002)
     assert (shown[..., 3] == 1.0).all()
@@ -102,10 +123,63 @@ def test_one_set_of_components_shines_as_the_arrays_say():
     atlas = baked_atlas(card)
     lit(card, atlas.lights.directions[3])
     picture, taken = rendered(card, atlas.views.directions[5], 1)
-    expected = atlas.picture(atlas.seen_from(atlas.views.directions[[5]], atlas.lights.directions[[3]])[0, :, 0])
+    expected = decoded(atlas, atlas.views.directions[5], atlas.lights.directions[3])
     shown = at_texels(picture, taken, card)[..., :3]
     # Between texels it is filtered, and the nearest pixel is not quite in the middle of its texel.
     assert np.abs(shown - expected).mean() < 0.04 * expected.mean()
+
+
+@pytest.mark.parametrize("roughness", [0.15, 0.5])
+@pytest.mark.parametrize("turned", [False, True], ids=["as baked", "turned"])
+def test_lobes_shine_as_the_arrays_say(roughness, turned):
+    """Seen from the front, and from behind where the normal turns round; and on an instance that was turned."""
+    card = dressed(3, 5, lobes=even_lobes(roughness))
+    atlas = baked_atlas(card)
+    assert atlas.lobes.surface.roughness == pytest.approx(roughness, rel=1e-3)
+    turn = mathutils.Matrix.Rotation(0.7 if turned else 0.0, 3, (0.2, 0.3, 1.0))
+    for view in (BETWEEN, -BETWEEN):
+        light = 2.0 * (view @ [0.36, -0.16, 0.92]) * np.array([0.36, -0.16, 0.92]) - view  # about where it mirrors
+        light /= np.linalg.norm(light)
+        lit(card, np.array(turn, float) @ light)
+        card.matrix_world = turn.to_4x4()
+        picture, taken = rendered(card, np.array(turn, float) @ view, 1)
+        places = texels_of_level(card).positions @ np.array(turn, float).T
+        shown = picture[taken.cells(places)].reshape(SIDE, SIDE, 4)[..., :3]
+        expected = decoded(atlas, view, light)
+        bare = np.maximum(expected.reshape(-1, 3) - atlas.lobes.of_suns(view, light[None])[:, 0], 0.0)
+        assert expected.mean() > 1.05 * bare.mean(), "the lobes must be seen"
+        np.testing.assert_allclose(shown, expected, rtol=0.03, atol=0.005)
+
+
+def test_lobes_shine_under_the_dome():
+    card = dressed(3, 5, lobes=even_lobes(0.4))
+    atlas = baked_atlas(card)
+    card[AMBIENT] = [1.0, 0.5, 2.0]
+    view = atlas.views.directions[6]
+    picture, taken = rendered(card, view, 1)
+    rest = atlas.colour.applied(atlas.colour.basis[6].reshape(-1, 10, 3)[:, -1]) * atlas.tints
+    expected = ((rest + atlas.lobes.of_dome(view)) * [1.0, 0.5, 2.0]).reshape(SIDE, SIDE, 3)
+    np.testing.assert_allclose(at_texels(picture, taken, card)[..., :3], expected, rtol=0.01, atol=0.002)
+
+
+def test_the_glossy_lobe_is_that_of_cycles():
+    card = blender_scenes.card()
+    made = blender_scenes.material("Glossy")
+    tree = made.node_tree
+    shader = tree.nodes.new("ShaderNodeBsdfAnisotropic")
+    shader.distribution, shader.inputs["Roughness"].default_value, shader.inputs["Color"].default_value = "GGX", 0.5, (1.0, 1.0, 1.0, 1.0)
+    tree.links.new(shader.outputs[0], next(node for node in tree.nodes if node.type == "OUTPUT_MATERIAL").inputs["Surface"])
+    card.data.materials.append(made)
+    lamp = bpy.data.lights.new("Sun", "SUN")
+    lamp.energy, lamp.angle = 1.0, 0.0
+    sun = bpy.data.objects.new("Sun", lamp)
+    sun.rotation_euler = mathutils.Vector(LAMP).to_track_quat("Z", "Y").to_euler()
+    bpy.context.scene.collection.objects.link(sun)
+    for view in (BETWEEN, np.array([0.0, 0.0, 1.0]), np.array([0.9, 0.1, 0.42]) / np.linalg.norm([0.9, 0.1, 0.42])):
+        picture, taken = rendered(card, view, 16, [sun])
+        shown = picture[taken.cells(np.zeros((1, 3)))][0, 0]
+        expected = glossy_lobe(np.array([[0.0, 0.0, 1.0]]), view, LAMP[None], np.array([0.5]))[0][0, 0]
+        assert shown == pytest.approx(expected, rel=0.02)
 
 
 def test_blended_texels_are_those_around_in_the_mean():
@@ -115,12 +189,12 @@ def test_blended_texels_are_those_around_in_the_mean():
     view = atlas.views.directions[5]
     assert view[2] > 0.5
     picture, taken = rendered(card, view, 12)
-    decoded = atlas.picture(atlas.seen_from(view[None], atlas.lights.directions[[3]])[0, :, 0])
+    pure = decoded(atlas, view, atlas.lights.directions[3])
     texels = texels_of_level(card)
     halfway = 0.5 * (texels.positions.reshape(SIDE, SIDE, 3)[:, 1:] + texels.positions.reshape(SIDE, SIDE, 3)[:, :-1])
     shown = picture[taken.cells(halfway.reshape(-1, 3))][:, :3].reshape(SIDE, SIDE - 1, 3)
-    mean = 0.5 * (decoded[:, 1:] + decoded[:, :-1])
-    apart = np.abs(decoded[:, 1:] - decoded[:, :-1]).mean()
+    mean = 0.5 * (pure[:, 1:] + pure[:, :-1])
+    apart = np.abs(pure[:, 1:] - pure[:, :-1]).mean()
     assert np.abs(shown - mean).mean() < 0.2 * apart, "one of the two alone would be half their distance off"
     assert np.abs(shown.mean() - mean.mean()) < 0.02 * mean.mean()
 

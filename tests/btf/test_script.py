@@ -64,7 +64,7 @@ def test_local_pca_is_asked_for_by_name(cloud_file):
     assert any(node.label == CLUSTERS for node in level.data.materials[0].node_tree.nodes)
     texels, numbers = report["levels"][0]["texels"], 3 * 2 * 4 * 5 * 3
     assert [fit["components"] for fit in report["levels"][0]["fits"]] == [1, 2]
-    assert report["compressed_bytes"] == 2 * (texels * (3 + 2 + 13) + numbers + 13 * 4) + texels
+    assert report["compressed_bytes"] == 2 * (texels * (3 + 8 + 2 + 13) + numbers + 13 * 4) + texels
 
 
 @pytest.mark.parametrize(

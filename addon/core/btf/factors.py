@@ -66,20 +66,20 @@ class Factors:
 
 
 def factorise(
-    views: Sequence[ViewData], rows: int, components: int, view_weights: np.ndarray, column_weights: np.ndarray, seed: int = 0
+    views: Sequence[ViewData], rows: int, components: int, weights: np.ndarray, column_weights: np.ndarray, seed: int = 0
 ) -> Steps[Factors]:
     """Factors of the matrix that `views` know.
 
     Args:
-        view_weights: (V,) what each view counts, its solid angle for instance. column_weights: (D,) the same for each column.
+        weights: (V, N) what each row counts from each view, or (V,) for all rows alike. column_weights: (D,) what each column counts.
     """
     random = np.random.default_rng(seed)
     roots = np.sqrt(column_weights / column_weights.mean()).astype(np.float32)
-    view_weights = view_weights / view_weights.mean()
-    weights = random.standard_normal((rows, components)).astype(np.float32)
-    weights[:, 0] = 1.0
+    counting = of_all_rows((weights / weights.mean()).astype(np.float32), rows)
+    found = random.standard_normal((rows, components)).astype(np.float32)
+    found[:, 0] = 1.0
     basis = np.zeros((len(views), components, len(roots)), np.float32)
-    seen = np.zeros((len(views), rows), bool)
+    shares = np.zeros((len(views), rows), np.float32)
     for number in range(PASSES + 1):
         last = number == PASSES
         right = np.zeros((rows, components), np.float32)
@@ -87,21 +87,28 @@ def factorise(
             yield Progress((number + place / len(views)) / (PASSES + 1), f"Compressing, pass {number + 1} of {PASSES + 1}")
             index, values = view.read()
             scaled = values * roots
-            basis[place] = _solved_basis(weights[index], scaled)
+            own = counting[place, index, None]
+            basis[place] = _solved_basis(found[index], scaled, own)
             if not last:
-                right[index] += view_weights[place] * (scaled @ basis[place].T)
-                seen[place, index] = True
+                right[index] += own * (scaled @ basis[place].T)
+                shares[place, index] = own[:, 0]
         if not last:
-            weights = solved_rows(seen, view_weights[:, None, None] * (basis @ basis.transpose(0, 2, 1)), right, RIDGE)
-    weights, basis = _in_order(weights, basis, view_weights)
-    return Factors(weights, basis / roots, seen.any(axis=0))
+            found = solved_rows(shares, basis @ basis.transpose(0, 2, 1), right, RIDGE)
+    found, basis = _in_order(found, basis, counting.mean(axis=1))
+    return Factors(found, basis / roots, shares.any(axis=0))
 
 
-def _solved_basis(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """The basis (K, D) that fits `values` (M, D) best from `weights` (M, K)."""
-    normal = (weights.T @ weights).astype(np.float64)
+def of_all_rows(weights: np.ndarray, rows: int) -> np.ndarray:
+    """Weights (V, N) of N rows, which may be given as (V,)."""
+    return np.broadcast_to(weights.T, (rows, len(weights))).T
+
+
+def _solved_basis(weights: np.ndarray, values: np.ndarray, counting: np.ndarray) -> np.ndarray:
+    """The basis (K, D) that fits `values` (M, D) best from `weights` (M, K), rows counting (M, 1)."""
+    turned = (counting * weights).T
+    normal = (turned @ weights).astype(np.float64)
     normal += (1e-6 * np.trace(normal) / len(normal) + 1e-12) * np.eye(len(normal))
-    return np.linalg.solve(normal, (weights.T @ values).astype(np.float64)).astype(np.float32)
+    return np.linalg.solve(normal, (turned @ values).astype(np.float64)).astype(np.float32)
 
 
 def solved_rows(shares: np.ndarray, grams: np.ndarray, right: np.ndarray, ridge: float | np.ndarray) -> np.ndarray:

@@ -2,7 +2,8 @@
 channel ("DFMF").
 
 Such a file holds, for every channel, a matrix with a row for each view and light and a column for each pixel as U S V': the left singular
-vectors, the singular values, and S V'. Our weights and basis are a product of that kind already, so nothing is lost but rounding.
+vectors, the singular values, and S V'. Our weights and basis are a product of that kind already, so nothing of them is lost but
+rounding. Lobes are none: their highlights take further components, found by a randomised range finder (Halko, Martinsson, Tropp 2011).
 """
 
 import struct
@@ -13,7 +14,7 @@ import numpy as np
 
 from ..directions import to_spherical
 from ..errors import FileError, SettingsError
-from ..progress import Progress, Steps
+from ..progress import Progress, Steps, scaled
 from .decoding import BakedAtlas
 
 SIGNATURE = b"!DFMF08FC"
@@ -22,7 +23,9 @@ CHANNELS = ("R", "G", "B")
 NOTE = b"<farfield>radiance under a sun of unit irradiance, scene-linear Rec.709, angles in the object's frame</farfield>"
 LARGEST = 2**32 - 1  # bytes: readers count the parts of the file with 32 bits
 SCALAR = np.dtype("<f4")
-CHUNK = 32_768  # pixels written at once
+PIECE = 30_000_000  # numbers of the matrix in memory at once
+FOR_LOBES = 52  # components more where there are lobes
+OVERSAMPLED = 8
 
 
 def write_fmf(stream: BinaryIO, atlas: BakedAtlas, views: np.ndarray, lights: np.ndarray, pixels_per_millimetre: float) -> Steps[None]:
@@ -37,26 +40,65 @@ def write_fmf(stream: BinaryIO, atlas: BakedAtlas, views: np.ndarray, lights: np
     if len(views) != len(lights):
         raise SettingsError(f"A .btf file needs as many lights as views, not {len(views)} and {len(lights)}; take the directions of Bonn.")
     width, height = atlas.size
-    basis = atlas.seen_from(views, lights)
-    rows, components = len(views) * len(lights), min(len(views) * len(lights), basis.shape[1])
+    rows = len(views) * len(lights)
+    components = min(rows, width * height, atlas.colour.clusters * atlas.colour.components + (0 if atlas.lobes is None else FOR_LOBES))
     if len(CHANNELS) * max(rows, width * height) * components * SCALAR.itemsize > LARGEST:
         raise FileError(f"{width} x {height} pixels with {components} components are more than a .btf file can hold; bake a coarser level.")
+    matrix = _Matrix(atlas, views, lights)
+    bases = yield from scaled(_range(matrix, components), 0.0, 0.5)
     stream.write(_header(pixels_per_millimetre))
     stream.write(_directions(views, lights))
     stream.write(struct.pack("<II", width, height))
     stream.write(struct.pack("<II12f", components, 0, 0.0, 0.0, 0.0, *np.eye(3).ravel()))  # colours as they are: no mean, no transform
+    projected = np.empty((len(CHANNELS), components, width * height), np.float32)
+    for done, (pixels, columns) in enumerate(matrix.pieces()):
+        yield Progress(0.5 + 0.4 * done / matrix.count, "Looking at the textures from all sides")
+        projected[:, :, pixels] = np.matmul(bases.transpose(0, 2, 1), columns)
     for channel in range(len(CHANNELS)):
-        label = f"Writing channel {channel + 1} of {len(CHANNELS)}"
-        yield Progress(channel / len(CHANNELS), label)
-        table = basis[..., channel].transpose(0, 2, 1).reshape(rows, -1).astype(np.float64)  # view, light; component
-        left, strengths = _left_singular(table, _gram(atlas, channel))
+        yield Progress(0.9 + 0.1 * channel / len(CHANNELS), f"Writing channel {channel + 1} of {len(CHANNELS)}")
+        values, turn = np.linalg.eigh(projected[channel].astype(np.float64) @ projected[channel].T)
+        strengths, turn = np.sqrt(np.maximum(values[::-1], 0.0)), turn[:, ::-1]
         stream.write(struct.pack("<BIII", SCALAR.itemsize, components, rows, width * height))
         stream.write(strengths.astype(SCALAR).tobytes())
-        stream.write(left.astype(SCALAR).tobytes())
-        turn = table.T @ left
-        for done, weights in enumerate(_tinted(atlas, channel)):
-            stream.write((weights @ turn).astype(SCALAR).tobytes())
-            yield Progress((channel + min((done + 1) * CHUNK / (width * height), 1.0)) / len(CHANNELS), label)
+        stream.write((bases[channel] @ turn).astype(SCALAR).tobytes())
+        stream.write((projected[channel].T @ turn).astype(SCALAR).tobytes())
+
+
+class _Matrix:
+    """Colours of all pixels from all views under all lights, some pixels at a time."""
+
+    def __init__(self, atlas: BakedAtlas, views: np.ndarray, lights: np.ndarray) -> None:
+        self._atlas, self._views, self._lights = atlas, views, lights
+        self._basis = atlas.seen_from(views, lights)
+        self.rows, self.pixels = len(views) * len(lights), len(atlas.tints)
+        self._size = max(1, PIECE // (self.rows * len(CHANNELS)))
+        self.count = -(-self.pixels // self._size)
+
+    def pieces(self) -> Iterator[tuple[slice, np.ndarray]]:
+        """Pixels, and their numbers (3, rows, M) float32: row by row a view and a light."""
+        lobes = self._atlas.lobes
+        for start in range(0, self.pixels, self._size):
+            pixels = slice(start, min(start + self._size, self.pixels))
+            weights = self._atlas.colour.spread(pixels)
+            made = np.empty((len(CHANNELS), len(self._views), len(self._lights), len(weights)), np.float32)
+            for place, view in enumerate(self._views):
+                made[:, place] = np.einsum("klc,pk->clp", self._basis[place], weights, optimize=True)
+                made[:, place] *= self._atlas.tints[pixels].T[:, None]
+                if lobes is not None:
+                    made[:, place] += lobes.of_suns(view, self._lights, pixels).transpose(2, 1, 0)
+            yield pixels, made.reshape(len(CHANNELS), self.rows, -1)
+
+
+def _range(matrix: _Matrix, components: int) -> Steps[np.ndarray]:
+    """Orthonormal columns (3, rows, components) float32 that hold nearly all of the matrix of each channel."""
+    random = np.random.default_rng(0)
+    wide = min(components + OVERSAMPLED, matrix.rows)
+    sums = np.zeros((len(CHANNELS), matrix.rows, wide), np.float32)
+    for done, (_, columns) in enumerate(matrix.pieces()):
+        yield Progress(done / matrix.count, "Looking at the textures from all sides")
+        sums += columns @ random.standard_normal((columns.shape[2], wide)).astype(np.float32)
+    left = [np.linalg.svd(each, full_matrices=False)[0] for each in sums.astype(np.float64)]
+    return np.stack(left)[:, :, :components].astype(np.float32)
 
 
 def _header(pixels_per_millimetre: float) -> bytes:
@@ -71,21 +113,3 @@ def _directions(views: np.ndarray, lights: np.ndarray) -> bytes:
     """Every view as polar angle and turn, each followed by all lights."""
     under = struct.pack("<I", len(lights)) + to_spherical(lights).astype("<f4").tobytes()
     return struct.pack("<I", len(views)) + b"".join(angles.tobytes() + under for angles in to_spherical(views).astype("<f4"))
-
-
-def _tinted(atlas: BakedAtlas, channel: int) -> Iterator[np.ndarray]:
-    """The weights (M, components of all clusters) float64 of all pixels in one channel, some pixels at a time."""
-    for start in range(0, len(atlas.tints), CHUNK):
-        rows = slice(start, start + CHUNK)
-        yield atlas.tints[rows, channel, None] * atlas.colour.spread(rows).astype(np.float64)
-
-
-def _gram(atlas: BakedAtlas, channel: int) -> np.ndarray:
-    return sum(weights.T @ weights for weights in _tinted(atlas, channel))
-
-
-def _left_singular(table: np.ndarray, gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Left singular vectors and singular values of table @ weights.T, whose weights.T @ weights is `gram`: any root of it will do."""
-    values, vectors = np.linalg.eigh(gram)
-    left, strengths, _ = np.linalg.svd(table @ (vectors * np.sqrt(np.maximum(values, 0.0))), full_matrices=False)
-    return left, strengths

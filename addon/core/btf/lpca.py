@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..progress import Progress, Steps, scaled
-from .factors import Factors, ViewData, factorise
+from .factors import Factors, ViewData, factorise, of_all_rows
 
 CODES = 3  # components of all rows together for each one that a cluster has
 TRIES = 3  # to cluster, from other rows each; the best is taken
@@ -94,7 +94,7 @@ def factorise_locally(
     rows: int,
     clusters: int,
     components: int,
-    view_weights: np.ndarray,
+    weights: np.ndarray,
     column_weights: np.ndarray,
     seed: int = 0,
 ) -> Steps[LocalFactors]:
@@ -104,14 +104,15 @@ def factorise_locally(
     every BUDGET that they hold.
     """
     if clusters == 1:
-        whole = yield from factorise(views, rows, components, view_weights, column_weights, seed)
+        whole = yield from factorise(views, rows, components, weights, column_weights, seed)
         return LocalFactors(whole.weights, whole.basis, whole.known, np.zeros(rows, np.int32))
-    steps = factorise(views, rows, CODES * components, view_weights, column_weights, seed)
+    steps = factorise(views, rows, CODES * components, weights, column_weights, seed)
     together = yield from scaled(steps, 0.0, TOGETHER)
     yield Progress(TOGETHER, "Finding clusters")
-    labels = clustered(_codes(together, view_weights, column_weights), clusters, components, seed)
+    counting = of_all_rows(weights, rows)
+    labels = clustered(_codes(together, counting.mean(axis=1), column_weights), clusters, components, seed)
     basis = np.zeros((len(views), clusters, components, len(column_weights)), np.float32)
-    weights = np.zeros((rows, components), np.float32)
+    found = np.zeros((rows, components), np.float32)
     share = (1.0 - TOGETHER) / clusters
     numbers = _numbers(labels, clusters)
     for batch, fits in _batches(views, labels, clusters):
@@ -124,10 +125,10 @@ def factorise_locally(
             if len(members) == 0:
                 continue
             start, stop = (first + reading + (1.0 - READ) * share * at for at in (place, place + 1))
-            steps = factorise(known, len(members), components, view_weights, column_weights, seed)
+            steps = factorise(known, len(members), components, counting[:, members], column_weights, seed)
             own = yield from scaled(steps, start, stop)
-            weights[members], basis[:, cluster] = own.weights, _completed(own, known, together, members)
-    return LocalFactors(weights, basis.reshape(len(views), -1, len(column_weights)), together.known, labels)
+            found[members], basis[:, cluster] = own.weights, _completed(own, known, together, members)
+    return LocalFactors(found, basis.reshape(len(views), -1, len(column_weights)), together.known, labels)
 
 
 def _completed(own: Factors, known: Sequence[ViewData], together: Factors, members: np.ndarray) -> np.ndarray:

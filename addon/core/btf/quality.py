@@ -1,12 +1,12 @@
 """How near the factors come to what was captured, by the number of components."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..progress import Progress, Steps
-from .factors import Factors, ViewData
+from .factors import Factors, ViewData, of_all_rows
 
 PEAK = 0.99  # quantile of the captured values that counts as white
 
@@ -21,10 +21,19 @@ class Fit:
 
 
 def quality(
-    views: Sequence[ViewData], factors: Factors, tints: np.ndarray, view_weights: np.ndarray, column_weights: np.ndarray
+    views: Sequence[ViewData],
+    factors: Factors,
+    tints: np.ndarray,
+    weights: np.ndarray,
+    column_weights: np.ndarray,
+    more: Callable[[int, np.ndarray], np.ndarray] | None = None,
 ) -> Steps[list[Fit]]:
-    """One fit for every number of components from 1 on, of colours with their `tints` (N, 3). Noise of the capture counts as error."""
+    """One fit for every number of components from 1 on, of colours with their `tints` (N, 3). Noise of the capture counts as error.
+
+    more: what is shown besides the factors' colours from a view, by its number, of some rows (M,): (M, D). weights: as for `factorise`.
+    """
     squares, weight = np.zeros(factors.components), 0.0
+    counting = of_all_rows(weights, len(tints))
     peaks = []
     for place, view in enumerate(views):
         yield Progress(place / len(views), "Measuring")
@@ -32,12 +41,13 @@ def quality(
         if len(index) == 0:
             continue
         tint = np.tile(tints[index], (1, values.shape[1] // 3))
-        rest = values * tint
-        peaks.append(np.quantile(rest, PEAK))
+        peaks.append(np.quantile(values, PEAK))
+        rest = values if more is None else values - more(place, index)
+        own = counting[place, index]
         for number in range(factors.components):
             rest -= tint * factors.part(index, place, number)
-            squares[number] += view_weights[place] * float((rest.astype(np.float64) ** 2 @ column_weights).sum())
-        weight += view_weights[place] * len(index) * float(column_weights.sum())
+            squares[number] += float(own @ (rest.astype(np.float64) ** 2 @ column_weights))
+        weight += float(own.sum()) * float(column_weights.sum())
     rms = np.sqrt(squares / max(weight, 1e-300))
     peak = max(peaks, default=1.0)
     return [Fit(number + 1, float(each), float(20.0 * np.log10(max(peak, 1e-12) / max(each, 1e-12)))) for number, each in enumerate(rms)]

@@ -50,12 +50,14 @@ def refined(
     plain: np.ndarray,
     lights: np.ndarray,
     view_weights: np.ndarray,
+    lit: Sequence[np.ndarray] | None = None,
 ) -> Steps[Factors]:
     """`alpha` with weights that make the pictures right, and one more component that is the same from every view.
 
     Args:
         hues: (N, 3) what colours are multiplied by. plain: (N,) what `alpha` comes on top of.
         lights: (L + 1, M) those of the photographs, as sums over the columns of `colour`; see `broad_lights`.
+        lit: of every view what comes on top of the factors' colours under these, (N, M * 3).
     """
     alpha = _with_constant(alpha)
     weights, count = alpha.weights, alpha.components
@@ -67,7 +69,8 @@ def refined(
         slopes, bends = np.zeros((2, len(views), len(weights)), np.float32)
         for place, view in enumerate(views):
             yield Progress((number + place / len(views)) / STEPS, f"Refining, step {number + 1} of {STEPS}")
-            look = _Look(view.fragments(), view.photograph(), _texel_colours(colour, place, hues, lights))
+            colours = _texel_colours(colour, place, hues, lights)
+            look = _Look(view.fragments(), view.photograph(), colours if lit is None else colours + lit[place])
             slopes[place], bends[place] = look.against(plain + weights @ from_views[place])
         right = -slopes.T @ (view_weights[:, None] * from_views)
         weights = weights + STRIDE * solved_rows(bends, grams, right, damping)

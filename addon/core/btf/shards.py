@@ -94,6 +94,20 @@ class ShardStore:
         """What `write_faces` has kept."""
         return self._read(self._faces_path(view), "faces")[0]
 
+    def write_rest(self, view: int, visible: np.ndarray, rest: np.ndarray) -> None:
+        """Keep what is left of the colours of texels `visible` (M,), (M, L * 3), for the time of compression. Raises like `write`."""
+        self._write(self._rest_path(view), np.savez, {"visible": visible, "rest": _half(rest)})
+
+    def read_rest(self, view: int) -> tuple[np.ndarray, np.ndarray]:
+        """What `write_rest` has kept; raises like `read`."""
+        visible, rest = self._read(self._rest_path(view), "visible", "rest")
+        return visible, rest
+
+    def remove_rests(self) -> None:
+        """Remove what `write_rest` has kept."""
+        for path in self.folder.glob("rest-*.shard"):
+            path.unlink(missing_ok=True)
+
     def read(self, view: int, *names: str) -> list[np.ndarray]:
         """Some of what `write` has kept of a view, as it lies in its file: known, coverage, visible, radiance.
 
@@ -120,6 +134,9 @@ class ShardStore:
 
     def _faces_path(self, view: int) -> Path:
         return self.folder / f"faces-{view:04d}.shard"
+
+    def _rest_path(self, view: int) -> Path:
+        return self.folder / f"rest-{view:04d}.shard"
 
     def _read(self, path: Path, *names: str) -> list[np.ndarray]:
         try:
@@ -155,19 +172,28 @@ class ShardStore:
 
 @dataclass(frozen=True)
 class Colours:
-    """The colours of a view, for `factors.factorise`: a column for every light and channel, over `tints` (N, 3) where these are given."""
+    """The colours of a view, for `factors.factorise`: a column for every light and channel."""
 
     store: ShardStore
     view: int
-    tints: np.ndarray | None = None
 
     def read(self) -> tuple[np.ndarray, np.ndarray]:
         """Visible texels (M,) and (M, L * 3) float32."""
         visible, radiance = self.store.read(self.view, "visible", "radiance")
-        values = np.ascontiguousarray(radiance.swapaxes(0, 1), np.float32)
-        if self.tints is not None:
-            values /= self.tints[visible, None]
-        return visible, values.reshape(len(values), -1)
+        return visible, np.ascontiguousarray(radiance.swapaxes(0, 1), np.float32).reshape(len(visible), -1)
+
+
+@dataclass(frozen=True)
+class Rest:
+    """What is left of a view's colours to be factorised, see `ShardStore.write_rest`."""
+
+    store: ShardStore
+    view: int
+
+    def read(self) -> tuple[np.ndarray, np.ndarray]:
+        """Visible texels (M,) and (M, L * 3) float32."""
+        visible, rest = self.store.read_rest(self.view)
+        return visible, rest.astype(np.float32)
 
 
 @dataclass(frozen=True)

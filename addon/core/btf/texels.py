@@ -35,6 +35,12 @@ class Texels:
         """Length of a texel: the median over the quads."""
         return float(np.median(np.linalg.norm(self.steps, axis=2)))
 
+    def facing(self, directions: np.ndarray) -> np.ndarray:
+        """The cosine (V, N) float32, 0..1, between the quad of each texel and unit `directions` (V, 3): how much of it is seen."""
+        normals = np.cross(self.steps[:, 0], self.steps[:, 1])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+        return np.abs(directions @ normals.T).astype(np.float32)[:, self.quads]
+
     @cached_property
     def numbers(self) -> np.ndarray:
         """Which texel lies at each place of the texture, (height, width) int32; -1 for none."""

@@ -1,0 +1,207 @@
+"""What a formula knows of a texel's colours: a diffuse and a glossy lobe, fitted to what was captured.
+
+A highlight is narrower than the grid of a bake and stands elsewhere for every texel, so few components cannot hold it: it comes out as a
+veil over everything. So lobes are fitted first and only the rest is factorised. Lambert for the diffuse lobe; GGX with Smith's shadowing
+for the glossy one (Walter et al. 2007), whose Fresnel term, after Schlick, is two numbers of their own: straight on and at the rim.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..direction_grids import DirectionGrid
+from ..progress import Progress, Steps
+from .broad_suns import BroadSuns
+from .factors import ViewData
+
+LEAST_ROUGHNESS = 0.05
+LEAST_FACING = 1e-3  # cosine
+DIFFUSE, SPECULAR, RIM, EVEN, DOME_EVEN = range(5)  # columns of a fit; the last two take up what no lobe is, and are dropped
+KEPT = 3
+LARGEST = np.array([1.0, 1.0, 1.0, 10.0, 10.0])
+WHITE = 1.0  # radiance that counts as much as any above it
+QUAD_PRIOR, LEVEL_PRIOR = 0.1, 1.0  # of what a texel tells in the mean: how much its quad counts for it, and the level for the quad
+ROUNDS = 60
+FACTORS = (0.5, 0.7, 1.0, 1.4)  # of the roughness in the maps: a coat is smoother, bumps and large texels are rougher
+SAMPLE = 4000  # texels by which the factor is chosen
+ALL = slice(None)
+CHUNK = 16_384  # texels at once
+
+
+@dataclass(frozen=True)
+class Surface:
+    """What the plain maps say of N texels: normals (N, 3) unit, in the object's frame; roughness (N,), as in a Principled BSDF."""
+
+    normals: np.ndarray
+    roughness: np.ndarray
+
+
+@dataclass(frozen=True)
+class Lobes:
+    """Lobes of N texels. diffuse (N, 3): albedo. specular (N, 3): what the glossy lobe reflects seen straight on; rim (N,): so much more
+    at grazing angles. All float32, 0..1."""
+
+    surface: Surface
+    diffuse: np.ndarray
+    specular: np.ndarray
+    rim: np.ndarray
+
+    @property
+    def bytes(self) -> int:
+        """What they take as half floats, roughness counted in; the normals are those of the plain maps."""
+        return 2 * (self.diffuse.size + self.specular.size + 2 * len(self.rim))
+
+    def of_grid(self, view: np.ndarray, suns: BroadSuns, rows: np.ndarray) -> np.ndarray:
+        """Radiance (M, L + 1, 3) of `rows` (M,) from the unit direction `view`, under each of the L broad suns and, last, the dome."""
+        parts = np.stack([self.diffuse[rows], self.specular[rows], np.repeat(self.rim[rows, None], 3, axis=1)], axis=1)
+        return features(self.surface, view, suns, rows)[..., :KEPT] @ parts
+
+    def under(self, lights: np.ndarray, view: np.ndarray, suns: BroadSuns) -> np.ndarray:
+        """Radiance (N, M * 3) float16 of all texels from `view` under sums `lights` (L + 1, M) of the broad suns and the dome."""
+        made = np.empty((len(self.rim), lights.shape[1] * 3), np.float16)
+        for start in range(0, len(made), CHUNK):
+            rows = np.arange(start, min(start + CHUNK, len(made)))
+            made[rows] = np.einsum("nlc,lm->nmc", self.of_grid(view, suns, rows), lights, optimize=True).reshape(len(rows), -1)
+        return made
+
+    def of_suns(self, view: np.ndarray, lights: np.ndarray, rows: slice = ALL) -> np.ndarray:
+        """Radiance (M, L, 3) of `rows` from `view` (3,) under suns like points of unit irradiance from `lights` (L, 3), unit directions."""
+        normals = _towards(self.surface.normals[rows], view)
+        straight, grazing = glossy_lobe(normals, view, lights, self.surface.roughness[rows])
+        matt = np.maximum(normals @ lights.T, 0.0) / np.pi
+        bright = matt[..., None] * self.diffuse[rows, None] + straight[..., None] * self.specular[rows, None]
+        return bright + (grazing * self.rim[rows, None])[..., None]
+
+    def of_dome(self, view: np.ndarray) -> np.ndarray:
+        """Radiance (N, 3) of all texels from `view` under a dome of radiance 1."""
+        grazing = (1.0 - _facing(_towards(self.surface.normals, view), view)) ** 5
+        return self.diffuse + self.specular + (grazing * self.rim)[:, None]
+
+
+def glossy_lobe(normals: np.ndarray, view: np.ndarray, lights: np.ndarray, roughness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """GGX times cosine (N, L) for unit irradiance, and the same times Schlick's (1 - h v)^5.
+
+    normals (N, 3) on the side of `view` (3,); lights (L, 3); all unit. roughness (N,): its square is GGX's alpha.
+    """
+    from_view, from_light = _facing(normals, view)[:, None], np.maximum(normals @ lights.T, 0.0)
+    half = lights + view
+    half = half / np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-6)
+    alpha = np.maximum(roughness, LEAST_ROUGHNESS)[:, None] ** 4
+    spread = (normals @ half.T) ** 2 * (alpha - 1.0) + 1.0
+    masked = from_light * np.sqrt(from_view**2 * (1.0 - alpha) + alpha) + from_view * np.sqrt(from_light**2 * (1.0 - alpha) + alpha)
+    straight = 0.5 * alpha * from_light / (np.pi * spread**2 * np.maximum(masked, 1e-6))
+    return straight, straight * (1.0 - np.clip(half @ view, 0.0, 1.0)) ** 5
+
+
+def features(surface: Surface, view: np.ndarray, suns: BroadSuns, rows: np.ndarray) -> np.ndarray:
+    """What each lobe of strength 1 makes (M, L + 1, 5) float32 of `rows`, see DIFFUSE and so on."""
+    normals = _towards(surface.normals[rows], view)
+    facing = _facing(normals, view)
+    made = np.zeros((len(rows), len(suns.directions) + 1, len(LARGEST)), np.float32)
+    made[:, :-1, DIFFUSE] = suns.cosine(normals)
+    made[:, :-1, SPECULAR] = suns.mirrored(normals, view, np.maximum(surface.roughness[rows], LEAST_ROUGHNESS))
+    made[:, -1, [DIFFUSE, SPECULAR]] = 1.0
+    made[..., RIM] = made[..., SPECULAR] * ((1.0 - facing) ** 5)[:, None]
+    made[:, :-1, EVEN] = made[:, -1, DOME_EVEN] = 1.0
+    return made
+
+
+def fit_lobes(
+    views: Sequence[ViewData],
+    surface: Surface,
+    quads: np.ndarray,
+    grid: DirectionGrid,
+    suns: BroadSuns,
+    weights: np.ndarray,
+    light_weights: np.ndarray,
+) -> Steps[Lobes]:
+    """Lobes that come nearest to what `views` saw, least squares with every number within 0 and 1.
+
+    Texels that few views saw take after their quad, and quads after the level. The roughness is that of `surface` times the one of FACTORS
+    that suits most texels best.
+
+    Args:
+        views: columns light by light, the dome last, three channels each. grid: their directions.
+        quads: (N,) the quad of each texel. weights: (V, N), what each texel counts from each view. light_weights: (L + 1,).
+    """
+    count = len(quads)
+    sample = np.arange(0, count, max(1, count // SAMPLE))
+    tried = [Surface(surface.normals, factor * surface.roughness) for factor in FACTORS]
+    trials = [_Equations(one, sample) for one in tried]
+    for place, view in enumerate(views):
+        yield Progress(0.3 * place / len(views), "Looking at the gloss")
+        index, values = view.read()
+        for equations in trials:
+            equations.take(grid.directions[place], suns, index, values, weights[place], light_weights)
+    errors = [equations.error(equations.solved(quads[sample])) for equations in trials]
+    best = tried[int(np.argmin(errors))]
+    equations = _Equations(best, np.arange(count))
+    for place, view in enumerate(views):
+        yield Progress(0.3 + 0.7 * place / len(views), "Fitting the gloss")
+        equations.take(grid.directions[place], suns, *view.read(), weights[place], light_weights)
+    found = equations.solved(quads).astype(np.float32)
+    return Lobes(best, found[:, DIFFUSE], found[:, SPECULAR], found[:, RIM].mean(axis=1))
+
+
+class _Equations:
+    """Normal equations of some texels `rows` of a surface, summed up view by view."""
+
+    def __init__(self, surface: Surface, rows: np.ndarray) -> None:
+        size = len(LARGEST)
+        self._surface, self._places = surface, np.full(len(surface.roughness), -1)
+        self._places[rows] = np.arange(len(rows))
+        self._left, self._right = np.zeros((len(rows), size, size)), np.zeros((len(rows), size, 3))
+        self._square = 0.0
+
+    def take(
+        self, view: np.ndarray, suns: BroadSuns, index: np.ndarray, values: np.ndarray, weights: np.ndarray, light_weights: np.ndarray
+    ) -> None:
+        """Add what was seen from the direction `view`: `values` (M, (L + 1) * 3) of the texels `index`, which count `weights` (N,)."""
+        own = self._places[index] >= 0
+        index, places = index[own], self._places[index[own]]
+        made = features(self._surface, view, suns, index)
+        seen = np.clip(values[own].reshape(len(index), -1, 3), 0.0, WHITE)
+        counting = (weights[index, None] * light_weights).astype(np.float32)
+        weighted = (made * counting[..., None]).transpose(0, 2, 1)
+        self._left[places] += weighted @ made
+        self._right[places] += weighted @ seen
+        self._square += float((counting * (seen**2).sum(axis=2)).sum(dtype=np.float64))
+
+    def solved(self, quads: np.ndarray) -> np.ndarray:
+        """The best numbers (N, 5, 3)."""
+        mean = self._left.mean(axis=0) + 1e-9 * np.eye(len(LARGEST))
+        level = _bounded(mean[None], self._right.mean(axis=0)[None])
+        pooled_left, pooled_right = (_sums(part, quads) for part in (self._left, self._right))
+        of_quads = _bounded(pooled_left + LEVEL_PRIOR * mean, pooled_right + LEVEL_PRIOR * (mean @ level))
+        return _bounded(self._left + QUAD_PRIOR * mean, self._right + QUAD_PRIOR * (mean @ of_quads)[quads])
+
+    def error(self, found: np.ndarray) -> float:
+        """The squared error that `found` leaves."""
+        return self._square + float((found * (self._left @ found - 2.0 * self._right)).sum())
+
+
+def _bounded(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solutions (N, K, 3) within 0 and LARGEST of least squares with normal equations (N, K, K), (N, K, 3): coordinate descent."""
+    found = np.clip(np.linalg.solve(left, right), 0.0, LARGEST[:, None])
+    for _ in range(ROUNDS):
+        for own in range(len(LARGEST)):
+            pull = right[:, own] - np.einsum("nk,nkc->nc", left[:, own], found)
+            found[:, own] = np.clip(found[:, own] + pull / left[:, own, own, None], 0.0, LARGEST[own])
+    return found
+
+
+def _sums(parts: np.ndarray, quads: np.ndarray) -> np.ndarray:
+    """`parts` (N, ...) summed over the texels of each quad."""
+    made = np.zeros((int(quads.max()) + 1, *parts.shape[1:]))
+    np.add.at(made, quads, parts)
+    return made
+
+
+def _towards(normals: np.ndarray, view: np.ndarray) -> np.ndarray:
+    """`normals` (N, 3), turned round where they point away from `view`."""
+    return normals * np.where(normals @ view < 0.0, -1.0, 1.0)[:, None]
+
+
+def _facing(normals: np.ndarray, view: np.ndarray) -> np.ndarray:
+    return np.clip(normals @ view, LEAST_FACING, 1.0)

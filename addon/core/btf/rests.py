@@ -1,0 +1,32 @@
+"""What is left of captured colours when lobes and hues are taken out: what components are for."""
+
+import numpy as np
+
+from ..direction_grids import DirectionGrid
+from ..progress import Progress, Steps
+from .broad_suns import BroadSuns
+from .lobes import Lobes
+from .shards import Colours, Rest, ShardStore
+
+SPIKE, DOME_SPIKE = 0.5 / np.pi, 1.0  # radiance under a sun, and under the dome, above which a rest is a highlight that moved
+HOLE, DOME_HOLE = 1.0 / np.pi, 1.0  # how far below the lobes it may be: a white surface that lies in the shade
+
+
+def write_rests(store: ShardStore, hues: np.ndarray, lobes: Lobes | None, views: DirectionGrid, suns: BroadSuns) -> Steps[list[Rest]]:
+    """Take `lobes` and `hues` (N, 3) out of the colours that `store` holds of all `views`, and keep what is left there.
+
+    What is beyond the brightness of paper is cut: there a highlight stands in another place than its lobe, and such numbers, which are
+    the largest of all, would spend the components on themselves.
+    """
+    rests = []
+    for number, view in enumerate(views.directions):
+        yield Progress(number / len(views), "Taking out the gloss")
+        visible, values = Colours(store, number).read()
+        values = values.reshape(len(visible), -1, 3)
+        if lobes is not None:
+            values = values - lobes.of_grid(view, suns, visible)
+            values[:, :-1] = np.clip(values[:, :-1], -HOLE, SPIKE)
+            values[:, -1] = np.clip(values[:, -1], -DOME_HOLE, DOME_SPIKE)
+        store.write_rest(number, visible, (values / hues[visible, None]).reshape(len(visible), -1))
+        rests.append(Rest(store, number))
+    return rests
