@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import bpy
 
-from ..core.btf.lobes import LEAST_FACING, LEAST_ROUGHNESS
+from ..core.btf.lobes import LEAST_FACING, LEAST_ROUGHNESS, RIM_FACING
 from .wiring import Operand, Wiring
 
 GROUP_NAME, GROUP_VERSION = "Farfield Lobes", 1
@@ -27,7 +27,7 @@ class LobeMaps:
 def add_dome(wiring: Wiring, maps: LobeMaps, rest: Operand) -> Operand:
     """`rest` and what a dome of radiance 1 makes of the lobes."""
     facing = _facing(wiring, _normal(wiring, maps.normal), maps.viewer)[1]
-    grazing = wiring.math("MULTIPLY", maps.rim, _fifth_power(wiring, wiring.math("SUBTRACT", 1.0, facing)))
+    grazing = wiring.math("MULTIPLY", maps.rim, _fresnel(wiring, facing))
     matt = wiring.add_scaled(wiring.add_scaled(rest, 1.0, maps.diffuse), 1.0, maps.specular)
     return wiring.add_scaled(matt, grazing, WHITE)
 
@@ -58,8 +58,8 @@ def _group() -> bpy.types.NodeTree:
     from_light = wiring.math("MAXIMUM", wiring.vector("DOT_PRODUCT", normal, sun), 0.0)
     half = wiring.vector("NORMALIZE", wiring.vector("ADD", viewer, sun))
     straight = _glossy(wiring, roughness, from_view, from_light, wiring.vector("DOT_PRODUCT", normal, half))
-    away = wiring.math("SUBTRACT", 1.0, wiring.math("ADD", wiring.vector("DOT_PRODUCT", viewer, half), 0.0, clamp=True))
-    grazing = wiring.math("MULTIPLY", wiring.math("MULTIPLY", straight, rim), _fifth_power(wiring, away))
+    fresnel = _fresnel(wiring, wiring.vector("DOT_PRODUCT", viewer, half))
+    grazing = wiring.math("MULTIPLY", wiring.math("MULTIPLY", straight, rim), fresnel)
     total = wiring.add_scaled(rest, wiring.math("MULTIPLY", from_light, 1.0 / math.pi), diffuse)
     total = wiring.add_scaled(wiring.add_scaled(total, straight, specular), grazing, WHITE)
     wiring.connect(total, wiring.node("NodeGroupOutput").inputs[0])
@@ -98,5 +98,5 @@ def _glossy(wiring: Wiring, roughness: Operand, from_view: Operand, from_light: 
     return wiring.math("DIVIDE", wiring.math("MULTIPLY", wiring.math("MULTIPLY", alpha, from_light), 0.5 / math.pi), below)
 
 
-def _fifth_power(wiring: Wiring, number: Operand) -> Operand:
-    return wiring.math("POWER", number, 5.0)
+def _fresnel(wiring: Wiring, cosine: Operand) -> Operand:
+    return wiring.math("POWER", wiring.math("SUBTRACT", 1.0, wiring.math("MAXIMUM", cosine, RIM_FACING), clamp=True), 5.0)

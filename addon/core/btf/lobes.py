@@ -17,6 +17,7 @@ from .factors import ViewData
 
 LEAST_ROUGHNESS = 0.05
 LEAST_FACING = 1e-3  # cosine
+RIM_FACING = 0.2  # cosine at which the rim is as bright as it gets: beyond, quads show what a smooth surface turns away
 DIFFUSE, SPECULAR, RIM, EVEN, DOME_EVEN = range(5)  # columns of a fit; the last two take up what no lobe is, and are dropped
 KEPT = 3
 LARGEST = np.array([1.0, 1.0, 1.0, 10.0, 10.0])
@@ -75,12 +76,12 @@ class Lobes:
 
     def of_dome(self, view: np.ndarray) -> np.ndarray:
         """Radiance (N, 3) of all texels from `view` under a dome of radiance 1."""
-        grazing = (1.0 - _facing(_towards(self.surface.normals, view), view)) ** 5
+        grazing = _fresnel(_towards(self.surface.normals, view) @ view)
         return self.diffuse + self.specular + (grazing * self.rim)[:, None]
 
 
 def glossy_lobe(normals: np.ndarray, view: np.ndarray, lights: np.ndarray, roughness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """GGX times cosine (N, L) for unit irradiance, and the same times Schlick's (1 - h v)^5.
+    """GGX times cosine (N, L) for unit irradiance, and the same times Schlick's (1 - h v)^5, which ends at RIM_FACING.
 
     normals (N, 3) on the side of `view` (3,); lights (L, 3); all unit. roughness (N,): its square is GGX's alpha.
     """
@@ -91,18 +92,17 @@ def glossy_lobe(normals: np.ndarray, view: np.ndarray, lights: np.ndarray, rough
     spread = (normals @ half.T) ** 2 * (alpha - 1.0) + 1.0
     masked = from_light * np.sqrt(from_view**2 * (1.0 - alpha) + alpha) + from_view * np.sqrt(from_light**2 * (1.0 - alpha) + alpha)
     straight = 0.5 * alpha * from_light / (np.pi * spread**2 * np.maximum(masked, 1e-6))
-    return straight, straight * (1.0 - np.clip(half @ view, 0.0, 1.0)) ** 5
+    return straight, straight * _fresnel(half @ view)
 
 
 def features(surface: Surface, view: np.ndarray, suns: BroadSuns, rows: np.ndarray) -> np.ndarray:
     """What each lobe of strength 1 makes (M, L + 1, 5) float32 of `rows`, see DIFFUSE and so on."""
     normals = _towards(surface.normals[rows], view)
-    facing = _facing(normals, view)
     made = np.zeros((len(rows), len(suns.directions) + 1, len(LARGEST)), np.float32)
     made[:, :-1, DIFFUSE] = suns.cosine(normals)
     made[:, :-1, SPECULAR] = suns.mirrored(normals, view, np.maximum(surface.roughness[rows], LEAST_ROUGHNESS))
     made[:, -1, [DIFFUSE, SPECULAR]] = 1.0
-    made[..., RIM] = made[..., SPECULAR] * ((1.0 - facing) ** 5)[:, None]
+    made[..., RIM] = made[..., SPECULAR] * _fresnel(normals @ view)[:, None]
     made[:, :-1, EVEN] = made[:, -1, DOME_EVEN] = 1.0
     return made
 
@@ -205,3 +205,7 @@ def _towards(normals: np.ndarray, view: np.ndarray) -> np.ndarray:
 
 def _facing(normals: np.ndarray, view: np.ndarray) -> np.ndarray:
     return np.clip(normals @ view, LEAST_FACING, 1.0)
+
+
+def _fresnel(cosines: np.ndarray) -> np.ndarray:
+    return (1.0 - np.clip(cosines, RIM_FACING, 1.0)) ** 5
