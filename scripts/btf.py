@@ -16,9 +16,11 @@ import environment
 environment.ensure()
 
 import bpy
+import numpy as np
 
 import command_line
 import scene_files
+from contact_sheet import write_png
 from farfield.addon.bridge.btf_clouds import light_with
 from farfield.addon.core.btf.settings import BtfSettings, ExportSettings
 from farfield.addon.core.errors import FileError, GeometryError
@@ -28,6 +30,7 @@ from farfield.addon.operators import btf_export_job
 from farfield.addon.operators.billboards_clouds import clouds_in
 from farfield.addon.operators.btf_job import BtfJob, prepare
 from farfield.addon.operators.long_work import whole
+from line_chart import line_chart
 from whole_files import check_writable
 
 
@@ -39,6 +42,7 @@ def parser() -> command_line.Parser:
     made.add_argument("--work", type=Path, help="a folder for finished views, so that a stopped bake goes on (default: none kept)")
     made.add_argument("--sun", default="Sun", help="name of the sun lamp that lights the result, made when missing (default: Sun)")
     made.add_argument("--report", type=Path, help="a JSON file for the figures of the run")
+    made.add_argument("--curve", type=Path, help="a PNG file for a chart of the likeness to what was captured, by number of components")
     made.add_argument(
         "--export",
         type=Path,
@@ -59,7 +63,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> None:
     out = given.out.absolute()
     if out.suffix.lower() != ".blend":
         raise FileError(f'--out is "{given.out}"; it must end in .blend.')
-    check_writable(out, given.report)
+    check_writable(out, given.report, given.curve)
     exports = [path.absolute() for path in given.export]
     for path in exports:
         btf_export_job.check_target(path)
@@ -81,6 +85,8 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> None:
         for path in exports:
             finish(whole(btf_export_job.prepare(levels, path, export_settings)), line.show)
             line.clear()
+    if given.curve is not None:
+        write_png(given.curve.absolute(), curve(jobs))
     if given.report is not None:
         command_line.write_report(given.report.absolute(), report(jobs, clock))
 
@@ -120,6 +126,16 @@ def world_colour() -> list[float]:
     if background is None or background.inputs["Color"].is_linked:
         return [0.0, 0.0, 0.0]
     return [background.inputs["Strength"].default_value * value for value in background.inputs["Color"].default_value[:3]]
+
+
+def curve(jobs: list[BtfJob]) -> np.ndarray:
+    """A chart of the PSNR of every level against what was captured, by the number of components; 0 are the lobes alone."""
+    lines = {
+        f"{job.collection} L{figure['level']}": [(fit["components"], fit["psnr"]) for fit in figure["fits"]]
+        for job in jobs
+        for figure in job.figures
+    }
+    return line_chart("PSNR in dB against the captured textures, noise counted as error", "components", lines)
 
 
 def report(jobs: list[BtfJob], clock: StageClock) -> dict[str, Any]:

@@ -30,13 +30,13 @@ def contact_sheet(
     sheet_height = top + len(rows) * (height + GAP)
     sheet_width = max(left + len(rows[0]) * (width + GAP), text_mask(title, LINE).shape[1] + 2 * GAP)
     sheet = np.full((sheet_height, sheet_width, 3), PAPER)  # filled from the top here, turned at the end
-    _write(sheet, title, GAP, GAP)
+    write_words(sheet, title, GAP, GAP)
     for column, label in enumerate(column_labels):
         for line, text in enumerate(label):
-            _write(sheet, text, int(GAP + LINE * (1.75 + line)), left + column * (width + GAP))
+            write_words(sheet, text, int(GAP + LINE * (1.75 + line)), left + column * (width + GAP))
     for row, pictures in enumerate(rows):
         y = top + row * (height + GAP)
-        _write(sheet, row_labels[row], y + (height - LINE) // 2, GAP)
+        write_words(sheet, row_labels[row], y + (height - LINE) // 2, GAP)
         for column, picture in enumerate(pictures):
             x = left + column * (width + GAP)
             sheet[y : y + height, x : x + width] = picture[::-1]
@@ -61,8 +61,8 @@ def write_png(path: Path, picture: np.ndarray) -> None:
             file.write(struct.pack(">I", len(content)) + name + content + struct.pack(">I", zlib.crc32(name + content)))
 
 
-def _write(sheet: np.ndarray, text: str, y: int, x: int) -> None:
+def write_words(sheet: np.ndarray, text: str, y: int, x: int, colour: float | tuple[float, float, float] = INK) -> None:
     """Write `text` into `sheet`, row 0 at the top, with its upper left corner at (x, y); what does not fit is cut off."""
     mask = text_mask(text, LINE)[: sheet.shape[0] - y, : sheet.shape[1] - x]
     place = sheet[y : y + mask.shape[0], x : x + mask.shape[1]]
-    place += mask[..., None] * (INK - place)
+    place += mask[..., None] * (np.asarray(colour) - place)

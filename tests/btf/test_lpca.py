@@ -126,6 +126,6 @@ def test_quality_is_measured_with_the_components_of_each_cluster():
     views = seen(values, 1.0)
     factors = fitted(views, 2, 2)
     fits = finish(quality(views, factors, np.ones((ROWS, 3)), np.ones(VIEWS), np.ones(COLUMNS)))
-    assert [fit.components for fit in fits] == [1, 2]
-    assert fits[1].rms == pytest.approx(relative(values, factors) * np.sqrt((values**2).mean()), rel=1e-3)
-    assert fits[1].rms < fits[0].rms
+    assert [fit.components for fit in fits] == [0, 1, 2]
+    assert fits[2].rms == pytest.approx(relative(values, factors) * np.sqrt((values**2).mean()), rel=1e-3)
+    assert fits[2].rms < fits[1].rms < fits[0].rms

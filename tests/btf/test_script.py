@@ -54,7 +54,7 @@ def test_exports_stand_beside_the_result(cloud_file):
 def test_local_pca_is_asked_for_by_name(cloud_file):
     folder = cloud_file.parent
     local = ("--codec", "lpca", "--clusters", "3", "--cluster-components", "2", "--no-blend-texels")
-    main(cloud_file, "--out", folder / "out.blend", *QUICK, *local, "--report", folder / "r.json")
+    main(cloud_file, "--out", folder / "out.blend", *QUICK, *local, "--report", folder / "r.json", "--curve", folder / "Kurve ü.png")
     report = json.loads((folder / "r.json").read_text(encoding="utf-8"))
     scene_files.open_scene(folder / "out.blend")
     (level,) = clouds_in(bpy.context.scene)[0].levels
@@ -63,7 +63,8 @@ def test_local_pca_is_asked_for_by_name(cloud_file):
     assert len(set(atlas.colour.labels)) > 1
     assert any(node.label == CLUSTERS for node in level.data.materials[0].node_tree.nodes)
     texels, numbers = report["levels"][0]["texels"], 3 * 2 * 4 * 5 * 3
-    assert [fit["components"] for fit in report["levels"][0]["fits"]] == [1, 2]
+    assert [fit["components"] for fit in report["levels"][0]["fits"]] == [0, 1, 2]
+    assert (folder / "Kurve ü.png").read_bytes().startswith(b"\x89PNG")
     assert report["compressed_bytes"] == 2 * (texels * (3 + 8 + 2 + 13) + numbers + 13 * 4) + texels
 
 

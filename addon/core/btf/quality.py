@@ -28,11 +28,11 @@ def quality(
     column_weights: np.ndarray,
     more: Callable[[int, np.ndarray], np.ndarray] | None = None,
 ) -> Steps[list[Fit]]:
-    """One fit for every number of components from 1 on, of colours with their `tints` (N, 3). Noise of the capture counts as error.
+    """One fit for every number of components from 0 on, of colours with their `tints` (N, 3). Noise of the capture counts as error.
 
     more: what is shown besides the factors' colours from a view, by its number, of some rows (M,): (M, D). weights: as for `factorise`.
     """
-    squares, weight = np.zeros(factors.components), 0.0
+    squares, weight = np.zeros(factors.components + 1), 0.0
     counting = of_all_rows(weights, len(tints))
     peaks = []
     for place, view in enumerate(views):
@@ -44,10 +44,11 @@ def quality(
         peaks.append(np.quantile(values, PEAK))
         rest = values if more is None else values - more(place, index)
         own = counting[place, index]
-        for number in range(factors.components):
-            rest -= tint * factors.part(index, place, number)
-            squares[number] += float(own @ (rest.astype(np.float64) ** 2 @ column_weights))
         weight += float(own.sum()) * float(column_weights.sum())
+        for number in range(len(squares)):
+            if number:
+                rest = rest - tint * factors.part(index, place, number - 1)
+            squares[number] += float(own @ (rest.astype(np.float64) ** 2 @ column_weights))
     rms = np.sqrt(squares / max(weight, 1e-300))
     peak = max(peaks, default=1.0)
-    return [Fit(number + 1, float(each), float(20.0 * np.log10(max(peak, 1e-12) / max(each, 1e-12)))) for number, each in enumerate(rms)]
+    return [Fit(number, float(each), float(20.0 * np.log10(max(peak, 1e-12) / max(each, 1e-12)))) for number, each in enumerate(rms)]
