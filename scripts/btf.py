@@ -49,7 +49,8 @@ def parser() -> command_line.Parser:
         action="append",
         default=[],
         metavar="PATH",
-        help="also write the result for other programs, by its ending: .glb, .btf, or none for a folder of pictures; may be given again",
+        help="also write the result for other programs, by its ending: .glb, .btf, .octahedral for a folder with an octahedral atlas, "
+        "or none for a folder of pictures; may be given again",
     )
     add_flags(made, BtfSettings)
     add_flags(made, ExportSettings)

@@ -34,14 +34,11 @@ def baked_atlas(level_object: bpy.types.Object) -> BakedAtlas:
     Raises:
         GeometryError: when the level wears none, or not all of them.
     """
-    material = level_object.data.materials[0] if level_object.data.materials else None
-    numbers = dict(material.get(LAYOUT, {})) if material is not None else {}
-    if not set(LAYOUT_NUMBERS) <= set(numbers):
-        raise GeometryError(f'"{level_object.name}" has no relightable textures; bake them first.')
+    numbers = _layout(level_object)
     views = DirectionGrid(numbers["views"], bool(numbers["views_upper"]))
     lights = DirectionGrid(numbers["lights"], bool(numbers["lights_upper"]))
     components, alpha_components = numbers["components"], numbers["alpha_components"]
-    images = _images_by_label(material.node_tree)
+    images = _images_by_label(level_object.data.materials[0].node_tree)
 
     def pixels(label: str) -> np.ndarray:
         image = images.get(label)
@@ -75,6 +72,20 @@ def baked_atlas(level_object: bpy.types.Object) -> BakedAtlas:
         lights=lights,
         lobes=lobes,
     )
+
+
+def is_upper(level_object: bpy.types.Object) -> bool:
+    """Whether a level was baked from above the horizon alone; raises like `baked_atlas`."""
+    return bool(_layout(level_object)["views_upper"])
+
+
+def _layout(level_object: bpy.types.Object) -> dict[str, int]:
+    """The numbers that tell what the images of a level hold."""
+    material = level_object.data.materials[0] if level_object.data.materials else None
+    numbers = dict(material.get(LAYOUT, {})) if material is not None else {}
+    if not set(LAYOUT_NUMBERS) <= set(numbers):
+        raise GeometryError(f'"{level_object.name}" has no relightable textures; bake them first.')
+    return numbers
 
 
 def _lobes(normals: np.ndarray, diffuse: np.ndarray, specular: np.ndarray) -> Lobes:

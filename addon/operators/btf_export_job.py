@@ -8,18 +8,25 @@ import numpy as np
 
 from ..bridge.btf_clouds import texels_of_level
 from ..bridge.btf_folders import write_folder
-from ..bridge.btf_reading import baked_atlas
+from ..bridge.btf_octahedral_exports import write_octahedral_atlas
+from ..bridge.btf_reading import baked_atlas, is_upper
 from ..bridge.exports import write_glb
 from ..core.btf.decoding import BakedAtlas
 from ..core.btf.fmf import write_fmf
 from ..core.btf.settings import ExportSettings
 from ..core.directions import bonn_directions
-from ..core.errors import FileError
+from ..core.errors import FileError, GeometryError
 from ..core.progress import Progress, Steps, scaled
 from ..core.whole import check_vacant, whole
+from .billboards_clouds import cloud_for
 
-GLB, FMF, FOLDER = ".glb", ".btf", ""
-KINDS = {GLB: "quads, colours and normals", FMF: "a full matrix factorisation", FOLDER: "a folder of pictures, one a view and light"}
+GLB, FMF, OCTAHEDRAL, FOLDER = ".glb", ".btf", ".octahedral", ""
+KINDS = {
+    GLB: "quads, colours and normals",
+    FMF: "a full matrix factorisation",
+    OCTAHEDRAL: "a folder with an octahedral atlas of the original, 12 x 12 pictures a map",
+    FOLDER: "a folder of pictures, one a view and light",
+}
 
 
 @dataclass(frozen=True)
@@ -34,7 +41,8 @@ class Part:
 
 @dataclass
 class BtfExportJob:
-    """Writes the levels called `names` to `target`, whose ending says what it becomes; see `prepare`."""
+    """Writes the levels called `names` to `target`, whose ending says what it becomes; see `prepare`. sources: names of the original's
+    objects; upper: whether it was baked from above the horizon alone."""
 
     core_share = 0.5
 
@@ -42,6 +50,8 @@ class BtfExportJob:
     target: Path
     settings: ExportSettings
     parts: list[Part]
+    sources: list[str]
+    upper: bool
 
     def core_steps(self) -> Steps[None]:
         """The files that need no Blender.
@@ -67,6 +77,9 @@ class BtfExportJob:
                 with whole(self.target) as temporary:
                     temporary.parent.mkdir(exist_ok=True)
                     write_glb([bpy.data.objects[name] for name in self.names], temporary)
+            elif kind == OCTAHEDRAL:
+                with whole(self.target) as temporary:
+                    yield from write_octahedral_atlas([bpy.data.objects[name] for name in self.sources], temporary, upper=self.upper)
             elif kind == FOLDER:
                 yield from self._write_folders()
         except RuntimeError as error:
@@ -92,15 +105,24 @@ def prepare(levels: list[bpy.types.Object], target: Path, settings: ExportSettin
 
     Raises:
         FileError: see `check_target`.
-        GeometryError: when a level has no relightable textures.
+        GeometryError: when a level has no relightable textures, or for an octahedral atlas the original is gone.
     """
     check_target(target)
-    atlases = [] if target.suffix.lower() == GLB else [baked_atlas(level) for level in levels]
+    kind = target.suffix.lower()
+    atlases = [baked_atlas(level) for level in levels] if kind in {FMF, FOLDER} else []
     parts = []
     for level, atlas in zip(levels, atlases, strict=bool(atlases)):
         side = texels_of_level(level).side
         parts.append(Part(level.name, _own(target, level, len(levels)), atlas, 0.001 / side))
-    return BtfExportJob([level.name for level in levels], target, settings, parts)
+    sources = _originals(levels[0]) if kind == OCTAHEDRAL else []
+    return BtfExportJob([level.name for level in levels], target, settings, parts, sources, kind == OCTAHEDRAL and is_upper(levels[0]))
+
+
+def _originals(level: bpy.types.Object) -> list[str]:
+    cloud = cloud_for(bpy.context.scene, level)
+    if cloud is None or not cloud.sources or len(cloud.sources) < len(cloud.source_names):
+        raise GeometryError(f'The original of "{level.name}" is gone, and an octahedral atlas is taken from it; bring it back.')
+    return cloud.source_names
 
 
 def check_target(target: Path) -> None:

@@ -11,14 +11,14 @@ from .btf_export_job import FMF, KINDS, BtfExportJob, prepare
 
 
 class FARFIELD_OT_btf_export(long_work.LongWork, bpy.types.Operator):
-    """Write the relightable textures of the active cloud for other programs: .glb, .btf, or a folder of pictures"""
+    """Write the active relightable cloud for other programs: .glb, .btf, an octahedral atlas, or a folder of pictures"""
 
     bl_idname = "farfield.btf_export"
     bl_label = "Export Relightable Textures"
     __annotations__ = {
         "filepath": bpy.props.StringProperty(
             name="File",
-            description="Its ending says what is written: .glb, .btf, none for a folder",
+            description="Its ending says what is written: .glb, .btf, .octahedral for a folder with an atlas, none for pictures",
             subtype="FILE_PATH",
             options={"SKIP_SAVE"},
         ),

@@ -1,5 +1,6 @@
 """What goes out to other programs says what the textures show, and appears whole or not at all."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -168,6 +169,25 @@ def frames_read(item, texels) -> np.ndarray:
         low, high = corners.min(axis=0), corners.max(axis=0)
         frames[((at > low - 0.001) & (at < high + 0.001)).all(axis=1)] = frame
     return frames
+
+
+def test_an_octahedral_atlas_is_taken_from_the_original(cloud, tmp_path):
+    before = blender_scenes.counts()
+    folder = exported(cloud, tmp_path / "Bällchen.octahedral")
+    assert blender_scenes.counts() == before
+    words = json.loads((folder / "octahedral_atlas.json").read_text(encoding="utf-8"))
+    assert (words["frames"], words["map"], len(words["pictures"])) == (12, "octahedral", 144)
+    alpha = pixels_in(folder / words["maps"]["colour"]["file"])[..., 3]
+    assert alpha.shape == (12 * 128, 12 * 128)
+    # A ball of radius 1 covers the same part of each picture.
+    shares = alpha.reshape(12, 128, 12, 128).mean(axis=(1, 3))
+    np.testing.assert_allclose(shares, np.pi * (1.0 / words["half_side"]) ** 2 / 4.0, rtol=0.02)
+
+
+def test_without_its_original_there_is_no_octahedral_atlas(cloud, tmp_path):
+    bpy.data.objects.remove(bpy.data.objects["Bällchen"])
+    with pytest.raises(GeometryError, match=r"The original of .* is gone"):
+        prepare(cloud.levels, tmp_path / "a.octahedral", BAKED)
 
 
 def test_several_levels_get_a_file_each(tmp_path):
