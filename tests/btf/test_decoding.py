@@ -24,6 +24,14 @@ def test_at_baked_directions_it_is_weights_times_basis(clusters):
     np.testing.assert_allclose(atlas.coverage(VIEWS.directions[9]), alpha.reshape(4, 7), atol=1e-5)
 
 
+def test_lobes_come_on_top_before_the_cut():
+    bare, atlas = made_atlas(), made_atlas(lobes=True)
+    view, light = VIEWS.directions[5], LIGHTS.directions[2]
+    basis = atlas.seen_from(view[None], light[None])[0, :, 0]
+    expected = bare.uncut(basis, view, light) + atlas.lobes.of_suns(view, light[None])[:, 0]
+    np.testing.assert_allclose(atlas.picture(basis, view, light).reshape(-1, 3), np.maximum(expected, 0.0), rtol=1e-5, atol=1e-6)
+
+
 def test_between_the_baked_directions_it_is_between():
     atlas = made_atlas()
     values = atlas.colour.basis.reshape(len(VIEWS), 5, len(LIGHTS) + 1, 3)[:, :, :-1]

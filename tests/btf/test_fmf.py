@@ -50,6 +50,19 @@ def test_every_value_is_in_the_file(tmp_path, clusters):
     assert (file.header["version"], file.header["cosine"], file.header["per_millimetre"]) == (4, 0, 2.0)
 
 
+def test_lobes_are_in_the_file(tmp_path):
+    few, many = made_atlas(lobes=True), made_atlas(size=(30, 12), lobes=True)
+    views, lights = fibonacci_sphere(14), np.abs(fibonacci_sphere(14))
+    exact, near = (read_fmf(written(tmp_path / f"{number}.btf", atlas, views, lights)) for number, atlas in enumerate((few, many)))
+    np.testing.assert_allclose(exact.image(5, 3), uncut(few, views[5], lights[3]), atol=1e-3)
+    assert near.channels["G"][0].shape == (196, 57)
+    meant = np.array([[uncut(many, view, light) for light in lights] for view in views])
+    read = np.array([[near.image(view, light) for light in range(14)] for view in range(14)])
+    green = meant[..., 1].reshape(196, -1)
+    best = np.sqrt((np.linalg.svd(green, compute_uv=False)[57:] ** 2).sum())
+    assert np.linalg.norm(read[..., 1].reshape(196, -1) - green) < 1.1 * best, "as near as so many components can come"
+
+
 def test_it_is_a_singular_value_decomposition(tmp_path):
     atlas = made_atlas()
     file = read_fmf(written(tmp_path / "a.btf", atlas, fibonacci_sphere(6), np.abs(fibonacci_sphere(6))))
