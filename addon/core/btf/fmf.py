@@ -25,7 +25,8 @@ LARGEST = 2**32 - 1  # bytes: readers count the parts of the file with 32 bits
 SCALAR = np.dtype("<f4")
 PIECE = 30_000_000  # numbers of the matrix in memory at once
 FOR_LOBES = 52  # components more where there are lobes
-OVERSAMPLED = 8
+OVERSAMPLED, POWER = 8, 1  # columns, and iterations, of the range finder
+LOOKING = "Looking at the textures from all sides"
 
 
 def write_fmf(stream: BinaryIO, atlas: BakedAtlas, views: np.ndarray, lights: np.ndarray, pixels_per_millimetre: float) -> Steps[None]:
@@ -45,19 +46,19 @@ def write_fmf(stream: BinaryIO, atlas: BakedAtlas, views: np.ndarray, lights: np
     if len(CHANNELS) * max(rows, width * height) * components * SCALAR.itemsize > LARGEST:
         raise FileError(f"{width} x {height} pixels with {components} components are more than a .btf file can hold; bake a coarser level.")
     matrix = _Matrix(atlas, views, lights)
-    bases = yield from scaled(_range(matrix, components), 0.0, 0.5)
+    bases = yield from scaled(_range(matrix, components), 0.0, 0.6)
     stream.write(_header(pixels_per_millimetre))
     stream.write(_directions(views, lights))
     stream.write(struct.pack("<II", width, height))
     stream.write(struct.pack("<II12f", components, 0, 0.0, 0.0, 0.0, *np.eye(3).ravel()))  # colours as they are: no mean, no transform
-    projected = np.empty((len(CHANNELS), components, width * height), np.float32)
+    projected = np.empty((len(CHANNELS), bases.shape[2], width * height), np.float32)
     for done, (pixels, columns) in enumerate(matrix.pieces()):
-        yield Progress(0.5 + 0.4 * done / matrix.count, "Looking at the textures from all sides")
-        projected[:, :, pixels] = np.matmul(bases.transpose(0, 2, 1), columns)
+        yield Progress(0.6 + 0.3 * done / matrix.count, LOOKING)
+        projected[:, :, pixels] = bases.transpose(0, 2, 1) @ columns
     for channel in range(len(CHANNELS)):
         yield Progress(0.9 + 0.1 * channel / len(CHANNELS), f"Writing channel {channel + 1} of {len(CHANNELS)}")
         values, turn = np.linalg.eigh(projected[channel].astype(np.float64) @ projected[channel].T)
-        strengths, turn = np.sqrt(np.maximum(values[::-1], 0.0)), turn[:, ::-1]
+        strengths, turn = np.sqrt(np.maximum(values[::-1], 0.0))[:components], turn[:, ::-1][:, :components]
         stream.write(struct.pack("<BIII", SCALAR.itemsize, components, rows, width * height))
         stream.write(strengths.astype(SCALAR).tobytes())
         stream.write((bases[channel] @ turn).astype(SCALAR).tobytes())
@@ -90,15 +91,21 @@ class _Matrix:
 
 
 def _range(matrix: _Matrix, components: int) -> Steps[np.ndarray]:
-    """Orthonormal columns (3, rows, components) float32 that hold nearly all of the matrix of each channel."""
+    """Orthonormal columns (3, rows, a few more than components) float32 that hold nearly all of the matrix of each channel."""
     random = np.random.default_rng(0)
     wide = min(components + OVERSAMPLED, matrix.rows)
-    sums = np.zeros((len(CHANNELS), matrix.rows, wide), np.float32)
-    for done, (_, columns) in enumerate(matrix.pieces()):
-        yield Progress(done / matrix.count, "Looking at the textures from all sides")
-        sums += columns @ random.standard_normal((columns.shape[2], wide)).astype(np.float32)
-    left = [np.linalg.svd(each, full_matrices=False)[0] for each in sums.astype(np.float64)]
-    return np.stack(left)[:, :, :components].astype(np.float32)
+    bases = None
+    for iteration in range(POWER + 1):
+        sums = np.zeros((len(CHANNELS), matrix.rows, wide), np.float32)
+        for done, (_, columns) in enumerate(matrix.pieces()):
+            yield Progress((iteration + done / matrix.count) / (POWER + 1), LOOKING)
+            sums += columns @ (_noise(random, columns, wide) if bases is None else columns.transpose(0, 2, 1) @ bases)
+        bases = np.linalg.qr(sums.astype(np.float64))[0].astype(np.float32)
+    return bases
+
+
+def _noise(random: np.random.Generator, columns: np.ndarray, wide: int) -> np.ndarray:
+    return random.standard_normal((columns.shape[2], wide)).astype(np.float32)
 
 
 def _header(pixels_per_millimetre: float) -> bytes:
