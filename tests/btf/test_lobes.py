@@ -1,6 +1,6 @@
 """Lobes are what they were made from, and what they leave is nothing; broad suns are the mean over their discs."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,21 +13,11 @@ from farfield.addon.core.btf.photographs import broad_lights
 from farfield.addon.core.direction_grids import DirectionGrid
 from farfield.addon.core.directions import fibonacci_sphere
 from farfield.addon.core.progress import finish
+from known_views import Known
 
 VIEWS, LIGHTS = DirectionGrid(6), DirectionGrid(5)
 SUNS = BroadSuns(LIGHTS.directions, float(LIGHTS.solid_angles.mean()))
 COUNT = 60
-
-
-@dataclass(frozen=True)
-class Seen:
-    """What one view knows."""
-
-    index: np.ndarray
-    values: np.ndarray
-
-    def read(self):
-        return self.index, self.values.reshape(len(self.index), -1)
 
 
 def made_lobes(roughness: float = 0.4) -> Lobes:
@@ -38,17 +28,17 @@ def made_lobes(roughness: float = 0.4) -> Lobes:
     return Lobes(surface, diffuse.astype(np.float32), specular.astype(np.float32), random.uniform(0.0, 0.6, COUNT).astype(np.float32))
 
 
-def seen_of(lobes: Lobes, unseen: np.ndarray | None = None) -> list[Seen]:
+def seen_of(lobes: Lobes, unseen: np.ndarray | None = None) -> list[Known]:
     """What views see of `lobes`: texels that face them, and none of `unseen`."""
     views = []
     for direction in VIEWS.directions:
         facing = lobes.surface.normals @ direction > 0.1
         index = np.flatnonzero(facing if unseen is None else facing & ~unseen)
-        views.append(Seen(index, lobes.of_grid(direction, SUNS, index)))
+        views.append(Known(index, lobes.of_grid(direction, SUNS, index)))
     return views
 
 
-def fitted(views: list[Seen], surface: Surface, quads: np.ndarray) -> Lobes:
+def fitted(views: list[Known], surface: Surface, quads: np.ndarray) -> Lobes:
     weights = np.ones((len(VIEWS), COUNT))
     return finish(fit_lobes(views, surface, quads, VIEWS, SUNS, weights, np.append(LIGHTS.solid_angles, 1.0)))
 
@@ -85,7 +75,7 @@ def test_texels_that_nobody_saw_take_after_their_quad():
 def test_all_numbers_stay_within_what_surfaces_can_do():
     lobes = made_lobes()
     random = np.random.default_rng(0)
-    noisy = [Seen(each.index, random.uniform(-1.0, 40.0, each.values.shape).astype(np.float32)) for each in seen_of(lobes)]
+    noisy = [Known(each.index, random.uniform(-1.0, 40.0, each.values.shape).astype(np.float32)) for each in seen_of(lobes)]
     found = fitted(noisy, lobes.surface, np.zeros(COUNT, int))
     for part in (found.diffuse, found.specular, found.rim):
         assert np.isfinite(part).all() and part.min() >= 0.0 and part.max() <= 1.0
@@ -93,7 +83,7 @@ def test_all_numbers_stay_within_what_surfaces_can_do():
 
 def test_nothing_seen_leaves_no_lobes():
     lobes = made_lobes()
-    dark = [Seen(each.index, np.zeros_like(each.values)) for each in seen_of(lobes)]
+    dark = [Known(each.index, np.zeros_like(each.values)) for each in seen_of(lobes)]
     found = fitted(dark, lobes.surface, np.zeros(COUNT, int))
     assert max(found.diffuse.max(), found.specular.max(), found.rim.max()) < 1e-6
 

@@ -1,7 +1,5 @@
 """Local factors find the clusters that were put in, and are never worse where one set of components has to serve all."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 
@@ -10,17 +8,9 @@ from farfield.addon.core.btf.factors import factorise
 from farfield.addon.core.btf.lpca import clustered, factorise_locally
 from farfield.addon.core.btf.quality import quality
 from farfield.addon.core.progress import finish
+from known_views import Known, seen
 
 VIEWS, ROWS, COLUMNS = 10, 600, 15
-
-
-@dataclass(frozen=True)
-class Known:
-    index: np.ndarray
-    values: np.ndarray
-
-    def read(self):
-        return self.index, self.values
 
 
 def patchwork(clusters: int, rank: int) -> tuple[np.ndarray, np.ndarray]:
@@ -30,12 +20,6 @@ def patchwork(clusters: int, rank: int) -> tuple[np.ndarray, np.ndarray]:
     weights = random.normal(size=(ROWS, rank))
     basis = random.normal(size=(clusters, VIEWS, rank, COLUMNS))
     return np.einsum("nk,nvkd->vnd", weights, basis[labels]).astype(np.float32), labels
-
-
-def seen(values: np.ndarray, share: float) -> list[Known]:
-    random = np.random.default_rng(5)
-    indices = [np.flatnonzero(random.random(values.shape[1]) < share) for _ in values]
-    return [Known(index, values[view, index]) for view, index in enumerate(indices)]
 
 
 def fitted(views: list[Known], clusters: int, components: int):
