@@ -12,7 +12,9 @@ RENDER = 0.008  # a render, however small
 PIXEL, SAMPLE = 1.0e-6, 3.3e-6  # a pixel of it, and each sample of a pixel
 NUMBERED_PIXEL = 14e-6  # a pixel of a view's picture of faces
 SIGHTED_TEXEL = 4e-6  # a texel that looks itself up in a view
-FACTORED = 1e-8  # an entry of the matrix and component of its factors
+FITTED = 1e-7  # an entry of the matrix, whose lobes are fitted and taken out
+FACTORED = 1e-8  # an entry and component of its factors
+LOBES = 8  # numbers of a texel
 START = 3.0  # a worker process
 
 
@@ -53,9 +55,9 @@ def estimate(levels: Sequence[LevelExtent], settings: BtfSettings, workers: int,
         components = settings.components + settings.alpha_components
         view = lights * (RENDER + pixels * (PIXEL + SAMPLE * settings.samples)) + pixels * NUMBERED_PIXEL + level.texels * SIGHTED_TEXEL
         captured += settings.views * view
-        compressed += FACTORED * entries * components
+        compressed += entries * (FITTED + FACTORED * components)
         raw += 2 * entries
         tables = settings.views * (3 * lights * settings.components + settings.alpha_components)
-        final += 2 * (level.texels * (3 + components) + tables)
+        final += 2 * (level.texels * (3 + LOBES + components) + tables)
     seconds = pace * (START + captured / workers + compressed)
     return BakeEstimate(settings.views * lights * len(levels), seconds, int(raw), int(final))
