@@ -117,16 +117,8 @@ def lit_booth(objects: Sequence[bpy.types.Object], source: Source, settings: Btf
 
 
 def sun_angle(settings: BtfSettings) -> float:
-    """Width of the disc, in radians, of a sun as large as a cell of the lights' grid.
-
-    A sun like a point makes highlights narrower than the grid: one view and light would hold a spike, and its neighbours nothing.
-    """
-    return 2.0 * float(np.arccos(1.0 - sun_size(settings) / (2.0 * np.pi)))
-
-
-def sun_size(settings: BtfSettings) -> float:
-    """The solid angle of the same sun, in steradians."""
-    return float(settings.light_grid.solid_angles.mean())
+    """Width of the disc, in radians, of a sun of the bake; see `BtfSettings.sun_size`."""
+    return 2.0 * float(np.arccos(1.0 - settings.sun_size / (2.0 * np.pi)))
 
 
 def views_of(source: Source, settings: BtfSettings, pixel: float) -> list[View]:

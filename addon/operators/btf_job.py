@@ -3,7 +3,6 @@
 import shutil
 import tempfile
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,32 +11,22 @@ import numpy as np
 
 from ..bridge import btf_capture, btf_clouds, btf_snapshot, btf_worker, clouds, images, meshes
 from ..bridge.originals import read_original
-from ..core.btf.broad_suns import BroadSuns
-from ..core.btf.codecs import compressed_colours
-from ..core.btf.factors import Factors, factorise
-from ..core.btf.lobes import Lobes, Surface, fit_lobes
+from ..core.btf.compression import Compressed, Compression
+from ..core.btf.lobes import Surface
 from ..core.btf.orders import LevelOrder
-from ..core.btf.photographs import broad_lights
-from ..core.btf.quality import quality
-from ..core.btf.refine import refined
-from ..core.btf.rests import write_rests
 from ..core.btf.settings import BtfSettings
-from ..core.btf.shards import Colours, ShardStore, Silhouettes
+from ..core.btf.shards import ShardStore
 from ..core.btf.spreading import render_missing
 from ..core.btf.texels import Quads, Texels, View
-from ..core.btf.tints import tints
 from ..core.btf.training import training_views
-from ..core.direction_grids import DirectionGrid
 from ..core.errors import FileError, GeometryError
 from ..core.parallel import read_word
 from ..core.progress import StageClock, Steps, scaled
 from . import btf_estimates
 from .billboards_clouds import StandingCloud, cloud_of
 
-DOME_WEIGHT = np.pi  # as much as a quarter of all suns: a sky is dimmer than a sun, but alone where that does not reach
 CAPTURED = 0.8  # of the bar
-TINTED, FITTED, TAKEN, COLOURED, SHAPED, REFINED = 0.05, 0.25, 0.3, 0.5, 0.55, 0.9  # of the compression's part of it
-LEAST_FACING = 0.03  # cosine: what a texel counts at least from a view that sees its quad from the edge
+COMPRESSED, REFINED = 0.5, 0.9  # of the compression's part of it
 
 
 @dataclass(frozen=True)
@@ -58,14 +47,10 @@ class Level:
 
 @dataclass(frozen=True)
 class Baked:
-    """One level that was baked: lobes, tints (N, 3) and factors of its texels; deepest: the most of its quads that stand behind each
-    other."""
+    """One level that was baked. deepest: the most of its quads that stand behind each other."""
 
     texels: Texels
-    lobes: Lobes | None
-    hues: np.ndarray
-    colour: Factors
-    alpha: Factors
+    textures: Compressed
     deepest: int
 
 
@@ -119,7 +104,8 @@ class BtfJob:
             btf_estimates.remember_pace(cloud, self.settings, sum(self.clock.seconds.values()))
         with self.clock.stage("dress"):
             for level_object, baked in zip(cloud.levels, core_result, strict=True):
-                btf_clouds.wear(level_object, baked.texels, baked.hues, baked.colour, baked.alpha, self.settings, baked.lobes)
+                made = baked.textures
+                btf_clouds.wear(level_object, baked.texels, made.hues, made.colour, made.alpha, self.settings, made.lobes)
             btf_clouds.let_through(cloud.collection, max(baked.deepest for baked in core_result))
         if self.temporary is not None:
             self.temporary.cleanup()
@@ -139,59 +125,35 @@ class BtfJob:
         return cloud
 
     def _compress(self, number: int) -> Steps[Baked]:
-        """Tints and factors of one level, all of whose views stand."""
+        """The textures of one level, all of whose views stand."""
         level = self.levels[number]
         texels, store, settings = level.order.texels, level.store, self.settings
-        views, lights = settings.view_grid, settings.light_grid
-        light_weights = np.append(lights.solid_angles, DOME_WEIGHT)
-        columns = np.repeat(light_weights, 3)
-        suns = BroadSuns(lights.directions, btf_capture.sun_size(settings))
-        weights = views.solid_angles[:, None] * np.maximum(texels.facing(views.directions), LEAST_FACING) ** 2
-        silhouettes = [Silhouettes(store, view, level.plain) for view in range(len(views))]
-        captured = [Colours(store, view) for view in range(len(views))]
+        compression = Compression(store, texels, level.plain, level.surface, settings)
         with self.clock.stage("compress"):
-            hues = yield from scaled(tints(captured, len(texels), views.solid_angles, light_weights), 0.0, TINTED)
-            lobes = None
-            if level.surface is not None:
-                steps = fit_lobes(captured, level.surface, texels.quads, views, suns, weights, light_weights)
-                lobes = yield from scaled(steps, TINTED, FITTED)
-            rests = yield from scaled(write_rests(store, hues, lobes, views, suns), FITTED, TAKEN)
-            steps = compressed_colours(rests, len(texels), weights, columns, settings)
-            colour = yield from scaled(steps, TAKEN, COLOURED)
-            steps = factorise(silhouettes, len(texels), settings.alpha_components, views.solid_angles, np.ones(1), settings.seed)
-            alpha = yield from scaled(steps, COLOURED, SHAPED)
+            made = yield from scaled(compression.compress(), 0.0, COMPRESSED)
         with self.clock.stage("refine"):
             photographed = training_views(level.quads, texels, level.views, store)
             if settings.refine:
-                broad = broad_lights(lights)
-                lit = None if lobes is None else [lobes.under(broad, view, suns) for view in views.directions]
-                steps = refined(photographed, colour, hues, alpha, level.plain, broad, views.solid_angles, lit)
-                alpha = yield from scaled(steps, SHAPED, REFINED)
+                made = yield from scaled(compression.refine(made, photographed), COMPRESSED, REFINED)
             deepest = max(view.fragments().deepest for view in photographed)
         with self.clock.stage("measure"):
-            more = None if lobes is None else partial(_shown, lobes, views, suns)
-            fits = yield from scaled(quality(captured, colour, hues, weights, columns, more), REFINED, 1.0)
-        store.remove_rests()
+            fits = yield from scaled(compression.measure(made), REFINED, 1.0)
+        views, images = settings.views, settings.lights + 1
         self.figures.append(
             {
                 "level": number,
-                "renders": len(views) * (len(lights) + 1),
-                "shards": len(views),
+                "renders": views * images,
+                "shards": views,
                 "texels": len(texels),
                 "stacked_quads": deepest,
-                "bare_render_seconds": round(store.render_seconds(len(views)), 3),
-                "raw_bytes": 2 * 3 * len(texels) * len(views) * (len(lights) + 1),
-                "captured_bytes": store.bytes(len(views)),
-                "compressed_bytes": 2 * hues.size + colour.bytes + alpha.bytes + (lobes.bytes if lobes is not None else 0),
+                "bare_render_seconds": round(store.render_seconds(views), 3),
+                "raw_bytes": 2 * 3 * len(texels) * views * images,
+                "captured_bytes": store.bytes(views),
+                "compressed_bytes": made.bytes,
                 "fits": [asdict(fit) for fit in fits],
             }
         )
-        return Baked(texels, lobes, hues, colour, alpha, deepest)
-
-
-def _shown(lobes: Lobes, views: DirectionGrid, suns: BroadSuns, view: int, rows: np.ndarray) -> np.ndarray:
-    """What lobes show of `rows` (M,) from a view, (M, (L + 1) * 3)."""
-    return lobes.of_grid(views.directions[view], suns, rows).reshape(len(rows), -1)
+        return Baked(texels, made, deepest)
 
 
 def prepare(context: bpy.types.Context, cloud: StandingCloud, settings: BtfSettings, work: Path | None, keeps_work: bool) -> BtfJob:

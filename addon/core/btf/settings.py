@@ -70,6 +70,14 @@ class BtfSettings(Settings):
         """The lights without the dome; see `view_grid`."""
         return DirectionGrid(_side(self.lights, "lights"), self.upper_hemisphere)
 
+    @property
+    def sun_size(self) -> float:
+        """The solid angle of each sun of a bake, in steradians: a cell of the lights' grid.
+
+        A sun like a point makes highlights narrower than the grid: one view and light would hold a spike, and its neighbours nothing.
+        """
+        return float(self.light_grid.solid_angles.mean())
+
     def check(self) -> None:
         """Raise SettingsError when the numbers of views and lights are no squares, or a table would be larger than an image can be."""
         tile = (self.view_grid.size + 2) * (self.light_grid.size + 2)
