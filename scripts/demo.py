@@ -75,7 +75,7 @@ FULL = Effort(
         frames=12,
         frame_samples=16,
     ),
-    forest_width=480,
+    forest_width=340,
     forest_samples=6,
 )
 QUICK = Effort(
