@@ -15,7 +15,7 @@ import forest
 import scene_files
 from bridge import bakes, blender_scenes
 from demo_relighting import cloud_of_level
-from farfield.addon.bridge.btf_materials import AMBIENT, SUNS, light_property, sun_label, sun_property
+from farfield.addon.bridge.btf_materials import AMBIENT, SUNS, light_property, sun_labels, sun_property
 from farfield.addon.bridge.temporary import temporary_scene
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.progress import finish
@@ -96,7 +96,7 @@ def test_the_day_passes_without_python(level):
 
 def test_suns_that_do_not_shine_are_not_worked_out(level):
     muted = {node.label: node.mute for node in level.data.materials[0].node_tree.nodes if node.type == "GROUP" and node.label}
-    assert muted == {sun_label(number): number > 0 for number in range(SUNS)}
+    assert muted == {label: number > 0 for number in range(SUNS) for label in sun_labels(number)}
 
 
 def test_its_hours_are_rendered_by_another_process(forest_file):
