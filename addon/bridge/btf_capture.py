@@ -7,6 +7,7 @@ import bpy
 import mathutils
 import numpy as np
 
+from ..core.btf.broad_suns import disc_radius
 from ..core.btf.estimate import side_of
 from ..core.btf.settings import BtfSettings
 from ..core.btf.texels import FINER, Picture, View
@@ -118,7 +119,7 @@ def lit_booth(objects: Sequence[bpy.types.Object], source: Source, settings: Btf
 
 def sun_angle(settings: BtfSettings) -> float:
     """Width of the disc, in radians, of a sun of the bake; see `BtfSettings.sun_size`."""
-    return 2.0 * float(np.arccos(1.0 - settings.sun_size / (2.0 * np.pi)))
+    return 2.0 * disc_radius(settings.sun_size)
 
 
 def views_of(source: Source, settings: BtfSettings, pixel: float) -> list[View]:

@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 
 from ..core.btf.factors import Factors
-from ..core.btf.lobes import Lobes, Surface
+from ..core.btf.lobes import Lobes, Surface, normals_of
 from ..core.btf.lpca import LocalFactors
 from ..core.btf.settings import BtfSettings
 from ..core.btf.tables import tables_of, weight_images
@@ -57,9 +57,7 @@ def plain_surface(level_object: bpy.types.Object, texels: Texels) -> Surface | N
     if None in images:
         return None
     normals, surface = (pixels_of(image)[texels.pixels[:, 1], texels.pixels[:, 0]] for image in images)
-    normals = normals[:, :3] * 2.0 - 1.0
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return Surface(np.where(lengths > 0.0, normals / np.where(lengths > 0.0, lengths, 1.0), np.float32([0.0, 0.0, 1.0])), surface[:, 0])
+    return Surface(normals_of(normals), surface[:, 0])
 
 
 def plain_material(level_object: bpy.types.Object) -> bpy.types.Material | None:

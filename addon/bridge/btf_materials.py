@@ -13,11 +13,13 @@ import bpy
 from ..compat import give_nodes
 from ..core.btf.tables import Tables, ViewTable
 from .cloud_materials import set_two_sided
-from .lobe_nodes import LobeMaps, add_dome, add_lobes
+from .lobe_nodes import TexelLobes, add_dome, add_lobes, facing_normal
+from .node_groups import new_group, shared_group
 from .octahedral_nodes import place_on_map
 from .wiring import Operand, Wiring
 
 SUNS = 4
+OCTAHEDRAL_VERSION = 1
 ALONG = 0.99  # cosine from which on a ray of shadow counts as one to a sun, whose disc has some width
 BLACK = (0.0, 0.0, 0.0)
 AMBIENT = "farfield_ambient"  # on the level object: colour of the dome
@@ -90,7 +92,7 @@ def btf_material(name: str, images: BtfImages, tables: Tables, blend_texels: boo
         column = wiring.math("MULTIPLY", _texture(wiring, images.clusters, CLUSTERS, texel, closest=True)[1], tables.column)
     weights = [_texture(wiring, image, f"{WEIGHTS} {number}", texel, closest=closest) for number, image in enumerate(images.weights)]
     scalars = _scalars(wiring, weights, tables.components)
-    tint, lobes = _texture(wiring, images.tints, TINTS)[0], _lobe_maps(wiring, images, viewer)
+    tint, lobes = _texture(wiring, images.tints, TINTS)[0], _lobes_of(wiring, images, viewer)
     in_views = _in_column(wiring, _in_views(wiring, tables.dome, view), column)
     even = wiring.vector("MULTIPLY", _weighted_sum(wiring, images.dome, DOME, in_views, tables.dome.step, scalars), tint)
     colour = wiring.vector("MULTIPLY", _cut(wiring, even if lobes is None else add_dome(wiring, lobes, even)), _of_object(wiring, AMBIENT))
@@ -121,13 +123,14 @@ def _cut(wiring: Wiring, colour: Operand) -> Operand:
     return wiring.vector("MAXIMUM", colour, BLACK)
 
 
-def _lobe_maps(wiring: Wiring, images: BtfImages, viewer: Operand) -> LobeMaps | None:
+def _lobes_of(wiring: Wiring, images: BtfImages, viewer: Operand) -> TexelLobes | None:
     """What the lobes of the texel are, where there are any."""
     if images.diffuse is None:
         return None
     diffuse, roughness = _texture(wiring, images.diffuse, DIFFUSE)
     specular, rim = _texture(wiring, images.specular, SPECULAR)
-    return LobeMaps(viewer, _texture(wiring, images.normals, NORMALS)[0], roughness, diffuse, specular, rim)
+    normal, facing = facing_normal(wiring, _texture(wiring, images.normals, NORMALS)[0], viewer)
+    return TexelLobes(viewer, normal, facing, roughness, diffuse, specular, rim)
 
 
 def _towards_viewer(wiring: Wiring, suns: list[bpy.types.NodeSocket]) -> bpy.types.NodeSocket:
@@ -192,35 +195,21 @@ def _place_node(wiring: Wiring, upper: bool, direction: Operand) -> bpy.types.No
 
 def _octahedral_group(upper: bool) -> bpy.types.NodeTree:
     """World-space direction to a place on the octahedral map of the whole sphere, or of the upper half, in the object's frame."""
+
+    def fill(wiring: Wiring) -> None:
+        turned = wiring.turned(wiring.node("NodeGroupInput").outputs[0], "VECTOR", "WORLD", "OBJECT")
+        half = wiring.vector("ADD", wiring.vector("SCALE", place_on_map(wiring, turned, upper), 0.5), (0.5, 0.5, 0.0))
+        wiring.connect(half, wiring.node("NodeGroupOutput").inputs[0])
+
     name = "Farfield Hemi-octahedral" if upper else "Farfield Octahedral"
-    for group in bpy.data.node_groups:
-        if group.name.startswith(name) and group.get("farfield_version") == 1 and group.library is None:
-            return group
-    group = bpy.data.node_groups.new(name, "ShaderNodeTree")
-    group["farfield_version"] = 1
-    group.interface.new_socket("Direction", in_out="INPUT", socket_type="NodeSocketVector")
-    group.interface.new_socket("Place", in_out="OUTPUT", socket_type="NodeSocketVector")
-    wiring = Wiring(group)
-    turned = wiring.node("ShaderNodeVectorTransform", {"vector_type": "VECTOR", "convert_from": "WORLD", "convert_to": "OBJECT"})
-    wiring.connect(wiring.node("NodeGroupInput").outputs[0], turned.inputs[0])
-    place = place_on_map(wiring, turned.outputs[0], upper)
-    half = wiring.vector("ADD", wiring.vector("SCALE", place, 0.5), (0.5, 0.5, 0.0))
-    wiring.connect(half, wiring.node("NodeGroupOutput").inputs[0])
-    wiring.arrange()
-    return group
+    return shared_group(name, OCTAHEDRAL_VERSION, [("Direction", "Vector")], [("Place", "Vector")], fill)
 
 
 def _lamp_group(name: str, tables: Tables, basis: bpy.types.Image, weight_images: int, in_columns: bool) -> bpy.types.NodeTree:
     """What one sun makes of a texel, for a sun of unit irradiance. in_columns: it is told where the column of the texel's cluster is."""
-    group = bpy.data.node_groups.new(f"{name} Sun", "ShaderNodeTree")
-    group.interface.new_socket("View", in_out="INPUT", socket_type="NodeSocketVector")
-    group.interface.new_socket("Sun", in_out="INPUT", socket_type="NodeSocketVector")
-    for number in range(weight_images):
-        group.interface.new_socket(f"Weights {number}", in_out="INPUT", socket_type="NodeSocketColor")
-        group.interface.new_socket(f"Fourth {number}", in_out="INPUT", socket_type="NodeSocketFloat")
-    if in_columns:
-        group.interface.new_socket("Column", in_out="INPUT", socket_type="NodeSocketFloat")
-    group.interface.new_socket("Colour", in_out="OUTPUT", socket_type="NodeSocketColor")
+    of_weights = [socket for number in range(weight_images) for socket in ((f"Weights {number}", "Color"), (f"Fourth {number}", "Float"))]
+    inputs = [("View", "Vector"), ("Sun", "Vector"), *of_weights, *([("Column", "Float")] if in_columns else [])]
+    group = new_group(f"{name} Sun", inputs, [("Colour", "Color")])
     wiring = Wiring(group)
     view, sun, *rest = list(wiring.node("NodeGroupInput").outputs)[:-1]  # the last is the empty one that makes new sockets
     column = rest.pop() if in_columns else None

@@ -16,6 +16,7 @@ from ..compat import give_nodes
 from ..core.btf.octahedral import LEAST_COSINE, STEPS, Atlas, FrameGrid
 from ..core.images import EMPTY
 from .cloud_materials import set_two_sided
+from .node_groups import new_group
 from .octahedral_nodes import direction_on_map, place_on_map
 from .wiring import Operand, Wiring
 
@@ -133,9 +134,7 @@ def look_groups(name: str, frames: FrameImages) -> dict[str, bpy.types.NodeTree]
 def _look_group(name: str, frames: FrameImages, filtering: str) -> bpy.types.NodeTree:
     """The group "Look": through Point (object's frame, half sides from the centre) along Direction (unit, to the viewer); what lies less
     than Nearest half sides along, measured from Point, does not count."""
-    group = bpy.data.node_groups.new(f"{name} Look", "ShaderNodeTree")
-    _sockets(group, "INPUT", (("Point", "Vector"), ("Direction", "Vector"), ("Nearest", "Float")))
-    _sockets(group, "OUTPUT", LOOK_OUTPUTS)
+    group = new_group(f"{name} Look", (("Point", "Vector"), ("Direction", "Vector"), ("Nearest", "Float")), LOOK_OUTPUTS)
     wiring = Wiring(group)
     frame = _frame_group(name, frames, filtering)
     point, direction, nearest = list(wiring.node("NodeGroupInput").outputs)[:3]
@@ -152,10 +151,9 @@ def _look_group(name: str, frames: FrameImages, filtering: str) -> bpy.types.Nod
             totals[index] = wiring.math("ADD", totals[index], wiring.math("MULTIPLY", node.outputs[index], share))
     over = wiring.math("DIVIDE", 1.0, wiring.math("MAXIMUM", totals[1], EMPTY))
     # Where normals differ their mean is short, and as much less of a light reaches the faces: all of them cannot face it.
-    agreed = wiring.node("ShaderNodeVectorMath", {"operation": "LENGTH"})
-    wiring.connect(wiring.vector("SCALE", totals[2], over), agreed.inputs[0])
+    agreed = wiring.vector("LENGTH", wiring.vector("SCALE", totals[2], over))
     results = [
-        wiring.vector("SCALE", totals[0], wiring.math("MULTIPLY", over, agreed.outputs["Value"])),
+        wiring.vector("SCALE", totals[0], wiring.math("MULTIPLY", over, agreed)),
         totals[1],
         wiring.vector("NORMALIZE", totals[2]),
         *(wiring.math("MULTIPLY", totals[index], over) for index in (3, 4, 5)),
@@ -193,10 +191,8 @@ def _triangle(wiring: Wiring, direction: Operand, grid: FrameGrid) -> list[tuple
 
 def _frame_group(name: str, frames: FrameImages, filtering: str) -> bpy.types.NodeTree:
     """The group "Frame": what a ray sees in the frame at Column, Row; see `core.btf.octahedral.look_up`."""
-    group = bpy.data.node_groups.new(f"{name} Frame", "ShaderNodeTree")
     inputs = (("Point", "Vector"), ("Direction", "Vector"), ("Nearest", "Float"), ("Column", "Float"), ("Row", "Float"))
-    _sockets(group, "INPUT", inputs)
-    _sockets(group, "OUTPUT", LOOK_OUTPUTS)
+    group = new_group(f"{name} Frame", inputs, LOOK_OUTPUTS)
     wiring = Wiring(group)
     point, direction, nearest, column, row = list(wiring.node("NodeGroupInput").outputs)[:5]
     cells = 0.5 * (frames.grid.frames - 1)
@@ -249,11 +245,6 @@ def _texture(wiring: Wiring, image: bpy.types.Image, uv: Operand, filtering: str
     return node.outputs["Color"], node.outputs["Alpha"]
 
 
-def _sockets(group: bpy.types.NodeTree, direction: str, sockets: tuple[tuple[str, str], ...]) -> None:
-    for name, kind in sockets:
-        group.interface.new_socket(name, in_out=direction, socket_type=f"NodeSocket{kind}")
-
-
 def _material(name: str) -> tuple[bpy.types.Material, Wiring]:
     material = bpy.data.materials.new(name)
     set_two_sided(material)
@@ -276,22 +267,17 @@ def _place(wiring: Wiring, half_side: float) -> bpy.types.NodeSocket:
 
 def _to_viewer(wiring: Wiring) -> bpy.types.NodeSocket:
     """The unit direction to where the ray comes from, in the object's frame."""
-    return wiring.vector("NORMALIZE", _turned(wiring, wiring.node("ShaderNodeNewGeometry").outputs["Incoming"], "VECTOR", to_object=True))
+    return wiring.vector("NORMALIZE", _incoming(wiring))
 
 
 def _in_object(wiring: Wiring, length: Operand) -> bpy.types.NodeSocket:
     """A length of the world as one of the object, however its instance is scaled."""
-    incoming = wiring.node("ShaderNodeNewGeometry").outputs["Incoming"]
-    made = wiring.node("ShaderNodeVectorMath", {"operation": "LENGTH"})
-    wiring.connect(_turned(wiring, incoming, "VECTOR", to_object=True), made.inputs[0])
-    return wiring.math("MULTIPLY", length, made.outputs["Value"])
+    return wiring.math("MULTIPLY", length, wiring.vector("LENGTH", _incoming(wiring)))
 
 
-def _turned(wiring: Wiring, vector: Operand, kind: str, to_object: bool) -> bpy.types.NodeSocket:
-    spaces = ("WORLD", "OBJECT") if to_object else ("OBJECT", "WORLD")
-    node = wiring.node("ShaderNodeVectorTransform", {"vector_type": kind, "convert_from": spaces[0], "convert_to": spaces[1]})
-    wiring.connect(vector, node.inputs[0])
-    return node.outputs[0]
+def _incoming(wiring: Wiring) -> bpy.types.NodeSocket:
+    """The direction to where the ray comes from, in the object's frame, as long as a unit of the world is there."""
+    return wiring.turned(wiring.node("ShaderNodeNewGeometry").outputs["Incoming"], "VECTOR", "WORLD", "OBJECT")
 
 
 def _shine(wiring: Wiring, sight: Sight, alpha: Operand, renderer: str) -> None:
@@ -301,6 +287,6 @@ def _shine(wiring: Wiring, sight: Sight, alpha: Operand, renderer: str) -> None:
     wiring.connect(sight.roughness, shader.inputs["Roughness"])
     wiring.connect(sight.metallic, shader.inputs["Metallic"])
     wiring.connect(alpha, shader.inputs["Alpha"])
-    wiring.connect(_turned(wiring, sight.normal, "NORMAL", to_object=False), shader.inputs["Normal"])
+    wiring.connect(wiring.turned(sight.normal, "NORMAL", "OBJECT", "WORLD"), shader.inputs["Normal"])
     wiring.connect(shader.outputs[0], wiring.node("ShaderNodeOutputMaterial", {"target": renderer}).inputs["Surface"])
     wiring.arrange()

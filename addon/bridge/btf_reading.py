@@ -5,7 +5,7 @@ import numpy as np
 
 from ..core.btf.decoding import BakedAtlas
 from ..core.btf.factors import Factors
-from ..core.btf.lobes import Lobes, Surface
+from ..core.btf.lobes import Lobes, Surface, normals_of
 from ..core.btf.lpca import LocalFactors
 from ..core.btf.tables import alpha_basis, colour_basis, weights_in
 from ..core.direction_grids import DirectionGrid
@@ -90,9 +90,7 @@ def _layout(level_object: bpy.types.Object) -> dict[str, int]:
 
 def _lobes(normals: np.ndarray, diffuse: np.ndarray, specular: np.ndarray) -> Lobes:
     """Lobes out of the pixels (P, 4) of their maps."""
-    directions = 2.0 * normals[:, :3] - 1.0
-    directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-6)
-    return Lobes(Surface(directions, diffuse[:, 3]), diffuse[:, :3], specular[:, :3], specular[:, 3])
+    return Lobes(Surface(normals_of(normals), diffuse[:, 3]), diffuse[:, :3], specular[:, :3], specular[:, 3])
 
 
 def _images_by_label(tree: bpy.types.NodeTree) -> dict[str, bpy.types.Image]:

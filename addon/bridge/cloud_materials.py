@@ -5,6 +5,7 @@ import itertools
 import bpy
 
 from ..compat import give_nodes
+from .node_groups import shared_group
 from .wiring import Operand, Wiring
 
 GROUP_NAME = "Farfield Cloud"
@@ -60,19 +61,10 @@ def set_two_sided(material: bpy.types.Material) -> None:
 
 
 def _group() -> bpy.types.NodeTree:
-    """The node group of all clouds in the file, made at first need."""
-    for group in bpy.data.node_groups:
-        if group.get("farfield_version") == GROUP_VERSION and group.name.startswith(GROUP_NAME) and group.library is None:
-            return group
-    group = bpy.data.node_groups.new(GROUP_NAME, "ShaderNodeTree")
-    group["farfield_version"] = GROUP_VERSION
-    for side in SIDES:
-        for name, kind in (("Colour", "Color"), ("Alpha", "Float"), ("Normal", "Color"), ("Surface", "Color")):
-            group.interface.new_socket(f"{side} {name}", in_out="INPUT", socket_type=f"NodeSocket{kind}")
-    group.interface.new_socket("Shadowless", in_out="INPUT", socket_type="NodeSocketFloat")
-    group.interface.new_socket("BSDF", in_out="OUTPUT", socket_type="NodeSocketShader")
-    _fill(Wiring(group))
-    return group
+    """The node group of all clouds in the file."""
+    of_side = (("Colour", "Color"), ("Alpha", "Float"), ("Normal", "Color"), ("Surface", "Color"))
+    inputs = [(f"{side} {name}", kind) for side in SIDES for name, kind in of_side]
+    return shared_group(GROUP_NAME, GROUP_VERSION, [*inputs, ("Shadowless", "Float")], [("BSDF", "Shader")], _fill)
 
 
 def _fill(wiring: Wiring) -> None:
@@ -85,8 +77,6 @@ def _fill(wiring: Wiring) -> None:
 
     roughness, metallic, _ = wiring.separate(seen("Surface"))
     decoded = wiring.vector("SUBTRACT", wiring.vector("SCALE", seen("Normal"), 2.0), (1.0, 1.0, 1.0))
-    turned = wiring.node("ShaderNodeVectorTransform", {"vector_type": "NORMAL", "convert_from": "OBJECT", "convert_to": "WORLD"})
-    wiring.connect(decoded, turned.inputs[0])
     shader = wiring.node("ShaderNodeBsdfPrincipled")
     wiring.connect(seen("Colour"), shader.inputs["Base Color"])
     wiring.connect(roughness, shader.inputs["Roughness"])
@@ -94,9 +84,8 @@ def _fill(wiring: Wiring) -> None:
     alpha = wiring.separate(seen("Alpha"))[0]
     lit = wiring.math("MULTIPLY", alpha, _stops_light(wiring, inputs["Shadowless"]))
     wiring.connect(wiring.math("MULTIPLY", lit, _is_seen(wiring, seen_from_behind)), shader.inputs["Alpha"])
-    wiring.connect(turned.outputs[0], shader.inputs["Normal"])
+    wiring.connect(wiring.turned(decoded, "NORMAL", "OBJECT", "WORLD"), shader.inputs["Normal"])
     wiring.connect(shader.outputs[0], wiring.node("NodeGroupOutput").inputs["BSDF"])
-    wiring.arrange()
 
 
 def _stops_light(wiring: Wiring, shadowless: Operand) -> Operand:
@@ -106,11 +95,8 @@ def _stops_light(wiring: Wiring, shadowless: Operand) -> Operand:
     Cycles only; EEVEE knows camera and shadow rays alone, and the length of the latter is that to the lamp.
     """
     path = wiring.node("ShaderNodeLightPath")
-    scaled = wiring.node("ShaderNodeVectorTransform", {"vector_type": "VECTOR", "convert_from": "OBJECT", "convert_to": "WORLD"})
-    wiring.connect(wiring.combine(shadowless, 0.0, 0.0), scaled.inputs[0])
-    reach = wiring.node("ShaderNodeVectorMath", {"operation": "LENGTH"})
-    wiring.connect(scaled.outputs[0], reach.inputs[0])
-    near = wiring.math("LESS_THAN", path.outputs["Ray Length"], reach.outputs["Value"])
+    reach = wiring.vector("LENGTH", wiring.turned(wiring.combine(shadowless, 0.0, 0.0), "VECTOR", "OBJECT", "WORLD"))
+    near = wiring.math("LESS_THAN", path.outputs["Ray Length"], reach)
     not_seen = wiring.math("SUBTRACT", 1.0, path.outputs["Is Camera Ray"])
     of_light = wiring.math("MULTIPLY", not_seen, wiring.attribute(JOINED_ATTRIBUTE, number=True))
     return wiring.math("SUBTRACT", 1.0, wiring.math("MULTIPLY", of_light, near))

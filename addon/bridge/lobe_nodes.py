@@ -1,60 +1,63 @@
 """The diffuse and the glossy lobe of relightable textures as nodes: what `core.btf.lobes` says, at a point."""
 
 import math
-from dataclasses import dataclass
-
-import bpy
+from dataclasses import dataclass, fields
 
 from ..core.btf.lobes import LEAST_FACING, LEAST_ROUGHNESS, RIM_FACING
+from .node_groups import shared_group
 from .wiring import Operand, Wiring
 
-GROUP_NAME, GROUP_VERSION = "Farfield Lobes", 1
+GROUP_NAME, GROUP_VERSION = "Farfield Lobes", 2
+INPUTS = [  # what remains, the sun, and a texel's lobes in the order of `TexelLobes`
+    *(("Rest", "Color"), ("Sun", "Vector"), ("Viewer", "Vector"), ("Normal", "Vector"), ("Facing", "Float")),
+    *(("Roughness", "Float"), ("Diffuse", "Color"), ("Specular", "Color"), ("Rim", "Float")),
+]
+OUTPUTS = [("Colour", "Color")]
 WHITE = (1.0, 1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True)
-class LobeMaps:
-    """Lobes at a point. viewer: towards the viewer, in world space. normal: a colour of the plain normal map, in the object's frame."""
+class TexelLobes:
+    """Lobes at a point. viewer: towards the viewer; normal: on that side; both unit, in world space. facing: the cosine between them."""
 
     viewer: Operand
     normal: Operand
+    facing: Operand
     roughness: Operand
     diffuse: Operand
     specular: Operand
     rim: Operand
 
 
-def add_dome(wiring: Wiring, maps: LobeMaps, rest: Operand) -> Operand:
+def facing_normal(wiring: Wiring, encoded: Operand, viewer: Operand) -> tuple[Operand, Operand]:
+    """The world-space unit normal that a colour of the plain normal map stands for, turned round where it points away from `viewer`, and
+    its cosine to there."""
+    decoded = wiring.vector("SUBTRACT", wiring.vector("SCALE", encoded, 2.0), (1.0, 1.0, 1.0))
+    normal = wiring.vector("NORMALIZE", wiring.turned(decoded, "NORMAL", "OBJECT", "WORLD"))
+    cosine = wiring.vector("DOT_PRODUCT", normal, viewer)
+    side = wiring.math("SUBTRACT", 1.0, wiring.math("MULTIPLY", wiring.math("LESS_THAN", cosine, 0.0), 2.0))
+    cosine = wiring.math("MINIMUM", wiring.math("MAXIMUM", wiring.math("ABSOLUTE", cosine), LEAST_FACING), 1.0)
+    return wiring.vector("SCALE", normal, side), cosine
+
+
+def add_dome(wiring: Wiring, lobes: TexelLobes, rest: Operand) -> Operand:
     """`rest` and what a dome of radiance 1 makes of the lobes."""
-    facing = _facing(wiring, _normal(wiring, maps.normal), maps.viewer)[1]
-    grazing = wiring.math("MULTIPLY", maps.rim, _fresnel(wiring, facing))
-    matt = wiring.add_scaled(wiring.add_scaled(rest, 1.0, maps.diffuse), 1.0, maps.specular)
+    grazing = wiring.math("MULTIPLY", lobes.rim, _fresnel(wiring, lobes.facing))
+    matt = wiring.add_scaled(wiring.add_scaled(rest, 1.0, lobes.diffuse), 1.0, lobes.specular)
     return wiring.add_scaled(matt, grazing, WHITE)
 
 
-def add_lobes(wiring: Wiring, maps: LobeMaps, sun: Operand, rest: Operand, label: str) -> Operand:
+def add_lobes(wiring: Wiring, lobes: TexelLobes, sun: Operand, rest: Operand, label: str) -> Operand:
     """`rest` and what a sun of unit irradiance from `sun`, in world space, makes of the lobes: a node called `label`."""
-    node = wiring.node("ShaderNodeGroup", {"node_tree": _group(), "label": label})
-    operands = (rest, maps.viewer, sun, maps.normal, maps.roughness, maps.diffuse, maps.specular, maps.rim)
+    node = wiring.node("ShaderNodeGroup", {"node_tree": shared_group(GROUP_NAME, GROUP_VERSION, INPUTS, OUTPUTS, _fill), "label": label})
+    operands = (rest, sun, *(getattr(lobes, field.name) for field in fields(lobes)))
     for operand, target in zip(operands, node.inputs, strict=True):
         wiring.connect(operand, target)
     return node.outputs[0]
 
 
-def _group() -> bpy.types.NodeTree:
-    """The group of all relightable clouds in the file, made at first need."""
-    for group in bpy.data.node_groups:
-        if group.get("farfield_version") == GROUP_VERSION and group.name.startswith(GROUP_NAME) and group.library is None:
-            return group
-    group = bpy.data.node_groups.new(GROUP_NAME, "ShaderNodeTree")
-    group["farfield_version"] = GROUP_VERSION
-    kinds = {"Rest": "Color", "Viewer": "Vector", "Sun": "Vector", "Normal": "Color", "Roughness": "Float"}
-    for name, kind in {**kinds, "Diffuse": "Color", "Specular": "Color", "Rim": "Float"}.items():
-        group.interface.new_socket(name, in_out="INPUT", socket_type=f"NodeSocket{kind}")
-    group.interface.new_socket("Colour", in_out="OUTPUT", socket_type="NodeSocketColor")
-    wiring = Wiring(group)
-    rest, viewer, sun, normal, roughness, diffuse, specular, rim = list(wiring.node("NodeGroupInput").outputs)[:-1]
-    normal, from_view = _facing(wiring, _normal(wiring, normal), viewer)
+def _fill(wiring: Wiring) -> None:
+    rest, sun, viewer, normal, from_view, roughness, diffuse, specular, rim = list(wiring.node("NodeGroupInput").outputs)[:-1]
     from_light = wiring.math("MAXIMUM", wiring.vector("DOT_PRODUCT", normal, sun), 0.0)
     half = wiring.vector("NORMALIZE", wiring.vector("ADD", viewer, sun))
     straight = _glossy(wiring, roughness, from_view, from_light, wiring.vector("DOT_PRODUCT", normal, half))
@@ -63,24 +66,6 @@ def _group() -> bpy.types.NodeTree:
     total = wiring.add_scaled(rest, wiring.math("MULTIPLY", from_light, 1.0 / math.pi), diffuse)
     total = wiring.add_scaled(wiring.add_scaled(total, straight, specular), grazing, WHITE)
     wiring.connect(total, wiring.node("NodeGroupOutput").inputs[0])
-    wiring.arrange()
-    return group
-
-
-def _normal(wiring: Wiring, encoded: Operand) -> Operand:
-    """The world-space unit normal that a colour of the normal map stands for."""
-    decoded = wiring.vector("SUBTRACT", wiring.vector("SCALE", encoded, 2.0), (1.0, 1.0, 1.0))
-    turned = wiring.node("ShaderNodeVectorTransform", {"vector_type": "NORMAL", "convert_from": "OBJECT", "convert_to": "WORLD"})
-    wiring.connect(decoded, turned.inputs[0])
-    return wiring.vector("NORMALIZE", turned.outputs[0])
-
-
-def _facing(wiring: Wiring, normal: Operand, viewer: Operand) -> tuple[Operand, Operand]:
-    """`normal`, turned round where it points away from the viewer, and its cosine to there."""
-    cosine = wiring.vector("DOT_PRODUCT", normal, viewer)
-    side = wiring.math("SUBTRACT", 1.0, wiring.math("MULTIPLY", wiring.math("LESS_THAN", cosine, 0.0), 2.0))
-    cosine = wiring.math("MINIMUM", wiring.math("MAXIMUM", wiring.math("ABSOLUTE", cosine), LEAST_FACING), 1.0)
-    return wiring.vector("SCALE", normal, side), cosine
 
 
 def _glossy(wiring: Wiring, roughness: Operand, from_view: Operand, from_light: Operand, from_half: Operand) -> Operand:

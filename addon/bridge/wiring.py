@@ -42,11 +42,17 @@ class Wiring:
         return made.outputs[0]
 
     def vector(self, operation: str, first: Operand, second: Operand = (0.0, 0.0, 0.0)) -> bpy.types.NodeSocket:
-        """A vector, or a number for DOT_PRODUCT, out of two vectors; SCALE takes a number second."""
+        """A vector, or a number for DOT_PRODUCT and LENGTH, out of two vectors; SCALE takes a number second."""
         made = self.node("ShaderNodeVectorMath", {"operation": operation})
         self.connect(first, made.inputs[0])
         self.connect(second, made.inputs["Scale"] if operation == "SCALE" else made.inputs[1])
-        return made.outputs["Value"] if operation == "DOT_PRODUCT" else made.outputs["Vector"]
+        return made.outputs["Value" if operation in {"DOT_PRODUCT", "LENGTH"} else "Vector"]
+
+    def turned(self, vector: Operand, kind: str, source: str, target: str) -> bpy.types.NodeSocket:
+        """`vector`, a "VECTOR" or a "NORMAL", from one space into another: "WORLD", "OBJECT" or "CAMERA"."""
+        made = self.node("ShaderNodeVectorTransform", {"vector_type": kind, "convert_from": source, "convert_to": target})
+        self.connect(vector, made.inputs[0])
+        return made.outputs[0]
 
     def mix(self, factor: Operand, first: Operand, second: Operand) -> bpy.types.NodeSocket:
         """(1 - factor) * first + factor * second of two vectors, with the factor clamped to 0..1."""

@@ -10,13 +10,18 @@ RINGS = 1000
 SPIRAL = 256  # places on a disc
 
 
+def disc_radius(solid_angle: float) -> float:
+    """The angle in radians between the middle and the rim of a disc of so many steradians."""
+    return float(np.arccos(1.0 - solid_angle / (2.0 * np.pi)))
+
+
 class BroadSuns:
     """L suns from unit `directions` (L, 3), each a disc of `solid_angle` with unit irradiance across its beam."""
 
     def __init__(self, directions: np.ndarray, solid_angle: float) -> None:
         self.directions = directions
         self._solid_angle = solid_angle
-        self.radius = float(np.arccos(1.0 - solid_angle / (2.0 * np.pi)))
+        self.radius = disc_radius(solid_angle)
 
     def cosine(self, normals: np.ndarray) -> np.ndarray:
         """What white Lambert surfaces with `normals` (N, 3) show of each, (N, L): the mean of the cosine above 0 over its disc, over pi."""

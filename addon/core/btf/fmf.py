@@ -75,6 +75,13 @@ class _Matrix:
         self._size = max(1, PIECE // (self.rows * len(CHANNELS)))
         self.count = -(-self.pixels // self._size)
 
+    @property
+    def factor(self) -> np.ndarray | None:
+        """Columns (3, rows, C) float64 that span the matrix of each channel, where it is a product with so many; None where it is not."""
+        if self._atlas.lobes is not None:
+            return None
+        return self._basis.transpose(3, 0, 2, 1).reshape(len(CHANNELS), self.rows, -1).astype(np.float64)
+
     def pieces(self) -> Iterator[tuple[slice, np.ndarray]]:
         """Pixels, and their numbers (3, rows, M) float32: row by row a view and a light."""
         lobes = self._atlas.lobes
@@ -91,7 +98,9 @@ class _Matrix:
 
 
 def _range(matrix: _Matrix, components: int) -> Steps[np.ndarray]:
-    """Orthonormal columns (3, rows, a few more than components) float32 that hold nearly all of the matrix of each channel."""
+    """Orthonormal columns (3, rows, at least `components`) float32 that hold nearly all of the matrix of each channel."""
+    if matrix.factor is not None:
+        return np.linalg.qr(matrix.factor)[0].astype(np.float32)
     random = np.random.default_rng(0)
     wide = min(components + OVERSAMPLED, matrix.rows)
     bases = None

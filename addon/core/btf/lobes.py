@@ -56,7 +56,7 @@ class Lobes:
     def of_grid(self, view: np.ndarray, suns: BroadSuns, rows: np.ndarray) -> np.ndarray:
         """Radiance (M, L + 1, 3) of `rows` (M,) from the unit direction `view`, under each of the L broad suns and, last, the dome."""
         parts = np.stack([self.diffuse[rows], self.specular[rows], np.repeat(self.rim[rows, None], 3, axis=1)], axis=1)
-        return features(self.surface, view, suns, rows)[..., :KEPT] @ parts
+        return features(self.surface, view, suns, rows, KEPT) @ parts
 
     def under(self, lights: np.ndarray, view: np.ndarray, suns: BroadSuns) -> np.ndarray:
         """Radiance (N, M * 3) float16 of all texels from `view` under sums `lights` (L + 1, M) of the broad suns and the dome."""
@@ -80,6 +80,13 @@ class Lobes:
         return self.diffuse + self.specular + (grazing * self.rim)[:, None]
 
 
+def normals_of(pixels: np.ndarray) -> np.ndarray:
+    """The unit normals (N, 3) that pixels (N, 3 or more) of a normal map stand for; up where a pixel stands for none."""
+    normals = 2.0 * pixels[:, :3] - 1.0
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.where(lengths > 1e-6, normals / np.maximum(lengths, 1e-6), np.float32([0.0, 0.0, 1.0]))
+
+
 def glossy_lobe(normals: np.ndarray, view: np.ndarray, lights: np.ndarray, roughness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """GGX times cosine (N, L) for unit irradiance, and the same times Schlick's (1 - h v)^5, which ends at RIM_FACING.
 
@@ -95,15 +102,16 @@ def glossy_lobe(normals: np.ndarray, view: np.ndarray, lights: np.ndarray, rough
     return straight, straight * _fresnel(half @ view)
 
 
-def features(surface: Surface, view: np.ndarray, suns: BroadSuns, rows: np.ndarray) -> np.ndarray:
-    """What each lobe of strength 1 makes (M, L + 1, 5) float32 of `rows`, see DIFFUSE and so on."""
+def features(surface: Surface, view: np.ndarray, suns: BroadSuns, rows: np.ndarray, count: int = len(LARGEST)) -> np.ndarray:
+    """What each lobe of strength 1 makes (M, L + 1, count) float32 of `rows`, see DIFFUSE and so on."""
     normals = _towards(surface.normals[rows], view)
-    made = np.zeros((len(rows), len(suns.directions) + 1, len(LARGEST)), np.float32)
+    made = np.zeros((len(rows), len(suns.directions) + 1, count), np.float32)
     made[:, :-1, DIFFUSE] = suns.cosine(normals)
     made[:, :-1, SPECULAR] = suns.mirrored(normals, view, np.maximum(surface.roughness[rows], LEAST_ROUGHNESS))
     made[:, -1, [DIFFUSE, SPECULAR]] = 1.0
     made[..., RIM] = made[..., SPECULAR] * _fresnel(normals @ view)[:, None]
-    made[:, :-1, EVEN] = made[:, -1, DOME_EVEN] = 1.0
+    if count > KEPT:
+        made[:, :-1, EVEN] = made[:, -1, DOME_EVEN] = 1.0
     return made
 
 
