@@ -2,6 +2,8 @@
 
     python3 scripts/test.py [arguments of pytest]
 
+Files run side by side, as many as there are cores, four at most, since each holds a Blender; `-n 0` runs one after the other.
+
 The first run makes an environment, see environment.py. FARFIELD_BPY=4.5, 5.0 or 5.2 chooses the Blender to test with.
 """
 
@@ -11,7 +13,10 @@ import sys
 
 import environment
 
-environment.ensure(also=("pytest", "pytest_timeout", "hypothesis"))
+environment.ensure(also=("pytest", "pytest_timeout", "xdist", "hypothesis"))
+
+
+SIDE_BY_SIDE = ("-n", "auto", "--maxprocesses", "4", "--dist", "loadgroup", "--no-loadscope-reorder")
 
 
 def main() -> int:
@@ -21,7 +26,7 @@ def main() -> int:
 
     os.chdir(environment.ROOT)
     print(f"Farfield's tests with bpy {version('bpy')}, Python {platform.python_version()}, NumPy {version('numpy')}", flush=True)
-    return pytest.main(sys.argv[1:])
+    return pytest.main([*SIDE_BY_SIDE, *sys.argv[1:]])
 
 
 if __name__ == "__main__":
