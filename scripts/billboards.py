@@ -20,10 +20,11 @@ import bpy
 
 import command_line
 import scene_files
+from farfield.addon.bridge.cameras import scene_camera
 from farfield.addon.bridge.exports import write_glb, write_obj
 from farfield.addon.core.billboards.cloud import Level
-from farfield.addon.core.billboards.settings import BillboardSettings
-from farfield.addon.core.errors import FileError
+from farfield.addon.core.billboards.settings import BillboardSettings, FadeSettings
+from farfield.addon.core.errors import FileError, GeometryError
 from farfield.addon.core.progress import StageClock, finish
 from farfield.addon.core.settings import add_flags, describe, from_flags
 from farfield.addon.operators.billboards_clouds import StandingCloud, cloud_of
@@ -43,26 +44,34 @@ def parser() -> command_line.Parser:
     add_flags(made, BillboardSettings)
     hide = next(item for item in describe(BuildOptions) if item.name == "hide_source_from_render")
     made.add_argument(hide.flag, action="store_true", help=hide.help)
+    made.add_argument("--cross-fade", action="store_true", help="let original and levels fade into each other for the file's camera")
+    add_flags(made, FadeSettings)
     return made
 
 
 def main(arguments: list[str], line: command_line.ProgressLine) -> None:
     """Run the script; raises FarfieldError when the input is bad."""
     given = parser().parse_args(arguments)
-    settings = from_flags(BillboardSettings, given)
+    settings, fading = from_flags(BillboardSettings, given), from_flags(FadeSettings, given)
     out = given.out.absolute()
     if out.suffix.lower() not in ENDINGS:
         raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(ENDINGS)}.')
+    if given.cross_fade and out.suffix.lower() != ".blend":
+        raise FileError(f'--cross-fade needs nodes, which "{given.out}" cannot hold; let --out end in .blend.')
     check_writable(out, given.report)
     clock = StageClock()
     with clock.stage("read"):
         scene_files.open_scene(given.input.absolute())
+        if given.cross_fade and scene_camera(bpy.context.scene) is None:
+            raise GeometryError("The file has no camera to fade for; add one, or leave out --cross-fade.")
         job = prepare_input(settings, BuildOptions(together=True, hide_source_from_render=given.hide_source_from_render))
     for reason in job.skipped:
         print(f"Skipped: {reason}.", file=sys.stderr)
     finish(whole(job), line.show)
     line.clear()
     with clock.stage("write"):
+        for cloud in standing(job) if given.cross_fade else []:
+            cloud.fade(bpy.context, fading.fade_range)
         write(out, job)
     if given.report is not None:
         command_line.write_report(given.report.absolute(), report(job, clock))

@@ -10,9 +10,12 @@ import pytest
 
 import environment
 
-# Before anything imports bpy: tests neither read nor change the settings of the Blender on this machine.
-BLENDER_FOLDER = tempfile.mkdtemp(prefix="farfield-tests-")
-os.environ["BLENDER_USER_RESOURCES"] = BLENDER_FOLDER
+# Before anything imports bpy: tests neither read nor change the settings of the Blender on this machine, and those that run side by side
+# have temporary folders of their own.
+OWN_FOLDER = tempfile.mkdtemp(prefix="farfield-tests-")
+os.environ["BLENDER_USER_RESOURCES"] = OWN_FOLDER
+for variable in ("TMPDIR", "TEMP", "TMP"):
+    os.environ[variable] = tempfile.tempdir = OWN_FOLDER
 
 environment.import_farfield()
 
@@ -73,8 +76,8 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 
 def pytest_unconfigure() -> None:
-    """Remove the tests' own Blender folder."""
-    shutil.rmtree(BLENDER_FOLDER, ignore_errors=True)
+    """Remove the tests' own folder."""
+    shutil.rmtree(OWN_FOLDER, ignore_errors=True)
 
 
 def _reason(report: pytest.TestReport | pytest.CollectReport) -> str:

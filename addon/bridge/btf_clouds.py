@@ -14,6 +14,8 @@ from ..core.btf.texels import Quads, Texels, texels_of
 from ..core.images import dilate, nearest_known
 from .btf_materials import AMBIENT, SUNS, BtfImages, btf_material, light_property, sun_labels, sun_property
 from .cloud_materials import FRONT_COLOUR, FRONT_NORMAL, FRONT_SURFACE
+from .clouds import allow_transparent_bounces
+from .fades import wear_fade
 from .images import data_image, pixels_of
 
 PLAIN_MATERIAL = "farfield_plain_material"  # on the level object: name of the material with the plain maps
@@ -114,6 +116,7 @@ def wear(
         level_object[sun_property(number)] = [0.0, 0.0, 1.0]
         level_object[light_property(number)] = [0.0, 0.0, 0.0]
     level_object[AMBIENT] = [0.0, 0.0, 0.0]
+    wear_fade(level_object)
 
 
 def _lobe_images(
@@ -150,8 +153,8 @@ def let_through(collection: bpy.types.Collection, stacked: int) -> None:
     A scene that allows more keeps what it has.
     """
     for scene in bpy.data.scenes:
-        if collection in scene.collection.children_recursive and hasattr(scene, "cycles"):
-            scene.cycles.transparent_max_bounces = max(scene.cycles.transparent_max_bounces, stacked + ROOM)
+        if collection in scene.collection.children_recursive:
+            allow_transparent_bounces(scene, stacked + ROOM)
 
 
 def take_off(level_object: bpy.types.Object) -> None:
@@ -164,6 +167,7 @@ def take_off(level_object: bpy.types.Object) -> None:
         del level_object[name]
     if plain is not None:
         plain.use_fake_user = False
+    wear_fade(level_object)
     if baked is not None and baked.users == 0:
         bpy.data.materials.remove(baked)
 

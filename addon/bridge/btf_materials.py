@@ -83,7 +83,7 @@ def btf_material(name: str, images: BtfImages, tables: Tables, blend_texels: boo
     tree = material.node_tree
     tree.nodes.clear()
     wiring = Wiring(tree)
-    suns = [_of_object(wiring, sun_property(number)) for number in range(SUNS)]
+    suns = [wiring.of_object(sun_property(number)) for number in range(SUNS)]
     viewer = _towards_viewer(wiring, suns)
     view = _place_node(wiring, tables.views_upper, viewer)
     column, texel, closest = None, None, images.clusters is not None
@@ -95,7 +95,7 @@ def btf_material(name: str, images: BtfImages, tables: Tables, blend_texels: boo
     tint, lobes = _texture(wiring, images.tints, TINTS)[0], _lobes_of(wiring, images, viewer)
     in_views = _in_column(wiring, _in_views(wiring, tables.dome, view), column)
     even = wiring.vector("MULTIPLY", _weighted_sum(wiring, images.dome, DOME, in_views, tables.dome.step, scalars), tint)
-    colour = wiring.vector("MULTIPLY", _cut(wiring, even if lobes is None else add_dome(wiring, lobes, even)), _of_object(wiring, AMBIENT))
+    colour = wiring.vector("MULTIPLY", _cut(wiring, even if lobes is None else add_dome(wiring, lobes, even)), wiring.of_object(AMBIENT))
     lamp = _lamp_group(name, tables, images.basis, len(weights), column is not None)
     for number, sun in enumerate(suns):
         decoded, added = sun_labels(number)
@@ -105,7 +105,7 @@ def btf_material(name: str, images: BtfImages, tables: Tables, blend_texels: boo
             wiring.connect(operand, target)
         shown = wiring.vector("MULTIPLY", node.outputs[0], tint)
         shown = shown if lobes is None else add_lobes(wiring, lobes, sun, shown, added)
-        colour = wiring.vector("ADD", colour, wiring.vector("MULTIPLY", _cut(wiring, shown), _of_object(wiring, light_property(number))))
+        colour = wiring.vector("ADD", colour, wiring.vector("MULTIPLY", _cut(wiring, shown), wiring.of_object(light_property(number))))
     alpha = _alpha(wiring, tables, images, view)
     emission, transparent, mixed = (
         wiring.node(kind) for kind in ("ShaderNodeEmission", "ShaderNodeBsdfTransparent", "ShaderNodeMixShader")
@@ -179,11 +179,6 @@ def _texel_place(wiring: Wiring, image: bpy.types.Image, blend: bool) -> bpy.typ
         wiring.connect(float(seed), noise.inputs["W"])
         moves.append(wiring.math("DIVIDE", wiring.math("SUBTRACT", noise.outputs["Value"], 0.5), float(size)))
     return wiring.vector("ADD", place, wiring.combine(*moves, 0.0))
-
-
-def _of_object(wiring: Wiring, name: str) -> bpy.types.NodeSocket:
-    node = wiring.node("ShaderNodeAttribute", {"attribute_type": "OBJECT", "attribute_name": name, "label": name})
-    return node.outputs["Vector"]
 
 
 def _place_node(wiring: Wiring, upper: bool, direction: Operand) -> bpy.types.NodeSocket:

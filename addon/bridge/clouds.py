@@ -1,6 +1,7 @@
 """A billboard cloud as Blender objects: a collection with one mesh of textured quads a level."""
 
 import math
+from collections.abc import Sequence
 
 import bpy
 import numpy as np
@@ -60,13 +61,25 @@ def drawn_on(mesh: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray]:
     return np.array(mesh[DRAWN_OFFSETS], np.int64), np.array(mesh[DRAWN], np.int64)
 
 
-def needed_transparent_bounces(cloud: Cloud) -> int:
+def needed_transparent_bounces(levels: Sequence[bpy.types.Object], together: bool = False) -> int:
     """Transparent bounces with which Cycles shows quads behind quads without turning dark: 32 to 1024, Cycles' limit.
 
-    An estimate: four times the mean number of quads that a line through the bounding sphere meets in the level where that is most.
+    An estimate: four times the mean number of quads that a line through the bounding sphere meets in the level where that is most, or in
+    all levels where they are shown `together`.
     """
-    stacked = [4.0 * float(level.quads.areas.sum()) / (0.25 * math.pi * cloud.longest_side**2) for level in cloud.levels]
-    return int(min(max([32.0, *stacked]), 1024.0))
+    stacked = []
+    for level in levels:
+        places = np.empty(3 * len(level.data.vertices), np.float32)
+        level.data.vertices.foreach_get("co", places)
+        longest = float(np.ptp(places.reshape(-1, 3), axis=0).max())
+        stacked.append(4.0 * sum(polygon.area for polygon in level.data.polygons) / (0.25 * math.pi * longest**2))
+    return int(min(max(32.0, sum(stacked) if together else max(stacked)), 1024.0))
+
+
+def allow_transparent_bounces(scene: bpy.types.Scene, bounces: int) -> None:
+    """Let light through so many transparent quads behind each other: Cycles draws what lies deeper black. What allows more stays."""
+    if hasattr(scene, "cycles"):
+        scene.cycles.transparent_max_bounces = max(scene.cycles.transparent_max_bounces, bounces)
 
 
 def _camera(parent: bpy.types.Collection) -> Camera:

@@ -95,6 +95,11 @@ class Wiring:
         made = self.node("ShaderNodeAttribute", {"attribute_name": name})
         return made.outputs["Fac" if number else "Vector"]
 
+    def of_object(self, name: str) -> bpy.types.NodeSocket:
+        """The custom property `name` of the object that is shaded, as a vector; of an instance, that of the object it shows."""
+        made = self.node("ShaderNodeAttribute", {"attribute_type": "OBJECT", "attribute_name": name, "label": name})
+        return made.outputs["Vector"]
+
     def transform(self, point: Operand, matrix: np.ndarray) -> bpy.types.NodeSocket:
         """`point` through an affine `matrix` (4, 4)."""
         rows = [self.math("ADD", self.vector("DOT_PRODUCT", point, row[:3].tolist()), float(row[3])) for row in matrix[:3]]

@@ -54,6 +54,12 @@ def switch_distance(error: float, field_of_view: float, pixels: int) -> float:
     return error / pixel_size_at(1.0, field_of_view, pixels)
 
 
+def faded_share(pixel: np.ndarray | float, error: float, span: float) -> np.ndarray | float:
+    """How far a cross-fade to a coarser level has come, 0..1, where a pixel is `pixel` long: it begins where the coarser level's `error`
+    shows as one pixel and ends where a pixel is longer by the share `span`."""
+    return np.clip((pixel - error) / (span * error), 0.0, 1.0)
+
+
 def distance_to_box(position: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
     """Distance of `position` (3,) to the axis-aligned box from `low` (3,) to `high` (3,); 0 inside."""
     return float(np.linalg.norm(np.maximum(np.maximum(low - position, position - high), 0.0)))

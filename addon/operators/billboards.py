@@ -1,9 +1,9 @@
-"""Operators of the tool `billboards`: build clouds, estimate them beforehand, show the level that suits the camera."""
+"""Operators of the tool `billboards`: build clouds, estimate them beforehand, show the level that suits the camera or let levels fade."""
 
 import bpy
 
 from ..bridge import cameras
-from ..core.billboards.settings import BillboardSettings
+from ..core.billboards.settings import BillboardSettings, FadeSettings
 from ..core.errors import FarfieldError
 from . import billboards_estimates, long_work, properties
 from .billboards_clouds import clouds_in
@@ -13,7 +13,11 @@ from .billboards_job import BillboardJob, BuildOptions, may_have_surface, prepar
 class FARFIELD_PG_billboards(bpy.types.PropertyGroup):
     """What the panel *Billboard Cloud* holds, kept with each scene."""
 
-    __annotations__ = properties.annotations(BillboardSettings, set()) | properties.annotations(BuildOptions, set())
+    __annotations__ = {
+        name: annotation
+        for settings_type in (BillboardSettings, BuildOptions, FadeSettings)
+        for name, annotation in properties.annotations(settings_type, set()).items()
+    }
 
 
 class FARFIELD_OT_billboards_build(long_work.LongWork, bpy.types.Operator):
@@ -62,6 +66,34 @@ class FARFIELD_OT_billboards_estimate(bpy.types.Operator):
         return {"FINISHED"}
 
 
+class FARFIELD_OT_billboards_fade(bpy.types.Operator):
+    """Let the levels of each cloud and its original fade into each other as the scene's camera moves: all of them render, and their
+    materials let through what another level shows"""
+
+    bl_idname = "farfield.billboards_fade"
+    bl_label = "Cross-fade Levels"
+    bl_options = {"REGISTER", "UNDO"}
+    __annotations__ = properties.annotations(FadeSettings, {"SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether there are a camera and a cloud."""
+        return long_work.allowed(cls, _no_view(context))
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Dress every cloud of the scene."""
+        properties.fill_unset(FadeSettings, self, context.scene.farfield_billboards)
+        span = properties.read(FadeSettings, self).fade_range
+        standing = clouds_in(context.scene)
+        for cloud in standing:
+            cloud.fade(context, span)
+        names = ", ".join(f'"{cloud.collection.name}"' for cloud in standing)
+        alone = [f'"{cloud.collection.name}"' for cloud in standing if not cloud.sources]
+        missing = f" Without their originals, which are gone: {', '.join(alone)}." if alone else ""
+        self.report({"INFO"}, f"Fading for the scene's camera: {names}.{missing}")
+        return {"FINISHED"}
+
+
 class FARFIELD_OT_billboards_show_level(bpy.types.Operator):
     """Show of each cloud the coarsest level that looks like the original from the scene's camera, or the original itself when it is near"""
 
@@ -72,12 +104,7 @@ class FARFIELD_OT_billboards_show_level(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether there are a camera and a cloud."""
-        reason = ""
-        if cameras.scene_camera(context.scene) is None:
-            reason = "The scene has no camera"
-        elif not clouds_in(context.scene):
-            reason = "The scene has no billboard cloud"
-        return long_work.allowed(cls, reason)
+        return long_work.allowed(cls, _no_view(context))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Hide and show."""
@@ -91,6 +118,13 @@ class FARFIELD_OT_billboards_show_level(bpy.types.Operator):
         return {"FINISHED"}
 
 
+def _no_view(context: bpy.types.Context) -> str:
+    """Why no level can be chosen, or an empty string."""
+    if cameras.scene_camera(context.scene) is None:
+        return "The scene has no camera"
+    return "" if clouds_in(context.scene) else "The scene has no billboard cloud"
+
+
 def refusal(context: bpy.types.Context) -> str:
     """Why nothing can be built now, or an empty string."""
     chosen = any(may_have_surface(item) for item in context.selected_objects)
@@ -101,6 +135,7 @@ CLASSES = (
     FARFIELD_PG_billboards,
     FARFIELD_OT_billboards_build,
     FARFIELD_OT_billboards_estimate,
+    FARFIELD_OT_billboards_fade,
     FARFIELD_OT_billboards_show_level,
 )
 

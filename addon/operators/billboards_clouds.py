@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
+from ..bridge import btf_clouds, clouds, fade_originals, fades, originals
 from ..core.cameras import Camera, choose_level, distance_to_box
 
 KIND = "farfield_kind"  # on all that Farfield makes; "cloud" on the levels of a billboard cloud
@@ -47,8 +48,41 @@ class StandingCloud:
         corners = np.array(level.bound_box) @ matrix[:3, :3].T + matrix[:3, 3]
         return distance_to_box(position, corners.min(axis=0), corners.max(axis=0))
 
+    @property
+    def fades(self) -> bool:
+        """Whether the levels fade into each other."""
+        return any(fades.FADE in level for level in self.levels)
+
+    def fade(self, context: bpy.types.Context, span: float) -> None:
+        """Let the original and all levels fade into each other for the scene's camera, over the share `span` of the distance.
+
+        Each level begins to show where its error is one pixel. Stand-ins with the original's surfaces fade; the sources themselves are
+        hidden.
+        """
+        self.unfade()
+        sources, errors = self.sources, [*self.errors, fades.FOREVER]
+        if sources:
+            with originals.shown(context, sources) as depsgraph:
+                fade_originals.add_originals(sources, self.collection, depsgraph)
+        for item in fade_originals.originals_in(self.collection):
+            size = np.linalg.norm(np.array(item.matrix_basis)[:3, :3]) / 3.0**0.5
+            fades.fade(item, fades.ALWAYS, errors[0] / max(size, 1e-12), span)
+        for number, level in enumerate(self.levels):
+            fades.fade(level, errors[number] if sources or number else fades.ALWAYS, errors[number + 1], span)
+            _set_hidden(level, False)
+        for source in sources:
+            _set_hidden(source, True)
+        clouds.allow_transparent_bounces(context.scene, clouds.needed_transparent_bounces(self.levels, together=True))
+
+    def unfade(self) -> None:
+        """Let every level show wherever it is not hidden; all stay visible but for the original's stand-ins, which go."""
+        fade_originals.remove_originals(self.collection)
+        for level in self.levels:
+            fades.unfade(level, [*level.data.materials, btf_clouds.plain_material(level)])
+
     def show_for(self, camera: Camera) -> int | None:
         """Show the level that suits `camera` and hide the others; the sources when all are too coarse. Returns the level or None."""
+        self.unfade()
         chosen = choose_level(self.errors, self.distance(camera.position), camera)
         sources = self.sources
         if chosen is None and not sources:

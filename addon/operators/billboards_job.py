@@ -84,7 +84,7 @@ class BillboardJob:
             names = list(dict.fromkeys(part.name for part in source.parts))
             remember_sources(collection, names)
             self.made.append((collection.name, cloud))
-            _allow_stacked_quads(scene, clouds.needed_transparent_bounces(cloud))
+            clouds.allow_transparent_bounces(scene, clouds.needed_transparent_bounces(collection.objects))
             if self.options.hide_source_from_render:
                 for name in names:
                     bpy.data.objects[name].hide_render = True
@@ -157,12 +157,6 @@ def is_point_cloud(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bo
         return False
     mesh = item.evaluated_get(depsgraph).data
     return len(mesh.vertices) > 0 and len(mesh.edges) == 0 and len(mesh.polygons) == 0
-
-
-def _allow_stacked_quads(scene: bpy.types.Scene, bounces: int) -> None:
-    """Let light through as many transparent quads as may stand behind each other: Cycles draws what lies deeper black."""
-    if hasattr(scene, "cycles"):
-        scene.cycles.transparent_max_bounces = max(scene.cycles.transparent_max_bounces, bounces)
 
 
 def _span(index: int, count: int) -> tuple[float, float]:

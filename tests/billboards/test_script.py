@@ -16,7 +16,8 @@ import billboards
 import command_line
 import environment
 import scene_files
-from farfield.addon.core.errors import FileError
+from farfield.addon.bridge.fades import FADE
+from farfield.addon.core.errors import FileError, GeometryError
 from farfield.addon.core.progress import Progress
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
@@ -96,6 +97,23 @@ def test_a_cube_into_a_blend_with_a_report(cube):
     levels = cloud_levels()
     assert [level["farfield_quads"] for level in levels] == [level["quads"] for level in report["levels"]]
     assert len(bpy.data.meshes) == 3 and not levels[0].hide_render and levels[1].hide_render
+
+
+def test_levels_fade_for_the_camera_of_the_file(cube):
+    scene_files.open_scene(cube)
+    with pytest.raises(GeometryError, match="no camera"):
+        main(cube, "--out", cube.with_name("out.blend"), "--cross-fade")
+    scene_files.open_scene(cube)
+    bpy.ops.object.camera_add()
+    bpy.context.scene.camera = bpy.context.object
+    with_camera, out = cube.with_name("kamera.blend"), cube.with_name("out.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=str(with_camera))
+    with pytest.raises(FileError, match=r"end in \.blend"):
+        main(with_camera, "--out", cube.with_name("out.glb"), "--cross-fade")
+    main(with_camera, "--out", out, "--levels", "2", "--samples", "1", "--cross-fade", "--fade-range", "50%")
+    bpy.ops.wm.open_mainfile(filepath=str(out))
+    assert [level[FADE][2] for level in cloud_levels()] == [0.5, 0.5]
+    assert not any(level.hide_render for level in cloud_levels())
 
 
 def test_bad_input_is_one_sentence_and_code_2(cube):

@@ -9,10 +9,11 @@ import bpy
 import mathutils
 
 from bridge import blender_scenes
-from farfield.addon.bridge.btf_clouds import texels_of_level, wear
+from farfield.addon.bridge.btf_clouds import take_off, texels_of_level, wear
 from farfield.addon.bridge.btf_materials import AMBIENT, light_property, sun_property
 from farfield.addon.bridge.btf_reading import baked_atlas
 from farfield.addon.bridge.cloud_materials import FRONT_NORMAL
+from farfield.addon.bridge.fades import GROUP_NAME, fade, unfade
 from farfield.addon.bridge.images import data_image
 from farfield.addon.bridge.temporary import temporary_scene
 from farfield.addon.core.btf.factors import Factors
@@ -31,18 +32,28 @@ def fresh_scene(extension):
     blender_scenes.fresh()
 
 
-def dressed(clusters: int, components: int, blend_texels: bool = False, lobes: Lobes | None = None) -> bpy.types.Object:
-    """A card of 8 x 8 texels, opaque, in textures of random numbers that no light makes negative."""
+def plain_card(plain: bpy.types.Material | None = None) -> bpy.types.Object:
+    """A card of 8 x 8 texels."""
     card = blender_scenes.card()
     card["farfield_atlas"] = [SIDE, SIDE]
-    card.data.materials.append(None if lobes is None else plain_maps(lobes.surface.normals[0]))
+    card.data.materials.append(plain)
+    return card
+
+
+def dressed(clusters: int, components: int, blend_texels: bool = False, lobes: Lobes | None = None) -> bpy.types.Object:
+    """A card, opaque, in textures of random numbers that no light makes negative."""
+    card = plain_card(None if lobes is None else plain_maps(lobes.surface.normals[0]))
+    dress(card, clusters, components, blend_texels, lobes)
+    return card
+
+
+def dress(card: bpy.types.Object, clusters: int, components: int, blend_texels: bool = False, lobes: Lobes | None = None) -> None:
     texels = texels_of_level(card)
     colour = made_colour(len(texels), clusters, components, views=16, lights=9)
     np.abs(colour.basis, out=colour.basis)
     alpha = Factors(np.ones((len(texels), 1), np.float32), np.ones((16, 1, 1), np.float32), colour.known)
     tints = np.tile(np.float32([0.7, 1.3, 1.1]), (len(texels), 1))  # equal, since they alone are filtered
     wear(card, texels, tints, colour, alpha, BtfSettings(views=16, lights=9, blend_texels=blend_texels), lobes)
-    return card
 
 
 def plain_maps(normal: np.ndarray) -> bpy.types.Material:
@@ -232,3 +243,19 @@ def test_the_shadow_has_the_silhouette_that_the_lamp_sees(shown_from):
     shade, light = picture[view.cells(np.stack([shaded, open_ground]))][:, :3].mean(axis=1)
     assert light > 0.1
     assert shade == pytest.approx(0.0, abs=0.02) if shown_from == "above" else shade == pytest.approx(light, rel=0.1)
+
+
+def test_relightable_textures_fade_where_the_plain_maps_did():
+    card = plain_card(blender_scenes.material("Plain"))
+    fade(card, 0.01, 0.02, 0.5)
+    dress(card, 1, 3)
+    assert fading_nodes(card) == 1
+    take_off(card)
+    assert card.data.materials[0].name == "Plain" and fading_nodes(card) == 1
+    unfade(card, card.data.materials)
+    assert fading_nodes(card) == 0
+
+
+def fading_nodes(card: bpy.types.Object) -> int:
+    nodes = card.data.materials[0].node_tree.nodes
+    return sum(node.type == "GROUP" and node.node_tree.name.startswith(GROUP_NAME) for node in nodes)

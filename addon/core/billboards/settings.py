@@ -13,6 +13,19 @@ METHODS = {
 
 
 @dataclass(frozen=True, kw_only=True)
+class FadeSettings(Settings):
+    """What a user can choose about levels that fade into each other."""
+
+    fade_range: float = setting(
+        0.25,
+        "Range of distances over which one level fades into the next, as a share of the distance where it begins; 0 switches at once",
+        minimum=0.0,
+        maximum=4.0,
+        unit=Unit.SHARE,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class BillboardSettings(Settings):
     """Settings of the tool `billboards`. Shares are of the longest side of the bounding box."""
 
