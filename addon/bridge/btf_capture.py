@@ -11,6 +11,7 @@ from ..core.btf.broad_suns import disc_radius
 from ..core.btf.estimate import side_of
 from ..core.btf.settings import BtfSettings
 from ..core.btf.texels import FINER, Picture, View
+from ..core.direction_grids import DirectionGrid
 from .cameras import look
 from .identity import add_stand_in, faces_in
 from .meshes import Source
@@ -32,8 +33,8 @@ class NumberBooth:
         return self._work.render_seconds
 
     def faces(self, view: View) -> np.ndarray:
-        """The face (F H, F W) int32 in the middle of every pixel of a picture FINER times as fine as `view`, -1 for none."""
-        look(self._work.scene, view.finer(FINER))
+        """The face (H, W) int32 in the middle of every pixel of `view`, -1 for none."""
+        look(self._work.scene, view)
         return faces_in(self._work.render())
 
 
@@ -67,10 +68,10 @@ class LitBooth:
             picture = self._work.render()
             radiance[number] = picture[..., :3]
             coverage += picture[..., 3] / (len(suns) + 1)
-        return Picture(radiance, coverage, faces, _heights(self._source, view.finer(FINER), faces))
+        return Picture(radiance, coverage, faces, heights_of(self._source, view.finer(FINER), faces))
 
 
-def _heights(source: Source, view: View, faces: np.ndarray) -> np.ndarray:
+def heights_of(source: Source, view: View, faces: np.ndarray) -> np.ndarray:
     """Heights (H, W) above the view's centre of the places seen in the middle of each pixel, on the planes of their faces."""
     row, column = np.nonzero(faces >= 0)
     first, normal = _planes(source, faces[row, column])
@@ -122,13 +123,13 @@ def sun_angle(settings: BtfSettings) -> float:
     return 2.0 * disc_radius(settings.sun_size)
 
 
-def views_of(source: Source, settings: BtfSettings, pixel: float) -> list[View]:
-    """One view for each direction of the settings' grid, with the whole source in it, `pixel` (a length) a pixel."""
+def views_of(source: Source, grid: DirectionGrid, pixel: float) -> list[View]:
+    """One view for each direction of `grid`, with the whole source in it, `pixel` (a length) a pixel."""
     points = source.mesh.vertices if source.mesh is not None else source.points.points
     low, high = points.min(axis=0), points.max(axis=0)
     center = 0.5 * (low + high)
     reach = float(np.linalg.norm(points - center, axis=1).max())
-    return [View(direction, center, side_of(reach, pixel), pixel) for direction in settings.view_grid.directions]
+    return [View(direction, center, side_of(reach, pixel), pixel) for direction in grid.directions]
 
 
 def _planes(source: Source, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

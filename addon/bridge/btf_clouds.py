@@ -88,23 +88,26 @@ def wear(
     tints: (N, 3), what the colours are multiplied by. `alpha` is what the silhouette from a view has more than that of the plain maps.
     lobes: what comes on top of the colours; their normals must be those of the plain maps.
     """
-    tables = tables_of(colour, alpha, settings.view_grid, settings.light_grid)
+    shadows = None if lobes is None else lobes.shadows
+    tables = tables_of(colour, alpha, settings.view_grid, settings.light_grid, shadows)
     name = f"{level_object.name} BTF"
     known = texels.image(colour.known[:, None].astype(np.float32))[..., 0]
     weights, clusters = _weights_of(colour, texels, known)
     hues = dilate(texels.image(tints), known, DILATED)
     images = BtfImages(
-        weights=[_half_image(f"{name} Weights {number}", image) for number, image in enumerate(weight_images(weights))],
+        weights=_weight_images(f"{name} Weights", weights),
         clusters=None if clusters is None else _half_image(f"{name} Clusters", np.repeat(clusters[..., None], 4, axis=2)),
         tints=_half_image(f"{name} Tints", np.concatenate([hues, np.ones_like(hues[..., :1])], axis=2)),
         basis=_half_image(f"{name} Basis", tables.basis),
         dome=_half_image(f"{name} Dome", tables.dome.image),
-        alpha_weights=[
-            _half_image(f"{name} Alpha Weights {number}", image) for number, image in enumerate(weight_images(texels.image(alpha.weights)))
-        ],
+        alpha_weights=_weight_images(f"{name} Alpha Weights", texels.image(alpha.weights)),
         alpha_basis=_half_image(f"{name} Alpha", tables.alpha.image),
         plain=_plain_image(level_object, FRONT_COLOUR),
         **_lobe_images(level_object, name, texels, lobes, known),
+        shadow_weights=[]
+        if shadows is None
+        else _weight_images(f"{name} Shadow Weights", dilate(texels.image(shadows.angles.weights), known, DILATED)),
+        shadow_basis=None if shadows is None else _half_image(f"{name} Shadow", tables.shadow.image),
     )
     material = btf_material(name, images, tables, settings.blend_texels)
     plain = level_object.data.materials[0]
@@ -117,6 +120,11 @@ def wear(
         level_object[light_property(number)] = [0.0, 0.0, 0.0]
     level_object[AMBIENT] = [0.0, 0.0, 0.0]
     wear_fade(level_object)
+
+
+def _weight_images(name: str, weights: np.ndarray) -> list[bpy.types.Image]:
+    """Images of `weights` (H, W, K), four components each."""
+    return [_half_image(f"{name} {number}", image) for number, image in enumerate(weight_images(weights))]
 
 
 def _lobe_images(

@@ -11,21 +11,23 @@ from dataclasses import dataclass
 import bpy
 
 from ..compat import give_nodes
-from ..core.btf.tables import Tables, ViewTable
+from ..core.btf.tables import Tables
 from .cloud_materials import set_two_sided
 from .lobe_nodes import TexelLobes, add_dome, add_lobes, facing_normal
-from .node_groups import new_group, shared_group
-from .octahedral_nodes import place_on_map
+from .node_groups import new_group
+from .shadow_nodes import shadow_finder
+from .table_nodes import BLACK, in_column, in_views, pairs, place_node, scalars, texture, weight_sockets, weighted_sum
 from .wiring import Operand, Wiring
 
 SUNS = 4
-OCTAHEDRAL_VERSION = 1
 ALONG = 0.99  # cosine from which on a ray of shadow counts as one to a sun, whose disc has some width
-BLACK = (0.0, 0.0, 0.0)
 AMBIENT = "farfield_ambient"  # on the level object: colour of the dome
 LAYOUT = "farfield_btf"  # on the material: the numbers of `core.btf.tables.Tables` that tell what its images hold
 WEIGHTS, TINTS, BASIS, DOME = "Weights", "Tints", "Basis", "Dome"  # labels of image nodes; of weights there are several, numbered from 0
-LAYOUT_NUMBERS = ("views", "views_upper", "lights", "lights_upper", "clusters", "components", "alpha_components")
+LAYOUT_NUMBERS = (
+    *("views", "views_upper", "lights", "lights_upper", "clusters", "components", "alpha_components"),
+    *("shadows", "shadows_upper", "shadow_components"),
+)
 CLUSTERS = "Clusters"
 DIFFUSE, SPECULAR, NORMALS = "Diffuse", "Specular", "Normals"
 ALPHA_WEIGHTS, ALPHA_BASIS, PLAIN = "Alpha Weights", "Alpha Basis", "Plain"
@@ -41,9 +43,9 @@ def light_property(number: int) -> str:
     return f"farfield_light_{number}"
 
 
-def sun_labels(number: int) -> tuple[str, str]:
-    """The labels of the nodes that decode sun `number`, and add its lobes."""
-    return f"Sun {number + 1}", f"Sun {number + 1} Lobes"
+def sun_labels(number: int) -> tuple[str, str, str]:
+    """The labels of the nodes that decode sun `number`, add its lobes, and find its shadow."""
+    return f"Sun {number + 1}", f"Sun {number + 1} Lobes", f"Sun {number + 1} Shadow"
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,7 @@ class BtfImages:
     basis, dome, alpha_basis: tables, see `core.btf.tables`.
     plain: the plain colour map, whose alpha the components of alpha come on top of; None where there is none.
     diffuse, specular: colours of the lobes, with roughness and rim as alpha; normals: the plain normal map. None where there are no lobes.
+    shadow_weights: of four components each, and shadow_basis, a table; none where suns reach the lobes always.
     """
 
     weights: list[bpy.types.Image]
@@ -68,6 +71,8 @@ class BtfImages:
     diffuse: bpy.types.Image | None
     specular: bpy.types.Image | None
     normals: bpy.types.Image | None
+    shadow_weights: list[bpy.types.Image]
+    shadow_basis: bpy.types.Image | None
 
 
 def btf_material(name: str, images: BtfImages, tables: Tables, blend_texels: bool) -> bpy.types.Material:
@@ -85,26 +90,28 @@ def btf_material(name: str, images: BtfImages, tables: Tables, blend_texels: boo
     wiring = Wiring(tree)
     suns = [wiring.of_object(sun_property(number)) for number in range(SUNS)]
     viewer = _towards_viewer(wiring, suns)
-    view = _place_node(wiring, tables.views_upper, viewer)
+    view = place_node(wiring, tables.views_upper, viewer)
     column, texel, closest = None, None, images.clusters is not None
     if closest:
         texel = _texel_place(wiring, images.clusters, blend_texels)
-        column = wiring.math("MULTIPLY", _texture(wiring, images.clusters, CLUSTERS, texel, closest=True)[1], tables.column)
-    weights = [_texture(wiring, image, f"{WEIGHTS} {number}", texel, closest=closest) for number, image in enumerate(images.weights)]
-    scalars = _scalars(wiring, weights, tables.components)
-    tint, lobes = _texture(wiring, images.tints, TINTS)[0], _lobes_of(wiring, images, viewer)
-    in_views = _in_column(wiring, _in_views(wiring, tables.dome, view), column)
-    even = wiring.vector("MULTIPLY", _weighted_sum(wiring, images.dome, DOME, in_views, tables.dome.step, scalars), tint)
+        column = wiring.math("MULTIPLY", texture(wiring, images.clusters, CLUSTERS, texel, closest=True)[1], tables.column)
+    weights = [texture(wiring, image, f"{WEIGHTS} {number}", texel, closest=closest) for number, image in enumerate(images.weights)]
+    numbers = scalars(wiring, weights, tables.components)
+    tint, lobes = texture(wiring, images.tints, TINTS)[0], _lobes_of(wiring, images, viewer)
+    place = in_column(wiring, in_views(wiring, tables.dome, view), column)
+    even = wiring.vector("MULTIPLY", weighted_sum(wiring, images.dome, DOME, place, tables.dome.step, numbers), tint)
     colour = wiring.vector("MULTIPLY", _cut(wiring, even if lobes is None else add_dome(wiring, lobes, even)), wiring.of_object(AMBIENT))
     lamp = _lamp_group(name, tables, images.basis, len(weights), column is not None)
+    find_shadow = shadow_finder(wiring, name, tables, images.shadow_weights, images.shadow_basis)
     for number, sun in enumerate(suns):
-        decoded, added = sun_labels(number)
+        decoded, added, shadow = sun_labels(number)
         node = wiring.node("ShaderNodeGroup", {"node_tree": lamp, "label": decoded})
-        operands = (view, sun, *_pairs(weights), *([] if column is None else [column]))
+        operands = (view, sun, *pairs(weights), *([] if column is None else [column]))
         for operand, target in zip(operands, node.inputs, strict=True):
             wiring.connect(operand, target)
         shown = wiring.vector("MULTIPLY", node.outputs[0], tint)
-        shown = shown if lobes is None else add_lobes(wiring, lobes, sun, shown, added)
+        reached = 1.0 if find_shadow is None else find_shadow(sun, shadow)
+        shown = shown if lobes is None else add_lobes(wiring, lobes, sun, reached, shown, added)
         colour = wiring.vector("ADD", colour, wiring.vector("MULTIPLY", _cut(wiring, shown), wiring.of_object(light_property(number))))
     alpha = _alpha(wiring, tables, images, view)
     emission, transparent, mixed = (
@@ -127,9 +134,9 @@ def _lobes_of(wiring: Wiring, images: BtfImages, viewer: Operand) -> TexelLobes 
     """What the lobes of the texel are, where there are any."""
     if images.diffuse is None:
         return None
-    diffuse, roughness = _texture(wiring, images.diffuse, DIFFUSE)
-    specular, rim = _texture(wiring, images.specular, SPECULAR)
-    normal, facing = facing_normal(wiring, _texture(wiring, images.normals, NORMALS)[0], viewer)
+    diffuse, roughness = texture(wiring, images.diffuse, DIFFUSE)
+    specular, rim = texture(wiring, images.specular, SPECULAR)
+    normal, facing = facing_normal(wiring, texture(wiring, images.normals, NORMALS)[0], viewer)
     return TexelLobes(viewer, normal, facing, roughness, diffuse, specular, rim)
 
 
@@ -146,22 +153,6 @@ def _towards_viewer(wiring: Wiring, suns: list[bpy.types.NodeSocket]) -> bpy.typ
     of_shadow = wiring.node("ShaderNodeLightPath").outputs["Is Shadow Ray"]
     turned = wiring.math("MULTIPLY", wiring.math("GREATER_THAN", nearest, ALONG), of_shadow)
     return wiring.vector("SCALE", incoming, wiring.math("SUBTRACT", 1.0, wiring.math("MULTIPLY", turned, 2.0)))
-
-
-def _pairs(weights: list[tuple[Operand, Operand]]) -> list[Operand]:
-    return [operand for pair in weights for operand in pair]
-
-
-def _texture(
-    wiring: Wiring, image: bpy.types.Image, label: str, place: Operand | None = None, higher: float = 0.0, closest: bool = False
-) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]:
-    """Colour and alpha of `image` so much `higher` than a place, or at the UV map; without filter if it is the `closest` pixel."""
-    properties = {"image": image, "label": label, "extension": "EXTEND", "interpolation": "Closest" if closest else "Linear"}
-    node = wiring.node("ShaderNodeTexImage", properties)
-    if place is not None:
-        wiring.connect(place, node.inputs["Vector"])
-        node.texture_mapping.translation = (0.0, higher, 0.0)
-    return node.outputs["Color"], node.outputs["Alpha"]
 
 
 def _texel_place(wiring: Wiring, image: bpy.types.Image, blend: bool) -> bpy.types.NodeSocket:
@@ -181,53 +172,18 @@ def _texel_place(wiring: Wiring, image: bpy.types.Image, blend: bool) -> bpy.typ
     return wiring.vector("ADD", place, wiring.combine(*moves, 0.0))
 
 
-def _place_node(wiring: Wiring, upper: bool, direction: Operand) -> bpy.types.NodeSocket:
-    """The place (x, y, 0) in 0..1 of a world-space `direction` on the map of the object's directions."""
-    node = wiring.node("ShaderNodeGroup", {"node_tree": _octahedral_group(upper)})
-    wiring.connect(direction, node.inputs[0])
-    return node.outputs[0]
-
-
-def _octahedral_group(upper: bool) -> bpy.types.NodeTree:
-    """World-space direction to a place on the octahedral map of the whole sphere, or of the upper half, in the object's frame."""
-
-    def fill(wiring: Wiring) -> None:
-        turned = wiring.turned(wiring.node("NodeGroupInput").outputs[0], "VECTOR", "WORLD", "OBJECT")
-        half = wiring.vector("ADD", wiring.vector("SCALE", place_on_map(wiring, turned, upper), 0.5), (0.5, 0.5, 0.0))
-        wiring.connect(half, wiring.node("NodeGroupOutput").inputs[0])
-
-    name = "Farfield Hemi-octahedral" if upper else "Farfield Octahedral"
-    return shared_group(name, OCTAHEDRAL_VERSION, [("Direction", "Vector")], [("Place", "Vector")], fill)
-
-
 def _lamp_group(name: str, tables: Tables, basis: bpy.types.Image, weight_images: int, in_columns: bool) -> bpy.types.NodeTree:
     """What one sun makes of a texel, for a sun of unit irradiance. in_columns: it is told where the column of the texel's cluster is."""
-    of_weights = [socket for number in range(weight_images) for socket in ((f"Weights {number}", "Color"), (f"Fourth {number}", "Float"))]
-    inputs = [("View", "Vector"), ("Sun", "Vector"), *of_weights, *([("Column", "Float")] if in_columns else [])]
+    inputs = [("View", "Vector"), ("Sun", "Vector"), *weight_sockets(weight_images), *([("Column", "Float")] if in_columns else [])]
     group = new_group(f"{name} Sun", inputs, [("Colour", "Color")])
     wiring = Wiring(group)
     view, sun, *rest = list(wiring.node("NodeGroupInput").outputs)[:-1]  # the last is the empty one that makes new sockets
     column = rest.pop() if in_columns else None
     weights = list(zip(rest[::2], rest[1::2], strict=True))
-    light = _place_node(wiring, tables.lights_upper, sun)
+    light = place_node(wiring, tables.lights_upper, sun)
     wiring.connect(_under_sun(wiring, tables, basis, weights, view, light, column), wiring.node("NodeGroupOutput").inputs[0])
     wiring.arrange()
     return group
-
-
-def _scalars(wiring: Wiring, weights: list[tuple[Operand, Operand]], count: int) -> list[Operand]:
-    """The first `count` numbers of weight images, four of each."""
-    return [number for color, fourth in weights for number in (*wiring.channels(color), fourth)][:count]
-
-
-def _in_views(wiring: Wiring, table: ViewTable, view: Operand) -> Operand:
-    """Where the first component of `view` stands in a table."""
-    return wiring.vector("ADD", wiring.vector("MULTIPLY", view, table.scale), table.start)
-
-
-def _in_column(wiring: Wiring, place: Operand, column: Operand | None) -> Operand:
-    """A place in a table, moved to the column of a cluster where there are several."""
-    return place if column is None else wiring.vector("ADD", place, wiring.combine(column, 0.0, 0.0))
 
 
 def _under_sun(
@@ -240,11 +196,11 @@ def _under_sun(
     column: Operand | None,
 ) -> Operand:
     """The sum over the components of weight times basis, interpolated between the views and lights around."""
-    scalars = _scalars(wiring, weights, tables.components)
+    numbers = scalars(wiring, weights, tables.components)
     cell = wiring.vector("ADD", wiring.vector("SCALE", view, float(tables.views)), (0.5, 0.5, 0.0))
     low = wiring.vector("FLOOR", cell)
     share_x, share_y, _ = wiring.separate(wiring.vector("SUBTRACT", cell, low))
-    in_tile = _in_column(wiring, wiring.vector("ADD", wiring.vector("MULTIPLY", light, tables.light_scale), tables.light_start), column)
+    in_tile = in_column(wiring, wiring.vector("ADD", wiring.vector("MULTIPLY", light, tables.light_scale), tables.light_start), column)
     total: Operand = BLACK
     for right, up in ((0, 0), (1, 0), (0, 1), (1, 1)):
         factor = wiring.math(
@@ -253,29 +209,16 @@ def _under_sun(
             share_y if up else wiring.math("SUBTRACT", 1.0, share_y),
         )
         tile = wiring.vector("MULTIPLY", wiring.vector("ADD", low, (float(right), float(up), 0.0)), tables.tile_scale)
-        part = _weighted_sum(wiring, image, BASIS, wiring.vector("ADD", tile, in_tile), tables.step, scalars)
+        part = weighted_sum(wiring, image, BASIS, wiring.vector("ADD", tile, in_tile), tables.step, numbers)
         total = wiring.add_scaled(total, factor, part)
-    return total
-
-
-def _weighted_sum(wiring: Wiring, image: bpy.types.Image, label: str, uv: Operand, step: float, scalars: list[Operand]) -> Operand:
-    """Sum over the components k of scalars[k] times `image` at `uv` moved up by k steps.
-
-    Colours all the way, and the move up within the texture node: where Cycles has to turn one kind of vector into another it runs what
-    follows after all else, so that every texture would wait on the shader's stack, which is small before Blender 5.2; a shader without
-    room there is black.
-    """
-    total: Operand = BLACK
-    for number, scalar in enumerate(scalars):
-        total = wiring.add_scaled(total, scalar, _texture(wiring, image, label, uv, number * step)[0])
     return total
 
 
 def _alpha(wiring: Wiring, tables: Tables, images: BtfImages, view: Operand) -> Operand:
     """The silhouette from the view: a sum over its own components, 0..1."""
-    weights = [_texture(wiring, image, f"{ALPHA_WEIGHTS} {number}") for number, image in enumerate(images.alpha_weights)]
-    scalars = _scalars(wiring, weights, tables.alpha_components)
-    uv = _in_views(wiring, tables.alpha, view)
-    total = wiring.channels(_weighted_sum(wiring, images.alpha_basis, ALPHA_BASIS, uv, tables.alpha.step, scalars))[0]
-    plain = 0.0 if images.plain is None else _texture(wiring, images.plain, PLAIN)[1]
+    weights = [texture(wiring, image, f"{ALPHA_WEIGHTS} {number}") for number, image in enumerate(images.alpha_weights)]
+    numbers = scalars(wiring, weights, tables.alpha_components)
+    uv = in_views(wiring, tables.alpha, view)
+    total = wiring.channels(weighted_sum(wiring, images.alpha_basis, ALPHA_BASIS, uv, tables.alpha.step, numbers))[0]
+    plain = 0.0 if images.plain is None else texture(wiring, images.plain, PLAIN)[1]
     return wiring.math("ADD", total, plain, clamp=True)

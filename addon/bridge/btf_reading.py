@@ -1,5 +1,7 @@
 """Relightable textures read back out of the images of a material that decodes them."""
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 
@@ -7,7 +9,8 @@ from ..core.btf.decoding import BakedAtlas
 from ..core.btf.factors import Factors
 from ..core.btf.lobes import Lobes, Surface, normals_of
 from ..core.btf.lpca import LocalFactors
-from ..core.btf.tables import alpha_basis, colour_basis, weights_in
+from ..core.btf.shadows import Shadows
+from ..core.btf.tables import colour_basis, one_column_basis, weights_in
 from ..core.direction_grids import DirectionGrid
 from ..core.errors import GeometryError
 from .btf_materials import (
@@ -26,6 +29,7 @@ from .btf_materials import (
     WEIGHTS,
 )
 from .images import pixels_of
+from .shadow_nodes import SHADOW_BASIS, SHADOW_WEIGHTS
 
 
 def baked_atlas(level_object: bpy.types.Object) -> BakedAtlas:
@@ -37,7 +41,7 @@ def baked_atlas(level_object: bpy.types.Object) -> BakedAtlas:
     numbers = _layout(level_object)
     views = DirectionGrid(numbers["views"], bool(numbers["views_upper"]))
     lights = DirectionGrid(numbers["lights"], bool(numbers["lights_upper"]))
-    components, alpha_components = numbers["components"], numbers["alpha_components"]
+    components = numbers["components"]
     images = _images_by_label(level_object.data.materials[0].node_tree)
 
     def pixels(label: str) -> np.ndarray:
@@ -56,17 +60,22 @@ def baked_atlas(level_object: bpy.types.Object) -> BakedAtlas:
     if CLUSTERS in images:
         labels = np.rint(pixels(CLUSTERS)[..., 0]).astype(np.int32).ravel()
         colour = LocalFactors(colour.weights, colour.basis, known, labels)
-    lobes = _lobes(*(pixels(label).reshape(-1, 4) for label in (NORMALS, DIFFUSE, SPECULAR))) if DIFFUSE in images else None
+
+    def one_column(weight_label: str, basis_label: str, grid: DirectionGrid, count: int) -> Factors:
+        return Factors(weights(weight_label, count).reshape(-1, count), one_column_basis(pixels(basis_label), grid, count), known)
+
+    lobes = None
+    if DIFFUSE in images:
+        lobes = _lobes(*(pixels(label).reshape(-1, 4) for label in (NORMALS, DIFFUSE, SPECULAR)))
+        if numbers["shadows"]:
+            grid = DirectionGrid(numbers["shadows"], bool(numbers["shadows_upper"]))
+            lobes = replace(lobes, shadows=Shadows(grid, one_column(SHADOW_WEIGHTS, SHADOW_BASIS, grid, numbers["shadow_components"])))
     plain = pixels(PLAIN)[..., 3] if PLAIN in images else np.zeros(tints.shape[:2], np.float32)
     return BakedAtlas(
         size=(tints.shape[1], tints.shape[0]),
         tints=tints.reshape(-1, 3),
         colour=colour,
-        alpha=Factors(
-            weights(ALPHA_WEIGHTS, alpha_components).reshape(-1, alpha_components),
-            alpha_basis(pixels(ALPHA_BASIS), views, alpha_components),
-            known,
-        ),
+        alpha=one_column(ALPHA_WEIGHTS, ALPHA_BASIS, views, numbers["alpha_components"]),
         plain=plain.ravel(),
         views=views,
         lights=lights,

@@ -3,16 +3,20 @@
 import argparse
 import os
 import sys
+from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from ..core.btf.orders import LevelOrder
 from ..core.btf.photographs import broad_lights, photograph_of
-from ..core.btf.shards import ShardStore
+from ..core.btf.shards import ShardStore, lit_bytes
 from ..core.btf.spreading import REFUSED, Shard, refusal
-from ..core.btf.texels import View, sight
+from ..core.btf.texels import FINER, View, reached_parts, sight
 from ..core.errors import FarfieldError
 from . import btf_capture
 from .btf_snapshot import open_snapshot, store_folder
+from .meshes import Source
 from .worker_processes import end_with, worker_command
 
 
@@ -47,21 +51,39 @@ def capture_views(folder: Path, views: list[int], threads: int) -> None:
     """
     snapshot = open_snapshot(folder)
     source, settings = snapshot.source, snapshot.settings
-    jobs: list[tuple[ShardStore, LevelOrder, View, int]] = []
+    jobs: list[_Job] = []
     for level, order in enumerate(snapshot.orders):
         store = ShardStore(store_folder(folder, level))
-        directions = btf_capture.views_of(source, settings, order.texels.side)
-        jobs += [(store, order, directions[number], number) for number in views if not store.has(number)]
-    number_seconds = []
+        seen = btf_capture.views_of(source, settings.view_grid, order.texels.side)
+        suns = [] if settings.shadow_grid is None else btf_capture.views_of(source, settings.shadow_grid, order.texels.side)
+        jobs += [_Job(store, order, number, seen[number], suns[number :: len(seen)]) for number in views if not store.has(number)]
+    numbered = []
     with btf_capture.number_booth(source, settings, threads) as numbers:
-        for store, _, view, number in jobs:
+        for job in jobs:
             before = numbers.render_seconds
-            store.write_faces(number, numbers.faces(view))
-            number_seconds.append(numbers.render_seconds - before)
+            job.store.write_faces(job.number, numbers.faces(job.view.finer(FINER)))
+            lit = [_lit(job.order, source, sun, numbers.faces(sun)) for sun in job.suns]
+            numbered.append((lit, numbers.render_seconds - before))
     with btf_capture.lit_booth(snapshot.objects, source, settings, threads) as booth:
-        for (store, order, view, number), seconds in zip(jobs, number_seconds, strict=True):
+        for job, (lit, seconds) in zip(jobs, numbered, strict=True):
             before = booth.render_seconds
-            picture = booth.picture(view, store.read_faces(number))
-            sighting = sight(order.texels, view, picture, order.belongs, order.error)
+            picture = booth.picture(job.view, job.store.read_faces(job.number))
+            sighting = sight(job.order.texels, job.view, picture, job.order.belongs, job.order.error)
             photograph = photograph_of(picture, broad_lights(settings.light_grid))
-            store.write(number, sighting, photograph, seconds + booth.render_seconds - before)
+            job.store.write(job.number, sighting, photograph, lit, seconds + booth.render_seconds - before)
+
+
+@dataclass(frozen=True)
+class _Job:
+    """A view of a level, and what the suns see whose shadows are looked up along with it."""
+
+    store: ShardStore
+    order: LevelOrder
+    number: int
+    view: View
+    suns: list[View]
+
+
+def _lit(order: LevelOrder, source: Source, sun: View, faces: np.ndarray) -> np.ndarray:
+    heights = btf_capture.heights_of(source, sun, faces)
+    return lit_bytes(*reached_parts(order.texels, sun, faces, heights, order.belongs, order.error))

@@ -7,9 +7,9 @@ from ..core.btf.lobes import LEAST_FACING, LEAST_ROUGHNESS, RIM_FACING
 from .node_groups import shared_group
 from .wiring import Operand, Wiring
 
-GROUP_NAME, GROUP_VERSION = "Farfield Lobes", 2
-INPUTS = [  # what remains, the sun, and a texel's lobes in the order of `TexelLobes`
-    *(("Rest", "Color"), ("Sun", "Vector"), ("Viewer", "Vector"), ("Normal", "Vector"), ("Facing", "Float")),
+GROUP_NAME, GROUP_VERSION = "Farfield Lobes", 3
+INPUTS = [  # what remains, the sun, how much of it comes, and a texel's lobes in the order of `TexelLobes`
+    *(("Rest", "Color"), ("Sun", "Vector"), ("Reached", "Float"), ("Viewer", "Vector"), ("Normal", "Vector"), ("Facing", "Float")),
     *(("Roughness", "Float"), ("Diffuse", "Color"), ("Specular", "Color"), ("Rim", "Float")),
 ]
 OUTPUTS = [("Colour", "Color")]
@@ -47,23 +47,26 @@ def add_dome(wiring: Wiring, lobes: TexelLobes, rest: Operand) -> Operand:
     return wiring.add_scaled(matt, grazing, WHITE)
 
 
-def add_lobes(wiring: Wiring, lobes: TexelLobes, sun: Operand, rest: Operand, label: str) -> Operand:
-    """`rest` and what a sun of unit irradiance from `sun`, in world space, makes of the lobes: a node called `label`."""
+def add_lobes(wiring: Wiring, lobes: TexelLobes, sun: Operand, reached: Operand, rest: Operand, label: str) -> Operand:
+    """`rest` and what a sun of unit irradiance from `sun`, in world space, makes of the lobes where so much of it has `reached` them, 0..1:
+    a node called `label`."""
     node = wiring.node("ShaderNodeGroup", {"node_tree": shared_group(GROUP_NAME, GROUP_VERSION, INPUTS, OUTPUTS, _fill), "label": label})
-    operands = (rest, sun, *(getattr(lobes, field.name) for field in fields(lobes)))
+    operands = (rest, sun, reached, *(getattr(lobes, field.name) for field in fields(lobes)))
     for operand, target in zip(operands, node.inputs, strict=True):
         wiring.connect(operand, target)
     return node.outputs[0]
 
 
 def _fill(wiring: Wiring) -> None:
-    rest, sun, viewer, normal, from_view, roughness, diffuse, specular, rim = list(wiring.node("NodeGroupInput").outputs)[:-1]
+    rest, sun, reached, viewer, normal, from_view, roughness, diffuse, specular, rim = list(wiring.node("NodeGroupInput").outputs)[:-1]
     from_light = wiring.math("MAXIMUM", wiring.vector("DOT_PRODUCT", normal, sun), 0.0)
     half = wiring.vector("NORMALIZE", wiring.vector("ADD", viewer, sun))
-    straight = _glossy(wiring, roughness, from_view, from_light, wiring.vector("DOT_PRODUCT", normal, half))
+    glossy = _glossy(wiring, roughness, from_view, from_light, wiring.vector("DOT_PRODUCT", normal, half))
+    straight = wiring.math("MULTIPLY", glossy, reached)
     fresnel = _fresnel(wiring, wiring.vector("DOT_PRODUCT", viewer, half))
     grazing = wiring.math("MULTIPLY", wiring.math("MULTIPLY", straight, rim), fresnel)
-    total = wiring.add_scaled(rest, wiring.math("MULTIPLY", from_light, 1.0 / math.pi), diffuse)
+    matt = wiring.math("MULTIPLY", wiring.math("MULTIPLY", from_light, 1.0 / math.pi), reached)
+    total = wiring.add_scaled(rest, matt, diffuse)
     total = wiring.add_scaled(wiring.add_scaled(total, straight, specular), grazing, WHITE)
     wiring.connect(total, wiring.node("NodeGroupOutput").inputs[0])
 

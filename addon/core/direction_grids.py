@@ -68,6 +68,11 @@ class DirectionGrid:
         weights = np.concatenate([(1.0 - x) * (1.0 - y), x * (1.0 - y), (1.0 - x) * y, x * y], axis=1)
         return self.numbers(rows, columns), weights
 
+    def interpolated(self, values: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """`values` (N, ...) of the grid's directions at `directions` (M, 3): (M, ...) float32."""
+        numbers, weights = self.taps(directions)
+        return np.einsum("mt,mt...->m...", weights, values[numbers]).astype(np.float32)
+
     def numbers(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """The directions at cells of the map, which may lie one cell outside: there the map goes on across its fold, int32.
 

@@ -190,7 +190,7 @@ def prepare(context: bpy.types.Context, cloud: StandingCloud, settings: BtfSetti
 
 def _level(level_object: bpy.types.Object, source: meshes.Source, settings: BtfSettings, folder: Path, number: int) -> Level:
     texels = btf_clouds.texels_of_level(level_object)
-    quads, views = btf_clouds.quads_of_level(level_object), btf_capture.views_of(source, settings, texels.side)
+    quads, views = btf_clouds.quads_of_level(level_object), btf_capture.views_of(source, settings.view_grid, texels.side)
     order = LevelOrder(texels, *clouds.drawn_on(level_object.data), float(level_object["farfield_error"]))
     store = ShardStore(btf_snapshot.store_folder(folder, number))
     plain, surface = btf_clouds.plain_alpha(level_object, texels), btf_clouds.plain_surface(level_object, texels)

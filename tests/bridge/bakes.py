@@ -11,7 +11,7 @@ from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.operators.billboards_clouds import StandingCloud, clouds_in
 from farfield.addon.operators.btf_job import BtfJob, prepare
 
-SMALL = {"views": 4, "lights": 4, "samples": 1, "components": 2, "alpha_components": 2}
+SMALL = {"views": 4, "lights": 4, "samples": 1, "components": 2, "alpha_components": 2, "shadows": 16}
 
 
 def small_cloud() -> StandingCloud:

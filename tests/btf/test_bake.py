@@ -10,13 +10,14 @@ import mathutils
 
 from bridge import blender_scenes
 from farfield.addon.bridge.btf_capture import sun_angle
-from farfield.addon.bridge.btf_clouds import PLAIN_MATERIAL, let_through, light_with
+from farfield.addon.bridge.btf_clouds import PLAIN_MATERIAL, let_through, light_with, texels_of_level
+from farfield.addon.bridge.btf_reading import baked_atlas
 from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.direction_grids import DirectionGrid
 from farfield.addon.operators.billboards_clouds import clouds_in
 from studio import bounds, studio
 
-BAKE = {"views": 16, "lights": 16, "samples": 4, "components": 8, "alpha_components": 8}
+BAKE = {"views": 16, "lights": 16, "samples": 4, "components": 8, "alpha_components": 8, "shadows": 64}
 
 
 @pytest.fixture(autouse=True)
@@ -76,6 +77,36 @@ def test_it_looks_like_the_original_under_a_sun_that_turns(cloud):
         means.append(brightness)
         assert (baked[..., 3] > 0.5).sum() == pytest.approx((original[..., 3] > 0.5).sum(), rel=0.08)
     assert abs(means[0] - means[1]) > 0.02, "the two suns must differ for the test to say something"
+
+
+def test_a_wall_shades_the_ground_sharply_under_suns_between_those_of_the_bake():
+    ground, wall = blender_scenes.card("Ground"), blender_scenes.box("Wall")
+    ground.scale = (3.0, 3.0, 1.0)
+    wall.scale, wall.location.z = (1.0, 0.1, 0.5), 0.5
+    ground.select_set(True)
+    bpy.ops.farfield.billboards_build(error=3.0, levels=1, samples=1, together=True)
+    (cloud,) = clouds_in(bpy.context.scene)
+    assert bpy.ops.farfield.btf_bake(**{**BAKE, "views": 4, "lights": 4, "samples": 1, "shadows": 256, "upper_hemisphere": True}) == {
+        "FINISHED"
+    }
+    texels, atlas = texels_of_level(cloud.levels[0]), baked_atlas(cloud.levels[0])
+    places = texels.positions
+    flat = np.abs(places[:, 2]) < 1e-3
+    beside = np.maximum(np.abs(places[:, 0]) - 1.0, np.abs(places[:, 1]) - 0.1) > 0.15
+    rows = (texels.pixels[:, 1] * texels.size[0] + texels.pixels[:, 0])[flat & beside]
+    places = places[flat & beside]
+    assert len(places) > 500
+    for light in ([0.3, -0.6, 0.7], [-0.5, 0.5, 0.6], [0.1, 0.75, 0.5]):
+        light = np.array(light) / np.linalg.norm(light)
+        steps = np.linspace(0.0, 1.0 / light[2], 200)[:, None]  # along the ray until it is above the wall
+        expected = []
+        for place in places:
+            ray = place + steps * light
+            expected.append(not ((np.abs(ray[:, 0]) < 1.0) & (np.abs(ray[:, 1]) < 0.1)).any())
+        reached = atlas.lobes.shadows.reached(light[None], rows)[:, 0]
+        expected = np.array(expected)
+        assert 0.02 < (~expected).mean() < 0.5
+        assert reached[~expected].mean() < 0.3 and reached[expected].mean() > 0.95
 
 
 def test_it_goes_back_to_the_plain_maps(cloud):

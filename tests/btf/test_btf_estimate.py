@@ -9,6 +9,7 @@ from farfield.addon.core.btf.estimate import LevelExtent, estimate, side_of
 from farfield.addon.core.btf.factors import Factors
 from farfield.addon.core.btf.lobes import Lobes, Surface
 from farfield.addon.core.btf.settings import BtfSettings
+from farfield.addon.core.btf.shadows import Shadows
 
 SETTINGS = BtfSettings(views=9, lights=16, components=5, alpha_components=3, refine=False)
 LEVEL = LevelExtent(texels=1000, side=40)
@@ -19,7 +20,8 @@ def test_sizes_are_those_of_the_arrays():
     known = np.ones(1000, bool)
     colour = Factors(np.zeros((1000, 5)), np.zeros((9, 5, 3 * 17)), known)
     alpha = Factors(np.zeros((1000, 3)), np.zeros((9, 3, 1)), known)
-    lobes = Lobes(Surface(np.zeros((1000, 3)), np.zeros(1000)), np.zeros((1000, 3)), np.zeros((1000, 3)), np.zeros(1000))
+    shadows = Shadows(SETTINGS.shadow_grid, Factors(np.zeros((1000, 12)), np.zeros((256, 12, 1)), known))
+    lobes = Lobes(Surface(np.zeros((1000, 3)), np.zeros(1000)), np.zeros((1000, 3)), np.zeros((1000, 3)), np.zeros(1000), shadows)
     assert said.final_bytes == colour.bytes + alpha.bytes + lobes.bytes + 2 * 3 * 1000
     assert said.raw_bytes == 2 * 3 * 1000 * 9 * 17
     assert said.renders == 9 * 17
@@ -27,7 +29,7 @@ def test_sizes_are_those_of_the_arrays():
 
 @pytest.mark.parametrize(
     "more",
-    [{"views": 16}, {"lights": 25}, {"samples": 8}, {"components": 9}],
+    [{"views": 16}, {"lights": 25}, {"samples": 8}, {"components": 9}, {"shadows": 1024}],
     ids=lambda more: next(iter(more)),
 )
 def test_more_to_do_takes_longer(more):

@@ -81,3 +81,9 @@ def test_rows_are_fitted_where_they_count():
     weights = np.where(wrong, 1e-6, 1.0)
     found = finish(factorise(seen(values, 1.0), 300, 2, weights, np.ones(8)))
     assert relative(truth, found) < 0.02 < 0.3 < relative(truth, fitted(values, 1.0, 2))
+
+
+def test_nothing_but_zeros_stays_nothing():
+    made = finish(factorise([Known(np.arange(5), np.zeros((5, 2), np.float32))] * 3, 5, 2, np.ones(3), np.ones(2)))
+    assert not made.weights.any() or not made.basis.any()
+    assert np.isfinite(made.weights).all() and np.isfinite(made.basis).all()

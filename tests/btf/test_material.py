@@ -1,5 +1,7 @@
 """The material shows in Cycles what the arrays say: texel by texel, from baked views and between them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -19,7 +21,9 @@ from farfield.addon.bridge.temporary import temporary_scene
 from farfield.addon.core.btf.factors import Factors
 from farfield.addon.core.btf.lobes import Lobes, Surface, glossy_lobe
 from farfield.addon.core.btf.settings import BtfSettings
+from farfield.addon.core.btf.shadows import Shadows
 from farfield.addon.core.btf.texels import View
+from farfield.addon.core.direction_grids import DirectionGrid
 from made_atlases import decoded, made_colour
 
 SIDE, PIXELS = 8, 160  # texels along the card, pixels along the picture
@@ -160,6 +164,25 @@ def test_lobes_shine_as_the_arrays_say(roughness, turned):
         bare = np.maximum(expected.reshape(-1, 3) - atlas.lobes.of_suns(view, light[None])[:, 0], 0.0)
         assert expected.mean() > 1.05 * bare.mean(), "the lobes must be seen"
         np.testing.assert_allclose(shown, expected, rtol=0.03, atol=0.005)
+
+
+def test_suns_reach_the_lobes_as_the_arrays_say():
+    lobes = even_lobes(0.4)
+    random = np.random.default_rng(3)
+    angles = Factors(
+        random.normal(size=(SIDE * SIDE, 5)).astype(np.float32), random.normal(0.0, 0.05, (64, 5, 1)).astype(np.float32), np.ones(1)
+    )
+    card = dressed(3, 5, lobes=replace(lobes, shadows=Shadows(DirectionGrid(8), angles)))
+    atlas = baked_atlas(card)
+    np.testing.assert_allclose(atlas.lobes.shadows.angles.weights, angles.weights, rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(atlas.lobes.shadows.angles.basis, angles.basis, rtol=1e-3, atol=1e-3)
+    lit(card, LAMP)
+    picture, taken = rendered(card, BETWEEN, 1)
+    reached = atlas.lobes.shadows.reached(LAMP[None])
+    assert reached.min() < 0.1 and reached.max() > 0.9
+    shown, expected = at_texels(picture, taken, card)[..., :3], decoded(atlas, BETWEEN, LAMP)
+    # Weights of shadows are filtered, and the nearest pixel is not quite in the middle of its texel.
+    assert np.abs(shown - expected).mean() < 0.04 * expected.mean()
 
 
 def test_lobes_shine_under_the_dome():

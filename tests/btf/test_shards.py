@@ -30,14 +30,14 @@ def photograph() -> Photograph:
 
 
 def test_photographs_come_back(store):
-    store.write(2, sighting(), photograph(), 0.0)
+    store.write(2, sighting(), photograph(), [], 0.0)
     np.testing.assert_allclose(store.photograph(2).colours, photograph().colours, rtol=1e-3, atol=1e-6)
     np.testing.assert_allclose(store.photograph(2).coverage, photograph().coverage, atol=0.5 / 255.0 + 1e-6)
 
 
 def test_what_goes_in_comes_out(store):
     kept = sighting()
-    store.write(3, kept, photograph(), 0.5)
+    store.write(3, kept, photograph(), [], 0.5)
     visible, values = Colours(store, 3).read()
     np.testing.assert_array_equal(visible, kept.visible)
     np.testing.assert_allclose(values.reshape(3, 2, 3), kept.radiance.swapaxes(0, 1), rtol=1e-3)
@@ -48,14 +48,14 @@ def test_what_goes_in_comes_out(store):
 
 
 def test_equal_views_are_equal_bytes(store):
-    store.write(0, sighting(), photograph(), 1.5)
-    store.write(1, sighting(), photograph(), 1.5)
+    store.write(0, sighting(), photograph(), [], 1.5)
+    store.write(1, sighting(), photograph(), [], 1.5)
     assert store.path(0).read_bytes() == store.path(1).read_bytes()
 
 
 def test_a_damaged_view_does_not_stand(store):
     assert not store.stands(0)
-    store.write(0, sighting(), photograph(), 1.5)
+    store.write(0, sighting(), photograph(), [], 1.5)
     assert store.stands(0)
     whole = bytearray(store.path(0).read_bytes())
     whole[len(whole) // 2] ^= 0xFF
@@ -74,7 +74,7 @@ def test_faces_wait_for_the_rest_of_their_view(store):
 
 def test_nothing_but_whole_files_is_left(store):
     store.write_faces(0, np.zeros((2, 2), np.int32))
-    store.write(0, sighting(), photograph(), 1.5)
+    store.write(0, sighting(), photograph(), [], 1.5)
     assert {path.name for path in store.folder.iterdir()} == {"job.json", "view-0000.json", "view-0000.shard"}
 
 

@@ -48,7 +48,7 @@ for view in map(int, views):
         if store.has(view):
             continue
         exec(harm)
-        store.write(view, render(view), photograph, 0.25)
+        store.write(view, render(view), photograph, [], 0.25)
         print("view", level, view, file=log, flush=True)
 """
 VIEWS = 6

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from farfield.addon.core.btf.factors import Factors
-from farfield.addon.core.btf.tables import Tables, ViewTable, alpha_basis, colour_basis, tables_of, weight_images, weights_in
+from farfield.addon.core.btf.tables import Tables, ViewTable, colour_basis, one_column_basis, tables_of, weight_images, weights_in
 from farfield.addon.core.direction_grids import DirectionGrid
 from farfield.addon.core.directions import fibonacci_sphere
 from made_atlases import made_colour
@@ -63,7 +63,7 @@ def test_the_basis_comes_back_out_of_its_images(clusters):
     tables = tables_of(colour, alpha, views, lights)
     assert (tables.clusters, tables.components) == (clusters, 5)
     np.testing.assert_array_equal(colour_basis(tables.basis, tables.dome.image, views, lights, clusters, 5), colour.basis)
-    np.testing.assert_array_equal(alpha_basis(tables.alpha.image, views, 3), alpha.basis)
+    np.testing.assert_array_equal(one_column_basis(tables.alpha.image, views, 3), alpha.basis)
 
 
 def test_every_cluster_has_a_column():

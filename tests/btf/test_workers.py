@@ -28,7 +28,7 @@ from farfield.addon.core.progress import finish
 from farfield.addon.operators.btf_job import prepare
 
 SCRIPT = environment.ROOT / "scripts" / "btf.py"
-SETTINGS = ["--views", "4", "--lights", "4", "--samples", "1", "--components", "2", "--alpha-components", "2"]
+SETTINGS = ["--views", "4", "--lights", "4", "--samples", "1", "--components", "2", "--alpha-components", "2", "--shadows", "16"]
 on_linux = pytest.mark.skipif(not Path("/proc").is_dir(), reason="only Linux tells which processes work for a folder")
 
 

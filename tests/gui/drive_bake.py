@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not put
 from hand import Hand, drive, make_tree, module, picture, seen, start, state, watch
 
 BUTTON = "farfield.btf_bake"
-BAKE = {"views": 16, "lights": 49, "samples": 4, "components": 4, "alpha_components": 4, "executor": "processes:2"}
+BAKE = {"views": 16, "lights": 49, "samples": 4, "components": 4, "alpha_components": 4, "shadows": 64, "executor": "processes:2"}
 ENOUGH = 5  # views after which Esc is pressed
 
 

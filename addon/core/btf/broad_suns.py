@@ -16,10 +16,14 @@ def disc_radius(solid_angle: float) -> float:
 
 
 class BroadSuns:
-    """L suns from unit `directions` (L, 3), each a disc of `solid_angle` with unit irradiance across its beam."""
+    """L suns from unit `directions` (L, 3), each a disc of `solid_angle` with unit irradiance across its beam.
+
+    reached: how much (N, L) of each reaches N texels; None where nothing keeps it from them.
+    """
 
     def __init__(self, directions: np.ndarray, solid_angle: float) -> None:
         self.directions = directions
+        self.reached: np.ndarray | None = None
         self._solid_angle = solid_angle
         self.radius = disc_radius(solid_angle)
 

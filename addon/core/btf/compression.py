@@ -14,13 +14,14 @@ from .quality import Fit, quality
 from .refine import Training, refined
 from .rests import write_rests
 from .settings import BtfSettings
+from .shadows import Shadows, find_shadows
 from .shards import Colours, ShardStore, Silhouettes
 from .texels import Texels
 from .tints import tints
 
 DOME_WEIGHT = np.pi  # as much as a quarter of all suns: a sky is dimmer than a sun, but alone where that does not reach
 LEAST_FACING = 0.03  # cosine: what a texel counts at least from a view that sees its quad from the edge
-TINTED, FITTED, TAKEN, COLOURED = 0.1, 0.4, 0.5, 0.9  # of the bar of `compress`
+TINTED, SHADOWED, FITTED, TAKEN, COLOURED = 0.1, 0.2, 0.5, 0.6, 0.9  # of the bar of `compress`
 LIT = 0.1  # of the bar of `refine`
 
 
@@ -58,7 +59,8 @@ class Compression:
         count, settings, angles = len(self._texels), self._settings, self._views.solid_angles
         silhouettes = [Silhouettes(self._store, view, self._plain) for view in range(len(self._views))]
         hues = yield from scaled(tints(self._captured, count, angles, self._light_weights), 0.0, TINTED)
-        lobes = yield from scaled(self._lobes(), TINTED, FITTED)
+        shadows = yield from scaled(self._shadows(), TINTED, SHADOWED)
+        lobes = yield from scaled(self._lobes(shadows), SHADOWED, FITTED)
         try:
             rests = yield from scaled(write_rests(self._store, hues, lobes, self._views, self._suns), FITTED, TAKEN)
             steps = compressed_colours(rests, count, self._weights, self._column_weights, settings)
@@ -94,9 +96,19 @@ class Compression:
     def _column_weights(self) -> np.ndarray:
         return np.repeat(self._light_weights, 3)
 
-    def _lobes(self) -> Steps[Lobes | None]:
+    def _shadows(self) -> Steps[Shadows | None]:
+        """The shadows, of which the suns are told."""
+        settings, grid = self._settings, self._settings.shadow_grid
+        if self._surface is None or grid is None:
+            return None
+        lit = self._store.lit(len(self._views))
+        shadows = yield from find_shadows(lit, grid, self._surface.normals, settings.shadow_components, settings.seed)
+        self._suns.reached = shadows.reached_by(self._suns)
+        return shadows
+
+    def _lobes(self, shadows: Shadows | None) -> Steps[Lobes | None]:
         if self._surface is None:
             return None
         quads = self._texels.quads
         steps = fit_lobes(self._captured, self._surface, quads, self._views, self._suns, self._weights, self._light_weights)
-        return (yield from steps)
+        return replace((yield from steps), shadows=shadows)

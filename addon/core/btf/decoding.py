@@ -31,8 +31,8 @@ class BakedAtlas:
     def seen_from(self, views: np.ndarray, lights: np.ndarray) -> np.ndarray:
         """The basis (V, components of all clusters, L, 3) float32 of unit directions `views` (V, 3) and `lights` (L, 3), interpolated."""
         values = self.colour.basis.reshape(len(self.views), -1, len(self.lights) + 1, 3)
-        under = _blended(self.lights, lights, np.moveaxis(values[:, :, :-1], 2, 0))  # light, view, component, channel
-        return np.moveaxis(_blended(self.views, views, np.moveaxis(under, 1, 0)), 1, 2)  # view, component, light, channel
+        under = self.lights.interpolated(np.moveaxis(values[:, :, :-1], 2, 0), lights)  # light, view, component, channel
+        return np.moveaxis(self.views.interpolated(np.moveaxis(under, 1, 0), views), 1, 2)  # view, component, light, channel
 
     def picture(self, basis: np.ndarray, view: np.ndarray, light: np.ndarray) -> np.ndarray:
         """The texture (H, W, 3) float32 of a view (3,) under a light (3,), with the `basis` (components of all clusters, 3) of both as
@@ -49,12 +49,6 @@ class BakedAtlas:
 
     def coverage(self, view: np.ndarray) -> np.ndarray:
         """The alpha (H, W) float32 from a unit direction `view` (3,)."""
-        basis = _blended(self.views, view[None], self.alpha.basis)[0]
+        basis = self.views.interpolated(self.alpha.basis, view[None])[0]
         alpha = self.plain + self.alpha.applied(basis)[:, 0]
         return np.clip(alpha, 0.0, 1.0).astype(np.float32).reshape(self.size[1], self.size[0])
-
-
-def _blended(grid: DirectionGrid, directions: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """`values` (N, ...) of a grid's directions, interpolated at `directions` (M, 3)."""
-    taps, weights = grid.taps(directions)
-    return np.einsum("mt,mt...->m...", weights, values[taps]).astype(np.float32)

@@ -137,7 +137,7 @@ def _in_order(weights: np.ndarray, basis: np.ndarray, view_weights: np.ndarray) 
     spread = (weights.T @ weights).astype(np.float64)
     # Both sums are made diagonal at once: with energy = R R', the eigenvectors of R' spread R turn one into the identity.
     values, vectors = np.linalg.eigh(energy)
-    values = np.maximum(values, 1e-12 * values.max(initial=1e-300))
+    values = np.maximum(values, max(1e-12 * values.max(initial=0.0), 1e-30))  # all of it may be 0
     root, inverse = vectors * np.sqrt(values), vectors / np.sqrt(values)
     _, turn = np.linalg.eigh(root.T @ spread @ root)
     turn = turn[:, ::-1]

@@ -14,6 +14,7 @@ from ..direction_grids import DirectionGrid
 from ..progress import Progress, Steps
 from .broad_suns import BroadSuns
 from .factors import ViewData
+from .shadows import Shadows
 
 LEAST_ROUGHNESS = 0.05
 LEAST_FACING = 1e-3  # cosine
@@ -41,20 +42,24 @@ class Surface:
 @dataclass(frozen=True)
 class Lobes:
     """Lobes of N texels. diffuse (N, 3): albedo. specular (N, 3): what the glossy lobe reflects seen straight on; rim (N,): so much more
-    at grazing angles. All float32, 0..1."""
+    at grazing angles. All float32, 0..1. shadows: where suns do not reach the lobes; None where they always do."""
 
     surface: Surface
     diffuse: np.ndarray
     specular: np.ndarray
     rim: np.ndarray
+    shadows: Shadows | None = None
 
     @property
     def bytes(self) -> int:
         """What they take as half floats, roughness counted in; the normals are those of the plain maps."""
-        return 2 * (self.diffuse.size + self.specular.size + 2 * len(self.rim))
+        return 2 * (self.diffuse.size + self.specular.size + 2 * len(self.rim)) + (0 if self.shadows is None else self.shadows.bytes)
 
     def of_grid(self, view: np.ndarray, suns: BroadSuns, rows: np.ndarray) -> np.ndarray:
-        """Radiance (M, L + 1, 3) of `rows` (M,) from the unit direction `view`, under each of the L broad suns and, last, the dome."""
+        """Radiance (M, L + 1, 3) of `rows` (M,) from the unit direction `view`, under each of the L broad suns and, last, the dome.
+
+        How much of the suns reaches them, `suns` says.
+        """
         parts = np.stack([self.diffuse[rows], self.specular[rows], np.repeat(self.rim[rows, None], 3, axis=1)], axis=1)
         return features(self.surface, view, suns, rows, KEPT) @ parts
 
@@ -72,7 +77,8 @@ class Lobes:
         straight, grazing = glossy_lobe(normals, view, lights, self.surface.roughness[rows])
         matt = np.maximum(normals @ lights.T, 0.0) / np.pi
         bright = matt[..., None] * self.diffuse[rows, None] + straight[..., None] * self.specular[rows, None]
-        return bright + (grazing * self.rim[rows, None])[..., None]
+        bright += (grazing * self.rim[rows, None])[..., None]
+        return bright if self.shadows is None else bright * self.shadows.reached(lights, rows)[..., None]
 
     def of_dome(self, view: np.ndarray) -> np.ndarray:
         """Radiance (N, 3) of all texels from `view` under a dome of radiance 1."""
@@ -110,6 +116,8 @@ def features(surface: Surface, view: np.ndarray, suns: BroadSuns, rows: np.ndarr
     made[:, :-1, SPECULAR] = suns.mirrored(normals, view, np.maximum(surface.roughness[rows], LEAST_ROUGHNESS))
     made[:, -1, [DIFFUSE, SPECULAR]] = 1.0
     made[..., RIM] = made[..., SPECULAR] * _fresnel(normals @ view)[:, None]
+    if suns.reached is not None:
+        made[:, :-1, :KEPT] *= suns.reached[rows, :, None]
     if count > KEPT:
         made[:, :-1, EVEN] = made[:, -1, DOME_EVEN] = 1.0
     return made

@@ -41,6 +41,14 @@ class BtfSettings(Settings):
     cluster_components: int = setting(8, "Components of colour of each cluster, for lpca", minimum=1, maximum=32, unit=Unit.COUNT)
     blend_texels: bool = setting(True, "For lpca: blend neighbouring texels at random from sample to sample, which more samples smooth")
     alpha_components: int = setting(12, "Components of the silhouette; four share a texture", minimum=1, maximum=64, unit=Unit.COUNT)
+    shadows: int = setting(
+        256,
+        "Number of sun directions from which the original's shadows upon itself are looked up, a square number; 0 for none",
+        minimum=0,
+        maximum=4096,
+        unit=Unit.COUNT,
+    )
+    shadow_components: int = setting(12, "Components of shadows; four share a texture", minimum=1, maximum=64, unit=Unit.COUNT)
     refine: bool = setting(True, "Refine the silhouettes against whole pictures of the original, so that quads fit together")
     samples: int = setting(
         4, "Cycles samples a pixel of every render; compression removes their noise", minimum=1, maximum=4096, unit=Unit.COUNT
@@ -54,7 +62,10 @@ class BtfSettings(Settings):
     @property
     def of_capture(self) -> str:
         """Those settings that the renders depend on, in words; the same renders can be compressed again in other ways."""
-        return f"views={self.views} lights={self.lights} upper={self.upper_hemisphere} samples={self.samples} seed={self.seed}"
+        return (
+            f"views={self.views} lights={self.lights} upper={self.upper_hemisphere} shadows={self.shadows} samples={self.samples} "
+            f"seed={self.seed}"
+        )
 
     @property
     def view_grid(self) -> DirectionGrid:
@@ -71,6 +82,11 @@ class BtfSettings(Settings):
         return DirectionGrid(_side(self.lights, "lights"), self.upper_hemisphere)
 
     @property
+    def shadow_grid(self) -> DirectionGrid | None:
+        """The directions of suns whose shadows are looked up, None for none; see `view_grid`."""
+        return DirectionGrid(_side(self.shadows, "shadows"), self.upper_hemisphere) if self.shadows else None
+
+    @property
     def sun_size(self) -> float:
         """The solid angle of each sun of a bake, in steradians: a cell of the lights' grid.
 
@@ -79,13 +95,15 @@ class BtfSettings(Settings):
         return float(self.light_grid.solid_angles.mean())
 
     def check(self) -> None:
-        """Raise SettingsError when the numbers of views and lights are no squares, or a table would be larger than an image can be."""
+        """Raise SettingsError when the numbers of views, lights and shadows are no squares, or a table would be larger than images are."""
+        in_shadow = 0 if self.shadow_grid is None else self.shadow_components * (self.shadow_grid.size + 2)
         tile = (self.view_grid.size + 2) * (self.light_grid.size + 2)
         local = self.codec == "lpca"
         width, height = tile * (self.clusters if local else 1), tile * (self.cluster_components if local else self.components)
-        if max(width, height) > LARGEST_SIDE:
+        if max(width, height, in_shadow) > LARGEST_SIDE:
             raise SettingsError(
-                f"{self.views} views, {self.lights} lights and these components would make a table of {width} x {height} pixels, more than "
+                f"{self.views} views, {self.lights} lights and these components would make a table of {width} x "
+                f"{max(height, in_shadow)} pixels, more than "
                 f"the {LARGEST_SIDE} that an image can have; take fewer of one of them."
             )
 

@@ -5,7 +5,7 @@ import io
 import json
 import uuid
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +17,9 @@ from .photographs import Photograph
 from .texels import Sighting
 
 JOB = "job.json"
-LAYOUT = 2  # of the files: a folder that an earlier one filled is another bake's
+LAYOUT = 3  # of the files: a folder that an earlier one filled is another bake's
 PART = ".part"
+UNKNOWN = 255  # in bytes of what suns reach
 DIGEST = hashlib.sha256().digest_size
 
 
@@ -67,9 +68,11 @@ class ShardStore:
         """Whether a view is finished; `stands` tells whether it is undamaged too."""
         return self.path(view).exists()
 
-    def write(self, view: int, sighting: Sighting, photograph: Photograph, render_seconds: float) -> None:
+    def write(self, view: int, sighting: Sighting, photograph: Photograph, lit: Sequence[np.ndarray], render_seconds: float) -> None:
         """Keep what is known from a view; its picture of faces is needed no longer. What its renders took lies beside it, so that the
         view's own file has the same bytes whoever renders it.
+
+        lit: bytes (N,) of what some suns reach, see `lit_bytes`.
 
         Raises:
             FileError: when the disk does not take it.
@@ -81,6 +84,7 @@ class ShardStore:
             "radiance": _half(sighting.radiance),
             "photograph": _half(photograph.colours),
             "silhouette": _bytes(photograph.coverage),
+            "lit": np.array(lit, np.uint8),
         }
         self._keep(self._figures_path(view), json.dumps({"render_seconds": render_seconds}).encode())
         self._write(self.path(view), np.savez, arrays)
@@ -115,6 +119,14 @@ class ShardStore:
             FileError: when the file is gone or damaged.
         """
         return self._read(self.path(view), *names)
+
+    def lit(self, views: int) -> np.ndarray:
+        """What suns reach: bytes (N, D), see `lit_bytes`. They lie with all `views` in turn; raises like `read`."""
+        parts = [self.read(view, "lit")[0] for view in range(views)]
+        made = np.empty((parts[0].shape[1], sum(map(len, parts))), np.uint8)
+        for view, part in enumerate(parts):
+            made[:, view::views] = part.T
+        return made
 
     def photograph(self, view: int) -> Photograph:
         """The photograph that `write` has kept of a view; raises like `read`."""
@@ -209,6 +221,12 @@ class Silhouettes:
         known_bits, coverage = self.store.read(self.view, "known", "coverage")
         known = np.flatnonzero(np.unpackbits(known_bits, count=len(coverage)))
         return known, (coverage[known].astype(np.float32) / 255.0 - self.plain[known])[:, None]
+
+
+def lit_bytes(own: np.ndarray, hidden: np.ndarray) -> np.ndarray:
+    """The share (N,) of texels that a sun reaches, 0 to 254, where it sees `own` (N,) parts and others are `hidden`; else UNKNOWN."""
+    parts = own + hidden
+    return np.where(parts > 0.0, np.rint((UNKNOWN - 1) * own / np.maximum(parts, 1.0)), UNKNOWN).astype(np.uint8)
 
 
 def _write_whole(path: Path, content: bytes) -> None:

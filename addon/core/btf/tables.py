@@ -7,6 +7,7 @@ import numpy as np
 
 from ..direction_grids import DirectionGrid
 from .factors import Factors
+from .shadows import Shadows
 
 Vector = tuple[float, float, float]
 
@@ -46,10 +47,17 @@ class Tables:
     column: float
     dome: ViewTable
     alpha: ViewTable
+    shadows: int
+    shadows_upper: bool
+    shadow_components: int
+    shadow: ViewTable | None
 
 
-def tables_of(colour: Factors, alpha: Factors, views: DirectionGrid, lights: DirectionGrid) -> Tables:
-    """The tables of a bake: `colour` has a column for every light, the dome last, and channel; `alpha` has one column."""
+def tables_of(colour: Factors, alpha: Factors, views: DirectionGrid, lights: DirectionGrid, shadows: Shadows | None = None) -> Tables:
+    """The tables of a bake: `colour` has a column for every light, the dome last, and channel; `alpha` has one column.
+
+    The one of `shadows`, whose side is 0 where there are none, has the directions of suns in the place of views.
+    """
     count, components, clusters = len(lights), colour.components, colour.clusters
     values = colour.basis.reshape(len(views), clusters, components, count + 1, 3)
     tiles = lights.bordered(np.moveaxis(values[..., :count, :], 3, 0))  # light row, light column, view, cluster, component, channel
@@ -74,6 +82,10 @@ def tables_of(colour: Factors, alpha: Factors, views: DirectionGrid, lights: Dir
         column=1.0 / clusters,
         dome=_view_table(views, values[..., count, :]),
         alpha=_view_table(views, np.repeat(alpha.basis[:, None], 3, axis=3)),
+        shadows=0 if shadows is None else shadows.grid.size,
+        shadows_upper=False if shadows is None else shadows.grid.upper,
+        shadow_components=0 if shadows is None else shadows.angles.components,
+        shadow=None if shadows is None else _view_table(shadows.grid, np.repeat(shadows.angles.basis[:, None], 3, axis=3)),
     )
 
 
@@ -89,8 +101,8 @@ def colour_basis(
     return np.concatenate([suns, under_dome[:, :, None]], axis=2).reshape(len(views), clusters * components, -1)
 
 
-def alpha_basis(image: np.ndarray, views: DirectionGrid, components: int) -> np.ndarray:
-    """The basis (V, components, 1) of silhouettes out of the image (H, W, 4) that `tables_of` has made of it."""
+def one_column_basis(image: np.ndarray, views: DirectionGrid, components: int) -> np.ndarray:
+    """The basis (V, components, 1) of silhouettes, or of shadows, out of the image (H, W, 4) that `tables_of` has made of it."""
     return _view_values(image, views, 1, components)[..., :1]
 
 

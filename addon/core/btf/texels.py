@@ -203,3 +203,20 @@ def sight(texels: Texels, view: View, picture: Picture, belongs: Belonging, erro
     radiance /= coverage[visible, None]
     alpha = own / np.maximum(own + empty, 1.0)
     return Sighting(known, np.where(known, alpha, np.float32(0.0)), visible, radiance)
+
+
+def reached_parts(
+    texels: Texels, sun: View, faces: np.ndarray, heights: np.ndarray, belongs: Belonging, error: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """How many parts of every texel a sun sees, and from how many another surface hides it, (N,) float32 each.
+
+    sun: what it sees, with the `faces` (H, W) in the middle of every pixel and their `heights`; see `Picture`. Hidden as in `sight`.
+    """
+    own, hidden = np.zeros((2, len(texels)), np.float32)
+    for positions in texels.parts(PARTS):
+        place = sun.cells(positions)
+        face = faces[place]
+        is_own = belongs(texels.quads, face)
+        own += is_own
+        hidden += ~is_own & (face >= 0) & (heights[place] > (positions - sun.center) @ sun.direction + error)
+    return own, hidden

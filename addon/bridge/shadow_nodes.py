@@ -1,0 +1,39 @@
+"""Nodes that find how much of a sun reaches a texel; see `core.btf.shadows`."""
+
+from collections.abc import Callable
+
+import bpy
+
+from ..core.btf.shadows import PENUMBRA
+from ..core.btf.tables import Tables
+from .node_groups import new_group
+from .table_nodes import in_views, pairs, place_node, scalars, texture, weight_sockets, weighted_sum
+from .wiring import Operand, Wiring
+
+SHADOW_WEIGHTS, SHADOW_BASIS = "Shadow Weights", "Shadow Basis"  # labels of image nodes; of weights there are several, numbered from 0
+
+
+def shadow_finder(
+    wiring: Wiring, name: str, tables: Tables, weight_images: list[bpy.types.Image], basis: bpy.types.Image | None
+) -> Callable[[Operand, str], Operand] | None:
+    """What adds nodes for how much of a sun reaches the texel, 0..1, with a label; None where there are no shadows."""
+    if tables.shadow is None:
+        return None
+    weights = [texture(wiring, image, f"{SHADOW_WEIGHTS} {number}") for number, image in enumerate(weight_images)]
+    group = new_group(f"{name} Shadow", [("Sun", "Vector"), *weight_sockets(len(weights))], [("Reached", "Float")])
+    inner = Wiring(group)
+    direction, *rest = list(inner.node("NodeGroupInput").outputs)[:-1]
+    numbers = scalars(inner, list(zip(rest[::2], rest[1::2], strict=True)), tables.shadow_components)
+    uv = in_views(inner, tables.shadow, place_node(inner, tables.shadows_upper, direction))
+    angle = inner.channels(weighted_sum(inner, basis, SHADOW_BASIS, uv, tables.shadow.step, numbers))[0]
+    reached = inner.math("ADD", inner.math("MULTIPLY", angle, 1.0 / PENUMBRA), 0.5, clamp=True)
+    inner.connect(reached, inner.node("NodeGroupOutput").inputs[0])
+    inner.arrange()
+
+    def found(sun: Operand, label: str) -> Operand:
+        node = wiring.node("ShaderNodeGroup", {"node_tree": group, "label": label})
+        for operand, target in zip((sun, *pairs(weights)), node.inputs, strict=True):
+            wiring.connect(operand, target)
+        return node.outputs[0]
+
+    return found

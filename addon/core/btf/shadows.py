@@ -1,0 +1,100 @@
+"""Shadows of an original upon itself: how far, in angle, every sun stands from where a texel falls into shadow.
+
+Suns of a bake are as broad as a cell of their grid, so what is baked under them has blurred shadows, and between two suns both of a
+shadow's places at half strength. Where a texel begins to be shadowed is a line in the directions of suns, though, and the angle to that
+line is smooth: few components hold it, and interpolated it is sharp again. (Signed distances in place of sharp edges after Green 2007, who
+does so in textures of glyphs.) From where a sun reaches a texel is looked up in pictures of face numbers alone, seen from the sun.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..direction_grids import DirectionGrid
+from ..progress import Progress, Steps, scaled
+from .broad_suns import BroadSuns
+from .factors import Factors, factorise
+from .shards import UNKNOWN
+
+PENUMBRA = 0.2  # radians over which a sun sets behind an edge
+FARTHEST = 0.6  # radians: what is farther from the edge counts as that
+LEAST_FACING = 0.1  # cosine: what a texel counts at least for a sun that grazes it
+CLEAR = 0.9  # share of a texel's parts: of those that are reached less, and more than the rest, the share itself says where the edge is
+CHUNK = 8_192  # texels at once
+WHOLE = UNKNOWN - 1  # the byte of a texel that a sun reaches wholly
+
+
+@dataclass(frozen=True)
+class Shadows:
+    """angles: of N texels to their edge of shadow, radians, one column; its views are the directions of `grid`. Above 0 a sun reaches."""
+
+    grid: DirectionGrid
+    angles: Factors
+
+    @property
+    def bytes(self) -> int:
+        """What they take as half floats."""
+        return self.angles.bytes
+
+    def reached(self, lights: np.ndarray, rows: slice | np.ndarray = slice(None)) -> np.ndarray:
+        """How much (M, L) float32, 0..1, of suns like points from `lights` (L, 3) reaches the texels `rows`."""
+        basis = self.grid.interpolated(self.angles.basis[:, :, 0], lights)
+        return np.clip(0.5 + self.angles.weights[rows] @ (basis.T / PENUMBRA), 0.0, 1.0)
+
+    def reached_by(self, suns: BroadSuns) -> np.ndarray:
+        """How much (N, L) float32 of each broad sun reaches the texels: the mean over its disc."""
+        apart = np.arccos(np.clip(self.grid.directions @ suns.directions.T, -1.0, 1.0))
+        spread = 0.5 * np.sqrt(self.grid.solid_angles.mean())  # a disc ends within cells
+        within = self.grid.solid_angles[:, None] * np.clip(0.5 + (suns.radius - apart) / (2.0 * spread), 0.0, 1.0)
+        within = (within / np.maximum(within.sum(axis=0), 1e-12)).astype(np.float32)
+        made = np.empty((len(self.angles.weights), len(suns.directions)), np.float32)
+        for start in range(0, len(made), CHUNK):
+            rows = slice(start, start + CHUNK)
+            made[rows] = np.minimum(self.reached(self.grid.directions, rows) @ within, 1.0)
+        return made
+
+
+def find_shadows(lit: np.ndarray, grid: DirectionGrid, normals: np.ndarray, components: int, seed: int = 0) -> Steps[Shadows]:
+    """Shadows of the texels with `normals` (N, 3), out of what suns from all directions of `grid` reach: bytes (N, D), see `lit_bytes`."""
+    angles = yield from scaled(_angles(lit, grid), 0.0, 0.2)
+    weights = np.maximum(np.abs(grid.directions @ normals.T), LEAST_FACING) * grid.solid_angles[:, None]
+    known = [_Known(lit[:, direction], angles[:, direction]) for direction in range(len(grid))]
+    found = yield from scaled(factorise(known, len(normals), components, weights, np.ones(1), seed), 0.2, 1.0)
+    return Shadows(grid, found)
+
+
+@dataclass(frozen=True)
+class _Known:
+    """The angles (N,) of one direction, for `factorise`, where its shares `lit` (N,) are known."""
+
+    lit: np.ndarray
+    angles: np.ndarray
+
+    def read(self) -> tuple[np.ndarray, np.ndarray]:
+        rows = np.flatnonzero(self.lit != UNKNOWN)
+        return rows, self.angles[rows, None].astype(np.float32)
+
+
+def _angles(lit: np.ndarray, grid: DirectionGrid) -> Steps[np.ndarray]:
+    """The angle (N, D) float16 of every direction to the next one where a texel fares the other way, above 0 where it is lit (N, D)."""
+    apart = np.arccos(np.clip(grid.directions @ grid.directions.T, -1.0, 1.0))
+    nearest = np.argsort(apart, axis=1)[:, 1:]
+    reach = int((np.sort(apart, axis=1)[:, 1:] < FARTHEST).sum(axis=1).max())
+    made = np.empty(lit.shape, np.float16)
+    for start in range(0, len(lit), CHUNK):
+        yield Progress(start / len(lit), "Looking for the edges of shadows")
+        made[start : start + CHUNK] = _angles_of(lit[start : start + CHUNK], apart, nearest[:, :reach])
+    return made
+
+
+def _angles_of(lit: np.ndarray, apart: np.ndarray, nearest: np.ndarray) -> np.ndarray:
+    side = np.where(lit == UNKNOWN, 0, np.where(lit > WHOLE // 2, 1, -1)).astype(np.int8)
+    angle = np.full(lit.shape, FARTHEST, np.float32)
+    directions = np.arange(len(apart))
+    for rank in reversed(range(nearest.shape[1])):  # the nearest last, so that it has the last word
+        other = nearest[:, rank]
+        opposite = side[:, other] * side < 0
+        angle = np.where(opposite, np.minimum(apart[directions, other], FARTHEST).astype(np.float32), angle)
+    share = lit / np.float32(WHOLE)
+    partly = (share > 1.0 - CLEAR) & (share < CLEAR)
+    return np.where(partly, PENUMBRA * (share - 0.5), side * angle)
