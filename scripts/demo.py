@@ -87,7 +87,7 @@ QUICK = Effort(
     compared_levels=1,
     relighting=RelightingEffort(
         level=2,
-        bake=BtfSettings(views=9, lights=9, components=4, alpha_components=4, samples=2),
+        bake=BtfSettings(views=9, lights=9, components=4, alpha_components=4, shadows=64, shadow_components=8, samples=2),
         pairs=2,
         samples=8,
         frames=6,
