@@ -103,9 +103,9 @@ class FARFIELD_PT_billboards_figures(SidebarPanel, bpy.types.Panel):
         if camera is None:
             self.layout.label(text="The scene has no camera", icon="INFO")
         self.layout.operator(FARFIELD_OT_billboards_show_level.bl_idname, icon="VIEW_CAMERA")
-        row = self.layout.row(align=True)
-        row.operator(FARFIELD_OT_billboards_fade.bl_idname)
-        row.prop(context.scene.farfield_billboards, "fade_range", text="Range")
+        fade = self.layout.column(align=True)
+        fade.operator(FARFIELD_OT_billboards_fade.bl_idname, icon="SMOOTHCURVE")
+        fade.prop(context.scene.farfield_billboards, "fade_range", text="Range")
 
 
 def draw_estimate(layout: bpy.types.UILayout, context: bpy.types.Context, group: bpy.types.PropertyGroup) -> None:

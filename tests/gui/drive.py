@@ -1,4 +1,4 @@
-"""A visit to a Blender window: builds a cloud, stops one, undoes one, and writes down what it sees."""
+"""A visit to a Blender window: builds a cloud, stops one, lets one fade, undoes both, and writes down what it sees."""
 
 import sys
 from collections.abc import Iterator
@@ -46,15 +46,34 @@ def visit() -> Iterator[float]:
     yield 3.0
     seen["levels"] = clouds()
     picture("4-built")
+    seen["built"] = state()
 
+    x, y = yield from hand.find_button("farfield.billboards_fade")
+    hand.press("LEFTMOUSE", x, y)
+    yield 3.0
+    seen["fading"] = fading()
+    picture("5-fading")
+    yield from undo(hand)
+    seen["after_fading"] = state()
+
+    yield from undo(hand)
+    seen["after_undo"] = state()
+    picture("6-undone")
+
+
+def fading() -> list[str]:
+    """Names of what fades."""
+    return sorted(item.name for item in bpy.data.objects if "farfield_fade" in item)
+
+
+def undo(hand: Hand) -> Iterator[float]:
+    """Press Ctrl Z over the 3D view."""
     view = hand.region("WINDOW")
     middle = view.x + view.width // 2, view.y + view.height // 2
     hand.move(*middle)
     yield 0.5
     hand.press("Z", *middle, ctrl=True)
     yield 1.5
-    seen["after_undo"] = state()
-    picture("5-undone")
 
 
 drive(visit)

@@ -35,6 +35,11 @@ def test_the_finished_job_left_a_cloud_in_levels(seen):
     assert seen["levels"] == ["Tree Cloud L0", "Tree Cloud L1", "Tree Cloud L2"]
 
 
+def test_levels_and_original_fade_and_one_undo_ends_it(seen):
+    assert seen["fading"] == ["Tree Cloud L0", "Tree Cloud L1", "Tree Cloud L2", "Tree Cloud Tree"]
+    assert seen["after_fading"]["objects"] == seen["built"]["objects"]
+
+
 def test_one_undo_takes_all_of_it_back(seen):
     assert seen["after_undo"]["objects"] == seen["before"]["objects"]
     assert seen["after_undo"]["collections"] == seen["before"]["collections"]
