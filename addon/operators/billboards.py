@@ -6,7 +6,7 @@ from ..bridge import cameras
 from ..core.billboards.settings import BillboardSettings, FadeSettings
 from ..core.errors import FarfieldError
 from . import billboards_estimates, long_work, properties
-from .billboards_clouds import clouds_in
+from .billboards_clouds import StandingCloud, clouds_in
 from .billboards_job import BillboardJob, BuildOptions, may_have_surface, prepare
 
 
@@ -87,6 +87,7 @@ class FARFIELD_OT_billboards_fade(bpy.types.Operator):
         standing = clouds_in(context.scene)
         for cloud in standing:
             cloud.fade(context, span)
+            _hand_over(context, cloud)
         names = ", ".join(f'"{cloud.collection.name}"' for cloud in standing)
         alone = [f'"{cloud.collection.name}"' for cloud in standing if not cloud.sources]
         missing = f" Without their originals, which are gone: {', '.join(alone)}." if alone else ""
@@ -113,9 +114,21 @@ class FARFIELD_OT_billboards_show_level(bpy.types.Operator):
         shown = []
         for cloud in clouds_in(context.scene):
             level = cloud.show_for(camera)
+            _hand_over(context, cloud)
             shown.append(f'"{cloud.collection.name}" {"original" if level is None else f"level {level}"}')
         self.report({"INFO"}, f"Shown: {', '.join(shown)}.")
         return {"FINISHED"}
+
+
+def _hand_over(context: bpy.types.Context, cloud: StandingCloud) -> None:
+    """Let what is shown of `cloud` be the active object where what was active is hidden now: the panel goes by it."""
+    active = context.view_layer.objects.active
+    own = [*cloud.levels, *cloud.sources]
+    shown = [item for item in own if not item.hide_viewport]
+    if active in own and active.hide_viewport and shown:
+        context.view_layer.update()
+        context.view_layer.objects.active = shown[0]
+        shown[0].select_set(True)
 
 
 def _no_view(context: bpy.types.Context) -> str:

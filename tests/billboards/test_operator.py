@@ -10,7 +10,7 @@ from farfield.addon.core.billboards.settings import BillboardSettings
 from farfield.addon.core.cameras import choose_level
 from farfield.addon.core.settings import describe
 from farfield.addon.operators import long_work, properties
-from farfield.addon.operators.billboards_clouds import clouds_in
+from farfield.addon.operators.billboards_clouds import cloud_for, clouds_in
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 ROUGH = {"error": 5.0, "levels": 2, "textures": False}
@@ -209,6 +209,13 @@ def test_show_level_follows_the_projected_error():
         assert bpy.ops.farfield.billboards_show_level() == {"FINISHED"}
         assert [item for item in (source, fine, coarse) if not item.hide_render] == [shown]
         assert [item for item in (source, fine, coarse) if not item.hide_viewport] == [shown]
+    assert cloud_for(bpy.context.scene, bpy.context.active_object) is None, "the camera is active"
+    camera.location = (0.0, -10.0, 0.0)
+    bpy.ops.farfield.billboards_show_level()
+    bpy.context.view_layer.objects.active = source
+    camera.location = (0.0, -1000.0, 0.0)
+    bpy.ops.farfield.billboards_show_level()
+    assert bpy.context.active_object == coarse and coarse.select_get(), "the panel goes by the active object"
     bpy.data.objects.remove(source)
     camera.location = (0.0, -10.0, 0.0)
     bpy.ops.farfield.billboards_show_level()
