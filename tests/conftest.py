@@ -50,6 +50,7 @@ def scheduler(tmp_path) -> Iterator:
     farm.close()
 
 
+@pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Fast tests first: who runs the suite sees what is broken soon. Side by side, a file's tests stay together, for the fixtures that they
     share, and there is one window at a time."""
