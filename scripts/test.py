@@ -16,7 +16,7 @@ import environment
 environment.ensure(also=("pytest", "pytest_timeout", "xdist", "hypothesis"))
 
 
-SIDE_BY_SIDE = ("-n", "auto", "--maxprocesses", "4", "--dist", "loadgroup", "--no-loadscope-reorder")
+SIDE_BY_SIDE = ("-n", "auto", "--maxprocesses", "4", "--dist", "loadfile", "--no-loadscope-reorder")
 
 
 def main() -> int:

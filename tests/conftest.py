@@ -50,19 +50,10 @@ def scheduler(tmp_path) -> Iterator:
     farm.close()
 
 
-@pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Fast tests first: who runs the suite sees what is broken soon. Side by side, a file's tests stay together, for the fixtures that they
-    share, and there is one window at a time."""
-    items.sort(key=_turn)
-    if config.pluginmanager.hasplugin("xdist"):
-        for item in items:
-            turn = _turn(item)
-            item.add_marker(pytest.mark.xdist_group("window" if turn == 2 else f"{item.nodeid.partition('::')[0]} {turn}"))
-
-
-def _turn(item: pytest.Item) -> int:
-    return 2 if item.get_closest_marker("gui") else 1 if item.get_closest_marker("slow") else 0
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Fast tests first: who runs the suite sees what is broken soon. Side by side, files begin in that order and stay whole, for the
+    fixtures that their tests share."""
+    items.sort(key=lambda item: 2 if item.get_closest_marker("gui") else 1 if item.get_closest_marker("slow") else 0)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
