@@ -1,6 +1,7 @@
 """A level of a cloud that wears relightable textures, and the lamps that light it."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import bpy
 import numpy as np
@@ -9,7 +10,8 @@ from ..core.btf.factors import Factors
 from ..core.btf.lobes import Lobes, Surface, normals_of
 from ..core.btf.lpca import LocalFactors
 from ..core.btf.settings import BtfSettings
-from ..core.btf.tables import tables_of, weight_images
+from ..core.btf.shadows import Shadows
+from ..core.btf.tables import Tables, tables_of, weight_images
 from ..core.btf.texels import Quads, Texels, texels_of
 from ..core.images import dilate, nearest_known
 from .btf_materials import AMBIENT, SUNS, BtfImages, btf_material, light_property, sun_labels, sun_property
@@ -104,10 +106,7 @@ def wear(
         alpha_basis=_half_image(f"{name} Alpha", tables.alpha.image),
         plain=_plain_image(level_object, FRONT_COLOUR),
         **_lobe_images(level_object, name, texels, lobes, known),
-        shadow_weights=[]
-        if shadows is None
-        else _weight_images(f"{name} Shadow Weights", dilate(texels.image(shadows.angles.weights), known, DILATED)),
-        shadow_basis=None if shadows is None else _half_image(f"{name} Shadow", tables.shadow.image),
+        **_shadow_images(name, texels, shadows, tables, known),
     )
     material = btf_material(name, images, tables, settings.blend_texels)
     plain = level_object.data.materials[0]
@@ -140,6 +139,16 @@ def _lobe_images(
         "diffuse": _half_image(f"{name} Diffuse", diffuse),
         "specular": _half_image(f"{name} Specular", specular),
         "normals": _plain_image(level_object, FRONT_NORMAL),
+    }
+
+
+def _shadow_images(name: str, texels: Texels, shadows: Shadows | None, tables: Tables, known: np.ndarray) -> dict[str, Any]:
+    if shadows is None:
+        return {"shadow_weights": [], "shadow_basis": None}
+    weights = dilate(texels.image(shadows.angles.weights), known, DILATED)
+    return {
+        "shadow_weights": _weight_images(f"{name} Shadow Weights", weights),
+        "shadow_basis": _half_image(f"{name} Shadow", tables.shadow.image),
     }
 
 

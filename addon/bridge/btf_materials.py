@@ -16,7 +16,7 @@ from .cloud_materials import set_two_sided
 from .lobe_nodes import TexelLobes, add_dome, add_lobes, facing_normal
 from .node_groups import new_group
 from .shadow_nodes import shadow_finder
-from .table_nodes import BLACK, in_column, in_views, pairs, place_node, scalars, texture, weight_sockets, weighted_sum
+from .table_nodes import BLACK, in_column, in_views, one_column, paired, pairs, place_node, scalars, texture, weight_sockets, weighted_sum
 from .wiring import Operand, Wiring
 
 SUNS = 4
@@ -179,9 +179,8 @@ def _lamp_group(name: str, tables: Tables, basis: bpy.types.Image, weight_images
     wiring = Wiring(group)
     view, sun, *rest = list(wiring.node("NodeGroupInput").outputs)[:-1]  # the last is the empty one that makes new sockets
     column = rest.pop() if in_columns else None
-    weights = list(zip(rest[::2], rest[1::2], strict=True))
     light = place_node(wiring, tables.lights_upper, sun)
-    wiring.connect(_under_sun(wiring, tables, basis, weights, view, light, column), wiring.node("NodeGroupOutput").inputs[0])
+    wiring.connect(_under_sun(wiring, tables, basis, paired(rest), view, light, column), wiring.node("NodeGroupOutput").inputs[0])
     wiring.arrange()
     return group
 
@@ -218,7 +217,6 @@ def _alpha(wiring: Wiring, tables: Tables, images: BtfImages, view: Operand) -> 
     """The silhouette from the view: a sum over its own components, 0..1."""
     weights = [texture(wiring, image, f"{ALPHA_WEIGHTS} {number}") for number, image in enumerate(images.alpha_weights)]
     numbers = scalars(wiring, weights, tables.alpha_components)
-    uv = in_views(wiring, tables.alpha, view)
-    total = wiring.channels(weighted_sum(wiring, images.alpha_basis, ALPHA_BASIS, uv, tables.alpha.step, numbers))[0]
+    total = one_column(wiring, images.alpha_basis, ALPHA_BASIS, tables.alpha, view, numbers)
     plain = 0.0 if images.plain is None else texture(wiring, images.plain, PLAIN)[1]
     return wiring.math("ADD", total, plain, clamp=True)

@@ -18,6 +18,7 @@ from .quad_normals import corner_normals
 from .slots import slots_of, texture_coordinates
 from .textures import LevelTextures, Maps
 
+KIND, CLOUD = "farfield_kind", "cloud"  # on all that Farfield makes, and what it says on the levels of a cloud
 FINGERPRINT = "farfield_source_fingerprint"  # on a cloud's collection, see `Source.fingerprint`
 CORNER_NORMALS = "custom_normal"  # Blender's own name for normals of corners that are set by hand
 DRAWN_OFFSETS, DRAWN = "farfield_drawn_offsets", "farfield_drawn"  # on a level's mesh
@@ -93,7 +94,7 @@ def _camera(parent: bpy.types.Collection) -> Camera:
 
 
 def _describe(level_object: bpy.types.Object, number: int, level: Level, camera: Camera, material: bpy.types.Material) -> None:
-    level_object["farfield_kind"] = "cloud"
+    level_object[KIND] = CLOUD
     level_object["farfield_level"] = number
     level_object["farfield_error"] = float(level.error)
     level_object["farfield_switch_distance"] = float(camera.switch_distance(level.error))

@@ -1,13 +1,14 @@
 """Stand-ins for an original that fades into its cloud: the same surfaces with copies of their materials, which may be given nodes."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import bpy
 
 from .cloud_materials import grey_material
-from .meshes import SURFACE_TYPES
+from .clouds import KIND
+from .meshes import shown_surfaces
 
-KIND = "original"  # farfield_kind of a stand-in
+ORIGINAL = "original"  # the kind of a stand-in
 
 
 def add_originals(sources: Sequence[bpy.types.Object], collection: bpy.types.Collection, depsgraph: bpy.types.Depsgraph) -> None:
@@ -18,22 +19,21 @@ def add_originals(sources: Sequence[bpy.types.Object], collection: bpy.types.Col
     wanted = {item.name_full for item in sources}
     meshes: dict[int, bpy.types.Mesh] = {}
     copies: dict[bpy.types.Material | None, bpy.types.Material] = {}
-    for owner, shown, matrix in _shown(depsgraph):
-        if owner.name_full not in wanted:
-            continue
+    for owner, instance in shown_surfaces(wanted, depsgraph):
+        shown, matrix = instance.object, instance.matrix_world.copy()
         key = shown.data.as_pointer()
         if key not in meshes:
             meshes[key] = _mesh(shown, f"{collection.name} {shown.name}", depsgraph, copies)
         made = bpy.data.objects.new(meshes[key].name, meshes[key])
-        _copy_properties(owner.original, made)
-        made["farfield_kind"] = KIND
+        _copy_properties(owner, made)
+        made[KIND] = ORIGINAL
         made.matrix_world = matrix
         collection.objects.link(made)
 
 
 def originals_in(collection: bpy.types.Collection) -> list[bpy.types.Object]:
     """The stand-ins in `collection`."""
-    return [item for item in collection.objects if item.get("farfield_kind") == KIND]
+    return [item for item in collection.objects if item.get(KIND) == ORIGINAL]
 
 
 def remove_originals(collection: bpy.types.Collection) -> None:
@@ -47,14 +47,6 @@ def remove_originals(collection: bpy.types.Collection) -> None:
             for material in dict.fromkeys(materials):
                 if material.users == 0:
                     bpy.data.materials.remove(material)
-
-
-def _shown(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple]:
-    """Whose it is, the evaluated object and where it stands, for every surface in the scene."""
-    for instance in depsgraph.object_instances:
-        owner = instance.parent if instance.is_instance else instance.object
-        if instance.object.type in SURFACE_TYPES and (instance.is_instance or instance.show_self):
-            yield owner, instance.object, instance.matrix_world.copy()
 
 
 def _mesh(

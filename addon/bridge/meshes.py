@@ -1,5 +1,6 @@
 """Out of Blender: evaluated objects and point clouds as one source in world space."""
 
+from collections.abc import Container, Iterator
 from dataclasses import dataclass
 
 import bpy
@@ -125,6 +126,17 @@ def take_points(point_object: bpy.types.Object) -> Source:
     return Source(None, [part], point_object.name, [], matrix[:3, 3].copy(), cloud)
 
 
+def shown_surfaces(
+    owners: Container[str], depsgraph: bpy.types.Depsgraph
+) -> Iterator[tuple[bpy.types.Object, bpy.types.DepsgraphObjectInstance]]:
+    """What objects with names (`name_full`) in `owners` show, themselves or as instances that they make: the original of the owner, and
+    the instance, which is only good until the next one comes."""
+    for instance in depsgraph.object_instances:
+        owner = (instance.parent if instance.is_instance else instance.object).original
+        if owner.name_full in owners and instance.object.type in SURFACE_TYPES and (instance.is_instance or instance.show_self):
+            yield owner, instance
+
+
 def world_mesh(parts: list[SourcePart]) -> TriangleMesh:
     """One soup of all `parts`; a material's index is its place among the distinct materials of the parts, -1 for none."""
     vertices, triangles, materials = [], [], []
@@ -161,10 +173,7 @@ def _parts(objects: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> l
     """Parts with faces, those of each object together, in the order of `objects`."""
     surfaces: dict[int, Surface] = {}
     wanted = {candidate.name_full: [] for candidate in objects}
-    for instance in depsgraph.object_instances:
-        owner = (instance.parent if instance.is_instance else instance.object).original
-        if owner.name_full not in wanted or instance.object.type not in SURFACE_TYPES or not (instance.is_instance or instance.show_self):
-            continue
+    for owner, instance in shown_surfaces(wanted, depsgraph):
         key = instance.object.data.as_pointer() if instance.is_instance else instance.object.as_pointer()
         if key not in surfaces:
             surfaces[key] = _surface(instance.object, depsgraph)

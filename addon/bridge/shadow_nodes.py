@@ -7,7 +7,7 @@ import bpy
 from ..core.btf.shadows import PENUMBRA
 from ..core.btf.tables import Tables
 from .node_groups import new_group
-from .table_nodes import in_views, pairs, place_node, scalars, texture, weight_sockets, weighted_sum
+from .table_nodes import one_column, paired, pairs, place_node, scalars, texture, weight_sockets
 from .wiring import Operand, Wiring
 
 SHADOW_WEIGHTS, SHADOW_BASIS = "Shadow Weights", "Shadow Basis"  # labels of image nodes; of weights there are several, numbered from 0
@@ -23,9 +23,8 @@ def shadow_finder(
     group = new_group(f"{name} Shadow", [("Sun", "Vector"), *weight_sockets(len(weights))], [("Reached", "Float")])
     inner = Wiring(group)
     direction, *rest = list(inner.node("NodeGroupInput").outputs)[:-1]
-    numbers = scalars(inner, list(zip(rest[::2], rest[1::2], strict=True)), tables.shadow_components)
-    uv = in_views(inner, tables.shadow, place_node(inner, tables.shadows_upper, direction))
-    angle = inner.channels(weighted_sum(inner, basis, SHADOW_BASIS, uv, tables.shadow.step, numbers))[0]
+    numbers = scalars(inner, paired(rest), tables.shadow_components)
+    angle = one_column(inner, basis, SHADOW_BASIS, tables.shadow, place_node(inner, tables.shadows_upper, direction), numbers)
     reached = inner.math("ADD", inner.math("MULTIPLY", angle, 1.0 / PENUMBRA), 0.5, clamp=True)
     inner.connect(reached, inner.node("NodeGroupOutput").inputs[0])
     inner.arrange()

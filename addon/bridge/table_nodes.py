@@ -52,6 +52,11 @@ def pairs(weights: list[tuple[Operand, Operand]]) -> list[Operand]:
     return [operand for pair in weights for operand in pair]
 
 
+def paired(sockets: list[Operand]) -> list[tuple[Operand, Operand]]:
+    """What comes out of the sockets of `weight_sockets`; undoes `pairs`."""
+    return list(zip(sockets[::2], sockets[1::2], strict=True))
+
+
 def scalars(wiring: Wiring, weights: list[tuple[Operand, Operand]], count: int) -> list[Operand]:
     """The first `count` numbers of weight images, four of each."""
     return [number for color, fourth in weights for number in (*wiring.channels(color), fourth)][:count]
@@ -78,3 +83,8 @@ def weighted_sum(wiring: Wiring, image: bpy.types.Image, label: str, uv: Operand
     for component, number in enumerate(numbers):
         total = wiring.add_scaled(total, number, texture(wiring, image, label, uv, component * step)[0])
     return total
+
+
+def one_column(wiring: Wiring, image: bpy.types.Image, label: str, table: ViewTable, place: Operand, numbers: list[Operand]) -> Operand:
+    """`weighted_sum` of a table with one number a direction, at a `place` on the map of directions."""
+    return wiring.channels(weighted_sum(wiring, image, label, in_views(wiring, table, place), table.step, numbers))[0]

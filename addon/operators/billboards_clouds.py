@@ -9,7 +9,6 @@ import numpy as np
 from ..bridge import btf_clouds, clouds, fade_originals, fades, originals
 from ..core.cameras import Camera, choose_level, distance_to_box
 
-KIND = "farfield_kind"  # on all that Farfield makes; "cloud" on the levels of a billboard cloud
 SOURCES = "farfield_sources"  # on a cloud's collection: names, so that a linked cloud does not drag its source along
 
 
@@ -115,7 +114,7 @@ def cloud_for(scene: bpy.types.Scene, target: bpy.types.Object | None) -> Standi
 
 def cloud_of(collection: bpy.types.Collection) -> StandingCloud | None:
     """The cloud in `collection`, if it holds one."""
-    levels = [item for item in collection.objects if item.get(KIND) == "cloud"]
+    levels = [item for item in collection.objects if item.get(clouds.KIND) == clouds.CLOUD]
     return StandingCloud(collection, sorted(levels, key=lambda item: item["farfield_level"])) if levels else None
 
 

@@ -13,7 +13,7 @@ from ..core.billboards.settings import BillboardSettings
 from ..core.errors import GeometryError
 from ..core.progress import Progress, Steps, scaled
 from ..core.settings import Settings, setting
-from .billboards_clouds import KIND, remember_sources
+from .billboards_clouds import remember_sources
 
 RENDERS = 0.95  # of the half that uses Blender
 
@@ -122,8 +122,8 @@ def take_sources(
     Raises:
         GeometryError: when there is none.
     """
-    chosen = [item for item in objects if KIND not in item]
-    skipped = [f"{item.name} (made by Farfield)" for item in objects if KIND in item]
+    chosen = [item for item in objects if clouds.KIND not in item]
+    skipped = [f"{item.name} (made by Farfield)" for item in objects if clouds.KIND in item]
     points = [item for item in chosen if is_point_cloud(item, depsgraph)]
     sources = [meshes.take_points(item) for item in points]
     solid = [item for item in chosen if item not in points]

@@ -21,11 +21,14 @@ class BroadSuns:
     reached: how much (N, L) of each reaches N texels; None where nothing keeps it from them.
     """
 
-    def __init__(self, directions: np.ndarray, solid_angle: float) -> None:
-        self.directions = directions
-        self.reached: np.ndarray | None = None
+    def __init__(self, directions: np.ndarray, solid_angle: float, reached: np.ndarray | None = None) -> None:
+        self.directions, self.reached = directions, reached
         self._solid_angle = solid_angle
         self.radius = disc_radius(solid_angle)
+
+    def behind(self, reached: np.ndarray) -> "BroadSuns":
+        """These suns, but only so much of each reaches the texels."""
+        return BroadSuns(self.directions, self._solid_angle, reached)
 
     def cosine(self, normals: np.ndarray) -> np.ndarray:
         """What white Lambert surfaces with `normals` (N, 3) show of each, (N, L): the mean of the cosine above 0 over its disc, over pi."""

@@ -103,7 +103,7 @@ class Compression:
             return None
         lit = self._store.lit(len(self._views))
         shadows = yield from find_shadows(lit, grid, self._surface.normals, settings.shadow_components, settings.seed)
-        self._suns.reached = shadows.reached_by(self._suns)
+        self._suns = self._suns.behind(shadows.reached_by(self._suns))
         return shadows
 
     def _lobes(self, shadows: Shadows | None) -> Steps[Lobes | None]:

@@ -75,7 +75,6 @@ class _Matrix:
         self._size = max(1, PIECE // (self.rows * len(CHANNELS)))
         self.count = -(-self.pixels // self._size)
 
-    @property
     def factor(self) -> np.ndarray | None:
         """Columns (3, rows, C) float64 that span the matrix of each channel, where it is a product with so many; None where it is not."""
         if self._atlas.lobes is not None:
@@ -99,8 +98,9 @@ class _Matrix:
 
 def _range(matrix: _Matrix, components: int) -> Steps[np.ndarray]:
     """Orthonormal columns (3, rows, at least `components`) float32 that hold nearly all of the matrix of each channel."""
-    if matrix.factor is not None:
-        return np.linalg.qr(matrix.factor)[0].astype(np.float32)
+    factor = matrix.factor()
+    if factor is not None:
+        return np.linalg.qr(factor)[0].astype(np.float32)
     random = np.random.default_rng(0)
     wide = min(components + OVERSAMPLED, matrix.rows)
     bases = None
