@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from farfield.addon.core.btf import factors as factors_module
+from farfield.addon.core.btf.alternation import Sampled
 from farfield.addon.core.btf.factors import factorise
 from farfield.addon.core.progress import finish
 from known_views import Known, seen
@@ -36,6 +38,24 @@ def test_fully_known_it_is_as_good_as_the_svd():
     strengths = np.linalg.svd(flat, compute_uv=False)
     best = np.sqrt((strengths[4:] ** 2).sum() / (strengths**2).sum())
     assert relative(values, fitted(values, 1.0, 4)) <= 1.03 * best
+
+
+@pytest.mark.parametrize("share", [1.0, 0.6])
+def test_a_sample_of_the_rows_finds_what_all_of_them_do(share, monkeypatch):
+    random = np.random.default_rng(5)
+    values = low_rank(3, rows=2000) + 0.3 * random.normal(size=(10, 2000, 12)).astype(np.float32)
+    of_all = relative(values, fitted(values, share, 3))
+    monkeypatch.setattr(factors_module, "SAMPLE", 200)
+    assert relative(values, fitted(values, share, 3)) < 1.01 * of_all
+
+
+def test_sampled_views_know_what_the_views_know_of_the_sample():
+    view = Known(np.array([1, 4, 5, 9]), np.arange(8.0, dtype=np.float32).reshape(4, 2))
+    sampled = Sampled(view, np.array([0, 4, 8, 9]))
+    for _ in range(2):
+        index, values = sampled.read()
+        np.testing.assert_array_equal(index, [1, 3])
+        np.testing.assert_array_equal(values, view.values[[1, 3]])
 
 
 def test_components_come_in_falling_energy_with_weights_up_to_one():

@@ -8,7 +8,7 @@ import pytest
 from farfield.addon.core.btf.factors import Factors
 from farfield.addon.core.btf.fragments import Fragments, fragments_of
 from farfield.addon.core.btf.photographs import Photograph, broad_lights, photograph_of
-from farfield.addon.core.btf.refine import RAYS, _Look, refined
+from farfield.addon.core.btf.refine import RAYS, _Look, refined, seen_texels
 from farfield.addon.core.btf.texels import Picture, Quads, View, texels_of
 from farfield.addon.core.direction_grids import DirectionGrid
 from farfield.addon.core.progress import finish
@@ -106,3 +106,11 @@ def test_broad_lights_are_sums_of_the_renders():
     np.testing.assert_allclose(taken.colours[0], np.tensordot(grid.solid_angles, radiance[:-1], 1), rtol=1e-5)
     np.testing.assert_allclose(taken.colours[3], np.tensordot(grid.solid_angles * grid.directions[:, 2], radiance[:-1], 1), atol=1e-5)
     np.testing.assert_allclose(taken.colours[4], radiance[-1])
+
+
+def test_texels_behind_opaque_ones_are_not_seen():
+    texels, above = texels_of(sheets(), SIZE), View(np.array([0.0, 0.0, 1.0]), np.array([4.0, 4.0, 0.0]), 8, 1.0)
+    fragments = fragments_of(sheets(), texels, above, RAYS)
+    opaque = seen_texels(fragments, np.ones(len(texels), np.float32))
+    assert set(texels.quads[opaque]) == {1}
+    np.testing.assert_array_equal(seen_texels(fragments, np.full(len(texels), 0.5, np.float32)), np.arange(len(texels)))

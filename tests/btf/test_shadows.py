@@ -18,8 +18,8 @@ CELL = float(np.sqrt(GRID.solid_angles.max()))
 
 
 def half_lit(walls: np.ndarray, grid: DirectionGrid = GRID) -> np.ndarray:
-    """Bytes (N, D) of texels each behind a wall: lit by what is on the side of `walls` (N, 3)."""
-    return lit_bytes((walls @ grid.directions.T > 0.0).astype(np.float32), (walls @ grid.directions.T <= 0.0).astype(np.float32))
+    """Bytes (D, N) of texels each behind a wall: lit by what is on the side of `walls` (N, 3)."""
+    return lit_bytes((grid.directions @ walls.T > 0.0).astype(np.float32), (grid.directions @ walls.T <= 0.0).astype(np.float32))
 
 
 def slanting_walls() -> np.ndarray:
@@ -56,12 +56,12 @@ def test_edges_stay_where_they_are_between_two_directions():
 
 def test_open_texels_are_always_reached_and_buried_ones_never():
     for parts, expected in ((9.0, 1.0), (0.0, 0.0)):
-        lit = lit_bytes(np.full((COUNT, len(GRID)), parts), np.full((COUNT, len(GRID)), 9.0 - parts))
+        lit = lit_bytes(np.full((len(GRID), COUNT), parts), np.full((len(GRID), COUNT), 9.0 - parts))
         np.testing.assert_allclose(found(lit, 2).reached(fibonacci_sphere(50)), expected, atol=1e-3)
 
 
 def test_leaves_that_let_half_through_do_so():
-    half = np.full((COUNT, len(GRID)), 4.5)
+    half = np.full((len(GRID), COUNT), 4.5)
     np.testing.assert_allclose(found(lit_bytes(half, half), 2).reached(fibonacci_sphere(50)), 0.5, atol=0.01)
 
 

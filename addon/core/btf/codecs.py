@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..progress import Steps
-from .factors import Factors, ViewData, factorise
+from .alternation import ViewData
+from .factors import Factors, factorise
 from .lpca import factorise_locally
 from .settings import BtfSettings
 

@@ -11,7 +11,7 @@ from .factors import Factors, factorise
 from .lobes import Lobes, Surface, fit_lobes
 from .photographs import broad_lights
 from .quality import Fit, quality
-from .refine import Training, refined
+from .refine import Training, refined, seen_texels
 from .rests import write_rests
 from .settings import BtfSettings
 from .shadows import Shadows, find_shadows
@@ -78,7 +78,9 @@ class Compression:
             lit = []
             for number, view in enumerate(self._views.directions):
                 yield Progress(LIT * number / len(self._views), "Lighting the lobes")
-                lit.append(made.lobes.under(lights, view, self._suns))
+                coverage = self._plain + made.alpha.applied(made.alpha.basis[number])[:, 0]
+                wanted = seen_texels(photographed[number].fragments(), coverage)
+                lit.append(made.lobes.under(lights, view, self._suns, wanted))
         steps = refined(photographed, made.colour, made.hues, made.alpha, self._plain, lights, self._views.solid_angles, lit)
         alpha = yield from scaled(steps, LIT, 1.0)
         return replace(made, alpha=alpha)

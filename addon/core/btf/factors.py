@@ -1,29 +1,19 @@
-"""Low-rank factors of a matrix that is known in part: alternating least squares, one pass over the data each.
+"""Low-rank factors of a matrix that is known in part; see `alternation`.
 
-Rows are texels, columns come in groups: all that was seen of a texel from one view. From a view a texel is known as a whole or not at all,
-so the least-squares problem of every row has a normal matrix that is a sum over its views: exact weighted PCA, out of core, without
-filling in what is not known. (The paper compresses with local PCA after filling, section 5.2; factorisation with weights after Srebro and
-Jaakkola 2003.)
+(The paper compresses with local PCA after filling, section 5.2: `lpca`.)
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
-from ..progress import Progress, Steps
+from ..progress import Steps, scaled
+from .alternation import Alternation, Sampled, ViewData, of_all_rows
 
-PASSES = 8
-RIDGE = 1e-3  # of the mean diagonal of a row's normal matrix: rows seen from few views do not run away
-CHUNK = 16_384  # rows solved at once
-
-
-class ViewData(Protocol):
-    """What one view knows."""
-
-    def read(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows (M,) int that are known from it, ascending, and their values (M, D) float32."""
+PASSES = 8  # over a sample of rows, which are kept in memory
+SAMPLE = 8192  # rows
+FIRST, AGAIN, LAST = 0.3, 0.6, 0.85  # of the bar of `factorise`
 
 
 @dataclass(frozen=True)
@@ -68,67 +58,27 @@ class Factors:
 def factorise(
     views: Sequence[ViewData], rows: int, components: int, weights: np.ndarray, column_weights: np.ndarray, seed: int = 0
 ) -> Steps[Factors]:
-    """Factors of the matrix that `views` know.
+    """Factors of the matrix that `views` know: a sample of its rows finds the basis, then all rows have their say.
 
     Args:
         weights: (V, N) what each row counts from each view, or (V,) for all rows alike. column_weights: (D,) what each column counts.
     """
-    random = np.random.default_rng(seed)
     roots = np.sqrt(column_weights / column_weights.mean()).astype(np.float32)
     counting = of_all_rows((weights / weights.mean()).astype(np.float32), rows)
-    found = random.standard_normal((rows, components)).astype(np.float32)
+    whole = Alternation(views, counting, roots)
+    chosen = np.unique(np.linspace(0, rows - 1, min(rows, SAMPLE)).round().astype(np.int64))
+    first = whole if len(chosen) == rows else Alternation([Sampled(view, chosen) for view in views], counting[:, chosen], roots)
+    found = np.random.default_rng(seed).standard_normal((len(chosen), components)).astype(np.float32)
     found[:, 0] = 1.0
-    basis = np.zeros((len(views), components, len(roots)), np.float32)
-    shares = np.zeros((len(views), rows), np.float32)
-    for number in range(PASSES + 1):
-        last = number == PASSES
-        right = np.zeros((rows, components), np.float32)
-        for place, view in enumerate(views):
-            yield Progress((number + place / len(views)) / (PASSES + 1), f"Compressing, pass {number + 1} of {PASSES + 1}")
-            index, values = view.read()
-            scaled = values * roots
-            own = counting[place, index, None]
-            basis[place] = _solved_basis(found[index], scaled, own)
-            if not last:
-                right[index] += own * (scaled @ basis[place].T)
-                shares[place, index] = own[:, 0]
-        if not last:
-            found = solved_rows(shares, basis @ basis.transpose(0, 2, 1), right, RIDGE)
+    for number in range(PASSES):
+        found = yield from scaled(first.improved(found), FIRST * number / PASSES, FIRST * (number + 1) / PASSES)
+    if first is not whole:
+        basis = yield from scaled(first.basis(found), FIRST, FIRST)
+        found = yield from scaled(whole.rows(basis), FIRST, AGAIN)
+        found = yield from scaled(whole.improved(found), AGAIN, LAST)
+    basis = yield from scaled(whole.basis(found), LAST, 1.0)
     found, basis = _in_order(found, basis, counting.mean(axis=1))
-    return Factors(found, basis / roots, shares.any(axis=0))
-
-
-def of_all_rows(weights: np.ndarray, rows: int) -> np.ndarray:
-    """Weights (V, N) of N rows, which may be given as (V,)."""
-    return np.broadcast_to(weights.T, (rows, len(weights))).T
-
-
-def _solved_basis(weights: np.ndarray, values: np.ndarray, counting: np.ndarray) -> np.ndarray:
-    """The basis (K, D) that fits `values` (M, D) best from `weights` (M, K), rows counting (M, 1)."""
-    turned = (counting * weights).T
-    normal = (turned @ weights).astype(np.float64)
-    normal += (1e-6 * np.trace(normal) / len(normal) + 1e-12) * np.eye(len(normal))
-    return np.linalg.solve(normal, (turned @ values).astype(np.float64)).astype(np.float32)
-
-
-def solved_rows(shares: np.ndarray, grams: np.ndarray, right: np.ndarray, ridge: float | np.ndarray) -> np.ndarray:
-    """The weights (N, K) float32 that solve every row's equations; 0 where a row has no share.
-
-    On the left is the sum over views of `shares` (V, N) times `grams` (V, K, K), `right` (N, K) on the right.
-
-    `ridge`, one number or (K,), is added to each diagonal, as a share of the mean diagonal of the rows that have shares.
-    """
-    count = right.shape[1]
-    diagonal = np.einsum("vkk->v", grams).astype(np.float64) @ shares / count
-    known = diagonal > 0.0
-    padding = (diagonal[known].mean() if known.any() else 1.0) * ridge * np.eye(count)
-    weights = np.zeros(right.shape, np.float32)
-    flat = grams.reshape(len(grams), -1).astype(np.float32)
-    for start in range(0, len(right), CHUNK):
-        rows = slice(start, start + CHUNK)
-        normal = (shares[:, rows].T.astype(np.float32) @ flat).reshape(-1, count, count)
-        weights[rows] = np.linalg.solve(normal.astype(np.float64) + padding, right[rows, :, None].astype(np.float64))[..., 0]
-    return weights
+    return Factors(found, basis / roots, whole.known)
 
 
 def _in_order(weights: np.ndarray, basis: np.ndarray, view_weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

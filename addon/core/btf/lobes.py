@@ -12,8 +12,8 @@ import numpy as np
 
 from ..direction_grids import DirectionGrid
 from ..progress import Progress, Steps
+from .alternation import ViewData
 from .broad_suns import BroadSuns
-from .factors import ViewData
 from .shadows import Shadows
 
 LEAST_ROUGHNESS = 0.05
@@ -60,16 +60,21 @@ class Lobes:
 
         How much of the suns reaches them, `suns` says.
         """
-        parts = np.stack([self.diffuse[rows], self.specular[rows], np.repeat(self.rim[rows, None], 3, axis=1)], axis=1)
-        return features(self.surface, view, suns, rows, KEPT) @ parts
+        return features(self.surface, view, suns, rows, KEPT) @ self._parts(rows)
 
-    def under(self, lights: np.ndarray, view: np.ndarray, suns: BroadSuns) -> np.ndarray:
-        """Radiance (N, M * 3) float16 of all texels from `view` under sums `lights` (L + 1, M) of the broad suns and the dome."""
-        made = np.empty((len(self.rim), lights.shape[1] * 3), np.float16)
-        for start in range(0, len(made), CHUNK):
-            rows = np.arange(start, min(start + CHUNK, len(made)))
-            made[rows] = np.einsum("nlc,lm->nmc", self.of_grid(view, suns, rows), lights, optimize=True).reshape(len(rows), -1)
+    def under(self, lights: np.ndarray, view: np.ndarray, suns: BroadSuns, wanted: np.ndarray) -> np.ndarray:
+        """Radiance (N, M * 3) float16 of texels from `view` under sums `lights` (L + 1, M) of the broad suns and the dome; 0 but for the
+        texels `wanted`."""
+        made = np.zeros((len(self.rim), lights.shape[1] * 3), np.float16)
+        for start in range(0, len(wanted), CHUNK):
+            rows = wanted[start : start + CHUNK]
+            summed = np.matmul(lights.T.astype(np.float32), features(self.surface, view, suns, rows, KEPT))
+            made[rows] = (summed @ self._parts(rows)).reshape(len(rows), -1)
         return made
+
+    def _parts(self, rows: np.ndarray) -> np.ndarray:
+        """What every feature counts (M, KEPT, 3)."""
+        return np.stack([self.diffuse[rows], self.specular[rows], np.repeat(self.rim[rows, None], 3, axis=1)], axis=1)
 
     def of_suns(self, view: np.ndarray, lights: np.ndarray, rows: slice = ALL) -> np.ndarray:
         """Radiance (M, L, 3) of `rows` from `view` (3,) under suns like points of unit irradiance from `lights` (L, 3), unit directions."""

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..progress import Progress, Steps, scaled
-from .factors import Factors, ViewData, factorise, of_all_rows
+from .alternation import ViewData, of_all_rows
+from .factors import Factors, factorise
 
 CODES = 3  # components of all rows together for each one that a cluster has
 TRIES = 3  # to cluster, from other rows each; the best is taken

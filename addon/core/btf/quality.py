@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..progress import Progress, Steps
-from .factors import Factors, ViewData, of_all_rows
+from .alternation import ViewData, of_all_rows
+from .factors import Factors
 
 PEAK = 0.99  # quantile of the captured values that counts as white
 
@@ -34,7 +35,7 @@ def quality(
     """
     squares, weight = np.zeros(factors.components + 1), 0.0
     counting = of_all_rows(weights, len(tints))
-    peaks = []
+    peaks, columns = [], column_weights.astype(np.float32)
     for place, view in enumerate(views):
         yield Progress(place / len(views), "Measuring")
         index, values = view.read()
@@ -48,7 +49,7 @@ def quality(
         for number in range(len(squares)):
             if number:
                 rest = rest - tint * factors.part(index, place, number - 1)
-            squares[number] += float(own @ (rest.astype(np.float64) ** 2 @ column_weights))
+            squares[number] += float(own @ (np.square(rest) @ columns).astype(np.float64))
     rms = np.sqrt(squares / max(weight, 1e-300))
     peak = max(peaks, default=1.0)
     return [Fit(number, float(each), float(20.0 * np.log10(max(peak, 1e-12) / max(each, 1e-12)))) for number, each in enumerate(rms)]

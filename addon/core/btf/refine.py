@@ -15,7 +15,8 @@ from scipy import sparse
 from scipy.ndimage import gaussian_filter
 
 from ..progress import Progress, Steps
-from .factors import Factors, solved_rows
+from .alternation import solved_rows
+from .factors import Factors
 from .fragments import Fragments
 from .photographs import Photograph
 
@@ -26,6 +27,7 @@ SHARING = 4.0  # times the bend of one texel alone: those that the texture unit 
 DAMPING = 0.3  # of the mean bend, for what is the same from every view
 VARYING_DAMPING = 20.0  # the same for what depends on the view, which has less to go by
 COVERAGE_WEIGHT = 4.0  # of all coverage against all colours
+LEAST_SEEN = 0.01  # of what a texel shows: below it, its colours matter to no pixel
 CLEARLY = 0.02  # alpha this far beyond 0..1 no longer answers
 AROUND = 1.5  # pixels over which brightness is taken: people see errors relative to it
 RELATIVE = 1.2  # power of it; 2 would be relative alone
@@ -75,6 +77,12 @@ def refined(
         right = -slopes.T @ (view_weights[:, None] * from_views)
         weights = weights + STRIDE * solved_rows(bends, grams, right, damping)
     return replace(alpha, weights=weights)
+
+
+def seen_texels(fragments: Fragments, alpha: np.ndarray) -> np.ndarray:
+    """The numbers of texels, with `alpha` (N,), that are not hidden from a view by others."""
+    own = np.clip(np.einsum("ft,ft->f", fragments.shares, alpha[fragments.texels]), 0.0, 1.0)
+    return np.unique(fragments.texels[fragments.transmitted(own) > LEAST_SEEN])
 
 
 def _with_constant(alpha: Factors) -> Factors:

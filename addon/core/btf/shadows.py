@@ -55,11 +55,11 @@ class Shadows:
 
 
 def find_shadows(lit: np.ndarray, grid: DirectionGrid, normals: np.ndarray, components: int, seed: int = 0) -> Steps[Shadows]:
-    """Shadows of the texels with `normals` (N, 3), out of what suns from all directions of `grid` reach: bytes (N, D), see `lit_bytes`."""
-    angles = yield from scaled(_angles(lit, grid), 0.0, 0.2)
+    """Shadows of the texels with `normals` (N, 3), out of what suns from all directions of `grid` reach: bytes (D, N), see `lit_bytes`."""
+    angles = yield from scaled(_angles(lit, grid), 0.0, 0.3)
     weights = np.maximum(np.abs(grid.directions @ normals.T), LEAST_FACING) * grid.solid_angles[:, None]
-    known = [_Known(lit[:, direction], angles[:, direction]) for direction in range(len(grid))]
-    found = yield from scaled(factorise(known, len(normals), components, weights, np.ones(1), seed), 0.2, 1.0)
+    known = [_Known(*each) for each in zip(lit, angles, strict=True)]
+    found = yield from scaled(factorise(known, len(normals), components, weights, np.ones(1), seed), 0.3, 1.0)
     return Shadows(grid, found)
 
 
@@ -76,25 +76,29 @@ class _Known:
 
 
 def _angles(lit: np.ndarray, grid: DirectionGrid) -> Steps[np.ndarray]:
-    """The angle (N, D) float16 of every direction to the next one where a texel fares the other way, above 0 where it is lit (N, D)."""
+    """The angle (D, N) float16 of every direction to the next one where a texel fares the other way, above 0 where it is lit (D, N)."""
     apart = np.arccos(np.clip(grid.directions @ grid.directions.T, -1.0, 1.0))
     nearest = np.argsort(apart, axis=1)[:, 1:]
     reach = int((np.sort(apart, axis=1)[:, 1:] < FARTHEST).sum(axis=1).max())
     made = np.empty(lit.shape, np.float16)
-    for start in range(0, len(lit), CHUNK):
-        yield Progress(start / len(lit), "Looking for the edges of shadows")
-        made[start : start + CHUNK] = _angles_of(lit[start : start + CHUNK], apart, nearest[:, :reach])
+    for start in range(0, lit.shape[1], CHUNK):
+        yield Progress(start / lit.shape[1], "Looking for the edges of shadows")
+        rows = slice(start, start + CHUNK)
+        made[:, rows] = _angles_of(lit[:, rows], apart, nearest[:, :reach])
     return made
 
 
 def _angles_of(lit: np.ndarray, apart: np.ndarray, nearest: np.ndarray) -> np.ndarray:
+    """`_angles` of some texels. nearest (D, R): the directions around each, in order; apart (D, D): the angles between them."""
     side = np.where(lit == UNKNOWN, 0, np.where(lit > WHOLE // 2, 1, -1)).astype(np.int8)
-    angle = np.full(lit.shape, FARTHEST, np.float32)
-    directions = np.arange(len(apart))
-    for rank in reversed(range(nearest.shape[1])):  # the nearest last, so that it has the last word
-        other = nearest[:, rank]
-        opposite = side[:, other] * side < 0
-        angle = np.where(opposite, np.minimum(apart[directions, other], FARTHEST).astype(np.float32), angle)
+    wanted = np.where(side == 0, np.int8(2), -side)
+    reach = nearest.shape[1]
+    ranks = np.full(lit.shape, reach, np.min_scalar_type(reach))
+    for rank in reversed(range(reach)):  # the nearest last, so that it has the last word
+        np.copyto(ranks, rank, where=side[nearest[:, rank]] == wanted)
+    farthest = np.full((len(apart), 1), FARTHEST)
+    angles = np.column_stack([np.minimum(np.take_along_axis(apart, nearest, axis=1), FARTHEST), farthest]).astype(np.float32)
+    angle = np.take_along_axis(angles, ranks.astype(np.intp), axis=1)
     share = lit / np.float32(WHOLE)
     partly = (share > 1.0 - CLEAR) & (share < CLEAR)
     return np.where(partly, PENUMBRA * (share - 0.5), side * angle)

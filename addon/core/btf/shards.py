@@ -121,11 +121,11 @@ class ShardStore:
         return self._read(self.path(view), *names)
 
     def lit(self, views: int) -> np.ndarray:
-        """What suns reach: bytes (N, D), see `lit_bytes`. They lie with all `views` in turn; raises like `read`."""
+        """What suns reach: bytes (D, N), see `lit_bytes`. They lie with all `views` in turn; raises like `read`."""
         parts = [self.read(view, "lit")[0] for view in range(views)]
-        made = np.empty((parts[0].shape[1], sum(map(len, parts))), np.uint8)
+        made = np.empty((sum(map(len, parts)), parts[0].shape[1]), np.uint8)
         for view, part in enumerate(parts):
-            made[:, view::views] = part.T
+            made[view::views] = part
         return made
 
     def photograph(self, view: int) -> Photograph:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..progress import Progress, Steps
-from .factors import ViewData
+from .alternation import ViewData
 
 LEAST = 1e-3  # of the mean over the channels: a channel darker than that would be blown up
 
