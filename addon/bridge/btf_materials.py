@@ -16,7 +16,19 @@ from .cloud_materials import set_two_sided
 from .lobe_nodes import TexelLobes, add_dome, add_lobes, facing_normal
 from .node_groups import new_group
 from .shadow_nodes import shadow_finder
-from .table_nodes import BLACK, in_column, in_views, one_column, paired, pairs, place_node, scalars, texture, weight_sockets, weighted_sum
+from .table_nodes import (
+    BLACK,
+    in_column,
+    in_views,
+    paired,
+    pairs,
+    place_node,
+    scalars,
+    sum_of_numbers,
+    texture,
+    weight_sockets,
+    weighted_sum,
+)
 from .wiring import Operand, Wiring
 
 SUNS = 4
@@ -216,7 +228,6 @@ def _under_sun(
 def _alpha(wiring: Wiring, tables: Tables, images: BtfImages, view: Operand) -> Operand:
     """The silhouette from the view: a sum over its own components, 0..1."""
     weights = [texture(wiring, image, f"{ALPHA_WEIGHTS} {number}") for number, image in enumerate(images.alpha_weights)]
-    numbers = scalars(wiring, weights, tables.alpha_components)
-    total = one_column(wiring, images.alpha_basis, ALPHA_BASIS, tables.alpha, view, numbers)
+    total = sum_of_numbers(wiring, images.alpha_basis, ALPHA_BASIS, tables.alpha, view, weights)
     plain = 0.0 if images.plain is None else texture(wiring, images.plain, PLAIN)[1]
     return wiring.math("ADD", total, plain, clamp=True)

@@ -7,7 +7,7 @@ import bpy
 from ..core.btf.shadows import PENUMBRA
 from ..core.btf.tables import Tables
 from .node_groups import new_group
-from .table_nodes import one_column, paired, pairs, place_node, scalars, texture, weight_sockets
+from .table_nodes import paired, pairs, place_node, sum_of_numbers, texture, weight_sockets
 from .wiring import Operand, Wiring
 
 SHADOW_WEIGHTS, SHADOW_BASIS = "Shadow Weights", "Shadow Basis"  # labels of image nodes; of weights there are several, numbered from 0
@@ -23,8 +23,8 @@ def shadow_finder(
     group = new_group(f"{name} Shadow", [("Sun", "Vector"), *weight_sockets(len(weights))], [("Reached", "Float")])
     inner = Wiring(group)
     direction, *rest = list(inner.node("NodeGroupInput").outputs)[:-1]
-    numbers = scalars(inner, paired(rest), tables.shadow_components)
-    angle = one_column(inner, basis, SHADOW_BASIS, tables.shadow, place_node(inner, tables.shadows_upper, direction), numbers)
+    place = place_node(inner, tables.shadows_upper, direction)
+    angle = sum_of_numbers(inner, basis, SHADOW_BASIS, tables.shadow, place, paired(rest))
     reached = inner.math("ADD", inner.math("MULTIPLY", angle, 1.0 / PENUMBRA), 0.5, clamp=True)
     inner.connect(reached, inner.node("NodeGroupOutput").inputs[0])
     inner.arrange()

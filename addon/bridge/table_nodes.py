@@ -85,6 +85,15 @@ def weighted_sum(wiring: Wiring, image: bpy.types.Image, label: str, uv: Operand
     return total
 
 
-def one_column(wiring: Wiring, image: bpy.types.Image, label: str, table: ViewTable, place: Operand, numbers: list[Operand]) -> Operand:
-    """`weighted_sum` of a table with one number a direction, at a `place` on the map of directions."""
-    return wiring.channels(weighted_sum(wiring, image, label, in_views(wiring, table, place), table.step, numbers))[0]
+def sum_of_numbers(
+    wiring: Wiring, image: bpy.types.Image, label: str, table: ViewTable, place: Operand, weights: list[tuple[Operand, Operand]]
+) -> Operand:
+    """Sum over the components of `weights`, which come from images of four each, times a `table` of numbers at a `place` on its map."""
+    uv = in_views(wiring, table, place)
+    colours, fourths = BLACK, 0.0
+    for block, (color, fourth) in enumerate(weights):
+        found, last = texture(wiring, image, label, uv, block * table.step)
+        colours = wiring.add_scaled(colours, 1.0, wiring.product(color, found))
+        fourths = wiring.math("ADD", fourths, wiring.math("MULTIPLY", fourth, last))
+    red, green, blue = wiring.channels(colours)
+    return wiring.math("ADD", wiring.math("ADD", red, green), wiring.math("ADD", blue, fourths))

@@ -84,6 +84,15 @@ class Wiring:
         self.connect(color, made.inputs[7])
         return made.outputs[2]
 
+    def product(self, first: Operand, second: Operand) -> bpy.types.NodeSocket:
+        """Two colours, channel by channel."""
+        properties = {"data_type": "RGBA", "blend_type": "MULTIPLY", "clamp_factor": False, "clamp_result": False}
+        made = self.node("ShaderNodeMix", properties)
+        self.connect(1.0, made.inputs[0])
+        self.connect(first, made.inputs[6])
+        self.connect(second, made.inputs[7])
+        return made.outputs[2]
+
     def channels(self, color: Operand) -> list[bpy.types.NodeSocket]:
         """Red, green and blue of a colour."""
         made = self.node("ShaderNodeSeparateColor", {"mode": "RGB"})

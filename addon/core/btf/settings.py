@@ -42,13 +42,13 @@ class BtfSettings(Settings):
     blend_texels: bool = setting(True, "For lpca: blend neighbouring texels at random from sample to sample, which more samples smooth")
     alpha_components: int = setting(12, "Components of the silhouette; four share a texture", minimum=1, maximum=64, unit=Unit.COUNT)
     shadows: int = setting(
-        256,
+        576,
         "Number of sun directions from which the original's shadows upon itself are looked up, a square number; 0 for none",
         minimum=0,
         maximum=4096,
         unit=Unit.COUNT,
     )
-    shadow_components: int = setting(12, "Components of shadows; four share a texture", minimum=1, maximum=64, unit=Unit.COUNT)
+    shadow_components: int = setting(24, "Components of shadows; four share a texture", minimum=1, maximum=64, unit=Unit.COUNT)
     refine: bool = setting(True, "Refine the silhouettes against whole pictures of the original, so that quads fit together")
     samples: int = setting(
         4, "Cycles samples a pixel of every render; compression removes their noise", minimum=1, maximum=4096, unit=Unit.COUNT
@@ -96,7 +96,7 @@ class BtfSettings(Settings):
 
     def check(self) -> None:
         """Raise SettingsError when the numbers of views, lights and shadows are no squares, or a table would be larger than images are."""
-        in_shadow = 0 if self.shadow_grid is None else self.shadow_components * (self.shadow_grid.size + 2)
+        in_shadow = 0 if self.shadow_grid is None else -(-self.shadow_components // 4) * (self.shadow_grid.size + 2)
         tile = (self.view_grid.size + 2) * (self.light_grid.size + 2)
         local = self.codec == "lpca"
         width, height = tile * (self.clusters if local else 1), tile * (self.cluster_components if local else self.components)

@@ -14,7 +14,10 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class ViewTable:
-    """An image with one texel a view, bordered blocks above each other: place * scale + start + (cluster * column, k * step)."""
+    """An image with one texel a view, bordered blocks above each other: place * scale + start + (cluster * column, k * step).
+
+    A block for every component; for every four, in red, green, blue and alpha, where components are numbers and no colours.
+    """
 
     image: np.ndarray
     scale: Vector
@@ -81,11 +84,11 @@ def tables_of(colour: Factors, alpha: Factors, views: DirectionGrid, lights: Dir
         step=1.0 / components,
         column=1.0 / clusters,
         dome=_view_table(views, values[..., count, :]),
-        alpha=_view_table(views, np.repeat(alpha.basis[:, None], 3, axis=3)),
+        alpha=_number_table(views, alpha.basis),
         shadows=0 if shadows is None else shadows.grid.size,
         shadows_upper=False if shadows is None else shadows.grid.upper,
         shadow_components=0 if shadows is None else shadows.angles.components,
-        shadow=None if shadows is None else _view_table(shadows.grid, np.repeat(shadows.angles.basis[:, None], 3, axis=3)),
+        shadow=None if shadows is None else _number_table(shadows.grid, shadows.angles.basis),
     )
 
 
@@ -97,13 +100,13 @@ def colour_basis(
     blocks = basis[..., :3].reshape(components, wide, tall, clusters, wide, tall, 3)[:, 1:-1, 1:-1, :, 1:-1, 1:-1]
     # view row, view column, cluster, component, light row, light column, channel
     suns = blocks.transpose(1, 4, 3, 0, 2, 5, 6).reshape(len(views), clusters * components, len(lights), 3)
-    under_dome = _view_values(dome, views, clusters, components)
+    under_dome = _view_values(dome, views, clusters, components)[..., :3]
     return np.concatenate([suns, under_dome[:, :, None]], axis=2).reshape(len(views), clusters * components, -1)
 
 
 def one_column_basis(image: np.ndarray, views: DirectionGrid, components: int) -> np.ndarray:
     """The basis (V, components, 1) of silhouettes, or of shadows, out of the image (H, W, 4) that `tables_of` has made of it."""
-    return _view_values(image, views, 1, components)[..., :1]
+    return _view_values(image, views, 1, -(-components // 4)).reshape(len(views), -1, 1)[:, :components]
 
 
 def weight_images(weights: np.ndarray) -> list[np.ndarray]:
@@ -119,20 +122,26 @@ def weights_in(images: Sequence[np.ndarray], components: int) -> np.ndarray:
 
 
 def _view_table(views: DirectionGrid, values: np.ndarray) -> ViewTable:
-    """The table of `values` (V, clusters, K, 3)."""
+    """The table of `values` (V, clusters, K, 3 or 4)."""
     maps = views.bordered(values)
     wide, clusters, components = maps.shape[1:4]
     width, height = clusters * wide, components * wide
-    image = maps.transpose(3, 0, 2, 1, 4).reshape(height, width, 3)
+    image = maps.transpose(3, 0, 2, 1, 4).reshape(height, width, -1)
     scale, start = (views.size / width, views.size / height, 0.0), (1.0 / width, 1.0 / height, 0.0)
-    return ViewTable(_opaque(image), scale, start, 1.0 / components, 1.0 / clusters)
+    return ViewTable(_opaque(image) if image.shape[2] == 3 else image.astype(np.float32), scale, start, 1.0 / components, 1.0 / clusters)
+
+
+def _number_table(views: DirectionGrid, basis: np.ndarray) -> ViewTable:
+    """The table of a `basis` (V, K, 1) of numbers."""
+    padded = np.pad(basis[..., 0], ((0, 0), (0, -basis.shape[1] % 4)))
+    return _view_table(views, padded.reshape(len(views), 1, -1, 4))
 
 
 def _view_values(image: np.ndarray, views: DirectionGrid, clusters: int, components: int) -> np.ndarray:
-    """The values (V, clusters * components, 3) that `_view_table` has put in `image`."""
+    """The values (V, clusters * components, 4) that `_view_table` has put in `image`."""
     wide = views.size + 2
-    maps = image[..., :3].reshape(components, wide, clusters, wide, 3)[:, 1:-1, :, 1:-1]
-    return maps.transpose(1, 3, 2, 0, 4).reshape(len(views), clusters * components, 3)
+    maps = image.reshape(components, wide, clusters, wide, 4)[:, 1:-1, :, 1:-1]
+    return maps.transpose(1, 3, 2, 0, 4).reshape(len(views), clusters * components, 4)
 
 
 def _opaque(image: np.ndarray) -> np.ndarray:
