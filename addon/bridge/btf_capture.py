@@ -13,6 +13,7 @@ from ..core.btf.settings import BtfSettings
 from ..core.btf.texels import FINER, Picture, View
 from ..core.direction_grids import DirectionGrid
 from .cameras import look
+from .emission import may_shine
 from .identity import add_stand_in, faces_in
 from .meshes import Source
 from .temporary import TemporaryScene, temporary_scene
@@ -47,6 +48,7 @@ class LitBooth:
         light.energy, light.angle = 1.0, sun_angle(settings)
         self._sun = work.add(light)
         self._dark, self._even = (_world(work, strength) for strength in (0.0, 1.0))
+        self._shines = may_shine(source.materials)
 
     @property
     def render_seconds(self) -> float:
@@ -54,7 +56,8 @@ class LitBooth:
         return self._work.render_seconds
 
     def picture(self, view: View, faces: np.ndarray) -> Picture:
-        """All renders from one view, where `faces` are seen: under every sun of the settings' grid, and last under the dome."""
+        """All renders from one view, where `faces` are seen: under every sun of the settings' grid, and last under the dome; without what
+        shines by itself, for which there is one more render where something may."""
         suns = self._settings.light_grid.directions
         look(self._work.scene, view)
         radiance = np.empty((len(suns) + 1, view.side, view.side, 3), np.float32)
@@ -68,7 +71,12 @@ class LitBooth:
             picture = self._work.render()
             radiance[number] = picture[..., :3]
             coverage += picture[..., 3] / (len(suns) + 1)
-        return Picture(radiance, coverage, faces, heights_of(self._source, view.finer(FINER), faces))
+        glow = None
+        if self._shines:
+            self._work.scene.world, self._sun.hide_render = self._dark, True
+            glow = self._work.render()[..., :3]
+            radiance = np.maximum(radiance - glow, 0.0)
+        return Picture(radiance, coverage, faces, heights_of(self._source, view.finer(FINER), faces), glow)
 
 
 def heights_of(source: Source, view: View, faces: np.ndarray) -> np.ndarray:

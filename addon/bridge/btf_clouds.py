@@ -6,6 +6,8 @@ from typing import Any
 import bpy
 import numpy as np
 
+from ..core.btf.broad_suns import SCHLICK
+from ..core.btf.compression import Compressed
 from ..core.btf.factors import Factors
 from ..core.btf.lobes import Lobes, Surface, normals_of
 from ..core.btf.lpca import LocalFactors
@@ -76,30 +78,23 @@ def _plain_image(level_object: bpy.types.Object, label: str) -> bpy.types.Image 
     return next((node.image for node in nodes if node.type == "TEX_IMAGE" and node.label == label), None)
 
 
-def wear(
-    level_object: bpy.types.Object,
-    texels: Texels,
-    tints: np.ndarray,
-    colour: Factors,
-    alpha: Factors,
-    settings: BtfSettings,
-    lobes: Lobes | None = None,
-) -> None:
-    """Give a level object the material that decodes `colour` and `alpha`; its plain material stays in the file.
+def wear(level_object: bpy.types.Object, texels: Texels, textures: Compressed, settings: BtfSettings) -> None:
+    """Give a level object the material that decodes `textures` of its `texels`; its plain material stays in the file.
 
-    tints: (N, 3), what the colours are multiplied by. `alpha` is what the silhouette from a view has more than that of the plain maps.
-    lobes: what comes on top of the colours; their normals must be those of the plain maps.
+    Their alpha is what the silhouette from a view has more than that of the plain maps; the normals of their lobes must be those of the
+    plain maps.
     """
+    colour, alpha, lobes = textures.colour, textures.alpha, textures.lobes
     shadows = None if lobes is None else lobes.shadows
     tables = tables_of(colour, alpha, settings.view_grid, settings.light_grid, shadows)
     name = f"{level_object.name} BTF"
     known = texels.image(colour.known[:, None].astype(np.float32))[..., 0]
     weights, clusters = _weights_of(colour, texels, known)
-    hues = dilate(texels.image(tints), known, DILATED)
     images = BtfImages(
         weights=_weight_images(f"{name} Weights", weights),
         clusters=None if clusters is None else _half_image(f"{name} Clusters", np.repeat(clusters[..., None], 4, axis=2)),
-        tints=_half_image(f"{name} Tints", np.concatenate([hues, np.ones_like(hues[..., :1])], axis=2)),
+        tints=_colour_image(f"{name} Tints", textures.hues, None if lobes is None else lobes.openness, texels, known),
+        glow=None if textures.glow is None else _colour_image(f"{name} Glow", textures.glow, None, texels, known),
         basis=_half_image(f"{name} Basis", tables.basis),
         dome=_half_image(f"{name} Dome", tables.dome.image),
         alpha_weights=_weight_images(f"{name} Alpha Weights", texels.image(alpha.weights)),
@@ -121,16 +116,20 @@ def wear(
     wear_fade(level_object)
 
 
+def _colour_image(name: str, colours: np.ndarray, fourth: np.ndarray | None, texels: Texels, known: np.ndarray) -> bpy.types.Image:
+    """The image of `colours` (N, 3) with a `fourth` number (N,), 1 where it is None, continued around what is `known` (H, W)."""
+    fourth = np.ones(len(colours), np.float32) if fourth is None else fourth
+    return _half_image(name, dilate(texels.image(np.column_stack([colours, fourth])), known, DILATED))
+
+
 def _weight_images(name: str, weights: np.ndarray) -> list[bpy.types.Image]:
     """Images of `weights` (H, W, K), four components each."""
     return [_half_image(f"{name} {number}", image) for number, image in enumerate(weight_images(weights))]
 
 
-def _lobe_images(
-    level_object: bpy.types.Object, name: str, texels: Texels, lobes: Lobes | None, known: np.ndarray
-) -> dict[str, bpy.types.Image | None]:
+def _lobe_images(level_object: bpy.types.Object, name: str, texels: Texels, lobes: Lobes | None, known: np.ndarray) -> dict[str, Any]:
     if lobes is None:
-        return dict.fromkeys(("diffuse", "specular", "normals"))
+        return {**dict.fromkeys(("diffuse", "specular", "normals")), "grazing": SCHLICK}
     diffuse, specular = (
         dilate(texels.image(np.column_stack(parts)), known, DILATED)
         for parts in ((lobes.diffuse, lobes.surface.roughness), (lobes.specular, lobes.rim))
@@ -139,6 +138,7 @@ def _lobe_images(
         "diffuse": _half_image(f"{name} Diffuse", diffuse),
         "specular": _half_image(f"{name} Specular", specular),
         "normals": _plain_image(level_object, FRONT_NORMAL),
+        "grazing": lobes.grazing,
     }
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import bpy
 
 from ..compat import give_nodes
+from ..core.btf.broad_suns import Grazing
 from ..core.btf.tables import Tables
 from .cloud_materials import set_two_sided
 from .lobe_nodes import TexelLobes, add_dome, add_lobes, facing_normal
@@ -35,7 +36,14 @@ SUNS = 4
 ALONG = 0.99  # cosine from which on a ray of shadow counts as one to a sun, whose disc has some width
 AMBIENT = "farfield_ambient"  # on the level object: colour of the dome
 LAYOUT = "farfield_btf"  # on the material: the numbers of `core.btf.tables.Tables` that tell what its images hold
-WEIGHTS, TINTS, BASIS, DOME = "Weights", "Tints", "Basis", "Dome"  # labels of image nodes; of weights there are several, numbered from 0
+GRAZING = "farfield_grazing"  # on the material: strength and power of the rim under a dome
+WEIGHTS, TINTS, GLOW, BASIS, DOME = (
+    "Weights",
+    "Tints",
+    "Glow",
+    "Basis",
+    "Dome",
+)  # labels of image nodes; of weights there are several, numbered from 0
 LAYOUT_NUMBERS = (
     *("views", "views_upper", "lights", "lights_upper", "clusters", "components", "alpha_components"),
     *("shadows", "shadows_upper", "shadow_components"),
@@ -62,19 +70,22 @@ def sun_labels(number: int) -> tuple[str, str, str]:
 
 @dataclass(frozen=True)
 class BtfImages:
-    """weights, alpha_weights: images of four components each. tints: what the colours are multiplied by.
+    """weights, alpha_weights: images of four components each. tints: what the colours are multiplied by, and the openness of lobes.
+    glow: what shines by itself.
 
     clusters: the number of each texel's cluster, in all channels; None where all have the same components.
 
     basis, dome, alpha_basis: tables, see `core.btf.tables`.
     plain: the plain colour map, whose alpha the components of alpha come on top of; None where there is none.
     diffuse, specular: colours of the lobes, with roughness and rim as alpha; normals: the plain normal map. None where there are no lobes.
+    grazing: how they shine at the rim under a dome.
     shadow_weights: of four components each, and shadow_basis, a table; none where suns reach the lobes always.
     """
 
     weights: list[bpy.types.Image]
     clusters: bpy.types.Image | None
     tints: bpy.types.Image
+    glow: bpy.types.Image | None
     basis: bpy.types.Image
     dome: bpy.types.Image
     alpha_weights: list[bpy.types.Image]
@@ -83,6 +94,7 @@ class BtfImages:
     diffuse: bpy.types.Image | None
     specular: bpy.types.Image | None
     normals: bpy.types.Image | None
+    grazing: Grazing
     shadow_weights: list[bpy.types.Image]
     shadow_basis: bpy.types.Image | None
 
@@ -94,6 +106,7 @@ def btf_material(name: str, images: BtfImages, tables: Tables, blend_texels: boo
     """
     material = bpy.data.materials.new(name)
     material[LAYOUT] = {name: int(getattr(tables, name)) for name in LAYOUT_NUMBERS}
+    material[GRAZING] = [images.grazing.strength, images.grazing.power]
     set_two_sided(material)
     material.cycles.emission_sampling = "NONE"
     give_nodes(material)
@@ -109,10 +122,15 @@ def btf_material(name: str, images: BtfImages, tables: Tables, blend_texels: boo
         column = wiring.math("MULTIPLY", texture(wiring, images.clusters, CLUSTERS, texel, closest=True)[1], tables.column)
     weights = [texture(wiring, image, f"{WEIGHTS} {number}", texel, closest=closest) for number, image in enumerate(images.weights)]
     numbers = scalars(wiring, weights, tables.components)
-    tint, lobes = texture(wiring, images.tints, TINTS)[0], _lobes_of(wiring, images, viewer)
+    tint, openness = texture(wiring, images.tints, TINTS)
+    lobes = _lobes_of(wiring, images, viewer)
     place = in_column(wiring, in_views(wiring, tables.dome, view), column)
     even = wiring.vector("MULTIPLY", weighted_sum(wiring, images.dome, DOME, place, tables.dome.step, numbers), tint)
-    colour = wiring.vector("MULTIPLY", _cut(wiring, even if lobes is None else add_dome(wiring, lobes, even)), wiring.of_object(AMBIENT))
+    colour = wiring.vector(
+        "MULTIPLY",
+        _cut(wiring, even if lobes is None else add_dome(wiring, lobes, openness, images.grazing, even)),
+        wiring.of_object(AMBIENT),
+    )
     lamp = _lamp_group(name, tables, images.basis, len(weights), column is not None)
     find_shadow = shadow_finder(wiring, name, tables, images.shadow_weights, images.shadow_basis)
     for number, sun in enumerate(suns):
@@ -125,6 +143,8 @@ def btf_material(name: str, images: BtfImages, tables: Tables, blend_texels: boo
         reached = 1.0 if find_shadow is None else find_shadow(sun, shadow)
         shown = shown if lobes is None else add_lobes(wiring, lobes, sun, reached, shown, added)
         colour = wiring.vector("ADD", colour, wiring.vector("MULTIPLY", _cut(wiring, shown), wiring.of_object(light_property(number))))
+    if images.glow is not None:
+        colour = wiring.vector("ADD", colour, texture(wiring, images.glow, GLOW)[0])
     alpha = _alpha(wiring, tables, images, view)
     emission, transparent, mixed = (
         wiring.node(kind) for kind in ("ShaderNodeEmission", "ShaderNodeBsdfTransparent", "ShaderNodeMixShader")

@@ -5,6 +5,7 @@ from dataclasses import replace
 import bpy
 import numpy as np
 
+from ..core.btf.broad_suns import SCHLICK, Grazing
 from ..core.btf.decoding import BakedAtlas
 from ..core.btf.factors import Factors
 from ..core.btf.lobes import Lobes, Surface, normals_of
@@ -20,6 +21,7 @@ from .btf_materials import (
     CLUSTERS,
     DIFFUSE,
     DOME,
+    GRAZING,
     LAYOUT,
     LAYOUT_NUMBERS,
     NORMALS,
@@ -53,7 +55,7 @@ def baked_atlas(level_object: bpy.types.Object) -> BakedAtlas:
     def weights(label: str, count: int) -> np.ndarray:
         return weights_in([pixels(f"{label} {number}") for number in range(-(-count // 4))], count)
 
-    tints = pixels(TINTS)[..., :3]
+    tints, openness = np.split(pixels(TINTS), [3], axis=2)
     known = np.ones(tints.shape[0] * tints.shape[1], bool)
     basis = colour_basis(pixels(BASIS), pixels(DOME), views, lights, numbers["clusters"], components)
     colour = Factors(weights(WEIGHTS, components).reshape(-1, components), basis, known)
@@ -66,7 +68,8 @@ def baked_atlas(level_object: bpy.types.Object) -> BakedAtlas:
 
     lobes = None
     if DIFFUSE in images:
-        lobes = _lobes(*(pixels(label).reshape(-1, 4) for label in (NORMALS, DIFFUSE, SPECULAR)))
+        lobes = _lobes(*(pixels(label).reshape(-1, 4) for label in (NORMALS, DIFFUSE, SPECULAR)), openness.ravel())
+        lobes = replace(lobes, grazing=Grazing(*level_object.data.materials[0].get(GRAZING, (SCHLICK.strength, SCHLICK.power))))
         if numbers["shadows"]:
             grid = DirectionGrid(numbers["shadows"], bool(numbers["shadows_upper"]))
             lobes = replace(lobes, shadows=Shadows(grid, one_column(SHADOW_WEIGHTS, SHADOW_BASIS, grid, numbers["shadow_components"])))
@@ -97,9 +100,9 @@ def _layout(level_object: bpy.types.Object) -> dict[str, int]:
     return numbers
 
 
-def _lobes(normals: np.ndarray, diffuse: np.ndarray, specular: np.ndarray) -> Lobes:
-    """Lobes out of the pixels (P, 4) of their maps."""
-    return Lobes(Surface(normals_of(normals), diffuse[:, 3]), diffuse[:, :3], specular[:, :3], specular[:, 3])
+def _lobes(normals: np.ndarray, diffuse: np.ndarray, specular: np.ndarray, openness: np.ndarray) -> Lobes:
+    """Lobes out of the pixels (P, 4) of their maps, and of their openness (P,)."""
+    return Lobes(Surface(normals_of(normals), diffuse[:, 3]), diffuse[:, :3], specular[:, :3], specular[:, 3], openness=openness)
 
 
 def _images_by_label(tree: bpy.types.NodeTree) -> dict[str, bpy.types.Image]:

@@ -3,7 +3,8 @@
 import math
 from dataclasses import dataclass, fields
 
-from ..core.btf.lobes import LEAST_FACING, LEAST_ROUGHNESS, RIM_FACING
+from ..core.btf.broad_suns import RIM_FACING, SCHLICK, Grazing
+from ..core.btf.lobes import LEAST_FACING, LEAST_ROUGHNESS
 from .node_groups import shared_group
 from .wiring import Operand, Wiring
 
@@ -40,10 +41,10 @@ def facing_normal(wiring: Wiring, encoded: Operand, viewer: Operand) -> tuple[Op
     return wiring.vector("SCALE", normal, side), cosine
 
 
-def add_dome(wiring: Wiring, lobes: TexelLobes, rest: Operand) -> Operand:
-    """`rest` and what a dome of radiance 1 makes of the lobes."""
-    grazing = wiring.math("MULTIPLY", lobes.rim, _fresnel(wiring, lobes.facing))
-    matt = wiring.add_scaled(wiring.add_scaled(rest, 1.0, lobes.diffuse), 1.0, lobes.specular)
+def add_dome(wiring: Wiring, lobes: TexelLobes, openness: Operand, rim: Grazing, rest: Operand) -> Operand:
+    """`rest` and what a dome of radiance 1, so much of which comes back, makes of the lobes, with such a `rim`."""
+    grazing = wiring.math("MULTIPLY", openness, wiring.math("MULTIPLY", lobes.rim, _grazing(wiring, rim, lobes.facing)))
+    matt = wiring.add_scaled(wiring.add_scaled(rest, openness, lobes.diffuse), openness, lobes.specular)
     return wiring.add_scaled(matt, grazing, WHITE)
 
 
@@ -63,7 +64,7 @@ def _fill(wiring: Wiring) -> None:
     half = wiring.vector("NORMALIZE", wiring.vector("ADD", viewer, sun))
     glossy = _glossy(wiring, roughness, from_view, from_light, wiring.vector("DOT_PRODUCT", normal, half))
     straight = wiring.math("MULTIPLY", glossy, reached)
-    fresnel = _fresnel(wiring, wiring.vector("DOT_PRODUCT", viewer, half))
+    fresnel = _grazing(wiring, SCHLICK, wiring.vector("DOT_PRODUCT", viewer, half))
     grazing = wiring.math("MULTIPLY", wiring.math("MULTIPLY", straight, rim), fresnel)
     matt = wiring.math("MULTIPLY", wiring.math("MULTIPLY", from_light, 1.0 / math.pi), reached)
     total = wiring.add_scaled(rest, matt, diffuse)
@@ -86,5 +87,6 @@ def _glossy(wiring: Wiring, roughness: Operand, from_view: Operand, from_light: 
     return wiring.math("DIVIDE", wiring.math("MULTIPLY", wiring.math("MULTIPLY", alpha, from_light), 0.5 / math.pi), below)
 
 
-def _fresnel(wiring: Wiring, cosine: Operand) -> Operand:
-    return wiring.math("POWER", wiring.math("SUBTRACT", 1.0, wiring.math("MAXIMUM", cosine, RIM_FACING), clamp=True), 5.0)
+def _grazing(wiring: Wiring, rim: Grazing, cosine: Operand) -> Operand:
+    away = wiring.math("SUBTRACT", 1.0, wiring.math("MAXIMUM", cosine, RIM_FACING), clamp=True)
+    return wiring.math("MULTIPLY", wiring.math("POWER", away, rim.power), rim.strength)

@@ -105,7 +105,7 @@ class BtfJob:
         with self.clock.stage("dress"):
             for level_object, baked in zip(cloud.levels, core_result, strict=True):
                 made = baked.textures
-                btf_clouds.wear(level_object, baked.texels, made.hues, made.colour, made.alpha, self.settings, made.lobes)
+                btf_clouds.wear(level_object, baked.texels, made, self.settings)
             btf_clouds.let_through(cloud.collection, max(baked.deepest for baked in core_result))
         if self.temporary is not None:
             self.temporary.cleanup()

@@ -109,6 +109,21 @@ def test_a_wall_shades_the_ground_sharply_under_suns_between_those_of_the_bake()
         assert reached[~expected].mean() < 0.3 and reached[expected].mean() > 0.95
 
 
+def test_what_shines_by_itself_does_not_follow_the_lamps(cloud):
+    shader = blender_scenes.shader_of(bpy.data.materials["Red"])
+    shader.inputs["Emission Color"].default_value, shader.inputs["Emission Strength"].default_value = (0.2, 0.4, 1.0, 1.0), 0.5
+    assert bpy.ops.farfield.btf_bake(**{**BAKE, "views": 4, "lights": 4, "shadows": 0}) == {"FINISHED"}
+    lamp = sun((0.3, -0.8, 0.5))
+    for energy in (0.0, 4.0):
+        lamp.data.energy = energy
+        light_with(cloud.levels[0], [lamp], (0.0, 0.0, 0.0))
+        original, baked = pictures(cloud, lamp, (0.5, -0.8, 0.3))
+        inside = original[..., 3] > 0.99
+        if energy == 0.0:
+            np.testing.assert_allclose(baked[inside][:, :3].mean(axis=0), [0.1, 0.2, 0.5], rtol=0.05)
+        assert baked[inside][:, :3].mean(axis=0) == pytest.approx(original[inside][:, :3].mean(axis=0), rel=0.2)
+
+
 def test_it_goes_back_to_the_plain_maps(cloud):
     level = cloud.levels[0]
     plain = level.data.materials[0].name

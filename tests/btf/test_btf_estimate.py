@@ -20,7 +20,10 @@ def test_sizes_are_those_of_the_arrays():
     known = np.ones(1000, bool)
     colour = Factors(np.zeros((1000, 5)), np.zeros((9, 5, 3 * 17)), known)
     alpha = Factors(np.zeros((1000, 3)), np.zeros((9, 3, 1)), known)
-    shadows = Shadows(SETTINGS.shadow_grid, Factors(np.zeros((1000, 12)), np.zeros((256, 12, 1)), known))
+    shadows = Shadows(
+        SETTINGS.shadow_grid,
+        Factors(np.zeros((1000, SETTINGS.shadow_components)), np.zeros((SETTINGS.shadows, SETTINGS.shadow_components, 1)), known),
+    )
     lobes = Lobes(Surface(np.zeros((1000, 3)), np.zeros(1000)), np.zeros((1000, 3)), np.zeros((1000, 3)), np.zeros(1000), shadows)
     assert said.final_bytes == colour.bytes + alpha.bytes + lobes.bytes + 2 * 3 * 1000
     assert said.raw_bytes == 2 * 3 * 1000 * 9 * 17

@@ -15,6 +15,7 @@ from farfield.addon.bridge.btf_clouds import texels_of_level, wear
 from farfield.addon.bridge.btf_reading import baked_atlas
 from farfield.addon.bridge.cloud_materials import FRONT_NORMAL
 from farfield.addon.bridge.images import pixels_of
+from farfield.addon.core.btf.compression import Compressed
 from farfield.addon.core.btf.factors import Factors
 from farfield.addon.core.btf.settings import BtfSettings, ExportSettings
 from farfield.addon.core.directions import bonn_directions
@@ -63,7 +64,8 @@ def dress(level) -> None:
     random = np.random.default_rng(0)
     colour = made_colour(len(texels), views=16, lights=9)
     alpha = Factors(random.random((len(texels), 2), np.float32), random.normal(size=(16, 2, 1)).astype(np.float32), colour.known)
-    wear(level, texels, random.uniform(0.5, 1.5, (len(texels), 3)).astype(np.float32), colour, alpha, SETTINGS)
+    hues = random.uniform(0.5, 1.5, (len(texels), 3)).astype(np.float32)
+    wear(level, texels, Compressed(None, hues, colour, alpha), SETTINGS)
 
 
 def exported(cloud, target: Path, settings: ExportSettings = BAKED) -> Path:

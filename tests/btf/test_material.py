@@ -18,6 +18,7 @@ from farfield.addon.bridge.cloud_materials import FRONT_NORMAL
 from farfield.addon.bridge.fades import GROUP_NAME, fade, unfade
 from farfield.addon.bridge.images import data_image
 from farfield.addon.bridge.temporary import temporary_scene
+from farfield.addon.core.btf.compression import Compressed
 from farfield.addon.core.btf.factors import Factors
 from farfield.addon.core.btf.lobes import Lobes, Surface, glossy_lobe
 from farfield.addon.core.btf.settings import BtfSettings
@@ -51,13 +52,16 @@ def dressed(clusters: int, components: int, blend_texels: bool = False, lobes: L
     return card
 
 
-def dress(card: bpy.types.Object, clusters: int, components: int, blend_texels: bool = False, lobes: Lobes | None = None) -> None:
+def dress(
+    card: bpy.types.Object, clusters: int, components: int, blend_texels: bool = False, lobes: Lobes | None = None, shining: float = 0.0
+):
     texels = texels_of_level(card)
+    glow = np.full((len(texels), 3), shining, np.float32) if shining else None
     colour = made_colour(len(texels), clusters, components, views=16, lights=9)
     np.abs(colour.basis, out=colour.basis)
     alpha = Factors(np.ones((len(texels), 1), np.float32), np.ones((16, 1, 1), np.float32), colour.known)
     tints = np.tile(np.float32([0.7, 1.3, 1.1]), (len(texels), 1))  # equal, since they alone are filtered
-    wear(card, texels, tints, colour, alpha, BtfSettings(views=16, lights=9, blend_texels=blend_texels), lobes)
+    wear(card, texels, Compressed(lobes, tints, colour, alpha, glow), BtfSettings(views=16, lights=9, blend_texels=blend_texels))
 
 
 def plain_maps(normal: np.ndarray) -> bpy.types.Material:
@@ -131,6 +135,16 @@ def test_texels_in_clusters_shine_under_the_dome():
     dome = atlas.colour.basis[6].reshape(-1, 10, 3)[:, -1]
     expected = (atlas.colour.applied(dome) * atlas.tints * [0.5, 1.0, 0.0]).reshape(SIDE, SIDE, 3)
     np.testing.assert_allclose(at_texels(picture, taken, card)[..., :3], expected, rtol=0.01, atol=0.002)
+
+
+def test_what_shines_by_itself_needs_no_lamp():
+    card = plain_card()
+    dress(card, 1, 4, shining=0.7)
+    dark, taken = rendered(card, BETWEEN, 1)
+    np.testing.assert_allclose(at_texels(dark, taken, card)[..., :3], 0.7, rtol=1e-3)
+    lit(card, LAMP)
+    with_lamp, _ = rendered(card, BETWEEN, 1)
+    assert (at_texels(with_lamp, taken, card)[..., :3] > 0.7).all()
 
 
 def test_one_set_of_components_shines_as_the_arrays_say():
@@ -251,7 +265,7 @@ def test_the_shadow_has_the_silhouette_that_the_lamp_sees(shown_from):
     known = np.ones(len(texels), bool)
     alpha = Factors(np.ones((len(texels), 1), np.float32), there.astype(np.float32)[:, None, None], known)
     colour = made_colour(len(texels), 1, 4, views=16, lights=9)
-    wear(card, texels, np.ones((len(texels), 3), np.float32), colour, alpha, BtfSettings(views=16, lights=9))
+    wear(card, texels, Compressed(None, np.ones((len(texels), 3), np.float32), colour, alpha), BtfSettings(views=16, lights=9))
     card.location.z = 1.0
     ground = blender_scenes.card()
     ground.data.transform(mathutils.Matrix.Scale(5.0, 4))

@@ -7,7 +7,9 @@ import numpy as np
 from ..progress import Progress, Steps, scaled
 from .broad_suns import BroadSuns
 from .codecs import compressed_colours
+from .dome import under_dome
 from .factors import Factors, factorise
+from .glow import mean_glow
 from .lobes import Lobes, Surface, fit_lobes
 from .photographs import broad_lights
 from .quality import Fit, quality
@@ -27,17 +29,20 @@ LIT = 0.1  # of the bar of `refine`
 
 @dataclass(frozen=True)
 class Compressed:
-    """A level's textures: lobes, None where its plain maps say nothing of the surface; hues (N, 3); factors of colours and of alpha."""
+    """A level's textures: lobes, None where its plain maps say nothing of the surface; hues (N, 3); factors of colours and of alpha; what
+    shines by itself (N, 3), None where nothing does."""
 
     lobes: Lobes | None
     hues: np.ndarray
     colour: Factors
     alpha: Factors
+    glow: np.ndarray | None = None
 
     @property
     def bytes(self) -> int:
         """What they take as half floats."""
-        return 2 * self.hues.size + self.colour.bytes + self.alpha.bytes + (0 if self.lobes is None else self.lobes.bytes)
+        of_maps = 2 * (self.hues.size + (0 if self.glow is None else self.glow.size))
+        return of_maps + self.colour.bytes + self.alpha.bytes + (0 if self.lobes is None else self.lobes.bytes)
 
 
 class Compression:
@@ -69,7 +74,8 @@ class Compression:
             self._store.remove_rests()
         steps = factorise(silhouettes, count, settings.alpha_components, angles, np.ones(1), settings.seed)
         alpha = yield from scaled(steps, COLOURED, 1.0)
-        return Compressed(lobes, hues, colour, alpha)
+        glow = mean_glow((self._store.glow(view) for view in range(len(self._views))), self._weights)
+        return Compressed(lobes, hues, colour, alpha, glow)
 
     def refine(self, made: Compressed, photographed: list[Training]) -> Steps[Compressed]:
         """`made` with silhouettes refined against the photographs of all views."""
@@ -105,7 +111,7 @@ class Compression:
             return None
         lit = self._store.lit(len(self._views))
         shadows = yield from find_shadows(lit, grid, self._surface.normals, settings.shadow_components, settings.seed)
-        self._suns = self._suns.behind(shadows.reached_by(self._suns))
+        self._suns = self._suns.behind(shadows.reached_by(self._suns), shadows.openness(self._surface.normals))
         return shadows
 
     def _lobes(self, shadows: Shadows | None) -> Steps[Lobes | None]:
@@ -113,4 +119,8 @@ class Compression:
             return None
         quads = self._texels.quads
         steps = fit_lobes(self._captured, self._surface, quads, self._views, self._suns, self._weights, self._light_weights)
-        return replace((yield from steps), shadows=shadows)
+        found = yield from scaled(steps, 0.0, 0.8)
+        lobes = replace(found, shadows=shadows, openness=self._suns.openness)
+        lobes = yield from scaled(under_dome(self._captured, lobes, self._views, self._weights), 0.8, 1.0)
+        self._suns = self._suns.behind(self._suns.reached, lobes.openness, lobes.grazing)
+        return lobes

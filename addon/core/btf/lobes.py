@@ -6,19 +6,18 @@ for the glossy one (Walter et al. 2007), whose Fresnel term, after Schlick, is t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..direction_grids import DirectionGrid
 from ..progress import Progress, Steps
 from .alternation import ViewData
-from .broad_suns import BroadSuns
+from .broad_suns import SCHLICK, BroadSuns, Grazing
 from .shadows import Shadows
 
 LEAST_ROUGHNESS = 0.05
 LEAST_FACING = 1e-3  # cosine
-RIM_FACING = 0.2  # cosine at which the rim is as bright as it gets: beyond, quads show what a smooth surface turns away
 DIFFUSE, SPECULAR, RIM, EVEN, DOME_EVEN = range(5)  # columns of a fit; the last two take up what no lobe is, and are dropped
 KEPT = 3
 LARGEST = np.array([1.0, 1.0, 1.0, 10.0, 10.0])
@@ -38,27 +37,36 @@ class Surface:
     normals: np.ndarray
     roughness: np.ndarray
 
+    def towards(self, view: np.ndarray, rows: slice | np.ndarray = ALL) -> np.ndarray:
+        """The normals (M, 3) of `rows` as a viewer in the unit direction `view` (3,) sees them: on its side."""
+        normals = self.normals[rows]
+        return normals * np.where(normals @ view < 0.0, -1.0, 1.0)[:, None]
+
 
 @dataclass(frozen=True)
 class Lobes:
     """Lobes of N texels. diffuse (N, 3): albedo. specular (N, 3): what the glossy lobe reflects seen straight on; rim (N,): so much more
-    at grazing angles. All float32, 0..1. shadows: where suns do not reach the lobes; None where they always do."""
+    at grazing angles. All float32, 0..1. shadows: where suns do not reach the lobes; None where they always do. openness (N,): how much of
+    a dome comes back from them, light from other surfaces counted in; None for all of it. grazing: of `rim` under a dome."""
 
     surface: Surface
     diffuse: np.ndarray
     specular: np.ndarray
     rim: np.ndarray
     shadows: Shadows | None = None
+    openness: np.ndarray | None = None
+    grazing: Grazing = SCHLICK
 
     @property
     def bytes(self) -> int:
         """What they take as half floats, roughness counted in; the normals are those of the plain maps."""
-        return 2 * (self.diffuse.size + self.specular.size + 2 * len(self.rim)) + (0 if self.shadows is None else self.shadows.bytes)
+        of_maps = self.diffuse.size + self.specular.size + 2 * len(self.rim) + (0 if self.openness is None else len(self.openness))
+        return 2 * of_maps + (0 if self.shadows is None else self.shadows.bytes)
 
     def of_grid(self, view: np.ndarray, suns: BroadSuns, rows: np.ndarray) -> np.ndarray:
         """Radiance (M, L + 1, 3) of `rows` (M,) from the unit direction `view`, under each of the L broad suns and, last, the dome.
 
-        How much of the suns reaches them, `suns` says.
+        How much of them reaches the texels, `suns` says.
         """
         return features(self.surface, view, suns, rows, KEPT) @ self._parts(rows)
 
@@ -78,17 +86,18 @@ class Lobes:
 
     def of_suns(self, view: np.ndarray, lights: np.ndarray, rows: slice = ALL) -> np.ndarray:
         """Radiance (M, L, 3) of `rows` from `view` (3,) under suns like points of unit irradiance from `lights` (L, 3), unit directions."""
-        normals = _towards(self.surface.normals[rows], view)
+        normals = self.surface.towards(view, rows)
         straight, grazing = glossy_lobe(normals, view, lights, self.surface.roughness[rows])
         matt = np.maximum(normals @ lights.T, 0.0) / np.pi
         bright = matt[..., None] * self.diffuse[rows, None] + straight[..., None] * self.specular[rows, None]
         bright += (grazing * self.rim[rows, None])[..., None]
         return bright if self.shadows is None else bright * self.shadows.reached(lights, rows)[..., None]
 
-    def of_dome(self, view: np.ndarray) -> np.ndarray:
-        """Radiance (N, 3) of all texels from `view` under a dome of radiance 1."""
-        grazing = _fresnel(_towards(self.surface.normals, view) @ view)
-        return self.diffuse + self.specular + (grazing * self.rim)[:, None]
+    def of_dome(self, view: np.ndarray, rows: slice | np.ndarray = ALL) -> np.ndarray:
+        """Radiance (M, 3) of `rows` from `view` under a dome of radiance 1."""
+        grazing = self.grazing(self.surface.towards(view, rows) @ view)
+        bright = self.diffuse[rows] + self.specular[rows] + (grazing * self.rim[rows])[:, None]
+        return bright if self.openness is None else bright * self.openness[rows, None]
 
 
 def normals_of(pixels: np.ndarray) -> np.ndarray:
@@ -110,19 +119,23 @@ def glossy_lobe(normals: np.ndarray, view: np.ndarray, lights: np.ndarray, rough
     spread = (normals @ half.T) ** 2 * (alpha - 1.0) + 1.0
     masked = from_light * np.sqrt(from_view**2 * (1.0 - alpha) + alpha) + from_view * np.sqrt(from_light**2 * (1.0 - alpha) + alpha)
     straight = 0.5 * alpha * from_light / (np.pi * spread**2 * np.maximum(masked, 1e-6))
-    return straight, straight * _fresnel(half @ view)
+    return straight, straight * SCHLICK(half @ view)
 
 
 def features(surface: Surface, view: np.ndarray, suns: BroadSuns, rows: np.ndarray, count: int = len(LARGEST)) -> np.ndarray:
     """What each lobe of strength 1 makes (M, L + 1, count) float32 of `rows`, see DIFFUSE and so on."""
-    normals = _towards(surface.normals[rows], view)
+    normals = surface.towards(view, rows)
     made = np.zeros((len(rows), len(suns.directions) + 1, count), np.float32)
     made[:, :-1, DIFFUSE] = suns.cosine(normals)
     made[:, :-1, SPECULAR] = suns.mirrored(normals, view, np.maximum(surface.roughness[rows], LEAST_ROUGHNESS))
     made[:, -1, [DIFFUSE, SPECULAR]] = 1.0
-    made[..., RIM] = made[..., SPECULAR] * _fresnel(normals @ view)[:, None]
+    cosines = normals @ view
+    made[:, :-1, RIM] = made[:, :-1, SPECULAR] * SCHLICK(cosines)[:, None]
+    made[:, -1, RIM] = suns.grazing(cosines)
     if suns.reached is not None:
         made[:, :-1, :KEPT] *= suns.reached[rows, :, None]
+    if suns.openness is not None:
+        made[:, -1, :KEPT] *= suns.openness[rows, None]
     if count > KEPT:
         made[:, :-1, EVEN] = made[:, -1, DOME_EVEN] = 1.0
     return made
@@ -148,7 +161,7 @@ def fit_lobes(
     """
     count = len(quads)
     sample = np.arange(0, count, max(1, count // SAMPLE))
-    tried = [Surface(surface.normals, factor * surface.roughness) for factor in FACTORS]
+    tried = [replace(surface, roughness=factor * surface.roughness) for factor in FACTORS]
     trials = [_Equations(one, sample) for one in tried]
     for place, view in enumerate(views):
         yield Progress(0.3 * place / len(views), "Looking at the gloss")
@@ -219,14 +232,5 @@ def _sums(parts: np.ndarray, quads: np.ndarray) -> np.ndarray:
     return made
 
 
-def _towards(normals: np.ndarray, view: np.ndarray) -> np.ndarray:
-    """`normals` (N, 3), turned round where they point away from `view`."""
-    return normals * np.where(normals @ view < 0.0, -1.0, 1.0)[:, None]
-
-
 def _facing(normals: np.ndarray, view: np.ndarray) -> np.ndarray:
     return np.clip(normals @ view, LEAST_FACING, 1.0)
-
-
-def _fresnel(cosines: np.ndarray) -> np.ndarray:
-    return (1.0 - np.clip(cosines, RIM_FACING, 1.0)) ** 5

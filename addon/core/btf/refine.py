@@ -21,10 +21,10 @@ from .fragments import Fragments
 from .photographs import Photograph
 
 RAYS = 2  # along each side of a pixel
-STEPS = 6
+STEPS = 10
 STRIDE = 0.7  # of a Gauss-Newton step
-SHARING = 4.0  # times the bend of one texel alone: those that the texture unit mixes, and those along a ray, move at once
-DAMPING = 0.3  # of the mean bend, for what is the same from every view
+SHARING = 1.5  # times the bend of one texel alone: those that the texture unit mixes, and those along a ray, move at once
+DAMPING = 0.03  # of the mean bend, for what is the same from every view
 VARYING_DAMPING = 20.0  # the same for what depends on the view, which has less to go by
 COVERAGE_WEIGHT = 4.0  # of all coverage against all colours
 LEAST_SEEN = 0.01  # of what a texel shows: below it, its colours matter to no pixel

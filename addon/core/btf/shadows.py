@@ -41,6 +41,17 @@ class Shadows:
         basis = self.grid.interpolated(self.angles.basis[:, :, 0], lights)
         return np.clip(0.5 + self.angles.weights[rows] @ (basis.T / PENUMBRA), 0.0, 1.0)
 
+    def openness(self, normals: np.ndarray) -> np.ndarray:
+        """How much (N,) float32 of a dome reaches matt texels with `normals` (N, 3), on the side where more does."""
+        shown, full = np.zeros((2, 2, len(normals)), np.float32)
+        for start in range(0, len(normals), CHUNK):
+            rows = slice(start, start + CHUNK)
+            cosines = (normals[rows] @ self.grid.directions.T) * self.grid.solid_angles
+            reached = self.reached(self.grid.directions, rows)
+            for side, facing in enumerate((np.maximum(cosines, 0.0), np.maximum(-cosines, 0.0))):
+                full[side, rows], shown[side, rows] = facing.sum(axis=1), (facing * reached).sum(axis=1)
+        return (shown / np.maximum(full, 1e-6)).max(axis=0)
+
     def reached_by(self, suns: BroadSuns) -> np.ndarray:
         """How much (N, L) float32 of each broad sun reaches the texels: the mean over its disc."""
         apart = np.arccos(np.clip(self.grid.directions @ suns.directions.T, -1.0, 1.0))

@@ -17,7 +17,7 @@ from .photographs import Photograph
 from .texels import Sighting
 
 JOB = "job.json"
-LAYOUT = 3  # of the files: a folder that an earlier one filled is another bake's
+LAYOUT = 4  # of the files: a folder that an earlier one filled is another bake's
 PART = ".part"
 UNKNOWN = 255  # in bytes of what suns reach
 DIGEST = hashlib.sha256().digest_size
@@ -82,6 +82,7 @@ class ShardStore:
             "coverage": _bytes(sighting.coverage),
             "visible": sighting.visible,
             "radiance": _half(sighting.radiance),
+            "glow": _half(np.zeros((0, 3)) if sighting.glow is None else sighting.glow),
             "photograph": _half(photograph.colours),
             "silhouette": _bytes(photograph.coverage),
             "lit": np.array(lit, np.uint8),
@@ -127,6 +128,11 @@ class ShardStore:
         for view, part in enumerate(parts):
             made[view::views] = part
         return made
+
+    def glow(self, view: int) -> tuple[np.ndarray, np.ndarray]:
+        """Texels (M,) of a view and what they shine by themselves (M, 3) float32, none where nothing does; raises like `read`."""
+        visible, glow = self.read(view, "visible", "glow")
+        return visible[: len(glow)], glow.astype(np.float32)
 
     def photograph(self, view: int) -> Photograph:
         """The photograph that `write` has kept of a view; raises like `read`."""

@@ -138,12 +138,14 @@ class Picture:
 
     radiance (L, H, W, 3) float32: premultiplied, one a light. coverage (H, W): alpha. faces (F H, F W) int32: the face seen in the middle
     of each pixel of a picture FINER times as fine, -1 for none. heights (F H, F W): of that place above the centre, towards the viewer.
+    glow (H, W, 3): what shines by itself, which `radiance` is without; None where nothing does.
     """
 
     radiance: np.ndarray
     coverage: np.ndarray
     faces: np.ndarray
     heights: np.ndarray
+    glow: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -151,13 +153,14 @@ class Sighting:
     """What texels know from one view.
 
     known (N,) bool: nothing hid them. coverage (N,) float32: alpha of the known ones. visible (M,) int32: texels with a colour; radiance
-    (L, M, 3) float32: straight colours of these.
+    (L, M, 3) float32: straight colours of these. glow (M, 3): see `Picture`.
     """
 
     known: np.ndarray
     coverage: np.ndarray
     visible: np.ndarray
     radiance: np.ndarray
+    glow: np.ndarray | None = None
 
 
 class Belonging:
@@ -197,12 +200,18 @@ def sight(texels: Texels, view: View, picture: Picture, belongs: Belonging, erro
         taken.append((cell, is_own))
     known = own + empty >= 0.5 * PARTS**2
     visible = np.flatnonzero(coverage > LEAST_COVERAGE).astype(np.int32)
-    radiance = np.zeros((len(picture.radiance), len(visible), 3), np.float32)
+    by_pixel = np.moveaxis(picture.radiance if picture.glow is None else [*picture.radiance, picture.glow], 0, 2)
+    by_pixel = np.ascontiguousarray(by_pixel, np.float32).reshape(picture.coverage.size, -1)
+    seen = np.zeros((len(visible), by_pixel.shape[1]), np.float32)
     for (row, column), is_own in taken:
-        radiance += is_own[visible, None] * picture.radiance[:, row[visible], column[visible]]
-    radiance /= coverage[visible, None]
+        shown = np.flatnonzero(is_own[visible])
+        cell = (row * view.side + column)[visible[shown]]
+        seen[shown] += by_pixel[cell]
+    seen /= coverage[visible, None]
+    radiance = seen.reshape(len(visible), by_pixel.shape[1] // 3, 3).swapaxes(0, 1)
     alpha = own / np.maximum(own + empty, 1.0)
-    return Sighting(known, np.where(known, alpha, np.float32(0.0)), visible, radiance)
+    glow = None if picture.glow is None else radiance[-1]
+    return Sighting(known, np.where(known, alpha, np.float32(0.0)), visible, radiance[: len(picture.radiance)], glow)
 
 
 def reached_parts(
