@@ -11,6 +11,7 @@ from ..core.btf.compression import Compressed
 from ..core.btf.factors import Factors
 from ..core.btf.lobes import Lobes, Surface, normals_of
 from ..core.btf.lpca import LocalFactors
+from ..core.btf.relief import Relief, axes_of
 from ..core.btf.settings import BtfSettings
 from ..core.btf.shadows import Shadows
 from ..core.btf.tables import Tables, tables_of, weight_images
@@ -21,6 +22,7 @@ from .cloud_materials import FRONT_COLOUR, FRONT_NORMAL, FRONT_SURFACE
 from .clouds import allow_transparent_bounces
 from .fades import wear_fade
 from .images import data_image, pixels_of
+from .relief_nodes import write_axes
 
 PLAIN_MATERIAL = "farfield_plain_material"  # on the level object: name of the material with the plain maps
 DILATED = 3  # texels around what is known
@@ -63,7 +65,14 @@ def plain_surface(level_object: bpy.types.Object, texels: Texels) -> Surface | N
     if None in images:
         return None
     normals, surface = (pixels_of(image)[texels.pixels[:, 1], texels.pixels[:, 0]] for image in images)
-    return Surface(normals_of(normals), surface[:, 0])
+    return Surface(normals_of(normals), surface[:, 0], relief_of(level_object, texels, pixels_of(images[0]), surface[:, 2]))
+
+
+def relief_of(level_object: bpy.types.Object, texels: Texels, normals: np.ndarray, depths: np.ndarray) -> Relief:
+    """The relief of the texels of a level, out of the pixels (H, W, 4) of its normal map and its `depths` (N,) as their map holds them."""
+    axes = axes_of(texels, float(level_object["farfield_error"]))
+    unit = normals_of(normals.reshape(-1, normals.shape[2])).reshape(*normals.shape[:2], 3)
+    return Relief(texels.pixels, texels.quads, axes, 2.0 * depths - 1.0, unit)
 
 
 def plain_material(level_object: bpy.types.Object) -> bpy.types.Material | None:
@@ -103,6 +112,8 @@ def wear(level_object: bpy.types.Object, texels: Texels, textures: Compressed, s
         **_lobe_images(level_object, name, texels, lobes, known),
         **_shadow_images(name, texels, shadows, tables, known),
     )
+    if images.relief is not None:
+        write_axes(level_object.data, lobes.surface.relief.axes)
     material = btf_material(name, images, tables, settings.blend_texels)
     plain = level_object.data.materials[0]
     if plain is not None and PLAIN_MATERIAL not in level_object:
@@ -129,7 +140,7 @@ def _weight_images(name: str, weights: np.ndarray) -> list[bpy.types.Image]:
 
 def _lobe_images(level_object: bpy.types.Object, name: str, texels: Texels, lobes: Lobes | None, known: np.ndarray) -> dict[str, Any]:
     if lobes is None:
-        return {**dict.fromkeys(("diffuse", "specular", "normals")), "grazing": SCHLICK}
+        return {**dict.fromkeys(("diffuse", "specular", "normals", "relief")), "grazing": SCHLICK}
     diffuse, specular = (
         dilate(texels.image(np.column_stack(parts)), known, DILATED)
         for parts in ((lobes.diffuse, lobes.surface.roughness), (lobes.specular, lobes.rim))
@@ -138,6 +149,7 @@ def _lobe_images(level_object: bpy.types.Object, name: str, texels: Texels, lobe
         "diffuse": _half_image(f"{name} Diffuse", diffuse),
         "specular": _half_image(f"{name} Specular", specular),
         "normals": _plain_image(level_object, FRONT_NORMAL),
+        "relief": None if lobes.surface.relief is None else _plain_image(level_object, FRONT_SURFACE),
         "grazing": lobes.grazing,
     }
 

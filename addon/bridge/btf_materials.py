@@ -16,6 +16,7 @@ from ..core.btf.tables import Tables
 from .cloud_materials import set_two_sided
 from .lobe_nodes import TexelLobes, add_dome, add_lobes, facing_normal
 from .node_groups import new_group
+from .relief_nodes import seen_place
 from .shadow_nodes import shadow_finder
 from .table_nodes import (
     BLACK,
@@ -78,6 +79,7 @@ class BtfImages:
     basis, dome, alpha_basis: tables, see `core.btf.tables`.
     plain: the plain colour map, whose alpha the components of alpha come on top of; None where there is none.
     diffuse, specular: colours of the lobes, with roughness and rim as alpha; normals: the plain normal map. None where there are no lobes.
+    relief: the plain map with depths, by which normals are looked up from aslant; None where they are not.
     grazing: how they shine at the rim under a dome.
     shadow_weights: of four components each, and shadow_basis, a table; none where suns reach the lobes always.
     """
@@ -94,6 +96,7 @@ class BtfImages:
     diffuse: bpy.types.Image | None
     specular: bpy.types.Image | None
     normals: bpy.types.Image | None
+    relief: bpy.types.Image | None
     grazing: Grazing
     shadow_weights: list[bpy.types.Image]
     shadow_basis: bpy.types.Image | None
@@ -168,7 +171,8 @@ def _lobes_of(wiring: Wiring, images: BtfImages, viewer: Operand) -> TexelLobes 
         return None
     diffuse, roughness = texture(wiring, images.diffuse, DIFFUSE)
     specular, rim = texture(wiring, images.specular, SPECULAR)
-    normal, facing = facing_normal(wiring, texture(wiring, images.normals, NORMALS)[0], viewer)
+    place = None if images.relief is None else seen_place(wiring, images.relief, viewer)
+    normal, facing = facing_normal(wiring, texture(wiring, images.normals, NORMALS, place)[0], viewer)
     return TexelLobes(viewer, normal, facing, roughness, diffuse, specular, rim)
 
 

@@ -10,10 +10,12 @@ from ..core.btf.decoding import BakedAtlas
 from ..core.btf.factors import Factors
 from ..core.btf.lobes import Lobes, Surface, normals_of
 from ..core.btf.lpca import LocalFactors
+from ..core.btf.relief import Relief
 from ..core.btf.shadows import Shadows
 from ..core.btf.tables import colour_basis, one_column_basis, weights_in
 from ..core.direction_grids import DirectionGrid
 from ..core.errors import GeometryError
+from .btf_clouds import relief_of, texels_of_level
 from .btf_materials import (
     ALPHA_BASIS,
     ALPHA_WEIGHTS,
@@ -31,6 +33,7 @@ from .btf_materials import (
     WEIGHTS,
 )
 from .images import pixels_of
+from .relief_nodes import RELIEF
 from .shadow_nodes import SHADOW_BASIS, SHADOW_WEIGHTS
 
 
@@ -69,6 +72,9 @@ def baked_atlas(level_object: bpy.types.Object) -> BakedAtlas:
     lobes = None
     if DIFFUSE in images:
         lobes = _lobes(*(pixels(label).reshape(-1, 4) for label in (NORMALS, DIFFUSE, SPECULAR)), openness.ravel())
+        if RELIEF in images:
+            relief = _relief(level_object, pixels(NORMALS), pixels(RELIEF))
+            lobes = replace(lobes, surface=replace(lobes.surface, relief=relief))
         lobes = replace(lobes, grazing=Grazing(*level_object.data.materials[0].get(GRAZING, (SCHLICK.strength, SCHLICK.power))))
         if numbers["shadows"]:
             grid = DirectionGrid(numbers["shadows"], bool(numbers["shadows_upper"]))
@@ -103,6 +109,16 @@ def _layout(level_object: bpy.types.Object) -> dict[str, int]:
 def _lobes(normals: np.ndarray, diffuse: np.ndarray, specular: np.ndarray, openness: np.ndarray) -> Lobes:
     """Lobes out of the pixels (P, 4) of their maps, and of their openness (P,)."""
     return Lobes(Surface(normals_of(normals), diffuse[:, 3]), diffuse[:, :3], specular[:, :3], specular[:, 3], openness=openness)
+
+
+def _relief(level_object: bpy.types.Object, normals: np.ndarray, depths: np.ndarray) -> Relief:
+    """The relief of all pixels of a level, out of the pixels (H, W, 4) of its maps; none where no texel is."""
+    texels = texels_of_level(level_object)
+    made = relief_of(level_object, texels, normals, depths[texels.pixels[:, 1], texels.pixels[:, 0], 2])
+    numbers = texels.numbers.ravel()
+    row, column = np.divmod(np.arange(len(numbers)), texels.size[0])
+    flat = np.where(numbers >= 0, made.depths[numbers], 0.0)
+    return replace(made, pixels=np.column_stack([column, row]), quads=texels.quads[numbers], depths=flat)
 
 
 def _images_by_label(tree: bpy.types.NodeTree) -> dict[str, bpy.types.Image]:

@@ -14,6 +14,7 @@ from ..direction_grids import DirectionGrid
 from ..progress import Progress, Steps
 from .alternation import ViewData
 from .broad_suns import SCHLICK, BroadSuns, Grazing
+from .relief import Relief
 from .shadows import Shadows
 
 LEAST_ROUGHNESS = 0.05
@@ -32,14 +33,16 @@ CHUNK = 16_384  # texels at once
 
 @dataclass(frozen=True)
 class Surface:
-    """What the plain maps say of N texels: normals (N, 3) unit, in the object's frame; roughness (N,), as in a Principled BSDF."""
+    """What the plain maps say of N texels: normals (N, 3) unit, in the object's frame; roughness (N,), as in a Principled BSDF; where
+    normals are looked up from aslant, None for where the texel is."""
 
     normals: np.ndarray
     roughness: np.ndarray
+    relief: Relief | None = None
 
     def towards(self, view: np.ndarray, rows: slice | np.ndarray = ALL) -> np.ndarray:
         """The normals (M, 3) of `rows` as a viewer in the unit direction `view` (3,) sees them: on its side."""
-        normals = self.normals[rows]
+        normals = self.normals[rows] if self.relief is None else self.relief.seen(view, rows)
         return normals * np.where(normals @ view < 0.0, -1.0, 1.0)[:, None]
 
 
