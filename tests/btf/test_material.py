@@ -11,13 +11,14 @@ import bpy
 import mathutils
 
 from bridge import blender_scenes
-from farfield.addon.bridge.btf_clouds import take_off, texels_of_level, wear
+from farfield.addon.bridge.btf_clouds import plain_surface, take_off, texels_of_level, wear
 from farfield.addon.bridge.btf_materials import AMBIENT, light_property, sun_property
 from farfield.addon.bridge.btf_reading import baked_atlas
-from farfield.addon.bridge.cloud_materials import FRONT_NORMAL
+from farfield.addon.bridge.cloud_materials import FRONT_NORMAL, FRONT_SURFACE
 from farfield.addon.bridge.fades import GROUP_NAME, fade, unfade
 from farfield.addon.bridge.images import data_image
 from farfield.addon.bridge.temporary import temporary_scene
+from farfield.addon.core.btf.broad_suns import Grazing
 from farfield.addon.core.btf.compression import Compressed
 from farfield.addon.core.btf.factors import Factors
 from farfield.addon.core.btf.lobes import Lobes, Surface, glossy_lobe
@@ -135,6 +136,50 @@ def test_texels_in_clusters_shine_under_the_dome():
     dome = atlas.colour.basis[6].reshape(-1, 10, 3)[:, -1]
     expected = (atlas.colour.applied(dome) * atlas.tints * [0.5, 1.0, 0.0]).reshape(SIDE, SIDE, 3)
     np.testing.assert_allclose(at_texels(picture, taken, card)[..., :3], expected, rtol=0.01, atol=0.002)
+
+
+def test_normals_are_looked_up_where_the_arrays_say():
+    """Normals that turn along the card, a surface that stands out: seen aslant, both ways round, and on an instance that was turned."""
+    card = plain_card(plain_maps(np.array([0.0, 0.0, 1.0])))
+    card["farfield_error"] = 0.5
+    texels = texels_of_level(card)
+    slope = np.linspace(-0.6, 0.6, SIDE)
+    turning = np.stack(np.broadcast_arrays(slope[None, :], slope[:, None], 1.0), axis=2)
+    pixels = np.dstack([0.5 * turning / 1.5 + 0.5, np.ones((SIDE, SIDE))]).astype(np.float32)
+    depths = np.broadcast_to(np.float32([0.5, 0.0, 0.75, 1.0]), (SIDE, SIDE, 4))
+    nodes = card.data.materials[0].node_tree.nodes
+    next(node for node in nodes if node.label == FRONT_NORMAL).image = data_image("Turning", pixels, is_data=True, half_floats=True)
+    texture = nodes.new("ShaderNodeTexImage")
+    texture.label, texture.image = FRONT_SURFACE, data_image("Depths", depths, is_data=True, half_floats=True)
+    lobes = even_lobes(0.4, specular=2.0, rim=0.0)
+    surface = plain_surface(card, texels)
+    assert surface.relief is not None
+    dress(card, 3, 5, lobes=replace(lobes, surface=replace(surface, roughness=lobes.surface.roughness)))
+    atlas = baked_atlas(card)
+    inner = np.s_[2:-2, 2:-2]
+    turn = mathutils.Matrix.Rotation(0.7, 3, (0.2, 0.3, 1.0))
+    for view, matrix in ((BETWEEN, np.eye(3)), (BETWEEN * [1, 1, -1], np.eye(3)), (BETWEEN, np.array(turn, float))):
+        lit(card, matrix @ LAMP)
+        card.matrix_world = mathutils.Matrix(matrix.tolist()).to_4x4()
+        picture, taken = rendered(card, matrix @ view, 1)
+        shown = picture[taken.cells(texels.positions @ matrix.T)].reshape(SIDE, SIDE, 4)[inner][..., :3]
+        expected = decoded(atlas, view, LAMP)[inner]
+        assert np.abs(shown - expected).mean() < 0.01 * expected.mean()
+    flat = replace(atlas, lobes=replace(atlas.lobes, surface=replace(atlas.lobes.surface, relief=None)))
+    assert np.abs(decoded(flat, BETWEEN, LAMP)[inner] - decoded(atlas, BETWEEN, LAMP)[inner]).mean() > 0.06 * expected.mean()
+
+
+def test_a_dome_shines_on_lobes_as_the_arrays_say():
+    openness = np.linspace(0.3, 1.5, SIDE**2).astype(np.float32)
+    card = dressed(3, 5, lobes=replace(even_lobes(0.5), openness=openness, grazing=Grazing(0.7, 2.5)))
+    atlas = baked_atlas(card)
+    np.testing.assert_allclose(atlas.lobes.openness, openness, rtol=1e-3)
+    card[AMBIENT] = [0.5, 1.0, 0.0]
+    view = atlas.views.directions[6]
+    picture, taken = rendered(card, view, 1)
+    dome = atlas.colour.applied(atlas.colour.basis[6].reshape(-1, 10, 3)[:, -1]) * atlas.tints
+    expected = ((dome + atlas.lobes.of_dome(view)) * [0.5, 1.0, 0.0]).reshape(SIDE, SIDE, 3)
+    assert np.abs(at_texels(picture, taken, card)[..., :3] - expected).mean() < 0.01 * expected.mean()
 
 
 def test_what_shines_by_itself_needs_no_lamp():
