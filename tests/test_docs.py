@@ -29,9 +29,9 @@ def test_pictures_and_pages_that_are_named_exist(page):
     assert [target for target in links(page) if not (page.parent / target).exists()] == []
 
 
-def test_tables_of_settings_are_those_of_the_core():
-    page = ROOT / "docs" / "billboards.md"
-    text = page.read_text(encoding="utf-8")
+@pytest.mark.parametrize("name", ["billboards.md", "btf.md"])
+def test_tables_of_settings_are_those_of_the_core(name):
+    text = (ROOT / "docs" / name).read_text(encoding="utf-8")
     assert text.count("| `--") > 10, "the table of settings is gone"
     assert with_tables(text) == text, "run `python3 docs/tables.py`"
 
