@@ -10,6 +10,7 @@ from .alternation import ViewData, of_all_rows
 from .factors import Factors
 
 PEAK = 0.99  # quantile of the captured values that counts as white
+SAMPLE = 8192  # texels, about
 
 
 @dataclass(frozen=True)
@@ -29,16 +30,20 @@ def quality(
     column_weights: np.ndarray,
     more: Callable[[int, np.ndarray], np.ndarray] | None = None,
 ) -> Steps[list[Fit]]:
-    """One fit for every number of components from 0 on, of colours with their `tints` (N, 3). Noise of the capture counts as error.
+    """One fit for every number of components from 0 on, of colours with their `tints` (N, 3), by an even sample of the texels. Noise of the
+    capture counts as error.
 
     more: what is shown besides the factors' colours from a view, by its number, of some rows (M,): (M, D). weights: as for `factorise`.
     """
     squares, weight = np.zeros(factors.components + 1), 0.0
     counting = of_all_rows(weights, len(tints))
+    stride = max(1, len(tints) // SAMPLE)
     peaks, columns = [], column_weights.astype(np.float32)
     for place, view in enumerate(views):
         yield Progress(place / len(views), "Measuring")
         index, values = view.read()
+        chosen = index % stride == 0
+        index, values = index[chosen], values[chosen]
         if len(index) == 0:
             continue
         tint = np.tile(tints[index], (1, values.shape[1] // 3))
