@@ -8,6 +8,7 @@ FOLDER holds SciPy, which a Blender program that knows no extensions does not fi
 
 import importlib
 import importlib.util
+import os
 import sys
 import traceback
 from pathlib import Path
@@ -15,6 +16,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 NAME = "farfield_worker"
 FAILED = 1  # exit code where nothing else was said
+
+# Threads of NumPy's own wait for each other on cores that renders keep busy; read when NumPy is loaded, so before all else.
+for variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(variable, "1")
 
 
 def main() -> None:
