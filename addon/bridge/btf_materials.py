@@ -29,6 +29,7 @@ from .table_nodes import (
     sum_of_numbers,
     texture,
     weight_sockets,
+    weight_textures,
     weighted_sum,
 )
 from .wiring import Operand, Wiring
@@ -71,7 +72,7 @@ def sun_labels(number: int) -> tuple[str, str, str]:
 
 @dataclass(frozen=True)
 class BtfImages:
-    """weights, alpha_weights: images of four components each. tints: what the colours are multiplied by, and the openness of lobes.
+    """weights, alpha_weights: images of blocks, four components each. tints: what the colours are multiplied by, and the openness of lobes.
     glow: what shines by itself.
 
     clusters: the number of each texel's cluster, in all channels; None where all have the same components.
@@ -81,7 +82,7 @@ class BtfImages:
     diffuse, specular: colours of the lobes, with roughness and rim as alpha; normals: the plain normal map. None where there are no lobes.
     relief: the plain map with depths, by which normals are looked up from aslant; None where they are not.
     grazing: how they shine at the rim under a dome.
-    shadow_weights: of four components each, and shadow_basis, a table; none where suns reach the lobes always.
+    shadow_weights: of blocks as well, and shadow_basis, a table; none where suns reach the lobes always.
     """
 
     weights: list[bpy.types.Image]
@@ -123,7 +124,7 @@ def btf_material(name: str, images: BtfImages, tables: Tables, blend_texels: boo
     if closest:
         texel = _texel_place(wiring, images.clusters, blend_texels)
         column = wiring.math("MULTIPLY", texture(wiring, images.clusters, CLUSTERS, texel, closest=True)[1], tables.column)
-    weights = [texture(wiring, image, f"{WEIGHTS} {number}", texel, closest=closest) for number, image in enumerate(images.weights)]
+    weights = weight_textures(wiring, images.weights, WEIGHTS, images.tints.size[1], texel, closest)
     numbers = scalars(wiring, weights, tables.components)
     tint, openness = texture(wiring, images.tints, TINTS)
     lobes = _lobes_of(wiring, images, viewer)
@@ -135,7 +136,7 @@ def btf_material(name: str, images: BtfImages, tables: Tables, blend_texels: boo
         wiring.of_object(AMBIENT),
     )
     lamp = _lamp_group(name, tables, images.basis, len(weights), column is not None)
-    find_shadow = shadow_finder(wiring, name, tables, images.shadow_weights, images.shadow_basis)
+    find_shadow = shadow_finder(wiring, name, tables, images.shadow_weights, images.tints.size[1], images.shadow_basis)
     for number, sun in enumerate(suns):
         decoded, added, shadow = sun_labels(number)
         node = wiring.node("ShaderNodeGroup", {"node_tree": lamp, "label": decoded})
@@ -251,7 +252,7 @@ def _under_sun(
 
 def _alpha(wiring: Wiring, tables: Tables, images: BtfImages, view: Operand) -> Operand:
     """The silhouette from the view: a sum over its own components, 0..1."""
-    weights = [texture(wiring, image, f"{ALPHA_WEIGHTS} {number}") for number, image in enumerate(images.alpha_weights)]
+    weights = weight_textures(wiring, images.alpha_weights, ALPHA_WEIGHTS, images.tints.size[1])
     total = sum_of_numbers(wiring, images.alpha_basis, ALPHA_BASIS, tables.alpha, view, weights)
     plain = 0.0 if images.plain is None else texture(wiring, images.plain, PLAIN)[1]
     return wiring.math("ADD", total, plain, clamp=True)

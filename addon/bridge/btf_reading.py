@@ -55,10 +55,15 @@ def baked_atlas(level_object: bpy.types.Object) -> BakedAtlas:
             raise GeometryError(f'"{level_object.name}" has lost the image "{label}" of its relightable textures; bake them again.')
         return pixels_of(image)
 
-    def weights(label: str, count: int) -> np.ndarray:
-        return weights_in([pixels(f"{label} {number}") for number in range(-(-count // 4))], count)
-
     tints, openness = np.split(pixels(TINTS), [3], axis=2)
+
+    def weights(label: str, count: int) -> np.ndarray:
+        held: dict[str, str] = {}  # of every image, the first node that has it
+        for number in range(-(-count // 4)):
+            node = f"{label} {number}"
+            held.setdefault(images[node].name if node in images else node, node)
+        return weights_in([pixels(node) for node in held.values()], tints.shape[0], count)
+
     known = np.ones(tints.shape[0] * tints.shape[1], bool)
     basis = colour_basis(pixels(BASIS), pixels(DOME), views, lights, numbers["clusters"], components)
     colour = Factors(weights(WEIGHTS, components).reshape(-1, components), basis, known)

@@ -7,19 +7,22 @@ import bpy
 from ..core.btf.shadows import PENUMBRA
 from ..core.btf.tables import Tables
 from .node_groups import new_group
-from .table_nodes import paired, pairs, place_node, sum_of_numbers, texture, weight_sockets
+from .table_nodes import paired, pairs, place_node, sum_of_numbers, weight_sockets, weight_textures
 from .wiring import Operand, Wiring
 
 SHADOW_WEIGHTS, SHADOW_BASIS = "Shadow Weights", "Shadow Basis"  # labels of image nodes; of weights there are several, numbered from 0
 
 
 def shadow_finder(
-    wiring: Wiring, name: str, tables: Tables, weight_images: list[bpy.types.Image], basis: bpy.types.Image | None
+    wiring: Wiring, name: str, tables: Tables, weight_images: list[bpy.types.Image], height: int, basis: bpy.types.Image | None
 ) -> Callable[[Operand, str], Operand] | None:
-    """What adds nodes for how much of a sun reaches the texel, 0..1, with a label; None where there are no shadows."""
+    """What adds nodes for how much of a sun reaches the texel, 0..1, with a label; None where there are no shadows.
+
+    height: of a block of `weight_images`.
+    """
     if tables.shadow is None:
         return None
-    weights = [texture(wiring, image, f"{SHADOW_WEIGHTS} {number}") for number, image in enumerate(weight_images)]
+    weights = weight_textures(wiring, weight_images, SHADOW_WEIGHTS, height)
     group = new_group(f"{name} Shadow", [("Sun", "Vector"), *weight_sockets(len(weights))], [("Reached", "Float")])
     inner = Wiring(group)
     direction, *rest = list(inner.node("NodeGroupInput").outputs)[:-1]

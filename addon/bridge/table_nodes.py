@@ -15,12 +15,34 @@ def texture(
     wiring: Wiring, image: bpy.types.Image, label: str, place: Operand | None = None, higher: float = 0.0, closest: bool = False
 ) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]:
     """Colour and alpha of `image` so much `higher` than a place, or at the UV map; without filter if it is the `closest` pixel."""
+    node = _image_node(wiring, image, label, place, closest)
+    node.texture_mapping.translation = (0.0, higher, 0.0)
+    return node.outputs["Color"], node.outputs["Alpha"]
+
+
+def weight_textures(
+    wiring: Wiring, images: list[bpy.types.Image], label: str, height: int, place: Operand | None = None, closest: bool = False
+) -> list[tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]]:
+    """Colours and alphas of all blocks, `height` pixels each, of `images` of weights, see `core.btf.tables.weight_images`; nodes called
+    `label` and their number."""
+    place = wiring.node("ShaderNodeUVMap").outputs[0] if place is None else place
+    found = []
+    for image in images:
+        blocks = image.size[1] // height
+        for block in range(blocks):
+            node = _image_node(wiring, image, f"{label} {len(found)}", place, closest)
+            node.texture_mapping.scale = (1.0, 1.0 / blocks, 1.0)
+            node.texture_mapping.translation = (0.0, block / blocks, 0.0)
+            found.append((node.outputs["Color"], node.outputs["Alpha"]))
+    return found
+
+
+def _image_node(wiring: Wiring, image: bpy.types.Image, label: str, place: Operand | None, closest: bool) -> bpy.types.Node:
     properties = {"image": image, "label": label, "extension": "EXTEND", "interpolation": "Closest" if closest else "Linear"}
     node = wiring.node("ShaderNodeTexImage", properties)
     if place is not None:
         wiring.connect(place, node.inputs["Vector"])
-        node.texture_mapping.translation = (0.0, higher, 0.0)
-    return node.outputs["Color"], node.outputs["Alpha"]
+    return node
 
 
 def place_node(wiring: Wiring, upper: bool, direction: Operand) -> bpy.types.NodeSocket:

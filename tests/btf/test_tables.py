@@ -80,14 +80,17 @@ def test_every_cluster_has_a_column():
     np.testing.assert_allclose(np.array(tables.dome.scale) * [4, 1, 1], alone[0].dome.scale)
 
 
-def test_weights_come_back_out_of_their_images():
-    weights = np.arange(2 * 3 * 6, dtype=np.float32).reshape(2, 3, 6)
-    np.testing.assert_array_equal(weights_in(weight_images(weights), 6), weights)
+@pytest.mark.parametrize("tallest", [2, 5, 100])
+def test_weights_come_back_out_of_their_images(tallest):
+    weights = np.arange(2 * 3 * 10, dtype=np.float32).reshape(2, 3, 10)
+    images = weight_images(weights, tallest)
+    assert [image.shape[0] for image in images] == {2: [2, 2, 2], 5: [4, 2], 100: [6]}[tallest]
+    np.testing.assert_array_equal(weights_in(images, 2, 10), weights)
 
 
-def test_weights_go_four_to_an_image():
+def test_blocks_of_four_weights_stand_above_each_other():
     weights = np.arange(2 * 3 * 6, dtype=np.float32).reshape(2, 3, 6)
-    images = weight_images(weights)
-    assert [image.shape for image in images] == [(2, 3, 4)] * 2
-    np.testing.assert_array_equal(np.concatenate(images, axis=2)[..., :6], weights)
-    assert (images[1][..., 2:] == 0.0).all()
+    (image,) = weight_images(weights)
+    np.testing.assert_array_equal(image[:2], weights[..., :4])
+    np.testing.assert_array_equal(image[2:, :, :2], weights[..., 4:])
+    assert (image[2:, :, 2:] == 0.0).all()

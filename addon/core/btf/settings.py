@@ -36,11 +36,11 @@ class BtfSettings(Settings):
     )
     upper_hemisphere: bool = setting(False, "Views and lights from above the horizon only, twice as dense, for what stands on the ground")
     codec: str = setting("pca", "How the textures are compressed", choices=CODECS)
-    components: int = setting(12, "Components of colour; four share a texture", minimum=1, maximum=64, unit=Unit.COUNT)
+    components: int = setting(12, "Components of colour; four share a pixel", minimum=1, maximum=64, unit=Unit.COUNT)
     clusters: int = setting(32, "Clusters of texels, for lpca", minimum=1, maximum=256, unit=Unit.COUNT)
     cluster_components: int = setting(8, "Components of colour of each cluster, for lpca", minimum=1, maximum=32, unit=Unit.COUNT)
     blend_texels: bool = setting(True, "For lpca: blend neighbouring texels at random from sample to sample, which more samples smooth")
-    alpha_components: int = setting(12, "Components of the silhouette; four share a texture", minimum=1, maximum=64, unit=Unit.COUNT)
+    alpha_components: int = setting(12, "Components of the silhouette; four share a pixel", minimum=1, maximum=64, unit=Unit.COUNT)
     shadows: int = setting(
         576,
         "Number of sun directions from which the original's shadows upon itself are looked up, a square number; 0 for none",
@@ -48,7 +48,7 @@ class BtfSettings(Settings):
         maximum=4096,
         unit=Unit.COUNT,
     )
-    shadow_components: int = setting(24, "Components of shadows; four share a texture", minimum=1, maximum=64, unit=Unit.COUNT)
+    shadow_components: int = setting(24, "Components of shadows; four share a pixel", minimum=1, maximum=64, unit=Unit.COUNT)
     refine: bool = setting(True, "Refine the silhouettes against whole pictures of the original, so that quads fit together")
     samples: int = setting(
         4, "Cycles samples a pixel of every render; compression removes their noise", minimum=1, maximum=4096, unit=Unit.COUNT

@@ -7,6 +7,7 @@ import numpy as np
 
 from ..direction_grids import DirectionGrid
 from .factors import Factors
+from .settings import LARGEST_SIDE
 from .shadows import Shadows
 
 Vector = tuple[float, float, float]
@@ -109,16 +110,20 @@ def one_column_basis(image: np.ndarray, views: DirectionGrid, components: int) -
     return _view_values(image, views, 1, -(-components // 4)).reshape(len(views), -1, 1)[:, :components]
 
 
-def weight_images(weights: np.ndarray) -> list[np.ndarray]:
-    """`weights` (H, W, K) as images (H, W, 4), four components each, the last filled up with 0."""
-    missing = -weights.shape[2] % 4
-    padded = np.concatenate([weights, np.zeros((*weights.shape[:2], missing), weights.dtype)], axis=2)
-    return [padded[..., start : start + 4] for start in range(0, padded.shape[2], 4)]
+def weight_images(weights: np.ndarray, tallest: int = LARGEST_SIDE) -> list[np.ndarray]:
+    """`weights` (H, W, K) as images (B * H, W, 4), blocks of four components above each other, the last filled up with 0; as few images as
+    are no higher than `tallest`, since engines can look up few at a time."""
+    blocks = -(-weights.shape[2] // 4)
+    padded = np.pad(weights, ((0, 0), (0, 0), (0, 4 * blocks - weights.shape[2])))
+    stacked = np.moveaxis(padded.reshape(*weights.shape[:2], blocks, 4), 2, 0)
+    most = max(1, tallest // max(weights.shape[0], 1))
+    return [np.concatenate(stacked[start : start + most]) for start in range(0, blocks, most)]
 
 
-def weights_in(images: Sequence[np.ndarray], components: int) -> np.ndarray:
-    """The weights (H, W, components) out of the images (H, W, 4) that `weight_images` has made of them."""
-    return np.concatenate(images, axis=2)[..., :components]
+def weights_in(images: Sequence[np.ndarray], height: int, components: int) -> np.ndarray:
+    """The weights (height, W, components) out of the images that `weight_images` has made of them."""
+    blocks = np.concatenate(images).reshape(-1, height, *images[0].shape[1:])
+    return np.concatenate(list(blocks), axis=2)[..., :components]
 
 
 def _view_table(views: DirectionGrid, values: np.ndarray) -> ViewTable:
