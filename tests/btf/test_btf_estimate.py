@@ -24,7 +24,8 @@ def test_sizes_are_those_of_the_arrays():
         SETTINGS.shadow_grid,
         Factors(np.zeros((1000, SETTINGS.shadow_components)), np.zeros((SETTINGS.shadows, SETTINGS.shadow_components, 1)), known),
     )
-    lobes = Lobes(Surface(np.zeros((1000, 3)), np.zeros(1000)), np.zeros((1000, 3)), np.zeros((1000, 3)), np.zeros(1000), shadows)
+    colours, numbers = np.zeros((1000, 3)), np.zeros(1000)
+    lobes = Lobes(Surface(colours, numbers), colours, colours, numbers, shadows, openness=numbers)
     assert said.final_bytes == colour.bytes + alpha.bytes + lobes.bytes + 2 * 3 * 1000
     assert said.raw_bytes == 2 * 3 * 1000 * 9 * 17
     assert said.renders == 9 * 17

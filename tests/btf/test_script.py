@@ -65,7 +65,7 @@ def test_local_pca_is_asked_for_by_name(cloud_file):
     texels, numbers = report["levels"][0]["texels"], 3 * 2 * 4 * 5 * 3
     assert [fit["components"] for fit in report["levels"][0]["fits"]] == [0, 1, 2]
     assert (folder / "Kurve ü.png").read_bytes().startswith(b"\x89PNG")
-    assert report["compressed_bytes"] == 2 * (texels * (3 + 8 + 2 + 13 + 12) + numbers + 13 * 4 + 12 * 16) + texels
+    assert report["compressed_bytes"] == 2 * (texels * (3 + 9 + 2 + 13 + 24) + numbers + 13 * 4 + 24 * 16) + texels
 
 
 @pytest.mark.parametrize(

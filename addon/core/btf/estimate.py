@@ -16,7 +16,7 @@ SIGHTED_TEXEL = 4e-6  # a texel that looks itself up in a view
 SHADOWED_TEXEL = 1e-6  # a texel whose edge of shadow is found from a direction
 FITTED = 1e-7  # an entry of the matrix, whose lobes are fitted and taken out
 FACTORED = 1e-8  # an entry and component of its factors
-LOBES = 8  # numbers of a texel
+LOBES = 9  # numbers of a texel
 START = 3.0  # a worker process
 
 
