@@ -39,13 +39,8 @@ ALONG = 0.99  # cosine from which on a ray of shadow counts as one to a sun, who
 AMBIENT = "farfield_ambient"  # on the level object: colour of the dome
 LAYOUT = "farfield_btf"  # on the material: the numbers of `core.btf.tables.Tables` that tell what its images hold
 GRAZING = "farfield_grazing"  # on the material: strength and power of the rim under a dome
-WEIGHTS, TINTS, GLOW, BASIS, DOME = (
-    "Weights",
-    "Tints",
-    "Glow",
-    "Basis",
-    "Dome",
-)  # labels of image nodes; of weights there are several, numbered from 0
+# Labels of image nodes; of weights there are several, numbered from 0.
+WEIGHTS, TINTS, GLOW, BASIS, DOME = "Weights", "Tints", "Glow", "Basis", "Dome"
 LAYOUT_NUMBERS = (
     *("views", "views_upper", "lights", "lights_upper", "clusters", "components", "alpha_components"),
     *("shadows", "shadows_upper", "shadow_components"),
