@@ -37,7 +37,8 @@ from .wiring import Operand, Wiring
 SUNS = 4
 ALONG = 0.99  # cosine from which on a ray of shadow counts as one to a sun, whose disc has some width
 AMBIENT = "farfield_ambient"  # on the level object: colour of the dome
-LAYOUT = "farfield_btf"  # on the material: the numbers of `core.btf.tables.Tables` that tell what its images hold
+LAYOUT = "farfield_btf"  # on the material: the numbers of `core.btf.tables.Tables` that tell what its images hold, and a version
+VERSION = 2  # of what stands where in the images
 GRAZING = "farfield_grazing"  # on the material: strength and power of the rim under a dome
 # Labels of image nodes; of weights there are several, numbered from 0.
 WEIGHTS, TINTS, GLOW, BASIS, DOME = "Weights", "Tints", "Glow", "Basis", "Dome"
@@ -104,7 +105,7 @@ def btf_material(name: str, images: BtfImages, tables: Tables, blend_texels: boo
     blend_texels: texels in clusters are blended at random instead of not at all.
     """
     material = bpy.data.materials.new(name)
-    material[LAYOUT] = {name: int(getattr(tables, name)) for name in LAYOUT_NUMBERS}
+    material[LAYOUT] = {"version": VERSION, **{name: int(getattr(tables, name)) for name in LAYOUT_NUMBERS}}
     material[GRAZING] = [images.grazing.strength, images.grazing.power]
     set_two_sided(material)
     material.cycles.emission_sampling = "NONE"

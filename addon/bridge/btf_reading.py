@@ -30,6 +30,7 @@ from .btf_materials import (
     PLAIN,
     SPECULAR,
     TINTS,
+    VERSION,
     WEIGHTS,
 )
 from .images import pixels_of
@@ -41,7 +42,7 @@ def baked_atlas(level_object: bpy.types.Object) -> BakedAtlas:
     """What the relightable textures of a level object hold, at all pixels of its texture.
 
     Raises:
-        GeometryError: when the level wears none, or not all of them.
+        GeometryError: when the level wears none, or not all of them, or those of another version of Farfield.
     """
     numbers = _layout(level_object)
     views = DirectionGrid(numbers["views"], bool(numbers["views_upper"]))
@@ -106,8 +107,10 @@ def _layout(level_object: bpy.types.Object) -> dict[str, int]:
     """The numbers that tell what the images of a level hold."""
     material = level_object.data.materials[0] if level_object.data.materials else None
     numbers = dict(material.get(LAYOUT, {})) if material is not None else {}
-    if not set(LAYOUT_NUMBERS) <= set(numbers):
+    if not numbers:
         raise GeometryError(f'"{level_object.name}" has no relightable textures; bake them first.')
+    if numbers.get("version") != VERSION or not set(LAYOUT_NUMBERS) <= set(numbers):
+        raise GeometryError(f'The relightable textures of "{level_object.name}" are of another version of Farfield; bake them again.')
     return numbers
 
 

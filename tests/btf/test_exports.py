@@ -175,6 +175,13 @@ def frames_read(item, texels) -> np.ndarray:
     return frames
 
 
+def test_textures_of_another_version_are_refused(cloud):
+    material = cloud.levels[0].data.materials[0]
+    material["farfield_btf"] = {**material["farfield_btf"], "version": 1}
+    with pytest.raises(GeometryError, match="another version of Farfield; bake them again"):
+        baked_atlas(cloud.levels[0])
+
+
 def test_an_octahedral_atlas_is_taken_from_the_original(cloud, tmp_path, monkeypatch):
     small = partial(btf_export_job.write_octahedral_atlas, resolution=32, samples=8)  # 144 pictures a map as ever, a few seconds
     monkeypatch.setattr(btf_export_job, "write_octahedral_atlas", small)
