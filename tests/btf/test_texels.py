@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from farfield.addon.core.btf import texels as texels_module
 from farfield.addon.core.btf.texels import FINER, Belonging, Picture, Quads, View, sight, texels_of
 
 SIZE = (16, 16)
@@ -109,3 +110,13 @@ def test_a_view_from_the_side_reads_the_side():
     rows, columns = view.cells(np.array([[0.0, 9.5, 2.5], [5.0, 100.0, 0.0]]))
     np.testing.assert_array_equal(rows, [10, 8])
     np.testing.assert_array_equal(columns, [9, 15])
+
+
+@pytest.mark.parametrize("largest", [0, 10**8], ids=["sorted", "table"])
+def test_quads_show_their_own_faces_alone(largest, monkeypatch):
+    """Also where a picture holds faces that no quad shows, beyond the last one that any does."""
+    monkeypatch.setattr(texels_module, "LARGEST_TABLE", largest)
+    drawn = [[0, 3], [1], [], [2, 3, 4]]
+    belongs = Belonging(np.cumsum([0, *map(len, drawn)]), np.concatenate(drawn).astype(np.int64), 5)
+    quads, faces = (each.ravel() for each in np.meshgrid(np.arange(4), np.arange(-1, 12), indexing="ij"))
+    np.testing.assert_array_equal(belongs(quads, faces), [face in drawn[quad] for quad, face in zip(quads, faces, strict=True)])

@@ -9,6 +9,7 @@ import numpy as np
 
 FINER = 3  # pixels of the picture of faces along one of the others
 PARTS = 3  # along each side of a texel, looked up one by one
+LARGEST_TABLE = 10**8  # bytes of a table of quads and faces
 LEAST_COVERAGE = 0.1  # of the parts, summed: below it a colour is noise
 ROOM = 1e-6  # of a texel: corners that lie on the border between two texels
 
@@ -48,11 +49,12 @@ class Texels:
         picture[self.pixels[:, 1], self.pixels[:, 0]] = np.arange(len(self))
         return picture
 
-    def parts(self, count: int) -> Iterator[np.ndarray]:
-        """The middles (N, 3) of count x count parts of every texel, one part of all texels at a time."""
-        places = (2.0 * np.arange(count) + 1.0) / (2.0 * count) - 0.5
-        for x, y in itertools.product(places, places):
-            yield self.positions + (x * self.steps[:, 0] + y * self.steps[:, 1])[self.quads]
+    @staticmethod
+    def places(count: int) -> Iterator[np.ndarray]:
+        """The middles (2,) of count x count parts of a texel, as shares of its steps from its own middle."""
+        along = (2.0 * np.arange(count) + 1.0) / (2.0 * count) - 0.5
+        for x, y in itertools.product(along, along):
+            yield np.array([x, y])
 
     def image(self, values: np.ndarray) -> np.ndarray:
         """`values` (N, C) in their places of an image (H, W, C); 0 elsewhere."""
@@ -169,13 +171,20 @@ class Belonging:
     def __init__(self, drawn_offsets: np.ndarray, drawn: np.ndarray, faces: int) -> None:
         quads = np.repeat(np.arange(len(drawn_offsets) - 1), np.diff(drawn_offsets))
         self._faces = faces
+        self._table = None
+        if (len(drawn_offsets) - 1) * faces <= LARGEST_TABLE:
+            self._table = np.zeros((len(drawn_offsets) - 1, faces), bool)
+            self._table[quads, drawn] = True
         self._keys = np.sort(quads.astype(np.int64) * faces + drawn)
 
     def __call__(self, quads: np.ndarray, faces: np.ndarray) -> np.ndarray:
         """Whether quads[i] shows faces[i], as bool; a face of -1 is shown by none."""
+        there = (faces >= 0) & (faces < self._faces)
+        if self._table is not None:
+            return self._table[quads, np.where(there, faces, 0)] & there
         keys = quads.astype(np.int64) * self._faces + faces
         place = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
-        return (self._keys[place] == keys) & (faces >= 0)
+        return (self._keys[place] == keys) & there
 
 
 def sight(texels: Texels, view: View, picture: Picture, belongs: Belonging, error: float) -> Sighting:
@@ -184,29 +193,23 @@ def sight(texels: Texels, view: View, picture: Picture, belongs: Belonging, erro
     A surface of another quad more than `error` (a length) before the texel hides the part: nothing is known of it. What lies behind, or
     nothing, tells that the texel is empty there. A texel is known when half of it is.
     """
-    fine = view.finer(FINER)
     own, empty, coverage = np.zeros((3, len(texels)), np.float32)
+    covered = picture.coverage.ravel()
     taken = []
-    for positions in texels.parts(PARTS):
-        row, column = fine.cells(positions)
-        face = picture.faces[row, column]
-        is_own = belongs(texels.quads, face)
-        heights = (positions - view.center) @ view.direction
-        hidden = ~is_own & (face >= 0) & (picture.heights[row, column] > heights + error)
+    for row, column, is_own, hidden in _parts_in(texels, view.finer(FINER), picture.faces, picture.heights, belongs, error):
         own += is_own
         empty += ~is_own & ~hidden
-        cell = row // FINER, column // FINER
-        coverage += np.where(is_own, picture.coverage[cell], 0.0)
+        cell = row // FINER * view.side + column // FINER
+        coverage += np.where(is_own, covered[cell], np.float32(0.0))
         taken.append((cell, is_own))
     known = own + empty >= 0.5 * PARTS**2
     visible = np.flatnonzero(coverage > LEAST_COVERAGE).astype(np.int32)
     by_pixel = np.moveaxis(picture.radiance if picture.glow is None else [*picture.radiance, picture.glow], 0, 2)
-    by_pixel = np.ascontiguousarray(by_pixel, np.float32).reshape(picture.coverage.size, -1)
+    by_pixel = np.ascontiguousarray(by_pixel, np.float32).reshape(len(covered), -1)
     seen = np.zeros((len(visible), by_pixel.shape[1]), np.float32)
-    for (row, column), is_own in taken:
+    for cell, is_own in taken:
         shown = np.flatnonzero(is_own[visible])
-        cell = (row * view.side + column)[visible[shown]]
-        seen[shown] += by_pixel[cell]
+        seen[shown] += by_pixel[cell[visible[shown]]]
     seen /= coverage[visible, None]
     radiance = seen.reshape(len(visible), by_pixel.shape[1] // 3, 3).swapaxes(0, 1)
     alpha = own / np.maximum(own + empty, 1.0)
@@ -222,10 +225,25 @@ def reached_parts(
     sun: what it sees, with the `faces` (H, W) in the middle of every pixel and their `heights`; see `Picture`. Hidden as in `sight`.
     """
     own, hidden = np.zeros((2, len(texels)), np.float32)
-    for positions in texels.parts(PARTS):
-        place = sun.cells(positions)
-        face = faces[place]
-        is_own = belongs(texels.quads, face)
+    for _, _, is_own, is_hidden in _parts_in(texels, sun, faces, heights, belongs, error):
         own += is_own
-        hidden += ~is_own & (face >= 0) & (heights[place] > (positions - sun.center) @ sun.direction + error)
+        hidden += is_hidden
     return own, hidden
+
+
+def _parts_in(
+    texels: Texels, view: View, faces: np.ndarray, heights: np.ndarray, belongs: Belonging, error: float
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """Of PARTS x PARTS parts of every texel, one part of all texels at a time: row and column (N,) in the picture of `faces` from `view`,
+    whether the texel's own surface is seen there, and whether one of another quad, more than `error` before it, hides it."""
+    middles, height = view.project(texels.positions)
+    ends, above = view.project(view.center + texels.steps.reshape(-1, 3))
+    steps, rises = (ends - 0.5 * view.side).reshape(-1, 2, 2), above.reshape(-1, 2)
+    seen, top = faces.ravel(), heights.ravel()
+    for part in texels.places(PARTS):
+        places = np.floor(middles + np.einsum("a,qac->qc", part, steps)[texels.quads])
+        column, row = np.clip(places, 0, view.side - 1).astype(np.int64).T
+        cell = row * view.side + column
+        face = seen[cell]
+        is_own = belongs(texels.quads, face)
+        yield row, column, is_own, ~is_own & (face >= 0) & (top[cell] > height + (rises @ part)[texels.quads] + error)
