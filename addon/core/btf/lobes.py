@@ -24,11 +24,11 @@ KEPT = 3
 LARGEST = np.array([1.0, 1.0, 1.0, 10.0, 10.0])
 WHITE = 1.0  # radiance that counts as much as any above it
 QUAD_PRIOR, LEVEL_PRIOR = 0.1, 1.0  # of what a texel tells in the mean: how much its quad counts for it, and the level for the quad
-ROUNDS = 60
+ROUNDS, SETTLED = 60, 1e-6  # of coordinate descent, and the move of a number at which it may end
 FACTORS = (0.5, 0.7, 1.0, 1.4)  # of the roughness in the maps: a coat is smoother, bumps and large texels are rougher
 SAMPLE = 4000  # texels by which the factor is chosen
 ALL = slice(None)
-CHUNK = 16_384  # texels at once
+CHUNK = 1024  # texels at once: what they need in between stays in the processor's cache
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,11 @@ class Lobes:
 
         How much of them reaches the texels, `suns` says.
         """
-        return features(self.surface, view, suns, rows, KEPT) @ self._parts(rows)
+        made = np.empty((len(rows), len(suns.directions) + 1, 3), np.float32)
+        for start in range(0, len(rows), CHUNK):
+            some = rows[start : start + CHUNK]
+            made[start : start + CHUNK] = features(self.surface, view, suns, some, KEPT) @ self._parts(some)
+        return made
 
     def under(self, lights: np.ndarray, view: np.ndarray, suns: BroadSuns, wanted: np.ndarray) -> np.ndarray:
         """Radiance (N, M * 3) float16 of texels from `view` under sums `lights` (L + 1, M) of the broad suns and the dome; 0 but for the
@@ -195,15 +199,17 @@ class _Equations:
         self, view: np.ndarray, suns: BroadSuns, index: np.ndarray, values: np.ndarray, weights: np.ndarray, light_weights: np.ndarray
     ) -> None:
         """Add what was seen from the direction `view`: `values` (M, (L + 1) * 3) of the texels `index`, which count `weights` (N,)."""
-        own = self._places[index] >= 0
-        index, places = index[own], self._places[index[own]]
-        made = features(self._surface, view, suns, index)
-        seen = np.clip(values[own].reshape(len(index), -1, 3), 0.0, WHITE)
-        counting = (weights[index, None] * light_weights).astype(np.float32)
-        weighted = (made * counting[..., None]).transpose(0, 2, 1)
-        self._left[places] += weighted @ made
-        self._right[places] += weighted @ seen
-        self._square += float((counting * (seen**2).sum(axis=2)).sum(dtype=np.float64))
+        chosen = np.flatnonzero(self._places[index] >= 0)
+        for start in range(0, len(chosen), CHUNK):
+            own = chosen[start : start + CHUNK]
+            rows, places = index[own], self._places[index[own]]
+            made = features(self._surface, view, suns, rows)
+            seen = np.clip(values[own].reshape(len(own), -1, 3), 0.0, WHITE)
+            counting = (weights[rows, None] * light_weights).astype(np.float32)
+            weighted = (made * counting[..., None]).transpose(0, 2, 1)
+            self._left[places] += weighted @ made
+            self._right[places] += weighted @ seen
+            self._square += float((counting * (seen**2).sum(axis=2)).sum(dtype=np.float64))
 
     def solved(self, quads: np.ndarray) -> np.ndarray:
         """The best numbers (N, 5, 3)."""
@@ -221,11 +227,23 @@ class _Equations:
 def _bounded(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Solutions (N, K, 3) within 0 and LARGEST of least squares with normal equations (N, K, K), (N, K, 3): coordinate descent."""
     found = np.clip(np.linalg.solve(left, right), 0.0, LARGEST[:, None])
-    for _ in range(ROUNDS):
-        for own in range(len(LARGEST)):
-            pull = right[:, own] - np.einsum("nk,nkc->nc", left[:, own], found)
-            found[:, own] = np.clip(found[:, own] + pull / left[:, own, own, None], 0.0, LARGEST[own])
+    for start in range(0, len(found), CHUNK):
+        rows = slice(start, start + CHUNK)
+        _descend(left[rows], right[rows], found[rows])
     return found
+
+
+def _descend(left: np.ndarray, right: np.ndarray, found: np.ndarray) -> None:
+    """Turn `found` into what `_bounded` looks for."""
+    for _ in range(ROUNDS):
+        moved = 0.0
+        for own in range(len(LARGEST)):
+            pull = right[:, own] - (left[:, own, None] @ found)[:, 0]
+            better = np.clip(found[:, own] + pull / left[:, own, own, None], 0.0, LARGEST[own])
+            moved = max(moved, float(np.abs(better - found[:, own]).max()))
+            found[:, own] = better
+        if moved < SETTLED:
+            return
 
 
 def _sums(parts: np.ndarray, quads: np.ndarray) -> np.ndarray:
