@@ -6,10 +6,9 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..core.btf.broad_suns import SCHLICK
 from ..core.btf.compression import Compressed
 from ..core.btf.factors import Factors
-from ..core.btf.lobes import Lobes, Surface, normals_of
+from ..core.btf.lobes import SCHLICK, Lobes, Surface, normals_of
 from ..core.btf.lpca import LocalFactors
 from ..core.btf.relief import Relief, axes_of
 from ..core.btf.settings import BtfSettings
@@ -64,8 +63,9 @@ def plain_surface(level_object: bpy.types.Object, texels: Texels) -> Surface | N
     images = [_plain_image(level_object, label) for label in (FRONT_NORMAL, FRONT_SURFACE)]
     if None in images:
         return None
-    normals, surface = (pixels_of(image)[texels.pixels[:, 1], texels.pixels[:, 0]] for image in images)
-    return Surface(normals_of(normals), surface[:, 0], relief_of(level_object, texels, pixels_of(images[0]), surface[:, 2]))
+    normal_map, surface_map = map(pixels_of, images)
+    normals, surface = (pixels[texels.pixels[:, 1], texels.pixels[:, 0]] for pixels in (normal_map, surface_map))
+    return Surface(normals_of(normals), surface[:, 0], relief_of(level_object, texels, normal_map, surface[:, 2]))
 
 
 def relief_of(level_object: bpy.types.Object, texels: Texels, normals: np.ndarray, depths: np.ndarray) -> Relief:
@@ -134,7 +134,7 @@ def _colour_image(name: str, colours: np.ndarray, fourth: np.ndarray | None, tex
 
 
 def _weight_images(name: str, weights: np.ndarray) -> list[bpy.types.Image]:
-    """Images of `weights` (H, W, K), four components each."""
+    """Images of `weights` (H, W, K), see `weight_images`."""
     return [_half_image(f"{name} {number}", image) for number, image in enumerate(weight_images(weights))]
 
 

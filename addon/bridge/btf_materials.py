@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import bpy
 
 from ..compat import give_nodes
-from ..core.btf.broad_suns import Grazing
+from ..core.btf.lobes import Grazing
 from ..core.btf.tables import Tables
 from .cloud_materials import set_two_sided
 from .lobe_nodes import TexelLobes, add_dome, add_lobes, facing_normal

@@ -5,10 +5,9 @@ from dataclasses import replace
 import bpy
 import numpy as np
 
-from ..core.btf.broad_suns import SCHLICK, Grazing
 from ..core.btf.decoding import BakedAtlas
 from ..core.btf.factors import Factors
-from ..core.btf.lobes import Lobes, Surface, normals_of
+from ..core.btf.lobes import SCHLICK, Grazing, Lobes, Surface, normals_of
 from ..core.btf.lpca import LocalFactors
 from ..core.btf.relief import Relief
 from ..core.btf.shadows import Shadows
@@ -34,6 +33,7 @@ from .btf_materials import (
     WEIGHTS,
 )
 from .images import pixels_of
+from .node_groups import nodes_in
 from .relief_nodes import RELIEF
 from .shadow_nodes import SHADOW_BASIS, SHADOW_WEIGHTS
 
@@ -131,10 +131,4 @@ def _relief(level_object: bpy.types.Object, normals: np.ndarray, depths: np.ndar
 
 def _images_by_label(tree: bpy.types.NodeTree) -> dict[str, bpy.types.Image]:
     """The images of a tree and of the groups in it, by the labels of the nodes that hold them."""
-    found = {}
-    for node in tree.nodes:
-        if node.type == "GROUP" and node.node_tree is not None:
-            found |= _images_by_label(node.node_tree)
-        elif node.type == "TEX_IMAGE":
-            found[node.label] = node.image
-    return found
+    return {node.label: node.image for node in nodes_in(tree) if node.type == "TEX_IMAGE"}

@@ -4,24 +4,18 @@ from collections.abc import Iterable
 
 import bpy
 
+from .node_groups import nodes_in
+
 COLOUR_STRENGTH = {"EMISSION": ("Color", "Strength"), "BSDF_PRINCIPLED": ("Emission Color", "Emission Strength")}
 
 
 def may_shine(materials: Iterable[bpy.types.Material]) -> bool:
     """Whether any of `materials` has a node, in groups too, that emits light, or would if what is linked to it says so."""
-    return any(material.node_tree is not None and _shines(material.node_tree, set()) for material in materials)
+    trees = [material.node_tree for material in materials if material.node_tree is not None]
+    return any(_emits(node) for tree in trees for node in nodes_in(tree, muted=False))
 
 
-def _shines(tree: bpy.types.NodeTree, met: set[str]) -> bool:
-    if tree.name in met:
-        return False
-    met.add(tree.name)
-    return any(not node.mute and _emits(node, met) for node in tree.nodes)
-
-
-def _emits(node: bpy.types.Node, met: set[str]) -> bool:
-    if node.type == "GROUP":
-        return node.node_tree is not None and _shines(node.node_tree, met)
+def _emits(node: bpy.types.Node) -> bool:
     if node.type not in COLOUR_STRENGTH:
         return False
     colour, strength = (node.inputs[name] for name in COLOUR_STRENGTH[node.type])

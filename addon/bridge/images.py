@@ -8,6 +8,7 @@ import numpy as np
 
 from ..core.errors import FileError
 from .meshes import Source
+from .node_groups import nodes_in
 
 
 def data_image(name: str, pixels: np.ndarray, is_data: bool, half_floats: bool = False) -> bpy.types.Image:
@@ -70,11 +71,7 @@ def missing_images(source: Source) -> list[tuple[bpy.types.Material, bpy.types.I
 
 
 def _images(tree: bpy.types.NodeTree) -> Iterator[bpy.types.Image]:
-    for node in tree.nodes:
-        if node.type == "GROUP" and node.node_tree is not None:
-            yield from _images(node.node_tree)
-        elif getattr(node, "image", None) is not None:
-            yield node.image
+    return (node.image for node in nodes_in(tree) if getattr(node, "image", None) is not None)
 
 
 def _is_missing(image: bpy.types.Image) -> bool:

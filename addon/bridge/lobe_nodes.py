@@ -3,8 +3,7 @@
 import math
 from dataclasses import dataclass, fields
 
-from ..core.btf.broad_suns import RIM_FACING, SCHLICK, Grazing
-from ..core.btf.lobes import LEAST_FACING, LEAST_ROUGHNESS
+from ..core.btf.lobes import LEAST_FACING, LEAST_ROUGHNESS, RIM_FACING, SCHLICK, Grazing
 from .node_groups import shared_group
 from .wiring import Operand, Wiring
 

@@ -1,12 +1,21 @@
 """Node groups with named sockets: new ones, and those that all materials of a file share."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import bpy
 
 from .wiring import Wiring
 
 Sockets = Sequence[tuple[str, str]]  # names, and what they carry: "Color", "Float", "Shader" or "Vector"
+
+
+def nodes_in(tree: bpy.types.NodeTree, muted: bool = True) -> Iterator[bpy.types.Node]:
+    """The nodes of `tree` and of the groups in it, those groups' nodes included; with or without what is `muted`."""
+    for node in tree.nodes:
+        if muted or not node.mute:
+            yield node
+            if node.type == "GROUP" and node.node_tree is not None:
+                yield from nodes_in(node.node_tree, muted)
 
 
 def new_group(name: str, inputs: Sockets, outputs: Sockets) -> bpy.types.NodeTree:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 import bpy
 import numpy as np
 
+from .node_groups import nodes_in
 from .wiring import Wiring
 
 POSITION, OBJECT, GENERATED = "farfield_position", "farfield_object", "farfield_generated"
@@ -51,12 +52,8 @@ def answer_for_the_scene(tree: bpy.types.NodeTree) -> None:
 
 def asked_layers(tree: bpy.types.NodeTree) -> set[str]:
     """Names of the attributes that `tree` and the groups in it read."""
-    names = set()
-    for node in tree.nodes:
-        names |= {getattr(node, key) for key in ("attribute_name", "layer_name", "uv_map") if getattr(node, key, "")}
-        if node.type == "GROUP" and node.node_tree is not None:
-            names |= asked_layers(node.node_tree)
-    return names
+    keys = ("attribute_name", "layer_name", "uv_map")
+    return {getattr(node, key) for node in nodes_in(tree) for key in keys if getattr(node, key, "")}
 
 
 def _replace_coordinates(wiring: Wiring, node: bpy.types.Node) -> None:

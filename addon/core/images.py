@@ -91,6 +91,18 @@ def preserve_coverage(alphas: list[np.ndarray], threshold: float = 0.5) -> list[
     return scaled
 
 
+def bilinear(image: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """`image` (H, W, C) at `places` (M, 2), x and y in pixels from its lower left corner, between the middles of pixels; (M, C)."""
+    limits = np.array(image.shape[1::-1]) - 1
+    at = np.clip(places - 0.5, 0.0, limits)
+    low = np.minimum(np.floor(at).astype(np.int64), np.maximum(limits - 1, 0))
+    high = np.minimum(low + 1, limits)
+    x, y = (at - low).T[..., None]
+    lower = (1.0 - x) * image[low[:, 1], low[:, 0]] + x * image[low[:, 1], high[:, 0]]
+    upper = (1.0 - x) * image[high[:, 1], low[:, 0]] + x * image[high[:, 1], high[:, 0]]
+    return (1.0 - y) * lower + y * upper
+
+
 def _sum_of_neighbours(image: np.ndarray) -> np.ndarray:
     """Sum over the 3 x 3 texels around each texel of `image` (H, W, C); nothing lies beyond the border."""
     rows = image.copy()

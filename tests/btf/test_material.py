@@ -18,10 +18,9 @@ from farfield.addon.bridge.cloud_materials import FRONT_NORMAL, FRONT_SURFACE
 from farfield.addon.bridge.fades import GROUP_NAME, fade, unfade
 from farfield.addon.bridge.images import data_image
 from farfield.addon.bridge.temporary import temporary_scene
-from farfield.addon.core.btf.broad_suns import Grazing
 from farfield.addon.core.btf.compression import Compressed
 from farfield.addon.core.btf.factors import Factors
-from farfield.addon.core.btf.lobes import Lobes, Surface, glossy_lobe
+from farfield.addon.core.btf.lobes import Grazing, Lobes, Surface, glossy_lobe
 from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.btf.shadows import Shadows
 from farfield.addon.core.btf.texels import View

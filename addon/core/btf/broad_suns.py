@@ -1,6 +1,6 @@
 """Suns as broad as a cell of a grid: what lobes make of them, by tables."""
 
-from dataclasses import dataclass
+from copy import copy
 from functools import cached_property
 
 import numpy as np
@@ -9,22 +9,6 @@ ROUGHNESSES = np.geomspace(0.04, 1.0, 65)  # rows of the table of mirrored suns
 COSINES = 4097  # from -1 to 1: columns of both tables
 RINGS = 1000
 SPIRAL = 256  # places on a disc
-RIM_FACING = 0.2  # cosine at which the rim is as bright as it gets: beyond, quads show what a smooth surface turns away
-
-
-@dataclass(frozen=True)
-class Grazing:
-    """How much brighter a lobe is the more it is turned away: strength * (1 - cosine)^power, up to where the cosine is RIM_FACING."""
-
-    strength: float
-    power: float
-
-    def __call__(self, cosines: np.ndarray) -> np.ndarray:
-        """At `cosines` between normal and view."""
-        return self.strength * (1.0 - np.clip(cosines, RIM_FACING, 1.0)) ** self.power
-
-
-SCHLICK = Grazing(1.0, 5.0)
 
 
 def disc_radius(solid_angle: float) -> float:
@@ -36,24 +20,20 @@ class BroadSuns:
     """L suns from unit `directions` (L, 3), each a disc of `solid_angle` with unit irradiance across its beam.
 
     reached: how much (N, L) of each reaches N texels, and openness: how much (N,) of a dome does; None where nothing keeps it from them.
-    grazing: how lobes shine at the rim under a dome.
     """
 
-    def __init__(
-        self,
-        directions: np.ndarray,
-        solid_angle: float,
-        reached: np.ndarray | None = None,
-        openness: np.ndarray | None = None,
-        grazing: Grazing = SCHLICK,
-    ) -> None:
-        self.directions, self.reached, self.openness, self.grazing = directions, reached, openness, grazing
+    def __init__(self, directions: np.ndarray, solid_angle: float) -> None:
+        self.directions = directions
+        self.reached: np.ndarray | None = None
+        self.openness: np.ndarray | None = None
         self._solid_angle = solid_angle
         self.radius = disc_radius(solid_angle)
 
-    def behind(self, reached: np.ndarray | None, openness: np.ndarray | None, grazing: Grazing = SCHLICK) -> "BroadSuns":
+    def behind(self, reached: np.ndarray, openness: np.ndarray) -> "BroadSuns":
         """These suns, but only so much of each, and of a dome, reaches the texels."""
-        return BroadSuns(self.directions, self._solid_angle, reached, openness, grazing)
+        made = copy(self)
+        made.reached, made.openness = reached, openness
+        return made
 
     def cosine(self, normals: np.ndarray) -> np.ndarray:
         """What white Lambert surfaces with `normals` (N, 3) show of each, (N, L): the mean of the cosine above 0 over its disc, over pi."""

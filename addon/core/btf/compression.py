@@ -121,6 +121,4 @@ class Compression:
         steps = fit_lobes(self._captured, self._surface, quads, self._views, self._suns, self._weights, self._light_weights)
         found = yield from scaled(steps, 0.0, 0.8)
         lobes = replace(found, shadows=shadows, openness=self._suns.openness)
-        lobes = yield from scaled(under_dome(self._captured, lobes, self._views, self._weights), 0.8, 1.0)
-        self._suns = self._suns.behind(self._suns.reached, lobes.openness, lobes.grazing)
-        return lobes
+        return (yield from scaled(under_dome(self._captured, lobes, self._views, self._weights), 0.8, 1.0))

@@ -12,8 +12,7 @@ import numpy as np
 from ..direction_grids import DirectionGrid
 from ..progress import Progress, Steps, scaled
 from .alternation import ViewData
-from .broad_suns import SCHLICK, Grazing
-from .lobes import WHITE, Lobes
+from .lobes import SCHLICK, WHITE, Grazing, Lobes
 
 POWERS = (1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
 MOST_GRAZING = 4.0  # times what Schlick's formula has at the rim: coats and what lies under them add up

@@ -13,12 +13,13 @@ import numpy as np
 from ..direction_grids import DirectionGrid
 from ..progress import Progress, Steps
 from .alternation import ViewData
-from .broad_suns import SCHLICK, BroadSuns, Grazing
+from .broad_suns import BroadSuns
 from .relief import Relief
 from .shadows import Shadows
 
 LEAST_ROUGHNESS = 0.05
 LEAST_FACING = 1e-3  # cosine
+RIM_FACING = 0.2  # cosine at which the rim is as bright as it gets: beyond, quads show what a smooth surface turns away
 DIFFUSE, SPECULAR, RIM, EVEN, DOME_EVEN = range(5)  # columns of a fit; the last two take up what no lobe is, and are dropped
 KEPT = 3
 LARGEST = np.array([1.0, 1.0, 1.0, 10.0, 10.0])
@@ -29,6 +30,21 @@ FACTORS = (0.5, 0.7, 1.0, 1.4)  # of the roughness in the maps: a coat is smooth
 SAMPLE = 4000  # texels by which the factor is chosen
 ALL = slice(None)
 CHUNK = 1024  # texels at once: what they need in between stays in the processor's cache
+
+
+@dataclass(frozen=True)
+class Grazing:
+    """How much brighter a lobe is the more it is turned away: strength * (1 - cosine)^power, up to where the cosine is RIM_FACING."""
+
+    strength: float
+    power: float
+
+    def __call__(self, cosines: np.ndarray) -> np.ndarray:
+        """At `cosines` between normal and view."""
+        return self.strength * (1.0 - np.clip(cosines, RIM_FACING, 1.0)) ** self.power
+
+
+SCHLICK = Grazing(1.0, 5.0)
 
 
 @dataclass(frozen=True)
@@ -69,22 +85,24 @@ class Lobes:
     def of_grid(self, view: np.ndarray, suns: BroadSuns, rows: np.ndarray) -> np.ndarray:
         """Radiance (M, L + 1, 3) of `rows` (M,) from the unit direction `view`, under each of the L broad suns and, last, the dome.
 
-        How much of them reaches the texels, `suns` says.
+        How much of the suns reaches the texels, they say.
         """
         made = np.empty((len(rows), len(suns.directions) + 1, 3), np.float32)
         for start in range(0, len(rows), CHUNK):
             some = rows[start : start + CHUNK]
-            made[start : start + CHUNK] = features(self.surface, view, suns, some, KEPT) @ self._parts(some)
+            made[start : start + CHUNK, :-1] = features(self.surface, view, suns, some, KEPT)[:, :-1] @ self._parts(some)
+            made[start : start + CHUNK, -1] = self.of_dome(view, some)
         return made
 
     def under(self, lights: np.ndarray, view: np.ndarray, suns: BroadSuns, wanted: np.ndarray) -> np.ndarray:
         """Radiance (N, M * 3) float16 of texels from `view` under sums `lights` (L + 1, M) of the broad suns and the dome; 0 but for the
         texels `wanted`."""
         made = np.zeros((len(self.rim), lights.shape[1] * 3), np.float16)
+        of_suns, of_dome = lights[:-1].T.astype(np.float32), lights[-1].astype(np.float32)
         for start in range(0, len(wanted), CHUNK):
             rows = wanted[start : start + CHUNK]
-            summed = np.matmul(lights.T.astype(np.float32), features(self.surface, view, suns, rows, KEPT))
-            made[rows] = (summed @ self._parts(rows)).reshape(len(rows), -1)
+            shown = np.matmul(of_suns, features(self.surface, view, suns, rows, KEPT)[:, :-1]) @ self._parts(rows)
+            made[rows] = (shown + of_dome[:, None] * self.of_dome(view, rows)[:, None]).reshape(len(rows), -1)
         return made
 
     def _parts(self, rows: np.ndarray) -> np.ndarray:
@@ -130,15 +148,14 @@ def glossy_lobe(normals: np.ndarray, view: np.ndarray, lights: np.ndarray, rough
 
 
 def features(surface: Surface, view: np.ndarray, suns: BroadSuns, rows: np.ndarray, count: int = len(LARGEST)) -> np.ndarray:
-    """What each lobe of strength 1 makes (M, L + 1, count) float32 of `rows`, see DIFFUSE and so on."""
+    """What each lobe of strength 1 makes (M, L + 1, count) float32 of `rows`, see DIFFUSE and so on; of a dome a first guess."""
     normals = surface.towards(view, rows)
     made = np.zeros((len(rows), len(suns.directions) + 1, count), np.float32)
     made[:, :-1, DIFFUSE] = suns.cosine(normals)
     made[:, :-1, SPECULAR] = suns.mirrored(normals, view, np.maximum(surface.roughness[rows], LEAST_ROUGHNESS))
     made[:, -1, [DIFFUSE, SPECULAR]] = 1.0
     cosines = normals @ view
-    made[:, :-1, RIM] = made[:, :-1, SPECULAR] * SCHLICK(cosines)[:, None]
-    made[:, -1, RIM] = suns.grazing(cosines)
+    made[..., RIM] = made[..., SPECULAR] * SCHLICK(cosines)[:, None]
     if suns.reached is not None:
         made[:, :-1, :KEPT] *= suns.reached[rows, :, None]
     if suns.openness is not None:

@@ -16,7 +16,7 @@ import numpy as np
 from ..direction_grids import DirectionGrid
 from ..directions import from_hemi_octahedral, from_octahedral
 from ..errors import SettingsError
-from ..images import EMPTY
+from ..images import EMPTY, bilinear
 from ..metrics import encode_srgb
 from .texels import View
 
@@ -193,15 +193,3 @@ def _look_into(atlas: Atlas, number: int, points: np.ndarray, direction: np.ndar
     seen = bilinear(np.concatenate([atlas.colour[tile], atlas.normal[tile]], axis=2), places)
     seen[:, 3] *= ((places >= 0.0) & (places <= view.side)).all(axis=1)
     return seen, along
-
-
-def bilinear(image: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """`image` (H, W, C) at `places` (M, 2), x and y in pixels from its lower left corner, between the middles of pixels; (M, C)."""
-    limits = np.array(image.shape[1::-1]) - 1
-    at = np.clip(places - 0.5, 0.0, limits)
-    low = np.minimum(np.floor(at).astype(np.int64), np.maximum(limits - 1, 0))
-    high = np.minimum(low + 1, limits)
-    x, y = (at - low).T[..., None]
-    lower = (1.0 - x) * image[low[:, 1], low[:, 0]] + x * image[low[:, 1], high[:, 0]]
-    upper = (1.0 - x) * image[high[:, 1], low[:, 0]] + x * image[high[:, 1], high[:, 0]]
-    return (1.0 - y) * lower + y * upper

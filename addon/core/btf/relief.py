@@ -5,9 +5,11 @@ mapping after Kaneko et al. 2001, one step with a limit; the depths are those of
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from ..images import bilinear
 from .texels import Texels
 
 MOST = 2.0  # texels that a look-up moves, along each axis: no farther than textures go on beyond their quads
@@ -31,21 +33,19 @@ class Relief:
 
     def moved(self, view: np.ndarray, rows: slice | np.ndarray = ALL) -> np.ndarray:
         """How far (M, 2) from each of `rows`, in texels, lies what is seen of it from the unit direction `view` (3,)."""
-        across = np.cross(self.axes[:, 0], self.axes[:, 1])
-        across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-30)
-        facing = across @ view
+        facing = self._across @ view
         along = (self.axes @ view) * (facing / np.maximum(facing**2, LEAST_FACING**2))[:, None]
         return np.clip(along[self.quads[rows]] * self.depths[rows, None], -MOST, MOST)
 
+    @cached_property
+    def _across(self) -> np.ndarray:
+        """The unit normals (Q, 3) of the quads."""
+        across = np.cross(self.axes[:, 0], self.axes[:, 1])
+        return across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-30)
+
     def seen(self, view: np.ndarray, rows: slice | np.ndarray = ALL) -> np.ndarray:
         """The unit normals (M, 3) that `rows` show from there, as the texture unit finds them."""
-        places = self.pixels[rows] + self.moved(view, rows)
-        low = np.floor(places).astype(np.int64)
-        right, up = (places - low).astype(np.float32).T[..., None]
-        height, width = self.normals.shape[:2]
-        columns, lines = (np.clip([low[:, axis], low[:, axis] + 1], 0, size - 1) for axis, size in enumerate((width, height)))
-        lower, upper = ((1 - right) * self.normals[line, columns[0]] + right * self.normals[line, columns[1]] for line in lines)
-        found = (1 - up) * lower + up * upper
+        found = bilinear(self.normals, self.pixels[rows] + 0.5 + self.moved(view, rows))
         return found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-6)
 
 
