@@ -23,7 +23,7 @@ import environment
 environment.ensure()
 
 from btf_bakes import Effort, built_cloud, cloud_folder
-from btf_costs import memory, times
+from btf_costs import EXECUTORS, memory, times
 from btf_models import DATA, MODELS
 from btf_pictures import RELIGHTABLE, SIZES, pictures
 
@@ -47,6 +47,7 @@ def parser() -> command_line.Parser:
     made.add_argument("--no-lpca", dest="lpca", action="store_false", help="leave out the other codec, which takes longest to compress")
     made.add_argument("--error", default="2%", help="error of the clouds (default: 2%%)")
     made.add_argument("--sizes", nargs="+", choices=list(SIZES), default=list(SIZES), help="sizes of the pictures (default: all)")
+    made.add_argument("--executors", nargs="+", choices=list(EXECUTORS), default=list(EXECUTORS), help="those to time (default: all)")
     for name, default, what in (
         ("views", 64, "views of a bake"),
         ("lights", 64, "lights of a bake, without the dome"),

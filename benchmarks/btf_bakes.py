@@ -21,8 +21,8 @@ class Effort:
 
     data: the folder of the meshes. work: keeps clouds and finished views. error: of the clouds, as --error takes it. capture_samples:
     Cycles samples of every render of a bake. pairs: held-out views and suns. sizes: of the pictures that are compared. samples,
-    reference_samples: of these pictures, and of the original in them. repeats: runs of each executor. lpca: whether to try that codec.
-    sheets: a folder for contact sheets.
+    reference_samples: of these pictures, and of the original in them. executors, repeats: whose bakes are timed, and how often each. lpca:
+    whether to try that codec. sheets: a folder for contact sheets.
     """
 
     models: list[str]
@@ -36,6 +36,7 @@ class Effort:
     sizes: list[str]
     samples: int
     reference_samples: int
+    executors: list[str]
     repeats: int
     lpca: bool
     sheets: Path | None

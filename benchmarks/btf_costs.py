@@ -20,29 +20,31 @@ sys.path.append(str(environment.ROOT / "tests"))
 from dask_farm import Farm
 
 PROCESSES = 2
+SPREAD = f"processes:{PROCESSES}"
+EXECUTORS = {"serial": 1, SPREAD: PROCESSES, "dask": PROCESSES}  # how many work at a time
 MEMORY_MODEL, MEMORY_ERROR = "leafy_tree", 0.03
 MEMORY_TEXELS, MEMORY_SIDE = 60_000, 8  # 64 views x (64 lights and a dome)
 
 
 def times(effort: Effort) -> Steps[dict[str, Any]]:
-    """Bakes of the first model from nothing, in turn: serial, so many processes, so many Dask workers; best of the repeats."""
+    """Bakes of the first model from nothing with each executor in turn; best of the repeats."""
     cloud = built_cloud(effort.models[0], effort, effort.error)
     runs: dict[str, list[dict[str, Any]]] = {}
     left_out = []
     for repeat in range(effort.repeats):
-        for number, (name, slots) in enumerate((("serial", 1), (f"processes:{PROCESSES}", PROCESSES), ("dask", PROCESSES))):
-            yield Progress((repeat + number / 3) / effort.repeats, f"Baking {effort.models[0]}: {name}")
+        for number, name in enumerate(effort.executors):
+            yield Progress((repeat + number / len(effort.executors)) / effort.repeats, f"Baking {effort.models[0]}: {name}")
             with _word(name) as word:
                 if word is None:
                     left_out = ["Dask: the package distributed is not installed for this Python."]
                     continue
-                runs.setdefault(name, []).append(_timed(cloud, word, slots, effort))
+                runs.setdefault(name, []).append(_timed(cloud, word, EXECUTORS[name], effort))
     best = {name: min(each, key=lambda run: run["capture_seconds"]) for name, each in runs.items()}
     figures = {"model": effort.models[0], "texels": cloud.report["texels"], "best": best, "runs": runs, "left_out": left_out}
     for words in left_out:
         print(f"Left out. {words}", file=sys.stderr)
-    if "dask" in best:
-        ratio = best["dask"]["capture_seconds"] / best[f"processes:{PROCESSES}"]["capture_seconds"]
+    if {"dask", SPREAD} <= set(best):
+        ratio = best["dask"]["capture_seconds"] / best[SPREAD]["capture_seconds"]
         figures["dask_over_processes"] = round(ratio, 3)
     return figures
 
@@ -57,9 +59,7 @@ def memory(effort: Effort) -> Steps[dict[str, Any]]:
         cloud = built_cloud(MEMORY_MODEL, effort, f"{100.0 * error:.2f}%")
     yield Progress(0.1, "Baking")
     grid = {"views": MEMORY_SIDE**2, "lights": MEMORY_SIDE**2, "capture_samples": 1}
-    report = baked(
-        cloud, "memory", cloud.path.with_name("views of memory"), replace(effort, **grid), "--executor", f"processes:{PROCESSES}"
-    )
+    report = baked(cloud, "memory", cloud.path.with_name("views of memory"), replace(effort, **grid), "--executor", SPREAD)
     return {"texels": cloud.report["texels"], **{key: report[key] for key in ("renders", "peak_memory_mb", "workers_peak_memory_mb")}}
 
 

@@ -80,13 +80,13 @@ FULL = Effort(
 )
 QUICK = Effort(
     leaves=1000,
-    error=0.02,
+    error=0.03,
     capture_samples=4,
     views=6,
     samples=8,
     compared_levels=1,
     relighting=RelightingEffort(
-        level=2,
+        level=1,
         bake=BtfSettings(views=9, lights=9, components=4, alpha_components=4, shadows=64, shadow_components=8, samples=2),
         pairs=2,
         samples=8,

@@ -25,7 +25,12 @@ PLATFORMS = {  # wheel tags by the name that Blender gives a platform; older and
     "windows-x64": [["win_amd64"]],
 }
 BPY = {"4.5": "4.5.15", "5.0": "5.0.1", "5.2": "5.2.3"}
-WHEELS = ["scipy==1.17.1", "xatlas==0.0.11", "fast-simplification==0.2.0"]  # what the extension brings along, the same for both Pythons
+WHEELS = [
+    "scipy==1.17.1",
+    "xatlas==0.0.11",
+    "fast-simplification==0.2.0",
+    "threadpoolctl==3.8.0",
+]  # what the extension brings along, the same for both Pythons
 TESTS = ["pytest==9.2.0", "pytest-timeout==2.4.0", "pytest-xdist==3.8.0", "hypothesis==6.170.15", "ruff==0.17.5", "distributed==2026.8.0"]
 NUMPY = {(3, 11): "numpy==1.26.4", (3, 13): "numpy==2.5.5"}  # 1.26 is what Blender 4.5 and 5.0 hold
 PEERS = [  # other people's programs that tests and benchmarks hold ours against, and what btf-extractor needs to be built and run

@@ -2,20 +2,30 @@
 
 import os
 import re
-from collections import Counter
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, ThreadPoolExecutor
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from threading import Lock
+from typing import Any, TypeVar
 
 import numpy as np
+
+try:
+    from threadpoolctl import ThreadpoolController
+except ImportError:  # a Blender without what our zip brings along: slower, with the same results
+    ThreadpoolController = None
 
 from .errors import FarfieldError, SettingsError
 
 MOST_BY_ITSELF = 8  # processes that the word `processes` starts: each holds the scene, and so its memory
 ANSWER = 5.0  # seconds within which a scheduler has to answer
+MOST_AHEAD = 4  # threads of `mapped`: each holds what its item takes, and results wait besides
 WORD = re.compile(r"(serial)|processes(?::([1-9]\d{0,3}))?|dask:(\w+://[^\s/]+:\d+)")
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 def in_chunks(function: Callable[[np.ndarray], np.ndarray], rows: np.ndarray, size: int) -> np.ndarray:
@@ -28,6 +38,61 @@ def in_chunks(function: Callable[[np.ndarray], np.ndarray], rows: np.ndarray, si
         return function(parts[0])
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         return np.concatenate(list(threads.map(function, parts)))
+
+
+def slices(count: int, size: int) -> list[slice]:
+    """`count` rows in runs of `size`; the last may reach beyond them, as slices may."""
+    return [slice(start, start + size) for start in range(0, count, size)]
+
+
+def mapped(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+    """`function` of each of `items` in their order, a few ahead of what is asked for, on MOST_AHEAD cores at most.
+
+    What `function` raises passes on where its result would have come; items that are not asked for any more are dropped. NumPy lets go of
+    the interpreter; its matrix products have one thread each meanwhile, in all of the process: theirs and ours would wait for each other.
+    """
+    count = min(os.cpu_count() or 1, MOST_AHEAD)
+    waiting: deque[Future[Result]] = deque()
+    threads = ThreadPoolExecutor(count, thread_name_prefix="farfield-mapped")
+    with _products.in_one_thread():
+        try:
+            for item in items:
+                waiting.append(threads.submit(function, item))
+                if len(waiting) > count:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            threads.shutdown(wait=True, cancel_futures=True)
+
+
+class _Products:
+    """How many threads NumPy's matrix products have: one, as long as anyone wants it so."""
+
+    def __init__(self) -> None:
+        self._lock, self._users = Lock(), 0
+        self._limit: Any = None
+
+    @contextmanager
+    def in_one_thread(self) -> Iterator[None]:
+        """The first who comes sets the number, the last who leaves sets it back."""
+        if ThreadpoolController is None:
+            yield
+            return
+        with self._lock:
+            if self._users == 0:
+                self._limit = ThreadpoolController().select(user_api="blas").limit(limits=1)
+            self._users += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._users -= 1
+                if self._users == 0:
+                    self._limit.restore_original_limits()
+
+
+_products = _Products()
 
 
 @dataclass(frozen=True)

@@ -135,7 +135,7 @@ class BtfJob:
             photographed = training_views(level.quads, texels, level.views, store)
             if settings.refine:
                 made = yield from scaled(compression.refine(made, photographed), COMPRESSED, REFINED)
-            deepest = max(view.fragments().deepest for view in photographed)
+            deepest = max(view.deepest() for view in photographed)
         with self.clock.stage("measure"):
             fits = yield from scaled(compression.measure(made), REFINED, 1.0)
         views, images = settings.views, settings.lights + 1

@@ -33,7 +33,7 @@ def test_sizes_are_those_of_the_arrays():
 
 @pytest.mark.parametrize(
     "more",
-    [{"views": 16}, {"lights": 25}, {"samples": 8}, {"components": 9}, {"shadows": 1024}],
+    [{"views": 16}, {"lights": 25}, {"samples": 8}, {"components": 9}, {"shadows": 1024}, {"refine": True}],
     ids=lambda more: next(iter(more)),
 )
 def test_more_to_do_takes_longer(more):

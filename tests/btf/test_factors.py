@@ -5,7 +5,8 @@ import pytest
 
 from farfield.addon.core.btf import factors as factors_module
 from farfield.addon.core.btf.alternation import Sampled
-from farfield.addon.core.btf.factors import factorise
+from farfield.addon.core.btf.columns import HeldColumns
+from farfield.addon.core.btf.factors import factorise, factorise_columns
 from farfield.addon.core.progress import finish
 from known_views import Known, seen
 
@@ -107,3 +108,25 @@ def test_nothing_but_zeros_stays_nothing():
     made = finish(factorise([Known(np.arange(5), np.zeros((5, 2), np.float32))] * 3, 5, 2, np.ones(3), np.ones(2)))
     assert not made.weights.any() or not made.basis.any()
     assert np.isfinite(made.weights).all() and np.isfinite(made.basis).all()
+
+
+@pytest.mark.parametrize("rows", [300, 9000])
+def test_one_column_a_view_is_factorised_as_any_matrix_is(rows):
+    """By another way, which comes to the same errors, sampled rows (9,000 are more than a sample) and gaps included."""
+    values = low_rank(3, rows=rows, views=40, columns=1)
+    views = seen(values, 0.6)
+    known = np.zeros(values.shape[:2], np.float32)
+    for place, view in enumerate(views):
+        known[place, view.index] = 1.0
+    angles = np.linspace(0.5, 1.5, len(values))
+    for components in (2, 3):
+        of_any = finish(factorise(views, rows, components, angles, np.ones(1)))
+        made = finish(factorise_columns(HeldColumns(values[..., 0], known * angles[:, None].astype(np.float32)), components))
+        assert made.basis.shape == of_any.basis.shape
+        np.testing.assert_array_equal(made.known, of_any.known)
+        assert relative(values, made) == pytest.approx(relative(values, of_any), rel=0.02, abs=2e-3)
+
+
+def test_columns_that_nobody_knows_are_empty():
+    made = finish(factorise_columns(HeldColumns(*np.zeros((2, 5, 20), np.float32)), 2))
+    assert not made.known.any() and not made.weights.any() and np.isfinite(made.basis).all()

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from farfield.addon.core.btf.fragments import Fragments, fragments_of
@@ -60,6 +60,61 @@ def test_a_quad_seen_from_its_edge_is_not_met():
     quads = two_sheets()
     texels = texels_of(quads, SIZE)
     assert len(fragments_of(quads, texels, seen_from((1, 0, 0)), 2)) == 0
+
+
+def brute_force(quads: Quads, view: View) -> list[tuple[int, int]]:
+    """Ray and quad of every crossing, by half planes one by one."""
+    found = []
+    for number, corners in enumerate(quads.corners):
+        outline = view.project(corners)[0]
+        following = np.roll(outline, -1, axis=0)
+        turn = np.sign((outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0]).sum())
+        for ray in range(view.side**2):
+            to_ray = np.array([ray % view.side, ray // view.side]) + 0.5 - outline
+            along = following - outline
+            if (turn * (along[:, 0] * to_ray[:, 1] - along[:, 1] * to_ray[:, 0]) >= 0.0).all():
+                found.append((ray, number))
+    return sorted(found)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_outlines_of_any_number_of_corners_are_met_where_they_are(seed):
+    """Polygons of three to six corners, partly outside the picture, against half planes one by one."""
+    random = np.random.default_rng(seed)
+    corners, coordinates = [], []
+    for number, count in enumerate((3, 6, 4, 5)):
+        turn = np.sort(random.uniform(0.0, 2.0 * np.pi, count))
+        flat = np.column_stack([np.cos(turn), np.sin(turn)]) * random.uniform(0.5, 5.0, 2)
+        corners.append(np.column_stack([flat + random.uniform(0.0, 8.0, 2), np.full(count, float(number))]))
+        coordinates.append(flat + [6.0 + 12.0 * number, 6.0])
+    quads = Quads(corners, coordinates)
+    texels, view = texels_of(quads, (50, 12)), seen_from((0.2, 0.1, 1.0), 13)
+    found = fragments_of(quads, texels, view, 1)
+    owners = texels.quads[found.texels[np.arange(len(found)), found.shares.argmax(axis=1)]]
+    assert sorted(zip(found.ray.tolist(), owners.tolist(), strict=True)) == brute_force(quads, view)
+
+
+@pytest.mark.parametrize("cosine", [1e-9, 1e-8, 1e-6, 1e-3])
+def test_quads_seen_nearly_from_their_edge_keep_their_places(cosine):
+    """A slanting quad that is a thin line in the picture, its middle on the middle of a pixel."""
+    along, up = np.array([0.8, 0.6, 0.0]), np.array([-0.6, 0.8, 0.0])
+    side = cosine * up + np.array([0.0, 0.0, 1.0])
+    middle = np.array([4.5, 4.5, 0.0])
+    sides = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
+    quads = Quads([middle + 3.0 * sides[:, :1] * along + 3.0 * sides[:, 1:] * side], [3.0 * sides + 5.0])
+    texels = texels_of(quads, SIZE)
+    found = fragments_of(quads, texels, View(np.array([0.0, 0.0, 1.0]), np.array([4.0, 4.0, 0.0]), 8, 1.0), 1)
+    assert np.isfinite(found.shares).all()
+    if len(found):
+        shown = (texels.pixels[found.texels] * found.shares[..., None]).sum(axis=1) / found.shares.sum(axis=1, keepdims=True) + 0.5
+        row, column = np.divmod(found.ray, 8)
+        where = (np.column_stack([column, row]) + 0.5 - middle[:2]) @ along[:2] + 5.0
+        np.testing.assert_allclose(np.clip(shown[:, 0], 2.5, 7.5), np.clip(where, 2.5, 7.5), atol=0.01)
+
+
+def test_no_quads_are_met_nowhere():
+    assert len(fragments_of(Quads([], []), texels_of(two_sheets(), SIZE), seen_from((0, 0, 1)), 2)) == 0
 
 
 @given(st.lists(st.lists(st.floats(0.0, 0.999), max_size=5), min_size=1, max_size=6))

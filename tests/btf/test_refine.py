@@ -5,10 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from farfield.addon.core.btf import training
 from farfield.addon.core.btf.factors import Factors
 from farfield.addon.core.btf.fragments import Fragments, fragments_of
 from farfield.addon.core.btf.photographs import Photograph, broad_lights, photograph_of
-from farfield.addon.core.btf.refine import RAYS, _Look, refined, seen_texels
+from farfield.addon.core.btf.refine import RAYS, Look, _Compositing, refined, seen_texels, shown, texel_colours
+from farfield.addon.core.btf.shards import ShardStore
 from farfield.addon.core.btf.texels import Picture, Quads, View, texels_of
 from farfield.addon.core.direction_grids import DirectionGrid
 from farfield.addon.core.progress import finish
@@ -25,7 +27,7 @@ def sheets() -> Quads:
 
 @dataclass
 class Shot:
-    """One view with its photograph."""
+    """One view with its photograph; all that it meets is GREY."""
 
     view: View
     taken: Photograph
@@ -33,8 +35,9 @@ class Shot:
     def fragments(self) -> Fragments:
         return fragments_of(sheets(), texels_of(sheets(), SIZE), self.view, RAYS)
 
-    def photograph(self) -> Photograph:
-        return self.taken
+    def look(self) -> Look:
+        found = self.fragments()
+        return Look(found, shown(found, np.full((len(texels_of(sheets(), SIZE)), 15), GREY)), self.taken)
 
 
 def shots(coverage: float) -> list[Shot]:
@@ -46,11 +49,9 @@ def shots(coverage: float) -> list[Shot]:
     return [Shot(view, Photograph(np.broadcast_to(GREY * alpha[None, ..., None], (5, 8, 8, 3)).copy(), alpha)) for view in views]
 
 
-def grey_factors(texels: int, views: int, lights: int) -> tuple[Factors, Factors]:
-    """Colours that make every broad light GREY, and an alpha that adds nothing."""
-    known = np.ones(texels, bool)
-    colour = Factors(np.ones((texels, 1), np.float32), np.full((views, 1, 3 * (lights + 1)), GREY, np.float32), known)
-    return colour, Factors(np.zeros((texels, 1), np.float32), np.ones((views, 1, 1), np.float32), known)
+def no_factors(texels: int, views: int) -> Factors:
+    """An alpha that adds nothing."""
+    return Factors(np.zeros((texels, 1), np.float32), np.ones((views, 1, 1), np.float32), np.ones(texels, bool))
 
 
 def composed(view: View, alpha: np.ndarray) -> np.ndarray:
@@ -63,12 +64,8 @@ def composed(view: View, alpha: np.ndarray) -> np.ndarray:
 def test_two_quads_add_up_to_what_is_seen(own, wanted):
     """Each texel is half covered: together that is three quarters, whatever the picture says."""
     taken, texels = shots(wanted), texels_of(sheets(), SIZE)
-    lights = np.zeros((2, 5), np.float32)
-    lights[0] = 1.0
-    colour, alpha = grey_factors(len(texels), len(taken), 1)
     plain = np.full(len(texels), own, np.float32)
-    hues = np.ones((len(texels), 3), np.float32)
-    better = finish(refined(taken, colour, hues, alpha, plain, lights, np.ones(len(taken))))
+    better = finish(refined(taken, no_factors(len(texels), len(taken)), plain, np.ones(len(taken))))
     for number, shot in enumerate(taken):
         before = np.abs(composed(shot.view, plain) - wanted)[1:-1, 1:-1]
         after = np.abs(composed(shot.view, plain + better.weights @ better.basis[number, :, 0]) - wanted)[1:-1, 1:-1]
@@ -78,25 +75,21 @@ def test_two_quads_add_up_to_what_is_seen(own, wanted):
 
 def test_what_is_right_stays():
     taken, texels = shots(0.75), texels_of(sheets(), SIZE)
-    lights = np.zeros((2, 5), np.float32)
-    lights[0] = 1.0
-    colour, alpha = grey_factors(len(texels), 1, 1)
-    plain, hues = np.full(len(texels), 0.5, np.float32), np.ones((len(texels), 3), np.float32)
-    better = finish(refined(taken[:1], colour, hues, alpha, plain, lights, np.ones(1)))
+    better = finish(refined(taken[:1], no_factors(len(texels), 1), np.full(len(texels), 0.5, np.float32), np.ones(1)))
     assert np.abs(better.weights @ better.basis[0, :, 0]).max() < 0.02
 
 
 def test_the_slope_is_that_of_the_error():
     random = np.random.default_rng(0)
     shot, texels = shots(0.6)[1], texels_of(sheets(), SIZE)
-    look = _Look(shot.fragments(), shot.taken, random.random((len(texels), 15)))
+    look = _Compositing(Look(shot.fragments(), random.random((len(shot.fragments()), 15)), shot.taken), len(texels))
     alpha = random.uniform(0.2, 0.8, len(texels))
     slope, bend = look.against(alpha)
     for texel in random.permutation(np.flatnonzero(bend))[:12]:
         step = np.zeros(len(texels))
         step[texel] = 1e-3
         numeric = (look.error(alpha + step) - look.error(alpha - step)) / 2e-3
-        assert slope[texel] == pytest.approx(numeric, rel=0.02, abs=0.02 * np.abs(slope).max())
+        assert slope[texel] == pytest.approx(numeric, rel=0.02, abs=0.02 * float(np.abs(slope).max()))
 
 
 def test_broad_lights_are_sums_of_the_renders():
@@ -114,3 +107,32 @@ def test_texels_behind_opaque_ones_are_not_seen():
     opaque = seen_texels(fragments, np.ones(len(texels), np.float32))
     assert set(texels.quads[opaque]) == {1}
     np.testing.assert_array_equal(seen_texels(fragments, np.full(len(texels), 0.5, np.float32)), np.arange(len(texels)))
+
+
+def test_texels_show_their_factors_under_sums_of_lights():
+    random = np.random.default_rng(4)
+    colour = Factors(random.random((6, 2)).astype(np.float32), random.normal(size=(3, 2, 12)).astype(np.float32), np.ones(6, bool))
+    hues, lights = random.random((6, 3)).astype(np.float32), random.random((4, 5))
+    of_lights = (colour.weights @ colour.basis[1]).reshape(6, 4, 3) * hues[:, None]
+    found = texel_colours(colour, 1, hues, lights)
+    np.testing.assert_allclose(found, np.einsum("nlc,lm->nmc", of_lights, lights).reshape(6, 15), rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("room", [1e9, 0.0], ids=["memory", "folder"])
+def test_looks_come_back_from_memory_and_from_the_folder(room, tmp_path, monkeypatch):
+    store, shot = ShardStore(tmp_path), shots(0.6)[1]
+    monkeypatch.setattr(ShardStore, "photograph", lambda *_: shot.taken)
+    [view] = training.training_views(sheets(), texels_of(sheets(), SIZE), [shot.view], store)
+    view.memory.free = room
+    kept = shot.look()
+    view.keep(view.fragments(), kept.colours)
+    assert len(list(tmp_path.iterdir())) == (0 if room else 1)
+    monkeypatch.setattr(training, "fragments_of", None)  # what was found once is not looked for again
+    found = view.look()
+    assert view.deepest() == kept.fragments.deepest == 2
+    for name in ("ray", "texels", "shares"):
+        np.testing.assert_array_equal(getattr(found.fragments, name), getattr(kept.fragments, name))
+    assert found.fragments.rays == kept.fragments.rays and found.photograph is shot.taken
+    np.testing.assert_array_equal(found.colours, kept.colours)
+    store.remove_looks()
+    assert not list(tmp_path.iterdir())

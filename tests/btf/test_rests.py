@@ -5,8 +5,9 @@ import pytest
 
 from farfield.addon.core.btf.broad_suns import BroadSuns
 from farfield.addon.core.btf.photographs import Photograph
+from farfield.addon.core.btf.readings import Colours
 from farfield.addon.core.btf.rests import DOME_SPIKE, SPIKE, write_rests
-from farfield.addon.core.btf.shards import Colours, ShardStore
+from farfield.addon.core.btf.shards import ShardStore
 from farfield.addon.core.btf.texels import Sighting
 from farfield.addon.core.direction_grids import DirectionGrid
 from farfield.addon.core.progress import finish

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from farfield.addon.core.btf.photographs import Photograph
-from farfield.addon.core.btf.shards import Colours, ShardStore, Silhouettes
+from farfield.addon.core.btf.readings import Colours, Domes, silhouettes
+from farfield.addon.core.btf.shards import ShardStore
 from farfield.addon.core.btf.texels import Sighting
 from farfield.addon.core.errors import FileError
+from farfield.addon.core.progress import finish
 
 
 @pytest.fixture
@@ -41,10 +43,17 @@ def test_what_goes_in_comes_out(store):
     visible, values = Colours(store, 3).read()
     np.testing.assert_array_equal(visible, kept.visible)
     np.testing.assert_allclose(values.reshape(3, 2, 3), kept.radiance.swapaxes(0, 1), rtol=1e-3)
-    plain = np.full(9, 0.25, np.float32)
-    known, more = Silhouettes(store, 3, plain).read()
-    np.testing.assert_array_equal(known, np.flatnonzero(kept.known))
-    np.testing.assert_allclose(more[:, 0] + 0.25, kept.coverage[kept.known], atol=1e-6)
+    _, under_dome = Domes(store, 3).read()
+    np.testing.assert_array_equal(under_dome, values[:, -3:])
+
+
+def test_silhouettes_are_what_coverage_has_more_than_plain_maps(store):
+    kept, plain = sighting(), np.full(9, 0.25, np.float32)
+    for view in range(2):
+        store.write(view, kept, photograph(), [], 0.5)
+    more, counting = finish(silhouettes(store, plain, np.array([1.0, 3.0]))).read(slice(2, None))
+    np.testing.assert_array_equal(counting, kept.known[2:] * np.array([[1.0], [3.0]]))
+    np.testing.assert_allclose((more + 0.25)[:, kept.known[2:]], [kept.coverage[2:][kept.known[2:]]] * 2, atol=1e-6)
 
 
 def test_equal_views_are_equal_bytes(store):

@@ -5,15 +5,16 @@ so the least-squares problem of every row has a normal matrix that is a sum over
 filling in what is not known. (Factorisation with weights after Srebro and Jaakkola 2003.)
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 
+from ..parallel import mapped, slices
 from ..progress import Progress, Steps
 
 RIDGE = 1e-3  # of the mean diagonal of a row's normal matrix: rows seen from few views do not run away
-CHUNK = 16_384  # rows solved at once
+CHUNK = 4096  # rows solved at once
 
 
 class ViewData(Protocol):
@@ -21,6 +22,32 @@ class ViewData(Protocol):
 
     def read(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows (M,) int that are known from it, ascending, and their values (M, D) float32."""
+
+
+class Alternating(Protocol):
+    """A matrix of N rows that V views know in part, and its factors in turn: weights (N, K) and a basis (V, K, D), float32."""
+
+    @property
+    def known(self) -> np.ndarray:
+        """Rows (N,) bool that any view knows; told after the first `rows` or `improved`."""
+
+    @property
+    def view_weights(self) -> np.ndarray:
+        """What each view counts (V,), up to a factor."""
+
+    def basis(self, weights: np.ndarray) -> Steps[np.ndarray]:
+        """The basis that suits `weights` best."""
+
+    def rows(self, basis: np.ndarray) -> Steps[np.ndarray]:
+        """The weights that suit `basis` best; 0 of rows that no view knows."""
+
+    def improved(self, weights: np.ndarray) -> Steps[np.ndarray]:
+        """The weights that suit the basis best which suits `weights` best."""
+
+
+def by_light(values: np.ndarray) -> np.ndarray:
+    """Colours (M, L * 3) as (M, L, 3)."""
+    return values.reshape(len(values), values.shape[1] // 3, 3)
 
 
 class Sampled:
@@ -40,7 +67,7 @@ class Sampled:
 
 
 class Alternation:
-    """A matrix as V `views` know it. counting (V, N): what each row counts from each view; roots (D,): of what each column counts.
+    """See `Alternating`. counting (V, N): what each row counts from each of V `views`; roots (D,): of what each column counts.
 
     Values, and so the basis, are those of the matrix times the roots.
     """
@@ -51,49 +78,59 @@ class Alternation:
 
     @property
     def known(self) -> np.ndarray:
-        """Rows (N,) that any view knows; told after the first `rows` or `improved`."""
+        """See `Alternating`."""
         return self._shares.any(axis=0)
 
+    @property
+    def view_weights(self) -> np.ndarray:
+        """See `Alternating`."""
+        return self._counting.mean(axis=1)
+
     def basis(self, weights: np.ndarray) -> Steps[np.ndarray]:
-        """The basis (V, K, D) that suits `weights` (N, K) best."""
+        """See `Alternating`."""
         basis = np.zeros((len(self._views), weights.shape[1], len(self._roots)), np.float32)
-        for place, index, values, own in self._read():
+
+        def solved(place: int) -> np.ndarray:
+            index, values, own = self._read(place)
+            return _solved_basis(weights[index], values, own)
+
+        for place, found in enumerate(mapped(solved, range(len(self._views)))):
             yield self._progress(place)
-            basis[place] = _solved_basis(weights[index], values, own)
+            basis[place] = found
         return basis
 
     def rows(self, basis: np.ndarray) -> Steps[np.ndarray]:
-        """The weights (N, K) that suit `basis` (V, K, D) best."""
-        right = np.zeros((self._counting.shape[1], basis.shape[1]), np.float32)
-        for place, index, values, own in self._read():
-            yield self._progress(place)
-            self._add(right, place, index, values, own, basis[place])
-        return self._solved(basis, right)
+        """See `Alternating`."""
+        return (yield from self._rows(basis, None))
 
     def improved(self, weights: np.ndarray) -> Steps[np.ndarray]:
-        """The weights that suit the basis best which suits `weights` best, reading the matrix once."""
+        """See `Alternating`; the matrix is read once."""
         basis = np.zeros((len(self._views), weights.shape[1], len(self._roots)), np.float32)
-        right = np.zeros(weights.shape, np.float32)
-        for place, index, values, own in self._read():
-            yield self._progress(place)
-            basis[place] = _solved_basis(weights[index], values, own)
-            self._add(right, place, index, values, own, basis[place])
-        return self._solved(basis, right)
+        return (yield from self._rows(basis, weights))
 
-    def _read(self) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
-        for place, view in enumerate(self._views):
-            index, values = view.read()
-            yield place, index, values * self._roots, self._counting[place, index, None]
+    def _rows(self, basis: np.ndarray, weights: np.ndarray | None) -> Steps[np.ndarray]:
+        """The weights that suit `basis` best, which is first made to suit `weights` where these are given."""
+        right = np.zeros((self._counting.shape[1], basis.shape[1]), np.float32)
+
+        def terms(place: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            index, values, own = self._read(place)
+            if weights is not None:
+                basis[place] = _solved_basis(weights[index], values, own)
+            return index, own[:, 0], own * (values @ basis[place].T)
+
+        for place, (index, own, part) in enumerate(mapped(terms, range(len(self._views)))):
+            yield self._progress(place)
+            right[index] += part
+            self._shares[place, index] = own
+        return solved_rows(self._shares, basis @ basis.transpose(0, 2, 1), right, RIDGE)
 
     def _progress(self, place: int) -> Progress:
         return Progress(place / len(self._views), "Compressing")
 
-    def _add(self, right: np.ndarray, place: int, index: np.ndarray, values: np.ndarray, own: np.ndarray, basis: np.ndarray) -> None:
-        right[index] += own * (values @ basis.T)
-        self._shares[place, index] = own[:, 0]
-
-    def _solved(self, basis: np.ndarray, right: np.ndarray) -> np.ndarray:
-        return solved_rows(self._shares, basis @ basis.transpose(0, 2, 1), right, RIDGE)
+    def _read(self, place: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rows (M,) that a view knows, their values times the roots (M, D), and what they count (M, 1)."""
+        index, values = self._views[place].read()
+        return index, values * self._roots, self._counting[place, index, None]
 
 
 def of_all_rows(weights: np.ndarray, rows: int) -> np.ndarray:
@@ -112,18 +149,23 @@ def solved_rows(shares: np.ndarray, grams: np.ndarray, right: np.ndarray, ridge:
     diagonal = np.einsum("vkk->v", grams).astype(np.float64) @ shares / count
     known = diagonal > 0.0
     padding = (diagonal[known].mean() if known.any() else 1.0) * ridge * np.eye(count)
-    weights = np.zeros(right.shape, np.float32)
     flat = grams.reshape(len(grams), -1).astype(np.float32)
-    for start in range(0, len(right), CHUNK):
-        rows = slice(start, start + CHUNK)
+
+    def solved(rows: slice) -> np.ndarray:
         normal = (shares[:, rows].T.astype(np.float32) @ flat).reshape(-1, count, count)
-        weights[rows] = np.linalg.solve(normal.astype(np.float64) + padding, right[rows, :, None].astype(np.float64))[..., 0]
-    return weights
+        return np.linalg.solve(normal.astype(np.float64) + padding, right[rows, :, None].astype(np.float64))[..., 0].astype(np.float32)
+
+    return np.concatenate([np.zeros((0, count), np.float32), *mapped(solved, slices(len(right), CHUNK))])
 
 
 def _solved_basis(weights: np.ndarray, values: np.ndarray, counting: np.ndarray) -> np.ndarray:
     """The basis (K, D) that fits `values` (M, D) best from `weights` (M, K), rows counting (M, 1)."""
     turned = (counting * weights).T
-    normal = (turned @ weights).astype(np.float64)
-    normal += (1e-6 * np.trace(normal) / len(normal) + 1e-12) * np.eye(len(normal))
-    return np.linalg.solve(normal, (turned @ values).astype(np.float64)).astype(np.float32)
+    return solved_basis((turned @ weights).astype(np.float64), (turned @ values).astype(np.float64))
+
+
+def solved_basis(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Bases (..., K, D) float32 with normal equations `left` (..., K, K) and `right` (..., K, D), which may say little or nothing."""
+    count = left.shape[-1]
+    padding = 1e-6 * np.trace(left, axis1=-2, axis2=-1) / count + 1e-12
+    return np.linalg.solve(left + padding[..., None, None] * np.eye(count), right).astype(np.float32)

@@ -35,6 +35,10 @@ class BroadSuns:
         made.reached, made.openness = reached, openness
         return made
 
+    def prepare(self) -> None:
+        """Make the tables, which threads that need them at the same time would each make."""
+        _ = self._matt, self._glossy
+
     def cosine(self, normals: np.ndarray) -> np.ndarray:
         """What white Lambert surfaces with `normals` (N, 3) show of each, (N, L): the mean of the cosine above 0 over its disc, over pi."""
         return self._matt[self._columns(normals)]

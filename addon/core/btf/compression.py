@@ -4,27 +4,30 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..parallel import mapped
 from ..progress import Progress, Steps, scaled
 from .broad_suns import BroadSuns
 from .codecs import compressed_colours
 from .dome import under_dome
-from .factors import Factors, factorise
+from .factors import Factors, factorise_columns
 from .glow import mean_glow
 from .lobes import Lobes, Surface, fit_lobes
 from .photographs import broad_lights
 from .quality import Fit, quality
-from .refine import Training, refined, seen_texels
+from .readings import Colours, Domes, silhouettes
+from .refine import refined, seen_texels, shown, texel_colours
 from .rests import write_rests
 from .settings import BtfSettings
 from .shadows import Shadows, find_shadows
-from .shards import Colours, ShardStore, Silhouettes
+from .shards import ShardStore
 from .texels import Texels
 from .tints import tints
+from .training import TrainingView
 
 DOME_WEIGHT = np.pi  # as much as a quarter of all suns: a sky is dimmer than a sun, but alone where that does not reach
 LEAST_FACING = 0.03  # cosine: what a texel counts at least from a view that sees its quad from the edge
-TINTED, SHADOWED, FITTED, TAKEN, COLOURED = 0.1, 0.2, 0.5, 0.6, 0.9  # of the bar of `compress`
-LIT = 0.1  # of the bar of `refine`
+TINTED, SHADOWED, FITTED, TAKEN, COLOURED, COVERED = 0.05, 0.2, 0.6, 0.75, 0.95, 0.97  # of the bar of `compress`
+LIT = 0.3  # of the bar of `refine`
 
 
 @dataclass(frozen=True)
@@ -62,7 +65,6 @@ class Compression:
     def compress(self) -> Steps[Compressed]:
         """Lobes, hues and factors."""
         count, settings, angles = len(self._texels), self._settings, self._views.solid_angles
-        silhouettes = [Silhouettes(self._store, view, self._plain) for view in range(len(self._views))]
         hues = yield from scaled(tints(self._captured, count, angles, self._light_weights), 0.0, TINTED)
         shadows = yield from scaled(self._shadows(), TINTED, SHADOWED)
         lobes = yield from scaled(self._lobes(shadows), SHADOWED, FITTED)
@@ -72,23 +74,18 @@ class Compression:
             colour = yield from scaled(steps, TAKEN, COLOURED)
         finally:
             self._store.remove_rests()
-        steps = factorise(silhouettes, count, settings.alpha_components, angles, np.ones(1), settings.seed)
-        alpha = yield from scaled(steps, COLOURED, 1.0)
+        covered = yield from scaled(silhouettes(self._store, self._plain, angles), COLOURED, COVERED)
+        alpha = yield from scaled(factorise_columns(covered, settings.alpha_components, settings.seed), COVERED, 1.0)
         glow = mean_glow((self._store.glow(view) for view in range(len(self._views))), self._weights)
         return Compressed(lobes, hues, colour, alpha, glow)
 
-    def refine(self, made: Compressed, photographed: list[Training]) -> Steps[Compressed]:
-        """`made` with silhouettes refined against the photographs of all views."""
-        lights, lit = broad_lights(self._lights), None
-        if made.lobes is not None:
-            lit = []
-            for number, view in enumerate(self._views.directions):
-                yield Progress(LIT * number / len(self._views), "Lighting the lobes")
-                coverage = self._plain + made.alpha.applied(made.alpha.basis[number])[:, 0]
-                wanted = seen_texels(photographed[number].fragments(), coverage)
-                lit.append(made.lobes.under(lights, view, self._suns, wanted))
-        steps = refined(photographed, made.colour, made.hues, made.alpha, self._plain, lights, self._views.solid_angles, lit)
-        alpha = yield from scaled(steps, LIT, 1.0)
+    def refine(self, made: Compressed, photographed: list[TrainingView]) -> Steps[Compressed]:
+        """`made` with silhouettes refined against the photographs of all views. Raises FileError when the work folder's disk is full."""
+        try:
+            yield from scaled(self._keep_looks(made, photographed), 0.0, LIT)
+            alpha = yield from scaled(refined(photographed, made.alpha, self._plain, self._views.solid_angles), LIT, 1.0)
+        finally:
+            self._store.remove_looks()
         return replace(made, alpha=alpha)
 
     def measure(self, made: Compressed) -> Steps[list[Fit]]:
@@ -99,6 +96,21 @@ class Compression:
 
         more = None if made.lobes is None else of_lobes
         return (yield from quality(self._captured, made.colour, made.hues, self._weights, self._column_weights, more))
+
+    def _keep_looks(self, made: Compressed, photographed: list[TrainingView]) -> Steps[None]:
+        """Have all views keep what rays meet, and its colours: lobes are worked out for those texels alone that matter."""
+        lights = broad_lights(self._lights)
+
+        def keep(number: int) -> None:
+            fragments = photographed[number].fragments()
+            colours = texel_colours(made.colour, number, made.hues, lights)
+            if made.lobes is not None:
+                seen = seen_texels(fragments, self._plain + made.alpha.applied(made.alpha.basis[number])[:, 0])
+                colours[seen] += made.lobes.under(lights, self._views.directions[number], self._suns, seen)
+            photographed[number].keep(fragments, shown(fragments, colours))
+
+        for number, _ in enumerate(mapped(keep, range(len(self._views)))):
+            yield Progress(number / len(self._views), "Lighting the lobes")
 
     @property
     def _column_weights(self) -> np.ndarray:
@@ -120,5 +132,6 @@ class Compression:
         quads = self._texels.quads
         steps = fit_lobes(self._captured, self._surface, quads, self._views, self._suns, self._weights, self._light_weights)
         found = yield from scaled(steps, 0.0, 0.8)
+        domes = [Domes(self._store, view) for view in range(len(self._views))]
         lobes = replace(found, shadows=shadows, openness=self._suns.openness)
-        return (yield from scaled(under_dome(self._captured, lobes, self._views, self._weights), 0.8, 1.0))
+        return (yield from scaled(under_dome(domes, lobes, self._views, self._weights), 0.8, 1.0))

@@ -23,7 +23,7 @@ def under_dome(views: Sequence[ViewData], lobes: Lobes, grid: DirectionGrid, wei
     """`lobes` with the openness and the grazing under a dome that come nearest to what `views` saw, least squares.
 
     Args:
-        views: of the directions of `grid`; their last three columns are those of the dome. weights: (V, N), what each texel counts.
+        views: of the directions of `grid`, under the dome alone, one column a channel. weights: (V, N), what each texel counts.
     """
     grazing = yield from scaled(_fitted_grazing(views, lobes, grid, weights), 0.0, 0.5)
     shaped = replace(lobes, grazing=grazing)
@@ -70,4 +70,4 @@ def _fitted_openness(views: Sequence[ViewData], lobes: Lobes, grid: DirectionGri
 
 def _seen(values: np.ndarray) -> np.ndarray:
     """What texels show (M, 3) of a dome, up to white."""
-    return np.clip(values[:, -3:], 0.0, WHITE)
+    return np.clip(values, 0.0, WHITE)

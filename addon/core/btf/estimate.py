@@ -8,14 +8,15 @@ from .settings import BtfSettings
 from .texels import FINER
 
 # Seconds of one core of 2020s server hardware, measured on a tree of alpha-mapped leaves; other originals differ by some factor, which the
-# first bake tells.
+# first bake tells. What is fitted, factored and refined is done by all cores; there were two.
 RENDER = 0.008  # a render, however small
 PIXEL, SAMPLE = 1.0e-6, 3.3e-6  # a pixel of it, and each sample of a pixel
 NUMBERED_PIXEL = 14e-6  # a pixel of a view's picture of faces
 SIGHTED_TEXEL = 4e-6  # a texel that looks itself up in a view
-SHADOWED_TEXEL = 1e-6  # a texel whose edge of shadow is found from a direction
-FITTED = 1e-7  # an entry of the matrix, whose lobes are fitted and taken out
-FACTORED = 1e-8  # an entry and component of its factors
+SHADOWED_TEXEL = 1.2e-6  # a texel that looks itself up from a sun, and whose edge of shadow is found
+FITTED = 2e-8  # an entry of the matrix, whose lobes are fitted and taken out
+FACTORED = 1e-9  # an entry and component of its factors
+REFINED_TEXEL = 8e-6  # a texel in a photograph, in all steps
 LOBES = 9  # numbers of a texel
 START = 3.0  # a worker process
 
@@ -56,9 +57,11 @@ def estimate(levels: Sequence[LevelExtent], settings: BtfSettings, workers: int,
         pixels, entries = level.side**2, level.texels * settings.views * 3 * lights
         components = settings.components + settings.alpha_components
         view = lights * (RENDER + pixels * (PIXEL + SAMPLE * settings.samples)) + pixels * NUMBERED_PIXEL + level.texels * SIGHTED_TEXEL
-        shadow = RENDER + pixels * NUMBERED_PIXEL / FINER**2 + level.texels * (SIGHTED_TEXEL + SHADOWED_TEXEL)
+        shadow = RENDER + pixels * NUMBERED_PIXEL / FINER**2 + level.texels * SHADOWED_TEXEL
         captured += settings.views * view + settings.shadows * shadow
         compressed += entries * (FITTED + FACTORED * components)
+        if settings.refine:
+            compressed += level.texels * settings.views * REFINED_TEXEL
         raw += 2 * entries
         tables = settings.views * (3 * lights * settings.components + settings.alpha_components)
         if settings.shadows:

@@ -4,16 +4,17 @@
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..progress import Steps, scaled
-from .alternation import Alternation, Sampled, ViewData, of_all_rows
+from .alternation import Alternating, Alternation, Sampled, ViewData, of_all_rows
+from .columns import Columns, HeldColumns, column_alternation
 
 PASSES = 8  # over a sample of rows, which are kept in memory
 SAMPLE = 8192  # rows
-FIRST, AGAIN, LAST = 0.3, 0.6, 0.85  # of the bar of `factorise`
+FIRST, AGAIN, LAST = 0.3, 0.6, 0.85  # of the bar of `_found`
 
 
 @dataclass(frozen=True)
@@ -65,20 +66,39 @@ def factorise(
     """
     roots = np.sqrt(column_weights / column_weights.mean()).astype(np.float32)
     counting = of_all_rows((weights / weights.mean()).astype(np.float32), rows)
+    chosen = _sample(rows)
     whole = Alternation(views, counting, roots)
-    chosen = np.unique(np.linspace(0, rows - 1, min(rows, SAMPLE)).round().astype(np.int64))
-    first = whole if len(chosen) == rows else Alternation([Sampled(view, chosen) for view in views], counting[:, chosen], roots)
-    found = np.random.default_rng(seed).standard_normal((len(chosen), components)).astype(np.float32)
+    sampled = whole if len(chosen) == rows else Alternation([Sampled(view, chosen) for view in views], counting[:, chosen], roots)
+    found = yield from _found(whole, sampled, len(chosen), components, seed)
+    return replace(found, basis=found.basis / roots)
+
+
+def factorise_columns(columns: Columns, components: int, seed: int = 0) -> Steps[Factors]:
+    """The same of a matrix with one column a view, which say themselves what each row counts; D is 1."""
+    chosen = _sample(columns.shape[1])
+    whole = sampled = yield from scaled(column_alternation(columns), 0.0, 0.0)
+    if len(chosen) < columns.shape[1]:
+        sampled = yield from scaled(column_alternation(HeldColumns(*columns.read(chosen))), 0.0, 0.0)
+    return (yield from _found(whole, sampled, len(chosen), components, seed))
+
+
+def _sample(rows: int) -> np.ndarray:
+    """The numbers (S,) of SAMPLE rows, ascending, or of all."""
+    return np.unique(np.linspace(0, rows - 1, min(rows, SAMPLE)).round().astype(np.int64))
+
+
+def _found(whole: Alternating, sampled: Alternating, rows: int, components: int, seed: int) -> Steps[Factors]:
+    """Factors of `whole`, with a basis that is looked for in some `rows` of it first: `sampled`, or all of it."""
+    found = np.random.default_rng(seed).standard_normal((rows, components)).astype(np.float32)
     found[:, 0] = 1.0
     for number in range(PASSES):
-        found = yield from scaled(first.improved(found), FIRST * number / PASSES, FIRST * (number + 1) / PASSES)
-    if first is not whole:
-        basis = yield from scaled(first.basis(found), FIRST, FIRST)
+        found = yield from scaled(sampled.improved(found), FIRST * number / PASSES, FIRST * (number + 1) / PASSES)
+    if sampled is not whole:
+        basis = yield from scaled(sampled.basis(found), FIRST, FIRST)
         found = yield from scaled(whole.rows(basis), FIRST, AGAIN)
         found = yield from scaled(whole.improved(found), AGAIN, LAST)
     basis = yield from scaled(whole.basis(found), LAST, 1.0)
-    found, basis = _in_order(found, basis, counting.mean(axis=1))
-    return Factors(found, basis / roots, whole.known)
+    return Factors(*_in_order(found, basis, whole.view_weights), whole.known)
 
 
 def _in_order(weights: np.ndarray, basis: np.ndarray, view_weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -64,47 +64,72 @@ def fragments_of(quads: Quads, texels: Texels, view: View, parts: int) -> Fragme
     Rays are numbered row by row, pixel by pixel, the parts of a pixel together.
     """
     fine = view.finer(parts)
-    rows, columns, heights, places, owners = [], [], [], [], []
-    for number, (corners, coordinates) in enumerate(zip(quads.corners, quads.coordinates, strict=True)):
-        outline, depth = fine.project(corners)
-        inside = _rays_inside(outline, fine.side)
-        if len(inside) == 0:
-            continue
-        carried = _carried(outline, np.column_stack([coordinates, depth]), inside)
-        rows.append(inside[:, 1])
-        columns.append(inside[:, 0])
-        places.append(carried[:, :2])
-        heights.append(carried[:, 2])
-        owners.append(np.full(len(inside), number, np.int32))
-    if not rows:
+    if not quads.corners:
         return Fragments(view.side**2 * parts**2, np.zeros(0, np.int32), np.zeros((0, 4), np.int32), np.zeros((0, 4), np.float32))
-    row, column, height, owner = (np.concatenate(each) for each in (rows, columns, heights, owners))
-    ray = ((row // parts * view.side + column // parts) * parts + row % parts) * parts + column % parts
-    order = np.lexsort((-height, ray))
-    numbers, shares = _texture_unit(texels, np.concatenate(places)[order], owner[order])
+    owners, rows, columns, carried = _crossings(quads, fine)
+    ray = ((rows // parts * view.side + columns // parts) * parts + rows % parts) * parts + columns % parts
+    order = np.lexsort((-carried[:, 2], ray))
+    numbers, shares = _texture_unit(texels, carried[order, :2], owners[order])
     return Fragments(view.side**2 * parts**2, ray[order].astype(np.int32), numbers, shares)
 
 
-def _rays_inside(outline: np.ndarray, side: int) -> np.ndarray:
-    """Column and row (M, 2) of those rays, of a square of `side` along each side, that pass within a convex `outline` (C, 2)."""
-    following = np.roll(outline, -1, axis=0)
-    area = 0.5 * float(np.sum(outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0]))
-    low = np.clip(np.floor(outline.min(axis=0)), 0, side).astype(np.int64)
-    high = np.clip(np.ceil(outline.max(axis=0)), 0, side).astype(np.int64)
-    if abs(area) < EDGE_ON or (high <= low).any():
-        return np.zeros((0, 2), np.int64)
-    x, y = np.arange(low[0], high[0]) + 0.5, np.arange(low[1], high[1]) + 0.5
-    within = np.ones((len(y), len(x)), bool)
-    for (from_x, from_y), (along_x, along_y) in zip(outline, np.sign(area) * (following - outline), strict=True):
-        within &= along_x * (y[:, None] - from_y) - along_y * (x[None, :] - from_x) >= 0.0
-    found = np.argwhere(within)
-    return found[:, ::-1] + low
+def _crossings(quads: Quads, view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Where the rays through the middles of the pixels of `view` meet quads: quad, row and column (M,) int64; and (M, 3), the place in the
+    texture and the height above the view's centre."""
+    counts = np.array([len(corners) for corners in quads.corners])
+    first, number = np.cumsum(counts) - counts, np.arange(counts.max())
+    # Shorter outlines repeat their last corner: an edge without length, on whose inner side all rays are.
+    corners, is_corner = first[:, None] + np.minimum(number, counts[:, None] - 1), number < counts[:, None]
+    outline, heights = view.project(np.concatenate(quads.corners))
+    values = np.column_stack([np.concatenate(quads.coordinates), heights])[corners]
+    outlines = outline[corners]
+    following = np.roll(outlines, -1, axis=1)
+    areas = 0.5 * (outlines[..., 0] * following[..., 1] - outlines[..., 1] * following[..., 0]).sum(axis=1)
+    faced = np.flatnonzero(np.abs(areas) >= EDGE_ON)
+    edges = np.sign(areas[faced])[:, None, None] * (following - outlines)[faced]
+    spans = _spans(outlines[faced], edges, view.side)
+    widths = spans[:, 3] - spans[:, 2]
+    owners, rows, columns, _ = np.repeat(spans, widths, axis=0).T
+    columns = columns + _counted(widths)
+    affine = _affine(outlines[faced], values[faced], is_corner[faced])[owners]
+    x, y = columns[:, None] + 0.5, rows[:, None] + 0.5
+    return faced[owners], rows, columns, x * affine[:, 0] + y * affine[:, 1] + affine[:, 2]
 
 
-def _carried(outline: np.ndarray, values: np.ndarray, rays: np.ndarray) -> np.ndarray:
-    """`values` (C, D) at the corners of a planar polygon, carried over to `rays` (M, 2)."""
-    affine, *_ = np.linalg.lstsq(np.column_stack([outline, np.ones(len(outline))]), values, rcond=None)
-    return np.column_stack([rays + 0.5, np.ones(len(rays))]) @ affine
+def _spans(outlines: np.ndarray, edges: np.ndarray, side: int) -> np.ndarray:
+    """Rows of pixels within convex `outlines` (Q, C, 2), whose `edges` (Q, C, 2) go round to the left, in a square of `side` pixels:
+    outline, row, first column and the one after the last (S, 4) int64."""
+    low = np.clip(np.ceil(outlines[..., 1].min(axis=1) - 0.5), 0, side).astype(np.int64)
+    high = np.clip(np.floor(outlines[..., 1].max(axis=1) - 0.5) + 1.0, low, side).astype(np.int64)
+    owners = np.repeat(np.arange(len(outlines)), high - low)
+    rows = low[owners] + _counted(high - low)
+    left, right = np.zeros(len(rows)), np.full(len(rows), float(side))
+    for corner in range(outlines.shape[1]):
+        (from_x, from_y), (along_x, along_y) = outlines[owners, corner].T, edges[owners, corner].T
+        leaning = along_y != 0.0
+        crossed = from_x + along_x * (rows + 0.5 - from_y) / np.where(leaning, along_y, 1.0)
+        right = np.where(along_y > 0.0, np.minimum(right, crossed), right)
+        left = np.where(along_y < 0.0, np.maximum(left, crossed), left)
+    first = np.clip(np.ceil(left - 0.5), 0, side).astype(np.int64)
+    stop = np.clip(np.floor(right - 0.5) + 1.0, first, side).astype(np.int64)
+    return np.column_stack([owners, rows, first, stop])
+
+
+def _affine(outlines: np.ndarray, values: np.ndarray, is_corner: np.ndarray) -> np.ndarray:
+    """What carries `values` (Q, C, D) at the corners of planar polygons over to a place in a picture: (Q, 3, D), times x, y and 1.
+
+    In the picture the corners are `outlines` (Q, C, 2); some count twice but for `is_corner` (Q, C). Least squares.
+    """
+    counts = is_corner.sum(axis=1)[:, None]
+    middle, mean = ((each * is_corner[..., None]).sum(axis=1) / counts for each in (outlines, values))
+    apart, own = ((each - at[:, None]) * is_corner[..., None] for each, at in ((outlines, middle), (values, mean)))
+    slopes = np.linalg.pinv(apart, rcond=1e-14) @ own  # squared, thin slanting polygons would be lines
+    return np.concatenate([slopes, (mean - np.einsum("qi,qid->qd", middle, slopes))[:, None]], axis=1)
+
+
+def _counted(counts: np.ndarray) -> np.ndarray:
+    """0, 1 and so on up to each of `counts` (N,), one after the other."""
+    return np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
 def _texture_unit(texels: Texels, places: np.ndarray, owners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..direction_grids import DirectionGrid
-from ..progress import Progress, Steps
-from .alternation import ViewData
+from ..parallel import mapped, slices
+from ..progress import Progress, Steps, scaled
+from .alternation import ViewData, by_light
 from .broad_suns import BroadSuns
 from .relief import Relief
 from .shadows import Shadows
@@ -27,7 +28,7 @@ WHITE = 1.0  # radiance that counts as much as any above it
 QUAD_PRIOR, LEVEL_PRIOR = 0.1, 1.0  # of what a texel tells in the mean: how much its quad counts for it, and the level for the quad
 ROUNDS, SETTLED = 60, 1e-6  # of coordinate descent, and the move of a number at which it may end
 FACTORS = (0.5, 0.7, 1.0, 1.4)  # of the roughness in the maps: a coat is smoother, bumps and large texels are rougher
-SAMPLE = 4000  # texels by which the factor is chosen
+SAMPLE = 2000  # texels by which the factor is chosen
 ALL = slice(None)
 CHUNK = 1024  # texels at once: what they need in between stays in the processor's cache
 
@@ -95,14 +96,14 @@ class Lobes:
         return made
 
     def under(self, lights: np.ndarray, view: np.ndarray, suns: BroadSuns, wanted: np.ndarray) -> np.ndarray:
-        """Radiance (N, M * 3) float16 of texels from `view` under sums `lights` (L + 1, M) of the broad suns and the dome; 0 but for the
-        texels `wanted`."""
-        made = np.zeros((len(self.rim), lights.shape[1] * 3), np.float16)
+        """Radiance (W, M * 3) float16 of the texels `wanted` (W,) from `view` under sums `lights` (L + 1, M) of the broad suns and the
+        dome."""
+        made = np.empty((len(wanted), lights.shape[1] * 3), np.float16)
         of_suns, of_dome = lights[:-1].T.astype(np.float32), lights[-1].astype(np.float32)
         for start in range(0, len(wanted), CHUNK):
             rows = wanted[start : start + CHUNK]
             shown = np.matmul(of_suns, features(self.surface, view, suns, rows, KEPT)[:, :-1]) @ self._parts(rows)
-            made[rows] = (shown + of_dome[:, None] * self.of_dome(view, rows)[:, None]).reshape(len(rows), -1)
+            made[start : start + CHUNK] = (shown + of_dome[:, None] * self.of_dome(view, rows)[:, None]).reshape(len(rows), -1)
         return made
 
     def _parts(self, rows: np.ndarray) -> np.ndarray:
@@ -187,19 +188,45 @@ def fit_lobes(
     sample = np.arange(0, count, max(1, count // SAMPLE))
     tried = [replace(surface, roughness=factor * surface.roughness) for factor in FACTORS]
     trials = [_Equations(one, sample) for one in tried]
-    for place, view in enumerate(views):
-        yield Progress(0.3 * place / len(views), "Looking at the gloss")
-        index, values = view.read()
-        for equations in trials:
-            equations.take(grid.directions[place], suns, index, values, weights[place], light_weights)
+    yield from scaled(_taken(trials, views, grid, suns, weights, light_weights), 0.0, 0.3)
     errors = [equations.error(equations.solved(quads[sample])) for equations in trials]
     best = tried[int(np.argmin(errors))]
     equations = _Equations(best, np.arange(count))
-    for place, view in enumerate(views):
-        yield Progress(0.3 + 0.7 * place / len(views), "Fitting the gloss")
-        equations.take(grid.directions[place], suns, *view.read(), weights[place], light_weights)
+    yield from scaled(_taken([equations], views, grid, suns, weights, light_weights), 0.3, 1.0)
     found = equations.solved(quads).astype(np.float32)
     return Lobes(best, found[:, DIFFUSE], found[:, SPECULAR], found[:, RIM].mean(axis=1))
+
+
+def _taken(
+    trials: Sequence["_Equations"],
+    views: Sequence[ViewData],
+    grid: DirectionGrid,
+    suns: BroadSuns,
+    weights: np.ndarray,
+    light_weights: np.ndarray,
+) -> Steps[None]:
+    """Let all `trials` know what `views` saw; see `fit_lobes`."""
+
+    def terms(place: int) -> list[_Terms]:
+        index, values = views[place].read()
+        return [each.terms(grid.directions[place], suns, index, values, weights[place], light_weights) for each in trials]
+
+    suns.prepare()
+    for place, found in enumerate(mapped(terms, range(len(views)))):
+        yield Progress(place / len(views), "Fitting the gloss")
+        for equations, own in zip(trials, found, strict=True):
+            equations.add(own)
+
+
+@dataclass(frozen=True)
+class _Terms:
+    """What one view adds to the equations of the texels at `places` (M,) int: left (M, K, K), right (M, K, 3), both float32; and to the sum
+    of the squares of all that was seen."""
+
+    places: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+    square: float
 
 
 class _Equations:
@@ -212,21 +239,28 @@ class _Equations:
         self._left, self._right = np.zeros((len(rows), size, size)), np.zeros((len(rows), size, 3))
         self._square = 0.0
 
-    def take(
+    def terms(
         self, view: np.ndarray, suns: BroadSuns, index: np.ndarray, values: np.ndarray, weights: np.ndarray, light_weights: np.ndarray
-    ) -> None:
-        """Add what was seen from the direction `view`: `values` (M, (L + 1) * 3) of the texels `index`, which count `weights` (N,)."""
+    ) -> _Terms:
+        """Those of what was seen from the direction `view`: `values` (M, (L + 1) * 3) of the texels `index`, which count `weights` (N,)."""
         chosen = np.flatnonzero(self._places[index] >= 0)
+        size, square = len(LARGEST), 0.0
+        left, right = np.empty((len(chosen), size, size), np.float32), np.empty((len(chosen), size, 3), np.float32)
         for start in range(0, len(chosen), CHUNK):
             own = chosen[start : start + CHUNK]
-            rows, places = index[own], self._places[index[own]]
-            made = features(self._surface, view, suns, rows)
-            seen = np.clip(values[own].reshape(len(own), -1, 3), 0.0, WHITE)
-            counting = (weights[rows, None] * light_weights).astype(np.float32)
+            made = features(self._surface, view, suns, index[own])
+            seen = np.clip(by_light(values[own]), 0.0, WHITE)
+            counting = (weights[index[own], None] * light_weights).astype(np.float32)
             weighted = (made * counting[..., None]).transpose(0, 2, 1)
-            self._left[places] += weighted @ made
-            self._right[places] += weighted @ seen
-            self._square += float((counting * (seen**2).sum(axis=2)).sum(dtype=np.float64))
+            left[start : start + CHUNK], right[start : start + CHUNK] = weighted @ made, weighted @ seen
+            square += float((counting * (seen**2).sum(axis=2)).sum(dtype=np.float64))
+        return _Terms(self._places[index[chosen]], left, right, square)
+
+    def add(self, terms: _Terms) -> None:
+        """Add the terms of a view."""
+        self._left[terms.places] += terms.left
+        self._right[terms.places] += terms.right
+        self._square += terms.square
 
     def solved(self, quads: np.ndarray) -> np.ndarray:
         """The best numbers (N, 5, 3)."""
@@ -243,15 +277,13 @@ class _Equations:
 
 def _bounded(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Solutions (N, K, 3) within 0 and LARGEST of least squares with normal equations (N, K, K), (N, K, 3): coordinate descent."""
+    chunks = slices(len(left), CHUNK)
+    return np.concatenate([np.zeros((0, *right.shape[1:])), *mapped(lambda rows: _descended(left[rows], right[rows]), chunks)])
+
+
+def _descended(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """What `_bounded` looks for, of some texels."""
     found = np.clip(np.linalg.solve(left, right), 0.0, LARGEST[:, None])
-    for start in range(0, len(found), CHUNK):
-        rows = slice(start, start + CHUNK)
-        _descend(left[rows], right[rows], found[rows])
-    return found
-
-
-def _descend(left: np.ndarray, right: np.ndarray, found: np.ndarray) -> None:
-    """Turn `found` into what `_bounded` looks for."""
     for _ in range(ROUNDS):
         moved = 0.0
         for own in range(len(LARGEST)):
@@ -260,7 +292,8 @@ def _descend(left: np.ndarray, right: np.ndarray, found: np.ndarray) -> None:
             moved = max(moved, float(np.abs(better - found[:, own]).max()))
             found[:, own] = better
         if moved < SETTLED:
-            return
+            break
+    return found
 
 
 def _sums(parts: np.ndarray, quads: np.ndarray) -> np.ndarray:

@@ -101,8 +101,8 @@ def factorise_locally(
 ) -> Steps[LocalFactors]:
     """Clusters of the rows of a matrix that `views` know, and factors of each; see `factorise`. With one cluster the same as that.
 
-    Memory: about BUDGET for captured values, and what `factorise` takes for CODES times the components. Views are read once more for
-    every BUDGET that they hold.
+    Memory: about BUDGET for captured values, what `factorise` takes for CODES times the components, and a few whole views at a time. Views
+    are read once more for every BUDGET that they hold.
     """
     if clusters == 1:
         whole = yield from factorise(views, rows, components, weights, column_weights, seed)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..parallel import mapped
 from ..progress import Progress, Steps
 from .alternation import ViewData, of_all_rows
 from .factors import Factors
@@ -35,26 +36,30 @@ def quality(
 
     more: what is shown besides the factors' colours from a view, by its number, of some rows (M,): (M, D). weights: as for `factorise`.
     """
-    squares, weight = np.zeros(factors.components + 1), 0.0
     counting = of_all_rows(weights, len(tints))
     stride = max(1, len(tints) // SAMPLE)
-    peaks, columns = [], column_weights.astype(np.float32)
-    for place, view in enumerate(views):
-        yield Progress(place / len(views), "Measuring")
-        index, values = view.read()
+    columns = column_weights.astype(np.float32)
+
+    def measured(place: int) -> tuple[np.ndarray, float, float]:
+        """What a view adds to the squared errors (K + 1,), to the sum of the weights, and what it shows as white."""
+        squares = np.zeros(factors.components + 1)
+        index, values = views[place].read()
         chosen = index % stride == 0
         index, values = index[chosen], values[chosen]
         if len(index) == 0:
-            continue
+            return squares, 0.0, 0.0
         tint = np.tile(tints[index], (1, values.shape[1] // 3))
-        peaks.append(np.quantile(values, PEAK))
         rest = values if more is None else values - more(place, index)
         own = counting[place, index]
-        weight += float(own.sum()) * float(column_weights.sum())
         for number in range(len(squares)):
             if number:
                 rest = rest - tint * factors.part(index, place, number - 1)
-            squares[number] += float(own @ (np.square(rest) @ columns).astype(np.float64))
+            squares[number] = float(own @ (np.square(rest) @ columns).astype(np.float64))
+        return squares, float(own.sum()) * float(column_weights.sum()), float(np.quantile(values, PEAK))
+
+    squares, weight, peak = np.zeros(factors.components + 1), 0.0, 0.0
+    for place, (part, share, white) in enumerate(mapped(measured, range(len(views)))):
+        yield Progress(place / len(views), "Measuring")
+        squares, weight, peak = squares + part, weight + share, max(peak, white)
     rms = np.sqrt(squares / max(weight, 1e-300))
-    peak = max(peaks, default=1.0)
-    return [Fit(number, float(each), float(20.0 * np.log10(max(peak, 1e-12) / max(each, 1e-12)))) for number, each in enumerate(rms)]
+    return [Fit(number, float(each), float(20.0 * np.log10(max(peak or 1.0, 1e-12) / max(each, 1e-12)))) for number, each in enumerate(rms)]

@@ -7,13 +7,15 @@ see a texel, become worse for every other view and light (docs/btf.md has the fi
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Protocol
 
 import numpy as np
 from scipy import sparse
 from scipy.ndimage import gaussian_filter
 
+from ..parallel import mapped
 from ..progress import Progress, Steps
 from .alternation import solved_rows
 from .factors import Factors
@@ -34,49 +36,62 @@ RELATIVE = 1.2  # power of it; 2 would be relative alone
 DIM = 0.05  # of the largest brightness, added to it
 
 
+@dataclass(frozen=True)
+class Look:
+    """A view, as it is and as it should be.
+
+    fragments: what RAYS x RAYS rays a pixel meet of the quads. colours (F, M * 3) float16: what these show under M broad lights.
+    photograph: what they should add up to.
+    """
+
+    fragments: Fragments
+    colours: np.ndarray
+    photograph: Photograph
+
+
 class Training(Protocol):
     """What one view offers for the fit."""
 
-    def fragments(self) -> Fragments:
-        """What RAYS x RAYS rays a pixel meet of the quads."""
-
-    def photograph(self) -> Photograph:
-        """What they should add up to."""
+    def look(self) -> Look:
+        """The view; asked for at every step."""
 
 
-def refined(
-    views: Sequence[Training],
-    colour: Factors,
-    hues: np.ndarray,
-    alpha: Factors,
-    plain: np.ndarray,
-    lights: np.ndarray,
-    view_weights: np.ndarray,
-    lit: Sequence[np.ndarray] | None = None,
-) -> Steps[Factors]:
+def refined(views: Sequence[Training], alpha: Factors, plain: np.ndarray, view_weights: np.ndarray) -> Steps[Factors]:
     """`alpha` with weights that make the pictures right, and one more component that is the same from every view.
 
-    Args:
-        hues: (N, 3) what colours are multiplied by. plain: (N,) what `alpha` comes on top of.
-        lights: (L + 1, M) those of the photographs, as sums over the columns of `colour`; see `broad_lights`.
-        lit: of every view what comes on top of the factors' colours under these, (N, M * 3).
+    plain: (N,) what `alpha` comes on top of. view_weights: (V,).
     """
     alpha = _with_constant(alpha)
     weights, count = alpha.weights, alpha.components
     view_weights = view_weights / view_weights.mean()
     from_views = alpha.basis[:, :, 0]
     grams = np.einsum("v,vk,vl->vkl", view_weights, from_views, from_views)
+
+    def answer(weights: np.ndarray, place: int) -> tuple[np.ndarray, np.ndarray]:
+        return _Compositing(views[place].look(), len(plain)).against(plain + weights @ from_views[place])
+
     damping = np.append(np.full(count - 1, VARYING_DAMPING), DAMPING)
     for number in range(STEPS):
         slopes, bends = np.zeros((2, len(views), len(weights)), np.float32)
-        for place, view in enumerate(views):
+        for place, found in enumerate(mapped(partial(answer, weights), range(len(views)))):
             yield Progress((number + place / len(views)) / STEPS, f"Refining, step {number + 1} of {STEPS}")
-            colours = _texel_colours(colour, place, hues, lights)
-            look = _Look(view.fragments(), view.photograph(), colours if lit is None else colours + lit[place])
-            slopes[place], bends[place] = look.against(plain + weights @ from_views[place])
+            slopes[place], bends[place] = found
         right = -slopes.T @ (view_weights[:, None] * from_views)
         weights = weights + STRIDE * solved_rows(bends, grams, right, damping)
     return replace(alpha, weights=weights)
+
+
+def texel_colours(colour: Factors, view: int, hues: np.ndarray, lights: np.ndarray) -> np.ndarray:
+    """Colours (N, M * 3) float32 of all texels from a view under `lights` (L + 1, M), sums over the columns of `colour`, times their `hues`
+    (N, 3)."""
+    components, columns = colour.basis.shape[1:]
+    basis = np.einsum("klc,lm->kmc", colour.basis[view].reshape(components, columns // 3, 3), lights).reshape(components, -1)
+    return colour.applied(basis.astype(np.float32)) * np.tile(hues, (1, lights.shape[1]))
+
+
+def shown(fragments: Fragments, colours: np.ndarray) -> np.ndarray:
+    """What fragments show (F, D) float16 of texels with `colours` (N, D)."""
+    return (_texture(fragments, len(colours)) @ colours).astype(np.float16)
 
 
 def seen_texels(fragments: Fragments, alpha: np.ndarray) -> np.ndarray:
@@ -92,22 +107,14 @@ def _with_constant(alpha: Factors) -> Factors:
     return replace(alpha, weights=weights, basis=np.concatenate([alpha.basis, np.full_like(alpha.basis[:, :1], size)], axis=1))
 
 
-def _texel_colours(colour: Factors, view: int, hues: np.ndarray, lights: np.ndarray) -> np.ndarray:
-    """Colours (N, M * 3) of all texels from a view under broad lights."""
-    components, columns = colour.basis.shape[1:]
-    basis = np.einsum("klc,lm->kmc", colour.basis[view].reshape(components, columns // 3, 3), lights).reshape(components, -1)
-    return colour.applied(basis) * np.tile(hues, (1, lights.shape[1]))
+class _Compositing:
+    """A look of quads with `texels` texels: how it comes out, and how that answers to their alpha."""
 
-
-class _Look:
-    """One view, as it comes out and as it should."""
-
-    def __init__(self, fragments: Fragments, photograph: Photograph, texel_colours: np.ndarray) -> None:
-        self._fragments, count = fragments, len(fragments)
-        taps = np.arange(0, 4 * count + 1, 4, dtype=np.int32)
-        self._texture = sparse.csr_array((fragments.shares.ravel(), fragments.texels.ravel(), taps), shape=(count, len(texel_colours)))
-        self._colours = self._texture @ texel_colours
-        self._pixel = fragments.ray // RAYS**2
+    def __init__(self, look: Look, texels: int) -> None:
+        self._fragments, photograph = look.fragments, look.photograph
+        self._texture = _texture(look.fragments, texels)
+        self._colours = look.colours.astype(np.float32)
+        self._pixel = look.fragments.ray // RAYS**2
         self._coverage = photograph.coverage.ravel()
         self._wanted = photograph.colours.transpose(1, 2, 0, 3).reshape(len(self._coverage), -1)
         self._importance = _importance(photograph).reshape(-1, 1)
@@ -143,3 +150,9 @@ def _importance(photograph: Photograph) -> np.ndarray:
     """What a squared error counts in each pixel (H, W)."""
     brightness = np.maximum(photograph.colours[[0, -1]], 0.0).mean(axis=(0, 3))
     return 1.0 / (gaussian_filter(brightness, AROUND) + DIM * float(brightness.max()) + 1e-12) ** RELATIVE
+
+
+def _texture(fragments: Fragments, texels: int) -> sparse.csr_array:
+    """What the texture unit does: values of so many texels (N,) to those of fragments (F,)."""
+    taps = np.arange(0, 4 * len(fragments) + 1, 4, dtype=np.int32)
+    return sparse.csr_array((fragments.shares.ravel(), fragments.texels.ravel(), taps), shape=(len(fragments), texels))

@@ -42,7 +42,7 @@ class BtfSettings(Settings):
     blend_texels: bool = setting(True, "For lpca: blend neighbouring texels at random from sample to sample, which more samples smooth")
     alpha_components: int = setting(12, "Components of the silhouette; four share a pixel", minimum=1, maximum=64, unit=Unit.COUNT)
     shadows: int = setting(
-        576,
+        256,
         "Number of sun directions from which the original's shadows upon itself are looked up, a square number; 0 for none",
         minimum=0,
         maximum=4096,

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..direction_grids import DirectionGrid
+from ..parallel import slices
 from ..progress import Progress, Steps, scaled
 from .broad_suns import BroadSuns
-from .factors import Factors, factorise
+from .factors import Factors, factorise_columns
 from .shards import UNKNOWN
 
 PENUMBRA = 0.2  # radians over which a sun sets behind an edge
@@ -44,8 +45,7 @@ class Shadows:
     def openness(self, normals: np.ndarray) -> np.ndarray:
         """How much (N,) float32 of a dome reaches matt texels with `normals` (N, 3), on the side where more does."""
         shown, full = np.zeros((2, 2, len(normals)), np.float32)
-        for start in range(0, len(normals), CHUNK):
-            rows = slice(start, start + CHUNK)
+        for rows in slices(len(normals), CHUNK):
             cosines = (normals[rows] @ self.grid.directions.T) * self.grid.solid_angles
             reached = self.reached(self.grid.directions, rows)
             for side, facing in enumerate((np.maximum(cosines, 0.0), np.maximum(-cosines, 0.0))):
@@ -59,8 +59,7 @@ class Shadows:
         within = self.grid.solid_angles[:, None] * np.clip(0.5 + (suns.radius - apart) / (2.0 * spread), 0.0, 1.0)
         within = (within / np.maximum(within.sum(axis=0), 1e-12)).astype(np.float32)
         made = np.empty((len(self.angles.weights), len(suns.directions)), np.float32)
-        for start in range(0, len(made), CHUNK):
-            rows = slice(start, start + CHUNK)
+        for rows in slices(len(made), CHUNK):
             made[rows] = np.minimum(self.reached(self.grid.directions, rows) @ within, 1.0)
         return made
 
@@ -68,22 +67,29 @@ class Shadows:
 def find_shadows(lit: np.ndarray, grid: DirectionGrid, normals: np.ndarray, components: int, seed: int = 0) -> Steps[Shadows]:
     """Shadows of the texels with `normals` (N, 3), out of what suns from all directions of `grid` reach: bytes (D, N), see `lit_bytes`."""
     angles = yield from scaled(_angles(lit, grid), 0.0, 0.3)
-    weights = np.maximum(np.abs(grid.directions @ normals.T), LEAST_FACING) * grid.solid_angles[:, None]
-    known = [_Known(*each) for each in zip(lit, angles, strict=True)]
-    found = yield from scaled(factorise(known, len(normals), components, weights, np.ones(1), seed), 0.3, 1.0)
+    found = yield from scaled(factorise_columns(_Edges(lit, angles, grid, normals), components, seed), 0.3, 1.0)
     return Shadows(grid, found)
 
 
 @dataclass(frozen=True)
-class _Known:
-    """The angles (N,) of one direction, for `factorise`, where its shares `lit` (N,) are known."""
+class _Edges:
+    """Angles (D, N) of texels with `normals` (N, 3) to their edge of shadow, known where their shares `lit` (D, N) are; see
+    `columns.Columns`."""
 
     lit: np.ndarray
     angles: np.ndarray
+    grid: DirectionGrid
+    normals: np.ndarray
 
-    def read(self) -> tuple[np.ndarray, np.ndarray]:
-        rows = np.flatnonzero(self.lit != UNKNOWN)
-        return rows, self.angles[rows, None].astype(np.float32)
+    @property
+    def shape(self) -> tuple[int, int]:
+        """D, N."""
+        return self.lit.shape
+
+    def read(self, rows: slice | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See `columns.Columns`."""
+        facing = np.maximum(np.abs(self.grid.directions @ self.normals[rows].T), LEAST_FACING) * self.grid.solid_angles[:, None]
+        return self.angles[:, rows].astype(np.float32), np.where(self.lit[:, rows] != UNKNOWN, facing, 0.0).astype(np.float32)
 
 
 def _angles(lit: np.ndarray, grid: DirectionGrid) -> Steps[np.ndarray]:
@@ -92,9 +98,8 @@ def _angles(lit: np.ndarray, grid: DirectionGrid) -> Steps[np.ndarray]:
     nearest = np.argsort(apart, axis=1)[:, 1:]
     reach = int((np.sort(apart, axis=1)[:, 1:] < FARTHEST).sum(axis=1).max())
     made = np.empty(lit.shape, np.float16)
-    for start in range(0, lit.shape[1], CHUNK):
-        yield Progress(start / lit.shape[1], "Looking for the edges of shadows")
-        rows = slice(start, start + CHUNK)
+    for rows in slices(lit.shape[1], CHUNK):
+        yield Progress(rows.start / lit.shape[1], "Looking for the edges of shadows")
         made[:, rows] = _angles_of(lit[:, rows], apart, nearest[:, :reach])
     return made
 

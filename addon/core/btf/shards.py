@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FileError
+from .fragments import Fragments
 from .photographs import Photograph
 from .texels import Sighting
 
@@ -54,8 +55,7 @@ class ShardStore:
 
     def remove_parts(self) -> None:
         """Remove what dead processes have left unfinished; nobody may be writing here now."""
-        for part in self.folder.glob(f"*{PART}"):
-            part.unlink(missing_ok=True)
+        self._remove(f"*{PART}")
 
     def keeps(self, view: int) -> bool:
         """Whether a view stands; what is left of a damaged one is removed, so that from then on `has` says the same."""
@@ -110,8 +110,21 @@ class ShardStore:
 
     def remove_rests(self) -> None:
         """Remove what `write_rest` has kept."""
-        for path in self.folder.glob("rest-*.shard"):
-            path.unlink(missing_ok=True)
+        self._remove("rest-*.shard")
+
+    def write_look(self, view: int, fragments: Fragments, colours: np.ndarray) -> None:
+        """Keep what rays of a view meet and the `colours` (F, D) float16 of that, for the time of refinement. Raises like `write`."""
+        arrays = {"rays": np.array(fragments.rays), "ray": fragments.ray, "texels": fragments.texels, "shares": fragments.shares}
+        self._write(self._look_path(view), np.savez, {**arrays, "colours": colours})
+
+    def read_look(self, view: int) -> tuple[Fragments, np.ndarray]:
+        """What `write_look` has kept; raises like `read`."""
+        rays, ray, texels, shares, colours = self._read(self._look_path(view), "rays", "ray", "texels", "shares", "colours")
+        return Fragments(int(rays), ray, texels, shares), colours
+
+    def remove_looks(self) -> None:
+        """Remove what `write_look` has kept."""
+        self._remove("look-*.shard")
 
     def read(self, view: int, *names: str) -> list[np.ndarray]:
         """Some of what `write` has kept of a view, as it lies in its file: known, coverage, visible, radiance.
@@ -147,11 +160,18 @@ class ShardStore:
                 total += float(json.loads(path.read_bytes())["render_seconds"])
         return total
 
+    def _remove(self, pattern: str) -> None:
+        for path in self.folder.glob(pattern):
+            path.unlink(missing_ok=True)
+
     def _figures_path(self, view: int) -> Path:
         return self.folder / f"view-{view:04d}.json"
 
     def _faces_path(self, view: int) -> Path:
         return self.folder / f"faces-{view:04d}.shard"
+
+    def _look_path(self, view: int) -> Path:
+        return self.folder / f"look-{view:04d}.shard"
 
     def _rest_path(self, view: int) -> Path:
         return self.folder / f"rest-{view:04d}.shard"
@@ -186,47 +206,6 @@ class ShardStore:
     def bytes(self, views: int) -> int:
         """What the files of all `views` take."""
         return sum(self.path(view).stat().st_size for view in range(views) if self.has(view))
-
-
-@dataclass(frozen=True)
-class Colours:
-    """The colours of a view, for `factors.factorise`: a column for every light and channel."""
-
-    store: ShardStore
-    view: int
-
-    def read(self) -> tuple[np.ndarray, np.ndarray]:
-        """Visible texels (M,) and (M, L * 3) float32."""
-        visible, radiance = self.store.read(self.view, "visible", "radiance")
-        return visible, np.ascontiguousarray(radiance.swapaxes(0, 1), np.float32).reshape(len(visible), -1)
-
-
-@dataclass(frozen=True)
-class Rest:
-    """What is left of a view's colours to be factorised, see `ShardStore.write_rest`."""
-
-    store: ShardStore
-    view: int
-
-    def read(self) -> tuple[np.ndarray, np.ndarray]:
-        """Visible texels (M,) and (M, L * 3) float32."""
-        visible, rest = self.store.read_rest(self.view)
-        return visible, rest.astype(np.float32)
-
-
-@dataclass(frozen=True)
-class Silhouettes:
-    """The coverage of a view, for `factors.factorise`: one column, what it has more than `plain` (N,), the coverage from everywhere."""
-
-    store: ShardStore
-    view: int
-    plain: np.ndarray
-
-    def read(self) -> tuple[np.ndarray, np.ndarray]:
-        """Known texels (M,) and (M, 1) float32."""
-        known_bits, coverage = self.store.read(self.view, "known", "coverage")
-        known = np.flatnonzero(np.unpackbits(known_bits, count=len(coverage)))
-        return known, (coverage[known].astype(np.float32) / 255.0 - self.plain[known])[:, None]
 
 
 def lit_bytes(own: np.ndarray, hidden: np.ndarray) -> np.ndarray:

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..parallel import mapped
 from ..progress import Progress, Steps
-from .alternation import ViewData
+from .alternation import ViewData, by_light
 
 LEAST = 1e-3  # of the mean over the channels: a channel darker than that would be blown up
 
@@ -16,10 +17,15 @@ def tints(views: Sequence[ViewData], rows: int, view_weights: np.ndarray, light_
     `views` have columns light by light, three channels each; `light_weights` (L,).
     """
     total = np.zeros((rows, 3))
-    for place, view in enumerate(views):
-        yield Progress(place / len(views), "Taking out the hues")
+    counting = light_weights.astype(np.float32)
+
+    def summed(view: ViewData) -> tuple[np.ndarray, np.ndarray]:
         index, values = view.read()
-        total[index] += view_weights[place] * np.einsum("mlc,l->mc", values.reshape(len(index), -1, 3), light_weights)
+        return index, counting @ by_light(values)
+
+    for place, (index, part) in enumerate(mapped(summed, views)):
+        yield Progress(place / len(views), "Taking out the hues")
+        total[index] += view_weights[place] * part
     mean = total.mean(axis=1, keepdims=True)
     hue = np.where(mean > 0.0, total / np.where(mean > 0.0, mean, 1.0), 1.0)
     return np.maximum(hue, LEAST).astype(np.float32)
