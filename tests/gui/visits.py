@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import subprocess
+import tempfile
 from pathlib import Path
 
 import environment
@@ -29,10 +30,17 @@ def findings_of(visit: str, tmp_path_factory) -> dict:
         check=False,
     )
     result = findings / "seen.json"
-    assert result.exists(), f"Blender ended with {log.returncode} and left no findings:\n{log.stdout[-3000:]}\n{log.stderr[-3000:]}"
+    words = f"{log.stdout[-3000:]}\n{log.stderr[-3000:]}\n{_crash_report()}"
+    assert result.exists(), f"Blender ended with {log.returncode} and left no findings:\n{words}"
     print(f"pictures and findings: {findings}")
     print(*(line for line in (log.stdout + log.stderr).splitlines() if "Error" in line or "Traceback" in line), sep="\n")
     return json.loads(result.read_text(encoding="utf-8"))
+
+
+def _crash_report() -> str:
+    """What Blender wrote about its crash, if it crashed."""
+    path = Path(tempfile.gettempdir()) / "blender.crash.txt"
+    return path.read_text(encoding="utf-8", errors="replace")[-6000:] if path.exists() else ""
 
 
 def install(folder: Path) -> None:
