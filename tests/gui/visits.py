@@ -3,18 +3,37 @@
 import json
 import os
 import shutil
+import signal
 import subprocess
 import tempfile
+import warnings
 from pathlib import Path
 
 import environment
 from gui.blender_program import launcher
 
 SECONDS = 400
+CRASHED = (-signal.SIGSEGV, 128 + signal.SIGSEGV, -signal.SIGABRT, 128 + signal.SIGABRT)
 
 
 def findings_of(visit: str, tmp_path_factory) -> dict:
-    """What the visit in the file of that name saw; see hand.py."""
+    """What the visit in the file of that name saw; see hand.py.
+
+    A Blender that ends in a crash is visited once more, and what it wrote of the crash is among the warnings: one visit in dozens crashed
+    through software OpenGL, for a reason that is not known yet. The second crash fails.
+    """
+    result, log = _visited(visit, tmp_path_factory)
+    if not result.exists() and log.returncode in CRASHED:
+        warnings.warn(f"Blender crashed during {visit} and was started once more.\n{_words(log)}", stacklevel=2)
+        result, log = _visited(visit, tmp_path_factory)
+    assert result.exists(), f"Blender ended with {log.returncode} and left no findings:\n{_words(log)}"
+    print(f"pictures and findings: {result.parent}")
+    print(*(line for line in (log.stdout + log.stderr).splitlines() if "Error" in line or "Traceback" in line), sep="\n")
+    return json.loads(result.read_text(encoding="utf-8"))
+
+
+def _visited(visit: str, tmp_path_factory) -> tuple[Path, subprocess.CompletedProcess]:
+    """Where the findings of a visit are, if it came to its end, and how Blender ended."""
     resources, findings = tmp_path_factory.mktemp("blender"), tmp_path_factory.mktemp("seen")
     install(resources / "extensions" / "user_default" / "farfield")
     for name in (visit, "hand.py"):
@@ -29,18 +48,14 @@ def findings_of(visit: str, tmp_path_factory) -> dict:
         errors="replace",
         check=False,
     )
-    result = findings / "seen.json"
-    words = f"{log.stdout[-3000:]}\n{log.stderr[-3000:]}\n{_crash_report()}"
-    assert result.exists(), f"Blender ended with {log.returncode} and left no findings:\n{words}"
-    print(f"pictures and findings: {findings}")
-    print(*(line for line in (log.stdout + log.stderr).splitlines() if "Error" in line or "Traceback" in line), sep="\n")
-    return json.loads(result.read_text(encoding="utf-8"))
+    return findings / "seen.json", log
 
 
-def _crash_report() -> str:
-    """What Blender wrote about its crash, if it crashed."""
-    path = Path(tempfile.gettempdir()) / "blender.crash.txt"
-    return path.read_text(encoding="utf-8", errors="replace")[-6000:] if path.exists() else ""
+def _words(log: subprocess.CompletedProcess) -> str:
+    """The last words of a Blender, with what it wrote of a crash."""
+    report = Path(tempfile.gettempdir()) / "blender.crash.txt"
+    crash = report.read_text(encoding="utf-8", errors="replace")[-6000:] if report.exists() else ""
+    return f"{log.stdout[-3000:]}\n{log.stderr[-3000:]}\n{crash}"
 
 
 def install(folder: Path) -> None:
