@@ -23,7 +23,7 @@ def sighting() -> Sighting:
     visible = np.array([1, 4, 6], np.int32)
     known = np.array([True, True, False, True, True, True, True, False, True])
     coverage = np.where(known, np.rint(255.0 * random.random(9)) / 255.0, 0.0).astype(np.float32)
-    return Sighting(known, coverage, visible, random.random((2, 3, 3)).astype(np.float32))
+    return Sighting(known, coverage, visible, np.array([9, 1, 5], np.uint8), random.random((2, 3, 3)).astype(np.float32))
 
 
 def photograph() -> Photograph:

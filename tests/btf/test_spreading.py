@@ -35,7 +35,7 @@ photograph = Photograph(np.ones((5, 4, 4, 3), np.float32), np.ones((4, 4), np.fl
 def render(view):
     rng = np.random.default_rng(view)
     known = rng.random(50) > 0.5
-    return Sighting(known, rng.random(50).astype(np.float32), np.flatnonzero(known).astype(np.int32),
+    return Sighting(known, rng.random(50).astype(np.float32), np.flatnonzero(known).astype(np.int32), np.full(known.sum(), 9, np.uint8),
                     rng.random((2, known.sum(), 3)).astype(np.float32))
 
 folder, watched, harm, *views = sys.argv[1:]

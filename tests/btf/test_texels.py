@@ -95,6 +95,7 @@ def test_a_texel_that_its_surface_half_covers_is_half_opaque():
     sighting = sight(texels, above(), whole, Belonging(np.array([0, 1]), np.array([0]), 9), 0.5)
     edge = texels.pixels[:, 0] == 8
     np.testing.assert_allclose(sighting.coverage[edge], 1.0 / 3.0, rtol=1e-6)
+    np.testing.assert_array_equal(sighting.parts, np.where(edge, 3, 9)[sighting.visible])
     np.testing.assert_allclose(sighting.radiance[0], np.broadcast_to([0.2, 0.4, 0.6], sighting.radiance[0].shape), rtol=1e-6)
 
 

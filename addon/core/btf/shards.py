@@ -18,7 +18,7 @@ from .photographs import Photograph
 from .texels import Sighting
 
 JOB = "job.json"
-LAYOUT = 4  # of the files: a folder that an earlier one filled is another bake's
+LAYOUT = 5  # of the files: a folder that an earlier one filled is another bake's
 PART = ".part"
 UNKNOWN = 255  # in bytes of what suns reach
 DIGEST = hashlib.sha256().digest_size
@@ -81,6 +81,7 @@ class ShardStore:
             "known": np.packbits(sighting.known),
             "coverage": _bytes(sighting.coverage),
             "visible": sighting.visible,
+            "parts": sighting.parts,
             "radiance": _half(sighting.radiance),
             "glow": _half(np.zeros((0, 3)) if sighting.glow is None else sighting.glow),
             "photograph": _half(photograph.colours),
@@ -127,7 +128,7 @@ class ShardStore:
         self._remove("look-*.shard")
 
     def read(self, view: int, *names: str) -> list[np.ndarray]:
-        """Some of what `write` has kept of a view, as it lies in its file: known, coverage, visible, radiance.
+        """Some of what `write` has kept of a view, as it lies in its file: known, coverage, visible, parts, radiance.
 
         Raises:
             FileError: when the file is gone or damaged.

@@ -154,13 +154,14 @@ class Picture:
 class Sighting:
     """What texels know from one view.
 
-    known (N,) bool: nothing hid them. coverage (N,) float32: alpha of the known ones. visible (M,) int32: texels with a colour; radiance
-    (L, M, 3) float32: straight colours of these. glow (M, 3): see `Picture`.
+    known (N,) bool: nothing hid them. coverage (N,) float32: alpha of the known ones. visible (M,) int32: texels with a colour; parts (M,)
+    uint8: how many of their PARTS x PARTS parts were seen; radiance (L, M, 3) float32: their straight colours. glow (M, 3): see `Picture`.
     """
 
     known: np.ndarray
     coverage: np.ndarray
     visible: np.ndarray
+    parts: np.ndarray
     radiance: np.ndarray
     glow: np.ndarray | None = None
 
@@ -214,7 +215,8 @@ def sight(texels: Texels, view: View, picture: Picture, belongs: Belonging, erro
     radiance = seen.reshape(len(visible), by_pixel.shape[1] // 3, 3).swapaxes(0, 1)
     alpha = own / np.maximum(own + empty, 1.0)
     glow = None if picture.glow is None else radiance[-1]
-    return Sighting(known, np.where(known, alpha, np.float32(0.0)), visible, radiance[: len(picture.radiance)], glow)
+    known_alpha, parts = np.where(known, alpha, np.float32(0.0)), own[visible].astype(np.uint8)
+    return Sighting(known, known_alpha, visible, parts, radiance[: len(picture.radiance)], glow)
 
 
 def reached_parts(
