@@ -27,7 +27,9 @@ def store_of(folder, lobes, more: float) -> ShardStore:
     photograph = Photograph(np.zeros((5, 2, 2, 3), np.float32), np.zeros((2, 2), np.float32))
     for number, view in enumerate(VIEWS.directions):
         radiance = lobes.of_grid(view, SUNS, visible).swapaxes(0, 1) + more
-        sighting = Sighting(np.ones(COUNT, bool), np.ones(COUNT, np.float32), visible, np.full(len(visible), 9, np.uint8), radiance.astype(np.float32))
+        sighting = Sighting(
+            np.ones(COUNT, bool), np.ones(COUNT, np.float32), visible, np.full(len(visible), 9, np.uint8), radiance.astype(np.float32)
+        )
         store.write(number, sighting, photograph, [], 1.0)
     return store
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from ..parallel import mapped
 from ..progress import Progress, Steps, scaled
+from .alternation import by_light
 from .broad_suns import BroadSuns
 from .codecs import compressed_colours
 from .dome import under_dome
@@ -20,13 +21,12 @@ from .rests import write_rests
 from .settings import BtfSettings
 from .shadows import Shadows, find_shadows
 from .shards import ShardStore
-from .texels import Texels
+from .texels import PARTS, Texels
 from .tints import tints
 from .training import TrainingView
 
-DOME_WEIGHT = np.pi  # as much as a quarter of all suns: a sky is dimmer than a sun, but alone where that does not reach
 LEAST_FACING = 0.03  # cosine: what a texel counts at least from a view that sees its quad from the edge
-TINTED, SHADOWED, FITTED, TAKEN, COLOURED, COVERED = 0.05, 0.2, 0.6, 0.75, 0.95, 0.97  # of the bar of `compress`
+READ, TINTED, SHADOWED, FITTED, TAKEN, COLOURED, COVERED = 0.02, 0.05, 0.2, 0.6, 0.75, 0.95, 0.97  # of the bar of `compress`
 LIT = 0.3  # of the bar of `refine`
 
 
@@ -58,14 +58,15 @@ class Compression:
         self._store, self._texels, self._plain, self._surface, self._settings = store, texels, plain, surface, settings
         self._views, self._lights = settings.view_grid, settings.light_grid
         self._suns = BroadSuns(self._lights.directions, settings.sun_size)
-        self._light_weights = np.append(self._lights.solid_angles, DOME_WEIGHT)
-        self._weights = self._views.solid_angles[:, None] * np.maximum(texels.facing(self._views.directions), LEAST_FACING) ** 2
+        self._weights = np.zeros((len(self._views), len(texels)), np.float32)
+        self._light_weights = np.zeros(len(self._lights) + 1)
         self._captured = [Colours(store, view) for view in range(len(self._views))]
 
     def compress(self) -> Steps[Compressed]:
         """Lobes, hues and factors."""
         count, settings, angles = len(self._texels), self._settings, self._views.solid_angles
-        hues = yield from scaled(tints(self._captured, count, angles, self._light_weights), 0.0, TINTED)
+        yield from scaled(self._weigh(), 0.0, READ)
+        hues = yield from scaled(tints(self._captured, count, angles, self._light_weights), READ, TINTED)
         shadows = yield from scaled(self._shadows(), TINTED, SHADOWED)
         lobes = yield from scaled(self._lobes(shadows), SHADOWED, FITTED)
         try:
@@ -111,6 +112,29 @@ class Compression:
 
         for number, _ in enumerate(mapped(keep, range(len(self._views)))):
             yield Progress(number / len(self._views), "Lighting the lobes")
+
+    def _weigh(self) -> Steps[None]:
+        """Find what each texel counts from each view, as much as it fills of the picture there, and what each light does.
+
+        The dome counts so much that its colours have the energy of all others: it is ten times as bright as a sun, and so would take all
+        components for itself where it is weighted like one.
+        """
+        facing = np.maximum(self._texels.facing(self._views.directions), LEAST_FACING)
+        angles = self._views.solid_angles
+
+        def of_view(view: int) -> np.ndarray:
+            visible, values = self._captured[view].read()
+            [parts] = self._store.read(view, "parts")
+            counting = (angles[view] * facing[view, visible] ** 2 * parts / PARTS**2).astype(np.float32)
+            self._weights[view, visible] = counting
+            return counting @ np.square(by_light(values)).sum(axis=2)
+
+        energy = np.zeros(len(self._lights) + 1)
+        for view, found in enumerate(mapped(of_view, range(len(self._views)))):
+            yield Progress(view / len(self._views), "Reading what was seen")
+            energy += found
+        of_suns = self._lights.solid_angles @ energy[:-1]
+        self._light_weights = np.append(self._lights.solid_angles, of_suns / energy[-1] if energy[-1] > 0.0 else 1.0)
 
     @property
     def _column_weights(self) -> np.ndarray:

@@ -1,14 +1,17 @@
 """Silhouettes refined against final pictures: what quads let through between each other and cover twice is put right.
 
 A texel's own alpha is right for itself, yet not for what a viewer gets: two quads that share a pixel half and half, one behind the other,
-cover three quarters of it. So the weights of alpha are fitted anew, by damped Gauss-Newton steps, to what the original looked like from the
-baked views: its coverage, and its colours under broad lights. Colours stay: their weights, fitted to noisy pictures from the few views that
-see a texel, become worse for every other view and light (docs/btf.md has the figures).
+cover three quarters of it. So the weights of alpha are fitted anew, through the compositing of the quads, to what the original looked like
+from the baked views: its coverage, and its colours under broad lights. Colours stay: their weights, fitted to noisy pictures from the few
+views that see a texel, become worse for every other view and light (docs/btf.md has the figures).
+
+All texels along a ray move at once, dozens in a crown, so steps of each by itself overshoot and swing from too little to too much. Hence
+conjugate gradients (Polak and Ribiere, as far as they point downhill) with the length of each step from the bend along it, as Gauss and
+Newton take it. They are ended early, which keeps texels that little is known of near to where they were.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -16,7 +19,7 @@ from scipy import sparse
 from scipy.ndimage import gaussian_filter
 
 from ..parallel import mapped
-from ..progress import Progress, Steps
+from ..progress import Progress, Steps, scaled
 from .alternation import solved_rows
 from .factors import Factors
 from .fragments import Fragments
@@ -24,10 +27,10 @@ from .photographs import Photograph
 
 RAYS = 2  # along each side of a pixel
 STEPS = 10
-STRIDE = 0.7  # of a Gauss-Newton step
-SHARING = 1.5  # times the bend of one texel alone: those that the texture unit mixes, and those along a ray, move at once
-DAMPING = 0.03  # of the mean bend, for what is the same from every view
-VARYING_DAMPING = 20.0  # the same for what depends on the view, which has less to go by
+SLOPING = 0.6  # of a step is spent on its direction, the rest on its length
+DAMPING = 0.005  # of the mean bend, for what is the same from every view
+VARYING_DAMPING = 12.0  # the same for what depends on the view, which has less to go by
+SMALL = 0.05  # alpha by which the picture is changed to see how it bends
 COVERAGE_WEIGHT = 4.0  # of all coverage against all colours
 LEAST_SEEN = 0.01  # of what a texel shows: below it, its colours matter to no pixel
 CLEARLY = 0.02  # alpha this far beyond 0..1 no longer answers
@@ -62,23 +65,67 @@ def refined(views: Sequence[Training], alpha: Factors, plain: np.ndarray, view_w
     plain: (N,) what `alpha` comes on top of. view_weights: (V,).
     """
     alpha = _with_constant(alpha)
-    weights, count = alpha.weights, alpha.components
-    view_weights = view_weights / view_weights.mean()
-    from_views = alpha.basis[:, :, 0]
-    grams = np.einsum("v,vk,vl->vkl", view_weights, from_views, from_views)
-
-    def answer(weights: np.ndarray, place: int) -> tuple[np.ndarray, np.ndarray]:
-        return _Compositing(views[place].look(), len(plain)).against(plain + weights @ from_views[place])
-
-    damping = np.append(np.full(count - 1, VARYING_DAMPING), DAMPING)
+    pictures = _Pictures(views, plain, alpha.basis[:, :, 0], view_weights / view_weights.mean())
+    damping = np.append(np.full(alpha.components - 1, VARYING_DAMPING), DAMPING)
+    weights, before, course = alpha.weights, None, np.zeros_like(alpha.weights)
     for number in range(STEPS):
-        slopes, bends = np.zeros((2, len(views), len(weights)), np.float32)
-        for place, found in enumerate(mapped(partial(answer, weights), range(len(views)))):
-            yield Progress((number + place / len(views)) / STEPS, f"Refining, step {number + 1} of {STEPS}")
-            slopes[place], bends[place] = found
-        right = -slopes.T @ (view_weights[:, None] * from_views)
-        weights = weights + STRIDE * solved_rows(bends, grams, right, damping)
+        begun, sloped, ended = number / STEPS, (number + SLOPING) / STEPS, (number + 1) / STEPS
+        slope, bends = yield from scaled(pictures.slope(weights), begun, sloped)
+        uphill = solved_rows(bends, pictures.grams, slope, damping)
+        course = _conjugate(slope, uphill, before, course)
+        before = slope, uphill
+        bend = yield from scaled(pictures.bend(weights, course), sloped, ended)
+        if bend <= 0.0:
+            break
+        weights = weights - np.float32(float(np.vdot(slope, course)) / bend) * course
     return replace(alpha, weights=weights)
+
+
+def _conjugate(slope: np.ndarray, uphill: np.ndarray, before: tuple[np.ndarray, np.ndarray] | None, course: np.ndarray) -> np.ndarray:
+    """The next course (N, K) downhill: conjugate to the last one, unless that leads uphill. before: slope and uphill of the last step."""
+    if before is None:
+        return -uphill
+    turned = float(np.vdot(slope, uphill - before[1])) / max(float(np.vdot(*before)), 1e-30)
+    made = max(turned, 0.0) * course - uphill
+    return made if np.vdot(slope, made) < 0.0 else -uphill
+
+
+class _Pictures:
+    """The pictures of all views, by the weights (N, K) of alpha. from_views (V, K): its basis; view_weights (V,)."""
+
+    def __init__(self, views: Sequence[Training], plain: np.ndarray, from_views: np.ndarray, view_weights: np.ndarray) -> None:
+        self._views, self._plain, self._from_views, self._counting = views, plain, from_views, view_weights.astype(np.float32)
+        self.grams = np.einsum("v,vk,vl->vkl", view_weights, from_views, from_views)
+
+    def slope(self, weights: np.ndarray) -> Steps[tuple[np.ndarray, np.ndarray]]:
+        """Slope (N, K) float32 of the error by the weights, and the bends (V, N) of every view by its texels' alpha."""
+        slope, bends = np.zeros_like(weights), np.zeros((len(self._views), len(weights)), np.float32)
+
+        def answer(place: int) -> tuple[np.ndarray, np.ndarray]:
+            return self._composited(place).against(self._alpha(weights, place))
+
+        for place, (own, bends[place]) in enumerate(mapped(answer, range(len(self._views)))):
+            yield Progress(place / len(self._views), "Refining")
+            slope += self._counting[place] * np.outer(own, self._from_views[place])
+        return slope, bends
+
+    def bend(self, weights: np.ndarray, course: np.ndarray) -> Steps[float]:
+        """How the error bends along a `course` (N, K) of the weights."""
+
+        def answer(place: int) -> float:
+            return self._composited(place).bend_along(self._alpha(weights, place), course @ self._from_views[place])
+
+        total = 0.0
+        for place, own in enumerate(mapped(answer, range(len(self._views)))):
+            yield Progress(place / len(self._views), "Refining")
+            total += float(self._counting[place]) * own
+        return total
+
+    def _composited(self, place: int) -> "_Compositing":
+        return _Compositing(self._views[place].look(), len(self._plain))
+
+    def _alpha(self, weights: np.ndarray, place: int) -> np.ndarray:
+        return self._plain + weights @ self._from_views[place]
 
 
 def texel_colours(colour: Factors, view: int, hues: np.ndarray, lights: np.ndarray) -> np.ndarray:
@@ -127,7 +174,10 @@ class _Compositing:
         return 0.5 * float((self._importance * off**2).sum() + self._solid * (off_coverage**2).sum())
 
     def against(self, alpha: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Slope (N,) of `error` by every texel's `alpha` (N,), and its bend (N,) as Gauss and Newton take it."""
+        """Slope (N,) of `error` by every texel's `alpha` (N,), and what it bends by as a preconditioner takes it (N,).
+
+        That is between the bend by the texel alone and the one by all texels of its pixels at once, which is a bound: their geometric mean.
+        """
         own, through, off, off_coverage = self._composed(alpha)
         value = np.einsum("fc,fc->f", self._colours, (self._importance * off)[self._pixel]) + self._solid * off_coverage[self._pixel]
         behind = self._fragments.behind(through * own * value)
@@ -135,7 +185,18 @@ class _Compositing:
         answers = ((raw > -CLEARLY) & (raw < 1.0 + CLEARLY)) / np.float32(RAYS**2)
         energy = np.einsum("fc,fc->f", self._colours, self._colours) * self._importance[self._pixel, 0] + self._solid
         slope = (through * value - behind / np.maximum(1.0 - own, 0.01)) * answers
-        return self._texture.T @ slope, SHARING * (self._texture.T @ (energy * (through * answers) ** 2))
+        share = np.sqrt(energy) * through * answers
+        together = np.bincount(self._pixel, share, len(off_coverage)).astype(np.float32)
+        alone, bound = (self._texture.T @ (share * other) for other in (share, together[self._pixel]))
+        return self._texture.T @ slope, np.sqrt(alone * bound)
+
+    def bend_along(self, alpha: np.ndarray, course: np.ndarray) -> float:
+        """How `error` bends along a `course` (N,) of `alpha` (N,), as Gauss and Newton take it."""
+        step = SMALL / max(float(np.abs(course).max(initial=0.0)), 1e-12)
+        _, _, off, off_coverage = self._composed(alpha)
+        _, _, moved, moved_coverage = self._composed(alpha + step * course)
+        squares = (self._importance * (moved - off) ** 2).sum() + self._solid * ((moved_coverage - off_coverage) ** 2).sum()
+        return float(squares) / step**2
 
     def _composed(self, alpha: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Alpha (F,) of the fragments, what is seen of them (F,), and how far colours (P, M * 3) and coverage (P,) are off."""
