@@ -11,6 +11,7 @@ import environment
 
 environment.import_farfield()
 
+from farfield.addon.bridge.cycles_renders import prepare_cycles
 from farfield.addon.bridge.temporary import TemporaryScene, temporary_scene
 
 SUN_DIRECTION = (0.45, -0.55, 0.70)  # towards the sun, world space
@@ -70,9 +71,8 @@ def studio(objects: Sequence[bpy.types.Object], samples: int) -> Iterator[Studio
     with temporary_scene("Farfield Studio") as work:
         for item in objects:
             work.scene.collection.objects.link(item)
-        work.camera.data.type = "ORTHO"
         _add_sky(work)
-        _set_up_cycles(work.scene, samples)
+        prepare_cycles(work.scene, samples, STACKED_QUADS)
         try:
             yield Studio(work, objects)
         finally:
@@ -122,17 +122,3 @@ def _add_sun(work: TemporaryScene) -> bpy.types.Object:
 def _add_sky(work: TemporaryScene) -> None:
     work.scene.world = work.keep(bpy.data.worlds.new("Farfield Studio"))
     paint_sky(work.scene.world)
-
-
-def _set_up_cycles(scene: bpy.types.Scene, samples: int) -> None:
-    scene.render.engine = "CYCLES"
-    scene.cycles.device = "CPU"
-    scene.cycles.samples = samples
-    scene.cycles.use_adaptive_sampling = False
-    scene.cycles.use_denoising = False
-    scene.cycles.transparent_max_bounces = STACKED_QUADS
-    # Else paths through stacks end at random, which is noise in colour and alpha.
-    scene.cycles.min_transparent_bounces = STACKED_QUADS
-    scene.render.film_transparent = True
-    scene.render.use_persistent_data = True
-    scene.render.resolution_percentage = 100

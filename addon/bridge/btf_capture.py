@@ -13,6 +13,7 @@ from ..core.btf.settings import BtfSettings
 from ..core.btf.texels import FINER, Picture, View
 from ..core.direction_grids import DirectionGrid
 from .cameras import look
+from .cycles_renders import prepare_cycles
 from .emission import may_shine
 from .identity import add_stand_in, faces_in
 from .meshes import Source
@@ -162,16 +163,7 @@ def _world(work: TemporaryScene, strength: float) -> bpy.types.World:
 
 def _set_up(work: TemporaryScene, settings: BtfSettings, threads: int) -> None:
     scene = work.scene
+    prepare_cycles(scene, settings.samples, MOST_TRANSPARENT_BOUNCES)
     scene.render.threads_mode, scene.render.threads = "FIXED", threads
-    scene.render.engine = "CYCLES"
-    scene.render.film_transparent = True
-    scene.render.use_persistent_data = True
-    scene.render.resolution_percentage = 100
-    scene.render.use_compositing = scene.render.use_sequencer = False
-    cycles = scene.cycles
-    cycles.device = "CPU"
-    cycles.samples, cycles.seed = settings.samples, settings.seed
-    cycles.use_adaptive_sampling = cycles.use_denoising = False
-    cycles.pixel_filter_type = "BOX"
-    cycles.transparent_max_bounces = cycles.min_transparent_bounces = MOST_TRANSPARENT_BOUNCES  # the least: else paths end at random
-    work.camera.data.type = "ORTHO"
+    scene.cycles.seed = settings.seed
+    scene.cycles.pixel_filter_type = "BOX"
