@@ -3,9 +3,9 @@
 
 Prints JSON. Parts: `pictures` (likeness to the original beside plain maps, an octahedral impostor of as many bytes and a decimated mesh of
 as many triangles, at the switch size and twice that; compression, also of lpca), `time` (bakes against bare Cycles, and executors against
-each other), `memory` (60,000 texels, 4,160 images), `eevee` (against Cycles, on what `pictures` baked). The meshes are those beside the
-project, in ../shared/data, but for the tree of the demo. FLIP wants the environment of scripts/peers.py. With --work a run that was stopped
-goes on.
+each other), `memory` (60,000 texels, 4,160 images), `noise` (what compression does to that of few samples), `eevee` (against Cycles, on
+what `pictures` baked). The meshes are those beside the project, in ../shared/data, but for the tree of the demo. FLIP wants the environment
+of scripts/peers.py. With --work a run that was stopped goes on.
 """
 
 import json
@@ -25,6 +25,7 @@ environment.ensure()
 from btf_bakes import Effort, built_cloud, cloud_folder
 from btf_costs import EXECUTORS, memory, times
 from btf_models import DATA, MODELS
+from btf_noise import noise
 from btf_pictures import RELIGHTABLE, SIZES, pictures
 
 import command_line
@@ -109,7 +110,13 @@ def _left_out(name: str, words: str) -> dict[str, Any]:
     return {"left_out": words}
 
 
-PARTS: dict[str, Callable[[Effort], Steps[dict[str, Any]]]] = {"pictures": pictures, "time": times, "memory": memory, "eevee": eevee}
+PARTS: dict[str, Callable[[Effort], Steps[dict[str, Any]]]] = {
+    "pictures": pictures,
+    "time": times,
+    "memory": memory,
+    "noise": noise,
+    "eevee": eevee,
+}
 
 if __name__ == "__main__":
     command_line.run(main)

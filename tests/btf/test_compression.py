@@ -38,9 +38,8 @@ def store_of(folder, colours: np.ndarray, parts: np.ndarray) -> ShardStore:
 def compressed(store: ShardStore, view: int) -> np.ndarray:
     """What the compressed colours (N, L + 1) show from a view, in the mean of their channels."""
     texels = square()
-    made = finish(Compression(store, texels, np.ones(len(texels)), None, SETTINGS).compress())
-    shown = made.colour.applied(made.colour.basis[view]).reshape(len(texels), SUNS + 1, 3) * made.hues[:, None]
-    return shown.mean(axis=2)
+    compression = Compression(store, texels, np.ones(len(texels)), None, SETTINGS)
+    return compression.shown(finish(compression.compress()), view, np.arange(len(texels))).mean(axis=2)
 
 
 @pytest.mark.parametrize("brightness", [1.0, 10.0, 100.0])
@@ -52,6 +51,15 @@ def test_a_bright_dome_leaves_suns_their_components(tmp_path, brightness):
     shown = compressed(store_of(tmp_path, np.concatenate([suns, dome], axis=1), np.full((VIEWS, count), WHOLE)), 4)[:, :-1].T
     assert shown.sum() == pytest.approx(suns[4].sum(), rel=0.02)
     assert np.sqrt(((shown - suns[4]) ** 2).mean()) < 0.5 * suns[4].std()
+
+
+def test_captured_colours_are_those_of_the_view(tmp_path):
+    random, count = np.random.default_rng(2), len(square())
+    colours = random.random((VIEWS, SUNS + 1, count))
+    store = store_of(tmp_path, colours, np.full((VIEWS, count), WHOLE))
+    rows, captured = Compression(store, square(), np.ones(count), None, SETTINGS).captured(3)
+    np.testing.assert_array_equal(rows, np.arange(count))
+    np.testing.assert_allclose(captured, np.repeat(colours[3].T[..., None], 3, axis=2), rtol=1e-3)
 
 
 def test_what_is_hardly_seen_counts_little(tmp_path):

@@ -1,6 +1,7 @@
 """From finished views of a level to what its material decodes: lobes, hues, and factors of colours and silhouettes."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -92,11 +93,21 @@ class Compression:
     def measure(self, made: Compressed) -> Steps[list[Fit]]:
         """How near the colours of `made` come to what was captured, by the number of components."""
 
-        def of_lobes(view: int, rows: np.ndarray) -> np.ndarray:
-            return made.lobes.of_grid(self._views.directions[view], self._suns, rows).reshape(len(rows), -1)
-
-        more = None if made.lobes is None else of_lobes
+        more = None if made.lobes is None else partial(self._of_lobes, made.lobes)
         return (yield from quality(self._captured, made.colour, made.hues, self._weights, self._column_weights, more))
+
+    def captured(self, view: int) -> tuple[np.ndarray, np.ndarray]:
+        """The texels (M,) that a view saw, and their colours (M, L + 1, 3) float32 under every sun and last the dome."""
+        visible, values = self._captured[view].read()
+        return visible, by_light(values)
+
+    def shown(self, made: Compressed, view: int, rows: np.ndarray) -> np.ndarray:
+        """What `made` shows of the texels `rows` (M,) instead; both before the shader cuts what is below 0."""
+        colours = by_light(made.colour.applied(made.colour.basis[view])[rows]) * made.hues[rows, None]
+        return colours if made.lobes is None else colours + by_light(self._of_lobes(made.lobes, view, rows))
+
+    def _of_lobes(self, lobes: Lobes, view: int, rows: np.ndarray) -> np.ndarray:
+        return lobes.of_grid(self._views.directions[view], self._suns, rows).reshape(len(rows), -1)
 
     def _keep_looks(self, made: Compressed, photographed: list[TrainingView]) -> Steps[None]:
         """Have all views keep what rays meet, and its colours: lobes are worked out for those texels alone that matter."""
