@@ -16,7 +16,7 @@ SIGHTED_TEXEL = 4e-6  # a texel that looks itself up in a view
 SHADOWED_TEXEL = 1.2e-6  # a texel that looks itself up from a sun, and whose edge of shadow is found
 FITTED = 2e-8  # an entry of the matrix, whose lobes are fitted and taken out
 FACTORED = 1e-9  # an entry and component of its factors
-REFINED_TEXEL = 8e-6  # a texel in a photograph, in all steps
+REFINED_TEXEL = 10e-6  # a texel in a photograph, in all steps
 LOBES = 9  # numbers of a texel
 START = 3.0  # a worker process
 
