@@ -9,7 +9,7 @@ from farfield.addon.core.btf import training
 from farfield.addon.core.btf.factors import Factors
 from farfield.addon.core.btf.fragments import Fragments, fragments_of
 from farfield.addon.core.btf.photographs import Photograph, broad_lights, photograph_of
-from farfield.addon.core.btf.refine import RAYS, Look, _Compositing, refined, seen_texels, shown, texel_colours
+from farfield.addon.core.btf.refine import RAYS, Look, _Compositing, refined, seen, shown, texel_colours
 from farfield.addon.core.btf.shards import ShardStore
 from farfield.addon.core.btf.texels import Picture, Quads, Texels, View, texels_of
 from farfield.addon.core.direction_grids import DirectionGrid
@@ -128,12 +128,14 @@ def test_broad_lights_are_sums_of_the_renders():
     np.testing.assert_allclose(taken.colours[4], radiance[-1])
 
 
-def test_texels_behind_opaque_ones_are_not_seen():
+def test_what_lies_behind_opaque_texels_is_not_seen():
     texels, above = texels_of(sheets(), SIZE), View(np.array([0.0, 0.0, 1.0]), np.array([4.0, 4.0, 0.0]), 8, 1.0)
     fragments = fragments_of(sheets(), texels, above, RAYS)
-    opaque = seen_texels(fragments, np.ones(len(texels), np.float32))
-    assert set(texels.quads[opaque]) == {1}
-    np.testing.assert_array_equal(seen_texels(fragments, np.full(len(texels), 0.5, np.float32)), np.arange(len(texels)))
+    opaque = seen(fragments, np.ones(len(texels), np.float32))
+    assert set(texels.quads[opaque.texels].ravel()) == {1} and opaque.rays == fragments.rays
+    np.testing.assert_array_equal(np.diff(opaque.ray) > 0, True)
+    clear = seen(fragments, np.full(len(texels), 0.5, np.float32))
+    np.testing.assert_array_equal(clear.texels, fragments.texels)
 
 
 def test_texels_show_their_factors_under_sums_of_lights():

@@ -17,7 +17,7 @@ from .lobes import Lobes, Surface, fit_lobes
 from .photographs import broad_lights
 from .quality import Fit, quality
 from .readings import Colours, Domes, silhouettes
-from .refine import refined, seen_texels, shown, texel_colours
+from .refine import refined, seen, shown, texel_colours
 from .rests import write_rests
 from .settings import BtfSettings
 from .shadows import Shadows, find_shadows
@@ -110,15 +110,16 @@ class Compression:
         return lobes.of_grid(self._views.directions[view], self._suns, rows).reshape(len(rows), -1)
 
     def _keep_looks(self, made: Compressed, photographed: list[TrainingView]) -> Steps[None]:
-        """Have all views keep what rays meet, and its colours: lobes are worked out for those texels alone that matter."""
+        """Have all views keep what rays meet and its colours, as far as that matters."""
         lights = broad_lights(self._lights)
 
         def keep(number: int) -> None:
-            fragments = photographed[number].fragments()
+            alpha = self._plain + made.alpha.applied(made.alpha.basis[number])[:, 0]
+            fragments = seen(photographed[number].fragments(), alpha)
             colours = texel_colours(made.colour, number, made.hues, lights)
             if made.lobes is not None:
-                seen = seen_texels(fragments, self._plain + made.alpha.applied(made.alpha.basis[number])[:, 0])
-                colours[seen] += made.lobes.under(lights, self._views.directions[number], self._suns, seen)
+                rows = np.unique(fragments.texels)
+                colours[rows] += made.lobes.under(lights, self._views.directions[number], self._suns, rows)
             photographed[number].keep(fragments, shown(fragments, colours))
 
         for number, _ in enumerate(mapped(keep, range(len(self._views)))):

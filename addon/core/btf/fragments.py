@@ -41,6 +41,10 @@ class Fragments:
         """Where a ray's fragments begin."""
         return np.flatnonzero(np.diff(self.ray, prepend=-1))
 
+    def chosen(self, which: np.ndarray) -> "Fragments":
+        """Some of them (F,) bool alone, as if rays met nothing else."""
+        return Fragments(self.rays, self.ray[which], self.texels[which], self.shares[which])
+
     def transmitted(self, alpha: np.ndarray) -> np.ndarray:
         """How much (F,) of each fragment is seen through those before it, where they have `alpha` (F,)."""
         logarithms = np.log(np.maximum(1.0 - alpha.astype(np.float64), 1e-9))

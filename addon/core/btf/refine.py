@@ -32,7 +32,7 @@ DAMPING = 0.005  # of the mean bend, for what is the same from every view
 VARYING_DAMPING = 12.0  # the same for what depends on the view, which has less to go by
 SMALL = 0.05  # alpha by which the picture is changed to see how it bends
 COVERAGE_WEIGHT = 4.0  # of all coverage against all colours
-LEAST_SEEN = 0.01  # of what a texel shows: below it, its colours matter to no pixel
+LEAST_SEEN = 0.01  # of a fragment through those before it: what is hidden more matters to no pixel
 CLEARLY = 0.02  # alpha this far beyond 0..1 no longer answers
 AROUND = 1.5  # pixels over which brightness is taken: people see errors relative to it
 RELATIVE = 1.2  # power of it; 2 would be relative alone
@@ -141,10 +141,10 @@ def shown(fragments: Fragments, colours: np.ndarray) -> np.ndarray:
     return (_texture(fragments, len(colours)) @ colours).astype(np.float16)
 
 
-def seen_texels(fragments: Fragments, alpha: np.ndarray) -> np.ndarray:
-    """The numbers of texels, with `alpha` (N,), that are not hidden from a view by others."""
+def seen(fragments: Fragments, alpha: np.ndarray) -> Fragments:
+    """Those of `fragments` that others do not hide, where texels have `alpha` (N,)."""
     own = np.clip(np.einsum("ft,ft->f", fragments.shares, alpha[fragments.texels]), 0.0, 1.0)
-    return np.unique(fragments.texels[fragments.transmitted(own) > LEAST_SEEN])
+    return fragments.chosen(fragments.transmitted(own) > LEAST_SEEN)
 
 
 def _with_constant(alpha: Factors) -> Factors:
