@@ -103,7 +103,7 @@ class Compression:
 
     def shown(self, made: Compressed, view: int, rows: np.ndarray) -> np.ndarray:
         """What `made` shows of the texels `rows` (M,) instead; both before the shader cuts what is below 0."""
-        colours = by_light(made.colour.applied(made.colour.basis[view])[rows]) * made.hues[rows, None]
+        colours = by_light(made.colour.spread(rows) @ made.colour.basis[view]) * made.hues[rows, None]
         return colours if made.lobes is None else colours + by_light(self._of_lobes(made.lobes, view, rows))
 
     def _of_lobes(self, lobes: Lobes, view: int, rows: np.ndarray) -> np.ndarray:
@@ -135,11 +135,10 @@ class Compression:
         angles = self._views.solid_angles
 
         def of_view(view: int) -> np.ndarray:
-            visible, values = self._captured[view].read()
-            [parts] = self._store.read(view, "parts")
+            visible, parts, radiance = self._store.read(view, "visible", "parts", "radiance")
             counting = (angles[view] * facing[view, visible] ** 2 * parts / PARTS**2).astype(np.float32)
             self._weights[view, visible] = counting
-            return counting @ np.square(by_light(values)).sum(axis=2)
+            return np.square(radiance.astype(np.float32)).sum(axis=2) @ counting
 
         energy = np.zeros(len(self._lights) + 1)
         for view, found in enumerate(mapped(of_view, range(len(self._views)))):

@@ -47,7 +47,7 @@ class Factors:
         """The values (N, D) of all rows with `basis` (clusters * K, D), that of a view for instance."""
         return self.weights @ basis
 
-    def spread(self, rows: slice) -> np.ndarray:
+    def spread(self, rows: slice | np.ndarray) -> np.ndarray:
         """The weights (M, clusters * K) of some rows, 0 for the components of other clusters than their own."""
         return self.weights[rows]
 

@@ -50,7 +50,7 @@ class LocalFactors(Factors):
             values[members] = self.weights[members] @ own
         return values
 
-    def spread(self, rows: slice) -> np.ndarray:
+    def spread(self, rows: slice | np.ndarray) -> np.ndarray:
         """The weights (M, clusters * K) of some rows, 0 for the components of other clusters than their own."""
         weights, labels = self.weights[rows], self.labels[rows]
         wide = np.zeros((len(weights), self.clusters, self.components), weights.dtype)

@@ -193,18 +193,26 @@ class _Compositing:
     def bend_along(self, alpha: np.ndarray, course: np.ndarray) -> float:
         """How `error` bends along a `course` (N,) of `alpha` (N,), as Gauss and Newton take it."""
         step = SMALL / max(float(np.abs(course).max(initial=0.0)), 1e-12)
-        _, _, off, off_coverage = self._composed(alpha)
-        _, _, moved, moved_coverage = self._composed(alpha + step * course)
-        squares = (self._importance * (moved - off) ** 2).sum() + self._solid * ((moved_coverage - off_coverage) ** 2).sum()
-        return float(squares) / step**2
+        sent, moved = (through * own for own, through in map(self._transmission, (alpha, alpha + step * course)))
+        colours, coverage = self._summed(moved - sent)
+        return float((self._importance * colours**2).sum() + self._solid * (coverage**2).sum()) / step**2
 
     def _composed(self, alpha: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Alpha (F,) of the fragments, what is seen of them (F,), and how far colours (P, M * 3) and coverage (P,) are off."""
+        own, through = self._transmission(alpha)
+        colours, coverage = self._summed(through * own)
+        return own, through, colours - self._wanted, coverage - self._coverage
+
+    def _transmission(self, alpha: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Alpha (F,) of the fragments, and what is seen of them (F,)."""
         own = np.clip(self._texture @ alpha.astype(np.float32), 0.0, 1.0)
-        through = self._fragments.transmitted(own)
-        sent = through * own / np.float32(RAYS**2)
-        summing = sparse.csr_array((sent, (self._pixel, np.arange(len(own)))), shape=(len(self._coverage), len(own)))
-        return own, through, summing @ self._colours - self._wanted, summing.sum(axis=1) - self._coverage
+        return own, self._fragments.transmitted(own)
+
+    def _summed(self, sent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Colours (P, M * 3) and coverage (P,) of the pixels, of whose rays fragments send `sent` (F,)."""
+        shares = sent / np.float32(RAYS**2)
+        summing = sparse.csr_array((shares, (self._pixel, np.arange(len(sent)))), shape=(len(self._coverage), len(sent)))
+        return summing @ self._colours, summing.sum(axis=1)
 
 
 def _importance(photograph: Photograph) -> np.ndarray:
