@@ -7,11 +7,12 @@ from farfield.addon.core.billboards.build import build
 from farfield.addon.core.billboards.cloud import Cloud
 from farfield.addon.core.billboards.decimate import decimate_to_error, propose
 from farfield.addon.core.billboards.fine_mesh import Decimated
-from farfield.addon.core.billboards.remesh import flip, judge_collapses, unique_edges
+from farfield.addon.core.billboards.remesh import flip, judge_collapses
 from farfield.addon.core.billboards.settings import BillboardSettings
 from farfield.addon.core.billboards.straddle import straddle
 from farfield.addon.core.billboards.triangles import flat_parts
 from farfield.addon.core.distance import closest_on_mesh, one_sided_distance
+from farfield.addon.core.edges import edges_of
 from farfield.addon.core.mesh import TriangleMesh, face_areas_and_normals
 from farfield.addon.core.progress import finish
 
@@ -154,9 +155,9 @@ def test_a_collapse_keeps_its_limit_and_the_topology():
     coarse, faces = judge_collapses(vertices, vertices, triangles).carry_out(vertices, triangles, 0.08, 40)
     assert len(faces) < len(triangles)
     assert closest_on_mesh(vertices, coarse[faces])[0].max() <= 0.08 * (1.0 + 1e-9)
-    edges, opposite = unique_edges(faces)
-    assert (np.bincount(opposite.ravel()) == 2).all()
-    assert len(coarse) - len(edges) + len(faces) == 2
+    edges = edges_of(faces)
+    assert (edges.uses == 2).all()
+    assert len(coarse) - len(edges.ends) + len(faces) == 2
 
 
 def test_a_flip_turns_the_edge_across_a_valley():

@@ -11,27 +11,13 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from ..distance import closest_on_mesh, closest_points, first_least, point_triangle_distances
+from ..edges import Edges, edges_of, inner_sides
 from ..mesh import face_areas_and_normals
 
 LEAST_TURN = 0.2  # cosine: a triangle that turns farther by a collapse has folded over
 CHUNK_TESTS = 20_000  # of a sample against a triangle: what stays in a core's cache
 PLACING_POWERS = (2.0, 4.0)
 PLACING_DAMPING = 1e-3  # of the trace
-
-
-def unique_edges(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Edges (E, 2), lower vertex first, and the edge (T, 3) opposite to each corner of every triangle."""
-    sides = np.sort(np.stack([triangles[:, [1, 2]], triangles[:, [2, 0]], triangles[:, [0, 1]]], axis=1), axis=2).reshape(-1, 2)
-    edges, index = np.unique(sides, axis=0, return_inverse=True)
-    return edges, index.reshape(-1, 3)
-
-
-def inner_sides(opposite: np.ndarray) -> np.ndarray:
-    """The two sides (I, 2) of every edge between just two triangles, from `unique_edges`: side 3 t + c lies opposite to corner c of t."""
-    order = np.argsort(opposite.ravel(), kind="stable")
-    counts = np.bincount(opposite.ravel())
-    first = (np.cumsum(counts) - counts)[counts == 2]
-    return np.stack([order[first], order[first + 1]], axis=1)
 
 
 @dataclass(frozen=True)
@@ -68,14 +54,14 @@ def judge_collapses(samples: np.ndarray, vertices: np.ndarray, triangles: np.nda
         samples: (S, 3) float64 points of the fine surface.
         vertices, triangles: (V, 3) float64 and (T, 3) int, the coarse mesh.
     """
-    edges, _ = unique_edges(triangles)
-    edges = edges[_keeps_topology(edges, triangles, len(vertices))]
+    of_mesh = edges_of(triangles, len(vertices))
+    edges = of_mesh.ends[_keeps_topology(of_mesh)]
     around, touched = _stars(edges, triangles, len(vertices))
     first = triangles[touched] == edges[around, :1]
     second = triangles[touched] == edges[around, 1:]
     kept = ~(first.any(axis=1) & second.any(axis=1))
     star = _Star(around, touched, kept, first | second)
-    border = _on_border(triangles, len(vertices))[edges].any(axis=1)
+    border = of_mesh.on_border[edges].any(axis=1)
     samples_of = _samples_of_triangles(samples, vertices[triangles])
     costs, targets = np.full(len(edges), np.inf), vertices[edges].mean(axis=1)
     # From the middle, moves find the best place but for the corners of a border, which only an end of the edge keeps.
@@ -97,12 +83,11 @@ def flip(samples: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, least
 
     `samples` (S, 3), `vertices` (V, 3); `least_gain` is a length: a flip that gains less is not worth it.
     """
-    edges, opposite = unique_edges(triangles)
-    sides = inner_sides(opposite)
+    edges = edges_of(triangles, len(vertices))
+    sides = inner_sides(edges)
     tips = triangles[sides // 3, sides % 3]
     ends = triangles[sides[:, 0] // 3, (sides[:, 0] % 3 + 1) % 3], triangles[sides[:, 0] // 3, (sides[:, 0] % 3 + 2) % 3]
-    codes = np.array([len(vertices), 1])
-    fresh = (tips[:, 0] != tips[:, 1]) & ~np.isin(np.sort(tips, axis=1) @ codes, edges @ codes)
+    fresh = (tips[:, 0] != tips[:, 1]) & ~edges.has(*tips.T)
     sides, tips, ends = sides[fresh], tips[fresh], (ends[0][fresh], ends[1][fresh])
     pairs = np.stack([np.stack([tips[:, 0], ends[0], tips[:, 1]], axis=1), np.stack([tips[:, 0], tips[:, 1], ends[1]], axis=1)], axis=1)
     around, triangle = np.repeat(np.arange(len(sides)), 2), (sides // 3).ravel()
@@ -134,23 +119,13 @@ def compact(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np
     return vertices[used], index.reshape(-1, 3).astype(np.int32)
 
 
-def _keeps_topology(edges: np.ndarray, triangles: np.ndarray, count: int) -> np.ndarray:
+def _keeps_topology(edges: Edges) -> np.ndarray:
     """(E,) bool: the ends share no neighbour but the tips of the edge's own triangles (the link condition), and no border is pinched."""
-    _, opposite = unique_edges(triangles)
-    shared = np.bincount(opposite.ravel(), minlength=len(edges))
-    ones = np.ones(2 * len(edges), np.int32)
-    links = csr_matrix((ones, (edges.ravel(), edges[:, ::-1].ravel())), shape=(count, count))
-    common = np.asarray(links[edges[:, 0]].multiply(links[edges[:, 1]]).sum(axis=1)).ravel()
-    border = _on_border(triangles, count)
-    return (common == shared) & (shared <= 2) & ((shared == 1) | ~border[edges].all(axis=1))
-
-
-def _on_border(triangles: np.ndarray, count: int) -> np.ndarray:
-    """(count,) bool: which vertices are at the end of an edge of one triangle only."""
-    edges, opposite = unique_edges(triangles)
-    border = np.zeros(count, bool)
-    border[edges[np.bincount(opposite.ravel(), minlength=len(edges)) == 1]] = True
-    return border
+    ends, shared = edges.ends, edges.uses
+    ones = np.ones(2 * len(ends), np.int32)
+    links = csr_matrix((ones, (ends.ravel(), ends[:, ::-1].ravel())), shape=(edges.count, edges.count))
+    common = np.asarray(links[ends[:, 0]].multiply(links[ends[:, 1]]).sum(axis=1)).ravel()
+    return (common == shared) & (shared <= 2) & ((shared == 1) | ~edges.on_border[ends].all(axis=1))
 
 
 def _stars(edges: np.ndarray, triangles: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -4,13 +4,13 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from ..edges import edges_of, inner_sides
 from ..mesh import face_areas_and_normals
 from .fine_mesh import Decimated
 from .patches import Covering, Patch, members_of
 from .planes import frames_of
 from .primitives import Primitives
 from .rectangles import area, around, bounds_of, smallest_rectangle
-from .remesh import inner_sides, unique_edges
 
 FLAT = 0.05  # of the error: triangles whose corners are within this of each other's planes lie in one plane
 
@@ -51,7 +51,7 @@ def patches_of_triangles(
 
 def flat_parts(vertices: np.ndarray, triangles: np.ndarray, tolerance: float) -> np.ndarray:
     """The part (T,) of every triangle: what hangs together over edges whose two triangles lie in one plane within `tolerance`."""
-    a, b = inner_sides(unique_edges(triangles)[1]).T
+    a, b = inner_sides(edges_of(triangles)).T
     corners = vertices[triangles]
     _, normals = face_areas_and_normals(corners)
     flat = np.einsum("ij,ij->i", normals[a // 3], normals[b // 3]) > 0.0
