@@ -5,6 +5,7 @@ Exit codes: 0 done, 2 bad input with one sentence on stderr, 130 stopped. To be 
 
 import argparse
 import json
+import re
 import signal
 import sys
 import time
@@ -25,10 +26,21 @@ from whole_files import whole_file
 
 DONE, BAD_INPUT, STOPPED = 0, 2, 130
 LINE_WIDTH = 78
+NEGATIVE = re.compile(r"-\.?\d")
 
 
 class Parser(argparse.ArgumentParser):
-    """Refuses in one sentence."""
+    """Refuses in one sentence, and takes numbers that begin with a minus, and lists of them, for what they are."""
+
+    def parse_args(self, args: list[str], namespace: argparse.Namespace | None = None) -> argparse.Namespace:
+        """As `argparse` does it."""
+        joined: list[str] = []
+        for word in args:
+            if NEGATIVE.match(word) and joined and joined[-1].startswith("--") and "=" not in joined[-1]:
+                joined[-1] += "=" + word
+            else:
+                joined.append(word)
+        return super().parse_args(joined, namespace)
 
     def error(self, message: str) -> NoReturn:
         """Exit with code 2."""

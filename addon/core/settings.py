@@ -57,6 +57,8 @@ class Description:
             return f"{math.degrees(value):g}"
         if isinstance(value, bool):
             return "on" if value else "off"
+        if isinstance(value, tuple):
+            return ",".join(f"{number:g}" for number in value)
         return f"{value:g}" if isinstance(value, float) else str(value)
 
     def parse(self, text: str) -> Any:
@@ -69,9 +71,12 @@ class Description:
             if self.type is float:
                 number = float(text.rstrip("% ")) / (100.0 if text.rstrip().endswith("%") else 1.0)
                 return math.radians(number) if self.unit is Unit.ANGLE else number
+            if self.type is tuple:
+                return tuple(float(number) for number in text.split(","))
             return self.type(text)
         except ValueError:
-            raise SettingsError(f'{self.flag} takes a number, not "{text}".') from None
+            takes = "numbers with commas between them" if self.type is tuple else "a number"
+            raise SettingsError(f'{self.flag} takes {takes}, not "{text}".') from None
 
 
 def setting(
@@ -111,6 +116,12 @@ def check(description: Description, value: Any) -> None:
         if value not in description.choices:
             words = ", ".join(description.choices)
             raise SettingsError(f'{description.flag} must be one of {words}, not "{value}".')
+        return
+    if description.type is tuple:
+        if len(value) != len(description.default) or not all(math.isfinite(number) for number in value):
+            raise SettingsError(
+                f"{description.flag} takes {len(description.default)} finite numbers, not {description.shown(tuple(value))}."
+            )
         return
     if not isinstance(value, int | float) or isinstance(value, bool):
         return

@@ -28,6 +28,8 @@ def blender_property(description: Description, options: set[str]) -> Any:
         return bpy.props.BoolProperty(default=description.default, **common)
     if description.type is str:
         return bpy.props.StringProperty(default=description.default, **common)
+    if description.type is tuple:
+        return bpy.props.FloatVectorProperty(size=len(description.default), default=description.default, precision=3, **common)
     limits = {
         word: to_blender(description, limit)
         for word, limit in (("min", description.minimum), ("max", description.maximum))
@@ -51,6 +53,8 @@ def to_blender(description: Description, value: Any) -> Any:
 
 def from_blender(description: Description, value: Any) -> Any:
     """The inverse of `to_blender`. Blender's floats are single precision: rounding undoes that, so that limits are met exactly."""
+    if description.type is tuple:
+        return tuple(_rounded(number) for number in value)
     if description.type is not float:
         return value
     if description.unit is Unit.ANGLE:
