@@ -3,10 +3,20 @@
 from .operators import billboards as billboards_operators
 from .operators import btf as btf_operators
 from .operators import btf_exports, long_work
+from .operators import unwrap as unwrap_operators
 from .panels import billboards as billboards_panels
 from .panels import btf as btf_panels
+from .panels import unwrap as unwrap_panels
 
-MODULES = (billboards_operators, btf_operators, btf_exports, billboards_panels, btf_panels)
+MODULES = (
+    billboards_operators,
+    btf_operators,
+    btf_exports,
+    unwrap_operators,
+    billboards_panels,
+    btf_panels,
+    unwrap_panels,
+)
 
 
 def register() -> None:

@@ -6,6 +6,8 @@ import numpy as np
 
 from ..core.btf.texels import View
 from ..core.cameras import Camera
+from ..core.errors import SettingsError
+from ..core.unwrap.visibility import Shot
 
 
 def scene_camera(scene: bpy.types.Scene) -> Camera | None:
@@ -39,3 +41,19 @@ def look(scene: bpy.types.Scene, view: View) -> None:
 def _spans_width(data: bpy.types.Camera, width: float, height: float) -> bool:
     """Whether the angle of the camera, or its orthographic scale, is measured across the width of the picture."""
     return width >= height if data.sensor_fit == "AUTO" else data.sensor_fit == "HORIZONTAL"
+
+
+def shot(scene: bpy.types.Scene, camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Shot:
+    """What a camera takes at the render resolution of `scene`.
+
+    Raises:
+        SettingsError: when it is a panoramic one.
+    """
+    if camera.data.type not in ("PERSP", "ORTHO"):
+        raise SettingsError(f'The camera "{camera.name}" is panoramic; choose a perspective or an orthographic one.')
+    render = scene.render
+    scale = render.resolution_percentage / 100.0
+    width, height = max(int(render.resolution_x * scale), 1), max(int(render.resolution_y * scale), 1)
+    aspect = {"scale_x": render.pixel_aspect_x, "scale_y": render.pixel_aspect_y}
+    projection = np.array(camera.calc_matrix_camera(depsgraph, x=width, y=height, **aspect), np.float64)
+    return Shot(projection @ np.array(camera.matrix_world.normalized().inverted(), np.float64), (width, height))

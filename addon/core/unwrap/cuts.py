@@ -1,0 +1,244 @@
+"""Where a surface that no plane can hold is cut open: short ways through what matters little and along what is creased anyway.
+
+Handles are cut along the shortest loops of a tree of shortest ways and of the edges that its dual tree leaves over (Erickson, Whittlesey:
+Greedy optimal homotopy and homology generators, 2005). What is closed is cut between two far ends, and from there to wherever a thinned
+model of it is stretched most, as long as that helps (Gu, Gortler, Hoppe: Geometry images, 2002, section 3.2).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import dijkstra, minimum_spanning_tree
+
+from ..edges import Edges, edges_of, inner_sides
+from ..mesh import face_areas_and_normals
+from ..progress import Progress, Steps, finish
+from .borders import border_loops
+from .chart import Chart
+from .chart_layout import Border, chart_layout
+from .collapses import thinned
+from .rest_shapes import RestShapes, rest_shapes
+from .splitting import apart
+from .stretch_energy import StretchEnergy, stretches
+
+CREASE = 0.8  # of the cost is saved by a cut along an edge folded flat
+AWAY = 100.0  # times its cost counts an edge at the border when handles are cut: what is left should hang together
+NEVER = 1e6  # times its cost counts an edge within a face
+WIDE = 0.01  # of the area: a hole whose circle has more is joined with the border, not filled
+MODEL = 1000  # vertices of the thinned model
+MOST_ENDS = 10  # that a cut leads to
+WORTH = 0.1  # of the excess of stretch has to go with a further end
+
+
+def opening_edges(chart: Chart, edges: Edges, further: bool) -> Steps[np.ndarray]:
+    """Which `edges` (E,) bool of a chart have to be cut next on its way to a disk, or one with small holes; none where it is one.
+
+    chart: a connected and oriented manifold, closed or not, of any genus. further: whether what is all but closed is cut like what is.
+    """
+    loops = border_loops(chart.triangles, chart.vertices)
+    handles = 2 - len(loops) - (len(chart.vertices) - len(edges.ends) + len(chart.triangles))
+    wide = _wide(chart, loops)
+    narrow = len(loops) > 0 and not wide.any()
+    if not handles and loops and not wide[1:].any() and not (narrow and further):
+        return np.zeros(len(edges.ends), bool)
+    yield Progress(0.0, "Looking for cuts")
+    ways = _Ways(chart, edges)
+    if handles:
+        return ways.around_handles(edges.on_border)
+    if wide[1:].any():
+        return ways.joined(loops[0], [loop for loop, is_wide in zip(loops[1:], wide[1:], strict=True) if is_wide])
+    start = loops[0] if loops else ways.far_ends()[:1]
+    ends = yield from _ends(chart, start, 0 if loops else 1)
+    return ways.leading_to(start, ends)
+
+
+def _wide(chart: Chart, loops: list[np.ndarray]) -> np.ndarray:
+    """Which loops enclose too much to be filled."""
+    area = float(face_areas_and_normals(chart.vertices[chart.triangles])[0].sum())
+    lengths = [float(np.linalg.norm(np.roll(chart.vertices[loop], -1, axis=0) - chart.vertices[loop], axis=1).sum()) for loop in loops]
+    return np.array(lengths) ** 2 > WIDE * 4.0 * np.pi * area
+
+
+class _Ways:
+    """Shortest ways along the edges of a chart, by what cutting them costs."""
+
+    def __init__(self, chart: Chart, edges: Edges) -> None:
+        self._chart, self._edges = chart, edges
+        self._lengths = np.linalg.norm(np.subtract(*chart.vertices[edges.ends.T]), axis=1)
+        self._lengths = np.maximum(self._lengths, 1e-6 * self._lengths.mean() or 1.0)
+        self._costs = self._lengths * _dearness(chart, edges)
+
+    def leading_to(self, start: np.ndarray, ends: Sequence[int]) -> np.ndarray:
+        """Ways from the vertices `start` (S,) to each of `ends`, each as short as it can be where some are already: (E,) bool."""
+        cut = np.zeros(len(self._edges.ends), bool)
+        graph = self._graph(self._costs)
+        for end in ends:
+            self._add_way(cut, graph, np.union1d(start, self._edges.ends[cut].ravel()), end)
+        return cut
+
+    def joined(self, border: np.ndarray, loops: list[np.ndarray]) -> np.ndarray:
+        """Ways that join `loops` with the `border`: (E,) bool."""
+        cut = np.zeros(len(self._edges.ends), bool)
+        graph = self._graph(np.where(self._edges.uses == 1, 1e-9 * self._costs, self._costs))  # along the border nothing is cut
+        for loop in loops:
+            self._add_way(cut, graph, np.union1d(border, self._edges.ends[cut].ravel()), int(loop[0]))
+        return cut & (self._edges.uses == 2)
+
+    def far_ends(self) -> np.ndarray:
+        """Two vertices (2,) far from each other."""
+        graph = self._graph(self._lengths)
+        end, other = 0, 0
+        for _ in range(3):
+            end, other = other, int(np.argmax(dijkstra(graph, directed=False, indices=other)))
+        return np.array([end, other])
+
+    def farthest(self, start: np.ndarray) -> int:
+        """The vertex farthest from the vertices `start` (S,)."""
+        return int(np.argmax(dijkstra(self._graph(self._lengths), directed=False, indices=start, min_only=True)))
+
+    def around_handles(self, on_border: np.ndarray) -> np.ndarray:
+        """Loops that meet in one vertex and leave no handle: (E,) bool."""
+        ends = self._edges.ends
+        costs = np.where(on_border[ends].any(axis=1), AWAY * self._costs, self._costs)
+        graph = self._graph(costs)
+        best, least = None, np.inf
+        for root in {*self.far_ends().tolist(), int(np.argmin(np.bincount(ends.ravel(), np.repeat(costs, 2))))}:
+            cut = self._loops_from(root, graph, costs)
+            if costs[cut].sum() < least:
+                best, least = cut, float(costs[cut].sum())
+        return best
+
+    def _loops_from(self, root: int, graph: csr_array, costs: np.ndarray) -> np.ndarray:
+        ends = self._edges.ends
+        distances, before = dijkstra(graph, directed=False, indices=root, return_predecessors=True)
+        in_tree = np.zeros(len(ends), bool)
+        in_tree[self._numbers(np.flatnonzero(before >= 0), before[before >= 0])] = True
+        left_over = ~in_tree
+        left_over[self._dual_tree(~in_tree, distances[ends].sum(axis=1) + costs)] = False
+        cut = left_over & (self._edges.uses == 2)
+        for end in np.unique(ends[cut]):
+            self._add_back(cut, before, int(end))
+        return self._pruned(cut)
+
+    def _dual_tree(self, crossed: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+        """The edges, of those that may be `crossed` (E,) bool, across which a tree of the longest joins all triangles; beyond every loop of
+        the border lies one triangle more."""
+        triangles = self._chart.triangles
+        count = len(triangles)
+        across = np.full((len(crossed), 2), -1)
+        sides = inner_sides(self._edges)
+        across[self._edges.opposite.ravel()[sides[:, 0]]] = sides // 3
+        alone = np.flatnonzero(self._edges.uses == 1)
+        number = np.full(len(self._chart.vertices), -1)
+        for index, loop in enumerate(border_loops(triangles, self._chart.vertices)):
+            number[loop] = count + index
+            count_all = count + index + 1
+        owner = np.empty(len(crossed), np.int64)
+        owner[self._edges.opposite.ravel()] = np.repeat(np.arange(count), 3)
+        across[alone] = np.column_stack([owner[alone], number[self._edges.ends[alone, 0]]])
+        chosen = np.flatnonzero(crossed)
+        size = count_all if len(alone) else count
+        ranks = np.empty(len(chosen))
+        ranks[np.argsort(-lengths[chosen], kind="stable")] = np.arange(1, len(chosen) + 1)
+        low, high = across[chosen].min(axis=1), across[chosen].max(axis=1)
+        order = np.lexsort((ranks, high, low))  # of two edges between the same triangles the longer one
+        first = np.ones(len(order), bool)
+        first[1:] = (np.diff(low[order]) != 0) | (np.diff(high[order]) != 0)
+        order = order[first]
+        tree = minimum_spanning_tree(coo_array((ranks[order], (low[order], high[order])), shape=(size, size)).tocsr())
+        return chosen[np.isin(ranks, tree.data)]
+
+    def _pruned(self, cut: np.ndarray) -> np.ndarray:
+        """`cut` without its dead ends."""
+        ends = self._edges.ends
+        while True:
+            met = np.bincount(ends[cut].ravel(), minlength=len(self._chart.vertices))
+            dead = cut & (met[ends] == 1).any(axis=1)
+            if not dead.any():
+                return cut
+            cut = cut & ~dead
+
+    def _add_way(self, cut: np.ndarray, graph: csr_array, sources: np.ndarray, end: int) -> None:
+        _, before, _ = dijkstra(graph, directed=False, indices=sources, return_predecessors=True, min_only=True)
+        self._add_back(cut, before, end)
+
+    def _add_back(self, cut: np.ndarray, before: np.ndarray, end: int) -> None:
+        """Add the way from `end` back to where `before` (V,), the vertex before each, begins."""
+        way = [end]
+        while before[way[-1]] >= 0:
+            way.append(int(before[way[-1]]))
+        way = np.array(way)
+        cut[self._numbers(way[1:], way[:-1])] = True
+
+    def _numbers(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        keys = np.minimum(first, second).astype(np.int64) * self._edges.count + np.maximum(first, second)
+        return np.searchsorted(self._edges.keys, keys)
+
+    def _graph(self, costs: np.ndarray) -> csr_array:
+        return csr_array((costs, tuple(self._edges.ends.T)), shape=(len(self._chart.vertices),) * 2)
+
+
+def _dearness(chart: Chart, edges: Edges) -> np.ndarray:
+    """What a cut costs along every edge (E,) for its length: less on creases and where few texels are wanted."""
+    _, normals = face_areas_and_normals(chart.vertices[chart.triangles])
+    sides = inner_sides(edges)
+    inner = edges.opposite.ravel()[sides[:, 0]]
+    first, second = sides.T // 3
+    dearness = np.ones(len(edges.ends))
+    dearness[inner] = 1.0 - CREASE * 0.5 * (1.0 - np.einsum("ei,ei->e", normals[first], normals[second]))
+    dearness[inner] *= np.sqrt(chart.density[first] * chart.density[second])
+    if chart.faces is not None:
+        dearness[inner[chart.faces[first] == chart.faces[second]]] *= NEVER
+    return dearness
+
+
+def _ends(chart: Chart, start: np.ndarray, needed: int) -> Steps[list[int]]:
+    """Vertices of a chart that cuts from the vertices `start` (S,) should lead to: at first the farthest, where one is `needed` to open it
+    at all, then one after the other wherever a thinned model is stretched most, as long as that takes a good part of the stretch."""
+    stays = np.zeros(len(chart.vertices), bool)
+    stays[start] = True
+    coarse, _ = thinned(chart.vertices, chart.triangles, MODEL, stays)
+    model, used = _of(chart, coarse)
+    ways = _Ways(model, edges_of(model.triangles, len(used)))
+    start = np.searchsorted(used, start)
+    ends, best = [ways.farthest(start)] * needed, np.inf
+    while len(ends) <= MOST_ENDS:
+        yield Progress(len(ends) / (MOST_ENDS + 1), "Looking for cuts")
+        excess, worst = _opened_along(model, ways.leading_to(start, ends))
+        if not excess < (1.0 - WORTH) * best:
+            break
+        best = excess
+        ends.append(worst)
+    return used[ends[: max(needed, len(ends) - 1)]].tolist()
+
+
+def _opened_along(model: Chart, cut: np.ndarray) -> tuple[float, int]:
+    """By how much the layout of a `model`, `cut` open, is stretched, and the vertex where it is most; infinite where it is no disk."""
+    edges = edges_of(model.triangles, len(model.vertices))
+    sides = inner_sides(edges)
+    parts = apart(model, sides[~cut[edges.opposite.ravel()[sides[:, 0]]]])
+    opened, members = parts[0]
+    if len(parts) > 1 or not border_loops(opened.triangles, opened.vertices):
+        return np.inf, 0
+    layout = finish(chart_layout(opened, Border.FREE, 0.0))
+    shapes = rest_shapes(opened.vertices[opened.triangles])
+    stretch = stretches(shapes, opened.triangles, layout)
+    shares = np.repeat(opened.density**2 * shapes.areas, 3)
+    corners = model.triangles[members].ravel()
+    around = np.bincount(corners, shares * np.repeat(stretch, 3), len(model.vertices)) / np.bincount(corners, shares, len(model.vertices))
+    return _excess(opened, shapes, layout), int(around.argmax())
+
+
+def _of(chart: Chart, triangles: np.ndarray) -> tuple[Chart, np.ndarray]:
+    """The chart of some `triangles` of its vertices, and which of these it has."""
+    used, own = np.unique(triangles, return_inverse=True)
+    around = np.bincount(chart.triangles.ravel(), np.repeat(np.log(chart.density), 3)) / np.bincount(chart.triangles.ravel())
+    return Chart(chart.vertices[used], own.reshape(-1, 3).astype(np.int32), np.exp(around[triangles].mean(axis=1))), used
+
+
+def _excess(chart: Chart, shapes: RestShapes, layout: np.ndarray) -> float:
+    """How much higher the energy of a `layout` is than without stretch, as a share."""
+    energy = StretchEnergy(chart.triangles, shapes, chart.density**2)
+    stretched, area = energy.parts(layout)
+    return 2.0 * np.sqrt(stretched * area) / energy.least() - 1.0
