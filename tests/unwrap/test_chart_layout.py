@@ -123,7 +123,7 @@ def test_a_closed_surface_is_refused():
 
 def test_thinning_keeps_the_topology_and_is_undone_to_the_last_triangle():
     mesh = with_holes(24)
-    coarse, rounds = thinned(mesh.vertices, mesh.triangles, 150, np.zeros(len(mesh.vertices), bool))
+    coarse, rounds = finish(thinned(mesh.vertices, mesh.triangles, 150, np.zeros(len(mesh.vertices), bool)))
     edges = edges_of(coarse, len(mesh.vertices))
     assert len(np.unique(coarse)) <= 150
     assert set(edges.uses) == {1, 2}
@@ -138,7 +138,7 @@ def test_thinning_keeps_the_topology_and_is_undone_to_the_last_triangle():
 
 def test_vertices_come_back_into_a_layout_without_flipping_a_triangle():
     mesh = dome(24, 0.95)
-    coarse, rounds = thinned(mesh.vertices, mesh.triangles, 60, np.zeros(len(mesh.vertices), bool))
+    coarse, rounds = finish(thinned(mesh.vertices, mesh.triangles, 60, np.zeros(len(mesh.vertices), bool)))
     [rim] = border_loops(coarse, mesh.vertices)
     layout = convex_layout(mesh.vertices, coarse, rim, circle(np.ones(len(rim))))
     assert areas(layout[coarse]).min() > 0.0

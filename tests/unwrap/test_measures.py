@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from farfield.addon.core.mesh import TriangleMesh
+from farfield.addon.core.progress import finish
 from farfield.addon.core.unwrap.measures import measured
 from farfield.addon.core.unwrap.overlaps import overlap_count
 from farfield.addon.core.unwrap.packing import packed
@@ -22,7 +23,7 @@ def counted(corners):
     total = 0
     for one in range(len(corners)):
         for other in range(one):
-            total += overlap_count(corners[[one, other]])
+            total += finish(overlap_count(corners[[one, other]]))
     return total
 
 
@@ -30,7 +31,7 @@ def counted(corners):
 def test_an_isometry_has_no_stretch_whatever_its_size(size, turn):
     mesh, corners = plane()
     turned = size * corners @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    figures = measured(mesh, turned, np.zeros(len(corners)))
+    figures = finish(measured(mesh, turned, np.zeros(len(corners))))
     assert (figures.l2, figures.linf, figures.p95) == pytest.approx((1.0, 1.0, 1.0))
     assert figures.symmetric_dirichlet == pytest.approx(4.0)
     assert (figures.flips, figures.overlaps, figures.density_ratio) == (0, 0, 0.0)
@@ -39,7 +40,7 @@ def test_an_isometry_has_no_stretch_whatever_its_size(size, turn):
 
 def test_a_map_twice_as_wide_as_it_should_be():
     mesh, corners = plane()
-    figures = measured(mesh, corners * [2.0, 1.0], np.zeros(len(corners)))
+    figures = finish(measured(mesh, corners * [2.0, 1.0], np.zeros(len(corners))))
     assert figures.linf == pytest.approx(np.sqrt(2.0))  # across, lengths are a root of two longer than in a map of the same area
     assert figures.l2 == pytest.approx(np.sqrt(0.5 * (2.0 + 0.5)))
     assert figures.symmetric_dirichlet == pytest.approx(2.0 * 2.5)
@@ -51,7 +52,7 @@ def test_flips_are_counted_and_texels_compared():
     corners[5] = corners[5, ::-1]
     importance = (np.arange(len(corners)) % 2).astype(float)
     corners[importance > 0.5] *= 2.0
-    figures = measured(mesh, corners, importance)
+    figures = finish(measured(mesh, corners, importance))
     assert figures.flips == 1
     assert figures.density_ratio == pytest.approx(4.0)
 
@@ -60,7 +61,7 @@ def test_a_collapsed_triangle_is_stretched_without_end():
     mesh, corners = plane()
     corners = corners.copy()
     corners[0] = corners[0, :1]
-    figures = measured(mesh, corners, np.zeros(len(corners)))
+    figures = finish(measured(mesh, corners, np.zeros(len(corners))))
     assert np.isinf(figures.linf) and figures.flips == 0
 
 
@@ -69,21 +70,21 @@ def test_a_triangle_without_area_on_the_surface_does_not_count():
     vertices = np.concatenate([mesh.vertices, mesh.vertices[:1]])
     triangles = np.concatenate([mesh.triangles, [[0, 1, len(mesh.vertices)]]]).astype(np.int32)
     grown = np.concatenate([corners, corners[:1]])
-    assert measured(TriangleMesh(vertices, triangles), grown, np.zeros(len(grown))).l2 == pytest.approx(1.0, rel=0.05)
+    assert finish(measured(TriangleMesh(vertices, triangles), grown, np.zeros(len(grown)))).l2 == pytest.approx(1.0, rel=0.05)
 
 
 @given(seed=st.integers(0, 1000))
 def test_overlaps_are_those_of_every_pair(seed):
     random = np.random.default_rng(seed)
     corners = random.uniform(0.0, 1.0, (8, 1, 2)) + random.uniform(-1.0, 1.0, (8, 3, 2)) * random.choice([0.02, 0.2, 0.6], (8, 1, 1))
-    assert overlap_count(corners) == counted(corners)
+    assert finish(overlap_count(corners)) == counted(corners)
 
 
 def test_neighbours_do_not_overlap_and_a_second_sheet_does():
     _, corners = plane(9)
-    assert overlap_count(corners) == 0
-    assert overlap_count(np.concatenate([corners, corners[:1]])) >= 1
-    assert overlap_count(corners[:, ::-1]) == 0  # mirrored as a whole
+    assert finish(overlap_count(corners)) == 0
+    assert finish(overlap_count(np.concatenate([corners, corners[:1]]))) >= 1
+    assert finish(overlap_count(corners[:, ::-1])) == 0  # mirrored as a whole
 
 
 def test_charts_are_packed_apart_within_the_square():
@@ -96,7 +97,7 @@ def test_charts_are_packed_apart_within_the_square():
     placed = packed(layouts, triangles, 0.01)
     corners = np.concatenate([layout[drawn] for layout, drawn in zip(placed, triangles, strict=True)])
     assert corners.min() >= 0.01 - 1e-9 and corners.max() <= 0.99 + 1e-9
-    assert overlap_count(corners) == 0
+    assert finish(overlap_count(corners)) == 0
     scales = [np.sqrt(np.ptp(new, axis=0).prod() / np.ptp(old, axis=0).prod()) for new, old in zip(placed, layouts, strict=True)]
     assert scales == pytest.approx([scales[0]] * len(scales))  # none has grown beside the others
     assert measured_fill(corners) > 0.5

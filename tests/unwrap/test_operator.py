@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from farfield.addon.bridge import stretch_pictures, uv_maps
+from farfield.addon.core.progress import finish
 from farfield.addon.core.unwrap.overlaps import overlap_count
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
@@ -62,7 +63,7 @@ def assert_is_sound(item):
     corners, _ = corners_of(item)
     assert np.isfinite(corners).all() and corners.min() >= 0.0 and corners.max() <= 1.0
     assert signed_areas(corners).min() > 0.0
-    assert overlap_count(corners) == 0
+    assert finish(overlap_count(corners)) == 0
 
 
 def test_a_ball_is_unwrapped_into_a_map_of_its_own():
@@ -244,7 +245,7 @@ def test_all_that_may_be_wrong_with_a_mesh_at_once(chart):
     assert unwrap(chart=chart) == {"FINISHED"}
     corners, _ = corners_of(item)
     assert np.isfinite(corners).all() and signed_areas(corners).min() >= 0.0
-    assert overlap_count(corners) == 0
+    assert finish(overlap_count(corners)) == 0
 
 
 def test_coordinates_that_are_no_numbers_are_refused():

@@ -8,8 +8,10 @@ from scipy.sparse.csgraph import connected_components
 def border_edges(triangles: np.ndarray) -> np.ndarray:
     """Edges (B, 2) of one triangle only, from start to end as their triangles go round: the inside is to the left."""
     starts, ends = triangles.ravel().astype(np.int64), np.roll(triangles, -1, axis=1).ravel().astype(np.int64)
-    count = int(triangles.max(initial=-1)) + 1
-    alone = ~np.isin(starts * count + ends, ends * count + starts)
+    keys = np.minimum(starts, ends) * (int(triangles.max(initial=-1)) + 1) + np.maximum(starts, ends)
+    order = np.argsort(keys)
+    new = np.append(np.diff(keys[order], prepend=-1) != 0, True)
+    alone = np.sort(order[new[:-1] & new[1:]])
     return np.stack([starts[alone], ends[alone]], axis=1)
 
 

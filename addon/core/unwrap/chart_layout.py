@@ -9,29 +9,27 @@ import numpy as np
 from ..errors import GeometryError
 from ..mesh import face_areas_and_normals
 from ..progress import Progress, Steps, scaled
-from .assembly import Assembly
-from .border_barrier import BorderBarrier
 from .borders import border_edges, border_loops, filled
 from .chart import Chart
 from .collapses import Round, thinned
 from .insertions import inserted
-from .layout_energy import LayoutEnergy
 from .newton import minimised
+from .parts import DIRECT, Level
 from .polygons import Polygons
 from .relaxation import mended
-from .rest_shapes import RestShapes, rest_shapes
-from .shape_barrier import ShapeBarrier, least_ratios
+from .rest_shapes import rest_shapes
+from .shape_barrier import least_ratios
 from .stretch_energy import StretchEnergy
 from .tutte import circle, convex_layout, square
 from .weights import Weights
 
-COARSEST = 1000  # vertices on which the work begins
+COARSEST = 2500  # vertices on which the work begins
 GROWTH = 3.0  # times as many vertices from one level to the next
 ALONE = 3  # Newton steps of a vertex that has been put back, before all move together
-LEVEL_STEPS, LAST_STEPS = 12, 60
-LEVEL_TOLERANCE, LAST_TOLERANCE = 1e-3, 1e-4
+FIRST, BETWEEN, LAST = (3e-4, 30), (3e-3, 4), (1e-3, 30)  # tolerance and steps on the coarsest level, on those after it, and at the end
+ROUND = 1e-3, 12  # and after a change of pulls or weights
+SWEEPS = 2  # over the patches of a level
 FIRMER = 10.0  # times as strong the pull on a triangle gets while it is below the bound on its shape
-NEARLY = 0.95  # of the ratio that a triangle has, where it could not be brought up to the bound
 REACH = 0.3  # of the mean length of the border's edges on the surface: nearer than that, it is pushed away from itself
 BULGE = 0.02
 ROUNDS, LAST_ROUNDS = 4, 3  # of changing pulls and weights on a level, at most, and to the end on the last one
@@ -58,15 +56,14 @@ def chart_layout(chart: Chart, border: Border, least_ratio: float) -> Steps[np.n
     count = len(chart.vertices)
     chart, rim = _disk(_normalised(chart))
     work = _Work(chart, border, least_ratio, rim, count)
-    coarse, rounds = thinned(chart.vertices, chart.triangles, COARSEST, work.fixed)
+    coarse, rounds = yield from scaled(thinned(chart.vertices, chart.triangles, COARSEST, work.fixed), 0.0, 0.05)
     layout = work.begun(coarse)
-    layout = yield from scaled(work.settled(layout, coarse, False), 0.05, 0.1)
+    layout = yield from scaled(work.settled(layout, coarse, True, not rounds), 0.05, 0.1 if rounds else 1.0)
     for level, start, stop in _levels(rounds, len(np.unique(coarse))):
         for made in level:
+            yield Progress(start, "Putting vertices back")
             layout = work.with_round(layout, made)
-        layout = yield from scaled(work.settled(layout, level[-1].triangles, level[-1] is rounds[0]), start, stop)
-    if not rounds or not np.array_equal(rounds[0].triangles, chart.triangles):
-        layout = yield from scaled(work.settled(layout, chart.triangles, True), 0.1, 1.0)
+        layout = yield from scaled(work.settled(layout, level[-1].triangles, False, level[-1] is rounds[0]), start, stop)
     return layout[:count]
 
 
@@ -135,74 +132,67 @@ class _Work:
     def with_round(self, layout: np.ndarray, made: Round) -> np.ndarray:
         """The layout with the vertices of a round of collapses put back, where their own triangles are stretched least."""
         layout = inserted(layout, made, self._chart.vertices)
-        alone = ~np.isin(made.removed, border_edges(made.triangles)[:, 0])
+        level = self.level(made.triangles)
+        rim = np.zeros(len(layout), bool)
+        rim[level.border] = True
+        alone = ~rim[made.removed]
         owners = made.removed[alone]
         if len(owners):
-            polygons = Polygons(layout, owners, made.stars[alone], self._chart.vertices, self._weights.of_vertices())
+            polygons = Polygons(layout, owners, made.stars[alone], self._chart.vertices, level.vertex_weights)
             layout[owners] = polygons.relaxed(layout[owners], ALONE)
-        return self.mended(layout, made.triangles, rest_shapes(self._chart.vertices[made.triangles]))
+        return mended(layout, made.triangles, self._chart.vertices, level.shapes, level.vertex_weights, rim | self.fixed)
 
-    def mended(self, layout: np.ndarray, triangles: np.ndarray, shapes: RestShapes) -> np.ndarray:
-        """The layout with fewer squeezed triangles, whose rest `shapes` are known."""
-        vertices = self._chart.vertices
-        stays = self.fixed.copy()
-        stays[border_edges(triangles)[:, 0]] = True
-        return mended(layout, triangles, vertices, shapes, self._weights.of_vertices(), stays)
+    def level(self, triangles: np.ndarray) -> Level:
+        """What the energies of a level's triangles need."""
+        vertices, border = self._chart.vertices, border_edges(triangles)
+        moved = np.zeros(len(vertices), bool)
+        moved[triangles] = True
+        return Level(
+            vertices=vertices,
+            triangles=triangles,
+            shapes=rest_shapes(vertices[triangles]),
+            weights=self._weights.on(triangles),
+            vertex_weights=self._weights.of_vertices(),
+            border=border if (~self.fixed[border]).any() else border[:0],
+            moved=moved & ~self.fixed,
+            reach=REACH * float(np.linalg.norm(np.subtract(*vertices[border.T]), axis=1).mean()),
+        )
 
-    def settled(self, layout: np.ndarray, triangles: np.ndarray, last: bool) -> Steps[np.ndarray]:
+    def settled(self, layout: np.ndarray, triangles: np.ndarray, first: bool, last: bool) -> Steps[np.ndarray]:
         """The layout of least energy of a level's triangles, all above the bound on their shape and as dense as wanted, if that can be."""
         pull = np.ones(len(triangles))
+        level = self.level(triangles)
         for number in range(ROUNDS):
-            steps = self._lowered(layout, triangles, pull, LEVEL_TOLERANCE, LEVEL_STEPS)
-            layout = yield from scaled(steps, 0.1 * number, 0.1 * number + 0.1)
+            effort = ROUND if number else FIRST if first else BETWEEN
+            layout = yield from scaled(self._lowered(layout, level, pull, effort), 0.1 * number, 0.1 * number + 0.1)
             off = self._weights.adjusted(layout, triangles, NEAR)
             below = least_ratios(layout[triangles]) < self._least_ratio
             if not off and not below.any():
                 break
+            level = self.level(triangles) if off else level
             pull = np.where(below, FIRMER * pull, pull)
         for number in range(LAST_ROUNDS if last else 0):
             share = 0.1 * ROUNDS + 0.2 * number
-            layout = yield from scaled(self._lowered(layout, triangles, 0.0 * pull, LAST_TOLERANCE, LAST_STEPS), share, share + 0.2)
+            layout = yield from scaled(self._lowered(layout, level, 0.0 * pull, LAST), share, share + 0.2)
             if not self._weights.adjusted(layout, triangles, LAST_NEAR):
                 break
+            level = self.level(triangles)
         return layout
 
-    def _lowered(self, layout: np.ndarray, triangles: np.ndarray, pull: np.ndarray, tolerance: float, most: int) -> Steps[np.ndarray]:
-        """The layout further down the energy. No triangle that is above the bound on its shape goes below it, no other one is lowered; the
-        others are pulled up, as strongly as `pull` (T,) says."""
-        return (yield from minimised(self._energy(layout, triangles, pull), layout, tolerance, most))
-
-    def _energy(self, layout: np.ndarray, triangles: np.ndarray, pull: np.ndarray) -> LayoutEnergy:
-        vertices = self._chart.vertices
-        shapes, weights = rest_shapes(vertices[triangles]), self._weights.on(triangles)
-        moved = np.zeros(len(vertices), bool)
-        moved[triangles] = True
-        moved &= ~self.fixed
-        barriers = []
-        if self._least_ratio > 0.0:
-            counts = shapes.areas * np.sqrt(weights)  # half of what stretch comes to where there is none
-            ratios = least_ratios(layout[triangles])
-            barriers.append(
-                ShapeBarrier(triangles, np.arange(len(triangles)), counts, np.minimum(self._least_ratio, NEARLY * ratios), False)
-            )
-            low = np.flatnonzero((ratios < self._least_ratio) & (pull > 0.0))
-            if len(low):
-                barriers.append(ShapeBarrier(triangles[low], low, (counts * pull)[low], np.full(len(low), self._least_ratio), True))
-        edges = border_edges(triangles)
-        free = BorderBarrier(edges, REACH * float(np.linalg.norm(np.subtract(*vertices[edges.T]), axis=1).mean()))
-        return LayoutEnergy(
-            Assembly(triangles, moved),
-            StretchEnergy(triangles, shapes, weights),
-            barriers,
-            free if self._has_free(edges) else None,
-            lambda moved: self.mended(moved, triangles, shapes),
-        )
+    def _lowered(self, layout: np.ndarray, level: Level, pull: np.ndarray, effort: tuple[float, int]) -> Steps[np.ndarray]:
+        """The layout further down the energy, with a `pull` (T,) on triangles that are below the bound on their shape."""
+        layout = layout.copy()
+        for sweep in range(SWEEPS if int(level.moved.sum()) > DIRECT else 1):
+            parts = list(level.parts(layout, sweep))
+            for number, part in enumerate(parts):
+                own = layout[part.numbers]
+                steps = minimised(part.energy(own, self._least_ratio, pull[part.which]), own, *effort)
+                share = (sweep + number / len(parts)) / SWEEPS
+                layout[part.numbers] = yield from scaled(steps, share, share + 1.0 / (SWEEPS * len(parts)))
+        return layout
 
     def _stretch(self, triangles: np.ndarray) -> StretchEnergy:
         return StretchEnergy(triangles, rest_shapes(self._chart.vertices[triangles]), self._weights.on(triangles))
-
-    def _has_free(self, edges: np.ndarray) -> bool:
-        return bool((~self.fixed[edges]).any())
 
 
 def _sides(outline: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..edges import Edges, edges_of
 from ..parallel import in_chunks
+from ..progress import Progress, Steps
 
 LARGEST_STAR = 10  # triangles around a vertex that is taken out
 SLIVER = 0.05  # of the shape of an equilateral triangle: what a collapse may leave
@@ -35,15 +36,17 @@ class Round:
     stars: np.ndarray
 
 
-def thinned(vertices: np.ndarray, triangles: np.ndarray, target: int, stays: np.ndarray) -> tuple[np.ndarray, list[Round]]:
+def thinned(vertices: np.ndarray, triangles: np.ndarray, target: int, stays: np.ndarray) -> Steps[tuple[np.ndarray, list[Round]]]:
     """The triangles of a mesh with about `target` vertices, and the rounds that led there, the first one first.
 
     vertices: (V, 3) float64. triangles: (T, 3) int32, a manifold. stays: (V,) bool, whom no round takes. Ends early where no collapse is
     left that keeps shape and topology.
     """
     rounds: list[Round] = []
-    count = len(np.unique(triangles))
+    count = int(np.count_nonzero(np.bincount(triangles.ravel())))
+    begun = count
     while count > target:
+        yield Progress((begun - count) / (begun - target), "Thinning")
         made = _round(vertices, triangles, stays, count - target, len(rounds))
         if len(made.removed) == 0:
             break

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import dijkstra, minimum_spanning_tree
 
 from ..edges import Edges, edges_of, inner_sides
 from ..mesh import face_areas_and_normals
-from ..progress import Progress, Steps, finish
+from ..progress import Progress, Steps, finish, scaled
 from .borders import border_loops
 from .chart import Chart
 from .chart_layout import Border, chart_layout
@@ -198,13 +198,13 @@ def _ends(chart: Chart, start: np.ndarray, needed: int) -> Steps[list[int]]:
     at all, then one after the other wherever a thinned model is stretched most, as long as that takes a good part of the stretch."""
     stays = np.zeros(len(chart.vertices), bool)
     stays[start] = True
-    coarse, _ = thinned(chart.vertices, chart.triangles, MODEL, stays)
+    coarse, _ = yield from scaled(thinned(chart.vertices, chart.triangles, MODEL, stays), 0.0, 0.5)
     model, used = _of(chart, coarse)
     ways = _Ways(model, edges_of(model.triangles, len(used)))
     start = np.searchsorted(used, start)
     ends, best = [ways.farthest(start)] * needed, np.inf
     while len(ends) <= MOST_ENDS:
-        yield Progress(len(ends) / (MOST_ENDS + 1), "Looking for cuts")
+        yield Progress(0.5 + 0.5 * len(ends) / (MOST_ENDS + 1), "Looking for cuts")
         excess, worst = _opened_along(model, ways.leading_to(start, ends))
         if not excess < (1.0 - WORTH) * best:
             break

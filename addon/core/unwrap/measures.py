@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..mesh import TriangleMesh, face_areas_and_normals
+from ..progress import Steps
 from .overlaps import overlap_count
 from .rest_shapes import rest_shapes
 from .shape_barrier import least_ratios
@@ -64,7 +65,7 @@ def stretches_of(mesh: TriangleMesh, corners: np.ndarray) -> Stretches:
         )
 
 
-def measured(mesh: TriangleMesh, corners: np.ndarray, importance: np.ndarray) -> Measures:
+def measured(mesh: TriangleMesh, corners: np.ndarray, importance: np.ndarray) -> Steps[Measures]:
     """All figures of the UV map `corners` (T, 3, 2) of `mesh`; importance: (T,), 0 to 1."""
     found = stretches_of(mesh, corners)
     areas, _ = face_areas_and_normals(mesh.corners)
@@ -77,6 +78,7 @@ def measured(mesh: TriangleMesh, corners: np.ndarray, importance: np.ndarray) ->
     with np.errstate(divide="ignore"):
         dirichlet = float(weights @ (squares + 1.0 / largest**2 + 1.0 / smallest**2))
     texels = np.abs(signed_areas(corners))
+    overlaps = yield from overlap_count(corners)
     return Measures(
         l2=float(np.sqrt(0.5 * weights @ squares)),
         linf=float(largest.max()),
@@ -84,7 +86,7 @@ def measured(mesh: TriangleMesh, corners: np.ndarray, importance: np.ndarray) ->
         p99=p99,
         symmetric_dirichlet=dirichlet,
         flips=int(found.flipped.sum()),
-        overlaps=overlap_count(corners),
+        overlaps=overlaps,
         min_shape=float(least_ratios(corners).min()),
         fill=float(texels.sum()),
         density_ratio=density_ratio(texels, areas, importance),

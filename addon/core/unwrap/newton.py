@@ -12,8 +12,9 @@ STEADY = 1e-8  # of the median of the diagonal, added to it: turning and shiftin
 BACK = 0.7  # of the way to where a triangle would have no area left
 SUFFICIENT = 1e-4  # of what the slope promises (Armijo)
 SHORTEST = 1e-10  # a step below that is none
-SERVES = 10  # steps that a factor is used for; each costs a tenth of a new one
-SHORT = 0.2  # of a whole step: after one below it the factor is made anew
+SERVES = 14  # steps that a factor is used for; each costs a tenth of a new one
+HINDERED = 0.5  # of a whole step: after one below it squeezed triangles are mended
+SHORT = 0.1  # of a whole step: after one below it the factor is made anew
 
 
 class Energy(Protocol):
@@ -57,7 +58,8 @@ def minimised(energy: Energy, layout: np.ndarray, tolerance: float, most: int) -
         taken = _along(energy, layout, energy.move(unknowns), value, promised)
         if taken is not None:
             step, layout, reached = taken
-            layout, reached = _better(energy, layout, reached)
+            if step < HINDERED:
+                layout, reached = _better(energy, layout, reached)
             gained, value = value - reached, reached
             served = SERVES if step < SHORT else served + 1
         if taken is None or max(gained, 0.5 * promised) <= tolerance * max(value - energy.least(), 1e-12):

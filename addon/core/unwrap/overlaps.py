@@ -9,30 +9,36 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..parallel import slices
+from ..progress import Progress, Steps
 
 LEVELS = 24  # of halved cells, from the largest triangle on
 TOUCH = 1e-9  # of the extent of the map: triangles that come no farther into each other only touch
 CHUNK = 1 << 15  # triangles whose neighbours are looked up at once
 
 
-def overlap_count(corners: np.ndarray) -> int:
+def overlap_count(corners: np.ndarray) -> Steps[int]:
     """How many pairs of triangles (T, 3, 2) lie over each other; triangles without area do with none."""
     doubled = _cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     corners = np.where((doubled < 0.0)[:, None, None], corners[:, ::-1], corners)[doubled != 0.0]
     if len(corners) < 2:
         return 0
     extent = float(np.ptp(corners.reshape(-1, 2), axis=0).max())
-    return sum(int(_overlap(corners[first], corners[second], TOUCH * extent).sum()) for first, second in _candidates(corners))
+    total = 0
+    for share, first, second in _candidates(corners):
+        yield Progress(share, "Looking for overlaps")
+        total += int(_overlap(corners[first], corners[second], TOUCH * extent).sum())
+    return total
 
 
-def _candidates(corners: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Pairs of triangles whose boxes may meet, every pair once."""
+def _candidates(corners: np.ndarray) -> Iterator[tuple[float, np.ndarray, np.ndarray]]:
+    """Pairs of triangles whose boxes may meet, every pair once, and what share of them has been looked at."""
     low, high = corners.min(axis=1), corners.max(axis=1)
     low, high = low - low.min(axis=0), high - low.min(axis=0)
     sizes = (high - low).max(axis=1)
     levels = np.clip(np.floor(np.log2(sizes.max() / sizes)), 0, LEVELS).astype(np.int64)
     order = np.argsort(-levels, kind="stable")
-    for level in np.unique(levels):
+    filled = np.unique(levels)
+    for number, level in enumerate(filled):
         side = sizes.max() / 2.0**level
         members = np.flatnonzero(levels == level)
         columns = int(high[:, 0].max() / side) + 2
@@ -53,7 +59,7 @@ def _candidates(corners: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
                 own = asking[own]
                 new = (levels[own] > level) | (own < met)
                 new &= ((low[own] <= high[met]) & (low[met] <= high[own])).all(axis=1)
-                yield own[new], met[new]
+                yield number / len(filled), own[new], met[new]
 
 
 def _overlap(first: np.ndarray, second: np.ndarray, touch: float) -> np.ndarray:

@@ -66,7 +66,8 @@ def unwrap(
         turned[piece.triangles] = piece.turned
     upright = np.where(turned[:, None, None], corners[:, [0, 2, 1]], corners)
     oriented = replace(mesh, triangles=np.where(turned[:, None], mesh.triangles[:, [0, 2, 1]], mesh.triangles))
-    figures, stretches = measured(oriented, upright, importance), stretches_of(oriented, upright)
+    figures = yield from scaled(measured(oriented, upright, importance), PACKING, 1.0)
+    stretches = stretches_of(oriented, upright)
     clock["measure"] = time.perf_counter() - started
     return Unwrapped(corners, stretches, figures, len(pieces), clock)
 
