@@ -8,7 +8,7 @@ import bpy
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not put a script's folder there
 
-from hand import Hand, clouds, drive, make_tree, module, picture, seen, start, state, watch
+from hand import Hand, clouds, drive, make_tree, module, picture, seen, start, state, undo, watch
 
 BUTTON = "farfield.billboards_build"
 
@@ -64,16 +64,6 @@ def visit() -> Iterator[float]:
 def fading() -> list[str]:
     """Names of what fades."""
     return sorted(item.name for item in bpy.data.objects if "farfield_fade" in item)
-
-
-def undo(hand: Hand) -> Iterator[float]:
-    """Press Ctrl Z over the 3D view."""
-    view = hand.region("WINDOW")
-    middle = view.x + view.width // 2, view.y + view.height // 2
-    hand.move(*middle)
-    yield 0.5
-    hand.press("Z", *middle, ctrl=True)
-    yield 1.5
 
 
 drive(visit)

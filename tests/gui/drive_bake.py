@@ -8,20 +8,11 @@ import bpy
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not put a script's folder there
 
-from hand import Hand, drive, make_tree, module, picture, seen, start, state, watch
+from hand import Hand, drive, make_tree, module, open_panel_alone, picture, seen, start, state, watch
 
 BUTTON = "farfield.btf_bake"
 BAKE = {"views": 16, "lights": 49, "samples": 4, "components": 4, "alpha_components": 4, "shadows": 64, "executor": "processes:2"}
 ENOUGH = 5  # views after which Esc is pressed
-
-
-def open_panel_alone() -> None:
-    """Show the panel Relightable Textures open and the others closed, so that all of it has room."""
-    for name, options in (("billboards", {"DEFAULT_CLOSED"}), ("btf", set())):
-        panel = getattr(module(f"addon.panels.{name}"), f"FARFIELD_PT_{name}")
-        bpy.utils.unregister_class(panel)
-        panel.bl_options = options
-        bpy.utils.register_class(panel)
 
 
 def standing() -> dict[str, tuple[int, int]]:
@@ -44,7 +35,7 @@ def visit() -> Iterator[float]:
     bpy.ops.farfield.billboards_build(error=8.0, levels=1, samples=1)
     for name, value in BAKE.items():
         setattr(bpy.context.scene.farfield_btf, name, value)
-    open_panel_alone()
+    open_panel_alone("btf")
     yield 2.0
     hand.region("UI").active_panel_category = "Farfield"
     hand.region("UI").tag_redraw()

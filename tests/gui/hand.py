@@ -21,6 +21,7 @@ import numpy as np
 PACKAGE = "bl_ext.user_default.farfield"
 FOLDER = Path(sys.argv[sys.argv.index("--") + 1])
 LEAVES = 600
+PANELS = ("billboards", "btf", "unwrap")
 LOOK = 0.1  # seconds between two looks at the window
 PATIENCE = 120.0  # seconds that a job may take here
 
@@ -124,6 +125,25 @@ def state() -> dict:
 def module(name: str):
     """A module of the installed extension."""
     return sys.modules[f"{PACKAGE}.{name}"]
+
+
+def open_panel_alone(tool: str) -> None:
+    """Show the panel of `tool` open and the others closed, so that all of it has room."""
+    for name in PANELS:
+        panel = getattr(module(f"addon.panels.{name}"), f"FARFIELD_PT_{name}")
+        bpy.utils.unregister_class(panel)
+        panel.bl_options = set() if name == tool else {"DEFAULT_CLOSED"}
+        bpy.utils.register_class(panel)
+
+
+def undo(hand: Hand) -> Iterator[float]:
+    """Press Ctrl Z over the 3D view."""
+    view = hand.region("WINDOW")
+    middle = view.x + view.width // 2, view.y + view.height // 2
+    hand.move(*middle)
+    yield 0.5
+    hand.press("Z", *middle, ctrl=True)
+    yield 1.5
 
 
 def start(hand: Hand, operator: str) -> Iterator[float | tuple[int, int]]:

@@ -162,7 +162,7 @@ class _Work:
         """The layout of least energy of a level's triangles, all above the bound on their shape and as dense as wanted, if that can be."""
         pull = np.ones(len(triangles))
         level = self.level(triangles)
-        for number in range(ROUNDS):
+        for number in range(0 if last and not first and self._unbound else ROUNDS):
             effort = ROUND if number else FIRST if first else BETWEEN
             layout = yield from scaled(self._lowered(layout, level, pull, effort), 0.1 * number, 0.1 * number + 0.1)
             off = self._weights.adjusted(layout, triangles, NEAR)
@@ -179,16 +179,22 @@ class _Work:
             level = self.level(triangles)
         return layout
 
+    @property
+    def _unbound(self) -> bool:
+        """Whether nothing but stretch counts."""
+        return self._weights.even and self._least_ratio == 0.0
+
     def _lowered(self, layout: np.ndarray, level: Level, pull: np.ndarray, effort: tuple[float, int]) -> Steps[np.ndarray]:
         """The layout further down the energy, with a `pull` (T,) on triangles that are below the bound on their shape."""
         layout = layout.copy()
-        for sweep in range(SWEEPS if int(level.moved.sum()) > DIRECT else 1):
+        sweeps = SWEEPS if effort is not BETWEEN and int(level.moved.sum()) > DIRECT else 1
+        for sweep in range(sweeps):
             parts = list(level.parts(layout, sweep))
             for number, part in enumerate(parts):
                 own = layout[part.numbers]
                 steps = minimised(part.energy(own, self._least_ratio, pull[part.which]), own, *effort)
-                share = (sweep + number / len(parts)) / SWEEPS
-                layout[part.numbers] = yield from scaled(steps, share, share + 1.0 / (SWEEPS * len(parts)))
+                share = (sweep + number / len(parts)) / sweeps
+                layout[part.numbers] = yield from scaled(steps, share, share + 1.0 / (sweeps * len(parts)))
         return layout
 
     def _stretch(self, triangles: np.ndarray) -> StretchEnergy:

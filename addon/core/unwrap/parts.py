@@ -14,8 +14,8 @@ from .rest_shapes import RestShapes
 from .shape_barrier import ShapeBarrier, least_ratios
 from .stretch_energy import StretchEnergy
 
-DIRECT = 30_000  # vertices that are worked on at once
-PATCH = 12_000  # vertices of a patch at most, where there are more
+DIRECT = 20_000  # vertices that are worked on at once
+PATCH = 8_000  # vertices of a patch at most, where there are more
 UNEVEN = 0.36  # of the vertices: where every other sweep is cut first, so that its patches meet elsewhere
 NEARLY = 0.95  # of the ratio that a triangle has: where it is below the bound on its shape, it is not let fall farther than that
 
