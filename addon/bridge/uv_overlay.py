@@ -11,7 +11,7 @@ from ..core.unwrap.stretch_colors import stretch_colors
 from .uv_maps import STRETCH, drawn_triangles
 
 OPACITY = 0.85
-ABOVE = 2e-4  # of the longest side of a mesh: how far its colours lie above its faces
+ABOVE = 2e-3  # of the longest side of a mesh: how far its colours lie above its faces
 
 _handlers: list[tuple[type, Any]] = []
 _batches: dict[str, dict[str, Any]] = {}  # what is drawn of each mesh, until something changes

@@ -42,8 +42,8 @@ def blender_property(description: Description, options: set[str]) -> Any:
 
 
 def title(description: Description) -> str:
-    """The name that panels show: `Max Normal Deviation`, `Texture MB`."""
-    return description.name.replace("_", " ").title().replace(" Mb", " MB")
+    """The name that panels show: `Max Normal Deviation`, `Texture MB`, `UV Map`."""
+    return description.name.replace("_", " ").title().replace(" Mb", " MB").replace("Uv ", "UV ")
 
 
 def to_blender(description: Description, value: Any) -> Any:
