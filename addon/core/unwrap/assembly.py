@@ -15,11 +15,7 @@ class Assembly:
         unknowns = self.unknowns(triangles)
         self._corners = np.flatnonzero(unknowns.ravel() >= 0)
         self._own = unknowns.ravel()[self._corners]
-        rows, columns = np.repeat(unknowns, 6, axis=1).ravel(), np.tile(unknowns, (1, 6)).ravel()
-        self._entries = np.flatnonzero((rows >= 0) & (columns >= 0))
-        keys, self._place = np.unique(columns[self._entries].astype(np.int64) * self.size + rows[self._entries], return_inverse=True)
-        self._rows = (keys % self.size).astype(np.int32)
-        self._starts = np.searchsorted(keys, np.arange(self.size + 1, dtype=np.int64) * self.size).astype(np.int32)
+        self._entries, self._place, self._rows, self._starts = _pattern(self._number[triangles], self.size // 2)
 
     def unknowns(self, vertices: np.ndarray) -> np.ndarray:
         """The unknowns (E, 6) of `vertices` (E, 3), -1 for those that do not move."""
@@ -40,6 +36,26 @@ class Assembly:
         made = np.zeros((len(self._moved), 2))
         made[self._moved] = unknowns.reshape(-1, 2)
         return made
+
+
+def _pattern(numbers: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Where in a matrix of 2 by 2 blocks the bends (T, 6, 6) of triangles go, whose corners are `numbers` (T, 3) of `count` blocks, -1 for
+    none: entries (E,) of the bends that count, the places (E,) of their sums, and of these the rows, and the starts of columns (CSC)."""
+    columns, rows = np.broadcast_to(numbers[:, None], (len(numbers), 3, 3)), np.broadcast_to(numbers[:, :, None], (len(numbers), 3, 3))
+    there = (columns >= 0) & (rows >= 0)
+    keys, block = np.unique(columns[there].astype(np.int64) * count + rows[there], return_inverse=True)
+    column, row = np.divmod(keys, max(count, 1))
+    before = np.searchsorted(column, np.arange(count + 1))
+    tall = np.diff(before)
+    down, across = np.meshgrid(np.arange(2), np.arange(2), indexing="ij")
+    inside = np.arange(len(keys)) - before[column]
+    places = (4 * before[column] + 2 * inside)[:, None, None] + down + across * (2 * tall[column])[:, None, None]
+    triangle, corner, other = np.nonzero(there)
+    entries = (36 * triangle + 12 * corner + 2 * other)[:, None, None] + 6 * down + across
+    indices = np.empty(4 * len(keys), np.int32)
+    indices[places] = 2 * row[:, None, None] + down
+    starts = np.append(np.stack([4 * before[:-1], 4 * before[:-1] + 2 * tall], axis=1).ravel(), 4 * len(keys)).astype(np.int32)
+    return entries.ravel(), places[block].ravel(), indices, starts
 
 
 def assembled(unknowns: np.ndarray, parts: np.ndarray, size: int) -> np.ndarray | sparse.csc_array:

@@ -160,20 +160,20 @@ class _Work:
 
     def settled(self, layout: np.ndarray, triangles: np.ndarray, first: bool, last: bool) -> Steps[np.ndarray]:
         """The layout of least energy of a level's triangles, all above the bound on their shape and as dense as wanted, if that can be."""
-        pull = np.ones(len(triangles))
+        pull, changed = np.ones(len(triangles)), np.ones(len(triangles), bool)
         level = self.level(triangles)
         for number in range(0 if last and not first and self._unbound else ROUNDS):
             effort = ROUND if number else FIRST if first else BETWEEN
-            layout = yield from scaled(self._lowered(layout, level, pull, effort), 0.1 * number, 0.1 * number + 0.1)
+            layout = yield from scaled(self._lowered(layout, level, pull, changed, effort), 0.1 * number, 0.1 * number + 0.1)
             off = self._weights.adjusted(layout, triangles, NEAR)
             below = least_ratios(layout[triangles]) < self._least_ratio
             if not off and not below.any():
                 break
             level = self.level(triangles) if off else level
-            pull = np.where(below, FIRMER * pull, pull)
+            pull, changed = np.where(below, FIRMER * pull, pull), below | off
         for number in range(LAST_ROUNDS if last else 0):
             share = 0.1 * ROUNDS + 0.2 * number
-            layout = yield from scaled(self._lowered(layout, level, 0.0 * pull, LAST), share, share + 0.2)
+            layout = yield from scaled(self._lowered(layout, level, 0.0 * pull, pull > 0.0, LAST), share, share + 0.2)
             if not self._weights.adjusted(layout, triangles, LAST_NEAR):
                 break
             level = self.level(triangles)
@@ -184,12 +184,17 @@ class _Work:
         """Whether nothing but stretch counts."""
         return self._weights.even and self._least_ratio == 0.0
 
-    def _lowered(self, layout: np.ndarray, level: Level, pull: np.ndarray, effort: tuple[float, int]) -> Steps[np.ndarray]:
-        """The layout further down the energy, with a `pull` (T,) on triangles that are below the bound on their shape."""
+    def _lowered(
+        self, layout: np.ndarray, level: Level, pull: np.ndarray, changed: np.ndarray, effort: tuple[float, int]
+    ) -> Steps[np.ndarray]:
+        """The layout further down the energy, with a `pull` (T,) on triangles that are below the bound on their shape.
+
+        changed: (T,) bool, for which triangles the energy is another one than it was; where it is for none, nothing is done.
+        """
         layout = layout.copy()
         sweeps = SWEEPS if effort is not BETWEEN and int(level.moved.sum()) > DIRECT else 1
         for sweep in range(sweeps):
-            parts = list(level.parts(layout, sweep))
+            parts = [part for part in level.parts(layout, sweep) if changed[part.which].any()]
             for number, part in enumerate(parts):
                 own = layout[part.numbers]
                 steps = minimised(part.energy(own, self._least_ratio, pull[part.which]), own, *effort)
