@@ -55,6 +55,7 @@ def test_flips_are_counted_and_texels_compared():
     figures = finish(measured(mesh, corners, importance))
     assert figures.flips == 1
     assert figures.density_ratio == pytest.approx(4.0)
+    assert figures.densities == pytest.approx((0.4, 0.0, 0.0, 1.6), rel=0.1)
 
 
 def test_a_collapsed_triangle_is_stretched_without_end():

@@ -9,6 +9,7 @@ import numpy as np
 from ..errors import GeometryError
 from ..mesh import face_areas_and_normals
 from ..progress import Progress, Steps, scaled
+from .border_barrier import crosses_itself
 from .borders import border_edges, border_loops, filled
 from .chart import Chart
 from .collapses import Round, thinned
@@ -25,6 +26,7 @@ from .weights import Weights
 
 COARSEST = 2500  # vertices on which the work begins
 GROWTH = 3.0  # times as many vertices from one level to the next
+BULGES = 0.1, 1e-2, 1e-3, 1e-5, 1e-7, 1e-9  # of the border where a vertex is put back, each tried where the one before comes upon something
 ALONE = 3  # Newton steps of a vertex that has been put back, before all move together
 FIRST, BETWEEN, LAST = (3e-4, 30), (3e-3, 4), (1e-3, 30)  # tolerance and steps on the coarsest level, on those after it, and at the end
 ROUND = 1e-3, 12  # and after a change of pulls or weights
@@ -131,10 +133,14 @@ class _Work:
 
     def with_round(self, layout: np.ndarray, made: Round) -> np.ndarray:
         """The layout with the vertices of a round of collapses put back, where their own triangles are stretched least."""
-        layout = inserted(layout, made, self._chart.vertices)
         level = self.level(made.triangles)
         rim = np.zeros(len(layout), bool)
         rim[level.border] = True
+        before, layout = layout, inserted(layout, made, self._chart.vertices)
+        for bulge in BULGES if len(level.border) else ():
+            if not crosses_itself(layout, level.border):
+                break
+            layout = inserted(before, made, self._chart.vertices, bulge)
         alone = ~rim[made.removed]
         owners = made.removed[alone]
         if len(owners):
@@ -194,12 +200,11 @@ class _Work:
         layout = layout.copy()
         sweeps = SWEEPS if effort is not BETWEEN and int(level.moved.sum()) > DIRECT else 1
         for sweep in range(sweeps):
-            parts = [part for part in level.parts(layout, sweep) if changed[part.which].any()]
-            for number, part in enumerate(parts):
+            for done, part in level.parts(layout, sweep, changed):
                 own = layout[part.numbers]
+                yield Progress((sweep + done) / sweeps, "Unwrapping")
                 steps = minimised(part.energy(own, self._least_ratio, pull[part.which]), own, *effort)
-                share = (sweep + number / len(parts)) / sweeps
-                layout[part.numbers] = yield from scaled(steps, share, share + 1.0 / (sweeps * len(parts)))
+                layout[part.numbers] = yield from scaled(steps, (sweep + done) / sweeps, (sweep + done + 0.01) / sweeps)
         return layout
 
     def _stretch(self, triangles: np.ndarray) -> StretchEnergy:

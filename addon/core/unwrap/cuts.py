@@ -26,7 +26,7 @@ CREASE = 0.8  # of the cost is saved by a cut along an edge folded flat
 AWAY = 100.0  # times its cost counts an edge at the border when handles are cut: what is left should hang together
 NEVER = 1e6  # times its cost counts an edge within a face
 WIDE = 0.01  # of the area: a hole whose circle has more is joined with the border, not filled
-MODEL = 1000  # vertices of the thinned model
+MODEL = 600  # vertices of the thinned model
 MOST_ENDS = 10  # that a cut leads to
 WORTH = 0.1  # of the excess of stretch has to go with a further end
 
@@ -34,13 +34,14 @@ WORTH = 0.1  # of the excess of stretch has to go with a further end
 def opening_edges(chart: Chart, edges: Edges, further: bool) -> Steps[np.ndarray]:
     """Which `edges` (E,) bool of a chart have to be cut next on its way to a disk, or one with small holes; none where it is one.
 
-    chart: a connected and oriented manifold, closed or not, of any genus. further: whether what is all but closed is cut like what is.
+    chart: a connected and oriented manifold, closed or not, of any genus. further: whether what is all but closed is cut
+    like what is, and what matters less where more matters elsewhere.
     """
     loops = border_loops(chart.triangles, chart.vertices)
     handles = 2 - len(loops) - (len(chart.vertices) - len(edges.ends) + len(chart.triangles))
     wide = _wide(chart, loops)
-    narrow = len(loops) > 0 and not wide.any()
-    if not handles and loops and not wide[1:].any() and not (narrow and further):
+    further = further and (not wide.any() or float(np.ptp(chart.density)) > 0.0)
+    if not handles and loops and not wide[1:].any() and not further:
         return np.zeros(len(edges.ends), bool)
     yield Progress(0.0, "Looking for cuts")
     ways = _Ways(chart, edges)

@@ -14,6 +14,7 @@ from .weights import density_ratio
 
 SPECKS = 1e-9  # of the mean area: triangles with less have no stretch that could be told
 PERCENTILES = 95.0, 99.0
+QUARTERS = 4
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,9 @@ class Measures:
 
     l2: geometric stretch (Sander et al. 2001, section 3). linf: the largest. p95, p99: what 95 and 99 % of the surface are below. flips,
     overlaps: of triangles, and of pairs of them. min_shape: least height over base of a triangle in the map. fill: share of the unit
-    square. density_ratio: texels for its area of what matters more than half, over those of what matters less; 0 where there is only one.
+    square. densities: of texels, over their mean, where importance is in the first, second, third and last quarter of its range; 0 where
+    nothing is. density_ratio: texels for its area of what matters more than half, over those of what matters less; 0 where there is only
+    one.
     """
 
     l2: float
@@ -47,6 +50,7 @@ class Measures:
     overlaps: int
     min_shape: float
     fill: float
+    densities: tuple[float, ...]
     density_ratio: float
 
 
@@ -89,6 +93,7 @@ def measured(mesh: TriangleMesh, corners: np.ndarray, importance: np.ndarray) ->
         overlaps=overlaps,
         min_shape=float(least_ratios(corners).min()),
         fill=float(texels.sum()),
+        densities=_densities(texels, areas, importance),
         density_ratio=density_ratio(texels, areas, importance),
     )
 
@@ -97,3 +102,10 @@ def signed_areas(corners: np.ndarray) -> np.ndarray:
     """Areas (T,) of triangles (T, 3, 2), below 0 where they are clockwise."""
     (x, y), (u, v) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
     return 0.5 * (x * v - y * u)
+
+
+def _densities(texels: np.ndarray, areas: np.ndarray, importance: np.ndarray) -> tuple[float, ...]:
+    """`texels` for their `areas` by quarters of importance, (T,) each, over those of all."""
+    quarter = np.clip((QUARTERS * importance).astype(int), 0, QUARTERS - 1)
+    there, has = (np.bincount(quarter, each, QUARTERS) for each in (areas, texels))
+    return tuple((np.divide(has, there, out=np.zeros(QUARTERS), where=there > 0.0) * areas.sum() / texels.sum()).tolist())

@@ -9,6 +9,7 @@ from scipy.sparse.linalg import splu
 from ..progress import Progress, Steps
 
 STEADY = 1e-8  # of the median of the diagonal, added to it: turning and shifting a free layout costs nothing
+STEADIER = 1e3  # times as much where the factor does not hold
 BACK = 0.7  # of the way to where a triangle would have no area left
 SUFFICIENT = 1e-4  # of what the slope promises (Armijo)
 SHORTEST = 1e-10  # a step below that is none
@@ -43,17 +44,22 @@ class Energy(Protocol):
 
 
 def minimised(energy: Energy, layout: np.ndarray, tolerance: float, most: int) -> Steps[np.ndarray]:
-    """The layout (V, 2) of least energy near `layout`, which must be allowed.
+    """The layout (V, 2) of least energy near `layout`, which comes back as it is where it is not allowed.
 
     Ends after `most` steps, or when a step with a factor of its own gains less than `tolerance` of what the energy is above its least.
     """
-    value, factor, served = energy.value(layout), None, 0
+    value, factor, served, steady = energy.value(layout), None, 0, STEADY
+    if not np.isfinite(value):
+        return layout
     for number in range(most):
         yield Progress(number / most, "Unwrapping")
         if factor is None or served >= SERVES:
-            factor, served = _factor(energy.bend(layout)), 0
+            factor, served = _factor(energy.bend(layout), steady), 0
         slope = energy.slope(layout)
         unknowns = -factor.solve(slope)
+        if not np.isfinite(unknowns).all():
+            factor, steady = None, STEADIER * steady
+            continue
         promised = -float(slope @ unknowns)
         taken = _along(energy, layout, energy.move(unknowns), value, promised)
         if taken is not None:
@@ -74,7 +80,7 @@ def _along(energy: Energy, layout: np.ndarray, move: np.ndarray, value: float, p
     farthest = BACK * energy.longest_step(layout, move)
     step = min(1.0, farthest)
     reached = energy.value(layout + step * move)
-    while reached > value - SUFFICIENT * step * promised:
+    while not reached <= value - SUFFICIENT * step * promised:
         step *= 0.5
         if step < SHORTEST:
             return None
@@ -96,6 +102,6 @@ def _better(energy: Energy, layout: np.ndarray, value: float) -> tuple[np.ndarra
     return (mended, reached) if reached < value else (layout, value)
 
 
-def _factor(bend: sparse.csc_array):
-    steadied = bend + STEADY * float(np.median(bend.diagonal())) * sparse.eye_array(bend.shape[0], format="csc")
+def _factor(bend: sparse.csc_array, steady: float):
+    steadied = bend + steady * float(np.median(bend.diagonal())) * sparse.eye_array(bend.shape[0], format="csc")
     return splu(steadied, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})

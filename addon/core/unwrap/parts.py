@@ -37,20 +37,28 @@ class Level:
     moved: np.ndarray
     reach: float
 
-    def parts(self, layout: np.ndarray, sweep: int) -> Iterator["Part"]:
-        """All of the level, or its patches, which `sweep` after sweep meet in other places."""
+    def parts(self, layout: np.ndarray, sweep: int, changed: np.ndarray) -> Iterator[tuple[float, "Part"]]:
+        """All of the level, or its patches, which `sweep` after sweep meet in other places, each with the share of the level that went
+        before. Left out are those in which no triangle is `changed` (T,) bool."""
         moved = np.flatnonzero(self.moved)
         if len(moved) <= DIRECT:
-            yield self.part(self.moved)
+            if changed.any():
+                yield 0.0, self._part(self.moved, np.flatnonzero(self.moved[self.triangles].any(axis=1)))
             return
-        for patch in _patches(layout[moved], UNEVEN if sweep % 2 else 0.5):
-            chosen = np.zeros(len(self.moved), bool)
-            chosen[moved[patch]] = True
-            yield self.part(chosen)
+        patches = _patches(layout[moved], UNEVEN if sweep % 2 else 0.5)
+        owner = np.full(len(self.moved), -1)
+        for number, patch in enumerate(patches):
+            owner[moved[patch]] = number
+        owners = owner[self.triangles].ravel()
+        corners = np.argsort(owners, kind="stable")
+        starts = np.searchsorted(owners[corners], np.arange(len(patches) + 1))
+        for number in range(len(patches)):
+            which = np.unique(corners[starts[number] : starts[number + 1]] // 3)
+            if changed[which].any():
+                yield number / len(patches), self._part(owner == number, which)
 
-    def part(self, moved: np.ndarray) -> "Part":
-        """What moves the vertices `moved` (V,) bool."""
-        which = np.flatnonzero(moved[self.triangles].any(axis=1))
+    def _part(self, moved: np.ndarray, which: np.ndarray) -> "Part":
+        """The triangles `which` (K,), those of the vertices `moved` (V,) bool."""
         border = self.border if moved[self.border].any() else self.border[:0]
         used = np.zeros(len(moved), bool)
         used[self.triangles[which]] = True
