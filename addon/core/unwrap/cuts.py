@@ -26,9 +26,10 @@ CREASE = 0.8  # of the cost is saved by a cut along an edge folded flat
 AWAY = 100.0  # times its cost counts an edge at the border when handles are cut: what is left should hang together
 NEVER = 1e6  # times its cost counts an edge within a face
 WIDE = 0.01  # of the area: a hole whose circle has more is joined with the border, not filled
+ALL_BUT_CLOSED = 0.05  # of the area: what has only openings whose circles have less
 MODEL = 600  # vertices of the thinned model
 MOST_ENDS = 10  # that a cut leads to
-WORTH = 0.1  # of the excess of stretch has to go with a further end
+WORTH, LEAST_WORTH = 0.1, 0.02  # of the excess of stretch has to go with a further end, and so much of stretch at least
 
 
 def opening_edges(chart: Chart, edges: Edges, further: bool) -> Steps[np.ndarray]:
@@ -39,26 +40,27 @@ def opening_edges(chart: Chart, edges: Edges, further: bool) -> Steps[np.ndarray
     """
     loops = border_loops(chart.triangles, chart.vertices)
     handles = 2 - len(loops) - (len(chart.vertices) - len(edges.ends) + len(chart.triangles))
-    wide = _wide(chart, loops)
-    further = further and (not wide.any() or float(np.ptp(chart.density)) > 0.0)
-    if not handles and loops and not wide[1:].any() and not further:
+    openings = _openings(chart, loops)
+    wide = openings[1:] > WIDE
+    further = further and (openings.max(initial=0.0) < ALL_BUT_CLOSED or float(np.ptp(chart.density)) > 0.0)
+    if not handles and loops and not wide.any() and not further:
         return np.zeros(len(edges.ends), bool)
     yield Progress(0.0, "Looking for cuts")
     ways = _Ways(chart, edges)
     if handles:
         return ways.around_handles(edges.on_border)
-    if wide[1:].any():
-        return ways.joined(loops[0], [loop for loop, is_wide in zip(loops[1:], wide[1:], strict=True) if is_wide])
+    if wide.any():
+        return ways.joined(loops[0], [loop for loop, is_wide in zip(loops[1:], wide, strict=True) if is_wide])
     start = loops[0] if loops else ways.far_ends()[:1]
     ends = yield from _ends(chart, start, 0 if loops else 1)
     return ways.leading_to(start, ends)
 
 
-def _wide(chart: Chart, loops: list[np.ndarray]) -> np.ndarray:
-    """Which loops enclose too much to be filled."""
+def _openings(chart: Chart, loops: list[np.ndarray]) -> np.ndarray:
+    """What each of the loops (L,) encloses as a circle, as a share of the chart's area."""
     area = float(face_areas_and_normals(chart.vertices[chart.triangles])[0].sum())
     lengths = [float(np.linalg.norm(np.roll(chart.vertices[loop], -1, axis=0) - chart.vertices[loop], axis=1).sum()) for loop in loops]
-    return np.array(lengths) ** 2 > WIDE * 4.0 * np.pi * area
+    return np.array(lengths) ** 2 / max(4.0 * np.pi * area, 1e-300)
 
 
 class _Ways:
@@ -94,9 +96,14 @@ class _Ways:
             end, other = other, int(np.argmax(dijkstra(graph, directed=False, indices=other)))
         return np.array([end, other])
 
-    def farthest(self, start: np.ndarray) -> int:
-        """The vertex farthest from the vertices `start` (S,)."""
-        return int(np.argmax(dijkstra(self._graph(self._lengths), directed=False, indices=start, min_only=True)))
+    @property
+    def ends(self) -> np.ndarray:
+        """Vertices (E, 2) of the edges."""
+        return self._edges.ends
+
+    def distances(self, start: np.ndarray) -> np.ndarray:
+        """Lengths (V,) of the shortest ways to each vertex from the vertices `start` (S,)."""
+        return dijkstra(self._graph(self._lengths), directed=False, indices=start, min_only=True)
 
     def around_handles(self, on_border: np.ndarray) -> np.ndarray:
         """Loops that meet in one vertex and leave no handle: (E,) bool."""
@@ -196,39 +203,42 @@ def _dearness(chart: Chart, edges: Edges) -> np.ndarray:
 
 def _ends(chart: Chart, start: np.ndarray, needed: int) -> Steps[list[int]]:
     """Vertices of a chart that cuts from the vertices `start` (S,) should lead to: at first the farthest, where one is `needed` to open it
-    at all, then one after the other wherever a thinned model is stretched most, as long as that takes a good part of the stretch."""
+    at all, then one after the other wherever a thinned model is stretched most and far from what is cut, as long as that takes a good part
+    of the stretch."""
     stays = np.zeros(len(chart.vertices), bool)
     stays[start] = True
     coarse, _ = yield from scaled(thinned(chart.vertices, chart.triangles, MODEL, stays), 0.0, 0.5)
     model, used = _of(chart, coarse)
     ways = _Ways(model, edges_of(model.triangles, len(used)))
     start = np.searchsorted(used, start)
-    ends, best = [ways.farthest(start)] * needed, np.inf
+    ends, best = [int(ways.distances(start).argmax())] * needed, np.inf
     while len(ends) <= MOST_ENDS:
         yield Progress(0.5 + 0.5 * len(ends) / (MOST_ENDS + 1), "Looking for cuts")
-        excess, worst = _opened_along(model, ways.leading_to(start, ends))
-        if not excess < (1.0 - WORTH) * best:
+        cut = ways.leading_to(start, ends)
+        excess, stretch = _opened_along(model, cut)
+        if not best - excess >= max(WORTH * best, LEAST_WORTH):
             break
         best = excess
-        ends.append(worst)
+        reached = np.union1d(start, ways.ends[cut].ravel()) if len(ends) else start
+        ends.append(int((np.sqrt(stretch) * ways.distances(reached)).argmax()))
     return used[ends[: max(needed, len(ends) - 1)]].tolist()
 
 
-def _opened_along(model: Chart, cut: np.ndarray) -> tuple[float, int]:
-    """By how much the layout of a `model`, `cut` open, is stretched, and the vertex where it is most; infinite where it is no disk."""
+def _opened_along(model: Chart, cut: np.ndarray) -> tuple[float, np.ndarray]:
+    """By how much the layout of a `model`, `cut` open, is stretched, and the squared stretch (V,) around its vertices beside what is wanted
+    there; infinite where it is no disk."""
     edges = edges_of(model.triangles, len(model.vertices))
     sides = inner_sides(edges)
     parts = apart(model, sides[~cut[edges.opposite.ravel()[sides[:, 0]]]])
     opened, members = parts[0]
     if len(parts) > 1 or not border_loops(opened.triangles, opened.vertices):
-        return np.inf, 0
+        return np.inf, np.zeros(len(model.vertices))
     layout = finish(chart_layout(opened, Border.FREE, 0.0))
     shapes = rest_shapes(opened.vertices[opened.triangles])
-    stretch = stretches(shapes, opened.triangles, layout)
-    shares = np.repeat(opened.density**2 * shapes.areas, 3)
-    corners = model.triangles[members].ravel()
-    around = np.bincount(corners, shares * np.repeat(stretch, 3), len(model.vertices)) / np.bincount(corners, shares, len(model.vertices))
-    return _excess(opened, shapes, layout), int(around.argmax())
+    stretch = opened.density * stretches(shapes, opened.triangles, layout)
+    corners, areas = model.triangles[members].ravel(), np.repeat(shapes.areas, 3)
+    around = np.bincount(corners, areas * np.repeat(stretch, 3), len(model.vertices))
+    return _excess(opened, shapes, layout), around / np.bincount(corners, areas, len(model.vertices))
 
 
 def _of(chart: Chart, triangles: np.ndarray) -> tuple[Chart, np.ndarray]:
