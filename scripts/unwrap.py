@@ -5,6 +5,7 @@ what is written: .blend (the whole scene), .obj or .glb (all objects). `--direct
 `blender --background --python scripts/unwrap.py -- INPUT --out OUT` does the same.
 """
 
+import math
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -91,7 +92,7 @@ def report(job: UnwrapJob, clock: StageClock) -> dict[str, Any]:
     seconds = dict(clock.seconds)
     objects = []
     for target, made in job.made:
-        objects.append({"name": target.name, "triangles": len(target.loops), "charts": made.charts, **asdict(made.measures)})
+        objects.append({"name": target.name, "triangles": len(target.loops), "charts": made.charts, **finite(asdict(made.measures))})
         for stage, taken in made.seconds.items():
             seconds[stage] = seconds.get(stage, 0.0) + taken
     largest = max(objects, key=lambda figures: figures["triangles"])
@@ -102,6 +103,11 @@ def report(job: UnwrapJob, clock: StageClock) -> dict[str, Any]:
         "seconds": {stage: round(taken, 4) for stage, taken in seconds.items()},
         "peak_memory_mb": round(command_line.peak_memory_mb(), 1),
     }
+
+
+def finite(figures: dict[str, Any]) -> dict[str, Any]:
+    """`figures` with None for stretch without end, which JSON has no number for."""
+    return {name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in figures.items()}
 
 
 if __name__ == "__main__":
