@@ -122,9 +122,9 @@ def write(target: UvTarget, corners: np.ndarray, stretches: np.ndarray, uv_map: 
     mesh.update()
 
 
-def figures_of(mesh: bpy.types.Mesh) -> dict[str, float]:
+def figures_of(mesh: bpy.types.Mesh) -> dict[str, float | list[float]]:
     """What `write` kept with a mesh; empty where it has not been unwrapped."""
-    return dict(mesh.get(KEPT, {}))
+    return mesh[KEPT].to_dict() if KEPT in mesh else {}
 
 
 def _seams(mesh: bpy.types.Mesh) -> np.ndarray:

@@ -58,7 +58,7 @@ def visit() -> Iterator[float]:
     seen["fractions"] = yield from watch()
     yield 2.0
     seen["maps"] = maps(name)
-    seen["figures"] = dict(bpy.data.objects[name].data.get("farfield_unwrap", {}))
+    seen["figures"] = module("addon.bridge.uv_maps").figures_of(bpy.data.objects[name].data)
     picture("3-unwrapped")
 
     x, y = yield from hand.find_button("farfield.unwrap_overlay")

@@ -1,5 +1,6 @@
 """The operator as scripts and other add-ons call it: what it makes, what it refuses, and that it changes nothing else."""
 
+import json
 import math
 
 import bpy
@@ -75,6 +76,7 @@ def test_a_ball_is_unwrapped_into_a_map_of_its_own():
     assert_is_sound(item)
     figures = uv_maps.figures_of(item.data)
     assert figures["flips"] == figures["overlaps"] == 0 and 1.0 < figures["l2"] < 1.3
+    assert json.loads(json.dumps(figures))["densities"] == pytest.approx([1.0, 0.0, 0.0, 0.0])
     shown = [each.value for each in item.data.attributes[uv_maps.STRETCH].data]
     assert max(shown) == pytest.approx(figures["linf"], rel=1e-3)
 
