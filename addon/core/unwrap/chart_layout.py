@@ -8,6 +8,7 @@ import numpy as np
 
 from ..errors import GeometryError
 from ..mesh import face_areas_and_normals
+from ..parallel import slices
 from ..progress import Progress, Steps, scaled
 from .border_barrier import crosses_itself
 from .borders import border_edges, border_loops, filled
@@ -30,6 +31,7 @@ BULGES = 0.1, 1e-2, 1e-3, 1e-5, 1e-7, 1e-9  # of the border where a vertex is pu
 ALONE = 3  # Newton steps of a vertex that has been put back, before all move together
 FIRST, BETWEEN, LAST = (3e-4, 30), (3e-3, 4), (1e-3, 30)  # tolerance and steps on the coarsest level, on those after it, and at the end
 ROUND = 1e-3, 12  # and after a change of pulls or weights
+CHUNK = 1 << 14  # vertices that are put back at once
 SWEEPS = 2  # over the patches of a level
 FIRMER = 10.0  # times as strong the pull on a triangle gets while it is below the bound on its shape
 REACH = 0.3  # of the mean length of the border's edges on the surface: nearer than that, it is pushed away from itself
@@ -63,8 +65,7 @@ def chart_layout(chart: Chart, border: Border, least_ratio: float) -> Steps[np.n
     layout = yield from scaled(work.settled(layout, coarse, True, not rounds), 0.05, 0.1 if rounds else 1.0)
     for level, start, stop in _levels(rounds, len(np.unique(coarse))):
         for made in level:
-            yield Progress(start, "Putting vertices back")
-            layout = work.with_round(layout, made)
+            layout = yield from scaled(work.with_round(layout, made), start, start)
         layout = yield from scaled(work.settled(layout, level[-1].triangles, False, level[-1] is rounds[0]), start, stop)
     return layout[:count]
 
@@ -131,22 +132,31 @@ class _Work:
             )
         return layout
 
-    def with_round(self, layout: np.ndarray, made: Round) -> np.ndarray:
+    def with_round(self, layout: np.ndarray, made: Round) -> Steps[np.ndarray]:
         """The layout with the vertices of a round of collapses put back, where their own triangles are stretched least."""
+        yield Progress(0.0, "Putting vertices back")
         level = self.level(made.triangles)
-        rim = np.zeros(len(layout), bool)
-        rim[level.border] = True
-        before, layout = layout, inserted(layout, made, self._chart.vertices)
+        before, layout = layout, (yield from self._put_back(layout, made, None))
         for bulge in BULGES if len(level.border) else ():
             if not crosses_itself(layout, level.border):
                 break
-            layout = inserted(before, made, self._chart.vertices, bulge)
+            layout = yield from self._put_back(before, made, bulge)
+        rim = np.zeros(len(layout), bool)
+        rim[level.border] = True
         alone = ~rim[made.removed]
-        owners = made.removed[alone]
-        if len(owners):
-            polygons = Polygons(layout, owners, made.stars[alone], self._chart.vertices, level.vertex_weights)
-            layout[owners] = polygons.relaxed(layout[owners], ALONE)
+        owners, stars = made.removed[alone], made.stars[alone]
+        for rows in slices(len(owners), CHUNK):
+            yield Progress(0.0, "Putting vertices back")
+            polygons = Polygons(layout, owners[rows], stars[rows], self._chart.vertices, level.vertex_weights)
+            layout[owners[rows]] = polygons.relaxed(layout[owners[rows]], ALONE)
+        yield Progress(0.0, "Putting vertices back")
         return mended(layout, made.triangles, self._chart.vertices, level.shapes, level.vertex_weights, rim | self.fixed)
+
+    def _put_back(self, layout: np.ndarray, made: Round, bulge: float | None) -> Steps[np.ndarray]:
+        for rows in slices(len(made.removed), CHUNK):
+            yield Progress(0.0, "Putting vertices back")
+            layout = inserted(layout, made.some(rows), self._chart.vertices, bulge)
+        return layout
 
     def level(self, triangles: np.ndarray) -> Level:
         """What the energies of a level's triangles need."""

@@ -35,6 +35,10 @@ class Round:
     kept: np.ndarray
     stars: np.ndarray
 
+    def some(self, rows: slice) -> "Round":
+        """The same with some of the collapses alone; they do not depend on each other."""
+        return Round(self.triangles, self.removed[rows], self.kept[rows], self.stars[rows])
+
 
 def thinned(vertices: np.ndarray, triangles: np.ndarray, target: int, stays: np.ndarray) -> Steps[tuple[np.ndarray, list[Round]]]:
     """The triangles of a mesh with about `target` vertices, and the rounds that led there, the first one first.

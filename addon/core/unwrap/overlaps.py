@@ -13,7 +13,7 @@ from ..progress import Progress, Steps
 
 LEVELS = 24  # of halved cells, from the largest triangle on
 TOUCH = 1e-9  # of the extent of the map: triangles that come no farther into each other only touch
-CHUNK = 1 << 15  # triangles whose neighbours are looked up at once
+CHUNK = 1 << 13  # triangles whose neighbours are looked up at once
 
 
 def overlap_count(corners: np.ndarray) -> Steps[int]:
