@@ -27,7 +27,7 @@ from farfield.addon.bridge import uv_maps
 from farfield.addon.core.mesh import TriangleMesh, face_areas_and_normals
 from farfield.addon.core.progress import finish
 from farfield.addon.core.unwrap import importance
-from farfield.addon.core.unwrap.measures import Measures, measured
+from farfield.addon.core.unwrap.measures import Measures, measured, stretches_of
 from farfield.addon.core.unwrap.settings import UnwrapSettings
 from farfield.addon.core.unwrap.unwrapping import Unwrapped, unwrap
 
@@ -227,9 +227,7 @@ def by_blender(item: bpy.types.Object, target: uv_maps.UvTarget, method: str, re
     bpy.ops.object.mode_set(mode="OBJECT")
     values = np.empty(2 * len(item.data.loops), np.float32)
     item.data.uv_layers["peer"].uv.foreach_get("vector", values)
-    return figures_of(
-        finish(measured(target.mesh, values.reshape(-1, 2)[target.loops].astype(np.float64), np.zeros(len(target.loops)))), best
-    )
+    return figures_of(measures_of(target.mesh, values.reshape(-1, 2)[target.loops].astype(np.float64)), best)
 
 
 def by_xatlas(mesh: TriangleMesh, repeats: int) -> dict[str, Any]:
@@ -245,8 +243,12 @@ def by_xatlas(mesh: TriangleMesh, repeats: int) -> dict[str, Any]:
         best = min(best, time.perf_counter() - started)
     _, triangles, uvs = atlas.get_mesh(0)
     placed = uvs[triangles].astype(np.float64) * [atlas.width, atlas.height] / max(atlas.width, atlas.height)
-    figures = finish(measured(mesh, placed, np.zeros(len(mesh.triangles))))
-    return {**figures_of(figures, best), "charts": atlas.chart_count}
+    return {**figures_of(measures_of(mesh, placed), best), "charts": atlas.chart_count}
+
+
+def measures_of(mesh: TriangleMesh, corners: np.ndarray) -> Measures:
+    """The figures of a map `corners` (T, 3, 2) in which nothing matters more than the rest."""
+    return finish(measured(mesh, corners, stretches_of(mesh, corners), np.zeros(len(corners))))
 
 
 def figures_of(measures: Measures, seconds: float) -> dict[str, Any]:

@@ -16,8 +16,7 @@ def scene_camera(scene: bpy.types.Scene) -> Camera | None:
     if camera is None or camera.type != "CAMERA":
         return None
     render = scene.render
-    scale = render.resolution_percentage / 100.0
-    width, height = max(int(render.resolution_x * scale), 1), max(int(render.resolution_y * scale), 1)
+    width, height = _resolution(render)
     across_width = _spans_width(camera.data, width * render.pixel_aspect_x, height * render.pixel_aspect_y)
     pixels = width if across_width else height
     position = np.array(camera.matrix_world.translation, np.float64)
@@ -38,11 +37,6 @@ def look(scene: bpy.types.Scene, view: View) -> None:
     render.resolution_x = render.resolution_y = view.side
 
 
-def _spans_width(data: bpy.types.Camera, width: float, height: float) -> bool:
-    """Whether the angle of the camera, or its orthographic scale, is measured across the width of the picture."""
-    return width >= height if data.sensor_fit == "AUTO" else data.sensor_fit == "HORIZONTAL"
-
-
 def shot(scene: bpy.types.Scene, camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Shot:
     """What a camera takes at the render resolution of `scene`.
 
@@ -52,8 +46,18 @@ def shot(scene: bpy.types.Scene, camera: bpy.types.Object, depsgraph: bpy.types.
     if camera.data.type not in ("PERSP", "ORTHO"):
         raise SettingsError(f'The camera "{camera.name}" is panoramic; choose a perspective or an orthographic one.')
     render = scene.render
-    scale = render.resolution_percentage / 100.0
-    width, height = max(int(render.resolution_x * scale), 1), max(int(render.resolution_y * scale), 1)
+    width, height = _resolution(render)
     aspect = {"scale_x": render.pixel_aspect_x, "scale_y": render.pixel_aspect_y}
     projection = np.array(camera.calc_matrix_camera(depsgraph, x=width, y=height, **aspect), np.float64)
     return Shot(projection @ np.array(camera.matrix_world.normalized().inverted(), np.float64), (width, height))
+
+
+def _resolution(render: bpy.types.RenderSettings) -> tuple[int, int]:
+    """Width and height of what is rendered, in pixels."""
+    scale = render.resolution_percentage / 100.0
+    return max(int(render.resolution_x * scale), 1), max(int(render.resolution_y * scale), 1)
+
+
+def _spans_width(data: bpy.types.Camera, width: float, height: float) -> bool:
+    """Whether the angle of the camera, or its orthographic scale, is measured across the width of the picture."""
+    return width >= height if data.sensor_fit == "AUTO" else data.sensor_fit == "HORIZONTAL"

@@ -122,6 +122,27 @@ def write(target: UvTarget, corners: np.ndarray, stretches: np.ndarray, uv_map: 
     mesh.update()
 
 
+@dataclass(frozen=True)
+class StretchedMap:
+    """The active UV map of a mesh and its stretch. loops (T, 3): of its triangles. uvs (L, 2) float32. stretches (T,) float32."""
+
+    loops: np.ndarray
+    uvs: np.ndarray
+    stretches: np.ndarray
+
+
+def stretched_map(mesh: bpy.types.Mesh) -> StretchedMap | None:
+    """What `write` left in a mesh; None where it has not been unwrapped, or is being edited."""
+    attribute, layer = mesh.attributes.get(STRETCH), mesh.uv_layers.active
+    if attribute is None or layer is None or len(attribute.data) != len(mesh.polygons):  # Edit Mode keeps its data elsewhere
+        return None
+    loops, polygons = drawn_triangles(mesh)
+    uvs, stretches = np.empty(2 * len(mesh.loops), np.float32), np.empty(len(mesh.polygons), np.float32)
+    layer.uv.foreach_get("vector", uvs)
+    attribute.data.foreach_get("value", stretches)
+    return StretchedMap(loops, uvs.reshape(-1, 2), stretches[polygons])
+
+
 def figures_of(mesh: bpy.types.Mesh) -> dict[str, float | list[float]]:
     """What `write` kept with a mesh; empty where it has not been unwrapped."""
     return mesh[KEPT].to_dict() if KEPT in mesh else {}

@@ -8,7 +8,7 @@ import numpy as np
 from gpu_extras.batch import batch_for_shader
 
 from ..core.unwrap.stretch_colors import stretch_colors
-from .uv_maps import STRETCH, drawn_triangles
+from .uv_maps import stretched_map
 
 OPACITY = 0.85
 ABOVE = 2e-3  # of the longest side of a mesh: how far its colours lie above its faces
@@ -69,7 +69,7 @@ def _draw_uvs() -> None:
 
 def _batch(item: bpy.types.Object, kind: str) -> Any:
     """What is drawn of an object's mesh on its "surface" or in its "map"; None where it has not been unwrapped."""
-    if item.type != "MESH" or STRETCH not in item.data.attributes or item.data.uv_layers.active is None:
+    if item.type != "MESH":
         return None
     mesh = item.data
     if mesh.name_full not in _batches:
@@ -78,24 +78,20 @@ def _batch(item: bpy.types.Object, kind: str) -> Any:
 
 
 def _batches_of(mesh: bpy.types.Mesh) -> dict[str, Any]:
-    attribute = mesh.attributes[STRETCH]
-    if len(attribute.data) != len(mesh.polygons):  # Edit Mode keeps its data elsewhere
+    found = stretched_map(mesh)
+    if found is None:
         return {}
-    loops, polygons = drawn_triangles(mesh)
-    uvs, stretches = np.empty(2 * len(mesh.loops), np.float32), np.empty(len(mesh.polygons), np.float32)
-    mesh.uv_layers.active.uv.foreach_get("vector", uvs)
-    attribute.data.foreach_get("value", stretches)
     places, normals, corners = (np.empty(count, kind) for count, kind in _sizes(mesh))
     mesh.vertices.foreach_get("co", places)
     mesh.vertex_normals.foreach_get("vector", normals)
     mesh.loops.foreach_get("vertex_index", corners)
     places, normals = places.reshape(-1, 3), normals.reshape(-1, 3)
     raised = places + ABOVE * float(np.ptp(places, axis=0).max(initial=0.0)) * normals
-    colors = np.column_stack([stretch_colors(stretches), np.full(len(stretches), OPACITY, np.float32)])
-    colors = np.repeat(colors[polygons], 3, axis=0)
+    colors = np.column_stack([stretch_colors(found.stretches), np.full(len(found.stretches), OPACITY, np.float32)])
+    colors = np.repeat(colors, 3, axis=0)
     return {
-        "surface": _made(raised[corners[loops.ravel()]], colors),
-        "map": _made(uvs.reshape(-1, 2)[loops.ravel()], colors),
+        "surface": _made(raised[corners[found.loops.ravel()]], colors),
+        "map": _made(found.uvs[found.loops.ravel()], colors),
     }
 
 

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from .spatial import split_keys
+from .spatial import keys_of, split_keys
 
 
 @dataclass(frozen=True)
@@ -35,26 +35,30 @@ class Edges:
     @cached_property
     def keys(self) -> np.ndarray:
         """One number (E,) int64 an edge, rising."""
-        return self.ends[:, 0].astype(np.int64) * self.count + self.ends[:, 1]
+        return keys_of(*self.ends.T, self.count)
 
-    def has(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Whether there is an edge between each of the vertices `first` and `second`, of any shape."""
-        wanted = np.minimum(first, second).astype(np.int64) * self.count + np.maximum(first, second)
-        return self.keys[np.minimum(np.searchsorted(self.keys, wanted), len(self.keys) - 1)] == wanted
+    @cached_property
+    def inner(self) -> np.ndarray:
+        """The edges (I,) between just two triangles, in rising order."""
+        return np.flatnonzero(self.uses == 2)
+
+    @cached_property
+    def inner_sides(self) -> np.ndarray:
+        """The two sides (I, 2) of each of `inner`: side 3 t + c lies opposite to corner c of triangle t."""
+        order = np.argsort(self.opposite.ravel(), kind="stable")
+        first = (np.cumsum(self.uses) - self.uses)[self.inner]
+        return np.stack([order[first], order[first + 1]], axis=1)
+
+    def between(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """The edge between each of the vertices `first` and `second`, of any shape; -1 where there is none."""
+        wanted = keys_of(first, second, self.count)
+        found = np.minimum(np.searchsorted(self.keys, wanted), len(self.keys) - 1)
+        return np.where(self.keys[found] == wanted, found, -1)
 
 
 def edges_of(triangles: np.ndarray, count: int | None = None) -> Edges:
     """The edges of `triangles` (T, 3) among `count` vertices; by default as many as there are numbers."""
     count = int(triangles.max(initial=-1)) + 1 if count is None else count
     starts, ends = triangles[:, [1, 2, 0]], triangles[:, [2, 0, 1]]
-    keys = np.minimum(starts, ends).astype(np.int64) * count + np.maximum(starts, ends)
-    different, index = np.unique(keys, return_inverse=True)
+    different, index = np.unique(keys_of(starts, ends, count), return_inverse=True)
     return Edges(split_keys(different, count), index.reshape(-1, 3), count)
-
-
-def inner_sides(edges: Edges) -> np.ndarray:
-    """The two sides (I, 2) of every edge between just two triangles: side 3 t + c lies opposite to corner c of t."""
-    opposite = edges.opposite.ravel()
-    order = np.argsort(opposite, kind="stable")
-    first = (np.cumsum(edges.uses) - edges.uses)[edges.uses == 2]
-    return np.stack([order[first], order[first + 1]], axis=1)

@@ -58,10 +58,14 @@ def _candidates(corners: np.ndarray, count: int) -> np.ndarray:
     return split_keys(keys, len(corners))
 
 
+def keys_of(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
+    """One number, int64, for each unordered pair (first, second) of numbers below `count`."""
+    return np.minimum(first, second).astype(np.int64) * count + np.maximum(first, second)
+
+
 def pair_keys(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
     """Sorted unique keys of the unordered pairs (first, second) of numbers below `count`; pairs of equals are left out."""
-    low, high = np.minimum(first, second).astype(np.int64), np.maximum(first, second)
-    return sorted_unique((low * count + high)[low != high])[0]
+    return sorted_unique(keys_of(first, second, count)[first != second])[0]
 
 
 def sorted_unique(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -73,7 +77,7 @@ def sorted_unique(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def split_keys(keys: np.ndarray, count: int) -> np.ndarray:
-    """The pairs (E, 2) int32 that `pair_keys` has packed."""
+    """The pairs (E, 2) int32 that `keys_of` has packed."""
     return np.stack([keys // count, keys % count], axis=1).astype(np.int32)
 
 

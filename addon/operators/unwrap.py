@@ -97,12 +97,13 @@ class FARFIELD_OT_unwrap_picture(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Draw and write it."""
+        path = Path(bpy.path.abspath(self.filepath)).with_suffix(".png")
         try:
-            stretch_pictures.save(context.active_object, Path(bpy.path.abspath(self.filepath)).with_suffix(".png"), self.size)
+            stretch_pictures.save(context.active_object, path, self.size)
         except FarfieldError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        self.report({"INFO"}, f'Saved "{self.filepath}".')
+        self.report({"INFO"}, f'Saved "{path}".')
         return {"FINISHED"}
 
 

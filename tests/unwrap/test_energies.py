@@ -94,7 +94,7 @@ def test_the_slope_of_the_shape_barrier_is_its_derivative(seed, soft):
     ratio = least_ratios(layout[None])[0]
     barrier = ShapeBarrier(np.array([[0, 1, 2]]), np.array([0]), np.array([0.7]), np.array([ratio * (1.4 if soft else 0.8)]), soft)
     found = slope_of(barrier.value, layout)
-    numbers, slopes, bends = barrier.elements(layout)
+    (numbers, slopes), (_, bends) = barrier.slopes(layout), barrier.bends(layout)
     assert set(numbers) == {0}
     assert slopes.sum(axis=0) == pytest.approx(found, rel=1e-4, abs=1e-5 * np.abs(found).max())
     assert np.linalg.eigvalsh(bends).min() > -1e-9 * np.abs(bends).max()
@@ -128,7 +128,7 @@ def test_the_slope_of_the_border_barrier_is_its_derivative():
     layout, border = comb(0.1)
     layout = layout + 0.01 * np.random.default_rng(0).normal(size=layout.shape)
     barrier = BorderBarrier(border, 0.2)
-    vertices, slopes, bends = barrier.elements(layout)
+    (vertices, slopes), (_, bends) = barrier.slopes(layout), barrier.bends(layout)
     total = np.zeros(layout.shape)
     np.add.at(total, vertices, slopes.reshape(-1, 3, 2))
     assert total.ravel() == pytest.approx(slope_of(barrier.value, layout), rel=1e-4, abs=1e-6)

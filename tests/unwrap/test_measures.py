@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from farfield.addon.core.mesh import TriangleMesh
 from farfield.addon.core.progress import finish
-from farfield.addon.core.unwrap.measures import measured
+from farfield.addon.core.unwrap.measures import Measures, measured, stretches_of
 from farfield.addon.core.unwrap.overlaps import overlap_count
 from farfield.addon.core.unwrap.packing import packed
 from shapes import sheet
@@ -16,6 +16,11 @@ from shapes import sheet
 def plane(side=6):
     mesh = sheet(side)
     return mesh, mesh.corners[:, :, :2]
+
+
+def figures_of(mesh, corners, importance=None) -> Measures:
+    importance = np.zeros(len(corners)) if importance is None else importance
+    return finish(measured(mesh, corners, stretches_of(mesh, corners), importance))
 
 
 def counted(corners):
@@ -31,7 +36,7 @@ def counted(corners):
 def test_an_isometry_has_no_stretch_whatever_its_size(size, turn):
     mesh, corners = plane()
     turned = size * corners @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    figures = finish(measured(mesh, turned, np.zeros(len(corners))))
+    figures = figures_of(mesh, turned)
     assert (figures.l2, figures.linf, figures.p95) == pytest.approx((1.0, 1.0, 1.0))
     assert figures.symmetric_dirichlet == pytest.approx(4.0)
     assert (figures.flips, figures.overlaps, figures.density_ratio) == (0, 0, 0.0)
@@ -40,7 +45,7 @@ def test_an_isometry_has_no_stretch_whatever_its_size(size, turn):
 
 def test_a_map_twice_as_wide_as_it_should_be():
     mesh, corners = plane()
-    figures = finish(measured(mesh, corners * [2.0, 1.0], np.zeros(len(corners))))
+    figures = figures_of(mesh, corners * [2.0, 1.0])
     assert figures.linf == pytest.approx(np.sqrt(2.0))  # across, lengths are a root of two longer than in a map of the same area
     assert figures.l2 == pytest.approx(np.sqrt(0.5 * (2.0 + 0.5)))
     assert figures.symmetric_dirichlet == pytest.approx(2.0 * 2.5)
@@ -52,7 +57,7 @@ def test_flips_are_counted_and_texels_compared():
     corners[5] = corners[5, ::-1]
     importance = (np.arange(len(corners)) % 2).astype(float)
     corners[importance > 0.5] *= 2.0
-    figures = finish(measured(mesh, corners, importance))
+    figures = figures_of(mesh, corners, importance)
     assert figures.flips == 1
     assert figures.density_ratio == pytest.approx(4.0)
     assert figures.densities == pytest.approx((0.4, 0.0, 0.0, 1.6), rel=0.1)
@@ -62,7 +67,7 @@ def test_a_collapsed_triangle_is_stretched_without_end():
     mesh, corners = plane()
     corners = corners.copy()
     corners[0] = corners[0, :1]
-    figures = finish(measured(mesh, corners, np.zeros(len(corners))))
+    figures = figures_of(mesh, corners)
     assert np.isinf(figures.linf) and figures.flips == 0
 
 
@@ -71,7 +76,7 @@ def test_a_triangle_without_area_on_the_surface_does_not_count():
     vertices = np.concatenate([mesh.vertices, mesh.vertices[:1]])
     triangles = np.concatenate([mesh.triangles, [[0, 1, len(mesh.vertices)]]]).astype(np.int32)
     grown = np.concatenate([corners, corners[:1]])
-    assert finish(measured(TriangleMesh(vertices, triangles), grown, np.zeros(len(grown)))).l2 == pytest.approx(1.0, rel=0.05)
+    assert figures_of(TriangleMesh(vertices, triangles), grown).l2 == pytest.approx(1.0, rel=0.05)
 
 
 @given(seed=st.integers(0, 1000))

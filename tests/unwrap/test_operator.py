@@ -10,6 +10,7 @@ import pytest
 from farfield.addon.bridge import stretch_pictures, uv_maps
 from farfield.addon.core.progress import finish
 from farfield.addon.core.unwrap.overlaps import overlap_count
+from farfield.addon.core.unwrap.plane import signed_areas
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 SQUARE = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 1.0, 0.0)]
@@ -53,11 +54,6 @@ def corners_of(item, uv_map="Unwrap"):
     values = np.empty(2 * len(mesh.loops), np.float32)
     mesh.uv_layers[uv_map].uv.foreach_get("vector", values)
     return values.reshape(-1, 2)[loops].astype(np.float64), polygons
-
-
-def signed_areas(corners):
-    (ax, ay), (bx, by) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
-    return 0.5 * (ax * by - ay * bx)
 
 
 def assert_is_sound(item):

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from ..distance import closest_on_mesh, closest_points, first_least, point_triangle_distances
-from ..edges import Edges, edges_of, inner_sides
+from ..edges import Edges, edges_of
 from ..mesh import face_areas_and_normals
 
 LEAST_TURN = 0.2  # cosine: a triangle that turns farther by a collapse has folded over
@@ -84,10 +84,10 @@ def flip(samples: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, least
     `samples` (S, 3), `vertices` (V, 3); `least_gain` is a length: a flip that gains less is not worth it.
     """
     edges = edges_of(triangles, len(vertices))
-    sides = inner_sides(edges)
+    sides = edges.inner_sides
     tips = triangles[sides // 3, sides % 3]
     ends = triangles[sides[:, 0] // 3, (sides[:, 0] % 3 + 1) % 3], triangles[sides[:, 0] // 3, (sides[:, 0] % 3 + 2) % 3]
-    fresh = (tips[:, 0] != tips[:, 1]) & ~edges.has(*tips.T)
+    fresh = (tips[:, 0] != tips[:, 1]) & (edges.between(*tips.T) < 0)
     sides, tips, ends = sides[fresh], tips[fresh], (ends[0][fresh], ends[1][fresh])
     pairs = np.stack([np.stack([tips[:, 0], ends[0], tips[:, 1]], axis=1), np.stack([tips[:, 0], tips[:, 1], ends[1]], axis=1)], axis=1)
     around, triangle = np.repeat(np.arange(len(sides)), 2), (sides // 3).ravel()

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from ..edges import edges_of, inner_sides
+from ..edges import edges_of
 from ..mesh import face_areas_and_normals
 from .fine_mesh import Decimated
 from .patches import Covering, Patch, members_of
@@ -51,7 +51,7 @@ def patches_of_triangles(
 
 def flat_parts(vertices: np.ndarray, triangles: np.ndarray, tolerance: float) -> np.ndarray:
     """The part (T,) of every triangle: what hangs together over edges whose two triangles lie in one plane within `tolerance`."""
-    a, b = inner_sides(edges_of(triangles)).T
+    a, b = edges_of(triangles).inner_sides.T
     corners = vertices[triangles]
     _, normals = face_areas_and_normals(corners)
     flat = np.einsum("ij,ij->i", normals[a // 3], normals[b // 3]) > 0.0

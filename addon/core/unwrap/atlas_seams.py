@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..edges import edges_of, inner_sides
+from ..edges import edges_of
 from ..mesh import TriangleMesh
 
 
@@ -17,9 +17,9 @@ def atlas_seams(mesh: TriangleMesh, faces: np.ndarray) -> np.ndarray:
     _, triangles, _ = atlas.get_mesh(0)
     made = triangles.reshape(-1, 3).astype(np.int64)
     edges = edges_of(mesh.triangles, len(mesh.vertices))
-    sides = inner_sides(edges)
+    sides = edges.inner_sides
     starts, ends = (3 * (sides // 3) + (sides % 3 + turn) % 3 for turn in (1, 2))
     along = np.sort(np.stack([made.ravel()[starts], made.ravel()[ends]], axis=2), axis=2)
     parted = (along[:, 0] != along[:, 1]).any(axis=1)
     parted &= faces[sides[:, 0] // 3] != faces[sides[:, 1] // 3]
-    return edges.ends[edges.opposite.ravel()[sides[parted, 0]]]
+    return edges.ends[edges.inner[parted]]

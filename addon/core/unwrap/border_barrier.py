@@ -11,9 +11,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..spatial import sorted_unique
+from .plane import cross
 from .stretch_energy import first_root
 
-REACH = 0.3  # of the mean length of the border's edges on the surface: nearer than that, vertices are pushed away
 PUSH = 0.1  # of the reach squared, which is about what the stretch of a triangle counts
 MOST_SAMPLES = 16  # times as many as edges, to look for what is near long ones
 
@@ -35,15 +35,19 @@ class BorderBarrier:
         ratio = self._reach / self._contacts(layout, pairs).distances
         return float(PUSH * self._reach**2 * ((ratio - 1.0) ** 2).sum())
 
-    def elements(self, layout: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What pushes: vertices (P, 3), slopes (P, 6) by their x and y in turn, and bends (P, 6, 6), positive."""
+    def slopes(self, layout: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What pushes: vertices (P, 3), and slopes (P, 6) by their x and y in turn."""
         contacts = self._contacts(layout, _near_edges(layout, self._border, self._reach))
-        away, share = contacts.towards / contacts.distances[:, None], contacts.shares[:, None]
-        ways = np.concatenate([away, (share - 1.0) * away, -share * away], axis=1)
         ratio = self._reach / contacts.distances
         slope = -2.0 * PUSH * self._reach * (ratio - 1.0) * ratio**2
+        return contacts.vertices, slope[:, None] * contacts.ways
+
+    def bends(self, layout: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The same vertices (P, 3), and bends (P, 6, 6), positive."""
+        contacts = self._contacts(layout, _near_edges(layout, self._border, self._reach))
+        ratio, ways = self._reach / contacts.distances, contacts.ways
         bend = 2.0 * PUSH * (3.0 * ratio - 2.0) * ratio**3
-        return contacts.vertices, slope[:, None] * ways, bend[:, None, None] * ways[:, :, None] * ways[:, None, :]
+        return contacts.vertices, bend[:, None, None] * ways[:, :, None] * ways[:, None, :]
 
     def longest_step(self, layout: np.ndarray, move: np.ndarray) -> float:
         """The multiple of `move` (V, 2) at which the first vertex that is near to an edge comes upon its line; infinite where none does."""
@@ -51,9 +55,9 @@ class BorderBarrier:
         beside = (contacts.shares > 0.0) & (contacts.shares < 1.0)
         there, change = layout[contacts.vertices[beside]], move[contacts.vertices[beside]]
         (first, second), (by_first, by_second) = ((each[:, 1] - each[:, 0], each[:, 2] - each[:, 0]) for each in (there, change))
-        area = _cross(first, second)
+        area = cross(first, second)
         side = np.sign(area)
-        return first_root(side * _cross(by_first, by_second), side * (_cross(first, by_second) + _cross(by_first, second)), np.abs(area))
+        return first_root(side * cross(by_first, by_second), side * (cross(first, by_second) + cross(by_first, second)), np.abs(area))
 
     def _contacts(self, layout: np.ndarray, pairs: np.ndarray) -> "_Contacts":
         """The contacts within reach, from `pairs` (Q, 2) of edges that may have some."""
@@ -78,6 +82,12 @@ class _Contacts:
     shares: np.ndarray
     towards: np.ndarray
     distances: np.ndarray
+
+    @property
+    def ways(self) -> np.ndarray:
+        """How the distances grow (P, 6) by the x and y of the three vertices in turn."""
+        away, share = self.towards / self.distances[:, None], self.shares[:, None]
+        return np.concatenate([away, (share - 1.0) * away, -share * away], axis=1)
 
 
 def crosses_itself(layout: np.ndarray, border: np.ndarray) -> bool:
@@ -109,11 +119,7 @@ def _crossed(ends: np.ndarray) -> bool:
 
 
 def _side(start: np.ndarray, end: np.ndarray, point: np.ndarray) -> np.ndarray:
-    return _cross(end - start, point - start)
-
-
-def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    return first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    return cross(end - start, point - start)
 
 
 def _boxes_meet(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:

@@ -4,11 +4,13 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from ..spatial import keys_of
+
 
 def border_edges(triangles: np.ndarray) -> np.ndarray:
     """Edges (B, 2) of one triangle only, from start to end as their triangles go round: the inside is to the left."""
-    starts, ends = triangles.ravel().astype(np.int64), np.roll(triangles, -1, axis=1).ravel().astype(np.int64)
-    keys = np.minimum(starts, ends) * (int(triangles.max(initial=-1)) + 1) + np.maximum(starts, ends)
+    starts, ends = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    keys = keys_of(starts, ends, int(triangles.max(initial=-1)) + 1)
     order = np.argsort(keys)
     new = np.append(np.diff(keys[order], prepend=-1) != 0, True)
     alone = np.sort(order[new[:-1] & new[1:]])

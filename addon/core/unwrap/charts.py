@@ -6,8 +6,9 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
-from ..edges import edges_of, inner_sides
+from ..edges import edges_of
 from ..progress import Steps, scaled
+from ..spatial import keys_of
 from .chart import Chart
 from .cuts import opening_edges
 from .splitting import apart
@@ -42,12 +43,9 @@ def pieces_of(surface: Chart, seams: np.ndarray, further: bool = True) -> Steps[
     turned = _turned(surface.triangles)
     triangles = np.where(turned[:, None], surface.triangles[:, [0, 2, 1]], surface.triangles)
     edges = edges_of(triangles, len(surface.vertices))
-    is_seam = np.isin(edges.keys, _keys(seams, edges.count))
-    sides = inner_sides(edges)
-    sides = sides[_agree(triangles, sides)]
-    sides = sides[~is_seam[edges.opposite.ravel()[sides[:, 0]]]]
-    seamed = np.zeros(len(triangles), bool)
-    seamed[np.flatnonzero(is_seam[edges.opposite].any(axis=1))] = True
+    is_seam = np.isin(edges.keys, keys_of(*np.reshape(seams, (-1, 2)).T, edges.count))
+    sides = edges.inner_sides[_agree(triangles, edges.inner_sides) & ~is_seam[edges.inner]]
+    seamed = is_seam[edges.opposite].any(axis=1)
     whole = apart(replace(surface, triangles=triangles), sides)
     total, done, pieces = len(triangles), 0, []
     for chart, members in whole:
@@ -61,10 +59,10 @@ def pieces_of(surface: Chart, seams: np.ndarray, further: bool = True) -> Steps[
 def _opened(chart: Chart, tries: int, further: bool) -> Steps[list[tuple[Chart, np.ndarray]]]:
     """Disks, or disks with holes, that a part of a surface is cut into, and which of its triangles each is made of."""
     edges = edges_of(chart.triangles, len(chart.vertices))
-    sides = inner_sides(edges)
+    sides = edges.inner_sides
     if tries > 0:
         is_cut = yield from opening_edges(chart, edges, further)
-        cut = is_cut[edges.opposite.ravel()[sides[:, 0]]]
+        cut = is_cut[edges.inner]
     else:
         cut = _unfolding(chart, sides)
     if not cut.any():
@@ -88,16 +86,11 @@ def _unfolding(chart: Chart, sides: np.ndarray) -> np.ndarray:
     return ~np.isin(ranks, tree.data)
 
 
-def _keys(pairs: np.ndarray, count: int) -> np.ndarray:
-    pairs = np.sort(np.asarray(pairs, np.int64).reshape(-1, 2), axis=1)
-    return pairs[:, 0] * count + pairs[:, 1]
-
-
 def _turned(triangles: np.ndarray) -> np.ndarray:
     """Which triangles (T,) bool have to be wound the other way for all to agree with their neighbours; fewer than half of a part, and none
     where a surface has but one side."""
     count = len(triangles)
-    sides = inner_sides(edges_of(triangles))
+    sides = edges_of(triangles).inner_sides
     first, second = sides.T // 3
     against = ~_agree(triangles, sides)
     if not against.any():

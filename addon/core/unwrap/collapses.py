@@ -12,6 +12,7 @@ import numpy as np
 from ..edges import Edges, edges_of
 from ..parallel import in_chunks
 from ..progress import Progress, Steps
+from ..spatial import keys_of
 
 LARGEST_STAR = 10  # triangles around a vertex that is taken out
 SLIVER = 0.05  # of the shape of an equilateral triangle: what a collapse may leave
@@ -155,7 +156,7 @@ def _new_neighbours(stars: np.ndarray, kept: np.ndarray) -> np.ndarray:
 def _joined_twice(edges: Edges, stars: np.ndarray, kept: np.ndarray) -> np.ndarray:
     """Whether a collapse would make an edge that is there already (C,) bool: then the mesh would touch itself there (link condition)."""
     new = _new_neighbours(stars, kept)
-    return (new & edges.has(np.broadcast_to(kept[:, None, None], stars.shape), np.maximum(stars, 0))).any(axis=(1, 2))
+    return (new & (edges.between(kept[:, None, None], np.maximum(stars, 0)) >= 0)).any(axis=(1, 2))
 
 
 def independent(removed: np.ndarray, edges: Edges) -> np.ndarray:
@@ -179,7 +180,7 @@ def _share_no_edge(stars: np.ndarray, kept: np.ndarray, edges: Edges) -> np.ndar
     """Which collapses (C,) bool make no edge that an earlier one makes too."""
     item, slot, end = np.nonzero(_new_neighbours(stars, kept))
     other = stars[item, slot, end]
-    keys = np.minimum(kept[item], other).astype(np.int64) * edges.count + np.maximum(kept[item], other)
+    keys = keys_of(kept[item], other, edges.count)
     order = np.lexsort((item, keys))
     same = (keys[order][1:] == keys[order][:-1]) & (item[order][1:] != item[order][:-1])
     alone = np.ones(len(kept), bool)

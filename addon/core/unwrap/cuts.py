@@ -11,7 +11,7 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra, minimum_spanning_tree
 
-from ..edges import Edges, edges_of, inner_sides
+from ..edges import Edges, edges_of
 from ..mesh import face_areas_and_normals
 from ..progress import Progress, Steps, finish, scaled
 from .borders import border_loops
@@ -96,11 +96,6 @@ class _Ways:
             end, other = other, int(np.argmax(dijkstra(graph, directed=False, indices=other)))
         return np.array([end, other])
 
-    @property
-    def ends(self) -> np.ndarray:
-        """Vertices (E, 2) of the edges."""
-        return self._edges.ends
-
     def distances(self, start: np.ndarray) -> np.ndarray:
         """Lengths (V,) of the shortest ways to each vertex from the vertices `start` (S,)."""
         return dijkstra(self._graph(self._lengths), directed=False, indices=start, min_only=True)
@@ -121,7 +116,7 @@ class _Ways:
         ends = self._edges.ends
         distances, before = dijkstra(graph, directed=False, indices=root, return_predecessors=True)
         in_tree = np.zeros(len(ends), bool)
-        in_tree[self._numbers(np.flatnonzero(before >= 0), before[before >= 0])] = True
+        in_tree[self._edges.between(np.flatnonzero(before >= 0), before[before >= 0])] = True
         left_over = ~in_tree
         left_over[self._dual_tree(~in_tree, distances[ends].sum(axis=1) + costs)] = False
         cut = left_over & (self._edges.uses == 2)
@@ -135,8 +130,7 @@ class _Ways:
         triangles = self._chart.triangles
         count = len(triangles)
         across = np.full((len(crossed), 2), -1)
-        sides = inner_sides(self._edges)
-        across[self._edges.opposite.ravel()[sides[:, 0]]] = sides // 3
+        across[self._edges.inner] = self._edges.inner_sides // 3
         alone = np.flatnonzero(self._edges.uses == 1)
         number = np.full(len(self._chart.vertices), -1)
         for index, loop in enumerate(border_loops(triangles, self._chart.vertices)):
@@ -177,11 +171,7 @@ class _Ways:
         while before[way[-1]] >= 0:
             way.append(int(before[way[-1]]))
         way = np.array(way)
-        cut[self._numbers(way[1:], way[:-1])] = True
-
-    def _numbers(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        keys = np.minimum(first, second).astype(np.int64) * self._edges.count + np.maximum(first, second)
-        return np.searchsorted(self._edges.keys, keys)
+        cut[self._edges.between(way[1:], way[:-1])] = True
 
     def _graph(self, costs: np.ndarray) -> csr_array:
         return csr_array((costs, tuple(self._edges.ends.T)), shape=(len(self._chart.vertices),) * 2)
@@ -190,9 +180,7 @@ class _Ways:
 def _dearness(chart: Chart, edges: Edges) -> np.ndarray:
     """What a cut costs along every edge (E,) for its length: less on creases and where few texels are wanted."""
     _, normals = face_areas_and_normals(chart.vertices[chart.triangles])
-    sides = inner_sides(edges)
-    inner = edges.opposite.ravel()[sides[:, 0]]
-    first, second = sides.T // 3
+    inner, (first, second) = edges.inner, edges.inner_sides.T // 3
     dearness = np.ones(len(edges.ends))
     dearness[inner] = 1.0 - CREASE * 0.5 * (1.0 - np.einsum("ei,ei->e", normals[first], normals[second]))
     dearness[inner] *= np.sqrt(chart.density[first] * chart.density[second])
@@ -209,27 +197,26 @@ def _ends(chart: Chart, start: np.ndarray, needed: int) -> Steps[list[int]]:
     stays[start] = True
     coarse, _ = yield from scaled(thinned(chart.vertices, chart.triangles, MODEL, stays), 0.0, 0.5)
     model, used = _of(chart, coarse)
-    ways = _Ways(model, edges_of(model.triangles, len(used)))
+    edges = edges_of(model.triangles, len(used))
+    ways = _Ways(model, edges)
     start = np.searchsorted(used, start)
     ends, best = [int(ways.distances(start).argmax())] * needed, np.inf
     while len(ends) <= MOST_ENDS:
         yield Progress(0.5 + 0.5 * len(ends) / (MOST_ENDS + 1), "Looking for cuts")
         cut = ways.leading_to(start, ends)
-        excess, stretch = _opened_along(model, cut)
+        excess, stretch = _opened_along(model, edges, cut)
         if not best - excess >= max(WORTH * best, LEAST_WORTH):
             break
         best = excess
-        reached = np.union1d(start, ways.ends[cut].ravel()) if len(ends) else start
+        reached = np.union1d(start, edges.ends[cut])
         ends.append(int((np.sqrt(stretch) * ways.distances(reached)).argmax()))
     return used[ends[: max(needed, len(ends) - 1)]].tolist()
 
 
-def _opened_along(model: Chart, cut: np.ndarray) -> tuple[float, np.ndarray]:
-    """By how much the layout of a `model`, `cut` open, is stretched, and the squared stretch (V,) around its vertices beside what is wanted
-    there; infinite where it is no disk."""
-    edges = edges_of(model.triangles, len(model.vertices))
-    sides = inner_sides(edges)
-    parts = apart(model, sides[~cut[edges.opposite.ravel()[sides[:, 0]]]])
+def _opened_along(model: Chart, edges: Edges, cut: np.ndarray) -> tuple[float, np.ndarray]:
+    """By how much the layout of a `model` is stretched that is `cut` (E,) open along some of its `edges`, and the squared stretch (V,)
+    around its vertices beside what is wanted there; infinite where it is no disk."""
+    parts = apart(model, edges.inner_sides[~cut[edges.inner]])
     opened, members = parts[0]
     if len(parts) > 1 or not border_loops(opened.triangles, opened.vertices):
         return np.inf, np.zeros(len(model.vertices))

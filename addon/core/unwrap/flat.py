@@ -5,7 +5,7 @@ import numpy as np
 from .border_barrier import crosses_itself
 from .borders import border_edges
 from .chart import Chart
-from .measures import signed_areas
+from .plane import signed_areas
 
 FLAT = 1e-6  # of its extent: a chart that leaves its plane by no more is flat
 

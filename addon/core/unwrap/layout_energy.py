@@ -45,11 +45,10 @@ class LayoutEnergy:
         """Slope (N,) by the unknowns."""
         total = self._stretch.slope(layout)
         for shape in self._shapes:
-            triangles, slopes, _ = shape.elements(layout)
-            np.add.at(total, triangles, slopes)
+            np.add.at(total, *shape.slopes(layout))
         made = self._assembly.slope(total)
         if self._border is not None:
-            vertices, slopes, _ = self._border.elements(layout)
+            vertices, slopes = self._border.slopes(layout)
             made += assembled(self._assembly.unknowns(vertices), slopes, self._assembly.size)
         return made
 
@@ -57,11 +56,10 @@ class LayoutEnergy:
         """Bend (N, N) by the unknowns, positive."""
         total = self._stretch.bend(layout)
         for shape in self._shapes:
-            triangles, _, bends = shape.elements(layout)
-            np.add.at(total, triangles, bends)
+            np.add.at(total, *shape.bends(layout))
         made = self._assembly.bend(total)
         if self._border is not None:
-            vertices, _, bends = self._border.elements(layout)
+            vertices, bends = self._border.bends(layout)
             made = made + assembled(self._assembly.unknowns(vertices), bends, self._assembly.size)
         return made
 

@@ -7,6 +7,7 @@ import numpy as np
 from ..mesh import TriangleMesh, face_areas_and_normals
 from ..progress import Steps
 from .overlaps import overlap_count
+from .plane import signed_areas
 from .rest_shapes import rest_shapes
 from .shape_barrier import least_ratios
 from .stretch_energy import jacobians
@@ -69,9 +70,8 @@ def stretches_of(mesh: TriangleMesh, corners: np.ndarray) -> Stretches:
         )
 
 
-def measured(mesh: TriangleMesh, corners: np.ndarray, importance: np.ndarray) -> Steps[Measures]:
-    """All figures of the UV map `corners` (T, 3, 2) of `mesh`; importance: (T,), 0 to 1."""
-    found = stretches_of(mesh, corners)
+def measured(mesh: TriangleMesh, corners: np.ndarray, found: Stretches, importance: np.ndarray) -> Steps[Measures]:
+    """All figures of the UV map `corners` (T, 3, 2) of `mesh`, whose stretches were `found`; importance: (T,), 0 to 1."""
     areas, _ = face_areas_and_normals(mesh.corners)
     told = areas > SPECKS * areas.mean()
     weights, largest, smallest = areas[told] / areas[told].sum(), found.largest[told], found.smallest[told]
@@ -96,12 +96,6 @@ def measured(mesh: TriangleMesh, corners: np.ndarray, importance: np.ndarray) ->
         densities=_densities(texels, areas, importance),
         density_ratio=density_ratio(texels, areas, importance),
     )
-
-
-def signed_areas(corners: np.ndarray) -> np.ndarray:
-    """Areas (T,) of triangles (T, 3, 2), below 0 where they are clockwise."""
-    (x, y), (u, v) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
-    return 0.5 * (x * v - y * u)
 
 
 def _densities(texels: np.ndarray, areas: np.ndarray, importance: np.ndarray) -> tuple[float, ...]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..parallel import slices
 from ..progress import Progress, Steps
+from .plane import cross, signed_areas
 
 LEVELS = 24  # of halved cells, from the largest triangle on
 TOUCH = 1e-9  # of the extent of the map: triangles that come no farther into each other only touch
@@ -18,8 +19,8 @@ CHUNK = 1 << 13  # triangles whose neighbours are looked up at once
 
 def overlap_count(corners: np.ndarray) -> Steps[int]:
     """How many pairs of triangles (T, 3, 2) lie over each other; triangles without area do with none."""
-    doubled = _cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    corners = np.where((doubled < 0.0)[:, None, None], corners[:, ::-1], corners)[doubled != 0.0]
+    areas = signed_areas(corners)
+    corners = np.where((areas < 0.0)[:, None, None], corners[:, ::-1], corners)[areas != 0.0]
     if len(corners) < 2:
         return 0
     extent = float(np.ptp(corners.reshape(-1, 2), axis=0).max())
@@ -71,9 +72,5 @@ def _parted(triangles: np.ndarray, others: np.ndarray, touch: float) -> np.ndarr
     """Whether a side of each of `triangles` (P, 3, 2) has all of the other one beyond it, (P,) bool."""
     sides = np.roll(triangles, -1, axis=1) - triangles
     lengths = np.linalg.norm(sides, axis=2)
-    inwards = _cross(sides[:, :, None], others[:, None] - triangles[:, :, None])
+    inwards = cross(sides[:, :, None], others[:, None] - triangles[:, :, None])
     return (inwards.max(axis=2) <= touch * lengths).any(axis=1)
-
-
-def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]

@@ -10,7 +10,6 @@ from .rest_shapes import RestShapes
 from .stretch_energy import jacobians
 
 SQUEEZED = 3.0  # times the energy that a triangle has at least: above that its corners are moved
-SWEEPS = 1
 STEPS = 2  # of Newton for each vertex, each time that it has its turn
 
 
@@ -22,20 +21,19 @@ def mended(
     triangles: (T, 3) with their rest `shapes`, of `vertices` (V, 3). weights: (V,) importance. stays: (V,) bool, who must not be moved.
     """
     own = weights[triangles].mean(axis=1)
-    for _ in range(SWEEPS):
-        at = jacobians(shapes, triangles, layout)
-        areas = at.determinants
-        squeezed = 0.5 * own * at.squares / areas**2 + areas > SQUEEZED * 2.0 * np.sqrt(own)
-        chosen = np.zeros(len(layout), bool)
-        chosen[triangles[squeezed]] = True
-        chosen &= ~stays
-        if not chosen.any():
-            break
-        layout = layout.copy()
-        around = triangles[chosen[triangles].any(axis=1)]
-        for owners in independent_sets(edges_of(around, len(layout)), np.flatnonzero(chosen)):
-            polygons = Polygons(layout, owners, stars_of(around, owners, len(layout)), vertices, weights)
-            layout[owners] = polygons.relaxed(layout[owners], STEPS)
+    at = jacobians(shapes, triangles, layout)
+    areas = at.determinants
+    squeezed = 0.5 * own * at.squares / areas**2 + areas > SQUEEZED * 2.0 * np.sqrt(own)
+    chosen = np.zeros(len(layout), bool)
+    chosen[triangles[squeezed]] = True
+    chosen &= ~stays
+    if not chosen.any():
+        return layout
+    layout = layout.copy()
+    around = triangles[chosen[triangles].any(axis=1)]
+    for owners in independent_sets(edges_of(around, len(layout)), np.flatnonzero(chosen)):
+        polygons = Polygons(layout, owners, stars_of(around, owners, len(layout)), vertices, weights)
+        layout[owners] = polygons.relaxed(layout[owners], STEPS)
     return layout
 
 

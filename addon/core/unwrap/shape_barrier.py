@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .plane import cross
+
 START = 2.0  # times the bound: where the energy begins
 STRENGTH = 0.5  # of the area of the triangle
 
@@ -47,21 +49,29 @@ class ShapeBarrier:
             return np.inf
         return float((STRENGTH * self.areas * self._energy(above)[0]).sum())
 
-    def elements(self, layout: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What pushes: the numbers (K,) of triangles, slopes (K, 6) by their corners' x and y in turn, and bends (K, 6, 6), positive."""
+    def slopes(self, layout: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What pushes: the numbers (K,) of triangles, and slopes (K, 6) by their corners' x and y in turn."""
+        side, triangle, corners, slope, _ = self._pushing(layout)
+        return self.which[triangle], np.take_along_axis(slope[:, None] * _ratio_slopes(corners), _unrolled(side), axis=1)
+
+    def bends(self, layout: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The same triangles (K,), and bends (K, 6, 6), positive."""
+        side, triangle, corners, slope, bend = self._pushing(layout)
+        first = _ratio_slopes(corners)
+        made = bend[:, None, None] * first[:, :, None] * first[:, None, :]
+        made = _positive(made + slope[:, None, None] * _ratio_bends(corners))
+        back, rows = _unrolled(side), np.arange(len(side))[:, None, None]
+        return self.which[triangle], made[rows, back[:, :, None], back[:, None, :]]
+
+    def _pushing(self, layout: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Sides (K,) of triangles (K,) below where the energy begins, their corners (K, 3, 2) from the side's first on, and the first and
+        second derivatives (K,) of the energy by the side's ratio."""
         above = self._above(layout)
         side, triangle = np.nonzero(above < 1.0)
         corners = layout[np.take_along_axis(self.triangles[triangle], (side[:, None] + np.arange(3)) % 3, axis=1)]
         _, slope, bend = self._energy(above[side, triangle])
-        scale = 1.0 / (self.bounds[triangle] * (START - 1.0))
-        counts = STRENGTH * self.areas[triangle]
-        first, second = _ratio_derivatives(corners)
-        own_slope = (counts * slope * scale)[:, None] * first
-        own_bend = (counts * bend * scale**2)[:, None, None] * first[:, :, None] * first[:, None, :]
-        own_bend = _positive(own_bend + (counts * slope * scale)[:, None, None] * second)
-        back = (2 * ((np.arange(3)[None] - side[:, None]) % 3)[:, :, None] + np.arange(2)).reshape(-1, 6)
-        rows = np.arange(len(side))[:, None]
-        return self.which[triangle], own_slope[rows, back], own_bend[rows[:, :, None], back[:, :, None], back[:, None, :]]
+        scale, counts = 1.0 / (self.bounds[triangle] * (START - 1.0)), STRENGTH * self.areas[triangle]
+        return side, triangle, corners, counts * slope * scale, counts * bend * scale**2
 
     def _above(self, layout: np.ndarray) -> np.ndarray:
         """How far each side's ratio is above its bound (3, T): 0 at the bound, 1 where the energy begins."""
@@ -78,21 +88,33 @@ class ShapeBarrier:
         return value, slope, -2.0 * logarithm - 4.0 * short / there + short**2 / there**2
 
 
-def _ratio_derivatives(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Slopes (K, 6) and bends (K, 6, 6) of height over base, the base from the first of the `corners` (K, 3, 2) to the second."""
-    a, b, c = corners.transpose(1, 0, 2)
-    doubled = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
-    square = ((b - a) ** 2).sum(axis=1)
-    area_slope = np.stack(
-        [b[:, 1] - c[:, 1], c[:, 0] - b[:, 0], c[:, 1] - a[:, 1], a[:, 0] - c[:, 0], a[:, 1] - b[:, 1], b[:, 0] - a[:, 0]], axis=1
-    )
-    square_slope = np.zeros_like(area_slope)
-    square_slope[:, :2], square_slope[:, 2:4] = -2.0 * (b - a), 2.0 * (b - a)
-    slope = area_slope / square[:, None] - (doubled / square**2)[:, None] * square_slope
+def _unrolled(side: np.ndarray) -> np.ndarray:
+    """Where each x and y (K, 6) of a triangle's corners stands when they are given from the first of a `side` (K,) on."""
+    return (2 * ((np.arange(3)[None] - side[:, None]) % 3)[:, :, None] + np.arange(2)).reshape(-1, 6)
+
+
+def _ratio_slopes(corners: np.ndarray) -> np.ndarray:
+    """Slopes (K, 6) of height over base, the base from the first of the `corners` (K, 3, 2) to the second."""
+    doubled, square, area_slope, square_slope = _ratio_parts(corners)
+    return area_slope / square[:, None] - (doubled / square**2)[:, None] * square_slope
+
+
+def _ratio_bends(corners: np.ndarray) -> np.ndarray:
+    """Bends (K, 6, 6) of the same."""
+    doubled, square, area_slope, square_slope = _ratio_parts(corners)
     mixed = area_slope[:, :, None] * square_slope[:, None, :]
     bend = _AREA_BEND / square[:, None, None] - (mixed + mixed.transpose(0, 2, 1)) / square[:, None, None] ** 2
     bend += (2.0 * doubled / square**3)[:, None, None] * square_slope[:, :, None] * square_slope[:, None, :]
-    return slope, bend - (doubled / square**2)[:, None, None] * _SQUARE_BEND
+    return bend - (doubled / square**2)[:, None, None] * _SQUARE_BEND
+
+
+def _ratio_parts(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Twice the area (K,), the square of the base (K,), and the slopes (K, 6) of both."""
+    a, b, c = corners.transpose(1, 0, 2)
+    base, far, near = b - a, c - b, c - a
+    area_slope = np.stack([-far[:, 1], far[:, 0], near[:, 1], -near[:, 0], -base[:, 1], base[:, 0]], axis=1)
+    square_slope = np.concatenate([-2.0 * base, 2.0 * base, np.zeros_like(base)], axis=1)
+    return cross(base, near), (base**2).sum(axis=1), area_slope, square_slope
 
 
 def _positive(matrices: np.ndarray) -> np.ndarray:

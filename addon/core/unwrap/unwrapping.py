@@ -13,8 +13,9 @@ from .chart import Chart
 from .chart_layout import Border, chart_layout
 from .charts import Piece, pieces_of
 from .flat import flat_layout
-from .measures import Measures, Stretches, measured, signed_areas, stretches_of
+from .measures import Measures, Stretches, measured, stretches_of
 from .packing import packed
+from .plane import signed_areas
 from .settings import UnwrapSettings
 
 CUTTING, LAYING, PACKING = 0.1, 0.9, 0.95  # shares of the bar when each is done
@@ -66,8 +67,8 @@ def unwrap(
         turned[piece.triangles] = piece.turned
     upright = np.where(turned[:, None, None], corners[:, [0, 2, 1]], corners)
     oriented = replace(mesh, triangles=np.where(turned[:, None], mesh.triangles[:, [0, 2, 1]], mesh.triangles))
-    figures = yield from scaled(measured(oriented, upright, importance), PACKING, 1.0)
     stretches = stretches_of(oriented, upright)
+    figures = yield from scaled(measured(oriented, upright, stretches, importance), PACKING, 1.0)
     clock["measure"] = time.perf_counter() - started
     return Unwrapped(corners, stretches, figures, len(pieces), clock)
 

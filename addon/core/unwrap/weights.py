@@ -6,6 +6,7 @@ import numpy as np
 
 from ..mesh import face_areas_and_normals
 from .chart import Chart
+from .plane import signed_areas
 from .rest_shapes import rest_shapes
 
 ALONE = 2.0  # the power by which triangles alone would get what is wanted
@@ -52,8 +53,7 @@ class Weights:
             return False
         triangles, wanted = (each[(triangles < self._own).all(axis=1)] for each in (triangles, self._on(triangles)))
         areas, _ = face_areas_and_normals(self._chart.vertices[triangles])
-        texels, _ = face_areas_and_normals(np.pad(layout, ((0, 0), (0, 1)))[triangles])
-        reached = _split_ratio(texels, areas, wanted)
+        reached = _split_ratio(signed_areas(layout[triangles]), areas, wanted)
         if reached == 0.0 or abs(np.log(reached) - self._ratio) < near:
             return False
         change = self._ratio / np.log(reached) if reached > 1.0 else STRIDE
