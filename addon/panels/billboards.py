@@ -8,7 +8,7 @@ from ..bridge import cameras
 from ..core.billboards.settings import BillboardSettings
 from ..core.cameras import Camera
 from ..core.settings import describe
-from ..operators import billboards_estimates, long_work, properties
+from ..operators import billboards_estimates, properties
 from ..operators.billboards import (
     FARFIELD_OT_billboards_build,
     FARFIELD_OT_billboards_estimate,
@@ -18,19 +18,11 @@ from ..operators.billboards import (
 )
 from ..operators.billboards_clouds import StandingCloud, cloud_for
 from ..operators.billboards_job import BuildOptions
-from .progress import draw_progress
+from .sidebar import SidebarPanel, draw_bar, draw_button, draw_table, megabytes, settings_rows
 
 MAIN_ROWS = ("method", "error", "levels", "texel_error", "textures")
 OTHER_ROWS = [item.name for item in describe(BillboardSettings) if item.name not in MAIN_ROWS]
 OPTION_ROWS = [item.name for item in describe(BuildOptions)]
-
-
-class SidebarPanel:
-    """Where Farfield's panels stand."""
-
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "Farfield"
 
 
 class FARFIELD_PT_billboards(SidebarPanel, bpy.types.Panel):
@@ -41,28 +33,20 @@ class FARFIELD_PT_billboards(SidebarPanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw all rows; while a job runs they are grey and the bar takes the button's place."""
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
-        group = context.scene.farfield_billboards
-        run = long_work.current()
-        rows = layout.column()
-        rows.enabled = run is None
+        layout, group = self.layout, context.scene.farfield_billboards
+        rows = settings_rows(layout)
         for name in MAIN_ROWS:
             row = rows.row()
             row.active = name != "error" or not (group.quads or group.texture_mb)  # a budget takes the error's place
             row.prop(group, name)
-        if run is not None:
-            draw_progress(layout, run)
+        if draw_bar(layout):
             return
         reason = refusal(context)
         if reason:
             layout.label(text=reason, icon="INFO")
         else:
             draw_estimate(layout, context, group)
-        row = layout.row()
-        row.scale_y = 1.4
-        row.operator(FARFIELD_OT_billboards_build.bl_idname, text="Build", icon="MESH_GRID")
+        draw_button(layout, FARFIELD_OT_billboards_build, "Build", "MESH_GRID")
 
 
 class FARFIELD_PT_billboards_more(SidebarPanel, bpy.types.Panel):
@@ -75,13 +59,9 @@ class FARFIELD_PT_billboards_more(SidebarPanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the remaining settings."""
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
-        layout.enabled = long_work.current() is None
-        group = context.scene.farfield_billboards
+        rows = settings_rows(self.layout)
         for name in OTHER_ROWS + OPTION_ROWS:
-            layout.prop(group, name)
+            rows.prop(context.scene.farfield_billboards, name)
 
 
 class FARFIELD_PT_billboards_figures(SidebarPanel, bpy.types.Panel):
@@ -115,10 +95,13 @@ def draw_estimate(layout: bpy.types.UILayout, context: bpy.types.Context, group:
     if answer is not None and answer.reason:
         layout.label(text=answer.reason, icon="ERROR")
     elif answer is not None:
-        figures = [(f"{level.quads:,}", f"{level.texels:,}", megabytes(level.bytes)) for level in answer.levels]
-        draw_table(layout, ("Estimate", "Quads", "Texels", "MB"), figures)
+        levels = enumerate(answer.levels)
+        rows = [(str(number), f"{level.quads:,}", f"{level.texels:,}", megabytes(level.bytes)) for number, level in levels]
+        draw_table(layout, ("Estimate", "Quads", "Texels", "MB"), rows)
     elif billboards_estimates.ask_later(asked):
-        draw_table(layout, ("Estimate", "Quads", "Texels", "MB"), [("...",) * 3] * group.levels)  # as tall as the figures will be
+        draw_table(
+            layout, ("Estimate", "Quads", "Texels", "MB"), [(str(number), "...", "...", "...") for number in range(group.levels)]
+        )  # as tall as the figures will be
     else:
         layout.operator(FARFIELD_OT_billboards_estimate.bl_idname)
 
@@ -130,29 +113,13 @@ def draw_figures(layout: bpy.types.UILayout, cloud: StandingCloud, camera: Camer
     for index, level in enumerate(cloud.levels):
         distance = "-" if camera is None else distance_text(camera.switch_distance(level["farfield_error"]))
         figures = f"{level['farfield_quads']:,}", f"{level['farfield_texels']:,}", megabytes(cloud.texture_bytes(index))
-        rows.append((*figures, distance))
+        rows.append((str(index), *figures, distance))
     draw_table(layout, ("Level", "Quads", "Texels", "MB", "From"), rows)
 
 
 def distance_text(distance: float) -> str:
     """A switch distance in scene units; orthographic cameras know no distance."""
     return "always" if distance == 0.0 else "never" if math.isinf(distance) else f"{distance:.4g}"
-
-
-def draw_table(layout: bpy.types.UILayout, head: tuple[str, ...], levels: list[tuple[str, ...]]) -> None:
-    """One row a level with its number before it; figures stand below each other, to the right."""
-    columns = layout.box().row()
-    for place, title in enumerate(head):
-        column = columns.column(align=True)
-        column.alignment = "LEFT" if place == 0 else "RIGHT"
-        column.label(text=title)
-        for number, figures in enumerate(levels):
-            column.label(text=str(number) if place == 0 else figures[place - 1])
-
-
-def megabytes(count: float) -> str:
-    """Bytes as megabytes, with two significant digits below ten."""
-    return f"{count / 1e6:.2g}" if count < 1e7 else f"{count / 1e6:,.0f}"
 
 
 CLASSES = (FARFIELD_PT_billboards, FARFIELD_PT_billboards_more, FARFIELD_PT_billboards_figures)

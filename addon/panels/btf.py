@@ -7,8 +7,7 @@ from ..core.btf.settings import BtfSettings
 from ..core.settings import describe
 from ..operators import btf, btf_estimates, btf_exports, long_work, properties
 from ..operators.billboards_clouds import StandingCloud
-from .billboards import SidebarPanel, megabytes
-from .progress import draw_progress
+from .sidebar import SidebarPanel, draw_bar, draw_button, megabytes, settings_rows
 
 ROWS = [item.name for item in describe(BtfSettings) if item.name != "seed"]
 OF_CODEC = {"components": "pca", "clusters": "lpca", "cluster_components": "lpca", "blend_texels": "lpca"}  # rows of one codec alone
@@ -23,18 +22,12 @@ class FARFIELD_PT_btf(SidebarPanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw all rows; while a job runs they are grey and the bar takes the button's place."""
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
-        group = context.scene.farfield_btf
-        run = long_work.current()
-        rows = layout.column()
-        rows.enabled = run is None
+        layout, group = self.layout, context.scene.farfield_btf
+        rows = settings_rows(layout)
         for name in ROWS:
             if OF_CODEC.get(name, group.codec) == group.codec:
                 rows.prop(group, name)
-        if run is not None:
-            draw_progress(layout, run)
+        if draw_bar(layout):
             return
         cloud, reason, done = btf.chosen(context), btf.refusal(context), 0
         settings = properties.read(BtfSettings, group)
@@ -44,9 +37,7 @@ class FARFIELD_PT_btf(SidebarPanel, bpy.types.Panel):
         else:
             done = btf_estimates.views_done(cloud, settings)
             draw_estimate(layout, cloud, settings, done)
-        row = layout.row()
-        row.scale_y = 1.4
-        row.operator(btf.FARFIELD_OT_btf_bake.bl_idname, text="Resume" if done else "Bake", icon="LIGHT_SUN")
+        draw_button(layout, btf.FARFIELD_OT_btf_bake, "Resume" if done else "Bake", "LIGHT_SUN")
         if btf.is_baked(cloud):
             lamps = layout.column()
             for number in range(SUNS):

@@ -5,7 +5,6 @@ import bpy
 from ..bridge import uv_maps, uv_overlay
 from ..core.settings import describe
 from ..core.unwrap.settings import UnwrapSettings
-from ..operators import long_work
 from ..operators.unwrap import (
     FARFIELD_OT_unwrap,
     FARFIELD_OT_unwrap_direction,
@@ -14,8 +13,7 @@ from ..operators.unwrap import (
     is_unwrapped,
     refusal,
 )
-from .billboards import SidebarPanel
-from .progress import draw_progress
+from .sidebar import SidebarPanel, draw_bar, draw_button, settings_rows
 
 ROWS = [item.name for item in describe(UnwrapSettings)]
 OF_IMPORTANCE = {"direction": ("direction", "look"), "group": ("group",)}  # rows of some kinds of importance alone
@@ -40,25 +38,17 @@ class FARFIELD_PT_unwrap(SidebarPanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the rows that count; while a job runs they are grey and the bar takes the button's place."""
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
-        group = context.scene.farfield_unwrap
-        run = long_work.current()
-        rows = layout.column()
-        rows.enabled = run is None
+        layout, group = self.layout, context.scene.farfield_unwrap
+        rows = settings_rows(layout)
         for name in ROWS:
             if group.importance in OF_IMPORTANCE.get(name, (group.importance,)) and (name != "density_ratio" or group.importance != "even"):
                 draw_row(rows, context, group, name)
-        if run is not None:
-            draw_progress(layout, run)
+        if draw_bar(layout):
             return
         reason = refusal(context)
         if reason:
             layout.label(text=reason, icon="INFO")
-        row = layout.row()
-        row.scale_y = 1.4
-        row.operator(FARFIELD_OT_unwrap.bl_idname, text="Unwrap", icon="UV")
+        draw_button(layout, FARFIELD_OT_unwrap, "Unwrap", "UV")
         if is_unwrapped(context.active_object):
             draw_figures(layout, uv_maps.figures_of(context.active_object.data))
             tools = layout.row(align=True)
