@@ -8,7 +8,7 @@ import bpy
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not put a script's folder there
 
-from hand import Hand, clouds, drive, make_tree, module, picture, seen, start, state, undo, watch
+from hand import Hand, clouds, drive, make_tree, module, open_sidebar, picture, seen, start, state, undo, watch
 
 BUTTON = "farfield.billboards_build"
 
@@ -16,16 +16,12 @@ BUTTON = "farfield.billboards_build"
 def visit() -> Iterator[float]:
     """The whole visit, as pauses in seconds."""
     hand = Hand()
-    hand.area.spaces.active.show_region_ui = True
     bpy.data.objects.remove(bpy.data.objects["Cube"])
     tree = make_tree()
     bpy.context.view_layer.objects.active = tree
     tree.select_set(True)
     bpy.ops.ed.undo_push(message="Grow tree")
-    yield 2.0
-    hand.region("UI").active_panel_category = "Farfield"
-    hand.region("UI").tag_redraw()
-    yield 2.0
+    yield from open_sidebar(hand)
     picture("1-panel")
     seen["before"] = state()
 

@@ -8,7 +8,7 @@ import bpy
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not put a script's folder there
 
-from hand import Hand, drive, make_tree, module, open_panel_alone, picture, seen, start, state, watch
+from hand import Hand, drive, make_tree, module, open_panel_alone, open_sidebar, picture, seen, start, state, watch
 
 BUTTON = "farfield.btf_bake"
 BAKE = {"views": 16, "lights": 49, "samples": 4, "components": 4, "alpha_components": 4, "shadows": 64, "executor": "processes:2"}
@@ -27,7 +27,6 @@ def visit() -> Iterator[float]:
     """The whole visit, as pauses in seconds."""
     hand = Hand()
     work = module("addon.operators.long_work")
-    hand.area.spaces.active.show_region_ui = True
     bpy.data.objects.remove(bpy.data.objects["Cube"])
     tree = make_tree()
     bpy.context.view_layer.objects.active = tree
@@ -36,10 +35,7 @@ def visit() -> Iterator[float]:
     for name, value in BAKE.items():
         setattr(bpy.context.scene.farfield_btf, name, value)
     open_panel_alone("btf")
-    yield 2.0
-    hand.region("UI").active_panel_category = "Farfield"
-    hand.region("UI").tag_redraw()
-    yield 2.0
+    yield from open_sidebar(hand)
     picture("1-panel")
     seen["before"] = state()
 

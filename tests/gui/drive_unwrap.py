@@ -9,7 +9,7 @@ import bpy
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not put a script's folder there
 
-from hand import Hand, drive, module, open_panel_alone, picture, seen, start, state, undo, watch
+from hand import Hand, drive, module, open_panel_alone, open_sidebar, picture, seen, start, state, undo, watch
 
 BUTTON = "farfield.unwrap"
 
@@ -33,15 +33,11 @@ def visit() -> Iterator[float]:
     """The whole visit, as pauses in seconds."""
     hand = Hand()
     work = module("addon.operators.long_work")
-    hand.area.spaces.active.show_region_ui = True
     bpy.data.objects.remove(bpy.data.objects["Cube"])
     name = bumpy_ball().name
     bpy.ops.ed.undo_push(message="Make ball")
     open_panel_alone("unwrap")
-    yield 2.0
-    hand.region("UI").active_panel_category = "Farfield"
-    hand.region("UI").tag_redraw()
-    yield 2.0
+    yield from open_sidebar(hand)
     picture("1-panel")
     seen["before"] = state()
 

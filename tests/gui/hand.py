@@ -136,6 +136,15 @@ def open_panel_alone(tool: str) -> None:
         bpy.utils.register_class(panel)
 
 
+def open_sidebar(hand: Hand) -> Iterator[float]:
+    """Show the sidebar at the tab *Farfield*."""
+    hand.area.spaces.active.show_region_ui = True
+    yield 2.0
+    hand.region("UI").active_panel_category = "Farfield"
+    hand.region("UI").tag_redraw()
+    yield 2.0
+
+
 def undo(hand: Hand) -> Iterator[float]:
     """Press Ctrl Z over the 3D view."""
     view = hand.region("WINDOW")
