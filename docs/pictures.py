@@ -1,8 +1,8 @@
-"""The pictures of README and docs: `python3 docs/pictures.py [out/demo/demo.blend] [--only tree levels head wood relighting forest]`.
+"""The pictures of README and docs: `python3 docs/pictures.py [out/demo/demo.blend] [--only NAME ...]`.
 
 tree: the demo's tree beside its cloud. levels: all its levels, their quads, and how each looks from its own distance. head: a closed
-surface with a material of nodes, which needs no demo. wood: hundreds of trees, each as the level that its distance asks for. relighting,
-forest: what the demo left beside its scene, as it is.
+surface with a material of nodes, which needs no demo. unwrap: that surface with a checker on three UV maps, which needs none either. wood:
+hundreds of trees, each as the level that its distance asks for. relighting, forest: what the demo left beside its scene, as it is.
 """
 
 import shutil
@@ -18,6 +18,7 @@ environment.ensure()
 
 import bpy
 import numpy as np
+from unwrapped import unwrapped_copies
 from wood import render_wood
 
 import billboards
@@ -40,6 +41,8 @@ LEVEL_PIXELS = 250
 HEAD_PIXELS = 290
 HEAD_ERROR = 0.02
 HEAD_VOXEL = 0.04
+MAP_PIXELS = 300
+MAP_TRIMMED = 45  # pixels along the edges of its render, where nothing is
 WOOD_WIDTH = 660
 
 
@@ -91,11 +94,7 @@ def levels(scene: Path, path: Path, samples: int) -> None:
 
 def head(_scene: Path, path: Path, samples: int) -> None:
     """Blender's monkey, made a closed surface, with a procedural material; its quads and its cloud."""
-    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    bpy.ops.mesh.primitive_monkey_add()
-    monkey = bpy.context.object
-    remesh = monkey.modifiers.new("Remesh", "REMESH")  # the monkey has holes behind its eyes
-    remesh.mode, remesh.voxel_size, remesh.use_smooth_shade = "VOXEL", HEAD_VOXEL, True
+    monkey = closed_monkey()
     monkey.data.materials.append(veined_clay())
     settings = BillboardSettings(levels=1, error=HEAD_ERROR, samples=32)
     job = billboards.prepare_input(settings, BuildOptions())
@@ -113,6 +112,31 @@ def head(_scene: Path, path: Path, samples: int) -> None:
     share = f"{HEAD_ERROR:.0%}".replace("%", " %")
     title = f"Error {share} of the longest side, seen {HEAD_PIXELS / pixels_across(cloud, cloud.errors[0]):.0f} times nearer than meant"
     write(path, contact_sheet(title, [[original, pieces, copy]], [""], columns))
+
+
+def unwrap(_scene: Path, path: Path, samples: int) -> None:
+    """The same head with a checker on three UV maps, and the maps coloured by stretch."""
+    monkey = closed_monkey()
+    bpy.ops.object.modifier_apply(modifier="Remesh")
+    copies = unwrapped_copies(monkey, VIEWER, MAP_PIXELS)
+    renders = near([[copy.item] for copy in copies], MAP_PIXELS + 2 * MAP_TRIMMED, samples)
+    names = "Minimum Stretch of Blender", "Farfield", "Farfield, most texels to this side"
+    figures = [f"L2 {copy.figures.l2:.3f}, largest {copy.figures.linf:.1f}" for copy in copies]
+    columns = [[name, f"{found}, {copy.figures.overlaps} overlaps"] for name, found, copy in zip(names, figures, copies, strict=True)]
+    inside = slice(MAP_TRIMMED, -MAP_TRIMMED)
+    worn = [metrics.over_grey(render[inside, inside], PAPER) for render in renders]
+    title = f"A closed surface of {triangles([monkey]):,} triangles, cut and laid out; below, red is stretched and blue is crowded"
+    write(path, contact_sheet(title, [worn, [copy.picture for copy in copies]], ["", ""], columns))
+
+
+def closed_monkey() -> bpy.types.Object:
+    """Blender's monkey alone in a new scene, with a modifier that makes it a closed surface."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    bpy.ops.mesh.primitive_monkey_add()
+    monkey = bpy.context.object
+    remesh = monkey.modifiers.new("Remesh", "REMESH")  # the monkey has holes behind its eyes
+    remesh.mode, remesh.voxel_size, remesh.use_smooth_shade = "VOXEL", HEAD_VOXEL, True
+    return monkey
 
 
 def wood(scene: Path, path: Path, samples: int) -> None:
@@ -136,7 +160,15 @@ def left_by_demo(scene: Path, path: Path, _samples: int) -> None:
         shutil.copyfile(made, temporary)
 
 
-PICTURES = {"tree": tree, "levels": levels, "head": head, "wood": wood, "relighting": left_by_demo, "forest": left_by_demo}
+PICTURES = {
+    "tree": tree,
+    "levels": levels,
+    "head": head,
+    "unwrap": unwrap,
+    "wood": wood,
+    "relighting": left_by_demo,
+    "forest": left_by_demo,
+}
 
 
 def demo_cloud(scene: Path) -> StandingCloud:

@@ -15,6 +15,7 @@ from .plane import cross
 from .stretch_energy import first_root
 
 PUSH = 0.1  # of the reach squared, which is about what the stretch of a triangle counts
+FEW = 100  # edges at most, of which all pairs are looked at
 MOST_SAMPLES = 16  # times as many as edges, to look for what is near long ones
 
 
@@ -26,38 +27,46 @@ class BorderBarrier:
 
     def __init__(self, border: np.ndarray, reach: float) -> None:
         self._border, self._reach = border, reach
+        self._last: tuple[np.ndarray, np.ndarray, _Contacts] | None = None  # one layout is asked about several times in a row
 
     def value(self, layout: np.ndarray) -> float:
         """The energy; infinite where the border crosses itself."""
-        pairs = _near_edges(layout, self._border, self._reach)
+        pairs, contacts = self._near(layout)
         if _crossed(layout[self._border[pairs]]):
             return np.inf
-        ratio = self._reach / self._contacts(layout, pairs).distances
+        ratio = self._reach / contacts.distances
         return float(PUSH * self._reach**2 * ((ratio - 1.0) ** 2).sum())
 
     def slopes(self, layout: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What pushes: vertices (P, 3), and slopes (P, 6) by their x and y in turn."""
-        contacts = self._contacts(layout, _near_edges(layout, self._border, self._reach))
+        _, contacts = self._near(layout)
         ratio = self._reach / contacts.distances
         slope = -2.0 * PUSH * self._reach * (ratio - 1.0) * ratio**2
         return contacts.vertices, slope[:, None] * contacts.ways
 
     def bends(self, layout: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The same vertices (P, 3), and bends (P, 6, 6), positive."""
-        contacts = self._contacts(layout, _near_edges(layout, self._border, self._reach))
+        _, contacts = self._near(layout)
         ratio, ways = self._reach / contacts.distances, contacts.ways
         bend = 2.0 * PUSH * (3.0 * ratio - 2.0) * ratio**3
         return contacts.vertices, bend[:, None, None] * ways[:, :, None] * ways[:, None, :]
 
     def longest_step(self, layout: np.ndarray, move: np.ndarray) -> float:
         """The multiple of `move` (V, 2) at which the first vertex that is near to an edge comes upon its line; infinite where none does."""
-        contacts = self._contacts(layout, _near_edges(layout, self._border, self._reach))
+        _, contacts = self._near(layout)
         beside = (contacts.shares > 0.0) & (contacts.shares < 1.0)
         there, change = layout[contacts.vertices[beside]], move[contacts.vertices[beside]]
         (first, second), (by_first, by_second) = ((each[:, 1] - each[:, 0], each[:, 2] - each[:, 0]) for each in (there, change))
         area = cross(first, second)
         side = np.sign(area)
         return first_root(side * cross(by_first, by_second), side * (cross(first, by_second) + cross(by_first, second)), np.abs(area))
+
+    def _near(self, layout: np.ndarray) -> tuple[np.ndarray, "_Contacts"]:
+        """Pairs (Q, 2) of edges that may be in contact, and the contacts that there are."""
+        if self._last is None or self._last[0] is not layout:
+            pairs = _near_edges(layout, self._border, self._reach)
+            self._last = layout, pairs, self._contacts(layout, pairs)
+        return self._last[1:]
 
     def _contacts(self, layout: np.ndarray, pairs: np.ndarray) -> "_Contacts":
         """The contacts within reach, from `pairs` (Q, 2) of edges that may have some."""
@@ -98,17 +107,29 @@ def crosses_itself(layout: np.ndarray, border: np.ndarray) -> bool:
 def _near_edges(layout: np.ndarray, border: np.ndarray, reach: float) -> np.ndarray:
     """Pairs (Q, 2) of edges that share no vertex, all of those among them that come within `reach` of each other."""
     starts, ends = layout[border[:, 0]], layout[border[:, 1]]
+    pairs = _by_boxes(starts, ends, reach) if len(border) <= FEW else _by_samples(starts, ends, reach)
+    ones, others = border[pairs].transpose(1, 0, 2)
+    return pairs[(ones[:, :, None] != others[:, None, :]).all(axis=(1, 2))]
+
+
+def _by_boxes(starts: np.ndarray, ends: np.ndarray, reach: float) -> np.ndarray:
+    """Pairs (Q, 2) of segments, from `starts` (B, 2) to `ends`, whose boxes come within `reach` of each other."""
+    low, high = np.minimum(starts, ends) - reach, np.maximum(starts, ends)
+    meet = (low[:, None] <= high).all(axis=2)
+    return np.stack(np.nonzero(np.triu(meet & meet.T, 1)), axis=1)
+
+
+def _by_samples(starts: np.ndarray, ends: np.ndarray, reach: float) -> np.ndarray:
+    """Pairs (Q, 2) of segments, from `starts` (B, 2) to `ends`, all of those among them that come within `reach` of each other."""
     lengths = np.hypot(*(ends - starts).T)
-    spacing = max(float(np.median(lengths)), float(lengths.sum()) / (MOST_SAMPLES * len(border)), reach, 1e-300)
+    spacing = max(float(np.median(lengths)), float(lengths.sum()) / (MOST_SAMPLES * len(starts)), reach, 1e-300)
     counts = np.maximum(np.ceil(lengths / spacing).astype(int), 1)
-    owner = np.repeat(np.arange(len(border)), counts)
+    owner = np.repeat(np.arange(len(starts)), counts)
     place = (np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts) + 0.5) / counts[owner]
     samples = starts[owner] + place[:, None] * (ends - starts)[owner]
     found = np.sort(owner[cKDTree(samples).query_pairs(spacing + reach, output_type="ndarray")], axis=1)
-    keys, _ = sorted_unique(found[:, 0].astype(np.int64) * len(border) + found[:, 1])
-    pairs = np.stack(np.divmod(keys, len(border)), axis=1)
-    ones, others = border[pairs].transpose(1, 0, 2)
-    return pairs[(ones[:, :, None] != others[:, None, :]).all(axis=(1, 2))]
+    keys, _ = sorted_unique(found[:, 0].astype(np.int64) * len(starts) + found[:, 1])
+    return np.stack(np.divmod(keys, len(starts)), axis=1)
 
 
 def _crossed(ends: np.ndarray) -> bool:

@@ -30,6 +30,7 @@ GROWTH = 3.0  # times as many vertices from one level to the next
 BULGES = 0.1, 1e-2, 1e-3, 1e-5, 1e-7, 1e-9  # of the border where a vertex is put back, each tried where the one before comes upon something
 ALONE = 3  # Newton steps of a vertex that has been put back, before all move together
 FIRST, BETWEEN, LAST = (3e-4, 30), (3e-3, 4), (1e-3, 30)  # tolerance and steps on the coarsest level, on those after it, and at the end
+ROUGH = 1e-2, 30  # instead of FIRST, to see where a chart is stretched
 ROUND = 1e-3, 12  # and after a change of pulls or weights
 CHUNK = 1 << 14  # vertices that are put back at once
 SWEEPS = 2  # over the patches of a level
@@ -48,10 +49,11 @@ class Border(Enum):
     SQUARE = "square"
 
 
-def chart_layout(chart: Chart, border: Border, least_ratio: float) -> Steps[np.ndarray]:
+def chart_layout(chart: Chart, border: Border, least_ratio: float, rough: bool = False) -> Steps[np.ndarray]:
     """Layout (V, 2) float64 of `chart`, without flipped triangles and nowhere over itself, as large as suits it best.
 
-    least_ratio: what height over base of every triangle is kept above, where that can be; 0 for no bound.
+    least_ratio: what height over base of every triangle is kept above, where that can be; 0 for no bound. rough: ends as soon as it shows
+    where the chart is stretched.
 
     Raises:
         GeometryError: when the chart has no border, or no layout to begin with is found.
@@ -59,7 +61,7 @@ def chart_layout(chart: Chart, border: Border, least_ratio: float) -> Steps[np.n
     yield Progress(0.0, "Thinning")
     count = len(chart.vertices)
     chart, rim = _disk(_normalised(chart))
-    work = _Work(chart, border, least_ratio, rim, count)
+    work = _Work(chart, border, least_ratio, rim, count, ROUGH if rough else FIRST)
     coarse, rounds = yield from scaled(thinned(chart.vertices, chart.triangles, COARSEST, work.fixed), 0.0, 0.05)
     layout = work.begun(coarse)
     layout = yield from scaled(work.settled(layout, coarse, True, not rounds), 0.05, 0.1 if rounds else 1.0)
@@ -106,8 +108,8 @@ def _normalised(chart: Chart) -> Chart:
 class _Work:
     """What is the same on all levels."""
 
-    def __init__(self, chart: Chart, border: Border, least_ratio: float, rim: np.ndarray, own: int) -> None:
-        self._chart, self._border, self._least_ratio = chart, border, least_ratio
+    def __init__(self, chart: Chart, border: Border, least_ratio: float, rim: np.ndarray, own: int, first: tuple[float, int]) -> None:
+        self._chart, self._border, self._least_ratio, self._first = chart, border, least_ratio, first
         self._weights = Weights(chart, own)
         self.fixed = np.zeros(len(chart.vertices), bool)
         if border is not Border.FREE:
@@ -179,7 +181,7 @@ class _Work:
         pull, changed = np.ones(len(triangles)), np.ones(len(triangles), bool)
         level = self.level(triangles)
         for number in range(0 if last and not first and self._unbound else ROUNDS):
-            effort = ROUND if number else FIRST if first else BETWEEN
+            effort = ROUND if number else self._first if first else BETWEEN
             layout = yield from scaled(self._lowered(layout, level, pull, changed, effort), 0.1 * number, 0.1 * number + 0.1)
             off = self._weights.adjusted(layout, triangles, NEAR)
             below = least_ratios(layout[triangles]) < self._least_ratio
@@ -187,7 +189,7 @@ class _Work:
                 break
             level = self.level(triangles) if off else level
             pull, changed = np.where(below, FIRMER * pull, pull), below | off
-        for number in range(LAST_ROUNDS if last else 0):
+        for number in range(LAST_ROUNDS if last and not (first and self._unbound) else 0):
             share = 0.1 * ROUNDS + 0.2 * number
             layout = yield from scaled(self._lowered(layout, level, 0.0 * pull, pull > 0.0, LAST), share, share + 0.2)
             if not self._weights.adjusted(layout, triangles, LAST_NEAR):

@@ -220,7 +220,7 @@ def _opened_along(model: Chart, edges: Edges, cut: np.ndarray) -> tuple[float, n
     opened, members = parts[0]
     if len(parts) > 1 or not border_loops(opened.triangles, opened.vertices):
         return np.inf, np.zeros(len(model.vertices))
-    layout = finish(chart_layout(opened, Border.FREE, 0.0))
+    layout = finish(chart_layout(opened, Border.FREE, 0.0, rough=True))
     shapes = rest_shapes(opened.vertices[opened.triangles])
     stretch = opened.density * stretches(shapes, opened.triangles, layout)
     corners, areas = model.triangles[members].ravel(), np.repeat(shapes.areas, 3)

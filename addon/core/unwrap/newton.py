@@ -19,7 +19,7 @@ SHORT = 0.1  # of a whole step: after one below it the factor is made anew
 
 
 class Energy(Protocol):
-    """What is minimised, by layouts (V, 2); N unknowns are the coordinates of the vertices that may move."""
+    """What is minimised, by layouts (V, 2), which no one changes in place; N unknowns are the coordinates of the vertices that may move."""
 
     def value(self, layout: np.ndarray) -> float:
         """The energy, infinite where the layout must not be."""
@@ -79,18 +79,21 @@ def _along(energy: Energy, layout: np.ndarray, move: np.ndarray, value: float, p
     """How far along `move` (V, 2) to go, where that leads, and its energy; None where nowhere is better than `value` at `layout`."""
     farthest = BACK * energy.longest_step(layout, move)
     step = min(1.0, farthest)
-    reached = energy.value(layout + step * move)
+    there = layout + step * move
+    reached = energy.value(there)
     while not reached <= value - SUFFICIENT * step * promised:
         step *= 0.5
         if step < SHORTEST:
             return None
-        reached = energy.value(layout + step * move)
+        there = layout + step * move
+        reached = energy.value(there)
     while 1.0 <= step < 0.5 * farthest:  # what pulls apart does so ever faster
-        farther = energy.value(layout + 2.0 * step * move)
+        beyond = layout + 2.0 * step * move
+        farther = energy.value(beyond)
         if farther >= reached:
             break
-        step, reached = 2.0 * step, farther
-    return step, layout + step * move, reached
+        step, there, reached = 2.0 * step, beyond, farther
+    return step, there, reached
 
 
 def _better(energy: Energy, layout: np.ndarray, value: float) -> tuple[np.ndarray, float]:
