@@ -8,6 +8,7 @@ from farfield.addon.core.unwrap.border_barrier import crosses_itself
 from farfield.addon.core.unwrap.borders import border_edges
 from farfield.addon.core.unwrap.chart import Chart
 from farfield.addon.core.unwrap.chart_layout import Border, chart_layout
+from farfield.addon.core.unwrap.plane import signed_areas
 from shapes import sphere, strip
 
 
@@ -18,15 +19,9 @@ def chart_of(mesh: TriangleMesh) -> Chart:
 def laid_out(chart: Chart, border: Border = Border.FREE, least_ratio: float = 0.0) -> np.ndarray:
     layout = finish(chart_layout(chart, border, least_ratio))
     assert np.isfinite(layout).all()
-    assert areas(layout[chart.triangles]).min() > 0.0
+    assert signed_areas(layout[chart.triangles]).min() > 0.0
     assert not crosses_itself(layout, border_edges(chart.triangles))
     return layout
-
-
-def areas(corners: np.ndarray) -> np.ndarray:
-    """Signed areas (T,) of triangles (T, 3, 2)."""
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    return 0.5 * (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
 
 
 def dome(rings: int = 16, openness: float = 0.75) -> TriangleMesh:

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from charts import areas
 from farfield.addon.core.unwrap.border_barrier import BorderBarrier, crosses_itself
+from farfield.addon.core.unwrap.plane import signed_areas
 from farfield.addon.core.unwrap.rest_shapes import rest_shapes
 from farfield.addon.core.unwrap.shape_barrier import ShapeBarrier, least_ratios
 from farfield.addon.core.unwrap.stretch_energy import StretchEnergy, jacobians
@@ -25,7 +25,7 @@ def triangle(seed: int) -> tuple[np.ndarray, np.ndarray]:
     """A random triangle in space (3, 3), and one in the plane (3, 2), upright and not too thin."""
     random = np.random.default_rng(seed)
     layout = random.normal(size=(3, 2))
-    while areas(layout[None])[0] < 0.2:
+    while signed_areas(layout[None])[0] < 0.2:
         layout = random.normal(size=(3, 2))
     return random.normal(size=(3, 3)), layout
 
@@ -70,16 +70,16 @@ def test_the_longest_step_ends_where_the_triangle_has_no_area(seed):
     move = np.random.default_rng(seed + 1).normal(size=(3, 2))
     step = stretch(corners).longest_step(layout, move)
     if np.isfinite(step):
-        assert areas((layout + step * move)[None])[0] == pytest.approx(0.0, abs=1e-9 * (1.0 + step**2))
+        assert signed_areas((layout + step * move)[None])[0] == pytest.approx(0.0, abs=1e-9 * (1.0 + step**2))
     before = np.linspace(0.0, min(step, 50.0), 40, endpoint=False)
-    assert (areas(layout + before[:, None, None] * move) > -1e-12).all()
+    assert (signed_areas(layout + before[:, None, None] * move) > -1e-12).all()
 
 
 def test_jacobians_carry_the_surface_into_the_layout():
     corners, layout = triangle(7)
     at = jacobians(rest_shapes(corners[None]), np.array([[0, 1, 2]]), layout)
     doubled = np.linalg.norm(np.cross(corners[1] - corners[0], corners[2] - corners[0]))
-    assert at.determinants[0] == pytest.approx(2.0 * areas(layout[None])[0] / doubled)
+    assert at.determinants[0] == pytest.approx(2.0 * signed_areas(layout[None])[0] / doubled)
     lengths = [np.linalg.norm(points[1] - points[0]) for points in (layout, corners)]
     first, second = np.linalg.svd(np.array([[at.xx[0], at.xy[0]], [at.yx[0], at.yy[0]]]))[1]
     assert second * lengths[1] <= lengths[0] * (1.0 + 1e-9)

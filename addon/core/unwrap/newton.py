@@ -15,6 +15,7 @@ SUFFICIENT = 1e-4  # of what the slope promises (Armijo)
 SHORTEST = 1e-10  # a step below that is none
 SERVES = 14  # steps that a factor is used for; each costs a tenth of a new one
 HINDERED = 0.5  # of a whole step: after one below it squeezed triangles are mended
+NEGLIGIBLE = 1e-3  # of the least energy
 SHORT = 0.1  # of a whole step: after one below it the factor is made anew
 
 
@@ -46,7 +47,8 @@ class Energy(Protocol):
 def minimised(energy: Energy, layout: np.ndarray, tolerance: float, most: int) -> Steps[np.ndarray]:
     """The layout (V, 2) of least energy near `layout`, which comes back as it is where it is not allowed.
 
-    Ends after `most` steps, or when a step with a factor of its own gains less than `tolerance` of what the energy is above its least.
+    Ends after `most` steps, or when a step with a factor of its own gains less than `tolerance` of what the energy is above its least, or
+    of what would be negligible.
     """
     value, factor, served, steady = energy.value(layout), None, 0, STEADY
     if not np.isfinite(value):
@@ -68,7 +70,7 @@ def minimised(energy: Energy, layout: np.ndarray, tolerance: float, most: int) -
                 layout, reached = _better(energy, layout, reached)
             gained, value = value - reached, reached
             served = SERVES if step < SHORT else served + 1
-        if taken is None or max(gained, 0.5 * promised) <= tolerance * max(value - energy.least(), 1e-12):
+        if taken is None or max(gained, 0.5 * promised) <= tolerance * max(value - energy.least(), NEGLIGIBLE * energy.least()):
             if served <= 1:
                 break
             served = SERVES

@@ -12,11 +12,11 @@ from .atlas_seams import atlas_seams
 from .chart import Chart
 from .chart_layout import Border, chart_layout
 from .charts import Piece, pieces_of
-from .flat import flat_layout
 from .measures import Measures, Stretches, measured, stretches_of
 from .packing import packed
 from .plane import signed_areas
 from .settings import UnwrapSettings
+from .unfolding import unfolded
 
 CUTTING, LAYING, PACKING = 0.1, 0.9, 0.95  # shares of the bar when each is done
 SPECK = 1e-7  # of the whole: the least area that a chart gets
@@ -86,7 +86,7 @@ def _layouts(pieces: list[Piece], settings: UnwrapSettings) -> Steps[list[np.nda
     for number, piece in enumerate(pieces):
         share = len(piece.triangles) / total
         yield Progress(done, f"Laying out chart {number + 1} of {len(pieces)}")
-        layout = flat_layout(piece.chart) if border is Border.FREE else None
+        layout = (yield from scaled(unfolded(piece.chart), done, done)) if border is Border.FREE else None
         if layout is None:
             layout = yield from scaled(chart_layout(piece.chart, border, settings.min_shape), done, done + share)
         layouts.append(layout)
