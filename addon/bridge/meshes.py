@@ -88,7 +88,7 @@ def take(objects: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> Sou
     skipped = [f"{candidate.name} ({reason})" for candidate, reason in reasons.items() if reason]
     accepted = [candidate for candidate, reason in reasons.items() if not reason]
     _leave_edit_data(accepted, depsgraph)
-    parts = _parts(accepted, depsgraph)
+    parts = parts_of(accepted, depsgraph)
     with_faces = {part.name for part in parts}
     skipped += [f"{candidate.name} (no faces)" for candidate in accepted if candidate.name not in with_faces]
     if not parts:
@@ -169,8 +169,8 @@ def _leave_edit_data(objects: list[bpy.types.Object], depsgraph: bpy.types.Depsg
     depsgraph.update()
 
 
-def _parts(objects: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> list[SourcePart]:
-    """Parts with faces, those of each object together, in the order of `objects`."""
+def parts_of(objects: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> list[SourcePart]:
+    """What `objects` and the instances that they make show, evaluated: those of each object together, in the order of `objects`."""
     surfaces: dict[int, Surface] = {}
     wanted = {candidate.name_full: [] for candidate in objects}
     for owner, instance in shown_surfaces(wanted, depsgraph):

@@ -17,14 +17,15 @@ KEPT = "farfield_unwrap"  # custom property of a mesh
 class UvTarget:
     """A mesh, or some faces of it, without pointers into Blender.
 
-    key: of bpy.data.meshes. name: of its object. mesh: in world space, wound as in Blender. loops (T, 3), polygons (T,): of its triangles.
-    seams (S, 2): vertices. outwards: -1 where the object's matrix mirrors, so that normals of `mesh` look inwards, else 1.
-    painted (V,): weights of the vertex group that was asked for, 0 without one.
+    key: of bpy.data.meshes. name: of its object. mesh: in world space, wound as in Blender. rest (R, 3): triangles that were not taken.
+    loops (T, 3), polygons (T,): of those that were. seams (S, 2): vertices. outwards: -1 where the object's matrix mirrors, so that normals
+    of `mesh` look inwards, else 1. painted (V,): weights of the vertex group that was asked for, 0 without one.
     """
 
     key: str
     name: str
     mesh: TriangleMesh
+    rest: np.ndarray
     loops: np.ndarray
     polygons: np.ndarray
     seams: np.ndarray
@@ -62,6 +63,7 @@ def take(item: bpy.types.Object, group: str | None) -> UvTarget:
         key=mesh.name,
         name=item.name,
         mesh=TriangleMesh(placed, corners[loops[chosen]]),
+        rest=corners[loops[~chosen]],
         loops=loops[chosen],
         polygons=polygons[chosen],
         seams=_seams(mesh),

@@ -1,14 +1,15 @@
 """The job behind the button and the script: meshes in, their UV maps out."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 
 import bpy
 import numpy as np
 
 from ..bridge import cameras, uv_maps
+from ..bridge.meshes import SourcePart, parts_of
 from ..core.errors import GeometryError, SettingsError
-from ..core.mesh import face_areas_and_normals
+from ..core.mesh import TriangleMesh, face_areas_and_normals
 from ..core.progress import Progress, Steps, scaled
 from ..core.unwrap import importance
 from ..core.unwrap.settings import UnwrapSettings
@@ -24,6 +25,7 @@ class UnwrapJob:
 
     targets: list[uv_maps.UvTarget]
     shots: list[Shot]
+    surroundings: list[SourcePart]
     settings: UnwrapSettings
     skipped: list[str]
     made: list[tuple[uv_maps.UvTarget, Unwrapped]] = field(default_factory=list)
@@ -67,11 +69,18 @@ class UnwrapJob:
         if settings.importance == "look":
             return importance.from_look(target.outwards * normals, np.array(settings.direction), settings.density_ratio)
         if settings.importance in ("camera", "cameras"):
-            pixels = np.max([shown_pixels(mesh, shot) for shot in self.shots], axis=0)
+            pixels = np.max([shown_pixels(mesh, shot, self._others(target)) for shot in self.shots], axis=0)
             return importance.from_pixels(pixels, areas, settings.density_ratio)
         if settings.importance == "group":
             return target.painted[mesh.triangles].mean(axis=1)
         return np.zeros(len(mesh.triangles))
+
+    def _others(self, target: uv_maps.UvTarget) -> Iterator[TriangleMesh]:
+        """What may hide a target: its faces that were not chosen, and all other surfaces, one after the other."""
+        yield TriangleMesh(target.mesh.vertices, target.rest)
+        for part in self.surroundings:
+            if part.name != target.name:
+                yield TriangleMesh(part.surface.vertices @ part.matrix[:3, :3].T + part.matrix[:3, 3], part.surface.triangles)
 
     def _sentence(self) -> str:
         told = [f'"{target.name}" (stretch {made.measures.l2:.3f}, {_charts(made.charts)})' for target, made in self.made]
@@ -104,7 +113,7 @@ def prepare(context: bpy.types.Context, objects: Sequence[bpy.types.Object], set
         if empty:
             raise empty[0]
         raise GeometryError(f"Nothing to unwrap: {'; '.join(skipped) or 'no object is selected'}. Select a mesh of this file.")
-    return UnwrapJob(targets, shots, settings, skipped)
+    return UnwrapJob(targets, shots, _surroundings(context) if shots else [], settings, skipped)
 
 
 def _shots(context: bpy.types.Context, settings: UnwrapSettings) -> list[Shot]:
@@ -117,6 +126,12 @@ def _shots(context: bpy.types.Context, settings: UnwrapSettings) -> list[Shot]:
         raise SettingsError("The scene has no camera from which importance could come; add one, or choose another kind of importance.")
     depsgraph = context.evaluated_depsgraph_get()
     return [cameras.shot(scene, item.evaluated_get(depsgraph), depsgraph) for item in found]
+
+
+def _surroundings(context: bpy.types.Context) -> list[SourcePart]:
+    """All surfaces that cameras see."""
+    seen = [item for item in context.view_layer.objects if item.visible_get() and not item.hide_render]
+    return parts_of(seen, context.evaluated_depsgraph_get())
 
 
 def _charts(count: int) -> str:

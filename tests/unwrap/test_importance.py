@@ -57,6 +57,19 @@ def test_what_is_hidden_shows_no_pixels():
     assert pixels.sum() == pytest.approx(np.pi * 200.0**2, rel=0.03)
 
 
+def test_what_stands_before_a_surface_hides_it():
+    mesh, shot = sheet(10), orthographic(2.0, (400, 400))
+    open_to = shown_pixels(mesh, shot)
+    screen = TriangleMesh(mesh.vertices * [0.5, 1.0, 1.0] + [0.0, 0.0, 1.0], mesh.triangles)
+    behind = shown_pixels(mesh, shot, [screen])
+    covered = mesh.corners[:, :, 0].max(axis=1) < 0.49
+    assert behind[covered].max() == 0.0
+    beside = mesh.corners[:, :, 0].min(axis=1) > 0.51
+    assert np.array_equal(behind[beside], open_to[beside])
+    below = TriangleMesh(screen.vertices - [0.0, 0.0, 2.0], mesh.triangles)
+    assert np.array_equal(shown_pixels(mesh, shot, [below]), open_to)
+
+
 def test_what_lies_behind_or_beside_the_camera_shows_no_pixels():
     mesh = sheet(4)
     shot = orthographic(1e-3)

@@ -160,6 +160,23 @@ def test_what_the_camera_sees_gets_the_texels(importance):
     assert_is_sound(item)
 
 
+@pytest.mark.parametrize("rendered", [True, False])
+def test_what_other_objects_hide_from_the_camera_matters_less(rendered):
+    bpy.ops.mesh.primitive_plane_add(size=4.0, location=(2.0, 0.0, 3.0))
+    bpy.context.object.hide_render = not rendered
+    bpy.ops.object.camera_add(location=(0.0, 0.0, 8.0), rotation=(0.0, 0.0, 0.0))
+    bpy.context.scene.camera = bpy.context.object
+    bpy.ops.object.select_all(action="DESELECT")
+    bpy.ops.mesh.primitive_grid_add(x_subdivisions=16, y_subdivisions=16, calc_uvs=False)
+    item = bpy.context.object
+    unwrap(importance="camera", density_ratio=4.0)
+    corners, polygons = corners_of(item)
+    across = np.array([face.center.x for face in item.data.polygons])[polygons]
+    areas = signed_areas(corners)
+    ratio = areas[across < -0.2].sum() / areas[across > 0.2].sum()
+    assert ratio > 2.0 if rendered else ratio == pytest.approx(1.0, abs=0.05)
+
+
 def test_without_a_camera_it_says_so():
     ball()
     assert "no camera" in refusal(importance="camera")

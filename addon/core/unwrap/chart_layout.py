@@ -138,6 +138,7 @@ class _Work:
         """The layout with the vertices of a round of collapses put back, where their own triangles are stretched least."""
         yield Progress(0.0, "Putting vertices back")
         level = self.level(made.triangles)
+        yield Progress(0.0, "Putting vertices back")
         before, layout = layout, (yield from self._put_back(layout, made, None))
         for bulge in BULGES if len(level.border) else ():
             if not crosses_itself(layout, level.border):
@@ -213,8 +214,10 @@ class _Work:
         sweeps = SWEEPS if effort is not BETWEEN and int(level.moved.sum()) > DIRECT else 1
         for sweep in range(sweeps):
             for done, part in level.parts(layout, sweep, changed):
-                own = layout[part.numbers]
                 yield Progress((sweep + done) / sweeps, "Unwrapping")
+                if part is None:
+                    continue
+                own = layout[part.numbers]
                 steps = minimised(part.energy(own, self._least_ratio, pull[part.which]), own, *effort)
                 layout[part.numbers] = yield from scaled(steps, (sweep + done) / sweeps, (sweep + done + 0.01) / sweeps)
         return layout

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..edges import Edges, edges_of
 from ..parallel import in_chunks
-from ..progress import Progress, Steps
+from ..progress import Progress, Steps, scaled
 from ..spatial import keys_of
 
 LARGEST_STAR = 10  # triangles around a vertex that is taken out
@@ -51,8 +51,8 @@ def thinned(vertices: np.ndarray, triangles: np.ndarray, target: int, stays: np.
     count = int(np.count_nonzero(np.bincount(triangles.ravel())))
     begun = count
     while count > target:
-        yield Progress((begun - count) / (begun - target), "Thinning")
-        made = _round(vertices, triangles, stays, count - target, len(rounds))
+        share = (begun - count) / (begun - target)
+        made = yield from scaled(_round(vertices, triangles, stays, count - target, len(rounds)), share, share)
         if len(made.removed) == 0:
             break
         rounds.append(made)
@@ -77,19 +77,26 @@ def stars_of(triangles: np.ndarray, chosen: np.ndarray, count: int) -> np.ndarra
     return stars
 
 
-def _round(vertices: np.ndarray, triangles: np.ndarray, stays: np.ndarray, most: int, number: int) -> Round:
+def _round(vertices: np.ndarray, triangles: np.ndarray, stays: np.ndarray, most: int, number: int) -> Steps[Round]:
     """The next round, of at most `most` collapses. Chance, drawn by the round's `number`, keeps rows of like vertices from waiting for
     each other."""
+    thinning = Progress(0.0, "Thinning")
+    yield thinning
     edges = edges_of(triangles, len(vertices))
+    yield thinning
     removed, kept, squared = _ways(vertices, triangles, stays, edges)
+    yield thinning
     priority = squared * np.random.default_rng(number).uniform(1.0, JITTER, len(squared))
     order = np.argsort(priority, kind="stable")
     order = order[: max(int(SHORTEST * len(order)), min(len(order), 64))]
     removed, kept = removed[order], kept[order]
     chosen = independent(removed, edges)
     removed, kept = removed[chosen], kept[chosen]
+    yield thinning
     stars = stars_of(triangles, removed, len(vertices))
+    yield thinning
     allowed = in_chunks(lambda rows: _allowed(vertices, edges, stars[rows], removed[rows], kept[rows]), np.arange(len(removed)), CHUNK)
+    yield thinning
     chosen = np.flatnonzero(allowed)[:most]
     chosen = chosen[_share_no_edge(stars[chosen], kept[chosen], edges)]
     return Round(triangles, removed[chosen].astype(np.int32), kept[chosen].astype(np.int32), stars[chosen])

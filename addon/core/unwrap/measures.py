@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..mesh import TriangleMesh, face_areas_and_normals
-from ..progress import Steps
+from ..progress import Progress, Steps
 from .overlaps import overlap_count
 from .plane import signed_areas
 from .rest_shapes import rest_shapes
@@ -82,6 +82,7 @@ def measured(mesh: TriangleMesh, corners: np.ndarray, found: Stretches, importan
     with np.errstate(divide="ignore"):
         dirichlet = float(weights @ (squares + 1.0 / largest**2 + 1.0 / smallest**2))
     texels = np.abs(signed_areas(corners))
+    yield Progress(0.0, "Measuring")
     overlaps = yield from overlap_count(corners)
     return Measures(
         l2=float(np.sqrt(0.5 * weights @ squares)),

@@ -37,21 +37,25 @@ class Level:
     moved: np.ndarray
     reach: float
 
-    def parts(self, layout: np.ndarray, sweep: int, changed: np.ndarray) -> Iterator[tuple[float, "Part"]]:
+    def parts(self, layout: np.ndarray, sweep: int, changed: np.ndarray) -> Iterator[tuple[float, "Part | None"]]:
         """All of the level, or its patches, which `sweep` after sweep meet in other places, each with the share of the level that went
-        before. Left out are those in which no triangle is `changed` (T,) bool."""
+        before; None on the way to the first of many. Left out are those in which no triangle is `changed` (T,) bool."""
         moved = np.flatnonzero(self.moved)
         if len(moved) <= DIRECT:
             if changed.any():
                 yield 0.0, self._part(self.moved, np.flatnonzero(self.moved[self.triangles].any(axis=1)))
             return
-        patches = _patches(layout[moved], UNEVEN if sweep % 2 else 0.5)
+        patches = []
+        for patch in _patches(layout[moved], UNEVEN if sweep % 2 else 0.5):
+            patches.append(patch)
+            yield 0.0, None
         owner = np.full(len(self.moved), -1)
         for number, patch in enumerate(patches):
             owner[moved[patch]] = number
         owners = owner[self.triangles].ravel()
         corners = np.argsort(owners, kind="stable")
         starts = np.searchsorted(owners[corners], np.arange(len(patches) + 1))
+        yield 0.0, None
         for number in range(len(patches)):
             which = np.unique(corners[starts[number] : starts[number + 1]] // 3)
             if changed[which].any():
@@ -127,16 +131,15 @@ class Part:
         return mended(layout, self.triangles, self.vertices, self.shapes, self.vertex_weights, self.stays)
 
 
-def _patches(places: np.ndarray, first: float) -> list[np.ndarray]:
+def _patches(places: np.ndarray, first: float) -> Iterator[np.ndarray]:
     """`places` (N, 2) in patches by cuts across the longer side of their box, the first at the share `first`, all others in the middle."""
-    done, waiting = [], [(np.arange(len(places)), first)]
+    waiting = [(np.arange(len(places)), first)]
     while waiting:
         members, share = waiting.pop()
         if len(members) <= PATCH:
-            done.append(members)
+            yield members
             continue
         axis = int(np.ptp(places[members], axis=0).argmax())
         order = members[np.argsort(places[members, axis], kind="stable")]
         cut = int(share * len(order))
         waiting += [(order[cut:], 0.5), (order[:cut], 0.5)]
-    return done

@@ -68,6 +68,7 @@ def unwrap(
     upright = np.where(turned[:, None, None], corners[:, [0, 2, 1]], corners)
     oriented = replace(mesh, triangles=np.where(turned[:, None], mesh.triangles[:, [0, 2, 1]], mesh.triangles))
     stretches = stretches_of(oriented, upright)
+    yield Progress(PACKING, "Measuring")
     figures = yield from scaled(measured(oriented, upright, stretches, importance), PACKING, 1.0)
     clock["measure"] = time.perf_counter() - started
     return Unwrapped(corners, stretches, figures, len(pieces), clock)
