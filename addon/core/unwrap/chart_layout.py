@@ -184,7 +184,7 @@ class _Work:
         for number in range(0 if last and not first and self._unbound else ROUNDS):
             effort = ROUND if number else self._first if first else BETWEEN
             layout = yield from scaled(self._lowered(layout, level, pull, changed, effort), 0.1 * number, 0.1 * number + 0.1)
-            off = self._weights.adjusted(layout, triangles, NEAR)
+            off = self._weights.adjusted(layout, triangles, LAST_NEAR if last else NEAR)
             below = least_ratios(layout[triangles]) < self._least_ratio
             if not off and not below.any():
                 break

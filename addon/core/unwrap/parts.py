@@ -17,6 +17,7 @@ from .stretch_energy import StretchEnergy
 DIRECT = 20_000  # vertices that are worked on at once
 PATCH = 8_000  # vertices of a patch at most, where there are more
 UNEVEN = 0.36  # of the vertices: where every other sweep is cut first, so that its patches meet elsewhere
+RINGS = 8  # of triangles around those that have changed, that are worked on with them
 NEARLY = 0.95  # of the ratio that a triangle has: where it is below the bound on its shape, it is not let fall farther than that
 
 
@@ -38,12 +39,13 @@ class Level:
     reach: float
 
     def parts(self, layout: np.ndarray, sweep: int, changed: np.ndarray) -> Iterator[tuple[float, "Part | None"]]:
-        """All of the level, or its patches, which `sweep` after sweep meet in other places, each with the share of the level that went
-        before; None on the way to the first of many. Left out are those in which no triangle is `changed` (T,) bool."""
+        """What is around the triangles that are `changed` (T,) bool, or the patches of a large level with any of them, each with the share
+        of the level that went before; None on the way to the first of many. Patches meet in other places `sweep` after sweep."""
         moved = np.flatnonzero(self.moved)
         if len(moved) <= DIRECT:
-            if changed.any():
-                yield 0.0, self._part(self.moved, np.flatnonzero(self.moved[self.triangles].any(axis=1)))
+            near = self.moved & self._around(changed)
+            if near.any():
+                yield 0.0, self._part(near, np.flatnonzero(near[self.triangles].any(axis=1)))
             return
         patches = []
         for patch in _patches(layout[moved], UNEVEN if sweep % 2 else 0.5):
@@ -60,6 +62,14 @@ class Level:
             which = np.unique(corners[starts[number] : starts[number + 1]] // 3)
             if changed[which].any():
                 yield number / len(patches), self._part(owner == number, which)
+
+    def _around(self, changed: np.ndarray) -> np.ndarray:
+        """Vertices (V,) bool within some rings of triangles around those that are `changed` (T,) bool."""
+        near = np.zeros(len(self.moved), bool)
+        near[self.triangles[changed]] = True
+        for _ in range(RINGS if not changed.all() else 0):
+            near[self.triangles[near[self.triangles].any(axis=1)]] = True
+        return near
 
     def _part(self, moved: np.ndarray, which: np.ndarray) -> "Part":
         """The triangles `which` (K,), those of the vertices `moved` (V,) bool."""
