@@ -46,3 +46,23 @@ def with_holes(rings: int = 18) -> TriangleMesh:
     kept = (middles @ poles.T < [0.7, 0.95, 0.95]).all(axis=1)
     used, triangles = np.unique(mesh.triangles[kept], return_inverse=True)
     return TriangleMesh(mesh.vertices[used], triangles.reshape(-1, 3).astype(np.int32))
+
+
+def urchin(arms: int = 24, rings: int = 40, length: float = 5.0) -> TriangleMesh:
+    """A sphere with long arms of triangular section: closed, and no layout in one piece is any good."""
+    ball = sphere(12)
+    triangles, vertices, count = ball.triangles.tolist(), [ball.vertices], len(ball.vertices)
+    for base in range(0, len(triangles), len(triangles) // arms):
+        corners = ball.vertices[triangles[base]]
+        way = corners.mean(axis=0) / np.linalg.norm(corners.mean(axis=0))
+        last = triangles[base]
+        for ring in range(1, rings + 1):
+            vertices.append(corners + way * length * ring / rings)
+            new = [count, count + 1, count + 2]
+            count += 3
+            ahead = [1, 2, 0]
+            triangles += [[last[here], last[ahead[here]], new[ahead[here]]] for here in range(3)]
+            triangles += [[last[here], new[ahead[here]], new[here]] for here in range(3)]
+            last = new
+        triangles[base] = last
+    return TriangleMesh(np.concatenate(vertices), np.array(triangles, np.int32))

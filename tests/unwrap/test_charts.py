@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from charts import urchin
 from farfield.addon.core.edges import edges_of
 from farfield.addon.core.progress import finish
 from farfield.addon.core.unwrap.borders import border_loops
@@ -43,12 +44,7 @@ def taken_apart(vertices, triangles, seams=NO_SEAMS, faces=None, **how):
     seen = np.sort(np.concatenate([piece.triangles for piece in pieces]))
     assert np.array_equal(seen, np.arange(len(triangles)))
     for piece in pieces:
-        own = (
-            piece.chart.triangles[:, :]
-            if not piece.turned.any()
-            else np.where(piece.turned[:, None], piece.chart.triangles[:, [0, 2, 1]], piece.chart.triangles)
-        )
-        assert np.array_equal(piece.chart.vertices[own], vertices[triangles[piece.triangles]])  # glued, it is the surface
+        assert np.array_equal(piece.chart.vertices[piece.chart.triangles], vertices[triangles[piece.triangles]])  # glued, it is the surface
         assert_lies_flat(piece.chart)
     return pieces
 
@@ -119,12 +115,18 @@ def test_parts_that_touch_in_a_vertex_come_apart():
     assert len(taken_apart(vertices, np.array([[0, 1, 2], [0, 3, 4]], np.int32))) == 2
 
 
-def test_triangles_wound_against_the_others_are_turned():
+def test_triangles_wound_against_the_others_come_apart():
     mesh = sheet(4)
     triangles = mesh.triangles.copy()
     triangles[[3, 7]] = triangles[[3, 7]][:, ::-1]
-    [piece] = taken_apart(mesh.vertices, triangles)
-    assert piece.triangles[piece.turned].tolist() == [3, 7]
+    pieces = taken_apart(mesh.vertices, triangles)
+    assert sorted(piece.triangles.tolist() for piece in pieces if len(piece.triangles) == 1) == [[3], [7]]
+
+
+def test_a_closed_surface_with_many_arms_becomes_an_atlas():
+    mesh = urchin()
+    pieces = taken_apart(mesh.vertices, mesh.triangles)
+    assert 1 < len(pieces) < len(mesh.triangles) / 10
 
 
 def test_a_strip_with_one_side_is_cut():

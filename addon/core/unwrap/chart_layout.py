@@ -21,7 +21,7 @@ from .polygons import Polygons
 from .relaxation import mended
 from .rest_shapes import rest_shapes
 from .shape_barrier import least_ratios
-from .stretch_energy import StretchEnergy
+from .stretch_energy import stretches
 from .tutte import circle, convex_layout, square
 from .weights import Weights
 
@@ -41,6 +41,9 @@ ROUNDS, LAST_ROUNDS = 4, 3  # of changing pulls and weights on a level, at most,
 NEAR, LAST_NEAR = 0.02, 0.05  # of the wanted ratio of densities, in logarithms
 
 
+NO_LAYOUT = "No layout was found for a part of the surface; look for faces without area and merge doubles, or lay it out as an atlas."
+
+
 class Border(Enum):
     """Where a chart's border goes: wherever its stretch is least, around a circle or around a square."""
 
@@ -56,7 +59,7 @@ def chart_layout(chart: Chart, border: Border, least_ratio: float, rough: bool =
     where the chart is stretched.
 
     Raises:
-        GeometryError: when the chart has no border, or no layout to begin with is found.
+        GeometryError: when the chart has no border, or no layout is found.
     """
     yield Progress(0.0, "Thinning")
     count = len(chart.vertices)
@@ -69,6 +72,8 @@ def chart_layout(chart: Chart, border: Border, least_ratio: float, rough: bool =
         for made in level:
             layout = yield from scaled(work.with_round(layout, made), start, start)
         layout = yield from scaled(work.settled(layout, level[-1].triangles, False, level[-1] is rounds[0]), start, stop)
+    if not np.isfinite(stretches(rest_shapes(chart.vertices[chart.triangles]), chart.triangles, layout)).all():
+        raise GeometryError(NO_LAYOUT)
     return layout[:count]
 
 
@@ -128,10 +133,8 @@ class _Work:
             on_one = (side[triangles] == side[triangles][:, :1]).all(axis=1) & (side[triangles][:, 0] >= 0)
             outline = square(lengths, BULGE) if on_one.any() else outline
         layout = convex_layout(vertices, triangles, rim, outline)
-        if not np.isfinite(self._stretch(triangles).value(layout)):
-            raise GeometryError(
-                "No layout to begin with was found for a part of the surface; look for faces without area and merge doubles."
-            )
+        if layout is None:
+            raise GeometryError(NO_LAYOUT)
         return layout
 
     def with_round(self, layout: np.ndarray, made: Round) -> Steps[np.ndarray]:
@@ -221,9 +224,6 @@ class _Work:
                 steps = minimised(part.energy(own, self._least_ratio, pull[part.which]), own, *effort)
                 layout[part.numbers] = yield from scaled(steps, (sweep + done) / sweeps, (sweep + done + 0.01) / sweeps)
         return layout
-
-    def _stretch(self, triangles: np.ndarray) -> StretchEnergy:
-        return StretchEnergy(triangles, rest_shapes(self._chart.vertices[triangles]), self._weights.on(triangles))
 
 
 def _sides(outline: np.ndarray) -> np.ndarray:

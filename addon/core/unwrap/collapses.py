@@ -155,7 +155,7 @@ def _shapes(squares: np.ndarray, normals: np.ndarray) -> np.ndarray:
 def _new_neighbours(stars: np.ndarray, kept: np.ndarray) -> np.ndarray:
     """Which entries of `stars` (C, S, 2) the kept vertex gets as neighbours, that it had not within the star: (C, S, 2) bool."""
     beside = (stars == kept[:, None, None]).any(axis=2)
-    own = np.where(beside[:, :, None], stars, -1).reshape(len(stars), -1)
+    own = np.where(beside[:, :, None], stars, -1).reshape(len(stars), 2 * stars.shape[1])
     known = np.sort(own, axis=1)[:, -4:]  # the kept one twice at most, and those beside it
     return (stars >= 0) & (stars[..., None] != known[:, None, None, :]).all(axis=3)
 

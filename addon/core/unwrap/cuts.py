@@ -12,8 +12,10 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra, minimum_spanning_tree
 
 from ..edges import Edges, edges_of
-from ..mesh import face_areas_and_normals
+from ..errors import GeometryError
+from ..mesh import TriangleMesh, face_areas_and_normals
 from ..progress import Progress, Steps, finish, scaled
+from .atlas_seams import atlas_seams
 from .borders import border_loops
 from .chart import Chart
 from .chart_layout import Border, chart_layout
@@ -28,7 +30,8 @@ NEVER = 1e6  # times its cost counts an edge within a face
 WIDE = 0.01  # of the area: a hole whose circle has more is joined with the border, not filled
 ALL_BUT_CLOSED = 0.05  # of the area: what has only openings whose circles have less
 MODEL = 600  # vertices of the thinned model
-MOST_ENDS = 10  # that a cut leads to
+POOR = 1.0  # excess of stretch: above it layouts tell little, and cuts go on in any case
+MOST_ENDS, MOST_ENDS_OF_POOR = 10, 12  # that a cut leads to, besides those before that
 WORTH, LEAST_WORTH = 0.1, 0.02  # of the excess of stretch has to go with a further end, and so much of stretch at least
 
 
@@ -53,7 +56,16 @@ def opening_edges(chart: Chart, edges: Edges, further: bool) -> Steps[np.ndarray
         return ways.joined(loops[0], [loop for loop, is_wide in zip(loops[1:], wide, strict=True) if is_wide])
     start = loops[0] if loops else ways.far_ends()[:1]
     ends = yield from _ends(chart, start, 0 if loops else 1)
-    return ways.leading_to(start, ends)
+    return _as_atlas(chart, edges) if ends is None else ways.leading_to(start, ends)
+
+
+def _as_atlas(chart: Chart, edges: Edges) -> np.ndarray:
+    """The `edges` (E,) bool along which a chart is cut into an atlas."""
+    faces = np.arange(len(chart.triangles)) if chart.faces is None else chart.faces
+    seams = atlas_seams(TriangleMesh(chart.vertices, chart.triangles), faces)
+    cut = np.zeros(len(edges.ends), bool)
+    cut[edges.between(*seams.T)] = True
+    return cut
 
 
 def _openings(chart: Chart, loops: list[np.ndarray]) -> np.ndarray:
@@ -189,10 +201,10 @@ def _dearness(chart: Chart, edges: Edges) -> np.ndarray:
     return dearness
 
 
-def _ends(chart: Chart, start: np.ndarray, needed: int) -> Steps[list[int]]:
+def _ends(chart: Chart, start: np.ndarray, needed: int) -> Steps[list[int] | None]:
     """Vertices of a chart that cuts from the vertices `start` (S,) should lead to: at first the farthest, where one is `needed` to open it
     at all, then one after the other wherever a thinned model is stretched most and far from what is cut, as long as that takes a good part
-    of the stretch."""
+    of the stretch; None where that leads to no good layout in one piece, such as of a tree with many branches."""
     stays = np.zeros(len(chart.vertices), bool)
     stays[start] = True
     coarse, _ = yield from scaled(thinned(chart.vertices, chart.triangles, MODEL, stays), 0.0, 0.5)
@@ -200,27 +212,31 @@ def _ends(chart: Chart, start: np.ndarray, needed: int) -> Steps[list[int]]:
     edges = edges_of(model.triangles, len(used))
     ways = _Ways(model, edges)
     start = np.searchsorted(used, start)
-    ends, best = [int(ways.distances(start).argmax())] * needed, np.inf
-    while len(ends) <= MOST_ENDS:
-        yield Progress(0.5 + 0.5 * len(ends) / (MOST_ENDS + 1), "Looking for cuts")
+    ends, worth, best = [int(ways.distances(start).argmax())] * needed, needed, np.inf
+    most = MOST_ENDS_OF_POOR
+    while len(ends) <= most:
+        yield Progress(0.5 + 0.5 * len(ends) / (most + 1), "Looking for cuts")
         cut = ways.leading_to(start, ends)
         excess, stretch = _opened_along(model, edges, cut)
-        if not best - excess >= max(WORTH * best, LEAST_WORTH):
+        if best < POOR and best - excess < max(WORTH * best, LEAST_WORTH):
             break
-        best = excess
-        reached = np.union1d(start, edges.ends[cut])
-        ends.append(int((np.sqrt(stretch) * ways.distances(reached)).argmax()))
-    return used[ends[: max(needed, len(ends) - 1)]].tolist()
+        if excess < POOR <= best:
+            most = len(ends) + MOST_ENDS
+        worth, best = len(ends), excess
+        for _ in range(1 if best < POOR else 1 + len(ends) // 2):
+            distances = ways.distances(np.union1d(start, edges.ends[ways.leading_to(start, ends)]))
+            ends.append(int(((np.sqrt(stretch) if best < POOR else 1.0) * distances).argmax()))
+    return used[ends[:worth]].tolist() if best < POOR else None
 
 
 def _opened_along(model: Chart, edges: Edges, cut: np.ndarray) -> tuple[float, np.ndarray]:
     """By how much the layout of a `model` is stretched that is `cut` (E,) open along some of its `edges`, and the squared stretch (V,)
-    around its vertices beside what is wanted there; infinite where it is no disk."""
-    parts = apart(model, edges.inner_sides[~cut[edges.inner]])
-    opened, members = parts[0]
-    if len(parts) > 1 or not border_loops(opened.triangles, opened.vertices):
-        return np.inf, np.zeros(len(model.vertices))
-    layout = finish(chart_layout(opened, Border.FREE, 0.0, rough=True))
+    around its vertices beside what is wanted there; infinite and 1 where no layout of it is found."""
+    opened, members = apart(model, edges.inner_sides[~cut[edges.inner]])[0]
+    try:
+        layout = finish(chart_layout(opened, Border.FREE, 0.0, rough=True))
+    except GeometryError:
+        return np.inf, np.ones(len(model.vertices))
     shapes = rest_shapes(opened.vertices[opened.triangles])
     stretch = opened.density * stretches(shapes, opened.triangles, layout)
     corners, areas = model.triangles[members].ravel(), np.repeat(shapes.areas, 3)

@@ -9,11 +9,13 @@ from .rest_shapes import rest_shapes
 from .stretch_energy import stretches
 
 ROUNDS = 10  # of reweighting, at most
+SMALLEST = 1e-6  # of its size on the surface: what a triangle may come out as
 LEAST_WEIGHT = 1e-6  # of the largest: mean value weights may vanish where a triangle has no area
 
 
-def convex_layout(vertices: np.ndarray, triangles: np.ndarray, border: np.ndarray, outline: np.ndarray) -> np.ndarray:
-    """A layout (V, 2) of a disk with its `border` (B,) at `outline` (B, 2), convex and counter-clockwise.
+def convex_layout(vertices: np.ndarray, triangles: np.ndarray, border: np.ndarray, outline: np.ndarray) -> np.ndarray | None:
+    """A layout (V, 2) of a disk with its `border` (B,) at `outline` (B, 2), convex and counter-clockwise; None where parts of it come out
+    too small for numbers to hold, such as long closed ends.
 
     vertices: (V, 3); those of no triangle stay at 0.
     """
@@ -22,9 +24,9 @@ def convex_layout(vertices: np.ndarray, triangles: np.ndarray, border: np.ndarra
     best, least = None, np.inf
     for _ in range(ROUNDS):
         layout = _solved(weights, border, outline)
-        squared = stretches(shapes, triangles, layout)
+        squared = np.full(len(triangles), np.inf) if layout is None else stretches(shapes, triangles, layout)
         stretch = float(shapes.areas @ squared)
-        if best is not None and not stretch < least:
+        if not stretch < least or squared.max() > SMALLEST**-2:
             break
         best, least = layout, stretch
         around = np.bincount(triangles.ravel(), np.repeat(shapes.areas * squared, 3), len(vertices))
@@ -92,8 +94,9 @@ def _lengths(vectors: np.ndarray) -> np.ndarray:
     return np.maximum(lengths, 1e-6 * lengths.mean() or 1.0)
 
 
-def _solved(weights: sparse.csr_array, border: np.ndarray, outline: np.ndarray) -> np.ndarray:
-    """The layout (V, 2) in which all but the border are at the means of their neighbours by `weights` (V, V)."""
+def _solved(weights: sparse.csr_array, border: np.ndarray, outline: np.ndarray) -> np.ndarray | None:
+    """The layout (V, 2) in which all but the border are at the means of their neighbours by `weights` (V, V); None where these do not tell
+    them apart."""
     layout = np.zeros((weights.shape[0], 2))
     layout[border] = outline
     totals = weights.sum(axis=1)
@@ -103,5 +106,8 @@ def _solved(weights: sparse.csr_array, border: np.ndarray, outline: np.ndarray) 
     if len(inner):
         means = sparse.diags_array(1.0 / totals[inner]) @ weights[inner]
         system = sparse.eye_array(len(inner), format="csc") - means[:, inner].tocsc()
-        layout[inner] = splu(system.tocsc()).solve(means[:, border] @ outline)
+        try:
+            layout[inner] = splu(system.tocsc()).solve(means[:, border] @ outline)
+        except RuntimeError:  # singular
+            return None
     return layout

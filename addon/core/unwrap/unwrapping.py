@@ -1,7 +1,7 @@
 """A surface in, its UV map out: charts, their layouts, the packing, and what all of it is worth."""
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -59,17 +59,12 @@ def unwrap(
     layouts = packed(layouts, [piece.chart.triangles for piece in pieces], settings.margin)
     corners = np.empty((len(mesh.triangles), 3, 2))
     for piece, layout in zip(pieces, layouts, strict=True):
-        corners[piece.triangles] = piece.corners(layout)
+        corners[piece.triangles] = layout[piece.chart.triangles]
     clock["pack"], started = time.perf_counter() - started, time.perf_counter()
     yield Progress(PACKING, "Measuring")
-    turned = np.zeros(len(corners), bool)
-    for piece in pieces:
-        turned[piece.triangles] = piece.turned
-    upright = np.where(turned[:, None, None], corners[:, [0, 2, 1]], corners)
-    oriented = replace(mesh, triangles=np.where(turned[:, None], mesh.triangles[:, [0, 2, 1]], mesh.triangles))
-    stretches = stretches_of(oriented, upright)
+    stretches = stretches_of(mesh, corners)
     yield Progress(PACKING, "Measuring")
-    figures = yield from scaled(measured(oriented, upright, stretches, importance), PACKING, 1.0)
+    figures = yield from scaled(measured(mesh, corners, stretches, importance), PACKING, 1.0)
     clock["measure"] = time.perf_counter() - started
     return Unwrapped(corners, stretches, figures, len(pieces), clock)
 
