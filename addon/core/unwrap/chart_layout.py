@@ -30,6 +30,7 @@ GROWTH = 3.0  # times as many vertices from one level to the next
 BULGES = 0.1, 1e-2, 1e-3, 1e-5, 1e-7, 1e-9  # of the border where a vertex is put back, each tried where the one before comes upon something
 ALONE = 3  # Newton steps of a vertex that has been put back, before all move together
 FIRST, BETWEEN, LAST = (3e-4, 30), (3e-3, 4), (1e-3, 30)  # tolerance and steps on the coarsest level, on those after it, and at the end
+ONLY = 3e-4, 100  # where there is one level alone
 ROUGH = 1e-2, 30  # instead of FIRST, to see where a chart is stretched
 ROUND = 1e-3, 12  # and after a change of pulls or weights
 CHUNK = 1 << 14  # vertices that are put back at once
@@ -64,14 +65,16 @@ def chart_layout(chart: Chart, border: Border, least_ratio: float, rough: bool =
     yield Progress(0.0, "Thinning")
     count = len(chart.vertices)
     chart, rim = _disk(_normalised(chart))
-    work = _Work(chart, border, least_ratio, rim, count, ROUGH if rough else FIRST)
+    work = _Work(chart, border, least_ratio, rim, count)
     coarse, rounds = yield from scaled(thinned(chart.vertices, chart.triangles, COARSEST, work.fixed), 0.0, 0.05)
     layout = work.begun(coarse)
-    layout = yield from scaled(work.settled(layout, coarse, True, not rounds), 0.05, 0.1 if rounds else 1.0)
+    layout = yield from scaled(
+        work.settled(layout, coarse, ROUGH if rough else FIRST if rounds else ONLY, not rounds), 0.05, 0.1 if rounds else 1.0
+    )
     for level, start, stop in _levels(rounds, len(np.unique(coarse))):
         for made in level:
             layout = yield from scaled(work.with_round(layout, made), start, start)
-        layout = yield from scaled(work.settled(layout, level[-1].triangles, False, level[-1] is rounds[0]), start, stop)
+        layout = yield from scaled(work.settled(layout, level[-1].triangles, BETWEEN, level[-1] is rounds[0]), start, stop)
     if not np.isfinite(stretches(rest_shapes(chart.vertices[chart.triangles]), chart.triangles, layout)).all():
         raise GeometryError(NO_LAYOUT)
     return layout[:count]
@@ -113,8 +116,8 @@ def _normalised(chart: Chart) -> Chart:
 class _Work:
     """What is the same on all levels."""
 
-    def __init__(self, chart: Chart, border: Border, least_ratio: float, rim: np.ndarray, own: int, first: tuple[float, int]) -> None:
-        self._chart, self._border, self._least_ratio, self._first = chart, border, least_ratio, first
+    def __init__(self, chart: Chart, border: Border, least_ratio: float, rim: np.ndarray, own: int) -> None:
+        self._chart, self._border, self._least_ratio = chart, border, least_ratio
         self._weights = Weights(chart, own)
         self.fixed = np.zeros(len(chart.vertices), bool)
         if border is not Border.FREE:
@@ -180,20 +183,23 @@ class _Work:
             reach=REACH * float(np.linalg.norm(np.subtract(*vertices[border.T]), axis=1).mean()),
         )
 
-    def settled(self, layout: np.ndarray, triangles: np.ndarray, first: bool, last: bool) -> Steps[np.ndarray]:
-        """The layout of least energy of a level's triangles, all above the bound on their shape and as dense as wanted, if that can be."""
+    def settled(self, layout: np.ndarray, triangles: np.ndarray, effort: tuple[float, int], last: bool) -> Steps[np.ndarray]:
+        """The layout of least energy of a level's triangles, all above the bound on their shape and as dense as wanted, if that can be.
+
+        effort: at first, BETWEEN where a coarser level went before.
+        """
         pull, changed = np.ones(len(triangles)), np.ones(len(triangles), bool)
         level = self.level(triangles)
-        for number in range(0 if last and not first and self._unbound else ROUNDS):
-            effort = ROUND if number else self._first if first else BETWEEN
-            layout = yield from scaled(self._lowered(layout, level, pull, changed, effort), 0.1 * number, 0.1 * number + 0.1)
+        for number in range(0 if last and effort is BETWEEN and self._unbound else ROUNDS):
+            now = ROUND if number else effort
+            layout = yield from scaled(self._lowered(layout, level, pull, changed, now), 0.1 * number, 0.1 * number + 0.1)
             off = self._weights.adjusted(layout, triangles, LAST_NEAR if last else NEAR)
             below = least_ratios(layout[triangles]) < self._least_ratio
             if not off and not below.any():
                 break
             level = self.level(triangles) if off else level
             pull, changed = np.where(below, FIRMER * pull, pull), below | off
-        for number in range(LAST_ROUNDS if last and not (first and self._unbound) else 0):
+        for number in range(LAST_ROUNDS if last and (effort is BETWEEN or not self._unbound) else 0):
             share = 0.1 * ROUNDS + 0.2 * number
             layout = yield from scaled(self._lowered(layout, level, 0.0 * pull, pull > 0.0, LAST), share, share + 0.2)
             if not self._weights.adjusted(layout, triangles, LAST_NEAR):
