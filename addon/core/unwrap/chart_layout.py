@@ -17,11 +17,11 @@ from .collapses import Round, thinned
 from .insertions import inserted
 from .newton import minimised
 from .parts import DIRECT, Level
+from .plane import signed_areas
 from .polygons import Polygons
 from .relaxation import mended
 from .rest_shapes import rest_shapes
 from .shape_barrier import least_ratios
-from .stretch_energy import stretches
 from .tutte import circle, convex_layout, square
 from .weights import Weights
 
@@ -75,7 +75,8 @@ def chart_layout(chart: Chart, border: Border, least_ratio: float, rough: bool =
         for made in level:
             layout = yield from scaled(work.with_round(layout, made), start, start)
         layout = yield from scaled(work.settled(layout, level[-1].triangles, BETWEEN, level[-1] is rounds[0]), start, stop)
-    if not np.isfinite(stretches(rest_shapes(chart.vertices[chart.triangles]), chart.triangles, layout)).all():
+    yield Progress(1.0, "Unwrapping")
+    if not signed_areas(layout[chart.triangles]).min() > 0.0:
         raise GeometryError(NO_LAYOUT)
     return layout[:count]
 

@@ -87,6 +87,7 @@ def _layouts(pieces: list[Piece], settings: UnwrapSettings) -> Steps[list[np.nda
             layout = yield from scaled(chart_layout(piece.chart, border, settings.min_shape), done, done + share)
         layouts.append(layout)
         done += share
+    yield Progress(1.0, "Packing")
     return _sized(layouts, [piece.chart for piece in pieces])
 
 
