@@ -251,7 +251,7 @@ def by_xatlas(mesh: TriangleMesh, repeats: int) -> dict[str, Any]:
 
 def measures_of(mesh: TriangleMesh, corners: np.ndarray) -> Measures:
     """The figures of a map `corners` (T, 3, 2) in which nothing matters more than the rest."""
-    return finish(measured(mesh, corners, stretches_of(mesh, corners), np.zeros(len(corners))))
+    return finish(measured(mesh, corners, finish(stretches_of(mesh, corners)), np.zeros(len(corners))))
 
 
 def figures_of(measures: Measures, seconds: float) -> dict[str, Any]:

@@ -72,7 +72,7 @@ def finished(item: bpy.types.Object, pixels: int) -> UnwrappedCopy:
     """The copy with a checker as fine on every map, and what its map is worth."""
     target = uv_maps.take(item, None)
     corners = uvs_of(item)[target.loops].astype(np.float64)
-    stretches = stretches_of(target.mesh, corners)
+    stretches = finish(stretches_of(target.mesh, corners))
     figures = finish(measured(target.mesh, corners, stretches, np.zeros(len(corners))))
     item.data.materials.clear()
     item.data.materials.append(checker(CHECKS / np.sqrt(figures.fill)))

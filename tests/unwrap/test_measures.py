@@ -20,7 +20,7 @@ def plane(side=6):
 
 def figures_of(mesh, corners, importance=None) -> Measures:
     importance = np.zeros(len(corners)) if importance is None else importance
-    return finish(measured(mesh, corners, stretches_of(mesh, corners), importance))
+    return finish(measured(mesh, corners, finish(stretches_of(mesh, corners)), importance))
 
 
 def counted(corners):

@@ -65,6 +65,7 @@ def chart_layout(chart: Chart, border: Border, least_ratio: float, rough: bool =
     yield Progress(0.0, "Thinning")
     count = len(chart.vertices)
     chart, rim = _disk(_normalised(chart))
+    yield Progress(0.0, "Thinning")
     work = _Work(chart, border, least_ratio, rim, count)
     coarse, rounds = yield from scaled(thinned(chart.vertices, chart.triangles, COARSEST, work.fixed), 0.0, 0.05)
     layout = work.begun(coarse)
@@ -191,6 +192,7 @@ class _Work:
         """
         pull, changed = np.ones(len(triangles)), np.ones(len(triangles), bool)
         level = self.level(triangles)
+        yield Progress(0.0, "Unwrapping")
         for number in range(0 if last and effort is BETWEEN and self._unbound else ROUNDS):
             now = ROUND if number else effort
             layout = yield from scaled(self._lowered(layout, level, pull, changed, now), 0.1 * number, 0.1 * number + 0.1)

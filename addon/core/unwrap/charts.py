@@ -7,7 +7,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import minimum_spanning_tree
 
 from ..edges import edges_of
-from ..progress import Steps, scaled
+from ..progress import Progress, Steps, scaled
 from ..spatial import keys_of
 from .chart import Chart
 from .cuts import opening_edges
@@ -34,12 +34,15 @@ def pieces_of(surface: Chart, seams: np.ndarray, further: bool = True) -> Steps[
 
     further: parts without seams that are all but closed are cut as if they were closed.
     """
-    triangles = surface.triangles
+    triangles, cutting = surface.triangles, Progress(0.0, "Cutting")
     edges = edges_of(triangles, len(surface.vertices))
+    yield cutting
     is_seam = np.isin(edges.keys, keys_of(*np.reshape(seams, (-1, 2)).T, edges.count))
     sides = edges.inner_sides[_agree(triangles, edges.inner_sides) & ~is_seam[edges.inner]]
     seamed = is_seam[edges.opposite].any(axis=1)
+    yield cutting
     whole = apart(surface, sides)
+    yield cutting
     total, done, pieces = len(triangles), 0, []
     for chart, members in whole:
         steps = _opened(chart, TRIES, further and not seamed[members].any())
@@ -52,6 +55,7 @@ def pieces_of(surface: Chart, seams: np.ndarray, further: bool = True) -> Steps[
 def _opened(chart: Chart, tries: int, further: bool) -> Steps[list[tuple[Chart, np.ndarray]]]:
     """Disks, or disks with holes, that a part of a surface is cut into, and which of its triangles each is made of."""
     edges = edges_of(chart.triangles, len(chart.vertices))
+    yield Progress(0.0, "Cutting")
     sides = edges.inner_sides
     if tries > 0:
         is_cut = yield from opening_edges(chart, edges, further)

@@ -55,12 +55,15 @@ class Measures:
     density_ratio: float
 
 
-def stretches_of(mesh: TriangleMesh, corners: np.ndarray) -> Stretches:
+def stretches_of(mesh: TriangleMesh, corners: np.ndarray) -> Steps[Stretches]:
     """Stretch of every triangle of `mesh` in a UV map with `corners` (T, 3, 2)."""
     flat = corners.reshape(-1, 2)
-    at = jacobians(rest_shapes(mesh.corners), np.arange(len(flat)).reshape(-1, 3), flat)
+    shapes = rest_shapes(mesh.corners)
+    yield Progress(0.0, "Measuring")
+    at = jacobians(shapes, np.arange(len(flat)).reshape(-1, 3), flat)
     determinants = at.determinants
     areas, _ = face_areas_and_normals(mesh.corners)
+    yield Progress(0.0, "Measuring")
     scale = np.sqrt(areas @ np.abs(determinants) / areas.sum())
     half = np.sqrt(np.maximum(at.squares**2 - 4.0 * determinants**2, 0.0))
     large, small = np.sqrt(0.5 * (at.squares + half)), np.abs(determinants)

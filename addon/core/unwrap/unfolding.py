@@ -17,6 +17,7 @@ def unfolded(chart: Chart) -> Steps[np.ndarray | None]:
     """The layout (V, 2) of a chart of even density that has its lengths on the surface and lies nowhere over itself; None where there is
     no such layout."""
     edges = edges_of(chart.triangles, len(chart.vertices))
+    yield Progress(0.0, "Unfolding")
     if np.ptp(chart.density) > 0.0 or _is_curved(chart, edges):
         return None
     layout = yield from _laid_down(chart, edges)

@@ -62,7 +62,7 @@ def unwrap(
         corners[piece.triangles] = layout[piece.chart.triangles]
     clock["pack"], started = time.perf_counter() - started, time.perf_counter()
     yield Progress(PACKING, "Measuring")
-    stretches = stretches_of(mesh, corners)
+    stretches = yield from scaled(stretches_of(mesh, corners), PACKING, PACKING)
     yield Progress(PACKING, "Measuring")
     figures = yield from scaled(measured(mesh, corners, stretches, importance), PACKING, 1.0)
     clock["measure"] = time.perf_counter() - started
