@@ -20,10 +20,12 @@ CHUNK = 1 << 13  # triangles whose neighbours are looked up at once
 def overlap_count(corners: np.ndarray) -> Steps[int]:
     """How many pairs of triangles (T, 3, 2) lie over each other; triangles without area do with none."""
     areas = signed_areas(corners)
+    yield Progress(0.0, "Looking for overlaps")
     corners = np.where((areas < 0.0)[:, None, None], corners[:, ::-1], corners)[areas != 0.0]
     if len(corners) < 2:
         return 0
     extent = float(np.ptp(corners.reshape(-1, 2), axis=0).max())
+    yield Progress(0.0, "Looking for overlaps")
     total = 0
     for share, first, second in _candidates(corners):
         yield Progress(share, "Looking for overlaps")

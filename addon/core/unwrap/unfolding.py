@@ -3,6 +3,7 @@
 import numpy as np
 
 from ..edges import Edges, edges_of
+from ..parallel import slices
 from ..progress import Progress, Steps
 from .border_barrier import crosses_itself
 from .borders import border_edges
@@ -10,6 +11,7 @@ from .chart import Chart
 
 CURVED = 3e-3  # radians by which the angles around a vertex may differ from a whole turn
 LONGER = 1e-3  # of its length: what an edge may gain or lose
+CHUNK = 1 << 17  # triangles whose angles are looked at at once
 LEVELS = 256  # of triangles, each across an edge from the one before, that are unfolded between two looks at the clock
 
 
@@ -18,7 +20,7 @@ def unfolded(chart: Chart) -> Steps[np.ndarray | None]:
     no such layout."""
     edges = edges_of(chart.triangles, len(chart.vertices))
     yield Progress(0.0, "Unfolding")
-    if np.ptp(chart.density) > 0.0 or _is_curved(chart, edges):
+    if np.ptp(chart.density) > 0.0 or (yield from _is_curved(chart, edges)):
         return None
     layout = yield from _laid_down(chart, edges)
     there, on_surface = (np.linalg.norm(np.subtract(*places[edges.ends.T]), axis=1) for places in (layout, chart.vertices))
@@ -27,14 +29,19 @@ def unfolded(chart: Chart) -> Steps[np.ndarray | None]:
     return None if crosses_itself(layout, border_edges(chart.triangles)) else layout
 
 
-def _is_curved(chart: Chart, edges: Edges) -> bool:
+def _is_curved(chart: Chart, edges: Edges) -> Steps[bool]:
     """Whether the angles around a vertex within the chart do not make a whole turn, or a triangle has no area."""
-    corners = chart.vertices[chart.triangles]
-    to_next, to_last = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
-    sines = np.linalg.norm(np.cross(to_next, to_last), axis=2)
-    angles = np.arctan2(sines, np.einsum("tci,tci->tc", to_next, to_last))
-    around = np.bincount(chart.triangles.ravel(), angles.ravel(), edges.count)
-    return bool((np.abs(around - 2.0 * np.pi)[~edges.on_border] > CURVED).any() or (sines == 0.0).any())
+    around = np.zeros(edges.count)
+    for rows in slices(len(chart.triangles), CHUNK):
+        yield Progress(0.0, "Unfolding")
+        corners = chart.vertices[chart.triangles[rows]]
+        to_next, to_last = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
+        sines = np.linalg.norm(np.cross(to_next, to_last), axis=2)
+        if (sines == 0.0).any():
+            return True
+        angles = np.arctan2(sines, np.einsum("tci,tci->tc", to_next, to_last))
+        around += np.bincount(chart.triangles[rows].ravel(), angles.ravel(), edges.count)
+    return bool((np.abs(around - 2.0 * np.pi)[~edges.on_border] > CURVED).any())
 
 
 def _laid_down(chart: Chart, edges: Edges) -> Steps[np.ndarray]:
