@@ -144,9 +144,7 @@ class _Work:
 
     def with_round(self, layout: np.ndarray, made: Round) -> Steps[np.ndarray]:
         """The layout with the vertices of a round of collapses put back, where their own triangles are stretched least."""
-        yield Progress(0.0, "Putting vertices back")
-        level = self.level(made.triangles)
-        yield Progress(0.0, "Putting vertices back")
+        level = yield from self.level(made.triangles)
         before, layout = layout, (yield from self._put_back(layout, made, None))
         for bulge in BULGES if len(level.border) else ():
             if not crosses_itself(layout, level.border):
@@ -169,15 +167,20 @@ class _Work:
             layout = inserted(layout, made.some(rows), self._chart.vertices, bulge)
         return layout
 
-    def level(self, triangles: np.ndarray) -> Level:
+    def level(self, triangles: np.ndarray) -> Steps[Level]:
         """What the energies of a level's triangles need."""
+        begun = Progress(0.0, "Unwrapping")
+        yield begun
         vertices, border = self._chart.vertices, border_edges(triangles)
+        yield begun
+        shapes = rest_shapes(vertices[triangles])
+        yield begun
         moved = np.zeros(len(vertices), bool)
         moved[triangles] = True
         return Level(
             vertices=vertices,
             triangles=triangles,
-            shapes=rest_shapes(vertices[triangles]),
+            shapes=shapes,
             weights=self._weights.on(triangles),
             vertex_weights=self._weights.of_vertices(),
             border=border if (~self.fixed[border]).any() else border[:0],
@@ -191,8 +194,7 @@ class _Work:
         effort: at first, BETWEEN where a coarser level went before.
         """
         pull, changed = np.ones(len(triangles)), np.ones(len(triangles), bool)
-        level = self.level(triangles)
-        yield Progress(0.0, "Unwrapping")
+        level = yield from self.level(triangles)
         for number in range(0 if last and effort is BETWEEN and self._unbound else ROUNDS):
             now = ROUND if number else effort
             layout = yield from scaled(self._lowered(layout, level, pull, changed, now), 0.1 * number, 0.1 * number + 0.1)
@@ -200,14 +202,14 @@ class _Work:
             below = least_ratios(layout[triangles]) < self._least_ratio
             if not off and not below.any():
                 break
-            level = self.level(triangles) if off else level
+            level = (yield from scaled(self.level(triangles), 0.1 * number, 0.1 * number)) if off else level
             pull, changed = np.where(below, FIRMER * pull, pull), below | off
         for number in range(LAST_ROUNDS if last and (effort is BETWEEN or not self._unbound) else 0):
             share = 0.1 * ROUNDS + 0.2 * number
             layout = yield from scaled(self._lowered(layout, level, 0.0 * pull, pull > 0.0, LAST), share, share + 0.2)
             if not self._weights.adjusted(layout, triangles, LAST_NEAR):
                 break
-            level = self.level(triangles)
+            level = yield from scaled(self.level(triangles), share, share)
         return layout
 
     @property
