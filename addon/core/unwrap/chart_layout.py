@@ -69,13 +69,12 @@ def chart_layout(chart: Chart, border: Border, least_ratio: float, rough: bool =
     work = _Work(chart, border, least_ratio, rim, count)
     coarse, rounds = yield from scaled(thinned(chart.vertices, chart.triangles, COARSEST, work.fixed), 0.0, 0.05)
     layout = work.begun(coarse)
-    layout = yield from scaled(
-        work.settled(layout, coarse, ROUGH if rough else FIRST if rounds else ONLY, not rounds), 0.05, 0.1 if rounds else 1.0
-    )
+    effort = ROUGH if rough else FIRST if rounds else ONLY
+    layout = yield from scaled(work.settled(layout, coarse, effort, not rounds), 0.05, 0.1 if rounds else 1.0)
     for level, start, stop in _levels(rounds, len(np.unique(coarse))):
         for made in level:
             layout = yield from scaled(work.with_round(layout, made), start, start)
-        layout = yield from scaled(work.settled(layout, level[-1].triangles, BETWEEN, level[-1] is rounds[0]), start, stop)
+        layout = yield from scaled(work.settled(layout, level[-1].triangles, BETWEEN, not rounds), start, stop)
     yield Progress(1.0, "Unwrapping")
     if not signed_areas(layout[chart.triangles]).min() > 0.0:
         raise GeometryError(NO_LAYOUT)
@@ -95,14 +94,17 @@ def _disk(chart: Chart) -> tuple[Chart, np.ndarray]:
 
 
 def _levels(rounds: list[Round], count: int) -> Iterator[tuple[list[Round], float, float]]:
-    """Rounds of collapses to be undone together, the last of all first, and the share of the bar that the work on them takes."""
+    """Rounds of collapses to be undone together, the last of all first, and the share of the bar that the work on them takes.
+
+    They are taken out of `rounds`, so that what is done takes no memory.
+    """
     total = count + sum(len(made.removed) for made in rounds)
     level, begun, done = [], count, 0.1
-    for made in reversed(rounds):
-        level.append(made)
-        count += len(made.removed)
-        if count >= GROWTH * begun or made is rounds[0]:
-            share = 0.1 + 0.9 * count / total if made is not rounds[0] else 1.0
+    while rounds:
+        level.append(rounds.pop())
+        count += len(level[-1].removed)
+        if count >= GROWTH * begun or not rounds:
+            share = 0.1 + 0.9 * count / total if rounds else 1.0
             yield level, min(done, share), share
             level, begun, done = [], count, share
 
