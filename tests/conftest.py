@@ -6,6 +6,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterator
 
+import hypothesis
 import pytest
 
 import environment
@@ -18,6 +19,8 @@ for variable in ("TMPDIR", "TEMP", "TMP"):
     os.environ[variable] = tempfile.tempdir = OWN_FOLDER
 
 environment.import_farfield()
+hypothesis.settings.register_profile("patient", hypothesis.settings.default, deadline=None)  # machines are shared: no test fails on time
+hypothesis.settings.load_profile("patient")
 
 
 @pytest.fixture(scope="session")
