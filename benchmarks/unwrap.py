@@ -142,9 +142,10 @@ def cracks(given) -> dict[str, Any]:
     ways = {"L2 alone": UnwrapSettings(**PLAIN)}
     ways |= {f"bound {bound}": UnwrapSettings(min_shape=bound, further_cuts=False) for bound in (0.05, 0.1, 0.15)}
     ways["bound 0.05 and further cuts"] = UnwrapSettings(min_shape=0.05)
-    found = {
-        way: figures_of(made.measures, seconds) for way, (made, seconds) in ((way, timed(target, even, each)) for way, each in ways.items())
-    }
+    found = {}
+    for way, settings in ways.items():
+        made, seconds = timed(target, even, settings)
+        found[way] = figures_of(made.measures, seconds)
     found["times_smaller"] = {way: round(found["L2 alone"]["linf"] / figures["linf"], 2) for way, figures in found.items()}
     found["Blender"] = by_blender(item, target, "MINIMUM_STRETCH", 1)
     return found
@@ -228,9 +229,8 @@ def by_blender(item: bpy.types.Object, target: uv_maps.UvTarget, method: str, re
         bpy.ops.uv.unwrap(method=method, margin=0.0, fill_holes=False, correct_aspect=False)
         best = min(best, time.perf_counter() - started)
     bpy.ops.object.mode_set(mode="OBJECT")
-    values = np.empty(2 * len(item.data.loops), np.float32)
-    item.data.uv_layers["peer"].uv.foreach_get("vector", values)
-    return figures_of(measures_of(target.mesh, values.reshape(-1, 2)[target.loops].astype(np.float64)), best)
+    uvs = uv_maps.uvs_of(item.data.uv_layers["peer"])
+    return figures_of(measures_of(target.mesh, uvs[target.loops].astype(np.float64)), best)
 
 
 def by_xatlas(mesh: TriangleMesh, repeats: int) -> dict[str, Any]:

@@ -25,6 +25,7 @@ import billboards
 import command_line
 import scene_files
 from contact_sheet import PAPER, contact_sheet, enlarged, write_png
+from demo_materials import new_material
 from farfield.addon.core import metrics
 from farfield.addon.core.billboards.settings import BillboardSettings
 from farfield.addon.core.errors import FarfieldError
@@ -226,11 +227,7 @@ def triangles(objects: Sequence[bpy.types.Object]) -> int:
 
 def paint_pieces(objects: Sequence[bpy.types.Object]) -> None:
     """Give every connected piece, such as a quad, a colour of its own instead of its material."""
-    material = bpy.data.materials.new("Pieces")
-    if material.node_tree is None:
-        material.use_nodes = True
-    nodes, links = material.node_tree.nodes, material.node_tree.links
-    surface = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
+    material, nodes, links, surface = new_material("Pieces")
     surface.inputs["Roughness"].default_value = 0.9
     geometry, color = nodes.new("ShaderNodeNewGeometry"), nodes.new("ShaderNodeCombineColor")
     color.mode = "HSV"
@@ -246,11 +243,7 @@ def paint_pieces(objects: Sequence[bpy.types.Object]) -> None:
 
 def veined_clay() -> bpy.types.Material:
     """Clay with darker, duller veins: noise in object coordinates, as no image holds it."""
-    material = bpy.data.materials.new("Clay")
-    if material.node_tree is None:
-        material.use_nodes = True
-    nodes, links = material.node_tree.nodes, material.node_tree.links
-    surface = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
+    material, nodes, links, surface = new_material("Clay")
     place, noise, ramp = nodes.new("ShaderNodeTexCoord"), nodes.new("ShaderNodeTexNoise"), nodes.new("ShaderNodeValToRGB")
     noise.inputs["Scale"].default_value, noise.inputs["Detail"].default_value = 2.5, 4.0
     stops = ramp.color_ramp.elements

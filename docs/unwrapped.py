@@ -9,6 +9,7 @@ import environment
 
 environment.import_farfield()
 
+from demo_materials import new_material
 from farfield.addon.bridge import uv_maps
 from farfield.addon.core.progress import finish
 from farfield.addon.core.unwrap.measures import Measures, measured, stretches_of
@@ -32,19 +33,19 @@ class UnwrappedCopy:
 
 def unwrapped_copies(item: bpy.types.Object, viewer: np.ndarray, pixels: int) -> list[UnwrappedCopy]:
     """Copies of `item`, a closed mesh: by Blender, by Farfield, and by Farfield with importance towards the `viewer` (3,)."""
-    even = UnwrapSettings(min_shape=0.0, uv_map=MAP)
+    even = UnwrapSettings(uv_map=MAP)
     front = UnwrapSettings(importance="direction", direction=tuple(viewer.tolist()), uv_map=MAP)
     ours, theirs, best = (duplicate(item) for _ in range(3))
     unwrap(ours, even)
     layer = theirs.data.uv_layers.new(name=MAP)
-    layer.uv.foreach_set("vector", uvs_of(ours).ravel())
+    layer.uv.foreach_set("vector", uv_maps.uvs_of(ours.data.uv_layers[MAP]).ravel())
     unwrap_with_blender(theirs)
     unwrap(best, front)
     return [finished(copy, pixels) for copy in (theirs, ours, best)]
 
 
 def duplicate(item: bpy.types.Object) -> bpy.types.Object:
-    """An object with a mesh of its own in the scene, alone selected."""
+    """A copy of an object, with a mesh of its own, in the scene."""
     copy = item.copy()
     copy.data = item.data.copy()
     bpy.context.collection.objects.link(copy)
@@ -71,7 +72,7 @@ def unwrap_with_blender(item: bpy.types.Object) -> None:
 def finished(item: bpy.types.Object, pixels: int) -> UnwrappedCopy:
     """The copy with a checker as fine on every map, and what its map is worth."""
     target = uv_maps.take(item, None)
-    corners = uvs_of(item)[target.loops].astype(np.float64)
+    corners = uv_maps.uvs_of(item.data.uv_layers[MAP])[target.loops].astype(np.float64)
     stretches = finish(stretches_of(target.mesh, corners))
     figures = finish(measured(target.mesh, corners, stretches, np.zeros(len(corners))))
     item.data.materials.clear()
@@ -79,20 +80,9 @@ def finished(item: bpy.types.Object, pixels: int) -> UnwrappedCopy:
     return UnwrappedCopy(item, figures, stretch_picture(corners, stretches.largest, pixels))
 
 
-def uvs_of(item: bpy.types.Object) -> np.ndarray:
-    """The UV map (L, 2) float32 of an object's mesh."""
-    values = np.empty(2 * len(item.data.loops), np.float32)
-    item.data.uv_layers[MAP].uv.foreach_get("vector", values)
-    return values.reshape(-1, 2)
-
-
 def checker(scale: float) -> bpy.types.Material:
     """A checker with `scale` fields along the side of the UV square."""
-    material = bpy.data.materials.new("Checker")
-    if material.node_tree is None:
-        material.use_nodes = True
-    nodes, links = material.node_tree.nodes, material.node_tree.links
-    surface = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
+    material, nodes, links, surface = new_material("Checker")
     place, fields = nodes.new("ShaderNodeUVMap"), nodes.new("ShaderNodeTexChecker")
     place.uv_map = MAP
     fields.inputs["Scale"].default_value = scale

@@ -14,6 +14,7 @@ import environment
 
 environment.import_farfield()
 
+from demo_materials import new_material
 from farfield.addon.bridge.cameras import scene_camera
 from farfield.addon.core.cameras import choose_level
 from farfield.addon.operators.billboards_clouds import StandingCloud
@@ -105,10 +106,7 @@ def set_up_picture(width: int, samples: int) -> None:
 def _add_meadow(scene: bpy.types.Scene) -> None:
     mesh = bpy.data.meshes.new("Meadow")
     mesh.from_pydata([(-4000, -200, 0), (4000, -200, 0), (4000, 6000, 0), (-4000, 6000, 0)], [], [(0, 1, 2, 3)])
-    material = bpy.data.materials.new("Meadow")
-    if material.node_tree is None:
-        material.use_nodes = True
-    surface = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+    material, _, _, surface = new_material("Meadow")
     surface.inputs["Base Color"].default_value = (0.17, 0.22, 0.06, 1.0)
     surface.inputs["Roughness"].default_value = 1.0
     mesh.materials.append(material)

@@ -54,9 +54,26 @@ class ProgressLine:
         self._visible = sys.stderr.isatty()
         self._started = time.monotonic()
         self._last = ""
+        self._asked_to_stop = False
+
+    def ask_to_stop(self, *_signal: Any) -> None:
+        """Let the next `show` raise; asked again, raise at once.
+
+        As a signal's handler it must not raise the first time: Blender swallows what is raised while it calls Cycles, and goes on.
+        """
+        if self._asked_to_stop:
+            raise KeyboardInterrupt
+        self._asked_to_stop = True
+        self._write("Stopping; Ctrl+C again stops at once")
 
     def show(self, progress: Progress) -> None:
-        """Write the line anew where it has changed."""
+        """Write the line anew where it has changed.
+
+        Raises:
+            KeyboardInterrupt: when the user has asked to stop since the last call.
+        """
+        if self._asked_to_stop:
+            raise KeyboardInterrupt
         left = time_left(time.monotonic() - self._started, progress.fraction)
         text = f"{progress.fraction:4.0%} {progress.label}" + ("" if left is None else f", {duration(left)} left")
         self._write(text)
@@ -81,8 +98,8 @@ def given_arguments() -> list[str]:
 
 def run(main: Callable[[list[str], ProgressLine], None]) -> NoReturn:
     """Register Farfield, call `main` with the user's arguments, and exit with the code that tells how it ended."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # Blender in background mode has its own, which only stops renders
     line = ProgressLine()
+    signal.signal(signal.SIGINT, line.ask_to_stop)  # Blender in background mode has its own, which only stops renders
     _switch_off_installed()
     farfield.register()
     try:

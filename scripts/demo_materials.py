@@ -13,7 +13,7 @@ TWIG_BROWN = np.array([0.100, 0.062, 0.030])
 
 def leaf_material(seed: int) -> bpy.types.Material:
     """Slightly glossy leaves: the sprig image times the vertex colour "Tint", with its alpha."""
-    material, nodes, links, surface = _new_material("Tree Leaf")
+    material, nodes, links, surface = new_material("Tree Leaf")
     picture = nodes.new("ShaderNodeTexImage")
     picture.image = _packed_image("Tree Leaf Sprigs", sprig_atlas(seed))
     tint = nodes.new("ShaderNodeVertexColor")
@@ -33,7 +33,7 @@ def leaf_material(seed: int) -> bpy.types.Material:
 
 def bark_material() -> bpy.types.Material:
     """Furrowed bark out of noise stretched along the trunk: colour, roughness and relief."""
-    material, nodes, links, surface = _new_material("Tree Bark")
+    material, nodes, links, surface = new_material("Tree Bark")
     place = nodes.new("ShaderNodeTexCoord")
     stretch = nodes.new("ShaderNodeMapping")
     stretch.inputs["Scale"].default_value = (9.0, 9.0, 1.6)
@@ -133,7 +133,7 @@ def _leaf_colors(blade: np.ndarray, across: np.ndarray, outline: np.ndarray, ran
     return (green * (1.0 - veins) + VEIN_GREEN * veins) * shade[:, None]
 
 
-def _new_material(name: str) -> tuple[bpy.types.Material, bpy.types.Nodes, bpy.types.NodeLinks, bpy.types.Node]:
+def new_material(name: str) -> tuple[bpy.types.Material, bpy.types.Nodes, bpy.types.NodeLinks, bpy.types.Node]:
     """A material with a Principled surface: itself, its nodes, its links, and the Principled node."""
     material = bpy.data.materials.new(name)
     if material.node_tree is None:

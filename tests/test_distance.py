@@ -32,7 +32,7 @@ def by_parts(point: np.ndarray, triangle: np.ndarray) -> float:
     return best
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 60), st.sampled_from([1.0, 1e-6, 1e6]), st.floats(0.0, 3.0))
 def test_it_is_the_least_over_all_triangles(seed, count, unit, spread):
     random = np.random.default_rng(seed)

@@ -51,7 +51,7 @@ class TestTriangleDistances:
         assert triangle_distances(FLAT[None], moved[None])[0] == pytest.approx(distance)
         assert triangle_distances(moved[None], FLAT[None])[0] == pytest.approx(distance)
 
-    @settings(max_examples=40, deadline=None)
+    @settings(max_examples=40)
     @given(seeds)
     def test_no_sample_is_nearer_and_some_is_as_near(self, seed):
         random = np.random.default_rng(seed)
@@ -75,7 +75,7 @@ class TestTriangleDistances:
 class TestNeighbourPairs:
     """Every primitive is joined to its nearest."""
 
-    @settings(max_examples=30, deadline=None)
+    @settings(max_examples=30)
     @given(seeds, st.integers(2, 20))
     def test_small_soups_agree_with_brute_force(self, seed, total):
         """With as many candidates as primitives nothing is left to the k-d tree."""

@@ -110,10 +110,9 @@ def write(target: UvTarget, corners: np.ndarray, stretches: np.ndarray, uv_map: 
         raise GeometryError(f'The mesh of "{target.name}" was removed or edited while it was being unwrapped; unwrap it again.')
     layer = mesh.uv_layers.get(uv_map) or mesh.uv_layers.new(name=uv_map, do_init=False)
     mesh.uv_layers.active = layer
-    values = np.empty(2 * len(mesh.loops), np.float32)
-    layer.uv.foreach_get("vector", values)
-    values.reshape(-1, 2)[target.loops] = corners
-    layer.uv.foreach_set("vector", values)
+    uvs = uvs_of(layer)
+    uvs[target.loops] = corners
+    layer.uv.foreach_set("vector", uvs.ravel())
     attribute = mesh.attributes.get(STRETCH) or mesh.attributes.new(STRETCH, "FLOAT", "FACE")
     shown = np.empty(len(mesh.polygons), np.float32)
     attribute.data.foreach_get("value", shown)
@@ -139,10 +138,16 @@ def stretched_map(mesh: bpy.types.Mesh) -> StretchedMap | None:
     if attribute is None or layer is None or len(attribute.data) != len(mesh.polygons):  # Edit Mode keeps its data elsewhere
         return None
     loops, polygons = drawn_triangles(mesh)
-    uvs, stretches = np.empty(2 * len(mesh.loops), np.float32), np.empty(len(mesh.polygons), np.float32)
-    layer.uv.foreach_get("vector", uvs)
+    stretches = np.empty(len(mesh.polygons), np.float32)
     attribute.data.foreach_get("value", stretches)
-    return StretchedMap(loops, uvs.reshape(-1, 2), stretches[polygons])
+    return StretchedMap(loops, uvs_of(layer), stretches[polygons])
+
+
+def uvs_of(layer: bpy.types.MeshUVLoopLayer) -> np.ndarray:
+    """What a UV map holds, (L, 2) float32."""
+    uvs = np.empty(2 * len(layer.uv), np.float32)
+    layer.uv.foreach_get("vector", uvs)
+    return uvs.reshape(-1, 2)
 
 
 def figures_of(mesh: bpy.types.Mesh) -> dict[str, float | list[float]]:

@@ -7,7 +7,7 @@ import bpy
 import numpy as np
 
 from ..bridge import cameras, uv_maps
-from ..bridge.meshes import SourcePart, parts_of
+from ..bridge.meshes import SourcePart, parts_of, world_mesh
 from ..core.errors import GeometryError, SettingsError
 from ..core.mesh import TriangleMesh, face_areas_and_normals
 from ..core.progress import Progress, Steps, scaled
@@ -80,7 +80,7 @@ class UnwrapJob:
         yield TriangleMesh(target.mesh.vertices, target.rest)
         for part in self.surroundings:
             if part.name != target.name:
-                yield TriangleMesh(part.surface.vertices @ part.matrix[:3, :3].T + part.matrix[:3, 3], part.surface.triangles)
+                yield world_mesh([part])
 
     def _sentence(self) -> str:
         told = [f'"{target.name}" (stretch {made.measures.l2:.3f}, {_charts(made.charts)})' for target, made in self.made]

@@ -11,7 +11,7 @@ from farfield.addon.core.errors import SettingsError
 sizes = st.lists(st.tuples(st.integers(1, 60), st.integers(1, 60)), min_size=1, max_size=40)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(sizes, st.sampled_from([1e-6, 0.37, 1.0, 1e6]), st.integers(0, 8))
 def test_no_two_come_nearer_than_the_gutter_and_all_are_inside(sides, texel, gutter):
     atlas = pack(0.5 * texel * np.array(sides, float), texel, gutter)

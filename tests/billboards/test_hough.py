@@ -42,7 +42,7 @@ def check_promises(planes: Planes, corners: np.ndarray, error: float) -> None:
     assert set(planes.owner) == set(range(len(planes.covers)))
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 80), st.floats(0.005, 0.3), st.sampled_from([1e-6, 1.0, 1e6]))
 def test_every_corner_is_within_the_error_of_its_plane(seed, count, error, unit):
     random = np.random.default_rng(seed)

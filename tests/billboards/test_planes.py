@@ -45,7 +45,7 @@ def excess(primitives: Primitives) -> float:
     return 2.0 * float(np.abs(primitives.points @ normals[0] - offsets[0]).max()) / thinnest_of_many(primitives.points)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seeds)
 def test_no_plane_through_two_faces_is_better(seed):
     assert excess(curved_sheet(seed, 1, 0.3)) <= 1.01

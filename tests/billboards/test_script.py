@@ -244,3 +244,13 @@ def test_progress_line_is_for_terminals_only(monkeypatch):
         line.clear()
         assert ("50% Clustering" in stream.getvalue()) is expected
         assert stream.getvalue().count("Clustering") == int(expected)
+
+
+def test_the_first_ctrl_c_ends_the_next_step_and_the_second_what_runs():
+    line = command_line.ProgressLine()
+    line.show(Progress(0.5, "Clustering"))
+    line.ask_to_stop(signal.SIGINT, None)  # nothing is raised into what runs, such as Cycles, which would swallow it
+    with pytest.raises(KeyboardInterrupt):
+        line.show(Progress(0.6, "Clustering"))
+    with pytest.raises(KeyboardInterrupt):
+        line.ask_to_stop(signal.SIGINT, None)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from farfield.addon.core.images import dilate, grow_outline, mips, preserve_coverage, unpremultiply
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(1, 40), st.integers(1, 40), st.floats(0.02, 0.9), st.integers(0, 2**32 - 1))
 def test_dilation_keeps_the_known_and_invents_nothing(height, width, share, seed):
     random = np.random.default_rng(seed)

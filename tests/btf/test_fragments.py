@@ -77,7 +77,7 @@ def brute_force(quads: Quads, view: View) -> list[tuple[int, int]]:
     return sorted(found)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1))
 def test_outlines_of_any_number_of_corners_are_met_where_they_are(seed):
     """Polygons of three to six corners, partly outside the picture, against half planes one by one."""

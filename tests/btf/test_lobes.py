@@ -127,7 +127,7 @@ def test_a_smooth_surface_mirrors_the_sun_as_it_is():
     assert shown[0, 1] < 1e-3
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.floats(0.05, 1.0), st.floats(0.05, 1.5), st.integers(0, 10_000))
 def test_the_glossy_lobe_is_the_same_both_ways_and_wins_no_light(roughness, tilt, seed):
     random = np.random.default_rng(seed)

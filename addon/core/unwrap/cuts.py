@@ -87,9 +87,14 @@ class _Ways:
     def leading_to(self, start: np.ndarray, ends: Sequence[int]) -> np.ndarray:
         """Ways from the vertices `start` (S,) to each of `ends`, each as short as it can be where some are already: (E,) bool."""
         cut = np.zeros(len(self._edges.ends), bool)
-        graph = self._graph(self._costs)
         for end in ends:
-            self._add_way(cut, graph, np.union1d(start, self._edges.ends[cut].ravel()), end)
+            cut = self.leading_on(cut, start, end)
+        return cut
+
+    def leading_on(self, cut: np.ndarray, start: np.ndarray, end: int) -> np.ndarray:
+        """`cut` (E,) bool, which the vertices `start` (S,) belong to, and the shortest way from there to `end`."""
+        cut = cut.copy()
+        self._add_way(cut, self._graph(self._costs), np.union1d(start, self._edges.ends[cut]), end)
         return cut
 
     def joined(self, border: np.ndarray, loops: list[np.ndarray]) -> np.ndarray:
@@ -213,10 +218,9 @@ def _ends(chart: Chart, start: np.ndarray, needed: int) -> Steps[list[int] | Non
     ways = _Ways(model, edges)
     start = np.searchsorted(used, start)
     ends, worth, best = [int(ways.distances(start).argmax())] * needed, needed, np.inf
-    most = MOST_ENDS_OF_POOR
+    cut, most = ways.leading_to(start, ends), MOST_ENDS_OF_POOR
     while len(ends) <= most:
         yield Progress(0.5 + 0.5 * len(ends) / (most + 1), "Looking for cuts")
-        cut = ways.leading_to(start, ends)
         excess, stretch = _opened_along(model, edges, cut)
         if best < POOR and best - excess < max(WORTH * best, LEAST_WORTH):
             break
@@ -224,8 +228,9 @@ def _ends(chart: Chart, start: np.ndarray, needed: int) -> Steps[list[int] | Non
             most = len(ends) + MOST_ENDS
         worth, best = len(ends), excess
         for _ in range(1 if best < POOR else 1 + len(ends) // 2):
-            distances = ways.distances(np.union1d(start, edges.ends[ways.leading_to(start, ends)]))
+            distances = ways.distances(np.union1d(start, edges.ends[cut]))
             ends.append(int(((np.sqrt(stretch) if best < POOR else 1.0) * distances).argmax()))
+            cut = ways.leading_on(cut, start, ends[-1])
     return used[ends[:worth]].tolist() if best < POOR else None
 
 
