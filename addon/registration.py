@@ -3,9 +3,11 @@
 from .operators import billboards as billboards_operators
 from .operators import btf as btf_operators
 from .operators import btf_exports, long_work
+from .operators import clipbox as clipbox_operators
 from .operators import unwrap as unwrap_operators
 from .panels import billboards as billboards_panels
 from .panels import btf as btf_panels
+from .panels import clipbox as clipbox_panels
 from .panels import unwrap as unwrap_panels
 
 MODULES = (
@@ -13,9 +15,11 @@ MODULES = (
     btf_operators,
     btf_exports,
     unwrap_operators,
+    clipbox_operators,
     billboards_panels,
     btf_panels,
     unwrap_panels,
+    clipbox_panels,
 )
 
 

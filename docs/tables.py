@@ -17,10 +17,11 @@ environment.import_farfield()
 
 from farfield.addon.core.billboards.settings import BillboardSettings
 from farfield.addon.core.btf.settings import BtfSettings
+from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.settings import markdown_table
 from farfield.addon.core.unwrap.settings import UnwrapSettings
 
-SETTINGS = {"billboards": BillboardSettings, "btf": BtfSettings, "unwrap": UnwrapSettings}
+SETTINGS = {"billboards": BillboardSettings, "btf": BtfSettings, "unwrap": UnwrapSettings, "clipbox": ClipboxSettings}
 TABLE = re.compile(r"(<!-- settings: (\w+) -->\n).*?(<!-- end of settings -->)", re.DOTALL)
 
 

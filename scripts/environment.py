@@ -26,7 +26,7 @@ from typing import NamedTuple, NoReturn
 
 ROOT = Path(__file__).resolve().parent.parent
 NEEDED = ("numpy", "scipy")  # by every tool
-BROUGHT = ("xatlas", "fast_simplification", "threadpoolctl")  # by the locks and the zip too, each for the tools that use it
+BROUGHT = ("xatlas", "fast_simplification", "threadpoolctl", "tifffile")  # by the locks and the zip too, each for the tools that use it
 STAMP = "farfield-lock"  # in an environment: the digest of the lock that it was made from, or UNFINISHED
 UNFINISHED = "unfinished"
 WINDOWS = os.name == "nt"

@@ -30,6 +30,7 @@ WHEELS = [
     "xatlas==0.0.11",
     "fast-simplification==0.2.0",
     "threadpoolctl==3.8.0",
+    "tifffile==2026.3.3",  # the last one for Python 3.11
 ]  # what the extension brings along, the same for both Pythons
 TESTS = ["pytest==9.2.0", "pytest-timeout==2.4.0", "pytest-xdist==3.8.0", "hypothesis==6.170.15", "ruff==0.17.5", "distributed==2026.8.0"]
 NUMPY = {(3, 11): "numpy==1.26.4", (3, 13): "numpy==2.5.5"}  # 1.26 is what Blender 4.5 and 5.0 hold

@@ -50,6 +50,7 @@ def save_scene(path: Path) -> None:
     Raises:
         FileError: when it cannot be written.
     """
-    bpy.ops.file.make_paths_absolute()  # relative ones would be counted from the temporary folder
+    if bpy.data.filepath:
+        bpy.ops.file.make_paths_absolute()  # relative ones would be counted from the temporary folder
     with whole_file(path) as temporary:
         bpy.ops.wm.save_as_mainfile(filepath=str(temporary), copy=True, compress=True, check_existing=False, relative_remap=False)

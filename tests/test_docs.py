@@ -29,7 +29,7 @@ def test_pictures_and_pages_that_are_named_exist(page):
     assert [target for target in links(page) if not (page.parent / target).exists()] == []
 
 
-@pytest.mark.parametrize("name", ["billboards.md", "btf.md", "unwrap.md"])
+@pytest.mark.parametrize("name", ["billboards.md", "btf.md", "clipbox.md", "unwrap.md"])
 def test_tables_of_settings_are_those_of_the_core(name):
     text = (ROOT / "docs" / name).read_text(encoding="utf-8")
     assert text.count("| `--") >= 10, "the table of settings is gone"

@@ -41,7 +41,7 @@ def main() -> None:
             seen["baked"] = [item.data.materials[0].name for item in bpy.data.objects if item.get("farfield_kind") == "cloud"]
         addon_utils.disable(MODULE, default_set=True, handle_error=passes_on)
         seen["disabled"].append(classes())
-    brought = ("scipy", "xatlas", "fast_simplification", "threadpoolctl")
+    brought = ("scipy", "xatlas", "fast_simplification", "threadpoolctl", "tifffile")
     seen["wheels"] = {name: sys.modules[name].__file__ for name in brought if name in sys.modules}
     print("SEEN " + json.dumps(seen))
 

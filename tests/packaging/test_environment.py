@@ -111,7 +111,7 @@ def test_python_of_another_version_is_never_taken(monkeypatch):
 
 def test_locks_are_exact_hashed_and_agree_on_what_the_zip_brings():
     zipped = pins(environment.ROOT / "requirements" / "wheels.txt")
-    assert set(zipped) == {"scipy", "xatlas", "fast-simplification", "threadpoolctl"}
+    assert set(zipped) == {"scipy", "xatlas", "fast-simplification", "threadpoolctl", "tifffile"}
     for lock in environment.LOCKS:
         pinned = pins(lock.path)
         assert pinned["bpy"].startswith(lock.blender + ".")

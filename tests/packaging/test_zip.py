@@ -78,7 +78,7 @@ def test_zip_brings_the_wheels_of_both_pythons_and_never_numpy(archive):
     assert len(manifest["platforms"]) == 1
     brought = {(name.split("/")[1].split("-")[0].lower(), name.split("-")[2]) for name in wheels}
     of_a_python = {(package, python) for package in ("scipy", "xatlas", "fast_simplification") for python in ("cp311", "cp313")}
-    assert brought == of_a_python | {("threadpoolctl", "py3")}
+    assert brought == of_a_python | {("threadpoolctl", "py3"), ("tifffile", "py3")}
 
 
 def test_enabling_registers_the_tab_and_disabling_takes_all_back(seen):

@@ -1,0 +1,179 @@
+"""Terrain in nested boxes as Blender objects: an empty at the root that knows the settings, and a mesh object a block under it.
+
+All objects of a terrain have the frame of its root and hold their vertices in it, so that vertices which blocks share lie in the very same
+place. The place of the terrain that lies at the root is kept in double precision, and everything else is measured from there.
+"""
+
+import json
+from dataclasses import asdict, dataclass
+
+import bpy
+import mathutils
+import numpy as np
+
+from ..core.clipbox.settings import ClipboxSettings
+from ..core.clipbox.terrain import Key, Update
+from ..core.errors import SettingsError
+from ..core.progress import Progress, Steps
+
+SETTINGS, ORIGIN, VIEWER, BLOCK = "farfield_clipbox", "farfield_clipbox_origin", "farfield_clipbox_viewer", "farfield_clipbox_block"
+SPARE = "farfield_clipbox_spare"  # of meshes that the next change may fill
+NEAR = 1.0e5  # voxels: so near to the origin of the scene, single precision holds vertices well
+
+
+@dataclass(frozen=True)
+class StandingTerrain:
+    """A terrain that stands in the file, by the name of its root: Blender's objects may not be kept while the user works."""
+
+    name: str
+
+    @property
+    def root(self) -> bpy.types.Object | None:
+        """The empty at its root, None when it has gone."""
+        found = bpy.data.objects.get(self.name)
+        return found if found is not None and SETTINGS in found else None
+
+    @property
+    def settings(self) -> ClipboxSettings:
+        """The settings that it was made with.
+
+        Raises:
+            SettingsError: when they cannot be read, as in the file of a newer version.
+        """
+        try:
+            return ClipboxSettings(**json.loads(self.root[SETTINGS]))
+        except (TypeError, ValueError) as error:
+            raise SettingsError(f'The settings of the terrain "{self.name}" cannot be read: {error}. Make it anew.') from error
+
+    @property
+    def origin(self) -> np.ndarray:
+        """The place of the terrain, (3,) float64 scene units, that lies at the root."""
+        return np.array(self.root[ORIGIN], np.float64)
+
+    @property
+    def viewer(self) -> np.ndarray:
+        """Where in the terrain, (3,) float64, the viewer was that the boxes lie about."""
+        return np.array(self.root[VIEWER], np.float64)
+
+    def seen_from(self, matrix: mathutils.Matrix) -> np.ndarray:
+        """The place in the terrain (3,) float64 of a viewer whose matrix in world space is given."""
+        inverse = np.array(self.root.matrix_world.inverted_safe(), np.float64)
+        return inverse[:3, :3] @ np.array(matrix.translation, np.float64) + inverse[:3, 3] + self.origin
+
+    def blocks(self) -> dict[str, bpy.types.Object]:
+        """Its blocks by `block_name`."""
+        return {child[BLOCK]: child for child in self.root.children if BLOCK in child}
+
+    @property
+    def material(self) -> bpy.types.Material | None:
+        """What its blocks are shown with: what the user gave to one of them, if there is one."""
+        for block in self.blocks().values():
+            if block.data.materials:
+                return block.data.materials[0]
+        return None
+
+
+def standing_terrains(scene: bpy.types.Scene) -> list[StandingTerrain]:
+    """All terrains of a scene."""
+    return [StandingTerrain(item.name) for item in scene.objects if SETTINGS in item]
+
+
+def terrain_at(item: bpy.types.Object | None) -> StandingTerrain | None:
+    """The terrain that an object is the root of, or a block of."""
+    while item is not None:
+        if SETTINGS in item:
+            return StandingTerrain(item.name)
+        item = item.parent
+    return None
+
+
+def new_root(scene: bpy.types.Scene, settings: ClipboxSettings, viewer: np.ndarray, origin: np.ndarray) -> StandingTerrain:
+    """An empty for a new terrain, in a collection of its own."""
+    collection = bpy.data.collections.new("Clip-Box Terrain")
+    scene.collection.children.link(collection)
+    root = bpy.data.objects.new("Clip-Box Terrain", None)
+    root.empty_display_size = settings.voxel * settings.resolution / 2
+    collection.objects.link(root)
+    root[ORIGIN], root[VIEWER] = origin.tolist(), viewer.tolist()
+    keep_settings(root, settings)
+    return StandingTerrain(root.name)
+
+
+def keep_settings(root: bpy.types.Object, settings: ClipboxSettings) -> None:
+    """Let the root know the settings."""
+    root[SETTINGS] = json.dumps(asdict(settings))
+
+
+def good_origin(viewer: np.ndarray, settings: ClipboxSettings) -> np.ndarray:
+    """The place of the terrain (3,) that should lie at the root: its own origin, but along the axes along which the viewer is far away."""
+    unit = settings.voxel * 2 ** (settings.boxes - 1)
+    return np.where(np.abs(viewer) > NEAR * settings.voxel, np.rint(viewer / unit) * unit, 0.0)
+
+
+def block_name(key: Key) -> str:
+    """A block's name within its terrain: level and place."""
+    level, place = key
+    return f"{level} {' '.join(str(each) for each in place)}"
+
+
+def filled(update: Update, origin: np.ndarray, settings: ClipboxSettings) -> Steps[dict[Key, str]]:
+    """Meshes that nobody sees yet, filled with the surfaces of an update, one a step: their names by block. Stopped, they are spare."""
+    flat = settings.surface == "blocky" and not settings.smoothing
+    spare = [mesh.name for mesh in bpy.data.meshes if mesh.users == 0 and SPARE in mesh]
+    made: dict[Key, str] = {}
+    for number, (key, block) in enumerate(update.meshes.items()):
+        mesh = bpy.data.meshes[spare.pop()] if spare else bpy.data.meshes.new("Clip-Box")
+        mesh[SPARE] = True
+        fill_mesh(mesh, block.vertices - origin, None if flat else block.normals, block.triangles)
+        made[key] = mesh.name
+        yield Progress((number + 1) / (len(update.meshes) + 1), "Showing")
+    return made
+
+
+def put_in_place(terrain: StandingTerrain, meshes: dict[Key, str], update: Update, material: bpy.types.Material | None) -> None:
+    """Show what `filled` has made, all at once. The meshes that were shown before become spare ones."""
+    root, blocks = terrain.root, terrain.blocks()
+    kept = {block_name(key) for key in meshes}
+    gone = [name for name in blocks if name not in kept] if update.whole else [block_name(key) for key in update.gone]
+    for key, mesh_name in meshes.items():
+        mesh, name = bpy.data.meshes[mesh_name], block_name(key)
+        del mesh[SPARE]
+        if mesh.materials:
+            mesh.materials[0] = material
+        else:
+            mesh.materials.append(material)
+        if name in blocks:
+            blocks[name].data[SPARE] = True
+            blocks[name].data = mesh
+        else:
+            _add_block(root, name, mesh)
+    for name in gone:
+        if name in blocks:
+            blocks[name].data[SPARE] = True
+            bpy.data.objects.remove(blocks[name])
+    root[VIEWER] = update.viewer.tolist()
+
+
+def _add_block(root: bpy.types.Object, name: str, mesh: bpy.types.Mesh) -> None:
+    block = bpy.data.objects.new(f"{root.name} {name}", mesh)
+    block[BLOCK] = name
+    block.parent = root
+    for collection in root.users_collection:
+        collection.objects.link(block)
+
+
+def fill_mesh(mesh: bpy.types.Mesh, vertices: np.ndarray, normals: np.ndarray | None, triangles: np.ndarray) -> None:
+    """Give a mesh new geometry: vertices (V, 3), triangles (T, 3), and normals (V, 3), or flat faces without."""
+    mesh.clear_geometry()
+    mesh.vertices.add(len(vertices))
+    mesh.attributes["position"].data.foreach_set("vector", vertices.astype(np.float32).ravel())
+    mesh.loops.add(triangles.size)
+    mesh.attributes[".corner_vert"].data.foreach_set("value", triangles.astype(np.int32).ravel())
+    mesh.polygons.add(len(triangles))
+    mesh.polygons.foreach_set("loop_start", np.arange(0, triangles.size, 3, dtype=np.int32))
+    mesh.update(calc_edges=True)
+    if normals is None:
+        mesh.shade_flat()
+        return
+    attribute = mesh.attributes.get("custom_normal") or mesh.attributes.new("custom_normal", "FLOAT_VECTOR", "POINT")
+    attribute.data.foreach_set("vector", normals.astype(np.float32).ravel())

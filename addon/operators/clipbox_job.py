@@ -1,0 +1,74 @@
+"""The jobs behind the buttons and the script: a new terrain, a terrain made anew with other settings."""
+
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from ..bridge import terrain_objects
+from ..bridge.terrain_materials import terrain_material
+from ..bridge.terrain_objects import StandingTerrain
+from ..core.clipbox.settings import ClipboxSettings
+from ..core.clipbox.terrain import Terrain, Update, check_viewer
+from ..core.errors import GeometryError
+from ..core.progress import Progress, Steps, scaled
+from . import clipbox_engines
+
+LOW, HIGH = 10, 90  # percentiles of the heights of vertices, between which most ground is green
+
+
+@dataclass
+class ClipboxJob:
+    """Builds a terrain about a viewer: a new one, or `standing` with other settings. `standing` is it, once the job is done."""
+
+    core_share = 0.9
+
+    engine: Terrain
+    settings: ClipboxSettings
+    viewer: np.ndarray
+    standing: StandingTerrain | None = None
+    update: Update | None = None
+
+    def core_steps(self) -> Steps[Update]:
+        """Work out voxels and surfaces."""
+        return self.engine.move(self.viewer)
+
+    def scene_steps(self, core_result: Update) -> Steps[str]:
+        """Show them.
+
+        Raises:
+            GeometryError: when the terrain that was to be made anew has gone, or there is no ground within the boxes.
+        """
+        settings = self.settings
+        if not core_result.meshes:
+            raise GeometryError("There is no ground within the boxes; go nearer to it, or make the boxes more or larger.")
+        origin = self.standing.origin if self.standing is not None else terrain_objects.good_origin(self.viewer, settings)
+        meshes = yield from scaled(terrain_objects.filled(core_result, origin, settings), 0.0, 0.99)
+        yield Progress(0.99, "Showing")
+        if self.standing is None:
+            self.standing = terrain_objects.new_root(bpy.context.scene, settings, self.viewer, origin)
+        elif self.standing.root is None:
+            raise GeometryError(f'The terrain "{self.standing.name}" was removed meanwhile.')
+        terrain_objects.keep_settings(self.standing.root, settings)
+        material = self.standing.material or terrain_material(self.standing.name, self.standing.root, *heights(core_result, origin))
+        terrain_objects.put_in_place(self.standing, meshes, core_result, material)
+        clipbox_engines.keep(self.standing, self.engine)
+        self.update = core_result
+        triangles = sum(len(mesh.triangles) for mesh in core_result.meshes.values())
+        return f'"{self.standing.name}": {triangles:,} triangles in {settings.boxes} boxes.'
+
+
+def prepare(settings: ClipboxSettings, viewer: np.ndarray, standing: StandingTerrain | None = None) -> ClipboxJob:
+    """The job that makes a terrain about `viewer` (3,), a place in the terrain, or `standing` anew.
+
+    Raises:
+        SettingsError, FileError, GeometryError: when the formula, the file or the place is no good.
+    """
+    check_viewer(viewer, settings.voxel)
+    return ClipboxJob(clipbox_engines.new_engine(settings), settings, np.array(viewer, np.float64), standing)
+
+
+def heights(update: Update, origin: np.ndarray) -> tuple[float, float]:
+    """Between which heights from the root most of the ground lies, in scene units."""
+    found = np.concatenate([mesh.vertices[:, 2] for mesh in update.meshes.values()]) - origin[2]
+    return tuple(np.percentile(found, (LOW, HIGH)).tolist())

@@ -1,0 +1,55 @@
+"""Panel *Clip-Box Terrain* in the sidebar tab *Farfield*."""
+
+import bpy
+
+from ..bridge.terrain_objects import terrain_at
+from ..core.clipbox.settings import ClipboxSettings
+from ..core.settings import describe
+from ..operators import clipbox
+from .sidebar import SidebarPanel, draw_bar, draw_button, settings_rows
+
+ROWS = [item.name for item in describe(ClipboxSettings)]
+OF_TERRAIN = {"formula": ("formula",), "source": ("heights", "volume"), "source_size": ("heights", "volume"), "source_height": ("heights",)}
+
+
+class FARFIELD_PT_clipbox(SidebarPanel, bpy.types.Panel):
+    """Settings, buttons, bar."""
+
+    bl_idname = "FARFIELD_PT_clipbox"
+    bl_label = "Clip-Box Terrain"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the rows that count; while a job runs they are grey and the bar takes the buttons' place."""
+        layout, group = self.layout, context.scene.farfield_clipbox
+        rows = settings_rows(layout)
+        for name in ROWS:
+            if group.terrain in OF_TERRAIN.get(name, (group.terrain,)) and (name != "roughness" or group.subdivided):
+                rows.prop(group, name)
+        if draw_bar(layout):
+            return
+        reason = clipbox.refusal(context)
+        if reason:
+            layout.label(text=reason, icon="INFO")
+        draw_button(layout, clipbox.FARFIELD_OT_clipbox_create, "Create", "WORLD_DATA")
+        standing = terrain_at(context.active_object)
+        if standing is not None:
+            tools = layout.column(align=True)
+            tools.operator(clipbox.FARFIELD_OT_clipbox_update.bl_idname, text="Update", icon="FILE_REFRESH")
+            tools.operator(clipbox.FARFIELD_OT_clipbox_follow.bl_idname, icon="VIEW_PERSPECTIVE")
+            tools.prop(standing.root, "farfield_clipbox_follow")
+
+
+CLASSES = (FARFIELD_PT_clipbox,)
+
+
+def register() -> None:
+    """Register the panel."""
+    for each in CLASSES:
+        bpy.utils.register_class(each)
+
+
+def unregister() -> None:
+    """The reverse."""
+    for each in reversed(CLASSES):
+        bpy.utils.unregister_class(each)
