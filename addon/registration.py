@@ -2,7 +2,7 @@
 
 from .operators import billboards as billboards_operators
 from .operators import btf as btf_operators
-from .operators import btf_exports, long_work
+from .operators import btf_exports, clipbox_freeze, long_work
 from .operators import clipbox as clipbox_operators
 from .operators import unwrap as unwrap_operators
 from .panels import billboards as billboards_panels
@@ -16,6 +16,7 @@ MODULES = (
     btf_exports,
     unwrap_operators,
     clipbox_operators,
+    clipbox_freeze,
     billboards_panels,
     btf_panels,
     unwrap_panels,

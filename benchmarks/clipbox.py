@@ -82,11 +82,12 @@ def build(given: Namespace) -> dict[str, Any]:
 
 
 def step(given: Namespace) -> dict[str, Any]:
-    """Seconds from a viewer's step of one voxel to the swapped meshes, and of the main thread in one go."""
+    """Milliseconds from a viewer's step of one voxel to the swapped meshes, and of the main thread in one go; with a threshold of one voxel
+    every step is followed, with the default one only some are."""
     found = {}
-    for resolution in (128, 64):
+    for resolution, threshold in ((128, 1), (128, 4), (64, 1)):
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-        job = clipbox_job.prepare(ClipboxSettings(terrain=given.terrain, resolution=resolution), START)
+        job = clipbox_job.prepare(ClipboxSettings(terrain=given.terrain, resolution=resolution, threshold=threshold), START)
         finish(whole(job))
         following, seconds = Following(job.standing), []
         directions = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -94,11 +95,14 @@ def step(given: Namespace) -> dict[str, Any]:
         for number in range(given.steps):
             place = place + directions[number * len(directions) // given.steps]
             started = time.perf_counter()
-            while not following.tick(place):
-                time.sleep(0.001)
+            while not following.settled(place):
+                ticked = time.perf_counter()
+                following.tick(place)
+                time.sleep(max(0.0, FRAME - (time.perf_counter() - ticked)))
             seconds.append(time.perf_counter() - started)
         following.close()
-        found[str(resolution)] = {
+        found[f"{resolution}, threshold {threshold}"] = {
+            "moves": following.moves,
             "mean_ms": round(1e3 * float(np.mean(seconds)), 1),
             "median_ms": round(1e3 * float(np.median(seconds)), 1),
             "largest_ms": round(1e3 * max(seconds), 1),

@@ -11,6 +11,8 @@ import bpy
 import mathutils
 import numpy as np
 
+from ..core.clipbox.blocks import BlockMesh
+from ..core.clipbox.freezing import Frozen
 from ..core.clipbox.settings import ClipboxSettings
 from ..core.clipbox.terrain import Key, Update
 from ..core.errors import SettingsError
@@ -116,22 +118,36 @@ def block_name(key: Key) -> str:
     return f"{level} {' '.join(str(each) for each in place)}"
 
 
-def filled(update: Update, origin: np.ndarray, settings: ClipboxSettings) -> Steps[dict[Key, str]]:
-    """Meshes that nobody sees yet, filled with the surfaces of an update, one a step: their names by block. Stopped, they are spare."""
-    flat = settings.surface == "blocky" and not settings.smoothing
-    spare = [mesh.name for mesh in bpy.data.meshes if mesh.users == 0 and SPARE in mesh]
-    made: dict[Key, str] = {}
-    for number, (key, block) in enumerate(update.meshes.items()):
-        mesh = bpy.data.meshes[spare.pop()] if spare else bpy.data.meshes.new("Clip-Box")
+class HiddenMeshes:
+    """Meshes that nobody sees yet, filled with the surfaces of blocks: `names` by block. What is not put in place is spare."""
+
+    def __init__(self, origin: np.ndarray, settings: ClipboxSettings) -> None:
+        """origin: (3,) float64, the place of the terrain that vertices are counted from."""
+        self.names: dict[Key, str] = {}
+        self._origin = origin
+        self._flat = settings.surface == "blocky" and not settings.smoothing
+        self._spare = [mesh.name for mesh in bpy.data.meshes if mesh.users == 0 and SPARE in mesh]
+
+    def fill(self, key: Key, block: BlockMesh) -> None:
+        """Fill one."""
+        mesh = bpy.data.meshes.get(self._spare.pop()) if self._spare else None
+        mesh = mesh or bpy.data.meshes.new("Clip-Box")
         mesh[SPARE] = True
-        fill_mesh(mesh, block.vertices - origin, None if flat else block.normals, block.triangles)
-        made[key] = mesh.name
+        fill_mesh(mesh, block.vertices - self._origin, None if self._flat else block.normals, block.triangles)
+        self.names[key] = mesh.name
+
+
+def filled(update: Update, origin: np.ndarray, settings: ClipboxSettings) -> Steps[dict[Key, str]]:
+    """Meshes with all surfaces of an update, one a step: their names by block."""
+    hidden = HiddenMeshes(origin, settings)
+    for number, (key, block) in enumerate(update.meshes.items()):
+        hidden.fill(key, block)
         yield Progress((number + 1) / (len(update.meshes) + 1), "Showing")
-    return made
+    return hidden.names
 
 
 def put_in_place(terrain: StandingTerrain, meshes: dict[Key, str], update: Update, material: bpy.types.Material | None) -> None:
-    """Show what `filled` has made, all at once. The meshes that were shown before become spare ones."""
+    """Show hidden meshes, given by their names, all at once. The meshes that were shown before become spare ones."""
     root, blocks = terrain.root, terrain.blocks()
     kept = {block_name(key) for key in meshes}
     gone = [name for name in blocks if name not in kept] if update.whole else [block_name(key) for key in update.gone]
@@ -160,6 +176,43 @@ def _add_block(root: bpy.types.Object, name: str, mesh: bpy.types.Mesh) -> None:
     block.parent = root
     for collection in root.users_collection:
         collection.objects.link(block)
+
+
+def add_frozen(scene: bpy.types.Scene, standing: StandingTerrain, parts: list[Frozen]) -> tuple[str, ...]:
+    """Plain objects of frozen meshes where the terrain stands, in a collection of their own: their names."""
+    collection = bpy.data.collections.new("Frozen Terrain")
+    scene.collection.children.link(collection)
+    material = standing.material.copy() if standing.material is not None else None
+    for node in material.node_tree.nodes if material is not None and material.node_tree is not None else ():
+        if node.type == "TEX_COORD" and node.object == standing.root:
+            node.object = None  # a frozen object has the frame of the root itself
+    made = []
+    for part in parts:
+        mesh, surface = bpy.data.meshes.new(part.name), part.surface
+        flat = surface.normals is None or (standing.settings.surface == "blocky" and not standing.settings.smoothing)
+        fill_mesh(mesh, surface.vertices - standing.origin, None if flat else surface.normals, surface.triangles)
+        item = bpy.data.objects.new(part.name, mesh)
+        item.matrix_world = standing.root.matrix_world
+        collection.objects.link(item)
+        if part.uvs is None:
+            item.display_type, item.hide_render = "WIRE", True
+        else:
+            mesh.uv_layers.new(name="UVMap", do_init=False).uv.foreach_set("vector", part.uvs.ravel())
+            mesh.materials.append(material)
+        made.append(item.name)
+    return tuple(made)
+
+
+def remove(standing: StandingTerrain) -> None:
+    """Take a terrain away with its blocks and, where nothing else is in it, its collection."""
+    root = standing.root
+    collections, blocks = root.users_collection, list(standing.blocks().values())
+    meshes = [block.data for block in blocks]
+    bpy.data.batch_remove([*blocks, root])
+    bpy.data.batch_remove([mesh for mesh in meshes if mesh.users == 0])
+    for collection in collections:
+        if not collection.all_objects and not collection.children and collection in bpy.data.collections.values():
+            bpy.data.collections.remove(collection)
 
 
 def fill_mesh(mesh: bpy.types.Mesh, vertices: np.ndarray, normals: np.ndarray | None, triangles: np.ndarray) -> None:

@@ -28,13 +28,13 @@ def engine_of(standing: StandingTerrain) -> Terrain:
     return engine
 
 
-def new_engine(settings: ClipboxSettings) -> Terrain:
-    """Voxels for a terrain that is to be made.
+def new_engine(settings: ClipboxSettings, closed: bool = False) -> Terrain:
+    """Voxels for a terrain that is to be made, with walls at the border of the outermost box where it is `closed`.
 
     Raises:
         SettingsError, FileError: when its formula or its file cannot be read.
     """
-    return Terrain(_with_whole_paths(settings))
+    return Terrain(_with_whole_paths(settings), closed)
 
 
 def _with_whole_paths(settings: ClipboxSettings) -> ClipboxSettings:

@@ -2,16 +2,17 @@
 
 import sys
 import time
+from queue import Empty
 from typing import Any
 
 import bpy
 import numpy as np
 
 from ..bridge import terrain_objects
-from ..bridge.terrain_objects import StandingTerrain
+from ..bridge.terrain_objects import HiddenMeshes, StandingTerrain
 from ..core.clipbox.terrain import Update
 from ..core.errors import FarfieldError
-from ..core.progress import Steps, finish
+from ..core.progress import finish
 from ..core.worker import Worker
 from . import clipbox_engines
 
@@ -19,7 +20,7 @@ BUDGET = 0.008  # seconds of the main thread that a tick may take
 
 
 class Following:
-    """Lets one terrain follow. The thread owns the voxels; the main thread gets finished meshes, fills spare ones and swaps them at once.
+    """Lets one terrain follow. Its thread owns the voxels; the main thread fills hidden meshes with surfaces, and swaps all at once.
 
     moves: how many were shown. longest_slice: seconds that the longest tick took.
     """
@@ -28,14 +29,13 @@ class Following:
         self.standing = standing
         self.moves = 0
         self.longest_slice = 0.0
+        self._engine = clipbox_engines.engine_of(standing)
         self._worker: Worker[Update] | None = None
-        self._update: Update | None = None
-        self._filling: Steps[dict] | None = None
+        self._hidden: HiddenMeshes | None = None
 
-    @property
-    def busy(self) -> bool:
-        """Whether a move is under way."""
-        return self._worker is not None or self._filling is not None
+    def settled(self, viewer: np.ndarray) -> bool:
+        """Whether what is shown lies about `viewer` (3,), and nothing is under way."""
+        return self._worker is None and self._engine.lies_about(viewer)
 
     def tick(self, viewer: np.ndarray, budget: float = BUDGET) -> bool:
         """Go on for at most `budget` seconds towards boxes about `viewer` (3,), a place in the terrain; whether a move was shown.
@@ -45,38 +45,39 @@ class Following:
         """
         started = time.perf_counter()
         try:
-            return self._advance(viewer, started + budget)
+            return self._advance(viewer, started, budget)
         finally:
             self.longest_slice = max(self.longest_slice, time.perf_counter() - started)
 
     def close(self) -> None:
-        """Stop the thread and let go of what it was making."""
+        """Stop the thread; what it was making is made by the next move."""
         if self._worker is not None:
             self._worker.stop()
             self._worker.wait()
             self._worker = None
-        if self._filling is not None:
-            self._filling.close()
-            self._filling = None
-            clipbox_engines.engine_of(self.standing).forget()
+            self._engine.forget()
 
-    def _advance(self, viewer: np.ndarray, until: float) -> bool:
-        engine = clipbox_engines.engine_of(self.standing)
-        if not self.busy and not engine.lies_about(viewer):
-            self._worker = Worker(engine.move(viewer))
-        if self._worker is not None and self._worker.done:
-            worker, self._worker = self._worker, None
-            self._update = worker.result()
-            self._filling = terrain_objects.filled(self._update, self.standing.origin, engine.settings)
-        while self._filling is not None and time.perf_counter() < until:
+    def _advance(self, viewer: np.ndarray, started: float, budget: float) -> bool:
+        if self._worker is None:
+            if not self._engine.lies_about(viewer):
+                self._worker = Worker(self._engine.move(viewer))
+                self._hidden = HiddenMeshes(self.standing.origin, self._engine.settings)
+            return False
+        done, longest = self._worker.done, 0.0
+        while (now := time.perf_counter()) - started + longest < budget:
             try:
-                next(self._filling)
-            except StopIteration as finished:
-                self._filling = None
-                terrain_objects.put_in_place(self.standing, finished.value, self._update, self.standing.material)
-                self.moves += 1
-                return True
-        return False
+                key, block = self._engine.finished.get_nowait()
+            except Empty:
+                break
+            self._hidden.fill(key, block)
+            longest = max(longest, time.perf_counter() - now)
+        if not done or not self._engine.finished.empty():
+            return False
+        worker, self._worker = self._worker, None
+        update = worker.result()
+        terrain_objects.put_in_place(self.standing, self._hidden.names, update, self.standing.material)
+        self.moves += 1
+        return True
 
 
 def follow_at_once(standing: StandingTerrain, viewer: np.ndarray) -> None:

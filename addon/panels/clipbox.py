@@ -3,9 +3,9 @@
 import bpy
 
 from ..bridge.terrain_objects import terrain_at
-from ..core.clipbox.settings import ClipboxSettings
+from ..core.clipbox.settings import ClipboxSettings, FreezeSettings
 from ..core.settings import describe
-from ..operators import clipbox
+from ..operators import clipbox, clipbox_freeze
 from .sidebar import SidebarPanel, draw_bar, draw_button, settings_rows
 
 ROWS = [item.name for item in describe(ClipboxSettings)]
@@ -38,6 +38,16 @@ class FARFIELD_PT_clipbox(SidebarPanel, bpy.types.Panel):
             tools.operator(clipbox.FARFIELD_OT_clipbox_update.bl_idname, text="Update", icon="FILE_REFRESH")
             tools.operator(clipbox.FARFIELD_OT_clipbox_follow.bl_idname, icon="VIEW_PERSPECTIVE")
             tools.prop(standing.root, "farfield_clipbox_follow")
+            draw_freeze(layout, context.scene.farfield_clipbox_freeze)
+
+
+def draw_freeze(layout: bpy.types.UILayout, group: bpy.types.PropertyGroup) -> None:
+    """How to freeze, and the button that does."""
+    column = layout.box().column()
+    for item in describe(FreezeSettings):
+        if item.name != "collider_share" or group.collider:
+            column.prop(group, item.name)
+    column.operator(clipbox_freeze.FARFIELD_OT_clipbox_freeze.bl_idname, icon="FREEZE")
 
 
 CLASSES = (FARFIELD_PT_clipbox,)

@@ -21,15 +21,15 @@ KINDS = [
     {"terrain": "cascades"},
     {"terrain": "spheres"},
     {"terrain": "islands", "surface": "blocky"},
-    {"terrain": "sine", "surface": "blocky", "smoothing": 3},
+    {"terrain": "sine", "surface": "blocky", "smoothing": 3, "threshold": 3},
     {"terrain": "cascades", "smoothing": 2},
-    {"terrain": "cascades", "subdivided": 1},
+    {"terrain": "cascades", "subdivided": 1, "threshold": 4},
     {"terrain": "spheres", "subdivided": 2, "surface": "blocky", "smoothing": 1},
 ]
 
 
 def small(**given):
-    return ClipboxSettings(**({"boxes": 3, "resolution": 32} | given))
+    return ClipboxSettings(**({"boxes": 3, "resolution": 32, "threshold": 1} | given))
 
 
 def built(kind, place):
@@ -107,19 +107,20 @@ def test_a_surface_has_its_true_place_in_every_level():
     assert np.allclose(made.normals[inner], np.array([-0.37, 0.2, 1.0]) / np.linalg.norm([0.37, 0.2, 1.0]), atol=0.35)
 
 
-def test_levels_grow_by_two_and_hide_nothing_by_half():
-    layout = layout_about(np.array([1e7 + 0.3, -17.2, 4.0]), 0.5, 33, 5)
+@pytest.mark.parametrize("threshold", [1, 2, 3, 4])
+def test_levels_grow_by_two_and_hide_nothing_by_half(threshold):
+    layout = layout_about(np.array([1e7 + 0.3, -17.2, 4.0]), small(voxel=0.5, resolution=33, boxes=5, threshold=threshold))
     for level, (inner, outer) in enumerate(pairwise(layout.shown)):
         assert (inner.low % 2 == 0).all() and (inner.high % 2 == 0).all()
         assert (inner.high - inner.low >= 31).all()
         hole = layout.hole(level + 1)
-        assert ((hole.low - outer.low >= 5) & (outer.high - hole.high >= 5)).all()
+        assert ((hole.low - outer.low >= 3) & (outer.high - hole.high >= 3)).all()
         middle = (inner.low + inner.high) / 2 * 0.5 * 2**level
-        assert (np.abs(middle - [1e7 + 0.3, -17.2, 4.0]) <= 2 * 0.5 * 2**level).all()
+        assert (np.abs(middle - [1e7 + 0.3, -17.2, 4.0]) <= (1.5 + threshold / 2) * 0.5 * 2**level).all()
 
 
 def test_blocks_cover_what_is_shown():
-    layout = layout_about(np.array([5.0, -9.0, 33.0]), 1.0, 64, 3)
+    layout = layout_about(np.array([5.0, -9.0, 33.0]), small(resolution=64))
     for level in range(3):
         blocks = set(blocks_of(layout, level, BLOCK))
         shown, hole = layout.shown[level], layout.hole(level)
@@ -221,7 +222,7 @@ class TestMoves:
     @pytest.mark.parametrize(
         "given",
         [{"resolution": 8}, {"resolution": 257}, {"voxel": 0.0}, {"voxel": float("nan")}, {"boxes": 0}, {"boxes": 11}, {"subdivided": 3},
-         {"smoothing": -1}, {"terrain": "moon"}, {"scale": 0.0}],
+         {"smoothing": -1}, {"terrain": "moon"}, {"scale": 0.0}, {"threshold": 5}, {"threshold": 0}],
     )  # fmt: skip
     def test_settings_of_nonsense_are_refused(self, given):
         with pytest.raises(SettingsError):

@@ -18,7 +18,7 @@ from farfield.addon.core.errors import FileError, GeometryError, SettingsError
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 SCRIPT = environment.ROOT / "scripts" / "clipbox.py"
-SMALL = ("--boxes", "3", "--resolution", "32")
+SMALL = ("--boxes", "3", "--resolution", "32", "--threshold", "1")
 
 
 def run(*arguments):
@@ -69,7 +69,7 @@ def test_a_blend_holds_a_terrain_that_can_go_on(folder):
     run("--terrain", "cascades", "--seed", "4", "--at", "10,0,20", "--out", out)
     bpy.ops.wm.open_mainfile(filepath=str(out))
     [standing] = terrain_objects.standing_terrains(bpy.context.scene)
-    assert standing.settings == ClipboxSettings(terrain="cascades", seed=4, boxes=3, resolution=32)
+    assert standing.settings == ClipboxSettings(terrain="cascades", seed=4, boxes=3, resolution=32, threshold=1)
     assert standing.viewer.tolist() == [10.0, 0.0, 20.0] and standing.origin.tolist() == [0.0, 0.0, 0.0]
     blocks = standing.blocks().values()
     assert len(blocks) > 8 and all(block.data.materials[0] == standing.material for block in blocks)

@@ -9,8 +9,8 @@ are left for planes of their own. Where nothing coarser keeps the bound, the ori
 import numpy as np
 
 from ..distance import closest_on_mesh, points_beyond
-from ..errors import FarfieldError
 from ..progress import Progress, Steps, scaled
+from ..simplification import simplified
 from .fine_mesh import FAR, MOST_APART, Decimated, FineMesh
 from .remesh import Collapses, compact, flip, judge_collapses
 from .straddle import straddle
@@ -182,12 +182,5 @@ def propose(vertices: np.ndarray, triangles: np.ndarray, target: int) -> tuple[n
     Raises:
         FarfieldError: when the package that does it is not installed.
     """
-    try:
-        import fast_simplification
-    except ImportError:
-        raise FarfieldError(
-            "The method decimate needs the package fast-simplification, which this Python lacks; install Farfield from its zip, which "
-            "brings it along, or choose the method clusters."
-        ) from None
-    coarse, faces = fast_simplification.simplify(vertices, triangles, target_count=target, agg=7)
-    return compact(np.asarray(coarse, np.float64), np.asarray(faces, np.int32)) if len(faces) else (coarse, faces)
+    coarse, faces = simplified(vertices, triangles, target)
+    return compact(coarse, faces) if len(faces) else (coarse, faces)

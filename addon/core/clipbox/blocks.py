@@ -175,7 +175,7 @@ def _masks(boxes: NestedBoxes, level: int, stack: _Stack) -> tuple[np.ndarray | 
     for row in np.flatnonzero(~whole).tolist():
         window = Cuboid(stack.lows[row], highs[row])
         shell = _box_mask(side, window, shown)
-        beyond = np.zeros_like(shell) if level == boxes.coarsest else ~shell
+        beyond = ~shell if level < boxes.coarsest or boxes.closed else np.zeros_like(shell)
         if hole is not None:
             shell &= ~_box_mask(side, window, hole)
         own[row] &= shell.ravel()

@@ -9,6 +9,8 @@ from itertools import product
 
 import numpy as np
 
+from .settings import ClipboxSettings
+
 
 @dataclass(frozen=True)
 class Cuboid:
@@ -53,9 +55,11 @@ class Layout:
         return Cuboid(self.shown[level - 1].low // 2, self.shown[level - 1].high // 2) if level else None
 
 
-def layout_about(viewer: np.ndarray, voxel: float, resolution: int, boxes: int) -> Layout:
-    """The boxes about a viewer at (3,) float64 scene units; `voxel` is the side of the voxels of level 0."""
-    origins = [np.floor(np.asarray(viewer, np.float64) / (voxel * 2**level)).astype(np.int64) - resolution // 2 for level in range(boxes)]
+def layout_about(viewer: np.ndarray, settings: ClipboxSettings) -> Layout:
+    """The boxes about a viewer at (3,) float64 scene units, in whole steps of as many voxels as the viewer may go."""
+    resolution, places = settings.resolution, np.asarray(viewer, np.float64) / (settings.voxel * settings.threshold)
+    steps = [np.floor(places / 2**level + 0.5 - 0.5 / settings.threshold).astype(np.int64) for level in range(settings.boxes)]
+    origins = [each * settings.threshold - resolution // 2 for each in steps]
     shown = [Cuboid((origin + 1) // 2 * 2, (origin + resolution) // 2 * 2) for origin in origins[:-1]]
     return Layout(origins, [*shown, Cuboid(origins[-1], origins[-1] + resolution)])
 

@@ -30,8 +30,10 @@ class NestedBoxes:
     Its methods that read may only be called between two moves.
     """
 
-    def __init__(self, terrain: Sampler, settings: ClipboxSettings) -> None:
+    def __init__(self, terrain: Sampler, settings: ClipboxSettings, closed: bool = False) -> None:
+        """closed: whether there is nothing beyond the outermost box, so that walls close the ground there; else it goes on as it ends."""
         self.settings = settings
+        self.closed = closed
         self.finest = settings.subdivided
         self.layout: Layout | None = None
         self.volumes = [
@@ -62,7 +64,7 @@ class NestedBoxes:
         return self.layout is not None and same_layout(self.layout, self._layout_about(viewer))
 
     def _layout_about(self, viewer: np.ndarray) -> Layout:
-        return layout_about(viewer, self.settings.voxel, self.settings.resolution, self.settings.boxes)
+        return layout_about(viewer, self.settings)
 
     def hole(self, level: int) -> Cuboid | None:
         """The voxels of `level` that finer voxels stand for."""
@@ -84,13 +86,20 @@ class NestedBoxes:
             beyond = beyond[slices_of(near_low - near_low // 2 * 2, near_high - near_low // 2 * 2)]
             beyond[slices_of(first - near_low, last - near_low)] = window
             first, last, window = near_low, near_high, beyond
-        return np.pad(window, np.stack([first - low, high - last], axis=1), mode="edge")
+        padded = np.pad(window, np.stack([first - low, high - last], axis=1), mode="edge")
+        if self.closed and level == self.coarsest:
+            outside = np.ones(padded.shape, bool)
+            outside[slices_of(first - low, last - low)] = False
+            padded[outside] = -np.abs(padded[outside])
+        return padded
 
     def about(self, level: int, corners: np.ndarray) -> About:
         """What stands about the corners (K, 3) of a level's lattice that lie in what it shows or on the border of that."""
         voxels = corners[:, None] + OCTANTS - 1
         shown, hole = self.layout.shown[level], self.hole(level)
         values = self.volume(level).at(np.clip(voxels, shown.low, shown.high - 1))
+        if self.closed and level == self.coarsest:
+            values = np.where(shown.contains(voxels), values, -np.abs(values))
         centres = np.broadcast_to((OCTANTS - 0.5).astype(np.float32), voxels.shape).copy()
         if hole is not None and (finer := hole.contains(voxels)).any():
             within = (2 * corners[:, None] + OCTANTS - 1)[finer]

@@ -7,6 +7,7 @@ from ..settings import Settings, Unit, setting
 from . import heights, voxels  # noqa: F401 - their terrains join the others when they are imported
 from .terrains import NAMES
 
+LEAST_PART = 8  # of a box: a threshold beyond this part of its side would let it leave the next one
 SURFACES = {
     "smooth": "The surface passes where the density is 0 (surface nets)",
     "blocky": "The faces of voxels, as in the paper; smoothing rounds them",
@@ -31,6 +32,12 @@ class ClipboxSettings(Settings):
     voxel: float = setting(1.0, "Side of the smallest voxels", minimum=1e-4, maximum=1e4, unit=Unit.LENGTH)
     resolution: int = setting(64, "Voxels along each side of every box", minimum=32, maximum=256)
     boxes: int = setting(7, "Boxes, each twice as wide as the one within it", minimum=1, maximum=10)
+    threshold: int = setting(
+        4,
+        "Voxels of its own that the viewer may go before a box follows; more moves it less often",
+        minimum=1,
+        maximum=8,
+    )
     subdivided: int = setting(
         0, "How many of the innermost boxes are made by subdividing the surface around them instead of from voxels", minimum=0, maximum=9
     )
@@ -45,3 +52,20 @@ class ClipboxSettings(Settings):
         super().__post_init__()
         if self.subdivided >= self.boxes:
             raise SettingsError(f"--subdivided is {self.subdivided} of {self.boxes} boxes; at least one has to come from voxels.")
+        if self.threshold > self.resolution // LEAST_PART:
+            raise SettingsError(
+                f"--threshold is {self.threshold} in boxes of {self.resolution} voxels; the largest is {self.resolution // LEAST_PART}."
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FreezeSettings(Settings):
+    """What a user can choose about meshes that a terrain is frozen to."""
+
+    per_box: bool = setting(False, "A mesh for each box instead of one for all; only one for all is watertight")
+    closed: bool = setting(True, "Close the ground with walls at the border of the outermost box")
+    collider: bool = setting(True, "Make a mesh of few triangles for collisions as well")
+    collider_share: float = setting(
+        0.05, "How many triangles the collider has, as a share of all", minimum=1e-3, maximum=1.0, unit=Unit.SHARE
+    )
+    keep_terrain: bool = setting(False, "Keep the terrain that follows beside its frozen mesh")

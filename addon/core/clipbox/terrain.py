@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from queue import SimpleQueue
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from .settings import ClipboxSettings
 from .terrains import terrain_of
 
 BLOCK = 32  # voxels a side: smaller ones cost more to begin than to fill
-BATCH = 64  # blocks that are worked on at once
+BATCH = 32  # blocks that are worked on at once
 VOXELS_SHARE = 0.5  # of the bar
 FARTHEST = 2.0**46  # voxels from the origin: beyond, double precision tells voxels no longer well apart
 
@@ -42,18 +43,20 @@ class Update:
 class Terrain:
     """Nested boxes that follow a viewer. One thread at a time may use it.
 
+    finished: the blocks that the move under way has finished, for whoever may show them early; a move begins with an empty one.
     clock: seconds of all moves by stage. moves: how many there were. first_computed: voxels that the first one worked out.
     """
 
-    def __init__(self, settings: ClipboxSettings) -> None:
-        """Read the formula or file that `settings` name.
+    def __init__(self, settings: ClipboxSettings, closed: bool = False) -> None:
+        """Read the formula or file that `settings` name. `closed` as in `NestedBoxes`.
 
         Raises:
             SettingsError, FileError: when that cannot be done.
         """
         self.settings = settings
         self.clock = StageClock()
-        self.boxes = NestedBoxes(terrain_of(settings), settings)
+        self.boxes = NestedBoxes(terrain_of(settings), settings, closed)
+        self.finished: SimpleQueue[tuple[Key, BlockMesh]] = SimpleQueue()
         self.moves = 0
         self.first_computed = 0
         self._signatures: dict[Key, tuple] = {}
@@ -66,6 +69,7 @@ class Terrain:
             GeometryError: when the viewer is nowhere, or the terrain's function fails.
         """
         check_viewer(viewer, self.settings.voxel)
+        self.finished = SimpleQueue()
         with self.clock.stage("voxels"):
             yield from scaled(self.boxes.move(viewer), 0.0, VOXELS_SHARE)
         self.moves += 1
@@ -80,7 +84,7 @@ class Terrain:
     @staticmethod
     def same_place(settings: ClipboxSettings, one: np.ndarray, other: np.ndarray) -> bool:
         """Whether boxes about two viewers (3,) lie at the same place."""
-        return same_layout(*(layout_about(viewer, settings.voxel, settings.resolution, settings.boxes) for viewer in (one, other)))
+        return same_layout(layout_about(one, settings), layout_about(other, settings))
 
     def forget(self) -> None:
         """Forget what is shown: the next update holds all blocks."""
@@ -99,7 +103,9 @@ class Terrain:
         yield Progress(0.0, "Finding the surface")
         made = mapped(lambda batch: block_meshes(self.boxes, *batch, BLOCK), batches)
         for number, ((level, _), of_batch) in enumerate(zip(batches, made, strict=True)):
-            meshes |= {(level, block): mesh for block, mesh in of_batch.items()}
+            for block, mesh in of_batch.items():
+                meshes[level, block] = mesh
+                self.finished.put(((level, block), mesh))
             yield Progress((number + 1) / len(batches), f"Finding the surface of box {level + 1}")
         gone = [key for key in sorted(self._filled) if key not in found or (self._signatures[key] != found[key] and key not in meshes)]
         whole = not self._signatures
@@ -137,10 +143,11 @@ def _batches(keys: list[Key]) -> list[tuple[int, list[Place]]]:
 
 @dataclass(frozen=True)
 class Welded:
-    """A union of blocks: vertices (V, 3) float64 scene units, each once; normals (V, 3) float32; triangles (T, 3) int32."""
+    """A union of blocks: vertices (V, 3) float64 scene units, each once; normals (V, 3) float32, or None for those of the
+    faces; triangles (T, 3) int32."""
 
     vertices: np.ndarray
-    normals: np.ndarray
+    normals: np.ndarray | None
     triangles: np.ndarray
 
     @property
