@@ -6,7 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from closed import open_edges, uses_of_directed_edges
+from farfield.addon.core.clipbox.adjacency import corner_vertices, face_faces, vertex_faces, vertex_vertices
 from farfield.addon.core.clipbox.patterns import HIGH, LOW, OCTANTS, octants_about, patterns
+from farfield.addon.core.clipbox.repair import repaired
 from farfield.addon.core.clipbox.surface import surface_of
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -115,3 +117,66 @@ class TestSurface:
     @pytest.mark.parametrize("value", [-1.0, 1.0])
     def test_without_a_border_there_is_no_surface(self, value):
         assert len(surface_of(np.full((4, 5, 6), value, np.float32)).quads) == 0
+
+
+class TestAdjacency:
+    """What touches what."""
+
+    @given(SEEDS)
+    def test_index_arrays_agree_with_the_quads(self, seed):
+        volume = random_volume(seed)
+        made = surface_of(volume, blocky=True)
+        count = len(made.vertices)
+        about, near, beyond = vertex_faces(made.quads, count), vertex_vertices(made.quads, count), face_faces(made.quads)
+        assert (np.bincount(about[about >= 0], minlength=len(made.quads)) == 4).all()
+        for vertex in range(0, count, 7):
+            faces = about[vertex][about[vertex] >= 0]
+            assert set(faces) == set(np.flatnonzero((made.quads == vertex).any(axis=1)))
+            ends = near[vertex][near[vertex] >= 0]
+            assert len(ends) == len(faces) and (np.abs(made.vertices[ends] - made.vertices[vertex]).sum(axis=1) == 1.0).all()
+        assert (beyond >= 0).all()
+        for turn in range(4):
+            shared = made.quads[beyond[:, turn]]
+            ends = made.quads[:, [turn, (turn + 1) % 4]]
+            assert ((shared == ends[:, :1]).any(axis=1) & (shared == ends[:, 1:]).any(axis=1)).all()
+
+    def test_corners_know_their_vertices(self):
+        volume = random_volume(3)
+        made = surface_of(volume)
+        found = corner_vertices(made, volume.shape)
+        assert set(found.ravel()) - {-1} <= set(range(len(made.corners)))
+        assert (found[tuple(made.corners.T)] >= 0).all() and (found >= 0).sum() == len(np.unique(made.corners, axis=0))
+
+
+class TestRepair:
+    """Voxels that would smooth badly."""
+
+    @staticmethod
+    def mended(*places):
+        volume = np.zeros((7, 7, 7), bool)
+        volume[tuple(np.array(places).T)] = True
+        return {tuple(each) for each in (np.argwhere(repaired(volume)) + 1).tolist()}
+
+    def test_a_lone_voxel_and_the_tip_of_a_spike_go(self):
+        assert self.mended((3, 3, 3)) == set()
+        slab = [(x, y, 2) for x in (2, 3, 4) for y in (2, 3, 4)]
+        assert self.mended(*slab, (3, 3, 3)) == set(slab)
+
+    def test_a_pit_is_filled(self):
+        walls = [(x, y, z) for x in (2, 3, 4) for y in (2, 3, 4) for z in (2, 3) if (x, y, z) != (3, 3, 3)]
+        assert (3, 3, 3) in self.mended(*walls)
+
+    def test_voxels_that_touch_along_an_edge_are_joined(self):
+        blocks = [(x, y, z) for x, y in ((2, 2), (1, 2), (2, 1), (1, 1), (3, 3), (4, 3), (3, 4), (4, 4)) for z in (2, 3, 4)]
+        made = self.mended(*blocks)
+        assert len({(2, 3, 3), (3, 2, 3)} & made) == 1 and set(blocks) <= made
+
+    @given(SEEDS)
+    def test_a_part_is_mended_as_the_whole_is(self, seed):
+        volume = np.random.default_rng(seed).random((8, 9, 7)) < 0.5
+        assert np.array_equal(repaired(volume)[1:5, 2:6, 0:4], repaired(volume[1:7, 2:8, 0:6]))
+
+    def test_it_leaves_what_is_smooth(self):
+        x, y, z = np.indices((20, 20, 20))
+        ball = (x - 9.5) ** 2 + (y - 9.5) ** 2 + (z - 9.5) ** 2 < 49.0
+        assert (repaired(ball) != ball[1:-1, 1:-1, 1:-1]).mean() < 0.002

@@ -36,9 +36,8 @@ class NestedBoxes:
         self.closed = closed
         self.finest = settings.subdivided
         self.layout: Layout | None = None
-        self.volumes = [
-            Volume(settings.resolution, settings.voxel * 2**level, terrain.densities) for level in range(self.finest, settings.boxes)
-        ]
+        fill = terrain.densities if settings.surface == "smooth" else lambda grid: terrain.bits(grid, settings.smoothing > 0)
+        self.volumes = [Volume(settings.resolution, settings.voxel * 2**level, fill) for level in range(self.finest, settings.boxes)]
 
     @property
     def coarsest(self) -> int:

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from .adjacency import vertex_vertices
+
 
 def split_quads(vertices: np.ndarray, quads: np.ndarray) -> np.ndarray:
     """Two triangles (2 Q, 3) int32 for each of `quads` (Q, 4), split along the shorter diagonal, the first one where they are equal."""
@@ -27,12 +29,15 @@ def fans(polygons: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def smoothed(vertices: np.ndarray, quads: np.ndarray, fixed: np.ndarray, times: int) -> np.ndarray:
     """`vertices` (V, 3) moved half way to the mean of their neighbours so many `times`, but for those `fixed` (V,) (section 3.7)."""
-    ends, neighbours = quads.ravel(), np.roll(quads, -1, axis=1).ravel()
-    counts = np.bincount(ends, minlength=len(vertices))
-    moving = (counts > 0) & ~fixed
+    neighbours = vertex_vertices(quads, len(vertices))
+    there = neighbours >= 0
+    counts = there.sum(axis=1)
+    moving = np.flatnonzero((counts > 0) & ~fixed)
+    neighbours, there, counts = neighbours[moving], there[moving, :, None], counts[moving, None]
+    vertices = vertices.copy()
     for _ in range(times):
-        sums = np.stack([np.bincount(ends, vertices[neighbours, axis], len(vertices)) for axis in range(3)], axis=1)
-        vertices = np.where(moving[:, None], 0.5 * vertices + 0.5 * sums / np.maximum(counts, 1)[:, None], vertices)
+        mean = np.where(there, vertices[neighbours], 0.0).sum(axis=1) / counts
+        vertices[moving] = 0.5 * vertices[moving] + 0.5 * mean
     return vertices
 
 

@@ -14,6 +14,7 @@ from ..errors import GeometryError
 from .formulas import Formula
 from .grids import Grid
 from .noise import fractal
+from .repair import MARGIN, repaired
 from .spheres import SphereField, carved, spheres_touching
 
 if TYPE_CHECKING:
@@ -46,6 +47,19 @@ class Sampler:
 
     name: str
     function: Densities
+
+    def bits(self, grid: Grid, repair: bool) -> np.ndarray:
+        """1 for set voxels and -1 for others, (X, Y, Z) int8, the paper's one bit a voxel; mended for smoothing where `repair` asks for it.
+
+        Raises:
+            GeometryError: as `densities`.
+        """
+        if not repair:
+            is_set = self.densities(grid).view(np.int16) > 0
+        else:
+            origin, shape = (tuple(side + more for side in each) for each, more in ((grid.origin, -MARGIN), (grid.shape, 2 * MARGIN)))
+            is_set = repaired(self.densities(Grid(origin, shape, grid.voxel)).view(np.int16) > 0)
+        return np.where(is_set, np.int8(1), np.int8(-1))
 
     def densities(self, grid: Grid) -> np.ndarray:
         """Densities (X, Y, Z) float16 of a grid; where there is no number there is no ground.
