@@ -2,11 +2,13 @@
 
 tree: the demo's tree beside its cloud. levels: all its levels, their quads, and how each looks from its own distance. head: a closed
 surface with a material of nodes, which needs no demo. unwrap: that surface with a checker on three UV maps, which needs none either. wood:
-hundreds of trees, each as the level that its distance asks for. relighting, forest: what the demo left beside its scene, as it is.
+hundreds of trees, each as the level that its distance asks for. landscape, walk: terrain in nested boxes, and twelve frames of a
+walk through its caves, which need no demo. relighting, forest: what the demo left beside its scene, as it is.
 """
 
 import shutil
 import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -18,6 +20,7 @@ environment.ensure()
 
 import bpy
 import numpy as np
+import terrain
 from unwrapped import unwrapped_copies
 from wood import render_wood
 
@@ -26,6 +29,7 @@ import command_line
 import scene_files
 from contact_sheet import PAPER, contact_sheet, enlarged, write_png
 from demo_materials import new_material
+from farfield.addon.bridge.images import pixels_of
 from farfield.addon.core import metrics
 from farfield.addon.core.billboards.settings import BillboardSettings
 from farfield.addon.core.errors import FarfieldError
@@ -45,6 +49,9 @@ HEAD_VOXEL = 0.04
 MAP_PIXELS = 300
 MAP_TRIMMED = 45  # pixels along the edges of its render, where nothing is
 WOOD_WIDTH = 660
+LANDSCAPE_WIDTH = 720
+WALK_WIDTH = 184
+WALK_ROWS = ("1 to 4", "5 to 8", "9 to 12")
 
 
 def main(arguments: list[str], line: command_line.ProgressLine) -> None:
@@ -148,6 +155,29 @@ def wood(scene: Path, path: Path, samples: int) -> None:
     print(", ".join(f"{count} of {names[level]}" for level, count in planted.items()), file=sys.stderr)
 
 
+def landscape(_scene: Path, path: Path, samples: int) -> None:
+    """Terrain in nested boxes."""
+    with whole_file(path) as temporary:
+        terrain.landscape(temporary, LANDSCAPE_WIDTH, samples)
+
+
+def walk(_scene: Path, path: Path, samples: int) -> None:
+    """Twelve frames of a walk through caves, which the terrain follows."""
+    with tempfile.TemporaryDirectory() as folder:
+        pictures = [read_png(frame) for frame in terrain.walk(4 * len(WALK_ROWS), WALK_WIDTH, samples, Path(folder))]
+    rows = [pictures[4 * row : 4 * row + 4] for row in range(len(WALK_ROWS))]
+    write(path, contact_sheet("Twelve frames of a walk", rows, WALK_ROWS, [[]] * 4))
+
+
+def read_png(path: Path) -> np.ndarray:
+    """A picture (H, W, 3) as it is written, row 0 at the bottom."""
+    image = bpy.data.images.load(str(path))
+    image.colorspace_settings.name = "Non-Color"
+    pixels = pixels_of(image)[..., :3].astype(np.float64)
+    bpy.data.images.remove(image)
+    return pixels
+
+
 def left_by_demo(scene: Path, path: Path, _samples: int) -> None:
     """A picture of that name from the folder of the demo's scene.
 
@@ -167,6 +197,8 @@ PICTURES = {
     "head": head,
     "unwrap": unwrap,
     "wood": wood,
+    "landscape": landscape,
+    "walk": walk,
     "relighting": left_by_demo,
     "forest": left_by_demo,
 }

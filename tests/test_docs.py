@@ -11,7 +11,7 @@ import environment
 ROOT = environment.ROOT
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)#\s]+)(?:#[^)]*)?\)")
-LARGEST_PICTURE, LARGEST_FOLDER = 400_000, 2_000_000  # bytes
+LARGEST_PICTURE, LARGEST_FOLDER = 400_000, 4_000_000  # bytes
 with_tables = runpy.run_path(str(ROOT / "docs" / "tables.py"))["with_tables"]
 
 

@@ -101,6 +101,14 @@ def new_root(scene: bpy.types.Scene, settings: ClipboxSettings, viewer: np.ndarr
     return StandingTerrain(root.name)
 
 
+def choose(view_layer: bpy.types.ViewLayer, standing: StandingTerrain) -> None:
+    """Select the root of a terrain, and nothing else."""
+    for item in view_layer.objects.selected:
+        item.select_set(False, view_layer=view_layer)
+    standing.root.select_set(True, view_layer=view_layer)
+    view_layer.objects.active = standing.root
+
+
 def keep_settings(root: bpy.types.Object, settings: ClipboxSettings) -> None:
     """Let the root know the settings."""
     root[SETTINGS] = json.dumps(asdict(settings))

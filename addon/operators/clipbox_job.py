@@ -47,6 +47,7 @@ class ClipboxJob:
         yield Progress(0.99, "Showing")
         if self.standing is None:
             self.standing = terrain_objects.new_root(bpy.context.scene, settings, self.viewer, origin)
+            terrain_objects.choose(bpy.context.view_layer, self.standing)
         elif self.standing.root is None:
             raise GeometryError(f'The terrain "{self.standing.name}" was removed meanwhile.')
         terrain_objects.keep_settings(self.standing.root, settings)

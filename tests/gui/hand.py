@@ -21,7 +21,7 @@ import numpy as np
 PACKAGE = "bl_ext.user_default.farfield"
 FOLDER = Path(sys.argv[sys.argv.index("--") + 1])
 LEAVES = 600
-PANELS = ("billboards", "btf", "unwrap")
+PANELS = ("billboards", "btf", "unwrap", "clipbox")
 LOOK = 0.1  # seconds between two looks at the window
 PATIENCE = 120.0  # seconds that a job may take here
 

@@ -107,9 +107,22 @@ def cascades(settings: "ClipboxSettings") -> Densities:
         np.sqrt(tunnels, out=tunnels)
         tunnels -= np.float32(0.12)
         tunnels *= np.float32(60.0 * size)
-        return np.minimum(ground, tunnels, out=ground)
+        return _rounded_minimum(ground, tunnels, np.float32(max(8.0 * size, 3.0 * grid.voxel)))
 
     return densities
+
+
+def _rounded_minimum(one: np.ndarray, other: np.ndarray, width: np.float32) -> np.ndarray:
+    """The lesser of two densities, and less where they are nearer than `width` to each other: so edges between them are rounded off, which
+    voxels would show as saw teeth."""
+    near = np.abs(one - other)
+    np.subtract(width, near, out=near)
+    np.maximum(near, np.float32(0.0), out=near)
+    near *= near
+    near /= 4.0 * width
+    lesser = np.minimum(one, other)
+    lesser -= near
+    return lesser
 
 
 def islands(settings: "ClipboxSettings") -> Densities:
