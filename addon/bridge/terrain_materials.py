@@ -1,9 +1,13 @@
 """The material of terrain: ordinary nodes that tell ground by slope and height, broken by noise, with a picture mapped from three sides."""
 
+from dataclasses import dataclass
+from pathlib import Path
+
 import bpy
 import numpy as np
 
 from ..compat import give_nodes
+from ..core.errors import FileError
 from .images import data_image
 from .node_groups import shared_group
 from .wiring import Wiring
@@ -23,10 +27,23 @@ DEFAULTS = {
 }  # fmt: skip
 
 
-def terrain_material(name: str, root: bpy.types.Object, low: float, high: float) -> bpy.types.Material:
+@dataclass(frozen=True)
+class Cover:
+    """A picture of the ground from above: the file, the longest side that it reaches along in scene units, and the place of the terrain
+    (3,) that lies at the root; its middle lies at x = y = 0 of the terrain."""
+
+    path: Path
+    side: float
+    origin: np.ndarray
+
+
+def terrain_material(name: str, root: bpy.types.Object, low: float, high: float, cover: Cover | None = None) -> bpy.types.Material:
     """A material for terrain under `root`, most of which lies between the heights `low` and `high`, scene units from the root.
 
-    Every colour and height is an input of its group.
+    Every colour and height is an input of its group; a `cover` is the colour of all ground.
+
+    Raises:
+        FileError: when the cover cannot be read.
     """
     size = max(0.5 * (high - low), LEAST_SIZE)
     material = bpy.data.materials.new(name)
@@ -45,6 +62,10 @@ def terrain_material(name: str, root: bpy.types.Object, low: float, high: float)
         group.inputs[socket].default_value = value
     group.inputs["Size"].default_value = size
     group.inputs["Snow Height"].default_value, group.inputs["Sand Height"].default_value = high + 0.3 * size, low
+    if cover is not None:
+        color = _covering(wiring, place, cover)
+        for socket in ("Rock", "Grass", "Sand", "Snow"):
+            wiring.connect(color, group.inputs[socket])
     wiring.connect(place, group.inputs["Position"])
     wiring.connect(grain.outputs["Color"], group.inputs["Grain"])
     surface = wiring.node("ShaderNodeBsdfPrincipled")
@@ -53,6 +74,22 @@ def terrain_material(name: str, root: bpy.types.Object, low: float, high: float)
     wiring.connect(surface.outputs[0], wiring.node("ShaderNodeOutputMaterial").inputs["Surface"])
     wiring.arrange()
     return material
+
+
+def _covering(wiring: Wiring, place: bpy.types.NodeSocket, cover: Cover) -> bpy.types.NodeSocket:
+    """The colour of a cover at a `place` from the root."""
+    try:
+        image = bpy.data.images.load(str(cover.path), check_existing=True)
+    except RuntimeError as error:
+        raise FileError(f'The picture "{cover.path}" cannot be read; check the path.') from error
+    width, height = image.size
+    if not (width and height):
+        raise FileError(f'The picture "{cover.path}" is none that Blender reads.')
+    sides = np.array([width, height]) * cover.side / max(width, height)
+    shares = wiring.vector("MULTIPLY", wiring.vector("ADD", place, cover.origin.tolist()), (*(1.0 / sides).tolist(), 0.0))
+    node = wiring.node("ShaderNodeTexImage", {"image": image, "extension": "EXTEND", "label": "Cover"})
+    wiring.connect(wiring.vector("ADD", shares, (0.5, 0.5, 0.0)), node.inputs["Vector"])
+    return node.outputs["Color"]
 
 
 def _group() -> bpy.types.NodeTree:

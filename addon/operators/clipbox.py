@@ -7,7 +7,7 @@ import numpy as np
 from ..bridge.terrain_objects import terrain_at
 from ..core.clipbox.settings import ClipboxSettings
 from ..core.errors import FarfieldError
-from . import clipbox_engines, clipbox_following, long_work, properties
+from . import clipbox_following, long_work, properties
 from .clipbox_following import BUDGET, Following
 from .clipbox_job import ClipboxJob, prepare
 
@@ -97,7 +97,6 @@ class FARFIELD_OT_clipbox_follow(bpy.types.Operator):
         self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
         context.window_manager.modal_handler_add(self)
         context.workspace.status_text_set(f'"{self._following.standing.name}" follows (Esc ends)')
-        _active.append(self._following)
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -108,7 +107,7 @@ class FARFIELD_OT_clipbox_follow(bpy.types.Operator):
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
         standing = self._following.standing
-        if standing.root is None or self._following not in _active:
+        if standing.root is None or self._following not in clipbox_following.followings:
             self._end(context)
             return {"FINISHED"}
         try:
@@ -132,23 +131,13 @@ class FARFIELD_OT_clipbox_follow(bpy.types.Operator):
         if context.workspace is not None:
             context.workspace.status_text_set(None)
         self._following.close()
-        if self._following in _active:
-            _active.remove(self._following)
-
-
-_active: list[Following] = []
-
-
-def following() -> bool:
-    """Whether a terrain follows in this window."""
-    return bool(_active)
 
 
 def refusal(context: bpy.types.Context) -> str:
     """Why no terrain can be made now, or an empty string."""
     if context.mode != "OBJECT":
         return "Go to Object Mode"
-    return long_work.busy() or ("A terrain follows; end that with Esc" if following() else "")
+    return long_work.busy() or ("A terrain follows; end that with Esc" if clipbox_following.followings else "")
 
 
 def refusal_of_active(context: bpy.types.Context) -> str:
@@ -179,16 +168,12 @@ def register() -> None:
     for each in CLASSES:
         bpy.utils.register_class(each)
     bpy.types.Scene.farfield_clipbox = bpy.props.PointerProperty(type=FARFIELD_PG_clipbox)
-    clipbox_engines.register()
     clipbox_following.register()
 
 
 def unregister() -> None:
     """The reverse."""
-    while _active:
-        _active.pop().close()
     clipbox_following.unregister()
-    clipbox_engines.unregister()
     del bpy.types.Scene.farfield_clipbox
     for each in reversed(CLASSES):
         bpy.utils.unregister_class(each)

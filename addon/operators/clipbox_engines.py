@@ -1,7 +1,6 @@
 """The voxels of the terrains that stand in the file, kept between two moves; made anew from the settings where they are missing."""
 
 from dataclasses import replace
-from typing import Any
 
 import bpy
 import numpy as np
@@ -52,29 +51,12 @@ def is_shown_about(standing: StandingTerrain, viewer: np.ndarray) -> bool:
     return Terrain.same_place(standing.settings, standing.viewer, viewer)
 
 
-@bpy.app.handlers.persistent
-def _forget_shown(*_: Any) -> None:
-    """What is shown is no more what was shown last: after undo and redo."""
+def forget_shown() -> None:
+    """What is shown is no more what was shown last: the next move of every terrain shows all of it."""
     for engine in _engines.values():
         engine.forget()
 
 
-@bpy.app.handlers.persistent
-def _forget_all(*_: Any) -> None:
-    _engines.clear()
-
-
-HANDLERS = (("undo_post", _forget_shown), ("redo_post", _forget_shown), ("load_pre", _forget_all))
-
-
-def register() -> None:
-    """Follow undo and the opening of files."""
-    for name, handler in HANDLERS:
-        getattr(bpy.app.handlers, name).append(handler)
-
-
-def unregister() -> None:
-    """The reverse."""
-    for name, handler in HANDLERS:
-        getattr(bpy.app.handlers, name).remove(handler)
+def forget_all() -> None:
+    """Let go of all voxels."""
     _engines.clear()

@@ -18,6 +18,8 @@ from . import clipbox_engines
 
 BUDGET = 0.008  # seconds of the main thread that a tick may take
 
+followings: list["Following"] = []  # those that go on
+
 
 class Following:
     """Lets one terrain follow. Its thread owns the voxels; the main thread fills hidden meshes with surfaces, and swaps all at once.
@@ -32,6 +34,7 @@ class Following:
         self._engine = clipbox_engines.engine_of(standing)
         self._worker: Worker[Update] | None = None
         self._hidden: HiddenMeshes | None = None
+        followings.append(self)
 
     def settled(self, viewer: np.ndarray) -> bool:
         """Whether what is shown lies about `viewer` (3,), and nothing is under way."""
@@ -49,13 +52,19 @@ class Following:
         finally:
             self.longest_slice = max(self.longest_slice, time.perf_counter() - started)
 
-    def close(self) -> None:
-        """Stop the thread; what it was making is made by the next move."""
+    def pause(self) -> None:
+        """Stop the thread; what it was making is made by the next move, so that voxels may be used from elsewhere."""
         if self._worker is not None:
             self._worker.stop()
             self._worker.wait()
             self._worker = None
             self._engine.forget()
+
+    def close(self) -> None:
+        """Follow no more."""
+        self.pause()
+        if self in followings:
+            followings.remove(self)
 
     def _advance(self, viewer: np.ndarray, started: float, budget: float) -> bool:
         if self._worker is None:
@@ -71,8 +80,8 @@ class Following:
                 break
             self._hidden.fill(key, block)
             longest = max(longest, time.perf_counter() - now)
-        if not done or not self._engine.finished.empty():
-            return False
+        if not done or not self._engine.finished.empty() or time.perf_counter() - started > 0.5 * budget:
+            return False  # what is left fits the next tick better
         worker, self._worker = self._worker, None
         update = worker.result()
         terrain_objects.put_in_place(self.standing, self._hidden.names, update, self.standing.material)
@@ -84,6 +93,8 @@ def follow_at_once(standing: StandingTerrain, viewer: np.ndarray) -> None:
     """Let a terrain lie about `viewer` (3,) before going on; nothing is done where it does."""
     if clipbox_engines.is_shown_about(standing, viewer):
         return
+    for following in followings:
+        following.pause()
     engine = clipbox_engines.engine_of(standing)
     update = finish(engine.move(viewer))
     meshes = finish(terrain_objects.filled(update, standing.origin, engine.settings))
@@ -104,13 +115,41 @@ def follow_camera(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None 
                 print(error, file=sys.stderr)
 
 
-HANDLERS: tuple[tuple[str, Any], ...] = (("frame_change_post", follow_camera),)
+@bpy.app.handlers.persistent
+def _start_over(*_: Any) -> None:
+    """After undo and redo nobody knows what is shown."""
+    for following in followings:
+        following.pause()
+    clipbox_engines.forget_shown()
+
+
+@bpy.app.handlers.persistent
+def _let_go(*_: Any) -> None:
+    """Another file is opened."""
+    for following in list(followings):
+        following.close()
+    clipbox_engines.forget_all()
+
+
+def _lock_window(_item: bpy.types.Object, context: bpy.types.Context) -> None:
+    """Meshes that change while frames render must not be drawn meanwhile."""
+    context.scene.render.use_lock_interface = True
+
+
+HANDLERS: tuple[tuple[str, Any], ...] = (
+    ("frame_change_post", follow_camera),
+    ("undo_post", _start_over),
+    ("redo_post", _start_over),
+    ("load_pre", _let_go),
+)
 
 
 def register() -> None:
-    """Follow frames."""
+    """Follow frames, undo, and the opening of files."""
     bpy.types.Object.farfield_clipbox_follow = bpy.props.BoolProperty(
-        name="Follow Camera", description="Let this terrain lie about the scene's camera in every frame, also while an animation renders"
+        name="Follow Camera",
+        description="Let this terrain lie about the scene's camera in every frame, also while an animation renders",
+        update=_lock_window,
     )
     for name, handler in HANDLERS:
         getattr(bpy.app.handlers, name).append(handler)
@@ -118,6 +157,7 @@ def register() -> None:
 
 def unregister() -> None:
     """The reverse."""
+    _let_go()
     for name, handler in HANDLERS:
         getattr(bpy.app.handlers, name).remove(handler)
     del bpy.types.Object.farfield_clipbox_follow

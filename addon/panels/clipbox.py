@@ -9,7 +9,13 @@ from ..operators import clipbox, clipbox_freeze
 from .sidebar import SidebarPanel, draw_bar, draw_button, settings_rows
 
 ROWS = [item.name for item in describe(ClipboxSettings)]
-OF_TERRAIN = {"formula": ("formula",), "source": ("heights", "volume"), "source_size": ("heights", "volume"), "source_height": ("heights",)}
+OF_TERRAIN = {
+    "formula": ("formula",),
+    "source": ("heights", "volume"),
+    "source_size": ("heights", "volume"),
+    "source_height": ("heights",),
+    "source_color": ("heights",),
+}
 
 
 class FARFIELD_PT_clipbox(SidebarPanel, bpy.types.Panel):

@@ -161,6 +161,25 @@ def test_after_undo_everything_is_shown_anew():
     assert shape_of(standing) == moved
 
 
+def test_a_height_map_is_covered_with_its_picture(tmp_path):
+    camera_at(0.0, 0.0, 20.0)
+    np.save(tmp_path / "höhe.npy", np.fromfunction(lambda y, x: 0.1 * x + 0.0 * y, (32, 64)))
+    image = bpy.data.images.new("Ground", 8, 4)
+    image.filepath_raw, image.file_format = str(tmp_path / "grün.png"), "PNG"
+    image.save()
+    files = {"source": str(tmp_path / "höhe.npy"), "source_color": str(tmp_path / "grün.png"), "source_size": 64.0}
+    standing = create(terrain="heights", **files)
+    nodes = standing.material.node_tree.nodes
+    cover = next(node for node in nodes if node.label == "Cover")
+    group = next(node for node in nodes if node.type == "GROUP")
+    assert cover.image.filepath.endswith("grün.png")
+    assert {link.to_socket.name for link in cover.outputs["Color"].links} == {"Rock", "Grass", "Sand", "Snow"}
+    scale = next(node for node in nodes if node.type == "VECT_MATH" and node.operation == "MULTIPLY")
+    assert np.allclose(scale.inputs[1].default_value, [1.0 / 64.0, 1.0 / 32.0, 0.0]) and group.outputs["Color"].is_linked
+    with pytest.raises(RuntimeError, match="no picture"):
+        create(terrain="heights", **(files | {"source_color": str(tmp_path / "nowhere.png")}))
+
+
 class TestFails:
     """Terrains that do not work."""
 

@@ -63,7 +63,7 @@ def visit() -> Iterator[float]:
     x, y = yield from hand.find_button("farfield.clipbox_follow")
     hand.press("LEFTMOUSE", x, y)
     yield 1.0
-    following = module("addon.operators.clipbox")._active
+    following = module("addon.operators.clipbox_following").followings
     seen["follows"] = len(following) == 1
     for step in range(25):
         region.view_location = mathutils.Vector((4.0 * (step + 1), 2.0 * (step + 1), 20.0))

@@ -27,6 +27,7 @@ class ClipboxSettings(Settings):
     source_height: float = setting(
         100.0, "How high white is above black where a picture gives the heights", minimum=0.0, maximum=1e6, unit=Unit.LENGTH
     )
+    source_color: str = setting("", "For the terrain heights: a picture of the ground from above, of the same extent as the file")
     seed: int = setting(0, "Another number gives another terrain of the same kind", minimum=0, maximum=2**31 - 1)
     scale: float = setting(1.0, "How many times as large the terrain's features are", minimum=1e-3, maximum=1e3)
     voxel: float = setting(1.0, "Side of the smallest voxels", minimum=1e-4, maximum=1e4, unit=Unit.LENGTH)
