@@ -111,12 +111,12 @@ def test_a_surface_has_its_true_place_in_every_level():
 def test_levels_grow_by_two_and_hide_nothing_by_half(threshold):
     layout = layout_about(np.array([1e7 + 0.3, -17.2, 4.0]), small(voxel=0.5, resolution=33, boxes=5, threshold=threshold))
     for level, (inner, outer) in enumerate(pairwise(layout.shown)):
-        assert (inner.low % 2 == 0).all() and (inner.high % 2 == 0).all()
-        assert (inner.high - inner.low >= 31).all()
+        assert (inner.low % 4 == 0).all() and (inner.high % 4 == 0).all()
+        assert (inner.high - inner.low >= 33 - 6).all()
         hole = layout.hole(level + 1)
         assert ((hole.low - outer.low >= 3) & (outer.high - hole.high >= 3)).all()
         middle = (inner.low + inner.high) / 2 * 0.5 * 2**level
-        assert (np.abs(middle - [1e7 + 0.3, -17.2, 4.0]) <= (1.5 + threshold / 2) * 0.5 * 2**level).all()
+        assert (np.abs(middle - [1e7 + 0.3, -17.2, 4.0]) <= (3.5 + threshold / 2) * 0.5 * 2**level).all()
 
 
 def test_blocks_cover_what_is_shown():

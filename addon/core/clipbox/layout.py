@@ -1,7 +1,8 @@
 """Where the boxes lie about a viewer: a function of where the viewer is, and of nothing else.
 
 Level 0 is the innermost box. A voxel of level k has 2^k times the side of one of level 0, and lattices are nested: voxel i of level k + 1
-holds the voxels 2 i and 2 i + 1 of level k. What a level shows is cut to whole voxels of the next one, so that no voxel is half hidden.
+holds the voxels 2 i and 2 i + 1 of level k. What a level shows is cut to whole pairs of voxels of the next one: so no voxel is half hidden,
+and a box that follows with every voxel has a new surface with every fourth one only.
 """
 
 from dataclasses import dataclass
@@ -10,6 +11,8 @@ from itertools import product
 import numpy as np
 
 from .settings import ClipboxSettings
+
+GRAIN = 4  # voxels that what a level shows grows or shrinks by
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,7 @@ def layout_about(viewer: np.ndarray, settings: ClipboxSettings) -> Layout:
     resolution, places = settings.resolution, np.asarray(viewer, np.float64) / (settings.voxel * settings.threshold)
     steps = [np.floor(places / 2**level + 0.5 - 0.5 / settings.threshold).astype(np.int64) for level in range(settings.boxes)]
     origins = [each * settings.threshold - resolution // 2 for each in steps]
-    shown = [Cuboid((origin + 1) // 2 * 2, (origin + resolution) // 2 * 2) for origin in origins[:-1]]
+    shown = [Cuboid((origin + GRAIN - 1) // GRAIN * GRAIN, (origin + resolution) // GRAIN * GRAIN) for origin in origins[:-1]]
     return Layout(origins, [*shown, Cuboid(origins[-1], origins[-1] + resolution)])
 
 
