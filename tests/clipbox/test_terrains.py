@@ -183,7 +183,7 @@ class TestRegistry:
         registered(lambda grid: 5.0 - grid.axes()[2])
         assert (sampler("other").densities(Grid((0, 0, 0), (2, 2, 9), 1.0)) > 0).sum() == 2 * 2 * 5
 
-    @pytest.mark.parametrize("answer", [np.zeros((2, 3)), "ground", None, np.zeros(7)])
+    @pytest.mark.parametrize("answer", [np.zeros((2, 3)), "ground", None, np.zeros(7)], ids=["sheet", "word", "nothing", "row"])
     def test_what_it_answers_is_checked(self, registered, answer):
         registered(lambda _grid: answer)
         with pytest.raises(GeometryError, match='"other" fails'):
