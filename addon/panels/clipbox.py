@@ -8,8 +8,9 @@ from ..core.settings import describe
 from ..operators import clipbox, clipbox_freeze
 from .sidebar import SidebarPanel, draw_bar, draw_button, settings_rows
 
+SPHERES = [item.name for item in describe(ClipboxSettings) if item.name.startswith("sphere_")]
 ROWS = [item.name for item in describe(ClipboxSettings)]
-OF_TERRAIN = {
+OF_TERRAIN = dict.fromkeys(SPHERES, ("spheres",)) | {
     "formula": ("formula",),
     "source": ("heights", "volume"),
     "source_size": ("heights", "volume"),

@@ -126,6 +126,16 @@ class TestSpheres:
         nearest = np.clip(found.centres, 0.0, 8.0)
         assert len(found.radii) and (np.abs(found.centres - nearest).max(axis=1) <= found.radii + AROUND).all()
 
+    def test_ranges_are_those_of_the_settings(self):
+        grid = Grid((-60, -60, -90), (120, 120, 180), 1.0)
+        plain = {"sphere_radius": 10.0, "sphere_classes": 2, "sphere_count": 1, "sphere_height": 20.0}
+        solid = sampler("spheres", **plain, sphere_taken=0.0).densities(grid) > 0
+        heights = np.flatnonzero(solid.any(axis=(0, 1))) - 90 + 0.5
+        assert heights.min() > -30.0 and heights.max() < 30.0 and heights.max() > 15.0
+        assert not (sampler("spheres", **plain, sphere_taken=1.0).densities(grid) > 0).any()
+        more = sampler("spheres", **(plain | {"sphere_count": 3}), sphere_taken=0.0).densities(grid) > 0
+        assert more.sum() > 1.5 * solid.sum()
+
 
 class TestFormulas:
     """What users type."""

@@ -28,6 +28,15 @@ class ClipboxSettings(Settings):
         100.0, "How high white is above black where a picture gives the heights", minimum=0.0, maximum=1e6, unit=Unit.LENGTH
     )
     source_color: str = setting("", "For the terrain heights: a picture of the ground from above, of the same extent as the file")
+    sphere_radius: float = setting(
+        120.0, "For the terrain spheres: radius of the largest; each class has half of the last", minimum=0.1, maximum=1e5, unit=Unit.LENGTH
+    )
+    sphere_classes: int = setting(7, "How many classes of size there are", minimum=1, maximum=12)
+    sphere_count: int = setting(4, "How many spheres of a class there are in a cube of four of its radii", minimum=1, maximum=64)
+    sphere_taken: float = setting(0.5, "Share of the spheres that take ground away", minimum=0.0, maximum=1.0, unit=Unit.SHARE)
+    sphere_height: float = setting(
+        60.0, "How far above and below 0 the largest have their centres", minimum=0.0, maximum=1e6, unit=Unit.LENGTH
+    )
     seed: int = setting(0, "Another number gives another terrain of the same kind", minimum=0, maximum=2**31 - 1)
     scale: float = setting(1.0, "How many times as large the terrain's features are", minimum=1e-3, maximum=1e3)
     voxel: float = setting(1.0, "Side of the smallest voxels", minimum=1e-4, maximum=1e4, unit=Unit.LENGTH)

@@ -142,7 +142,15 @@ def islands(settings: "ClipboxSettings") -> Densities:
 
 def spheres(settings: "ClipboxSettings") -> Densities:
     """Spheres of all sizes, added and taken away, as in the paper."""
-    field = SphereField(largest=120.0 * settings.scale, classes=7, count=4, taken=0.5, height=60.0 * settings.scale, seed=settings.seed)
+    size = settings.scale
+    field = SphereField(
+        largest=settings.sphere_radius * size,
+        classes=settings.sphere_classes,
+        count=settings.sphere_count,
+        taken=settings.sphere_taken,
+        height=settings.sphere_height * size,
+        seed=settings.seed,
+    )
     return lambda grid: carved(grid, spheres_touching(field, grid))
 
 
