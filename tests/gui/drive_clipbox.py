@@ -68,9 +68,10 @@ def visit() -> Iterator[float]:
     for step in range(25):
         region.view_location = mathutils.Vector((4.0 * (step + 1), 2.0 * (step + 1), 20.0))
         yield 0.3
-    seen["moves"], seen["longest_slice"] = following[0].moves, following[0].longest_slice
-    yield 2.0
+    while not following[0].settled(standing.seen_from(region.view_matrix.inverted())):
+        yield 0.2
     picture("3-followed")
+    seen["moves"], seen["longest_slice"] = following[0].moves, following[0].longest_slice
     hand.press("ESC", x, y)
     yield 1.0
     seen["follows_after_esc"] = len(following)
