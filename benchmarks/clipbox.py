@@ -10,7 +10,7 @@ import json
 import subprocess
 import sys
 import time
-from argparse import ArgumentDefaultsHelpFormatter, Namespace
+from argparse import Namespace
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ environment.ensure()
 
 import bpy
 import numpy as np
+import parts
 
 import command_line
 from farfield.addon.core.clipbox import spheres
@@ -42,26 +43,17 @@ FRAME = 1.0 / 60.0  # seconds between two looks of a window at its timers
 
 def parser() -> command_line.Parser:
     """All arguments of the benchmark."""
-    made = command_line.Parser(prog="clipbox.py", description=__doc__.split("\n")[0], formatter_class=ArgumentDefaultsHelpFormatter)
-    made.add_argument("--only", nargs="+", choices=list(PARTS), default=list(PARTS), help="parts to measure")
+    made = parts.parser("clipbox.py", __doc__, PARTS)
     made.add_argument("--terrain", default="cascades", help="the terrain to measure on")
     made.add_argument("--repeats", type=int, default=3, help="runs of each, of which the fastest counts")
     made.add_argument("--steps", type=int, default=100, help="steps of one voxel")
     made.add_argument("--moves", type=int, default=500, help="random moves")
-    made.add_argument("--report", type=Path, help="a JSON file for the figures")
     return made
 
 
 def main(arguments: list[str], _line: command_line.ProgressLine) -> None:
     """Measure; raises FarfieldError when the input is bad."""
-    given = parser().parse_args(arguments)
-    figures = {}
-    for part in given.only:
-        figures[part] = PARTS[part](given)
-        print(f"{part}: {json.dumps(figures[part])}", file=sys.stderr)
-    print(json.dumps(figures, indent=1))
-    if given.report is not None:
-        command_line.write_report(given.report.absolute(), figures)
+    parts.measure(parser().parse_args(arguments), PARTS)
 
 
 def build(given: Namespace) -> dict[str, Any]:

@@ -5,9 +5,8 @@ boxes of 192 voxels a side over the same extent, for 32, 64, 96 and 128; `unifor
 as many triangles over the same extent. `--sheet FILE.png` shows the pictures of `error`.
 """
 
-import json
 import sys
-from argparse import ArgumentDefaultsHelpFormatter, Namespace
+from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,6 +20,7 @@ environment.ensure()
 
 import bpy
 import numpy as np
+import parts
 
 import command_line
 from contact_sheet import contact_sheet, write_png
@@ -28,6 +28,7 @@ from farfield.addon.bridge.cycles_renders import prepare_cycles
 from farfield.addon.bridge.temporary import TemporaryScene, temporary_scene
 from farfield.addon.bridge.terrain_objects import fill_mesh
 from farfield.addon.bridge.wiring import Wiring
+from farfield.addon.compat import give_nodes
 from farfield.addon.core.clipbox.grids import Grid
 from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.clipbox.surface import surface_of
@@ -53,27 +54,16 @@ VIEWERS = {  # where from, and against which direction
 
 def parser() -> command_line.Parser:
     """All arguments of the benchmark."""
-    made = command_line.Parser(
-        prog="clipbox_pictures.py", description=__doc__.split("\n")[0], formatter_class=ArgumentDefaultsHelpFormatter
-    )
-    made.add_argument("--only", nargs="+", choices=list(PARTS), default=list(PARTS), help="parts to measure")
+    made = parts.parser("clipbox_pictures.py", __doc__, PARTS)
     made.add_argument("--terrain", default="cascades", help="the terrain to measure on")
     made.add_argument("--viewers", nargs="+", choices=list(VIEWERS), default=list(VIEWERS), help="where to look from")
     made.add_argument("--sheet", type=Path, help="a PNG with the pictures of the first viewer, and where they are wrong")
-    made.add_argument("--report", type=Path, help="a JSON file for the figures")
     return made
 
 
 def main(arguments: list[str], _line: command_line.ProgressLine) -> None:
     """Measure; raises FarfieldError when the input is bad."""
-    given = parser().parse_args(arguments)
-    figures = {}
-    for part in given.only:
-        figures[part] = PARTS[part](given)
-        print(f"{part}: {json.dumps(figures[part])}", file=sys.stderr)
-    print(json.dumps(figures, indent=1))
-    if given.report is not None:
-        command_line.write_report(given.report.absolute(), figures)
+    parts.measure(parser().parse_args(arguments), PARTS)
 
 
 def error(given: Namespace) -> dict[str, Any]:
@@ -169,8 +159,7 @@ def taken(work: TemporaryScene, surface: Welded, shade: Any) -> np.ndarray:
     mesh = work.keep(bpy.data.meshes.new("Terrain"))
     fill_mesh(mesh, surface.vertices, surface.normals, surface.triangles)
     material = work.keep(bpy.data.materials.new("Terrain"))
-    if material.node_tree is None:
-        material.use_nodes = True
+    give_nodes(material)
     material.node_tree.nodes.clear()
     shade(Wiring(material.node_tree))
     mesh.materials.append(material)

@@ -8,7 +8,6 @@ Prints JSON. Parts (`--only`): `stretch` (of all meshes, and time; peers where a
 import json
 import sys
 import time
-from argparse import ArgumentDefaultsHelpFormatter
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ environment.ensure()
 
 import bpy
 import numpy as np
+import parts
 
 import command_line
 import scene_files
@@ -50,25 +50,16 @@ SIZES = 10_000, 30_000, 100_000, 300_000
 
 def parser() -> command_line.Parser:
     """All arguments of the benchmark."""
-    made = command_line.Parser(prog="unwrap.py", description=__doc__.split("\n")[0], formatter_class=ArgumentDefaultsHelpFormatter)
-    made.add_argument("--only", nargs="+", choices=list(PARTS), default=list(PARTS), help="parts to measure")
+    made = parts.parser("unwrap.py", __doc__, PARTS)
     made.add_argument("--models", nargs="+", choices=list(FILES), default=list(FILES), help="meshes")
     made.add_argument("--data", type=Path, default=environment.ROOT.parent / "shared" / "data", help="the folder of the meshes")
     made.add_argument("--repeats", type=int, default=1, help="runs of each, of which the fastest counts")
-    made.add_argument("--report", type=Path, help="a JSON file for the figures")
     return made
 
 
 def main(arguments: list[str], _line: command_line.ProgressLine) -> None:
     """Measure; raises FarfieldError when the input is bad."""
-    given = parser().parse_args(arguments)
-    figures = {}
-    for part in given.only:
-        figures[part] = PARTS[part](given)
-        print(f"{part}: {json.dumps(figures[part])}", file=sys.stderr)
-    print(json.dumps(figures, indent=1))
-    if given.report is not None:
-        command_line.write_report(given.report.absolute(), figures)
+    parts.measure(parser().parse_args(arguments), PARTS)
 
 
 def stretch(given) -> dict[str, Any]:

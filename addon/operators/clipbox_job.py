@@ -10,7 +10,7 @@ from ..bridge import terrain_objects
 from ..bridge.terrain_materials import Cover, terrain_material
 from ..bridge.terrain_objects import StandingTerrain
 from ..core.clipbox.settings import ClipboxSettings
-from ..core.clipbox.terrain import Terrain, Update, check_viewer
+from ..core.clipbox.terrain import NO_GROUND, Terrain, Update, check_viewer
 from ..core.errors import FileError, GeometryError
 from ..core.progress import Progress, Steps, scaled
 from . import clipbox_engines
@@ -42,7 +42,7 @@ class ClipboxJob:
         """
         settings = self.settings
         if not core_result.meshes:
-            raise GeometryError("There is no ground within the boxes; go nearer to it, or make the boxes more or larger.")
+            raise GeometryError(NO_GROUND)
         origin = self.standing.origin if self.standing is not None else terrain_objects.good_origin(self.viewer, settings)
         meshes = yield from scaled(terrain_objects.filled(core_result, origin, settings), 0.0, 0.99)
         yield Progress(0.99, "Showing")

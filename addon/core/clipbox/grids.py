@@ -26,3 +26,14 @@ class Grid:
         first, size = self.origin[0], self.shape[0]
         starts = range(0, size, count)
         return [Grid((first + at, *self.origin[1:]), (min(count, size - at), *self.shape[1:]), self.voxel) for at in starts]
+
+
+def blended(values: np.ndarray, below: np.ndarray, above: np.ndarray, weights: np.ndarray, axis: int) -> np.ndarray:
+    """Sums along one axis of what `values` hold at `below` and `above` (N,) times `weights` (2, N): each alike in every part."""
+    shape = [1] * values.ndim
+    shape[axis] = -1
+    first, second = values.take(below, axis), values.take(above, axis)
+    first *= weights[0].reshape(shape)
+    second *= weights[1].reshape(shape)
+    first += second
+    return first

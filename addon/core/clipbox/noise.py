@@ -11,7 +11,7 @@ from functools import cache
 
 import numpy as np
 
-from .grids import Grid
+from .grids import Grid, blended
 from .hashing import hashed_lattice
 
 DIRECTIONS = 256  # that gradients have
@@ -61,13 +61,7 @@ def _line(places: np.ndarray) -> _Line:
 
 def _swept(values: np.ndarray, line: _Line, axis: int, weights: np.ndarray) -> np.ndarray:
     """Sums over the lattice points of one axis: `values` has points along it, the result voxels."""
-    shape = [1, 1, 1]
-    shape[axis] = -1
-    below, above = values.take(line.first, axis), values.take(line.first + 1, axis)
-    below *= weights[0].reshape(shape)
-    above *= weights[1].reshape(shape)
-    below += above
-    return below
+    return blended(values, line.first, line.first + 1, weights, axis)
 
 
 def _last(across: np.ndarray, along: np.ndarray, line: _Line) -> np.ndarray:

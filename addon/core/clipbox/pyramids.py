@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .grids import blended
+
 PORTION = 1 << 22  # samples that are averaged at once
 
 
@@ -39,14 +41,7 @@ def line_among(places: np.ndarray, first: int, last: int) -> Line:
 
 def swept(values: np.ndarray, line: Line, axis: int) -> np.ndarray:
     """`values`, samples `line.start` to `line.stop` along `axis`, read at the line's places along it; same type, floating."""
-    shape = [1] * values.ndim
-    shape[axis] = -1
-    weights = line.weights.astype(values.dtype)
-    below, above = values.take(line.below, axis), values.take(line.above, axis)
-    below *= weights[0].reshape(shape)
-    above *= weights[1].reshape(shape)
-    below += above
-    return below
+    return blended(values, line.below, line.above, line.weights.astype(values.dtype), axis)
 
 
 def pyramid(values: np.ndarray, outside: float | None) -> list[np.ndarray]:

@@ -7,8 +7,7 @@ from queue import SimpleQueue
 import numpy as np
 
 from ..errors import GeometryError
-from ..mesh import TriangleMesh
-from ..parallel import mapped
+from ..parallel import mapped, slices
 from ..progress import Progress, StageClock, Steps, scaled
 from .blocks import BlockMesh, Place, block_meshes, signatures
 from .layout import blocks_of, layout_about, same_layout
@@ -20,6 +19,7 @@ BLOCK = 32  # voxels a side: smaller ones cost more to begin than to fill
 BATCH = 32  # blocks that are worked on at once
 VOXELS_SHARE = 0.5  # of the bar
 FARTHEST = 2.0**46  # voxels from the origin: beyond, double precision tells voxels no longer well apart
+NO_GROUND = "There is no ground within the boxes; go nearer to it, or make the boxes more or larger."
 
 Key = tuple[int, Place]
 
@@ -138,7 +138,7 @@ def _batches(keys: list[Key]) -> list[tuple[int, list[Place]]]:
     levels: dict[int, list[Place]] = {}
     for level, block in keys:
         levels.setdefault(level, []).append(block)
-    return [(level, blocks[start : start + BATCH]) for level, blocks in levels.items() for start in range(0, len(blocks), BATCH)]
+    return [(level, blocks[rows]) for level, blocks in levels.items() for rows in slices(len(blocks), BATCH)]
 
 
 @dataclass(frozen=True)
@@ -150,11 +150,6 @@ class Welded:
     normals: np.ndarray | None
     triangles: np.ndarray
 
-    @property
-    def mesh(self) -> TriangleMesh:
-        """Without normals."""
-        return TriangleMesh(self.vertices, self.triangles)
-
 
 def welded(meshes: list[BlockMesh]) -> Welded:
     """The union of blocks, joined by which corner and ring their vertices belong to.
@@ -163,7 +158,7 @@ def welded(meshes: list[BlockMesh]) -> Welded:
         GeometryError: when there is no surface.
     """
     if not meshes:
-        raise GeometryError("There is no ground within the boxes; go nearer to it, or make the boxes more or larger.")
+        raise GeometryError(NO_GROUND)
     corners = np.concatenate([mesh.corners for mesh in meshes])
     spans = np.ptp(corners, axis=0).astype(np.int64) + 1
     places = corners - corners.min(axis=0)

@@ -16,6 +16,7 @@ from .grids import Grid
 from .noise import fractal
 from .repair import MARGIN, repaired
 from .spheres import SphereField, carved, spheres_touching
+from .surface import bits_of
 
 if TYPE_CHECKING:
     from .settings import ClipboxSettings
@@ -55,10 +56,10 @@ class Sampler:
             GeometryError: as `densities`.
         """
         if not repair:
-            is_set = self.densities(grid).view(np.int16) > 0
+            is_set = bits_of(self.densities(grid))
         else:
             origin, shape = (tuple(side + more for side in each) for each, more in ((grid.origin, -MARGIN), (grid.shape, 2 * MARGIN)))
-            is_set = repaired(self.densities(Grid(origin, shape, grid.voxel)).view(np.int16) > 0)
+            is_set = repaired(bits_of(self.densities(Grid(origin, shape, grid.voxel))))
         return np.where(is_set, np.int8(1), np.int8(-1))
 
     def densities(self, grid: Grid) -> np.ndarray:
