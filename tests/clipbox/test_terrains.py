@@ -10,7 +10,7 @@ from farfield.addon.core.clipbox.formulas import Formula
 from farfield.addon.core.clipbox.grids import Grid
 from farfield.addon.core.clipbox.hashing import fractions, hashed_lattice
 from farfield.addon.core.clipbox.settings import ClipboxSettings
-from farfield.addon.core.clipbox.spheres import AROUND, SphereField, Spheres, carved, spheres_touching
+from farfield.addon.core.clipbox.spheres import AROUND, FAR, SphereField, Spheres, carved, spheres_touching
 from farfield.addon.core.errors import GeometryError, SettingsError
 
 WITHOUT_FILES = [name for name in terrains.NAMES if name not in ("heights", "volume")]
@@ -110,6 +110,24 @@ class TestSpheres:
         x, y, z = grid.axes()
         distance = np.sqrt(x**2 + y**2 + z**2)
         assert np.array_equal(solid, (distance < 3.0) | ((distance >= 6.0) & (distance < 9.0)))
+
+    @settings(max_examples=40)
+    @given(st.integers(0, 2**31), st.tuples(*[st.integers(1, 24)] * 3), st.integers(1, 80), st.sampled_from([3.0, 9.0]))
+    def test_many_count_as_one_after_the_other(self, seed, shape, count, largest):
+        random = np.random.default_rng(seed)
+        grid = Grid((-6, 2, -4), shape, 0.75)
+        centres, radii = random.uniform(-9.0, 15.0, (count, 3)), random.uniform(0.2, 1.0, count) * largest
+        taken = np.repeat(random.random(-(-count // 7)) < 0.5, 7)[:count]
+        expected = np.full(shape, -FAR)
+        for centre, radius, takes in zip(centres, radii, taken, strict=True):
+            away = [along - c for along, c in zip(grid.axes(), centre, strict=True)]
+            value = (radius**2 - sum(each**2 for each in away)) / (2.0 * radius)
+            reached = np.ones(shape, bool)
+            for each in away:
+                reached = reached & (np.abs(each) <= radius + AROUND * grid.voxel)
+            joined = np.minimum(expected, -value) if takes else np.maximum(expected, value)
+            expected = np.where(reached, joined, expected)
+        assert np.allclose(carved(grid, Spheres(centres, radii, taken)), expected, atol=1e-4)
 
     @settings(max_examples=30)
     @given(st.integers(-30, 30), st.integers(-30, 30), st.integers(-30, 30))
