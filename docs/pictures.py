@@ -2,8 +2,8 @@
 
 tree: the demo's tree beside its cloud. levels: all its levels, their quads, and how each looks from its own distance. head: a closed
 surface with a material of nodes, which needs no demo. unwrap: that surface with a checker on three UV maps, which needs none either. wood:
-hundreds of trees, each as the level that its distance asks for. landscape, walk: terrain in nested boxes, and twelve frames of a
-walk through its caves, which need no demo. relighting, forest: what the demo left beside its scene, as it is.
+hundreds of trees, each as the level that its distance asks for. landscape, copses, walk: mountains in nested boxes, trees of voxels in
+them, and twelve frames of a walk through caves, which need no demo. relighting, forest: what the demo left beside its scene, as it is.
 """
 
 import shutil
@@ -156,9 +156,15 @@ def wood(scene: Path, path: Path, samples: int) -> None:
 
 
 def landscape(_scene: Path, path: Path, samples: int) -> None:
-    """Terrain in nested boxes."""
+    """Mountains in nested boxes."""
     with whole_file(path) as temporary:
         terrain.landscape(temporary, LANDSCAPE_WIDTH, samples)
+
+
+def copses(_scene: Path, path: Path, samples: int) -> None:
+    """Copies of a tree of voxels in nested boxes."""
+    with whole_file(path) as temporary:
+        terrain.copses(temporary, LANDSCAPE_WIDTH, samples)
 
 
 def walk(_scene: Path, path: Path, samples: int) -> None:
@@ -198,6 +204,7 @@ PICTURES = {
     "unwrap": unwrap,
     "wood": wood,
     "landscape": landscape,
+    "copses": copses,
     "walk": walk,
     "relighting": left_by_demo,
     "forest": left_by_demo,

@@ -1,6 +1,7 @@
-"""A walk through caves in nested boxes: a path is found by looking at voxels, and frames are rendered along it."""
+"""Views over terrain in nested boxes, and a walk through caves: a path is found by looking at voxels, and frames are rendered along it."""
 
 import sys
+import tempfile
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "scripts"))
@@ -14,6 +15,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation, distance_transform_edt, gaussian_filter1d, label
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
+from voxel_tree import write_tree
 
 from farfield.addon.core.clipbox.grids import Grid
 from farfield.addon.core.clipbox.settings import ClipboxSettings
@@ -87,10 +89,25 @@ def walk(frames: int, width: int, samples: int, folder: Path) -> list[Path]:
 
 
 def landscape(path: Path, width: int, samples: int) -> None:
-    """One view over the terrain."""
-    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    place, target = np.array([-40.0, -260.0, 75.0]), np.array([120.0, 120.0, -10.0])
+    """One view over mountains."""
     settings = ClipboxSettings(terrain="cascades", resolution=192, boxes=7, voxel=0.5)
+    _view(path, width, samples, settings, np.array([-40.0, -260.0, 75.0]), np.array([120.0, 120.0, -10.0]))
+
+
+def copses(path: Path, width: int, samples: int) -> None:
+    """One view over hills with trees of voxels."""
+    with tempfile.TemporaryDirectory() as folder:
+        tree = Path(folder) / "tree.npy"
+        write_tree(tree, seed=3)
+        settings = ClipboxSettings(
+            terrain="forest", source=str(tree), source_size=40.0, forest_hills=30.0, resolution=192, boxes=7, voxel=0.5, seed=1
+        )
+        _view(path, width, samples, settings, np.array([0.0, 0.0, 80.0]), np.array([300.0, 160.0, 0.0]))
+
+
+def _view(path: Path, width: int, samples: int, settings: ClipboxSettings, place: np.ndarray, target: np.ndarray) -> None:
+    """A render of terrain from `place` (3,) towards `target` (3,)."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     finish(whole(clipbox_job.prepare(settings, place)))
     camera, lamp = _set_up(width, samples)
     lamp.data.energy = 0.0

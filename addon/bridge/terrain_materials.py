@@ -25,6 +25,7 @@ DEFAULTS = {
     "Rock": (0.17, 0.14, 0.115, 1.0), "Grass": (0.075, 0.11, 0.03, 1.0), "Sand": (0.36, 0.27, 0.16, 1.0), "Snow": (0.8, 0.83, 0.88, 1.0),
     "Steep": 0.72,
 }  # fmt: skip
+WOODED = {"Rock": (0.045, 0.075, 0.018, 1.0), "Snow": (0.06, 0.09, 0.025, 1.0), "Sand": (0.12, 0.105, 0.05, 1.0)}  # leaves are steep
 
 
 @dataclass(frozen=True)
@@ -37,10 +38,12 @@ class Cover:
     origin: np.ndarray
 
 
-def terrain_material(name: str, root: bpy.types.Object, low: float, high: float, cover: Cover | None = None) -> bpy.types.Material:
+def terrain_material(
+    name: str, root: bpy.types.Object, low: float, high: float, cover: Cover | None = None, wooded: bool = False
+) -> bpy.types.Material:
     """A material for terrain under `root`, most of which lies between the heights `low` and `high`, scene units from the root.
 
-    Every colour and height is an input of its group; a `cover` is the colour of all ground.
+    Every colour and height is an input of its group; a `cover` is the colour of all ground. Where it is `wooded`, steep is green.
 
     Raises:
         FileError: when the cover cannot be read.
@@ -58,7 +61,7 @@ def terrain_material(name: str, root: bpy.types.Object, low: float, high: float,
     )
     wiring.connect(scaled, grain.inputs["Vector"])
     group = wiring.node("ShaderNodeGroup", {"node_tree": _group(), "width": 200.0})
-    for socket, value in DEFAULTS.items():
+    for socket, value in (DEFAULTS | (WOODED if wooded else {})).items():
         group.inputs[socket].default_value = value
     group.inputs["Size"].default_value = size
     group.inputs["Snow Height"].default_value, group.inputs["Sand Height"].default_value = high + 0.3 * size, low

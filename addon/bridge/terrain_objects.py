@@ -20,7 +20,6 @@ from ..core.progress import Progress, Steps
 
 SETTINGS, ORIGIN, VIEWER, BLOCK = "farfield_clipbox", "farfield_clipbox_origin", "farfield_clipbox_viewer", "farfield_clipbox_block"
 SPARE = "farfield_clipbox_spare"  # of meshes that the next change may fill
-NEAR = 1.0e5  # voxels: so near to the origin of the scene, single precision holds vertices well
 
 
 @dataclass(frozen=True)
@@ -112,12 +111,6 @@ def choose(view_layer: bpy.types.ViewLayer, standing: StandingTerrain) -> None:
 def keep_settings(root: bpy.types.Object, settings: ClipboxSettings) -> None:
     """Let the root know the settings."""
     root[SETTINGS] = json.dumps(asdict(settings))
-
-
-def good_origin(viewer: np.ndarray, settings: ClipboxSettings) -> np.ndarray:
-    """The place of the terrain (3,) that should lie at the root: its own origin, but along the axes along which the viewer is far away."""
-    unit = settings.voxel * 2 ** (settings.boxes - 1)
-    return np.where(np.abs(viewer) > NEAR * settings.voxel, np.rint(viewer / unit) * unit, 0.0)
 
 
 def block_name(key: Key) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from ..bridge import terrain_objects
 from ..bridge.terrain_objects import StandingTerrain, terrain_at
 from ..core.clipbox.freezing import Frozen, freeze
-from ..core.clipbox.settings import ClipboxSettings, FreezeSettings
+from ..core.clipbox.settings import FreezeSettings
 from ..core.clipbox.terrain import Terrain
 from ..core.errors import GeometryError
 from ..core.progress import Progress, Steps
@@ -23,7 +23,6 @@ class FreezeJob:
 
     standing: StandingTerrain
     engine: Terrain
-    settings: ClipboxSettings
     viewer: np.ndarray
     chosen: FreezeSettings
     made: tuple[str, ...] = ()
@@ -64,10 +63,17 @@ class FARFIELD_OT_clipbox_freeze(long_work.LongWork, bpy.types.Operator):
     def prepare(self, context: bpy.types.Context) -> FreezeJob:
         """Take the terrain that is active."""
         properties.fill_unset(FreezeSettings, self, context.scene.farfield_clipbox_freeze)
-        chosen, standing = properties.read(FreezeSettings, self), terrain_at(context.active_object)
-        settings = standing.settings
-        engine = clipbox_engines.new_engine(settings, chosen.closed)
-        return FreezeJob(standing, engine, settings, standing.viewer, chosen)
+        return prepare(terrain_at(context.active_object), properties.read(FreezeSettings, self))
+
+
+def prepare(standing: StandingTerrain, chosen: FreezeSettings) -> FreezeJob:
+    """The job that freezes a terrain as it lies now.
+
+    Raises:
+        SettingsError, FileError: when its settings, its formula or its file cannot be read.
+    """
+    engine = clipbox_engines.new_engine(standing.settings, chosen.closed)
+    return FreezeJob(standing, engine, standing.viewer, chosen)
 
 
 class FARFIELD_PG_clipbox_freeze(bpy.types.PropertyGroup):

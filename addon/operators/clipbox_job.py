@@ -9,6 +9,7 @@ import numpy as np
 from ..bridge import terrain_objects
 from ..bridge.terrain_materials import Cover, terrain_material
 from ..bridge.terrain_objects import StandingTerrain
+from ..core.clipbox.layout import good_origin
 from ..core.clipbox.settings import ClipboxSettings
 from ..core.clipbox.terrain import NO_GROUND, Terrain, Update, check_viewer
 from ..core.errors import FileError, GeometryError
@@ -43,7 +44,7 @@ class ClipboxJob:
         settings = self.settings
         if not core_result.meshes:
             raise GeometryError(NO_GROUND)
-        origin = self.standing.origin if self.standing is not None else terrain_objects.good_origin(self.viewer, settings)
+        origin = self.standing.origin if self.standing is not None else good_origin(self.viewer, settings)
         meshes = yield from scaled(terrain_objects.filled(core_result, origin, settings), 0.0, 0.99)
         yield Progress(0.99, "Showing")
         cover = cover_of(settings, origin)
@@ -53,7 +54,9 @@ class ClipboxJob:
         elif self.standing.root is None:
             raise GeometryError(f'The terrain "{self.standing.name}" was removed meanwhile.')
         terrain_objects.keep_settings(self.standing.root, settings)
-        material = self.standing.material or terrain_material(self.standing.name, self.standing.root, *heights(core_result, origin), cover)
+        material = self.standing.material or terrain_material(
+            self.standing.name, self.standing.root, *heights(core_result, origin), cover, wooded=settings.terrain == "forest"
+        )
         terrain_objects.put_in_place(self.standing, meshes, core_result, material)
         clipbox_engines.keep(self.standing, self.engine)
         self.update = core_result

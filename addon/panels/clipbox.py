@@ -12,10 +12,12 @@ SPHERES = [item.name for item in describe(ClipboxSettings) if item.name.startswi
 ROWS = [item.name for item in describe(ClipboxSettings)]
 OF_TERRAIN = dict.fromkeys(SPHERES, ("spheres",)) | {
     "formula": ("formula",),
-    "source": ("heights", "volume"),
-    "source_size": ("heights", "volume"),
+    "source": ("heights", "volume", "forest"),
+    "source_size": ("heights", "volume", "forest"),
     "source_height": ("heights",),
     "source_color": ("heights",),
+    "forest_spacing": ("forest",),
+    "forest_hills": ("forest",),
 }
 
 

@@ -64,6 +64,28 @@ def test_an_obj_is_the_same(folder):
     assert len(mesh.polygons) == len(triangles) and np.allclose([vertex.co for vertex in mesh.vertices], vertices, atol=1e-4)
 
 
+def test_far_away_an_obj_counts_from_a_place_near_by(folder):
+    far = (-3e7, 2e6, 9.0)
+    for ending in ("ply", "obj"):
+        run("--terrain", "sine", f"--at={','.join(map(str, far))}", "--out", folder / f"ground.{ending}")
+    word, *numbers = (folder / "ground.obj").read_text(encoding="ascii").partition("\n")[0].removeprefix("# ").split()
+    origin = np.array(numbers, float)
+    assert word == "origin" and np.abs(origin - far).max() <= 9.0
+    bpy.ops.wm.obj_import(filepath=str(folder / "ground.obj"), forward_axis="Y", up_axis="Z")
+    vertices, _ = read_ply(folder / "ground.ply")
+    assert np.allclose([vertex.co for vertex in bpy.context.object.data.vertices], vertices - origin, atol=1e-4)
+
+
+def test_a_blend_may_hold_plain_meshes_instead(folder):
+    run("--freeze", "--per-box", "--collider-share", "20%", "--at", "10,0,20", "--out", folder / "plain.blend")
+    bpy.ops.wm.open_mainfile(filepath=str(folder / "plain.blend"))
+    assert not terrain_objects.standing_terrains(bpy.context.scene)
+    parts = {item.name: len(item.data.polygons) for item in bpy.data.collections["Frozen Terrain"].objects}
+    assert set(parts) == {"Box 1", "Box 2", "Box 3", "Collider"}
+    whole = sum(count for name, count in parts.items() if name != "Collider")
+    assert 0.1 < parts["Collider"] / whole < 0.3
+
+
 def test_a_blend_holds_a_terrain_that_can_go_on(folder):
     out = folder / "ground.blend"
     run("--terrain", "cascades", "--seed", "4", "--at", "10,0,20", "--out", out)
@@ -104,6 +126,9 @@ def test_a_path_is_followed_and_ends_where_a_build_from_scratch_does(folder):
         (("--out", "ground.ply", "--formula", "-1"), GeometryError, "no ground"),
         (("--out", "ground.blend", "--formula", "1"), GeometryError, "no ground"),
         (("--out", "ground.ply", "--path", "nowhere.csv"), FileError, "cannot be read"),
+        (("--out", "ground.ply", "--freeze"), FileError, "only be written to a .blend"),
+        (("--out", "ground.blend", "--per-box"), SettingsError, "give --freeze"),
+        (("--out", "ground.blend", "--freeze", "--collider-share", "0"), SettingsError, "--collider-share"),
     ],
 )
 def test_bad_input_is_one_sentence(folder, monkeypatch, arguments, error, sentence):

@@ -262,7 +262,7 @@ class TestVolume:
         assert (upwards > 0).sum() == pytest.approx(40, abs=1)
 
 
-def terrains_of_both(folder: Path) -> dict[str, ClipboxSettings]:
+def terrains_of_files(folder: Path) -> dict[str, ClipboxSettings]:
     np.save(folder / "hills.npy", np.random.default_rng(5).random((90, 70)) * 9.0)
     block = write_block(folder / "block.raw", ball((33, 21, 27), 9.0))
     np.save(folder / "real.npy", np.random.default_rng(6).normal(size=(33, 21, 27)))
@@ -270,13 +270,14 @@ def terrains_of_both(folder: Path) -> dict[str, ClipboxSettings]:
         "heights": ClipboxSettings(terrain="heights", source=str(folder / "hills.npy"), source_size=70.0),
         "bytes": ClipboxSettings(terrain="volume", source=str(block), source_size=50.0),
         "reals": ClipboxSettings(terrain="volume", source=str(folder / "real.npy"), source_size=50.0, scale=1.3),
+        "forest": ClipboxSettings(terrain="forest", source=str(block), source_size=25.0, forest_hills=6.0),
     }
 
 
 @pytest.mark.parametrize("voxel", [0.3, 1.0, 3.7, 16.0])
-@pytest.mark.parametrize("name", ["heights", "bytes", "reals"])
+@pytest.mark.parametrize("name", ["heights", "bytes", "reals", "forest"])
 def test_a_voxel_does_not_know_the_grid_that_it_is_part_of(tmp_path, name, voxel):
-    function = terrain_of(terrains_of_both(tmp_path)[name]).function
+    function = terrain_of(terrains_of_files(tmp_path)[name]).function
     whole = function(Grid((-17, -20, -6), (40, 37, 33), voxel))
     generator = np.random.default_rng(7)
     for _ in range(20):
@@ -288,9 +289,9 @@ def test_a_voxel_does_not_know_the_grid_that_it_is_part_of(tmp_path, name, voxel
         assert part.dtype == np.float32
 
 
-def test_both_are_among_the_terrains_that_settings_offer():
+def test_all_are_among_the_terrains_that_settings_offer():
     choices = next(field.metadata["choices"] for field in dataclasses.fields(ClipboxSettings) if field.name == "terrain")
-    assert {"heights", "volume"} <= set(choices)
+    assert {"heights", "volume", "forest"} <= set(choices)
 
 
 class TestRefusals:

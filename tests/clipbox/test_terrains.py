@@ -13,7 +13,7 @@ from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.clipbox.spheres import AROUND, FAR, SphereField, Spheres, carved, spheres_touching
 from farfield.addon.core.errors import GeometryError, SettingsError
 
-WITHOUT_FILES = [name for name in terrains.NAMES if name not in ("heights", "volume")]
+WITHOUT_FILES = [name for name in terrains.NAMES if name not in ("heights", "volume", "forest")]
 FIELD = SphereField(largest=12.0, classes=3, count=3, taken=0.4, height=20.0, seed=5)
 
 

@@ -35,7 +35,7 @@ def main() -> None:
         seen["tabs"].append(sorted(tab(classes())))
         if turn == 1:
             bpy.ops.mesh.primitive_cube_add()
-            bpy.ops.farfield.billboards_build(samples=1, levels=1)
+            bpy.ops.farfield.billboards_build(error=10.0, samples=1, levels=1)
             seen["clouds"] = sum(item.get("farfield_kind") == "cloud" for item in bpy.data.objects)
             bpy.ops.farfield.btf_bake(views=4, lights=4, samples=1, components=1, alpha_components=1, shadows=16, executor="processes:2")
             seen["baked"] = [item.data.materials[0].name for item in bpy.data.objects if item.get("farfield_kind") == "cloud"]

@@ -25,10 +25,11 @@ def write_ply(path: Path, surface: Welded) -> None:
         file.write(faces.tobytes())
 
 
-def write_obj(path: Path, surface: Welded) -> None:
-    """Write an .obj, Z up as in the terrain."""
+def write_obj(path: Path, surface: Welded, origin: np.ndarray) -> None:
+    """Write an .obj, Z up as in the terrain, with coordinates from the place `origin` (3,) on: who reads it has single precision."""
     with path.open("w", encoding="ascii", newline="\n") as file:
-        for word, rows in (("v", surface.vertices), ("vn", surface.normals)):
+        file.write(f"# origin {' '.join(repr(each) for each in origin.tolist())}\n")
+        for word, rows in (("v", surface.vertices - origin), ("vn", surface.normals)):
             for start in range(0, len(rows), CHUNK):
                 file.writelines(f"{word} {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in rows[start : start + CHUNK].tolist())
         for start in range(0, len(surface.triangles), CHUNK):

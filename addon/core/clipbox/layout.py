@@ -13,6 +13,7 @@ import numpy as np
 from .settings import ClipboxSettings
 
 GRAIN = 4  # voxels that what a level shows grows or shrinks by
+NEAR = 1.0e5  # voxels: so near to the origin, single precision holds vertices well
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,13 @@ def layout_about(viewer: np.ndarray, settings: ClipboxSettings) -> Layout:
 def same_layout(one: Layout, other: Layout) -> bool:
     """Whether all boxes of two layouts lie at the same place."""
     return all(np.array_equal(first, second) for first, second in zip(one.origins, other.origins, strict=True))
+
+
+def good_origin(viewer: np.ndarray, settings: ClipboxSettings) -> np.ndarray:
+    """The place of the terrain (3,) float64, scene units, from which single precision should count about a viewer at (3,): its own origin,
+    but along the axes along which the viewer is far away."""
+    unit = settings.voxel * 2 ** (settings.boxes - 1)
+    return np.where(np.abs(viewer) > NEAR * settings.voxel, np.rint(viewer / unit) * unit, 0.0)
 
 
 def blocks_of(layout: Layout, level: int, side: int) -> list[tuple[int, int, int]]:

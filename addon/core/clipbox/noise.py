@@ -1,4 +1,4 @@
-"""Gradient noise on regular grids, and sums of it over octaves.
+"""Gradient noise on regular grids and sums of it over octaves; value noise in the plane.
 
 On a grid, the weights of the eight gradients about a point are products of three numbers that belong to one axis each. So the sums run
 over one axis after the other: over the few lattice lines along z and y first, and only the last one over all voxels. Every value is worked
@@ -12,7 +12,7 @@ from functools import cache
 import numpy as np
 
 from .grids import Grid, blended
-from .hashing import hashed_lattice
+from .hashing import fractions, hashed_lattice
 
 DIRECTIONS = 256  # that gradients have
 FINEST = 4.0  # voxels: shorter waves than this cannot be shown; they stand with their mean
@@ -47,13 +47,11 @@ def gradient_noise(grid: Grid, wavelength: float, seed: int, squash: float = 1.0
 
 def _line(places: np.ndarray) -> _Line:
     """The weights of lattice points for rising `places` (N,), in units of the lattice."""
-    below = np.floor(places)
-    first = below.astype(np.int64)
+    first, fade = _among(places)
     points = np.arange(first[0], first[-1] + 2)
     if len(points) > 2 * len(places):  # voxels that pass over lattice points
         points = np.union1d(first, first + 1)
-    part = places - below
-    fade = part**3 * (part * (part * 6.0 - 15.0) + 10.0)
+    part = places - first
     weights = np.stack([1.0 - fade, fade])
     slopes = weights * np.stack([part, part - 1.0])
     return _Line(points, np.searchsorted(points, first), weights.astype(np.float32), slopes.astype(np.float32))
@@ -89,6 +87,21 @@ def _gradients() -> np.ndarray:
     radius = np.sqrt(1.0 - height**2)
     spread = STEEPNESS * np.stack([radius * np.cos(turn), radius * np.sin(turn), height]).astype(np.float32)
     return spread[:, np.random.default_rng(2002).permutation(DIRECTIONS)]
+
+
+def value_noise(x: np.ndarray, y: np.ndarray, seed: int) -> np.ndarray:
+    """Smooth noise from -1 to 1, float64, at places whose shapes broadcast, in units of the lattice; its points have random values."""
+    (left, across), (below, up) = (_among(each) for each in (x, y))
+    corners = [[2.0 * fractions(hashed_lattice(left + i, below + j, np.int64(0), seed), 0) - 1.0 for j in (0, 1)] for i in (0, 1)]
+    near, far = (first + (second - first) * up for first, second in corners)
+    return near + (far - near) * across
+
+
+def _among(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The lattice points below places, and how far each is towards the next, smoothed so that slopes have no kinks."""
+    below = np.floor(places)
+    part = places - below
+    return below.astype(np.int64), part**3 * (part * (part * 6.0 - 15.0) + 10.0)
 
 
 def fractal(

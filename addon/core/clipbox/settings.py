@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from ..errors import SettingsError
 from ..settings import Settings, Unit, setting
-from . import heights, voxels  # noqa: F401 - their terrains join the others when they are imported
+from . import forest, heights, voxels  # noqa: F401 - their terrains join the others when they are imported
 from .terrains import NAMES
 
 LEAST_PART = 8  # of a box: a threshold beyond this part of its side would let it leave the next one
@@ -22,12 +22,18 @@ class ClipboxSettings(Settings):
     formula: str = setting(
         "30*sin(x/40)*sin(y/40) - z", "For the terrain formula: a function of x, y and z in scene units, solid where it is above 0"
     )
-    source: str = setting("", "For the terrains heights and volume: the file they come from")
-    source_size: float = setting(1000.0, "How far the longest side of the file reaches", minimum=1e-3, maximum=1e7, unit=Unit.LENGTH)
+    source: str = setting("", "For the terrains heights, volume and forest: the file they come from")
+    source_size: float = setting(
+        1000.0, "How far the longest side of the file reaches; of the largest copy in a forest", minimum=1e-3, maximum=1e7, unit=Unit.LENGTH
+    )
     source_height: float = setting(
         100.0, "How high white is above black where a picture gives the heights", minimum=0.0, maximum=1e6, unit=Unit.LENGTH
     )
     source_color: str = setting("", "For the terrain heights: a picture of the ground from above, of the same extent as the file")
+    forest_spacing: float = setting(
+        0.8, "For the terrain forest: how far apart copies stand, in sizes of the largest", minimum=0.25, maximum=100.0
+    )
+    forest_hills: float = setting(15.0, "How far the ground under them rises and falls", minimum=0.0, maximum=1e5, unit=Unit.LENGTH)
     sphere_radius: float = setting(
         120.0, "For the terrain spheres: radius of the largest; each class has half of the last", minimum=0.1, maximum=1e5, unit=Unit.LENGTH
     )

@@ -6,13 +6,13 @@ solid. The ground begins in the middle between the smallest and the largest valu
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import FileError
 from . import terrains
-from .grids import Grid
 from .pyramids import Line, level_for, line_among, pyramid, swept
 from .samples import Voxels, is_number
 from .sources import source_of
@@ -21,14 +21,18 @@ if TYPE_CHECKING:
     from .settings import ClipboxSettings
 
 LEAST_STEP = 1e-30  # between values, or single precision ends
+LEAST_CONTRAST = 0.05  # of the difference between the surface and what is around, below which a surface is lost in it
 LAYERS_LOOKED_AT = 32  # along each axis, for the slope
 SEEN_ALONG_AXES = 2.0 / 3.0  # of the slope, the mean over surfaces that face all ways alike
 
 
 @dataclass(frozen=True)
-class _Block:
-    """levels: the voxels and their averages, (X, Y, Z). sides: (3,) of a voxel of the first, scene units. threshold: the value of the
-    surface. outside: the value around. factor: scene units of distance that a step of one in value stands for."""
+class VoxelBlock:
+    """The voxels of a file in scene units, centred on x = y = 0 and standing on z = 0.
+
+    levels: the voxels and their averages, (X, Y, Z). sides: (3,) of a voxel of the first. threshold: the value of the surface. outside:
+    the value around. factor: the distance that a step of one in value stands for.
+    """
 
     levels: list[np.ndarray]
     sides: np.ndarray
@@ -36,9 +40,63 @@ class _Block:
     outside: float
     factor: float
 
+    @property
+    def extent(self) -> np.ndarray:
+        """How far it reaches along each axis, (3,)."""
+        return self.sides * self.levels[0].shape
+
+    @cached_property
+    def thresholds(self) -> list[float]:
+        """The values of the surface at each level: lower where less would be seen of it along the axes than of the first."""
+        seen, found = int((_largest_along_axes(self.levels[0]) > self.threshold).sum()), [self.threshold]
+        least = self.outside + LEAST_CONTRAST * (self.threshold - self.outside)
+        for number, level in enumerate(self.levels[1:], 1):
+            values = np.sort(_largest_along_axes(level))
+            last = values[-max(round(seen / 4.0**number), 1)]  # of those that are to be seen
+            below = values[: np.searchsorted(values, last)]
+            between = 0.5 * float(last + below[-1]) if len(below) else self.threshold
+            found.append(min(max(between, least), self.threshold))
+        return found
+
+    @cached_property
+    def canopy(self) -> float:
+        """The volume below what is seen of it from above, cubic scene units."""
+        solid = self.levels[0] > self.threshold
+        tops = np.where(solid.any(axis=2), solid.shape[2] - solid[:, :, ::-1].argmax(axis=2), 0)
+        return float(tops.sum() * self.sides.prod())
+
+    def densities(self, places: tuple[np.ndarray, np.ndarray, np.ndarray], voxel: float) -> np.ndarray:
+        """How far values exceed the threshold, as about the distance to the surface: (X, Y, Z) float32, trilinear between voxels.
+
+        places: coordinates along each axis, in any order. voxel: the distance of those that are asked for: fine voxels are averaged to it.
+        """
+        number = level_for(voxel, math.prod(self.sides.tolist()) ** (1.0 / 3.0), len(self.levels))
+        level = self.levels[number]
+        starts = (self.levels[0].shape[0] / 2.0, self.levels[0].shape[1] / 2.0, 0.0)
+        lines = tuple(
+            line_among((along / side + start) / 2.0**number, -1, count)
+            for along, side, start, count in zip(places, self.sides, starts, level.shape, strict=True)
+        )
+        made = _with_outside(level, lines, self.outside)
+        made -= np.float32(self.thresholds[number])
+        made *= np.float32(self.factor)
+        for axis in (2, 1, 0):
+            made = swept(made, lines[axis], axis)
+        return made
+
 
 def volume(settings: "ClipboxSettings") -> terrains.Densities:
-    """How far values exceed the threshold, as about the distance to the surface in scene units; trilinear between voxels.
+    """The block of a file, once.
+
+    Raises:
+        SettingsError, FileError: when there is no file, or none that gives voxels.
+    """
+    block = block_of(settings)
+    return lambda grid: block.densities(tuple(grid.axis(axis) for axis in range(3)), grid.voxel)
+
+
+def block_of(settings: "ClipboxSettings") -> VoxelBlock:
+    """The voxels of the file that `settings` name.
 
     Raises:
         SettingsError, FileError: when there is no file, or none that gives voxels.
@@ -46,27 +104,6 @@ def volume(settings: "ClipboxSettings") -> terrains.Densities:
     source = source_of(settings)
     if not isinstance(source, Voxels):
         raise FileError(f'"{settings.source}" holds heights, not voxels; choose the terrain "heights" for it.')
-    block = _block(source, settings)
-    size = math.prod(block.sides.tolist()) ** (1.0 / 3.0)
-
-    def densities(grid: Grid) -> np.ndarray:
-        number = level_for(grid.voxel, size, len(block.levels))
-        level = block.levels[number]
-        starts = (block.levels[0].shape[0] / 2.0, block.levels[0].shape[1] / 2.0, 0.0)
-        lines = tuple(
-            line_among((grid.axis(axis) / block.sides[axis] + starts[axis]) / 2.0**number, -1, level.shape[axis]) for axis in range(3)
-        )
-        made = _with_outside(level, lines, block.outside)
-        made -= np.float32(block.threshold)
-        made *= np.float32(block.factor)
-        for axis in (2, 1, 0):
-            made = swept(made, lines[axis], axis)
-        return made
-
-    return densities
-
-
-def _block(source: Voxels, settings: "ClipboxSettings") -> _Block:
     values = np.ascontiguousarray(source.values)
     if values.dtype.kind == "f" and not (known := is_number(values)).all():
         if not known.any():
@@ -85,7 +122,12 @@ def _block(source: Voxels, settings: "ClipboxSettings") -> _Block:
     spacing = np.array(source.spacing)
     sides = spacing * (settings.source_size * settings.scale / (spacing * values.shape).max())
     factor = SEEN_ALONG_AXES / _slope_along_axes(values, sides, threshold, high - low)
-    return _Block(pyramid(values, outside), sides, threshold, outside, factor)
+    return VoxelBlock(pyramid(values, outside), sides, threshold, outside, factor)
+
+
+def _largest_along_axes(values: np.ndarray) -> np.ndarray:
+    """The largest values along each line of voxels, lines along all three axes after each other."""
+    return np.concatenate([values.max(axis=axis).ravel() for axis in range(3)])
 
 
 def _slope_along_axes(values: np.ndarray, sides: np.ndarray, threshold: float, span: float) -> float:
