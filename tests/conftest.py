@@ -1,6 +1,7 @@
 """Fixtures of all tests, the order in which tests run, and the list of what was left out."""
 
 import os
+import re
 import shutil
 import tempfile
 from collections import Counter
@@ -10,6 +11,8 @@ import hypothesis
 import pytest
 
 import environment
+
+BEYOND_CORE = re.compile(r"\b(bpy|empty_scene|environment|extension|gui|scheduler|subprocess)\b")
 
 # Before anything imports bpy: tests neither read nor change the settings of the Blender on this machine, and those that run side by side
 # have temporary folders of their own.
@@ -55,7 +58,11 @@ def scheduler(tmp_path) -> Iterator:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Fast tests first: who runs the suite sees what is broken soon. Side by side, files begin in that order and stay whole, for the
-    fixtures that their tests share."""
+    fixtures that their tests share. Files that ask for nothing outside the core get its mark."""
+    of_core = {path: not BEYOND_CORE.search(path.read_text(encoding="utf-8")) for path in {item.path for item in items}}
+    for item in items:
+        if of_core[item.path]:
+            item.add_marker("core")
     items.sort(key=lambda item: 2 if item.get_closest_marker("gui") else 1 if item.get_closest_marker("slow") else 0)
 
 
