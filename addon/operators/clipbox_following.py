@@ -94,7 +94,8 @@ def follow_at_once(standing: StandingTerrain, viewer: np.ndarray) -> None:
     if clipbox_engines.is_shown_about(standing, viewer):
         return
     for following in followings:
-        following.pause()
+        if following.standing == standing:
+            following.pause()
     engine = clipbox_engines.engine_of(standing)
     update = finish(engine.move(viewer))
     meshes = finish(terrain_objects.filled(update, standing.origin, engine.settings))

@@ -94,7 +94,7 @@ def block_meshes(boxes: NestedBoxes, level: int, blocks: list[Place], side: int)
     kept = Cuboid(np.full(3, pad), np.full(3, pad + side)).contains(stack.local(faces.voxels, of_face)) if pad > 1 else None
     used, numbers = surface.numbered(faces.corners, stack.values.size)
     of_corner = used // stack.size
-    places, quads = stack.local(used, of_corner) + stack.lows[of_corner], numbers[faces.corners]
+    places, quads = stack.local(used, of_corner) + stack.lows[of_corner], numbers.take(faces.corners)
     split, middles = _split_edges(boxes.hole(level), places, quads)
     corners = _corners(boxes, level, stack.values, used, places, middles)
     made = surface.rings_of(corners.codes)
@@ -107,7 +107,7 @@ def block_meshes(boxes: NestedBoxes, level: int, blocks: list[Place], side: int)
         vertices = smoothed(vertices, quads, fixed, settings.smoothing)
         if settings.surface == "blocky":
             normals = np.where(fixed[:, None], normals, polygon_normals(vertices, quads))
-    patch = Patch(corners.places[made.corners] * corners.units[made.corners, None], made.rings, vertices, normals)
+    patch = Patch(corners.places.take(made.corners, axis=0) * corners.units[made.corners, None], made.rings, vertices, normals)
     if level == boxes.finest and boxes.finest:
         patch, polygons, source = subdivided(patch, quads, boxes.layout.shown[boxes.finest - 1 :: -1], settings.roughness, settings.seed)
         of_face, kept = of_face[source], kept[source]
@@ -239,7 +239,7 @@ def _placed(boxes: NestedBoxes, corners: _Corners, made: Rings) -> tuple[np.ndar
         if not blocky or boxes.settings.smoothing:
             offsets[border[made.corners]] = surface.offsets_of(surface.rings_of(codes), codes, values, corners.centres)
     units = corners.units[made.corners, None]
-    return corners.places[made.corners] * units + offsets.astype(np.float64) * units, normals[made.corners]
+    return corners.places.take(made.corners, axis=0) * units + offsets.astype(np.float64) * units, normals.take(made.corners, axis=0)
 
 
 def _parts(patch: Patch, polygons: np.ndarray, of_polygon: np.ndarray, count: int, voxel: float) -> Iterator[BlockMesh]:
@@ -249,16 +249,16 @@ def _parts(patch: Patch, polygons: np.ndarray, of_polygon: np.ndarray, count: in
     triangles = np.concatenate([split_quads(patch.vertices, polygons[~split, 0::2]), fanned])
     of_triangle = np.concatenate([np.repeat(of_polygon[~split], 2), of_polygon[split][sources]])
     order = np.argsort(of_triangle.astype(np.int16), kind="stable")
-    triangles, of_triangle = triangles[order], of_triangle[order]
+    triangles, of_triangle = triangles.take(order, axis=0), of_triangle[order]
     of_vertex = np.full(len(patch.vertices), -1, np.int16)
     of_vertex[triangles] = of_triangle[:, None]
     vertices = np.argsort(of_vertex, kind="stable")
     numbers = np.empty(len(vertices), np.int32)
     numbers[vertices] = np.arange(len(vertices), dtype=np.int32)
-    triangles = numbers[triangles]
+    triangles = numbers.take(triangles)
     starts, ends = np.searchsorted(of_vertex[vertices], np.arange(count + 1)), np.searchsorted(of_triangle, np.arange(count + 1))
-    corners, rings, normals = patch.corners[vertices], patch.rings[vertices], patch.normals[vertices]
-    points = patch.vertices[vertices] * voxel
+    corners, rings, normals, points = (each.take(vertices, axis=0) for each in (patch.corners, patch.rings, patch.normals, patch.vertices))
+    points *= voxel
     for block in range(count):
         rows = slice(starts[block], starts[block + 1])
         part = triangles[ends[block] : ends[block + 1]] - np.int32(starts[block])
