@@ -70,8 +70,8 @@ class NestedBoxes:
         return self.layout.hole(level) if level > self.finest else None
 
     def window(self, level: int, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """The voxels `low` to `high` of a level; next to what it shows, those of the next coarser one if there is one; and
-        farther out the outermost of these again."""
+        """The voxels `low` to `high` of a level; next to what it shows, those of the next coarser one, and farther out
+        what counts nowhere; where there is none, the outermost again."""
         shown = self.layout.shown[level]
         first, last = np.maximum(low, shown.low), np.minimum(high, shown.high)
         window = self.volume(level).window(first, last)
@@ -84,7 +84,9 @@ class NestedBoxes:
                 beyond = beyond.repeat(2, axis)
             beyond = beyond[slices_of(near_low - near_low // 2 * 2, near_high - near_low // 2 * 2)]
             beyond[slices_of(first - near_low, last - near_low)] = window
-            first, last, window = near_low, near_high, beyond
+            found = np.full(tuple((high - low).tolist()), beyond.flat[0])  # so that where one sign is all there is, it stays so
+            found[slices_of(near_low - low, near_high - low)] = beyond
+            return found
         padded = np.pad(window, np.stack([first - low, high - last], axis=1), mode="edge")
         if self.closed and level == self.coarsest:
             outside = np.ones(padded.shape, bool)

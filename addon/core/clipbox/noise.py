@@ -11,12 +11,14 @@ from functools import cache
 
 import numpy as np
 
+from ..parallel import slices
 from .grids import Grid, blended
 from .hashing import fractions, hashed_lattice
 
 DIRECTIONS = 256  # that gradients have
 FINEST = 4.0  # voxels: shorter waves than this cannot be shown; they stand with their mean
 STEEPNESS = 1.6  # of the gradients: so noise comes near -1 and 1
+CACHED = 1 << 14  # voxels that are summed at once
 RIDGE_MEAN = 0.749  # of 1 - |noise|
 
 
@@ -63,19 +65,17 @@ def _swept(values: np.ndarray, line: _Line, axis: int, weights: np.ndarray) -> n
 
 
 def _last(across: np.ndarray, along: np.ndarray, line: _Line) -> np.ndarray:
-    """The sum over the first axis, a layer at a time, which stays within the processor's cache."""
+    """The sum over the first axis, as many layers at a time as stay within the processor's cache."""
     made = np.empty((len(line.first), *across.shape[1:]), np.float32)
-    term = np.empty(across.shape[1:], np.float32)
-    for layer, first in enumerate(line.first.tolist()):
-        total = made[layer]
-        np.multiply(across[first], line.weights[0, layer], out=total)
-        for lattice, weight in (
-            (across[first + 1], line.weights[1, layer]),
-            (along[first], line.slopes[0, layer]),
-            (along[first + 1], line.slopes[1, layer]),
-        ):
-            np.multiply(lattice, weight, out=term)
-            total += term
+    for layers in slices(len(made), max(1, CACHED // made[0].size)):
+        total, first = made[layers], line.first[layers]
+        below = first if len(first) > 1 else int(first[0])  # of a single one no copy is made
+        near, far = line.weights[:, layers, None, None]
+        np.multiply(across[below], near, out=total)
+        total += across[below + 1] * far
+        near, far = line.slopes[:, layers, None, None]
+        total += along[below] * near
+        total += along[below + 1] * far
     return made
 
 
