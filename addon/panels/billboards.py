@@ -123,15 +123,4 @@ def distance_text(distance: float) -> str:
 
 
 CLASSES = (FARFIELD_PT_billboards, FARFIELD_PT_billboards_more, FARFIELD_PT_billboards_figures)
-
-
-def register() -> None:
-    """Register the panels, parents first."""
-    for each in CLASSES:
-        bpy.utils.register_class(each)
-
-
-def unregister() -> None:
-    """The reverse."""
-    for each in reversed(CLASSES):
-        bpy.utils.unregister_class(each)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

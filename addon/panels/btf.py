@@ -60,15 +60,4 @@ def draw_estimate(layout: bpy.types.UILayout, cloud: StandingCloud, settings: Bt
 
 
 CLASSES = (FARFIELD_PT_btf,)
-
-
-def register() -> None:
-    """Register the panel."""
-    for each in CLASSES:
-        bpy.utils.register_class(each)
-
-
-def unregister() -> None:
-    """The reverse."""
-    for each in reversed(CLASSES):
-        bpy.utils.unregister_class(each)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

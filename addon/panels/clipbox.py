@@ -60,15 +60,4 @@ def draw_freeze(layout: bpy.types.UILayout, group: bpy.types.PropertyGroup) -> N
 
 
 CLASSES = (FARFIELD_PT_clipbox,)
-
-
-def register() -> None:
-    """Register the panel."""
-    for each in CLASSES:
-        bpy.utils.register_class(each)
-
-
-def unregister() -> None:
-    """The reverse."""
-    for each in reversed(CLASSES):
-        bpy.utils.unregister_class(each)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -78,15 +78,4 @@ def draw_figures(layout: bpy.types.UILayout, figures: dict[str, float]) -> None:
 
 
 CLASSES = (FARFIELD_PT_unwrap,)
-
-
-def register() -> None:
-    """Register the panel."""
-    for each in CLASSES:
-        bpy.utils.register_class(each)
-
-
-def unregister() -> None:
-    """The reverse."""
-    for each in reversed(CLASSES):
-        bpy.utils.unregister_class(each)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

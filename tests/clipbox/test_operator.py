@@ -180,6 +180,26 @@ def test_a_height_map_is_covered_with_its_picture(tmp_path):
         create(terrain="heights", **(files | {"source_color": str(tmp_path / "nowhere.png")}))
 
 
+def test_a_forest_is_green_where_it_is_steep(tmp_path):
+    camera_at(0.0, 0.0, 30.0)
+    solid = np.zeros((12, 12, 20), bool)
+    solid[4:8, 4:8], solid[:, :, 12:] = True, True
+    np.save(tmp_path / "baum.npy", solid)
+    forest = create(terrain="forest", source=str(tmp_path / "baum.npy"), source_size=20.0)
+    plain = create(terrain="sine")
+
+    def rock(standing):
+        group = next(node for node in standing.material.node_tree.nodes if node.type == "GROUP")
+        return group.inputs["Rock"].default_value
+
+    red, green, blue, _ = rock(forest)
+    assert green > 1.3 * max(red, blue) and tuple(rock(plain)) != tuple(rock(forest))
+    bpy.data.objects["Camera"].location = (400.0, 0.0, 30.0)
+    bpy.context.view_layer.update()
+    followed(forest, (400.0, 0.0, 30.0))
+    assert forest.blocks()
+
+
 class TestFails:
     """Terrains that do not work."""
 

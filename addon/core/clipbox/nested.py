@@ -80,11 +80,13 @@ class NestedBoxes:
         if level < self.coarsest:
             near_low, near_high = np.maximum(low, shown.low - 2), np.minimum(high, shown.high + 2)
             beyond = self.volume(level + 1).window(near_low // 2, -(-near_high // 2))
+            found = np.full(tuple((high - low).tolist()), window.flat[0])  # which is what there is, or counts nowhere
+            if _alike(window, beyond):
+                return found
             for axis in range(3):
                 beyond = beyond.repeat(2, axis)
             beyond = beyond[slices_of(near_low - near_low // 2 * 2, near_high - near_low // 2 * 2)]
             beyond[slices_of(first - near_low, last - near_low)] = window
-            found = np.full(tuple((high - low).tolist()), beyond.flat[0])  # so that where one sign is all there is, it stays so
             found[slices_of(near_low - low, near_high - low)] = beyond
             return found
         padded = np.pad(window, np.stack([first - low, high - last], axis=1), mode="edge")
@@ -131,3 +133,9 @@ class NestedBoxes:
 def slices_of(low: np.ndarray, high: np.ndarray) -> tuple[slice, ...]:
     """The part `low` to `high` (3,) of an array."""
     return tuple(slice(*span) for span in zip(low.tolist(), high.tolist(), strict=True))
+
+
+def _alike(*parts: np.ndarray) -> bool:
+    """Whether all voxels of all `parts` are set, or none is."""
+    bits = [surface.bits_of(part) for part in parts]
+    return all(part.all() for part in bits) or not any(part.any() for part in bits)

@@ -5,7 +5,6 @@ follow from its place and the seed, so none are stored and a grid costs only the
 next smaller class: first those that add, then those that take away; so it does not matter in which order they are found.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -130,14 +129,14 @@ def _side_by_side(densities: np.ndarray, grid: Grid, spheres: Spheres, windows: 
     x_terms, y_terms, z_terms = (_terms(grid, spheres, windows, axis, starts[:, axis], int(shape[axis])) for axis in range(3))
     cubes = np.lib.stride_tricks.sliding_window_view(densities, tuple(shape.tolist()), writeable=True)
     most = max(1, PORTION // int(shape.prod()))
-    join = _joining(spheres, windows)
+    join = np.minimum if spheres.taken[windows.rows[0]] else np.maximum
     for start, end in zip([0, *ends[:-1]], ends, strict=True):
         for first in range(start, end, most):
             some = slice(first, min(first + most, end))
             across = (y_terms[some, :, None] + z_terms[some, None, :]).reshape(-1, 1, int(shape[1] * shape[2]))
             values = (x_terms[some, :, None] + across).reshape(-1, *shape)
             places = tuple(starts[some].T)
-            cubes[places] = join(cubes[places], values)
+            cubes[places] = join(cubes[places], values, out=values)
 
 
 def _apart(cells: np.ndarray) -> tuple[np.ndarray, list[int]]:
@@ -160,25 +159,19 @@ def _one_by_one(densities: np.ndarray, grid: Grid, spheres: Spheres, windows: _W
     starts, stops = np.maximum(windows.starts, 0), np.minimum(windows.stops, densities.shape)
     widths = (stops - starts).max(axis=0).tolist()
     x_terms, y_terms, z_terms = (_terms(grid, spheres, windows, axis, starts[:, axis], widths[axis]) for axis in range(3))
-    join = _joining(spheres, windows)
+    join = np.minimum if spheres.taken[windows.rows[0]] else np.maximum
     for row, ((x0, y0, z0), (x1, y1, z1)) in enumerate(zip(starts.tolist(), stops.tolist(), strict=True)):
         part = densities[x0:x1, y0:y1, z0:z1]
         across = y_terms[row, : y1 - y0, None] + z_terms[row, : z1 - z0]
-        part[...] = join(part, x_terms[row, : x1 - x0, None, None] + across)
-
-
-def _joining(spheres: Spheres, windows: _Windows) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """How the values of spheres that all add, or all take away, change densities."""
-    if spheres.taken[windows.rows[0]]:
-        return lambda there, values: np.minimum(there, np.negative(values, out=values), out=values)
-    return lambda there, values: np.maximum(there, values, out=values)
+        join(part, x_terms[row, : x1 - x0, None, None] + across, out=part)
 
 
 def _terms(grid: Grid, spheres: Spheres, windows: _Windows, axis: int, starts: np.ndarray, width: int) -> np.ndarray:
-    """What an axis adds to the values of spheres in `width` voxels from `starts` (S,) on: (S, width) float32, none beyond their windows."""
+    """What an axis adds to the values of spheres in `width` voxels from `starts` (S,) on: (S, width) float32, infinite beyond windows,
+    with the sign that they count with."""
     centres, radii = spheres.centres[windows.rows, axis, None], spheres.radii[windows.rows, None]
     voxels = starts[:, None] + np.arange(width)
     places = (grid.origin[axis] + voxels + 0.5) * grid.voxel
     terms = ((radii**2 / 3.0 - (places - centres) ** 2) / (2.0 * radii)).astype(np.float32)
     terms[(voxels < windows.starts[:, axis, None]) | (voxels >= windows.stops[:, axis, None])] = -np.inf
-    return terms
+    return np.negative(terms, out=terms) if spheres.taken[windows.rows[0]] else terms
