@@ -61,9 +61,11 @@ class VoxelBlock:
     @cached_property
     def canopy(self) -> float:
         """The volume below what is seen of it from above, cubic scene units."""
-        solid = self.levels[0] > self.threshold
-        tops = np.where(solid.any(axis=2), solid.shape[2] - solid[:, :, ::-1].argmax(axis=2), 0)
-        return float(tops.sum() * self.sides.prod())
+        voxels = 0
+        for layer in self.levels[0]:
+            solid = layer > self.threshold
+            voxels += int(np.where(solid.any(axis=1), solid.shape[1] - solid[:, ::-1].argmax(axis=1), 0).sum())
+        return voxels * float(self.sides.prod())
 
     def densities(self, places: tuple[np.ndarray, np.ndarray, np.ndarray], voxel: float) -> np.ndarray:
         """How far values exceed the threshold, as about the distance to the surface: (X, Y, Z) float32, trilinear between voxels.
