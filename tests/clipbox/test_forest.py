@@ -66,7 +66,8 @@ def test_they_stand_on_the_hills(tmp_path):
     assert np.ptp(ground) > 6.0 and np.abs(ground).max() <= 20.0 * (0.5 + 0.25 + 0.125)
     tops = grid.origin[2] + 90 - (found > 0)[:, :, ::-1].argmax(axis=2)
     assert (tops >= ground - 1.0).all() and (tops <= ground + 24.0 + 8.0).all()
-    for foot, size in zip(*(lambda c: (c.feet, c.sizes))(forest.copies_about(grid)), strict=True):
+    copies = forest.copies_about(grid)
+    for foot, size in zip(copies.feet, copies.sizes, strict=True):
         if np.abs(foot[:2]).max() < 90.0:
             i, j = np.floor(foot[:2]).astype(int) + 96
             assert tops[i, j] == pytest.approx(foot[2] + 24.0 * size, abs=1.6)
