@@ -16,7 +16,8 @@ import environment
 environment.ensure(also=("pytest", "pytest_timeout", "xdist", "hypothesis"))
 
 
-SIDE_BY_SIDE = ("-n", "auto", "--maxprocesses", "4", "--dist", "loadfile", "--no-loadscope-reorder")
+# Where Blender crashes, the run ends and names the test: xdist may wait for ever for a worker that takes its place.
+SIDE_BY_SIDE = ("-n", "auto", "--maxprocesses", "4", "--dist", "loadfile", "--no-loadscope-reorder", "--max-worker-restart", "0")
 
 
 def main() -> int:

@@ -11,7 +11,7 @@ from ..bridge.terrain_materials import Cover, terrain_material
 from ..bridge.terrain_objects import StandingTerrain
 from ..core.clipbox.layout import good_origin
 from ..core.clipbox.settings import ClipboxSettings
-from ..core.clipbox.terrain import NO_GROUND, Terrain, Update, check_viewer
+from ..core.clipbox.terrain import NO_SURFACE, Terrain, Update, check_viewer
 from ..core.errors import FileError, GeometryError
 from ..core.progress import Progress, Steps, scaled
 from . import clipbox_engines
@@ -39,11 +39,11 @@ class ClipboxJob:
         """Show them.
 
         Raises:
-            GeometryError: when the terrain that was to be made anew has gone, or there is no ground within the boxes.
+            GeometryError: when the terrain that was to be made anew has gone, or there is no surface within the boxes.
         """
         settings = self.settings
         if not core_result.meshes:
-            raise GeometryError(NO_GROUND)
+            raise GeometryError(NO_SURFACE)
         origin = self.standing.origin if self.standing is not None else good_origin(self.viewer, settings)
         meshes = yield from scaled(terrain_objects.filled(core_result, origin, settings), 0.0, 0.99)
         yield Progress(0.99, "Showing")

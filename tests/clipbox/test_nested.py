@@ -94,7 +94,7 @@ def test_what_does_not_reach_the_surface_is_left_out():
     for formula in ("1", "-1", "0/0"):
         engine, update = built({"terrain": "formula", "formula": formula}, (0.0, 0.0, 0.0))
         assert not update.meshes and not update.gone
-        with pytest.raises(GeometryError, match="no ground"):
+        with pytest.raises(GeometryError, match="no surface"):
             welded(list(engine.all_meshes()))
 
 

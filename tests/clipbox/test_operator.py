@@ -231,7 +231,7 @@ class TestFails:
 
     def test_no_ground_is_an_error_and_leaves_nothing(self):
         camera_at(0.0, 0.0, 2.0)
-        with pytest.raises(RuntimeError, match="no ground"):
+        with pytest.raises(RuntimeError, match="no surface"):
             bpy.ops.farfield.clipbox_create(**(SMALL | {"terrain": "formula", "formula": "-1"}))
         assert not terrain_objects.standing_terrains(bpy.context.scene) and not bpy.data.meshes
 

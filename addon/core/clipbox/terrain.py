@@ -19,7 +19,7 @@ BLOCK = 32  # voxels a side: smaller ones cost more to begin than to fill
 BATCH = 32  # blocks that are worked on at once
 VOXELS_SHARE = 0.5  # of the bar
 FARTHEST = 2.0**46  # voxels from the origin: beyond, double precision tells voxels no longer well apart
-NO_GROUND = "There is no ground within the boxes; go nearer to it, or make the boxes more or larger."
+NO_SURFACE = "There is no surface within the boxes, only air or only ground; go nearer to one, or make the boxes more or larger."
 
 Key = tuple[int, Place]
 
@@ -158,7 +158,7 @@ def welded(meshes: list[BlockMesh]) -> Welded:
         GeometryError: when there is no surface.
     """
     if not meshes:
-        raise GeometryError(NO_GROUND)
+        raise GeometryError(NO_SURFACE)
     corners = np.concatenate([mesh.corners for mesh in meshes])
     spans = np.ptp(corners, axis=0).astype(np.int64) + 1
     places = corners - corners.min(axis=0)
