@@ -16,8 +16,19 @@ import environment
 environment.ensure(also=("pytest", "pytest_timeout", "xdist", "hypothesis"))
 
 
-# Where Blender crashes, the run ends and names the test: xdist may wait for ever for a worker that takes its place.
+# Where Blender crashes, the run ends there: xdist may wait for ever for a worker that takes its place.
 SIDE_BY_SIDE = ("-n", "auto", "--maxprocesses", "4", "--dist", "loadfile", "--no-loadscope-reorder", "--max-worker-restart", "0")
+
+
+class Crashes:
+    """The tests in which a worker died."""
+
+    def __init__(self) -> None:
+        self.tests: list[str] = []
+
+    def pytest_handlecrashitem(self, crashitem: str) -> None:
+        """Note one."""
+        self.tests.append(crashitem)
 
 
 def main() -> int:
@@ -27,7 +38,13 @@ def main() -> int:
 
     os.chdir(environment.ROOT)
     print(f"Farfield's tests with bpy {version('bpy')}, Python {platform.python_version()}, NumPy {version('numpy')}", flush=True)
-    return pytest.main([*SIDE_BY_SIDE, *sys.argv[1:]])
+    arguments, crashes = [*SIDE_BY_SIDE, *sys.argv[1:]], Crashes()
+    code = pytest.main(arguments, plugins=[crashes])
+    if not crashes.tests:
+        return code
+    # Blender dies by itself now and then, once in some fifty runs: a second run tells that from a fault of ours.
+    print(f"\nWARNING: BLENDER CRASHED in {', '.join(crashes.tests)}. All tests are run once more.", flush=True)
+    return pytest.main(arguments)
 
 
 if __name__ == "__main__":
