@@ -137,6 +137,7 @@ def shown_surfaces(
             yield owner, instance
 
 
+@np.errstate(invalid="ignore")  # infinite coordinates pass: there is a sentence for them later
 def world_mesh(parts: list[SourcePart]) -> TriangleMesh:
     """One soup of all `parts`; a material's index is its place among the distinct materials of the parts, -1 for none."""
     vertices, triangles, materials = [], [], []

@@ -117,6 +117,7 @@ def _key(material: bpy.types.Material) -> MaterialKey:
     return material.name, None if material.library is None else material.library.filepath
 
 
+@np.errstate(invalid="ignore")  # infinite coordinates pass: there is a sentence for them later
 def _generated(mesh: bpy.types.Mesh, instance: bpy.types.Object, vertices: np.ndarray) -> np.ndarray:
     """Generated coordinates (V, 3): the undeformed positions where modifiers kept the vertices, in 0..1 of the texture space."""
     original = instance.original.data
