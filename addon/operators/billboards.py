@@ -151,12 +151,12 @@ CLASSES = (
     FARFIELD_OT_billboards_fade,
     FARFIELD_OT_billboards_show_level,
 )
+register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
 
 
 def register() -> None:
     """Register the classes and hang the settings on scenes."""
-    for each in CLASSES:
-        bpy.utils.register_class(each)
+    register_classes()
     bpy.types.Scene.farfield_billboards = bpy.props.PointerProperty(type=FARFIELD_PG_billboards)
 
 
@@ -164,5 +164,4 @@ def unregister() -> None:
     """The reverse."""
     billboards_estimates.forget()
     del bpy.types.Scene.farfield_billboards
-    for each in reversed(CLASSES):
-        bpy.utils.unregister_class(each)
+    unregister_classes()

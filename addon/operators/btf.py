@@ -115,17 +115,16 @@ def refusal(context: bpy.types.Context) -> str:
 
 
 CLASSES = (FARFIELD_PG_btf, FARFIELD_OT_btf_bake, FARFIELD_OT_btf_light, FARFIELD_OT_btf_plain)
+register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
 
 
 def register() -> None:
     """Register the classes and hang the settings on scenes."""
-    for each in CLASSES:
-        bpy.utils.register_class(each)
+    register_classes()
     bpy.types.Scene.farfield_btf = bpy.props.PointerProperty(type=FARFIELD_PG_btf)
 
 
 def unregister() -> None:
     """The reverse."""
     del bpy.types.Scene.farfield_btf
-    for each in reversed(CLASSES):
-        bpy.utils.unregister_class(each)
+    unregister_classes()

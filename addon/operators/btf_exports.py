@@ -68,15 +68,4 @@ def refusal(context: bpy.types.Context) -> str:
 
 
 CLASSES = (FARFIELD_OT_btf_export,)
-
-
-def register() -> None:
-    """Register the operator."""
-    for each in CLASSES:
-        bpy.utils.register_class(each)
-
-
-def unregister() -> None:
-    """The reverse."""
-    for each in reversed(CLASSES):
-        bpy.utils.unregister_class(each)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -161,12 +161,12 @@ def viewer_of(context: bpy.types.Context) -> np.ndarray:
 
 
 CLASSES = (FARFIELD_PG_clipbox, FARFIELD_OT_clipbox_create, FARFIELD_OT_clipbox_update, FARFIELD_OT_clipbox_follow)
+register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
 
 
 def register() -> None:
     """Register the classes, hang the settings on scenes, and follow frames and undo."""
-    for each in CLASSES:
-        bpy.utils.register_class(each)
+    register_classes()
     bpy.types.Scene.farfield_clipbox = bpy.props.PointerProperty(type=FARFIELD_PG_clipbox)
     clipbox_following.register()
 
@@ -175,5 +175,4 @@ def unregister() -> None:
     """The reverse."""
     clipbox_following.unregister()
     del bpy.types.Scene.farfield_clipbox
-    for each in reversed(CLASSES):
-        bpy.utils.unregister_class(each)
+    unregister_classes()

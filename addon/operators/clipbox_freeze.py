@@ -83,17 +83,16 @@ class FARFIELD_PG_clipbox_freeze(bpy.types.PropertyGroup):
 
 
 CLASSES = (FARFIELD_PG_clipbox_freeze, FARFIELD_OT_clipbox_freeze)
+register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
 
 
 def register() -> None:
     """Register the classes and hang the settings on scenes."""
-    for each in CLASSES:
-        bpy.utils.register_class(each)
+    register_classes()
     bpy.types.Scene.farfield_clipbox_freeze = bpy.props.PointerProperty(type=FARFIELD_PG_clipbox_freeze)
 
 
 def unregister() -> None:
     """The reverse."""
     del bpy.types.Scene.farfield_clipbox_freeze
-    for each in reversed(CLASSES):
-        bpy.utils.unregister_class(each)
+    unregister_classes()

@@ -134,12 +134,12 @@ CLASSES = (
     FARFIELD_OT_unwrap_overlay,
     FARFIELD_OT_unwrap_picture,
 )
+register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
 
 
 def register() -> None:
     """Register the classes and hang the settings on scenes."""
-    for each in CLASSES:
-        bpy.utils.register_class(each)
+    register_classes()
     bpy.types.Scene.farfield_unwrap = bpy.props.PointerProperty(type=FARFIELD_PG_unwrap)
 
 
@@ -147,5 +147,4 @@ def unregister() -> None:
     """The reverse."""
     uv_overlay.switch(False)
     del bpy.types.Scene.farfield_unwrap
-    for each in reversed(CLASSES):
-        bpy.utils.unregister_class(each)
+    unregister_classes()
