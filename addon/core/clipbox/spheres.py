@@ -129,7 +129,7 @@ def _side_by_side(densities: np.ndarray, grid: Grid, spheres: Spheres, windows: 
     x_terms, y_terms, z_terms = (_terms(grid, spheres, windows, axis, starts[:, axis], int(shape[axis])) for axis in range(3))
     cubes = np.lib.stride_tricks.sliding_window_view(densities, tuple(shape.tolist()), writeable=True)
     most = max(1, PORTION // int(shape.prod()))
-    join = np.minimum if spheres.taken[windows.rows[0]] else np.maximum
+    join = _joining(spheres, windows)
     for start, end in zip([0, *ends[:-1]], ends, strict=True):
         for first in range(start, end, most):
             some = slice(first, min(first + most, end))
@@ -159,11 +159,16 @@ def _one_by_one(densities: np.ndarray, grid: Grid, spheres: Spheres, windows: _W
     starts, stops = np.maximum(windows.starts, 0), np.minimum(windows.stops, densities.shape)
     widths = (stops - starts).max(axis=0).tolist()
     x_terms, y_terms, z_terms = (_terms(grid, spheres, windows, axis, starts[:, axis], widths[axis]) for axis in range(3))
-    join = np.minimum if spheres.taken[windows.rows[0]] else np.maximum
+    join = _joining(spheres, windows)
     for row, ((x0, y0, z0), (x1, y1, z1)) in enumerate(zip(starts.tolist(), stops.tolist(), strict=True)):
         part = densities[x0:x1, y0:y1, z0:z1]
         across = y_terms[row, : y1 - y0, None] + z_terms[row, : z1 - z0]
         join(part, x_terms[row, : x1 - x0, None, None] + across, out=part)
+
+
+def _joining(spheres: Spheres, windows: _Windows) -> np.ufunc:
+    """How the values of spheres that all add, or all take away, change densities."""
+    return np.minimum if spheres.taken[windows.rows[0]] else np.maximum
 
 
 def _terms(grid: Grid, spheres: Spheres, windows: _Windows, axis: int, starts: np.ndarray, width: int) -> np.ndarray:
