@@ -71,10 +71,11 @@ def test_a_flat_sheet_becomes_a_few_triangles():
     assert len(found.triangles) <= 4
 
 
-def test_a_sphere_needs_about_what_its_curvature_says():
+@pytest.mark.parametrize("unit", [1e-4, 1e4])
+def test_a_sphere_needs_about_what_its_curvature_says(unit):
     """A triangle that straddles the sphere bears edges of sqrt(12 r e), so 4 pi r^2 of it take about 2.4 r / e triangles."""
     vertices, triangles = sphere(14)
-    unit, error = 1e-4, 0.08
+    error = 0.08
     found = finish(decimate_to_error(unit * vertices, triangles, unit * error, BOUND))
     check_promises(found, unit * vertices, triangles, unit * error)
     assert 0.8 * 2.4 / error <= len(found.triangles) <= 2.0 * 2.4 / error
