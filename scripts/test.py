@@ -42,7 +42,7 @@ def main() -> int:
     code = pytest.main(arguments, plugins=[crashes])
     if not crashes.tests:
         return code
-    # Blender dies by itself now and then, once in some fifty runs: a second run tells that from a fault of ours.
+    # Blender was seen to die once for no reason that could be found: a second run tells that from a fault of ours.
     print(f"\nWARNING: BLENDER CRASHED in {', '.join(crashes.tests)}. All tests are run once more.", flush=True)
     return pytest.main(arguments)
 
