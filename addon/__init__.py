@@ -1,1 +1,1 @@
-"""The storeys of the house, from the ground up: core, bridge, operators, panels. Imports run downwards only."""
+"""The layers of Farfield: core, bridge, operators, panels. A layer imports only from the layers before it."""

@@ -1,22 +1,25 @@
-"""Everything that Blender learns when the extension is enabled, in order, and forgets in reverse."""
+"""Registration of all operators, properties and panels with Blender, unregistered in reverse order."""
 
-from .operators import billboards as billboards_operators
-from .operators import btf as btf_operators
-from .operators import btf_exports, clipbox_freeze, long_work
-from .operators import clipbox as clipbox_operators
-from .operators import unwrap as unwrap_operators
+from .operators import documentation, long_work
+from .operators.billboards import operators as billboards_operators
+from .operators.btf import exports as btf_exports
+from .operators.btf import operators as btf_operators
+from .operators.clipbox import convert_to_mesh as clipbox_convert
+from .operators.clipbox import operators as clipbox_operators
+from .operators.unwrap import operators as unwrap_operators
 from .panels import billboards as billboards_panels
 from .panels import btf as btf_panels
 from .panels import clipbox as clipbox_panels
 from .panels import unwrap as unwrap_panels
 
 MODULES = (
+    documentation,
     billboards_operators,
     btf_operators,
     btf_exports,
     unwrap_operators,
     clipbox_operators,
-    clipbox_freeze,
+    clipbox_convert,
     billboards_panels,
     btf_panels,
     unwrap_panels,
@@ -25,13 +28,13 @@ MODULES = (
 
 
 def register() -> None:
-    """Register all operators, settings and panels."""
+    """Register all operators, property groups and panels."""
     for module in MODULES:
         module.register()
 
 
 def unregister() -> None:
-    """Take all of them away again, after ending what still runs."""
-    long_work.close()
+    """Cancel a running job and unregister everything."""
+    long_work.cancel_current()
     for module in reversed(MODULES):
         module.unregister()

@@ -1,4 +1,4 @@
-"""Clouds and their relightable textures, made by the scripts as a user would, each in a process of its own."""
+"""Clouds and relightable textures, created by the scripts in separate processes, as by a user."""
 
 import hashlib
 import json
@@ -11,26 +11,26 @@ from typing import Any
 
 from btf_models import MODELS, save_model
 
-import environment
 from farfield.addon.core.errors import FarfieldError
+from lib import environment
 
 
 @dataclass(frozen=True)
-class Effort:
-    """How much is measured.
+class BenchmarkOptions:
+    """The extent of a benchmark.
 
-    data: the folder of the meshes. work: keeps clouds and finished views. error: of the clouds, as --error takes it. capture_samples:
-    Cycles samples of every render of a bake. pairs: held-out views and suns. sizes: of the pictures that are compared. samples,
-    reference_samples: of these pictures, and of the original in them. executors, repeats: whose bakes are timed, and how often each. lpca:
-    whether to try that codec. sheets: a folder for contact sheets.
+    data: folder of the meshes. work: folder for clouds and finished views. error: of the clouds, as for --error. capture_samples: Cycles
+    samples of every render of a bake. pairs: number of held-out pairs of view and Sun. sizes: of the compared renders. samples,
+    reference_samples: of these renders, and of the source in them. executors, repeats: executors whose bakes are timed, and how often.
+    lpca: whether to measure Local PCA. sheets: folder for contact sheets.
     """
 
     models: list[str]
     data: Path
     work: Path
     error: str
-    views: int
-    lights: int
+    views_per_side: int
+    lights_per_side: int
     capture_samples: int
     pairs: int
     sizes: list[str]
@@ -43,61 +43,69 @@ class Effort:
 
 
 @dataclass(frozen=True)
-class Cloud:
-    """A file with a model and its cloud of one level, in a folder of its own. report: see scripts/billboards.py."""
+class BenchmarkCloud:
+    """A file with a model and its cloud with one level, in its own folder. report: see scripts/billboards.py."""
 
     path: Path
     upper: bool
     report: dict[str, Any]
 
 
-def cloud_folder(name: str, effort: Effort, error: str) -> Path:
-    """Where the cloud of a model and all that is made of it lie."""
-    return effort.work / f"{name} {error}"
+def cloud_folder(name: str, options: BenchmarkOptions, error: str) -> Path:
+    """Return the folder for the cloud of a model and everything derived from it."""
+    return options.work / f"{name} {error}"
 
 
-def built_cloud(name: str, effort: Effort, error: str) -> Cloud:
-    """The cloud of a model. One that stands in the work folder is taken as it is, since the finished views beside it are its own.
+def build_cloud(name: str, options: BenchmarkOptions, error: str) -> BenchmarkCloud:
+    """Return the cloud of a model. An existing one in the work folder is reused, so that the finished views beside it stay valid.
 
     Raises:
-        FarfieldError: when a script refuses.
+        FarfieldError: if a script fails.
     """
-    folder = cloud_folder(name, effort, error)
+    folder = cloud_folder(name, options, error)
     path, report = folder / "cloud.blend", folder / "cloud.json"
     if not report.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        save_model(MODELS[name], folder / "original.blend", effort.data)
-        run_script("billboards.py", folder / "original.blend", "--out", path, "--error", error, "--levels", 1, "--report", report)
-    return Cloud(path, MODELS[name].upper, json.loads(report.read_text(encoding="utf-8")))
+        save_model(MODELS[name], folder / "source.blend", options.data)
+        flags = ("--error", error, "--levels", 1, "--keep-source-visible", "--report", report)
+        run_script("billboards.py", folder / "source.blend", "--out", path, *flags)
+    return BenchmarkCloud(path, MODELS[name].upper, json.loads(report.read_text(encoding="utf-8")))
 
 
-def baked(cloud: Cloud, name: str, work: Path, effort: Effort, *flags: str) -> dict[str, Any]:
-    """Bake `cloud` into the file `name` beside it, finished views in `work`; the report, with the wall time of the whole script.
+def bake(cloud: BenchmarkCloud, name: str, work: Path, options: BenchmarkOptions, *flags: str) -> dict[str, Any]:
+    """Bake `cloud` into the file `name` beside it, with finished views in `work`. Return the report and the wall time of the script.
 
-    What the same code has made from the same cloud with the same flags, and still stands, is taken as it is.
+    An existing result of the same code with the same cloud and flags is reused.
 
     Raises:
-        FarfieldError: when the script refuses.
+        FarfieldError: if the script fails.
     """
     out = cloud.path.with_name(f"{name}.blend")
     report = out.with_suffix(".json")
-    given = ["--views", effort.views, "--lights", effort.lights, "--samples", effort.capture_samples]
-    given += ["--upper-hemisphere"] if cloud.upper else []
-    arguments = ["--work", str(work), *map(str, given), *flags]
+    bake_flags = [
+        "--views-per-side",
+        options.views_per_side,
+        "--lights-per-side",
+        options.lights_per_side,
+        "--samples",
+        options.capture_samples,
+    ]
+    bake_flags += ["--upper-hemisphere"] if cloud.upper else []
+    arguments = ["--work", str(work), *map(str, bake_flags), *flags]
     stamp = out.with_suffix(".stamp")
-    if not stamp.exists() or stamp.read_text(encoding="utf-8") != _stamp(arguments):
+    if not stamp.exists() or stamp.read_text(encoding="utf-8") != _bake_fingerprint(arguments):
         stamp.unlink(missing_ok=True)
         started = time.perf_counter()
         run_script("btf.py", cloud.path, "--out", out, "--report", report, *arguments)
         wall = time.perf_counter() - started
         figures = {**json.loads(report.read_text(encoding="utf-8")), "wall_seconds": round(wall, 1)}
         report.write_text(json.dumps(figures), encoding="utf-8")
-        stamp.write_text(_stamp(arguments), encoding="utf-8")
+        stamp.write_text(_bake_fingerprint(arguments), encoding="utf-8")
     return json.loads(report.read_text(encoding="utf-8"))
 
 
-def _stamp(arguments: list[str]) -> str:
-    """What tells bakes apart: the code of the extension, and how the script was called."""
+def _bake_fingerprint(arguments: list[str]) -> str:
+    """Return a digest of the code of the extension and the arguments of the script."""
     digest = hashlib.sha256(repr(arguments).encode())
     for path in sorted((environment.ROOT / "addon").rglob("*.py")):
         digest.update(path.read_bytes())
@@ -108,10 +116,10 @@ def run_script(name: str, *arguments: object) -> None:
     """Run a script of the project.
 
     Raises:
-        FarfieldError: with the last words of the script, when it does not come to its end.
+        FarfieldError: with the last line of the script's stderr, if it fails.
     """
     command = [sys.executable, str(environment.ROOT / "scripts" / name), *map(str, arguments)]
-    outcome = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, errors="replace", check=False)
-    if outcome.returncode:
-        words = outcome.stderr.strip().splitlines() or ["it said nothing"]
-        raise FarfieldError(f"scripts/{name} ended with code {outcome.returncode}: {words[-1]}")
+    completed = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, errors="replace", check=False)
+    if completed.returncode:
+        lines = completed.stderr.strip().splitlines() or ["no output"]
+        raise FarfieldError(f"scripts/{name} failed with exit code {completed.returncode}: {lines[-1]}")

@@ -1,4 +1,4 @@
-"""What relightable textures cost: time against bare Cycles, executors against each other, memory."""
+"""Cost of relightable textures: time relative to the Cycles renders alone, comparison of executors, memory."""
 
 import math
 import shutil
@@ -10,67 +10,67 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from btf_bakes import Cloud, Effort, baked, built_cloud
+from btf_bakes import BenchmarkCloud, BenchmarkOptions, bake, build_cloud
 
-import environment
-from farfield.addon.core.progress import Progress, Steps
+from farfield.addon.core.jobs.progress import Progress, Steps
+from lib import environment
 
 sys.path.append(str(environment.ROOT / "tests"))
 
-from dask_farm import Farm
+from dask_farm import DaskFarm
 
 PROCESSES = 2
-SPREAD = f"processes:{PROCESSES}"
-EXECUTORS = {"serial": 1, SPREAD: PROCESSES, "dask": PROCESSES}  # how many work at a time
+TWO_PROCESSES = f"processes:{PROCESSES}"
+EXECUTORS = {"serial": 1, TWO_PROCESSES: PROCESSES, "dask": PROCESSES}  # index of simultaneous workers
 MEMORY_MODEL, MEMORY_ERROR = "leafy_tree", 0.03
 MEMORY_TEXELS, MEMORY_SIDE = 60_000, 8  # 64 views x (64 lights and a dome)
 
 
-def times(effort: Effort) -> Steps[dict[str, Any]]:
-    """Bakes of the first model from nothing with each executor in turn; best of the repeats."""
-    cloud = built_cloud(effort.models[0], effort, effort.error)
+def measure_times(options: BenchmarkOptions) -> Steps[dict[str, Any]]:
+    """Time complete bakes of the first model with each executor in turn; the best of the repeats counts."""
+    cloud = build_cloud(options.models[0], options, options.error)
     runs: dict[str, list[dict[str, Any]]] = {}
-    left_out = []
-    for repeat in range(effort.repeats):
-        for number, name in enumerate(effort.executors):
-            yield Progress((repeat + number / len(effort.executors)) / effort.repeats, f"Baking {effort.models[0]}: {name}")
-            with _word(name) as word:
-                if word is None:
-                    left_out = ["Dask: the package distributed is not installed for this Python."]
+    skipped = []
+    for repeat in range(options.repeats):
+        for index, name in enumerate(options.executors):
+            yield Progress((repeat + index / len(options.executors)) / options.repeats, f"Baking {options.models[0]}: {name}")
+            with _open_executor(name) as spec:
+                if spec is None:
+                    skipped = ["Dask: the package distributed is not installed for this Python."]
                     continue
-                runs.setdefault(name, []).append(_timed(cloud, word, EXECUTORS[name], effort))
-    best = {name: min(each, key=lambda run: run["capture_seconds"]) for name, each in runs.items()}
-    figures = {"model": effort.models[0], "texels": cloud.report["texels"], "best": best, "runs": runs, "left_out": left_out}
-    for words in left_out:
-        print(f"Left out. {words}", file=sys.stderr)
-    if {"dask", SPREAD} <= set(best):
-        ratio = best["dask"]["capture_seconds"] / best[SPREAD]["capture_seconds"]
+                runs.setdefault(name, []).append(_time_bake(cloud, spec, EXECUTORS[name], options))
+    best = {name: min(executor_runs, key=lambda run: run["capture_seconds"]) for name, executor_runs in runs.items()}
+    figures = {"model": options.models[0], "texels": cloud.report["texels"], "best": best, "runs": runs, "skipped": skipped}
+    for reason in skipped:
+        print(f"Skipped: {reason}", file=sys.stderr)
+    if {"dask", TWO_PROCESSES} <= set(best):
+        ratio = best["dask"]["capture_seconds"] / best[TWO_PROCESSES]["capture_seconds"]
         figures["dask_over_processes"] = round(ratio, 3)
     return figures
 
 
-def memory(effort: Effort) -> Steps[dict[str, Any]]:
-    """Peak memory of a bake of at least 60,000 texels with 4,160 images, one sample a pixel, by two processes."""
+def measure_memory(options: BenchmarkOptions) -> Steps[dict[str, Any]]:
+    """Measure the peak memory of a bake of at least 60,000 texels with 4,160 renders, one sample per pixel, in two processes."""
     error = MEMORY_ERROR
-    yield Progress(0.0, "Building clouds of some size")
-    cloud = built_cloud(MEMORY_MODEL, effort, f"{100.0 * error:.2f}%")
+    yield Progress(0.0, "Building clouds")
+    cloud = build_cloud(MEMORY_MODEL, options, f"{100.0 * error:.2f}%")
     while cloud.report["texels"] < MEMORY_TEXELS:
         error *= math.sqrt(cloud.report["texels"] / MEMORY_TEXELS) * 0.99
-        cloud = built_cloud(MEMORY_MODEL, effort, f"{100.0 * error:.2f}%")
+        cloud = build_cloud(MEMORY_MODEL, options, f"{100.0 * error:.2f}%")
     yield Progress(0.1, "Baking")
-    grid = {"views": MEMORY_SIDE**2, "lights": MEMORY_SIDE**2, "capture_samples": 1}
-    report = baked(cloud, "memory", cloud.path.with_name("views of memory"), replace(effort, **grid), "--executor", SPREAD)
+    grid = {"views_per_side": MEMORY_SIDE, "lights_per_side": MEMORY_SIDE, "capture_samples": 1}
+    report = bake(cloud, "memory", cloud.path.with_name("views of memory"), replace(options, **grid), "--executor", TWO_PROCESSES)
     return {"texels": cloud.report["texels"], **{key: report[key] for key in ("renders", "peak_memory_mb", "workers_peak_memory_mb")}}
 
 
-def _timed(cloud: Cloud, word: str, slots: int, effort: Effort) -> dict[str, Any]:
-    """A bake from nothing. `over_bare`: wall time of captures and of everything, over the Cycles time that each of `slots` workers had."""
+def _time_bake(cloud: BenchmarkCloud, spec: str, slots: int, options: BenchmarkOptions) -> dict[str, Any]:
+    """Time a complete bake with `slots` workers. `..._over_bare`: wall time of the capture or script over the Cycles time per worker."""
     work = Path(tempfile.mkdtemp(prefix="bake-", dir=cloud.path.parent))
     try:
-        report = baked(cloud, "timed", work, effort, "--executor", word)
+        report = bake(cloud, "timed", work, options, "--executor", spec)
     finally:
         shutil.rmtree(work, ignore_errors=True)
-    bare = report["bare_render_seconds"] / slots
+    render_seconds = report["bare_render_seconds"] / slots
     capture = report["seconds"]["capture"]
     return {
         "renders": report["renders"],
@@ -78,24 +78,24 @@ def _timed(cloud: Cloud, word: str, slots: int, effort: Effort) -> dict[str, Any
         "capture_seconds": round(capture, 1),
         "wall_seconds": report["wall_seconds"],
         "seconds": report["seconds"],
-        "capture_over_bare": round(capture / bare, 3),
-        "wall_over_bare": round(report["wall_seconds"] / bare, 3),
+        "capture_over_bare": round(capture / render_seconds, 3),
+        "wall_over_bare": round(report["wall_seconds"] / render_seconds, 3),
     }
 
 
 @contextmanager
-def _word(name: str) -> Iterator[str | None]:
-    """The word of an executor; for Dask a scheduler and workers that stand as long as the block, None where Dask is not installed."""
+def _open_executor(name: str) -> Iterator[str | None]:
+    """Yield an executor spec. For Dask, start a scheduler and workers for the duration of the block; None if Dask is not installed."""
     if name != "dask":
         yield name
         return
     try:
-        import distributed  # noqa: F401 - only whether it is there
+        import distributed  # noqa: F401 - only checks whether it is installed
     except ImportError:
         yield None
         return
     with tempfile.TemporaryDirectory(prefix="farfield-dask-", ignore_cleanup_errors=True) as folder:
-        farm = Farm(Path(folder))
+        farm = DaskFarm(Path(folder))
         try:
             farm.start_workers(PROCESSES)
             yield f"dask:{farm.address}"

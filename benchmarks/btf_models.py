@@ -1,4 +1,4 @@
-"""What relightable textures are measured on: a tree of alpha-mapped leaves, a head with glossy paint, and the tree of the demo."""
+"""Models of the benchmark of relightable textures: a tree with alpha-mapped leaves, a head with glossy paint, and the demo's tree."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -6,11 +6,10 @@ from pathlib import Path
 
 import bpy
 
-import environment
-import scene_files
-from demo_tree import grow
-from farfield.addon.compat import give_nodes
+from farfield.addon.compat import enable_nodes
 from farfield.addon.core.errors import FileError
+from lib import environment, scene_files
+from lib.demo_tree import grow_tree
 
 DATA = environment.ROOT.parent / "shared" / "data"
 TREE, HEAD = Path("trees") / "leafy_tree.glb", Path("meshes") / "max_planck.obj"  # in DATA
@@ -19,18 +18,18 @@ PAINT = {"Base Color": (0.45, 0.04, 0.03, 1.0), "Roughness": 0.35, "Coat Weight"
 
 @dataclass(frozen=True)
 class Model:
-    """make: puts the model into an empty scene, given the folder of what it is made from. upper: whether it stands on the ground, to be
-    seen and lit from above the horizon."""
+    """make: creates the model in an empty scene from files in a folder. upper: whether it stands on the ground, so that only views and
+    lights above the horizon matter."""
 
     make: Callable[[Path], None]
     upper: bool
 
 
 def save_model(model: Model, path: Path, data: Path) -> None:
-    """Write a file with the model alone, made from what is in the folder `data`.
+    """Write a file that contains only the model, created from files in the folder `data`.
 
     Raises:
-        FileError: when what it is made from is not beside the project, or the file cannot be written.
+        FileError: if an input file is missing or the output cannot be written.
     """
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     model.make(data)
@@ -38,16 +37,16 @@ def save_model(model: Model, path: Path, data: Path) -> None:
 
 
 def _leafy_tree(data: Path) -> None:
-    scene_files.open_scene(_given(data / TREE))
+    scene_files.open_scene(_require(data / TREE))
 
 
 def _painted_head(data: Path) -> None:
-    scene_files.open_scene(_given(data / HEAD))
+    scene_files.open_scene(_require(data / HEAD))
     paint = bpy.data.materials.new("Paint")
-    give_nodes(paint)
-    surface = next(node for node in paint.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+    enable_nodes(paint)
+    shader = next(node for node in paint.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
     for name, value in PAINT.items():
-        surface.inputs[name].default_value = value
+        shader.inputs[name].default_value = value
     for item in bpy.context.scene.objects:
         item.data.materials.clear()
         item.data.materials.append(paint)
@@ -55,12 +54,12 @@ def _painted_head(data: Path) -> None:
 
 
 def _demo_tree(_data: Path) -> None:
-    grow()
+    grow_tree()
 
 
-def _given(path: Path) -> Path:
+def _require(path: Path) -> Path:
     if not path.exists():
-        raise FileError(f'The model to measure with is not at "{path}"; name its folder with --data, or choose other models with --models.')
+        raise FileError(f'The model "{path}" does not exist; set its folder with --data, or choose other models with --models.')
     return path
 
 

@@ -1,68 +1,78 @@
-"""What compression does to the noise of a bake with few samples: captured and compressed colours against a bake with many."""
+"""Effect of the compression on the noise of a bake with few samples: captured and compressed colors relative to a bake with many."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from btf_bakes import Cloud, Effort, baked, built_cloud
+from btf_bakes import BenchmarkCloud, BenchmarkOptions, bake, build_cloud
 
 import btf
-import scene_files
-from farfield.addon.core.btf.compression import Compressed, Compression
+from farfield.addon.core.btf.compression import CompressedTextures, LevelCompressor
 from farfield.addon.core.btf.settings import BtfSettings
-from farfield.addon.core.progress import Progress, Steps, finish
+from farfield.addon.core.jobs.progress import Progress, Steps, run_to_end
+from lib import scene_files
 
-TIMES = 32  # as many samples have hardly noise
-SIDE = 5  # views and lights along a side: enough to tell noise from colours
+REFERENCE_SAMPLE_FACTOR = 32  # so many times more samples have almost no noise
+DIRECTIONS_PER_SIDE = 5  # of views and lights: enough to separate noise from colors
 
 
 @dataclass(frozen=True)
-class Standing:
-    """A bake whose views stand, compressed."""
+class CompressedBake:
+    """A finished bake and its compressed textures."""
 
-    compression: Compression
-    textures: Compressed
+    compressor: LevelCompressor
+    textures: CompressedTextures
 
 
-def noise(effort: Effort) -> Steps[dict[str, Any]]:
-    """Of every model the errors of single texels under single suns, over the mean colour under these, all views together."""
+def measure_noise(options: BenchmarkOptions) -> Steps[dict[str, Any]]:
+    """Measure the RMS error of texels under single Suns relative to their mean color, over all views, for every model."""
     figures = {}
-    for number, name in enumerate(effort.models):
-        yield Progress(number / len(effort.models), f"Baking {name} with few samples and with many")
-        figures[name] = _of_model(built_cloud(name, effort, effort.error), replace(effort, views=SIDE**2, lights=SIDE**2))
+    for index, name in enumerate(options.models):
+        yield Progress(index / len(options.models), f"Baking {name} with few and with many samples")
+        grid = {"views_per_side": DIRECTIONS_PER_SIDE, "lights_per_side": DIRECTIONS_PER_SIDE}
+        figures[name] = _measure_model(build_cloud(name, options, options.error), replace(options, **grid))
     return figures
 
 
-def _of_model(cloud: Cloud, effort: Effort) -> dict[str, Any]:
-    few, many = (_standing(cloud, replace(effort, capture_samples=samples)) for samples in (effort.capture_samples, _many(effort)))
-    squares, size, total = np.zeros(3), 0, 0.0
-    for view in range(effort.views):
-        rows, right = few.compression.captured(view)
-        again, truth = many.compression.captured(view)
-        _, own, others = np.intersect1d(rows, again, assume_unique=True, return_indices=True)
-        rows, truth = rows[own], truth[others, :-1]
-        shown = (each.compression.shown(each.textures, view, rows)[:, :-1] for each in (few, many))
-        squares += [float(((each - truth) ** 2).sum()) for each in (right[own, :-1], *shown)]
-        size, total = size + truth.size, total + float(truth.sum())
-    names = ("captured", "compressed", "compressed_from_many")
-    relative = np.sqrt(squares / size) / (total / size)
-    return {"samples": effort.capture_samples, "truth_samples": _many(effort), **dict(zip(names, relative.round(4).tolist(), strict=True))}
+def _measure_model(cloud: BenchmarkCloud, options: BenchmarkOptions) -> dict[str, Any]:
+    sample_counts = (options.capture_samples, _reference_samples(options))
+    noisy, reference = (_bake_and_compress(cloud, replace(options, capture_samples=count)) for count in sample_counts)
+    squared_errors, count, total = np.zeros(3), 0, 0.0
+    for view in range(options.views_per_side**2):
+        rows, captured = noisy.compressor.captured_colors(view)
+        reference_rows, expected = reference.compressor.captured_colors(view)
+        _, common, reference_common = np.intersect1d(rows, reference_rows, assume_unique=True, return_indices=True)
+        rows, expected = rows[common], expected[reference_common, :-1]
+        decoded = (item.compressor.decoded_colors(item.textures, view, rows)[:, :-1] for item in (noisy, reference))
+        squared_errors += [float(((colors - expected) ** 2).sum()) for colors in (captured[common, :-1], *decoded)]
+        count, total = count + expected.size, total + float(expected.sum())
+    names = ("captured", "compressed", "compressed_reference")
+    relative = np.sqrt(squared_errors / count) / (total / count)
+    return {
+        "samples": options.capture_samples,
+        "reference_samples": _reference_samples(options),
+        **dict(zip(names, relative.round(4).tolist(), strict=True)),
+    }
 
 
-def _standing(cloud: Cloud, effort: Effort) -> Standing:
-    name = f"noise {effort.capture_samples}"
+def _bake_and_compress(cloud: BenchmarkCloud, options: BenchmarkOptions) -> CompressedBake:
+    name = f"noise {options.capture_samples}"
     work = cloud.path.with_name(f"views of {name}")
-    baked(cloud, name, work, effort, "--no-refine")
+    bake(cloud, name, work, options, "--no-refine")
     scene_files.open_scene(cloud.path)
     settings = BtfSettings(
-        views=effort.views, lights=effort.lights, samples=effort.capture_samples, upper_hemisphere=cloud.upper, refine=False
+        views_per_side=options.views_per_side,
+        lights_per_side=options.lights_per_side,
+        samples=options.capture_samples,
+        upper_hemisphere=cloud.upper,
+        refine=False,
     )
-    [job] = btf.jobs_of(settings, Path(work))
+    [job] = btf.prepare_jobs(settings, Path(work))
     [level] = job.levels
-    compression = Compression(level.store, level.order.texels, level.plain, level.surface, settings)
-    return Standing(compression, finish(compression.compress()))
+    compressor = LevelCompressor(level.store, level.spec.texels, level.pbr_alpha, level.surface, settings)
+    return CompressedBake(compressor, run_to_end(compressor.compress()))
 
 
-def _many(effort: Effort) -> int:
-    return TIMES * effort.capture_samples
+def _reference_samples(options: BenchmarkOptions) -> int:
+    return REFERENCE_SAMPLE_FACTOR * options.capture_samples

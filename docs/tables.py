@@ -1,8 +1,9 @@
-"""The tables of settings in the docs: `python3 docs/tables.py` writes them anew from the declarations in the core.
+"""Update the tables of settings in the docs from their declarations in the core: `python3 docs/tables.py`.
 
-A table stands between a line `<!-- settings: TOOL -->` and a line `<!-- end of settings -->`.
+A table is between a line `<!-- settings: NAME -->` and a line `<!-- end of settings -->`; see `find_settings` for the names.
 """
 
+import importlib
 import re
 import sys
 from pathlib import Path
@@ -10,29 +11,42 @@ from pathlib import Path
 FOLDER = Path(__file__).resolve().parent
 sys.path.insert(0, str(FOLDER.parent / "scripts"))
 
-import environment
+from lib import environment
 
 environment.ensure()
 environment.import_farfield()
 
-from farfield.addon.core.billboards.settings import BillboardSettings
-from farfield.addon.core.btf.settings import BtfSettings
-from farfield.addon.core.clipbox.settings import ClipboxSettings
-from farfield.addon.core.settings import markdown_table
-from farfield.addon.core.unwrap.settings import UnwrapSettings
+from farfield.addon.core.settings import Settings, markdown_table
 
-SETTINGS = {"billboards": BillboardSettings, "btf": BtfSettings, "unwrap": UnwrapSettings, "clipbox": ClipboxSettings}
 TABLE = re.compile(r"(<!-- settings: (\w+) -->\n).*?(<!-- end of settings -->)", re.DOTALL)
 
 
-def with_tables(text: str) -> str:
-    """The page `text` with every table of settings as the core declares it."""
-    return TABLE.sub(lambda found: f"{found[1]}{markdown_table(SETTINGS[found[2]])}\n{found[3]}", text)
+def find_settings() -> dict[str, type[Settings]]:
+    """Return the settings classes in `core/<tool>/settings.py` by table name.
+
+    The table of the settings class that is named after the tool has the name of the tool; the names of others have a suffix:
+    `clipbox` for `ClipboxSettings`, `clipbox_convert` for `ConvertSettings`.
+    """
+    tables = {}
+    for path in sorted((environment.ROOT / "addon" / "core").glob("*/settings.py")):
+        tool = path.parent.name
+        module = importlib.import_module(f"farfield.addon.core.{tool}.settings")
+        for name, item in vars(module).items():
+            if isinstance(item, type) and issubclass(item, Settings) and item is not Settings:
+                subject = name.removesuffix("Settings").lower()
+                tables[tool if tool.startswith(subject) else f"{tool}_{subject}"] = item
+    return tables
+
+
+def update_tables(text: str) -> str:
+    """Return the page `text` with every table of settings replaced by the current declarations."""
+    tables = find_settings()
+    return TABLE.sub(lambda match: f"{match[1]}{markdown_table(tables[match[2]])}\n{match[3]}", text)
 
 
 def main() -> None:
     for page in sorted(FOLDER.glob("*.md")):
-        page.write_text(with_tables(page.read_text(encoding="utf-8")), encoding="utf-8")
+        page.write_text(update_tables(page.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Bake relightable textures for the billboard clouds of a file: `python3 scripts/btf.py CLOUD.blend --out OUT.blend [flags]`.
 
-CLOUD.blend holds an original and its cloud, as scripts/billboards.py leaves them. In OUT.blend the cloud shines as the original does under
-the sun lamp --sun and the even light of the world, from every side, with drivers and nodes alone.
+CLOUD.blend contains source objects and their cloud, as written by scripts/billboards.py. In OUT.blend the cloud looks like the source under
+the Sun light --sun and the uniform lighting of the World, from all directions, with drivers and shader nodes only.
 `blender --background --python scripts/btf.py -- CLOUD.blend --out OUT.blend` does the same.
 """
 
@@ -11,116 +11,122 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not put a script's folder there
 
-import environment
+from lib import environment
 
 environment.ensure()
+environment.import_farfield()
 
 import bpy
 import numpy as np
 
-import command_line
-import scene_files
-from contact_sheet import write_png
-from farfield.addon.bridge.btf_clouds import light_with
+from farfield.addon.bridge.billboards.scene_clouds import clouds_in
+from farfield.addon.bridge.btf.clouds import link_suns
 from farfield.addon.core.btf.settings import BtfSettings, ExportSettings
 from farfield.addon.core.errors import FileError, GeometryError
-from farfield.addon.core.progress import StageClock, finish, scaled
+from farfield.addon.core.jobs.progress import StageClock, run_to_end, subprogress
 from farfield.addon.core.settings import add_flags, from_flags
-from farfield.addon.operators import btf_export_job
-from farfield.addon.operators.billboards_clouds import clouds_in
-from farfield.addon.operators.btf_job import BtfJob, prepare
-from farfield.addon.operators.long_work import whole
-from line_chart import line_chart
-from whole_files import check_writable
+from farfield.addon.operators.btf import export_job
+from farfield.addon.operators.btf.job import BakeJob, prepare_bake
+from farfield.addon.operators.long_work import run_job
+from lib import command_line, scene_files
+from lib.atomic_output import check_writable
+from lib.contact_sheet import write_png
+from lib.line_chart import draw_line_chart
 
 
-def parser() -> command_line.Parser:
-    """All arguments of the script."""
-    made = command_line.Parser(prog="btf.py", description="Bake relightable textures for billboard clouds with Cycles.")
-    made.add_argument("input", type=Path, help="a .blend file with an original and its cloud")
-    made.add_argument("--out", type=Path, required=True, help="the .blend file to write")
-    made.add_argument("--work", type=Path, help="a folder for finished views, so that a stopped bake goes on (default: none kept)")
-    made.add_argument("--sun", default="Sun", help="name of the sun lamp that lights the result, made when missing (default: Sun)")
-    made.add_argument("--report", type=Path, help="a JSON file for the figures of the run")
-    made.add_argument("--curve", type=Path, help="a PNG file for a chart of the likeness to what was captured, by number of components")
-    made.add_argument(
+def build_parser() -> command_line.Parser:
+    """Return the parser of all arguments of the script."""
+    parser = command_line.Parser(prog="btf.py", description="Bake relightable textures for billboard clouds with Cycles.")
+    parser.add_argument("input", type=Path, help="a .blend file with source objects and their cloud")
+    parser.add_argument("--out", type=Path, required=True, help="the .blend file to write")
+    parser.add_argument("--work", type=Path, help="folder for finished views, so that a cancelled bake can resume (default: none)")
+    parser.add_argument(
+        "--sun", default="Sun", help="name of the Sun light that lights the result; created if it is missing (default: Sun)"
+    )
+    parser.add_argument("--report", type=Path, help="write the figures of the run to this JSON file")
+    parser.add_argument("--curve", type=Path, help="write a chart of the PSNR by number of components to this PNG file")
+    parser.add_argument(
         "--export",
         type=Path,
         action="append",
         default=[],
         metavar="PATH",
-        help="also write the result for other programs, by its ending: .glb, .btf, .octahedral for a folder with an octahedral atlas, "
-        "or none for a folder of pictures; may be given again",
+        help="also export the result; the suffix selects the format: .glb, .btf, .octahedral for a folder with an octahedral atlas, "
+        "or none for a folder of images; can be repeated",
     )
-    add_flags(made, BtfSettings)
-    add_flags(made, ExportSettings)
-    return made
+    add_flags(parser, BtfSettings)
+    add_flags(parser, ExportSettings)
+    return parser
 
 
-def main(arguments: list[str], line: command_line.ProgressLine) -> None:
-    """Run the script; raises FarfieldError when the input is bad."""
-    given = parser().parse_args(arguments)
-    settings, export_settings = from_flags(BtfSettings, given), from_flags(ExportSettings, given)
-    out = given.out.absolute()
+def main(arguments: list[str], line: command_line.ProgressLine) -> str:
+    """Run the script and return the summary; raises FarfieldError if the input is invalid."""
+    options = build_parser().parse_args(arguments)
+    settings, export_settings = from_flags(BtfSettings, options), from_flags(ExportSettings, options)
+    out = options.out.absolute()
     if out.suffix.lower() != ".blend":
-        raise FileError(f'--out is "{given.out}"; it must end in .blend.')
-    check_writable(out, given.report, given.curve)
-    exports = [path.absolute() for path in given.export]
-    for path in exports:
-        btf_export_job.check_target(path)
+        raise FileError(f'--out is "{options.out}"; it must end in .blend.')
+    check_writable(out, options.report, options.curve)
+    export_paths = [path.absolute() for path in options.export]
+    for path in export_paths:
+        export_job.check_target(path)
     clock = StageClock()
     with clock.stage("read"):
-        scene_files.open_scene(given.input.absolute())
-        sun = sun_named(given.sun)
-        jobs = jobs_of(settings, None if given.work is None else given.work.absolute())
-    for number, job in enumerate(jobs):
-        finish(scaled(whole(job), number / len(jobs), (number + 1) / len(jobs)), line.show)
+        scene_files.open_scene(options.input.absolute())
+        sun = find_or_create_sun(options.sun)
+        jobs = prepare_jobs(settings, None if options.work is None else options.work.absolute())
+    summaries = [
+        run_to_end(subprogress(run_job(job), index / len(jobs), (index + 1) / len(jobs)), line.show) for index, job in enumerate(jobs)
+    ]
     line.clear()
     with clock.stage("write"):
         for cloud in clouds_in(bpy.context.scene):
             for level in cloud.levels:
-                light_with(level, [sun], world_colour())
+                link_suns(level, [sun], world_color())
         scene_files.save_scene(out)
     with clock.stage("export"):
         levels = [level for cloud in clouds_in(bpy.context.scene) for level in cloud.levels]
-        for path in exports:
-            finish(whole(btf_export_job.prepare(levels, path, export_settings)), line.show)
+        for path in export_paths:
+            run_to_end(run_job(export_job.prepare_export(levels, path, export_settings)), line.show)
             line.clear()
-    if given.curve is not None:
-        write_png(given.curve.absolute(), curve(jobs))
-    if given.report is not None:
-        command_line.write_report(given.report.absolute(), report(jobs, clock))
+    if options.curve is not None:
+        write_png(options.curve.absolute(), draw_curve(jobs))
+    if options.report is not None:
+        command_line.write_report(options.report.absolute(), build_report(jobs, clock))
+    return " ".join(summaries)
 
 
-def jobs_of(settings: BtfSettings, work: Path | None) -> list[BtfJob]:
-    """One job a cloud of the open scene."""
-    standing = clouds_in(bpy.context.scene)
-    if not standing:
-        raise GeometryError("The file holds no billboard cloud; make one with scripts/billboards.py.")
-    folders = [None if work is None else work / cloud.collection.name for cloud in standing]
-    return [prepare(bpy.context, cloud, settings, folder, keeps_work=True) for cloud, folder in zip(standing, folders, strict=True)]
+def prepare_jobs(settings: BtfSettings, work_folder: Path | None) -> list[BakeJob]:
+    """Return one job per cloud of the open scene."""
+    clouds = clouds_in(bpy.context.scene)
+    if not clouds:
+        raise GeometryError("The file contains no billboard cloud; build one with scripts/billboards.py.")
+    folders = [None if work_folder is None else work_folder / cloud.collection.name for cloud in clouds]
+    return [
+        prepare_bake(bpy.context, cloud, settings, folder, keep_finished_views=True) for cloud, folder in zip(clouds, folders, strict=True)
+    ]
 
 
-def sun_named(name: str) -> bpy.types.Object:
-    """The sun lamp of that name; a new one of 3 W/m2 from above where there is none.
+def find_or_create_sun(name: str) -> bpy.types.Object:
+    """Return the Sun light of that name. If it does not exist, create one of 3 W/m2 from above.
 
     Raises:
-        GeometryError: when the object of that name is no sun lamp.
+        GeometryError: if the object of that name is not a Sun light.
     """
-    found = bpy.data.objects.get(name)
-    if found is None:
-        lamp = bpy.data.lights.new(name, "SUN")
-        lamp.energy = 3.0
-        found = bpy.data.objects.new(name, lamp)
-        found.rotation_euler = (0.6, 0.3, 0.0)
-        bpy.context.scene.collection.objects.link(found)
-    if found.type != "LIGHT" or found.data.type != "SUN":
-        raise GeometryError(f'"{name}" is no sun lamp; name another one with --sun, or none of the objects and one is made.')
-    return found
+    sun = bpy.data.objects.get(name)
+    if sun is None:
+        light = bpy.data.lights.new(name, "SUN")
+        light.energy = 3.0
+        sun = bpy.data.objects.new(name, light)
+        sun.rotation_euler = (0.6, 0.3, 0.0)
+        bpy.context.scene.collection.objects.link(sun)
+    if sun.type != "LIGHT" or sun.data.type != "SUN":
+        raise GeometryError(f'"{name}" is not a Sun light. Give the name of a Sun light with --sun, or omit it to create one.')
+    return sun
 
 
-def world_colour() -> list[float]:
-    """The even light of the scene's world: colour times strength of its Background, where that is a plain colour."""
+def world_color() -> list[float]:
+    """Return the radiance of the World: color times strength of its Background node; black if the color is linked."""
     world = bpy.context.scene.world
     nodes = world.node_tree.nodes if world is not None and world.node_tree is not None else []
     background = next((node for node in nodes if node.type == "BACKGROUND"), None)
@@ -129,31 +135,31 @@ def world_colour() -> list[float]:
     return [background.inputs["Strength"].default_value * value for value in background.inputs["Color"].default_value[:3]]
 
 
-def curve(jobs: list[BtfJob]) -> np.ndarray:
-    """A chart of the PSNR of every level against what was captured, by the number of components; 0 are the lobes alone."""
+def draw_curve(jobs: list[BakeJob]) -> np.ndarray:
+    """Return a chart of the PSNR of every level relative to its capture, by number of components; 0 means the lobes only."""
     lines = {
-        f"{job.collection} L{figure['level']}": [(fit["components"], fit["psnr"]) for fit in figure["fits"]]
+        f"{job.collection} L{figure['level']}": [(error["components"], error["psnr"]) for error in figure["component_errors"]]
         for job in jobs
         for figure in job.figures
     }
-    return line_chart("PSNR in dB against the captured textures, noise counted as error", "components", lines)
+    return draw_line_chart("PSNR in dB relative to the captured textures, including their noise", "components", lines)
 
 
-def report(jobs: list[BtfJob], clock: StageClock) -> dict[str, Any]:
-    """The figures of the run, all levels of all clouds."""
+def build_report(jobs: list[BakeJob], clock: StageClock) -> dict[str, Any]:
+    """Return the figures of the run for all levels of all clouds."""
     seconds = dict(clock.seconds)
     for job in jobs:
-        for stage, taken in job.clock.seconds.items():
-            seconds[stage] = seconds.get(stage, 0.0) + taken
+        for stage, duration in job.clock.seconds.items():
+            seconds[stage] = seconds.get(stage, 0.0) + duration
     levels = [figure for job in jobs for figure in job.figures]
-    workers = command_line.children_peak_memory_mb()
+    workers_peak = command_line.children_peak_memory_mb()
     totals = ("renders", "shards", "bare_render_seconds", "raw_bytes", "captured_bytes", "compressed_bytes")
     return {
         **{name: sum(figure[name] for figure in levels) for name in totals},
         "levels": levels,
-        "seconds": {stage: round(taken, 4) for stage, taken in seconds.items()},
+        "seconds": {stage: round(duration, 4) for stage, duration in seconds.items()},
         "peak_memory_mb": round(command_line.peak_memory_mb(), 1),
-        "workers_peak_memory_mb": None if workers is None else round(workers, 1),
+        "workers_peak_memory_mb": None if workers_peak is None else round(workers_peak, 1),
     }
 
 

@@ -1,9 +1,9 @@
-"""Build the extension's zips, one a platform, each with the wheels that Blender's Python lacks there.
+"""Build the extension's zips, one per platform, each with the wheels of the packages that Blender's Python lacks.
 
     python3 scripts/build_extension.py [--platform linux-x64 ...] [--out dist]
 
-Leaves `farfield-<version>-<platform>.zip` for every platform and `farfield-<version>.zip` for the one it runs on. Each is built and
-validated by Blender's own tool. Wheels are fetched once, checked against requirements/wheels.txt, and kept in build/wheels.
+Writes `farfield-<version>-<platform>.zip` for every platform and `farfield-<version>.zip` for the running one. Blender's extension tool
+builds and validates each zip. Wheels are downloaded once, checked against requirements/wheels.txt, and cached in build/wheels.
 """
 
 import argparse
@@ -18,18 +18,20 @@ import tempfile
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
-import environment
+from lib import environment
 
-environment.ensure()
+environment.ensure(extra_modules=("markdown",))
 
-import tomllib  # older Pythons, which can only start this script, lack it
+import tomllib  # only after ensure(): older Pythons, which can start this script, lack it
+
+from lib.docs_html import write_pages
 
 ROOT = environment.ROOT
 WHEELS_LOCK = ROOT / "requirements" / "wheels.txt"
 WHEELS_CACHE = ROOT / "build" / "wheels"
-STAGED = ("addon", "__init__.py", "LICENSE")  # the manifest comes along too, with the wheels written into it
-PYTHONS = ("3.11", "3.13")  # of Blender 4.5 and 5.0, and of 5.1 and later
-PLATFORMS = {  # the oldest systems that Blender 4.5 and 5.2 run on
+STAGED_FILES = ("addon", "__init__.py", "LICENSE")  # in addition to the manifest, to which the wheels are added
+PYTHON_VERSIONS = ("3.11", "3.13")  # of Blender 4.5 and 5.0, and of 5.1 and later
+PLATFORMS = {  # wheel tags for the oldest systems that Blender 4.5 and 5.2 support
     "linux-x64": ("manylinux_2_28_x86_64", "manylinux_2_27_x86_64", "manylinux_2_17_x86_64", "manylinux2014_x86_64"),
     "macos-arm64": ("macosx_12_0_arm64",),
     "macos-x64": ("macosx_12_0_x86_64",),
@@ -38,11 +40,11 @@ PLATFORMS = {  # the oldest systems that Blender 4.5 and 5.2 run on
 
 
 class BuildError(Exception):
-    """A zip cannot be built; one sentence says why."""
+    """A zip cannot be built; the message says why."""
 
 
-def locked_wheels() -> dict[str, set[str]]:
-    """sha256 hashes of the allowed wheels, by package name as wheel files spell it."""
+def read_locked_wheels() -> dict[str, set[str]]:
+    """Return the sha256 hashes of the allowed wheels by package name, spelled as in wheel file names."""
     hashes: dict[str, set[str]] = {}
     for line in WHEELS_LOCK.read_text(encoding="utf-8").splitlines():
         if line.startswith("#"):
@@ -55,63 +57,64 @@ def locked_wheels() -> dict[str, set[str]]:
     return hashes
 
 
-def wheels_at_hand(folder: Path) -> list[Path]:
-    """The wheels in `folder` if every locked package is there, once and untouched; else none."""
-    found = sorted(folder.glob("*.whl"))
-    locked = locked_wheels()
-    names = [wheel.name.split("-")[0].lower() for wheel in found]
-    whole = sorted(names) == sorted(locked) and all(
-        hashlib.sha256(wheel.read_bytes()).hexdigest() in locked[name] for wheel, name in zip(found, names, strict=True)
+def cached_wheels(folder: Path) -> list[Path]:
+    """Return the wheels in `folder` if every locked package is there once with a locked hash, otherwise an empty list."""
+    wheels = sorted(folder.glob("*.whl"))
+    locked = read_locked_wheels()
+    names = [wheel.name.split("-")[0].lower() for wheel in wheels]
+    is_complete = sorted(names) == sorted(locked) and all(
+        hashlib.sha256(wheel.read_bytes()).hexdigest() in locked[name] for wheel, name in zip(wheels, names, strict=True)
     )
-    return found if whole else []
+    return wheels if is_complete else []
 
 
 def fetch_wheels(target: str, python: str) -> list[Path]:
-    """The wheels for Blender's platform `target` and this Python, from the cache or through pip.
+    """Return the wheels for Blender's platform `target` and this Python version, from the cache or downloaded by pip.
 
     Raises:
-        BuildError: when pip cannot get them.
+        BuildError: pip cannot download them.
     """
     folder = WHEELS_CACHE / f"{target}-{python}"
-    wheels = wheels_at_hand(folder)
+    wheels = cached_wheels(folder)
     if wheels:
         return wheels
     shutil.rmtree(folder, ignore_errors=True)
     command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps", "--only-binary", ":all:"]
     command += ["--require-hashes", "-r", str(WHEELS_LOCK), "--dest", str(folder), "--python-version", python]
-    command += [word for tag in PLATFORMS[target] for word in ("--platform", tag)]
+    command += [argument for tag in PLATFORMS[target] for argument in ("--platform", tag)]
     outcome = subprocess.run(command, stdout=sys.stderr, check=False)
-    wheels = wheels_at_hand(folder)
+    wheels = cached_wheels(folder)
     if outcome.returncode != 0 or not wheels:
-        raise BuildError(f"pip could not fetch the wheels for {target} and Python {python}; see the lines above.")
+        raise BuildError(f"pip could not download the wheels for {target} and Python {python}; see the lines above.")
     return wheels
 
 
-def stage(target: str, folder: Path) -> None:
-    """Lay out in `folder` what goes into the zip for `target`: the package, its manifest and its wheels."""
-    for name in STAGED:
+def stage_files(target: str, folder: Path) -> None:
+    """Copy the contents of the zip for `target` to `folder`: the package, its manifest and its wheels."""
+    for name in STAGED_FILES:
         if (ROOT / name).is_dir():
             shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
         else:
             shutil.copy2(ROOT / name, folder / name)
+    write_pages(ROOT / "docs", folder / "manual")
     (folder / "wheels").mkdir()
     names = []
-    for python in PYTHONS:
+    for python in PYTHON_VERSIONS:
         for wheel in fetch_wheels(target, python):
             shutil.copy2(wheel, folder / "wheels")
             names.append(f"./wheels/{wheel.name}")
-    listed = "".join(f'  "{name}",\n' for name in sorted(set(names)))
-    generated = f'platforms = ["{target}"]\nwheels = [\n{listed}]\n\n'
+    wheel_lines = "".join(f'  "{name}",\n' for name in sorted(set(names)))
+    generated = f'platforms = ["{target}"]\nwheels = [\n{wheel_lines}]\n\n'
     manifest = (ROOT / "blender_manifest.toml").read_text(encoding="utf-8")
-    before, table, after = manifest.partition("[permissions]")  # top-level keys must stand before the first table
+    before, table, after = manifest.partition("[permissions]")  # top-level keys must precede the first table
     (folder / "blender_manifest.toml").write_text(before + generated + table + after, encoding="utf-8")
 
 
 def run_blender_tool(*arguments: str) -> None:
-    """Run Blender's extension tool, which lies inside pip's bpy.
+    """Run Blender's extension tool, which is part of pip's bpy.
 
     Raises:
-        BuildError: when it refuses.
+        BuildError: the tool is missing or fails.
     """
     package = Path(importlib.util.find_spec("bpy").origin).parent
     tools = sorted(package.glob("*/scripts/addons_core/bl_pkg/cli/blender_ext.py"))
@@ -119,32 +122,32 @@ def run_blender_tool(*arguments: str) -> None:
         raise BuildError(f"Blender's extension tool was not found below {package}; run this with pip's bpy 4.5 or newer.")
     outcome = subprocess.run([sys.executable, str(tools[-1]), *arguments], capture_output=True, text=True, check=False)
     if outcome.returncode != 0:
-        raise BuildError(f"Blender's tool refuses to {arguments[0]} the extension: {(outcome.stdout + outcome.stderr).strip()}")
+        raise BuildError(f"Blender's extension tool cannot {arguments[0]} the extension: {(outcome.stdout + outcome.stderr).strip()}")
 
 
 def build(target: str, out: Path, version: str) -> Path:
-    """Build and validate the zip for Blender's platform `target`; it appears in `out` whole or not at all."""
+    """Build and validate the zip for Blender's platform `target`. It appears in `out` complete or not at all."""
     archive = out / f"farfield-{version}-{target}.zip"
     with tempfile.TemporaryDirectory() as folder:
         tree = Path(folder) / "farfield"
         tree.mkdir()
-        stage(target, tree)
+        stage_files(target, tree)
         built = Path(folder) / archive.name
         run_blender_tool("build", "--source-dir", str(tree), "--output-filepath", str(built))
         run_blender_tool("validate", str(built))
-        replace(built, archive)
+        copy_atomically(built, archive)
     return archive
 
 
-def replace(source: Path, target: Path) -> None:
-    """Copy `source` over `target` in one step, so that nobody sees a part of it."""
-    part = target.with_suffix(".part")
-    shutil.copyfile(source, part)
-    part.replace(target)
+def copy_atomically(source: Path, target: Path) -> None:
+    """Copy `source` to `target`, which never exists partially written."""
+    temporary = target.with_suffix(".part")
+    shutil.copyfile(source, temporary)
+    temporary.replace(target)
 
 
 def running_platform() -> str:
-    """This machine's platform, as Blender names it."""
+    """Return this machine's platform as Blender names it."""
     system = {"darwin": "macos"}.get(platform.system().lower(), platform.system().lower())
     machine = {"x86_64": "x64", "amd64": "x64", "aarch64": "arm64"}.get(platform.machine().lower(), platform.machine().lower())
     return f"{system}-{machine}"
@@ -162,13 +165,13 @@ def main() -> int:
             archive = build(target, arguments.out, version)
             print(f"{archive}  {archive.stat().st_size / 1e6:.1f} MB")
             if target == running_platform():
-                replace(archive, arguments.out / f"farfield-{version}.zip")
-                print(f"{arguments.out / f'farfield-{version}.zip'}  (this machine's)")
+                copy_atomically(archive, arguments.out / f"farfield-{version}.zip")
+                print(f"{arguments.out / f'farfield-{version}.zip'}  (this platform)")
     except BuildError as error:
         print(error, file=sys.stderr)
         return 2
     except OSError as error:
-        print(f'"{error.filename}" cannot be read or written: {error.strerror}.', file=sys.stderr)
+        print(f'Cannot read or write "{error.filename}": {error.strerror}.', file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130

@@ -1,9 +1,9 @@
-"""Make terrain in nested boxes: `python3 scripts/clipbox.py --terrain NAME --at x,y,z --out OUT.blend [flags]`.
+"""Create terrain in nested boxes: `python3 scripts/clipbox.py --terrain NAME --at x,y,z --out OUT.blend [flags]`.
 
-The ending of --out chooses what is written: .blend (a scene with the terrain, which goes on following where Farfield is installed; with
---freeze, plain meshes of it), .ply (the welded union of all boxes, in double precision) or .obj (the same as text; far from the origin it
-counts from a place that its first line tells). With --path, a .csv of places x,y,z, the viewer goes there one after the other, and what
-is written is where that ends. `blender --background --python scripts/clipbox.py -- FLAGS` does the same.
+The extension of --out selects the output: .blend (a scene with the terrain, which can follow a viewer where Farfield is installed; with
+--convert-to-mesh, regular meshes), .ply (one welded mesh of all boxes in double precision) or .obj (the same as text; far from the origin,
+coordinates are relative to a position in its first line). --path is a .csv file of positions x,y,z to which the viewer moves one after the
+other; the output is the terrain at the last one. `blender --background --python scripts/clipbox.py -- FLAGS` does the same.
 """
 
 import csv
@@ -14,179 +14,189 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not put a script's folder there
 
-import environment
+from lib import environment
 
 environment.ensure()
+environment.import_farfield()
 
 import bpy
 import numpy as np
 
-import command_line
-import scene_files
-from farfield.addon.core.clipbox.files import write_obj, write_ply
-from farfield.addon.core.clipbox.layout import good_origin
-from farfield.addon.core.clipbox.settings import ClipboxSettings, FreezeSettings
-from farfield.addon.core.clipbox.terrain import Terrain, Update, check_viewer, welded
+from farfield.addon.core.clipbox.engine import TerrainEngine, Update, check_viewer, weld
+from farfield.addon.core.clipbox.layout import choose_origin
+from farfield.addon.core.clipbox.mesh_export import write_obj, write_ply
+from farfield.addon.core.clipbox.settings import ClipboxSettings, ConvertSettings
 from farfield.addon.core.errors import FileError, SettingsError
-from farfield.addon.core.progress import Progress, StageClock, Steps, finish, scaled
+from farfield.addon.core.jobs.progress import Progress, StageClock, Steps, run_to_end, subprogress
 from farfield.addon.core.settings import add_flags, describe, from_flags
-from farfield.addon.operators import clipbox_engines, clipbox_following, clipbox_freeze, clipbox_job
-from farfield.addon.operators.long_work import whole
-from whole_files import check_writable, whole_file
+from farfield.addon.operators.clipbox import convert_to_mesh, engines, following
+from farfield.addon.operators.clipbox.job import prepare
+from farfield.addon.operators.long_work import run_job
+from lib import command_line, scene_files
+from lib.atomic_output import atomic_file, check_writable
 
-ENDINGS = (".blend", ".ply", ".obj")
-
-
-def parser() -> command_line.Parser:
-    """All arguments of the script."""
-    made = command_line.Parser(prog="clipbox.py", description="Make volumetric terrain of any extent in nested boxes about a viewer.")
-    made.add_argument("--at", default="0,0,60", help="where the viewer is, x,y,z in scene units (default: 0,0,60)")
-    made.add_argument("--path", type=Path, help="a .csv file with a place x,y,z a line, where the viewer goes after that")
-    made.add_argument("--out", type=Path, required=True, help="the file to write: .blend, .ply or .obj")
-    made.add_argument("--report", type=Path, help="a JSON file for the figures of the run")
-    add_flags(made, ClipboxSettings)
-    made.add_argument("--freeze", action="store_true", help="for a .blend: plain meshes that need nothing of Farfield")
-    add_flags(made.add_argument_group("with --freeze"), FreezeSettings)
-    return made
+EXTENSIONS = (".blend", ".ply", ".obj")
 
 
-def main(arguments: list[str], line: command_line.ProgressLine) -> None:
-    """Run the script; raises FarfieldError when the input is bad."""
-    given = parser().parse_args(arguments)
+def build_parser() -> command_line.Parser:
+    """Return the parser of all arguments of the script."""
+    parser = command_line.Parser(prog="clipbox.py", description="Create unbounded volumetric terrain in nested boxes around a viewer.")
+    parser.add_argument("--at", default="0,0,60", help="position of the viewer, x,y,z in scene units (default: 0,0,60)")
+    parser.add_argument("--path", type=Path, help="a .csv file with further positions of the viewer, x,y,z per line")
+    parser.add_argument("--out", type=Path, required=True, help="the file to write: .blend, .ply or .obj")
+    parser.add_argument("--report", type=Path, help="write the figures of the run to this JSON file")
+    add_flags(parser, ClipboxSettings)
+    parser.add_argument("--convert-to-mesh", action="store_true", help="for a .blend: write regular meshes that do not need Farfield")
+    add_flags(parser.add_argument_group("with --convert-to-mesh"), ConvertSettings)
+    return parser
+
+
+def main(arguments: list[str], line: command_line.ProgressLine) -> str:
+    """Run the script and return the summary; raises FarfieldError if the input is invalid."""
+    given = build_parser().parse_args(arguments)
     if given.formula is not None and given.terrain is None:
         given.terrain = "formula"
-    settings, chosen = from_flags(ClipboxSettings, given), frozen_as(given)
+    settings, convert_settings = from_flags(ClipboxSettings, given), read_convert_settings(given)
     out = given.out.absolute()
-    if out.suffix.lower() not in ENDINGS:
-        raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(ENDINGS)}.')
-    if chosen is not None and out.suffix.lower() != ".blend":
-        raise FileError(f'--out is "{given.out}"; what --freeze makes can only be written to a .blend.')
+    if out.suffix.lower() not in EXTENSIONS:
+        raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(EXTENSIONS)}.')
+    if convert_settings is not None and out.suffix.lower() != ".blend":
+        raise FileError(f'--out is "{given.out}"; with --convert-to-mesh it must end in .blend.')
     check_writable(out, given.report)
-    places = [place_of(given.at), *(path_in(given.path.absolute()) if given.path is not None else [])]
-    for place in places:
-        check_viewer(place, settings.voxel)
+    positions = [parse_position(given.at), *(read_path(given.path.absolute()) if given.path is not None else [])]
+    for position in positions:
+        check_viewer(position, settings.voxel_size)
     clock = StageClock()
-    is_scene = out.suffix.lower() == ".blend"
-    made = in_scene(settings, places, chosen, clock, line) if is_scene else in_memory(settings, places, clock, line)
+    if out.suffix.lower() == ".blend":
+        engine = build_scene(settings, positions, convert_settings, clock, line)
+    else:
+        engine = build_engine(settings, positions, clock, line)
     line.clear()
     with clock.stage("write"):
-        write(out, made, good_origin(places[-1], settings))
+        write_output(out, engine, choose_origin(positions[-1], settings))
     if given.report is not None:
-        command_line.write_report(given.report.absolute(), report(made, clock))
+        command_line.write_report(given.report.absolute(), build_report(engine, clock))
+    return f'"{out.name}": {sum(box["triangles"] for box in engine.statistics()):,} triangles in {settings.boxes} boxes.'
 
 
-def frozen_as(given: Namespace) -> FreezeSettings | None:
-    """How the terrain is to be frozen, None if it is not.
+def read_convert_settings(given: Namespace) -> ConvertSettings | None:
+    """Return the settings of the conversion, None without --convert-to-mesh.
 
     Raises:
-        SettingsError: when a flag says how to freeze, but --freeze is missing.
+        SettingsError: a flag of the conversion is given without --convert-to-mesh.
     """
-    if not given.freeze:
-        for item in describe(FreezeSettings):
+    if not given.convert_to_mesh:
+        for item in describe(ConvertSettings):
             if getattr(given, item.name) is not None:
-                raise SettingsError(f"{item.flag} tells how to freeze; give --freeze as well.")
+                raise SettingsError(f"{item.flag} needs --convert-to-mesh.")
         return None
-    return from_flags(FreezeSettings, given)
+    return from_flags(ConvertSettings, given)
 
 
-def place_of(text: str) -> np.ndarray:
-    """A place (3,) from `x,y,z`.
+def parse_position(text: str) -> np.ndarray:
+    """Parse a position (3,) from `x,y,z`.
 
     Raises:
-        SettingsError: when it is none.
+        SettingsError: it is invalid.
     """
     try:
-        place = np.array([float(number) for number in text.split(",")])
+        position = np.array([float(number) for number in text.split(",")])
     except ValueError:
-        place = np.empty(0)
-    if place.shape != (3,):
-        raise SettingsError(f'A place is x,y,z, three numbers, not "{text}".')
-    return place
+        position = np.empty(0)
+    if position.shape != (3,):
+        raise SettingsError(f'A position consists of three numbers x,y,z, not "{text}".')
+    return position
 
 
-def path_in(path: Path) -> list[np.ndarray]:
-    """The places (3,) in a .csv file; a first line without numbers is its head.
+def read_path(path: Path) -> list[np.ndarray]:
+    """Read positions (3,) from a .csv file; a first line without numbers is skipped as a header.
 
     Raises:
-        FileError: when it cannot be read.
+        FileError: it cannot be read.
     """
     try:
-        with path.open(newline="", encoding="utf-8-sig") as lines:
-            rows = [row for row in csv.reader(lines) if any(cell.strip() for cell in row)]
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise FileError(f'The path "{path}" cannot be read: {error}.') from error
     try:
         if rows and any(cell.strip()[:1].isalpha() for cell in rows[0]):
             rows = rows[1:]
-        places = [place_of(",".join(row[:3])) for row in rows]
+        positions = [parse_position(",".join(row[:3])) for row in rows]
     except SettingsError as error:
         raise FileError(f'The path "{path}" cannot be read: {error}') from error
-    if not places:
-        raise FileError(f'The path "{path}" holds no places; give a line x,y,z for each.')
-    return places
+    if not positions:
+        raise FileError(f'The path "{path}" contains no positions; write one line x,y,z for each.')
+    return positions
 
 
-def in_memory(settings: ClipboxSettings, places: list[np.ndarray], clock: StageClock, line: command_line.ProgressLine) -> Terrain:
-    """A terrain that has followed the path, without Blender's data."""
-    engine = clipbox_engines.new_engine(settings)
+def build_engine(
+    settings: ClipboxSettings, positions: list[np.ndarray], clock: StageClock, line: command_line.ProgressLine
+) -> TerrainEngine:
+    """Build a terrain that has followed the path, without Blender objects."""
+    engine = engines.create_engine(settings)
     with clock.stage("first build"):
-        finish(scaled(engine.move(places[0]), 0.0, 1.0 / len(places)), line.show)
+        run_to_end(subprogress(engine.move(positions[0]), 0.0, 1.0 / len(positions)), line.show)
     with clock.stage("path"):
-        finish(follow(engine, places[1:]), line.show)
+        run_to_end(follow_path(engine, positions[1:]), line.show)
     return engine
 
 
-def follow(engine: Terrain, places: list[np.ndarray]) -> Steps[list[Update]]:
-    """Let a terrain go to one place after the other."""
+def follow_path(engine: TerrainEngine, positions: list[np.ndarray]) -> Steps[list[Update]]:
+    """Move a terrain to one position after the other."""
     updates = []
-    for number, place in enumerate(places):
-        start = (number + 1) / (len(places) + 1)
-        updates.append((yield from scaled(engine.move(place), start, start + 1.0 / (len(places) + 1))))
+    for index, position in enumerate(positions):
+        start = (index + 1) / (len(positions) + 1)
+        updates.append((yield from subprogress(engine.move(position), start, start + 1.0 / (len(positions) + 1))))
     return updates
 
 
-def in_scene(
-    settings: ClipboxSettings, places: list[np.ndarray], chosen: FreezeSettings | None, clock: StageClock, line: command_line.ProgressLine
-) -> Terrain:
-    """The same as objects of an empty scene, which they follow in; plain meshes at the end where it is `chosen` how."""
+def build_scene(
+    settings: ClipboxSettings,
+    positions: list[np.ndarray],
+    convert_settings: ConvertSettings | None,
+    clock: StageClock,
+    line: command_line.ProgressLine,
+) -> TerrainEngine:
+    """Build the same as objects of an empty scene; with `convert_settings`, converted to regular meshes."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    job = clipbox_job.prepare(settings, places[0])
+    job = prepare(settings, positions[0])
     with clock.stage("first build"):
-        finish(scaled(whole(job), 0.0, 1.0 / len(places)), line.show)
+        run_to_end(subprogress(run_job(job), 0.0, 1.0 / len(positions)), line.show)
     with clock.stage("path"):
-        for number, place in enumerate(places[1:]):
-            clipbox_following.follow_at_once(job.standing, place)
-            line.show(Progress((number + 2) / len(places), "Following"))
-    if chosen is not None:
-        with clock.stage("freeze"):
-            finish(whole(clipbox_freeze.prepare(job.standing, chosen)), line.show)
+        for index, position in enumerate(positions[1:]):
+            following.recenter(job.terrain, position)
+            line.show(Progress((index + 2) / len(positions), "Following the path"))
+    if convert_settings is not None:
+        with clock.stage("convert"):
+            run_to_end(run_job(convert_to_mesh.prepare(job.terrain, convert_settings)), line.show)
     return job.engine
 
 
-def write(out: Path, made: Terrain, origin: np.ndarray) -> None:
-    """Write the scene, or the welded union of all boxes; in an .obj counted from `origin` (3,)."""
-    ending = out.suffix.lower()
-    if ending == ".blend":
+def write_output(out: Path, engine: TerrainEngine, origin: np.ndarray) -> None:
+    """Write the scene or the welded mesh of all boxes. Coordinates in an .obj are relative to `origin` (3,)."""
+    extension = out.suffix.lower()
+    if extension == ".blend":
         scene_files.save_scene(out)
         return
-    united = welded(list(made.all_meshes()))
-    with whole_file(out) as temporary:
-        if ending == ".obj":
-            write_obj(temporary, united, origin)
+    mesh = weld(list(engine.extract_all()))
+    with atomic_file(out) as temporary:
+        if extension == ".obj":
+            write_obj(temporary, mesh, origin)
         else:
-            write_ply(temporary, united)
+            write_ply(temporary, mesh)
 
 
-def report(made: Terrain, clock: StageClock) -> dict[str, Any]:
-    """The figures of the run."""
-    boxes = made.figures()
+def build_report(engine: TerrainEngine, clock: StageClock) -> dict[str, Any]:
+    """Return the figures of the run."""
+    boxes = engine.statistics()
     computed, reused = (sum(box[name] for box in boxes) for name in ("computed", "reused"))
     return {
         "triangles": sum(box["triangles"] for box in boxes),
         "boxes": boxes,
-        "reused_share": None if made.moves < 2 else round(reused / (reused + computed - made.first_computed), 4),
-        "moves": made.moves,
-        "seconds": {stage: round(taken, 4) for stage, taken in (clock.seconds | made.clock.seconds).items()},
+        "reused_fraction": None if engine.moves < 2 else round(reused / (reused + computed - engine.initial_voxels), 4),
+        "moves": engine.moves,
+        "seconds": {stage: round(seconds, 4) for stage, seconds in (clock.seconds | engine.clock.seconds).items()},
         "peak_memory_mb": round(command_line.peak_memory_mb(), 1),
     }
 

@@ -1,9 +1,9 @@
-"""The main job from start to end: `python3 scripts/demo.py [--input FILE] [--quick] [--out DIR]`.
+"""The whole workflow of Farfield: `python3 scripts/demo.py [--input FILE] [--quick] [--out DIR]`.
 
-Grows a tree, builds its billboard cloud in three levels, compares every level with the tree in Cycles, bakes relightable textures for one
-of them, compares that under other suns, and plants a forest of it. Leaves in out/demo/ the scene (demo.blend), contact sheets
-(contact-sheet.png, relighting.png), the forest (forest.blend, forest.png) and the figures (report.json, report.md). --input takes a mesh
-of your own instead of the tree; --quick makes fewer leaves, a coarser cloud, and fewer and smaller renders.
+Grows a tree, builds its billboard cloud with three levels of detail, compares every level with the tree in Cycles, bakes relightable
+textures for one of them, compares it under other Sun directions, and plants a forest of it. Writes to out/demo/: the scene (demo.blend),
+contact sheets (contact-sheet.png, relighting.png), the forest (forest.blend, forest.png) and the results (report.json, report.md).
+--input uses your own mesh instead of the tree; --quick uses fewer leaves, a larger error, and fewer and smaller renders.
 """
 
 import sys
@@ -13,41 +13,41 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not put a script's folder there
 
-import environment
+from lib import environment
 
 environment.ensure()
+environment.import_farfield()
 
 import bpy
 import numpy as np
 
 import billboards
-import command_line
-import scene_files
-from comparison import Comparison, compare, sheet
-from contact_sheet import write_png
-from demo_relighting import RelightingEffort, bake_and_compare
-from demo_report import markdown
-from demo_tree import grow
+from farfield.addon.bridge.billboards.scene_clouds import SceneCloud
 from farfield.addon.core.billboards.settings import BillboardSettings
 from farfield.addon.core.btf.settings import BtfSettings
-from farfield.addon.core.directions import held_out_views
-from farfield.addon.core.progress import StageClock, finish, scaled
-from farfield.addon.operators.billboards_clouds import StandingCloud
-from farfield.addon.operators.billboards_job import BuildOptions
-from farfield.addon.operators.long_work import whole
-from forest import DAY, TREES, render_day, write_forest
-from studio import SUN_ANGLE, SUN_STRENGTH, bounds, looking_along, paint_sky, studio, sun_matrix
-from whole_files import check_writable, whole_folder
+from farfield.addon.core.geometry.directions import held_out_views
+from farfield.addon.core.jobs.progress import StageClock, run_to_end, subprogress
+from farfield.addon.operators.billboards.job import BuildOptions
+from farfield.addon.operators.long_work import run_job
+from lib import command_line, scene_files
+from lib.atomic_output import atomic_folder, check_writable
+from lib.comparison import Comparison, compare_cloud, draw_comparison_sheet
+from lib.contact_sheet import write_png
+from lib.demo_forest import DAY, TREE_COUNT, render_day, write_forest
+from lib.demo_relighting import RelightingPreset, bake_and_compare
+from lib.demo_report import to_markdown
+from lib.demo_tree import grow_tree
+from lib.studio import SUN_ANGLE, SUN_STRENGTH, bounding_sphere, look_at_matrix, open_studio, set_uniform_sky, sun_matrix
 
-LEVELS = 3
-COLUMNS = 6
-NEARER = 3.0  # the close-up shows what is a pixel at the switch size as so many
-VIEWER = np.array([0.55, -0.80, 0.22]) / np.linalg.norm([0.55, -0.80, 0.22])  # where the scene's camera stands, seen from the tree
+LEVEL_COUNT = 3
+MAX_SHEET_COLUMNS = 6
+CLOSE_UP_FACTOR = 3.0  # pixels of the close-up per pixel at the switch distance
+VIEW_DIRECTION = np.array([0.55, -0.80, 0.22]) / np.linalg.norm([0.55, -0.80, 0.22])  # from the tree towards the active camera
 
 
 @dataclass(frozen=True)
-class Effort:
-    """How much the demo does."""
+class DemoPreset:
+    """The amount of work."""
 
     leaves: int
     error: float
@@ -55,21 +55,21 @@ class Effort:
     views: int
     samples: int
     compared_levels: int
-    relighting: RelightingEffort
+    relighting: RelightingPreset
     forest_width: int
     forest_samples: int
 
 
-FULL = Effort(
+FULL = DemoPreset(
     leaves=6000,
     error=0.01,
     capture_samples=16,
     views=8,
     samples=24,
-    compared_levels=LEVELS,
-    relighting=RelightingEffort(
+    compared_levels=LEVEL_COUNT,
+    relighting=RelightingPreset(
         level=2,
-        bake=BtfSettings(views=36, lights=25, components=12, alpha_components=12, samples=4),
+        bake=BtfSettings(views_per_side=6, lights_per_side=5, components=12, alpha_components=12, samples=4),
         pairs=6,
         samples=32,
         frames=12,
@@ -78,16 +78,18 @@ FULL = Effort(
     forest_width=340,
     forest_samples=6,
 )
-QUICK = Effort(
+QUICK = DemoPreset(
     leaves=1000,
     error=0.03,
     capture_samples=4,
     views=6,
     samples=8,
     compared_levels=1,
-    relighting=RelightingEffort(
+    relighting=RelightingPreset(
         level=1,
-        bake=BtfSettings(views=9, lights=9, components=4, alpha_components=4, shadows=64, shadow_components=8, samples=2),
+        bake=BtfSettings(
+            views_per_side=3, lights_per_side=3, components=4, alpha_components=4, shadows_per_side=8, shadow_components=8, samples=2
+        ),
         pairs=2,
         samples=8,
         frames=6,
@@ -96,47 +98,48 @@ QUICK = Effort(
     forest_width=240,
     forest_samples=2,
 )
-BUILT, COMPARED, RELIT = 0.25, 0.4, 0.8  # of the bar
+BUILD_END, COMPARISON_END, RELIGHTING_END = 0.25, 0.4, 0.8  # fractions of the progress
 
 
-def main(arguments: list[str], line: command_line.ProgressLine) -> None:
-    """Run the demo; raises FarfieldError when the input or the folder is bad."""
-    parser = command_line.Parser(prog="demo.py", description="Grow a tree, build its billboard cloud, compare the two.")
-    parser.add_argument("--input", type=Path, help="a mesh of your own instead of the tree: .blend .obj .ply .stl .glb .gltf .fbx .usd")
-    parser.add_argument("--quick", action="store_true", help="fewer leaves, a coarser cloud and fewer renders, done within a minute")
+def main(arguments: list[str], line: command_line.ProgressLine) -> str:
+    """Run the demo and return its result in one line; raises FarfieldError for an invalid input or folder."""
+    parser = command_line.Parser(
+        prog="demo.py", description="Grow a tree, build its billboard cloud, make it relightable and plant a forest."
+    )
+    parser.add_argument("--input", type=Path, help="your own mesh instead of the tree: .blend .obj .ply .stl .glb .gltf .fbx .usd")
+    parser.add_argument("--quick", action="store_true", help="fewer leaves, a larger error and fewer renders; takes about a minute")
     parser.add_argument("--out", type=Path, default=Path("out") / "demo", help="the folder for the results (default: out/demo)")
     given = parser.parse_args(arguments)
-    effort = QUICK if given.quick else FULL
+    preset = QUICK if given.quick else FULL
     out = given.out.absolute()
     check_writable(out / "report.json")
     clock = StageClock()
     with clock.stage("scene"):
-        set_scene(given.input, effort)
-    settings = BillboardSettings(error=effort.error, levels=LEVELS, samples=effort.capture_samples)
-    job = billboards.prepare_input(settings, BuildOptions(together=True))
-    finish(scaled(whole(job), 0.0, BUILT), line.show)
-    cloud = billboards.standing(job)[0]
+        prepare_scene(given.input, preset)
+    settings = BillboardSettings(error=preset.error, levels=LEVEL_COUNT, samples=preset.capture_samples)
+    job = billboards.prepare_input(settings, BuildOptions(combine_selected=True, keep_source_visible=True))
+    run_to_end(subprogress(run_job(job), 0.0, BUILD_END), line.show)
+    cloud = billboards.read_built_clouds(job)[0]
     with clock.stage("compare"):
-        comparisons = compare_levels(cloud, effort, line)
-        close_up = near_pictures(cloud, effort)
-    report = billboards.report(job, clock)
-    for level, compared in zip(report["levels"], comparisons, strict=False):
-        level["pictures"] = compared.figures()
-    heading = title(cloud, report)
-    with whole_folder(out) as folder:
-        leave_cloud(folder, heading, cloud, comparisons[0], close_up)
-        report |= relight(folder, cloud, effort, upper=given.input is None, line=line)
+        comparisons = compare_levels(cloud, preset, line)
+        close_up = render_close_up(cloud, preset)
+    report = billboards.build_report(job, clock)
+    for level, comparison in zip(report["levels"], comparisons, strict=False):
+        level["comparison"] = comparison.to_report()
+    title = format_title(cloud, report)
+    with atomic_folder(out) as folder:
+        write_cloud(folder, title, cloud, comparisons[0], close_up)
+        report |= make_relightable(folder, cloud, preset, upper_hemisphere=given.input is None, line=line)
         command_line.write_report(folder / "report.json", report)
-        (folder / "report.md").write_text(markdown(heading, report), encoding="utf-8")
-    line.clear()
-    print(f"{heading}.\nPictures, figures and scenes are in {out}.", file=sys.stderr)
+        (folder / "report.md").write_text(to_markdown(title, report), encoding="utf-8")
+    return f"{title}; images, report and scenes in {out}"
 
 
-def set_scene(path: Path | None, effort: Effort) -> None:
-    """Open the user's file or grow the tree, and give the scene a camera, a sun and a sky where it has none."""
+def prepare_scene(path: Path | None, preset: DemoPreset) -> None:
+    """Open the user's file or grow the tree; add a camera, a Sun light and a World if the scene has none."""
     if path is None:
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-        grow(seed=0, leaves=effort.leaves)
+        grow_tree(seed=0, leaves=preset.leaves)
     else:
         scene_files.open_scene(path.absolute())
     scene = bpy.context.scene
@@ -151,75 +154,77 @@ def set_scene(path: Path | None, effort: Effort) -> None:
         scene.collection.objects.link(sun)
     if scene.world is None:
         scene.world = bpy.data.worlds.new("Sky")
-        paint_sky(scene.world)
+        set_uniform_sky(scene.world)
 
 
-def compare_levels(cloud: StandingCloud, effort: Effort, line: command_line.ProgressLine) -> list[Comparison]:
-    """Comparisons of the levels with the original, finest first, each at its own switch size."""
+def compare_levels(cloud: SceneCloud, preset: DemoPreset, line: command_line.ProgressLine) -> list[Comparison]:
+    """Compare levels with the source, finest first, each at its own switch distance."""
     comparisons = []
-    for index, level in enumerate(cloud.levels[: effort.compared_levels]):
-        steps = compare(cloud.sources, level, directions=held_out_views(effort.views), samples=effort.samples)
-        start, stop = (BUILT + (COMPARED - BUILT) * place / effort.compared_levels for place in (index, index + 1))
-        comparisons.append(finish(scaled(steps, start, stop), line.show))
+    for index, level in enumerate(cloud.levels[: preset.compared_levels]):
+        steps = compare_cloud(cloud.sources, level, directions=held_out_views(preset.views), samples=preset.samples)
+        start, stop = (BUILD_END + (COMPARISON_END - BUILD_END) * number / preset.compared_levels for number in (index, index + 1))
+        comparisons.append(run_to_end(subprogress(steps, start, stop), line.show))
     return comparisons
 
 
-def near_pictures(cloud: StandingCloud, effort: Effort) -> np.ndarray:
-    """Renders (2, H, W, 4) of the original and of the finest level, from nearer than that level is meant for."""
-    center, radius = bounds(cloud.sources)
-    pixel_size = cloud.errors[0] / NEARER
+def render_close_up(cloud: SceneCloud, preset: DemoPreset) -> np.ndarray:
+    """Render the source and the finest level from nearer than its switch distance: (2, H, W, 4)."""
+    center, radius = bounding_sphere(cloud.sources)
+    pixel_size = cloud.errors[0] / CLOSE_UP_FACTOR
     size = int(np.ceil(2.0 * radius / pixel_size))
     finest = cloud.levels[0]
-    with studio([*cloud.sources, finest], effort.samples) as room:
-        return np.stack([room.picture(shown, VIEWER, center, pixel_size, size) for shown in (cloud.sources, [finest])])
+    with open_studio([*cloud.sources, finest], preset.samples) as studio:
+        return np.stack([studio.render(visible, VIEW_DIRECTION, center, pixel_size, size) for visible in (cloud.sources, [finest])])
 
 
-def stand_at_switch_distance(cloud: StandingCloud) -> None:
-    """Put the camera where the finest level is just not told from the original, and show what belongs there."""
-    center, radius = bounds(cloud.sources)
+def show_at_switch_distance(cloud: SceneCloud) -> None:
+    """Move the camera just beyond the switch distance of the finest level and show the level for this distance."""
+    center, radius = bounding_sphere(cloud.sources)
     scene = bpy.context.scene
     distance = float(cloud.levels[0]["farfield_switch_distance"]) + radius
-    scene.camera.matrix_world = looking_along(VIEWER, center + 1.01 * distance * VIEWER)
+    scene.camera.matrix_world = look_at_matrix(VIEW_DIRECTION, center + 1.01 * distance * VIEW_DIRECTION)
     scene.camera.data.clip_end = max(scene.camera.data.clip_end, 4.0 * distance)
     bpy.context.view_layer.update()
     bpy.ops.farfield.billboards_show_level()
 
 
-def title(cloud: StandingCloud, report: dict[str, Any]) -> str:
-    """The line above the contact sheet."""
+def format_title(cloud: SceneCloud, report: dict[str, Any]) -> str:
+    """Return the title of the contact sheet."""
     size = f"{report['source_triangles']:,} triangles as {report['quads']:,} quads and {report['texels']:,} texels"
-    return f"{cloud.collection.name}: {size}, at the size where its error is one pixel"
+    return f"{cloud.collection.name}: {size}, where the error is one pixel"
 
 
-def leave_cloud(folder: Path, heading: str, cloud: StandingCloud, finest: Comparison, close_up: np.ndarray) -> None:
-    """Write the sheet of the cloud and its scene into `folder`. In the scene that is open the original is seen as before."""
-    columns = np.linspace(0, len(finest.directions) - 1, COLUMNS).round().astype(int).tolist()
-    write_png(folder / "contact-sheet.png", sheet(heading, finest, columns, close_up))
+def write_cloud(folder: Path, title: str, cloud: SceneCloud, finest: Comparison, close_up: np.ndarray) -> None:
+    """Write the contact sheet of the cloud and its scene to `folder`. The visibility of the source is restored afterwards."""
+    columns = np.linspace(0, len(finest.directions) - 1, MAX_SHEET_COLUMNS).round().astype(int).tolist()
+    write_png(folder / "contact-sheet.png", draw_comparison_sheet(title, finest, columns, close_up))
     hidden = [(item, item.hide_viewport, item.hide_render) for item in cloud.sources]
-    stand_at_switch_distance(cloud)
+    show_at_switch_distance(cloud)
     scene_files.save_scene(folder / "demo.blend")
     for item, in_viewport, in_render in hidden:
         item.hide_viewport, item.hide_render = in_viewport, in_render
 
 
-def relight(folder: Path, cloud: StandingCloud, effort: Effort, upper: bool, line: command_line.ProgressLine) -> dict[str, Any]:
-    """Bake one level of `cloud`, compare it and plant a forest of it, which replaces the scene; all pictures into `folder`.
+def make_relightable(
+    folder: Path, cloud: SceneCloud, preset: DemoPreset, upper_hemisphere: bool, line: command_line.ProgressLine
+) -> dict[str, Any]:
+    """Bake one level of `cloud`, compare it and plant a forest of it, which replaces the scene. Writes all images to `folder`.
 
-    upper: the original stands on the ground; whether a user's does, nobody knows. Returns the figures.
+    upper_hemisphere: only bake views and lights above the horizon, for the tree on its ground. Returns the figures for the report.
     """
     clock = StageClock()
-    relighting = replace(effort.relighting, bake=replace(effort.relighting.bake, upper_hemisphere=upper))
+    relighting = replace(preset.relighting, bake=replace(preset.relighting.bake, upper_hemisphere=upper_hemisphere))
     with clock.stage("bake and compare"):
-        relit = finish(scaled(bake_and_compare(cloud, relighting), COMPARED, RELIT), line.show)
-    figures = relit.figures()
-    write_png(folder / "relighting.png", relit.sheet())
+        relit = run_to_end(subprogress(bake_and_compare(cloud, relighting), COMPARISON_END, RELIGHTING_END), line.show)
+    figures = relit.to_report()
+    write_png(folder / "relighting.png", relit.draw_sheet())
     with clock.stage("forest"):
-        write_forest(relit.cloud, folder / "forest.blend", effort.forest_width, effort.forest_samples)
-        pictures = finish(scaled(render_day(folder / "forest.blend"), RELIT, 1.0), line.show)
-    write_png(folder / "forest.png", pictures)
-    forest = {"trees": TREES, "hours": [hour.name for hour in DAY]}
+        write_forest(relit.cloud, folder / "forest.blend", preset.forest_width, preset.forest_samples)
+        sheet = run_to_end(subprogress(render_day(folder / "forest.blend"), RELIGHTING_END, 1.0), line.show)
+    write_png(folder / "forest.png", sheet)
+    forest = {"trees": TREE_COUNT, "hours": [hour.name for hour in DAY]}
     seconds = {**relit.job.clock.seconds, **clock.seconds}
-    return {"relighting": {**figures, "seconds": {stage: round(taken, 4) for stage, taken in seconds.items()}}, "forest": forest}
+    return {"relighting": {**figures, "seconds": {stage: round(duration, 4) for stage, duration in seconds.items()}}, "forest": forest}
 
 
 if __name__ == "__main__":

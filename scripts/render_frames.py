@@ -1,7 +1,7 @@
-"""Render frames of a `.blend` file with nothing but Blender: `python3 scripts/render_frames.py FILE FOLDER FRAME...`.
+"""Render frames of a `.blend` file without Farfield: `python3 scripts/render_frames.py FILE FOLDER FRAME...`.
 
-Leaves FRAME.png for every frame in FOLDER, each under another name until it is whole. `blender --background --factory-startup --python
-scripts/render_frames.py -- FILE FOLDER FRAME...` does the same. Python in files stays off.
+Writes FRAME.png to FOLDER for every frame; each file appears complete. `blender --background --factory-startup --python
+scripts/render_frames.py -- FILE FOLDER FRAME...` does the same. Python scripts in the file are not run.
 """
 
 import os
@@ -12,7 +12,7 @@ import bpy
 
 
 def main(arguments: list[str]) -> None:
-    """Render what the arguments say."""
+    """Render the frames given by the arguments."""
     path, folder, frames = arguments[0], Path(arguments[1]), arguments[2:]
     bpy.ops.wm.open_mainfile(filepath=path, load_ui=False, use_scripts=False)
     scene = bpy.context.scene
@@ -26,4 +26,4 @@ def main(arguments: list[str]) -> None:
 if __name__ == "__main__":
     main(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:])
     sys.stdout.flush()
-    os._exit(0)  # Blender 4.5 as a Python module may hang while it is being taken down
+    os._exit(0)  # Blender 4.5 as a Python module may hang at exit

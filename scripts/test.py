@@ -1,33 +1,33 @@
-"""Run every test that this machine can run, the fast ones first, and say what was left out and why.
+"""Run all tests that this machine can run, the fast ones first, and list the skipped tests with the reasons.
 
     python3 scripts/test.py [arguments of pytest]
 
-Files run side by side, as many as there are cores, four at most, since each holds a Blender; `-n 0` runs one after the other.
+Test files run in parallel, one per core but at most four, since each process loads a Blender; `-n 0` runs them one after the other.
 
-The first run makes an environment, see environment.py. FARFIELD_BPY=4.5, 5.0 or 5.2 chooses the Blender to test with.
+The first run creates an environment, see lib/environment.py. FARFIELD_BPY=4.5, 5.0 or 5.2 selects the Blender to test with.
 """
 
 import os
 import platform
 import sys
 
-import environment
+from lib import environment
 
-environment.ensure(also=("pytest", "pytest_timeout", "xdist", "hypothesis"))
-
-
-# Where Blender crashes, the run ends there: xdist may wait for ever for a worker that takes its place.
-SIDE_BY_SIDE = ("-n", "auto", "--maxprocesses", "4", "--dist", "loadfile", "--no-loadscope-reorder", "--max-worker-restart", "0")
+environment.ensure(extra_modules=("pytest", "pytest_timeout", "xdist", "hypothesis"))
 
 
-class Crashes:
-    """The tests in which a worker died."""
+# A crash of Blender ends the run: xdist may wait forever for the replacement of a worker.
+PARALLEL_OPTIONS = ("-n", "auto", "--maxprocesses", "4", "--dist", "loadfile", "--no-loadscope-reorder", "--max-worker-restart", "0")
+
+
+class CrashRecorder:
+    """Records the tests in which a worker crashed."""
 
     def __init__(self) -> None:
         self.tests: list[str] = []
 
     def pytest_handlecrashitem(self, crashitem: str) -> None:
-        """Note one."""
+        """Record one test."""
         self.tests.append(crashitem)
 
 
@@ -38,12 +38,12 @@ def main() -> int:
 
     os.chdir(environment.ROOT)
     print(f"Farfield's tests with bpy {version('bpy')}, Python {platform.python_version()}, NumPy {version('numpy')}", flush=True)
-    arguments, crashes = [*SIDE_BY_SIDE, *sys.argv[1:]], Crashes()
+    arguments, crashes = [*PARALLEL_OPTIONS, *sys.argv[1:]], CrashRecorder()
     code = pytest.main(arguments, plugins=[crashes])
     if not crashes.tests:
         return code
-    # Blender was seen to die once for no reason that could be found: a second run tells that from a fault of ours.
-    print(f"\nWARNING: BLENDER CRASHED in {', '.join(crashes.tests)}. All tests are run once more.", flush=True)
+    # Blender has crashed once for an unknown reason; a second run distinguishes this from a defect of Farfield.
+    print(f"\nWARNING: BLENDER CRASHED in {', '.join(crashes.tests)}. All tests are run again.", flush=True)
     return pytest.main(arguments)
 
 

@@ -1,8 +1,8 @@
 """Unwrap the meshes of a file: `python3 scripts/unwrap.py INPUT --out OUT.blend [flags]`.
 
-INPUT is .blend .obj .ply .stl .glb .gltf .fbx or .usd; each of its visible meshes gets a UV map of its own. The ending of --out chooses
-what is written: .blend (the whole scene), .obj or .glb (all objects). `--direction` alone stands for `--importance direction` as well.
-`blender --background --python scripts/unwrap.py -- INPUT --out OUT` does the same.
+INPUT is a .blend, .obj, .ply, .stl, .glb, .gltf, .fbx or .usd file. Each mesh that is visible in renders gets its own UV map. The extension
+of --out selects the output: .blend (the whole scene), .obj or .glb (all objects). `--direction` without `--importance` implies
+`--importance direction`. `blender --background --python scripts/unwrap.py -- INPUT --out OUT` does the same.
 """
 
 import math
@@ -13,100 +13,105 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not put a script's folder there
 
-import environment
+from lib import environment
 
 environment.ensure()
+environment.import_farfield()
 
 import bpy
 
-import command_line
-import scene_files
-from farfield.addon.bridge import stretch_pictures
+from farfield.addon.bridge.unwrap.stretch_images import save_stretch_image
 from farfield.addon.core.errors import FileError
-from farfield.addon.core.progress import StageClock, finish
+from farfield.addon.core.jobs.progress import StageClock, run_to_end
 from farfield.addon.core.settings import add_flags, from_flags
 from farfield.addon.core.unwrap.settings import UnwrapSettings
-from farfield.addon.operators.long_work import whole
-from farfield.addon.operators.unwrap_job import UnwrapJob, prepare
-from whole_files import check_writable, quiet_operators, whole_file, whole_folder
+from farfield.addon.operators.long_work import run_job
+from farfield.addon.operators.unwrap.job import UnwrapJob, prepare
+from lib import command_line, scene_files
+from lib.atomic_output import atomic_file, atomic_folder, check_writable, suppress_operator_tracebacks
 
-ENDINGS = (".blend", ".obj", ".glb")
-PICTURE = 2048  # pixels along a side
-
-
-def parser() -> command_line.Parser:
-    """All arguments of the script."""
-    made = command_line.Parser(prog="unwrap.py", description="Lay meshes out with little stretch, and with most texels where it matters.")
-    made.add_argument("input", type=Path, help="a .blend .obj .ply .stl .glb .gltf .fbx or .usd file")
-    made.add_argument("--out", type=Path, required=True, help="the file to write: .blend, .obj or .glb")
-    made.add_argument("--report", type=Path, help="a JSON file for the figures of the run")
-    made.add_argument("--picture", type=Path, help="a PNG of the UV map of the first mesh, coloured by stretch")
-    add_flags(made, UnwrapSettings)
-    return made
+EXTENSIONS = (".blend", ".obj", ".glb")
+STRETCH_IMAGE_RESOLUTION = 2048  # pixels per side
 
 
-def main(arguments: list[str], line: command_line.ProgressLine) -> None:
-    """Run the script; raises FarfieldError when the input is bad."""
-    given = parser().parse_args(arguments)
+def build_parser() -> command_line.Parser:
+    """Return the parser of all arguments of the script."""
+    parser = command_line.Parser(
+        prog="unwrap.py", description="Create low-stretch UV maps with more texels in important areas for the meshes of a file."
+    )
+    parser.add_argument("input", type=Path, help="a .blend .obj .ply .stl .glb .gltf .fbx or .usd file")
+    parser.add_argument("--out", type=Path, required=True, help="the file to write: .blend, .obj or .glb")
+    parser.add_argument("--report", type=Path, help="write the figures of the run to this JSON file")
+    parser.add_argument("--image", type=Path, help="write the UV map of the first mesh, colored by stretch, to this PNG file")
+    add_flags(parser, UnwrapSettings)
+    return parser
+
+
+def main(arguments: list[str], line: command_line.ProgressLine) -> str:
+    """Run the script and return the summary; raises FarfieldError if the input is invalid."""
+    given = build_parser().parse_args(arguments)
     if given.direction is not None and given.importance is None:
         given.importance = "direction"
     settings = from_flags(UnwrapSettings, given)
     out = given.out.absolute()
-    if out.suffix.lower() not in ENDINGS:
-        raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(ENDINGS)}.')
-    if given.picture is not None and given.picture.suffix.lower() != ".png":
-        raise FileError(f'--picture is "{given.picture}"; it must end in .png.')
-    check_writable(out, given.report, given.picture)
+    if out.suffix.lower() not in EXTENSIONS:
+        raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(EXTENSIONS)}.')
+    if given.image is not None and given.image.suffix.lower() != ".png":
+        raise FileError(f'--image is "{given.image}"; it must end in .png.')
+    check_writable(out, given.report, given.image)
     clock = StageClock()
     with clock.stage("read"):
         scene_files.open_scene(given.input.absolute())
         job = prepare(bpy.context, [item for item in bpy.context.scene.objects if not item.hide_render], settings)
     for reason in job.skipped:
         print(f"Skipped: {reason}.", file=sys.stderr)
-    finish(whole(job), line.show)
+    summary = run_to_end(run_job(job), line.show)
     line.clear()
     with clock.stage("write"):
-        write(out)
-        if given.picture is not None:
-            with whole_file(given.picture.absolute()) as temporary:
-                stretch_pictures.save(bpy.data.objects[job.made[0][0].name], temporary, PICTURE)
+        write_output(out)
+        if given.image is not None:
+            first_target, _ = job.results[0]
+            with atomic_file(given.image.absolute()) as temporary:
+                save_stretch_image(bpy.data.objects[first_target.object_name], temporary, STRETCH_IMAGE_RESOLUTION)
     if given.report is not None:
-        command_line.write_report(given.report.absolute(), report(job, clock))
+        command_line.write_report(given.report.absolute(), build_report(job, clock))
+    return summary
 
 
-def write(out: Path) -> None:
-    """Write the scene, or all its meshes, by the ending of `out`."""
-    ending = out.suffix.lower()
-    if ending == ".blend":
+def write_output(out: Path) -> None:
+    """Write the scene, or all its meshes, depending on the extension of `out`."""
+    extension = out.suffix.lower()
+    if extension == ".blend":
         scene_files.save_scene(out)
         return
-    with whole_folder(out.parent) as folder, quiet_operators():
-        if ending == ".obj":
+    with atomic_folder(out.parent) as folder, suppress_operator_tracebacks():
+        if extension == ".obj":
             bpy.ops.wm.obj_export(filepath=str(folder / out.name), export_materials=False, export_normals=False, apply_modifiers=False)
         else:
             bpy.ops.export_scene.gltf(filepath=str(folder / out.name), export_format="GLB", export_apply=False)
 
 
-def report(job: UnwrapJob, clock: StageClock) -> dict[str, Any]:
-    """The figures of the run: those of the mesh with most triangles, and of all of them one by one."""
+def build_report(job: UnwrapJob, clock: StageClock) -> dict[str, Any]:
+    """Return the figures of the run: those of the mesh with the most triangles, and of every mesh."""
     seconds = dict(clock.seconds)
     objects = []
-    for target, made in job.made:
-        objects.append({"name": target.name, "triangles": len(target.loops), "charts": made.charts, **finite(asdict(made.measures))})
-        for stage, taken in made.seconds.items():
-            seconds[stage] = seconds.get(stage, 0.0) + taken
+    for target, result in job.results:
+        metrics = replace_infinite(asdict(result.metrics))
+        objects.append({"name": target.object_name, "triangles": len(target.loops), "islands": result.chart_count, **metrics})
+        for stage, duration in result.seconds.items():
+            seconds[stage] = seconds.get(stage, 0.0) + duration
     largest = max(objects, key=lambda figures: figures["triangles"])
     return {
         **{key: figure for key, figure in largest.items() if key != "name"},
         "objects": objects,
         "skipped": job.skipped,
-        "seconds": {stage: round(taken, 4) for stage, taken in seconds.items()},
+        "seconds": {stage: round(duration, 4) for stage, duration in seconds.items()},
         "peak_memory_mb": round(command_line.peak_memory_mb(), 1),
     }
 
 
-def finite(figures: dict[str, Any]) -> dict[str, Any]:
-    """`figures` with None for stretch without end, which JSON has no number for."""
+def replace_infinite(figures: dict[str, Any]) -> dict[str, Any]:
+    """Return `figures` with None for infinite stretch, which JSON cannot store."""
     return {name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in figures.items()}
 
 

@@ -1,4 +1,4 @@
-"""A Dask scheduler and workers as processes on this machine, started as a user would."""
+"""A Dask scheduler and workers as processes on this machine, started like a user would."""
 
 import json
 import os
@@ -7,10 +7,10 @@ import sys
 import time
 from pathlib import Path
 
-SECONDS = 60.0  # that starting may take
+START_SECONDS = 60.0  # timeout
 
 
-class Farm:
+class DaskFarm:
     """One scheduler on a free port of 127.0.0.1, without workers at first."""
 
     def __init__(self, folder: Path) -> None:
@@ -21,33 +21,33 @@ class Farm:
         self.address = self._wait(lambda: json.loads(self._file.read_text())["address"])
 
     def start_workers(self, count: int) -> None:
-        """Start so many workers of one thread each, and wait until they are there."""
+        """Start `count` workers of one thread each, and wait until they are connected."""
         from distributed import Client
 
         for _ in range(count):
             self._start(
                 "worker", "--scheduler-file", str(self._file), "--nthreads", "1", "--no-nanny", "--local-directory", str(self._folder)
             )
-        with Client(self.address, timeout=SECONDS, set_as_default=False) as client:
-            client.wait_for_workers(count, timeout=SECONDS)
+        with Client(self.address, timeout=START_SECONDS, set_as_default=False) as client:
+            client.wait_for_workers(count, timeout=START_SECONDS)
 
     def close(self) -> None:
-        """End all of it."""
+        """Kill the scheduler and all workers."""
         for process in self._processes:
             process.kill()
             process.wait()
         self._processes.clear()
 
-    def _start(self, what: str, *arguments: str) -> None:
-        command = [sys.executable, "-m", f"distributed.cli.dask_{what}", *arguments, "--no-dashboard"]
-        variables = os.environ | {"DASK_DISTRIBUTED__WORKER__MEMORY__TERMINATE": "False"}
-        self._processes.append(subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=variables))
+    def _start(self, command_name: str, *arguments: str) -> None:
+        command = [sys.executable, "-m", f"distributed.cli.dask_{command_name}", *arguments, "--no-dashboard"]
+        environment = os.environ | {"DASK_DISTRIBUTED__WORKER__MEMORY__TERMINATE": "False"}
+        self._processes.append(subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment))
 
-    def _wait(self, look):
+    def _wait(self, read):
         started = time.monotonic()
         while True:
             try:
-                return look()
+                return read()
             except (OSError, ValueError, KeyError):
-                assert time.monotonic() - started < SECONDS, "the scheduler does not start"
+                assert time.monotonic() - started < START_SECONDS, "the scheduler has not started"
                 time.sleep(0.05)

@@ -1,4 +1,4 @@
-"""What compat.py says is what the running Blender takes."""
+"""The running Blender accepts the values from compat.py."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""The docs say what the code says, and what they point to is there."""
+"""The docs agree with the code, and their links and images exist."""
 
 import re
 import runpy
@@ -6,58 +6,103 @@ from pathlib import Path
 
 import pytest
 
-import environment
+from lib import environment
 
 ROOT = environment.ROOT
-PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
-LINK = re.compile(r"!?\[[^\]]*\]\(([^)#\s]+)(?:#[^)]*)?\)")
-LARGEST_PICTURE, LARGEST_FOLDER = 400_000, 4_000_000  # bytes
-with_tables = runpy.run_path(str(ROOT / "docs" / "tables.py"))["with_tables"]
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
+LINK = re.compile(r"!?\[(?:[^\[\]]|\[[^\]]*\])*\]\(([^)#\s]*)(#[^)]*)?\)|!\[[^\]]*\]\(([^)#\s]+)\)")
+IMAGE_SUFFIXES = {".png", ".gif", ".webp"}
+MAX_IMAGE_BYTES, MAX_FOLDER_BYTES, MIN_IMAGES = 400_000, 6_000_000, 15
+SECTIONS = ["Overview", "Quick Start", "Settings", "Operators", "Command Line", "Tips", "Limitations", "Output", "How It Works"]
+update_tables = runpy.run_path(str(ROOT / "docs" / "tables.py"))["update_tables"]
 
 
-def links(page: Path) -> list[str]:
-    """What a page points to inside the checkout."""
-    return [target for target in LINK.findall(page.read_text(encoding="utf-8")) if "://" not in target]
+def tools() -> list[str]:
+    """The tools that exist."""
+    return sorted(path.parent.name for path in (ROOT / "addon" / "core").glob("*/settings.py"))
 
 
-def pictures() -> list[Path]:
-    return sorted((ROOT / "docs").rglob("*.png"))
+def anchors(page: Path) -> set[str]:
+    """The anchors of the headings of `page`."""
+    headings = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_pictures_and_pages_that_are_named_exist(page):
-    assert [target for target in links(page) if not (page.parent / target).exists()] == []
+def links(page: Path) -> list[tuple[str, str]]:
+    """Path and anchor of the links of `page` that stay inside the checkout."""
+    found = [(path or image, anchor.removeprefix("#")) for path, anchor, image in LINK.findall(page.read_text(encoding="utf-8"))]
+    return [(path, anchor) for path, anchor in found if "://" not in path]
 
 
-@pytest.mark.parametrize("name", ["billboards.md", "btf.md", "clipbox.md", "unwrap.md"])
-def test_tables_of_settings_are_those_of_the_core(name):
-    text = (ROOT / "docs" / name).read_text(encoding="utf-8")
-    assert text.count("| `--") >= 10, "the table of settings is gone"
-    assert with_tables(text) == text, "run `python3 docs/tables.py`"
+def images() -> list[Path]:
+    """All images of the docs."""
+    return sorted(path for path in (ROOT / "docs").rglob("*") if path.suffix in IMAGE_SUFFIXES)
 
 
-def test_a_table_that_was_edited_by_hand_is_seen():
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_links_lead_somewhere(page):
+    broken = []
+    for path, anchor in links(page):
+        target = page.parent / path if path else page
+        if not target.exists() or (anchor and anchor not in anchors(target)):
+            broken.append(f"{path}#{anchor}")
+    assert not broken
+
+
+@pytest.mark.parametrize("tool", tools())
+def test_tables_of_settings_match_the_core(tool):
+    text = (ROOT / "docs" / f"{tool}.md").read_text(encoding="utf-8")
+    assert text.count("| `--") >= 10, "the table of settings is missing"
+    assert update_tables(text) == text, "run `python3 docs/tables.py`"
+
+
+def test_a_table_edited_by_hand_is_noticed():
     text = (ROOT / "docs" / "billboards.md").read_text(encoding="utf-8")
-    edited = text.replace("| `--error` | 1% |", "| `--error` | 2% |")
-    assert edited != text and with_tables(edited) == text
+    edited = text.replace("| 1% |", "| 2% |")
+    assert edited != text and update_tables(edited) == text
 
 
-def test_every_picture_is_named_and_light():
-    named = {(page.parent / target).resolve() for page in PAGES for target in links(page)}
-    assert [picture.name for picture in pictures() if picture.resolve() not in named] == []
-    sizes = {picture.name: picture.stat().st_size for picture in pictures()}
-    assert {name: size for name, size in sizes.items() if size > LARGEST_PICTURE} == {}
-    assert sum(sizes.values()) <= LARGEST_FOLDER
+@pytest.mark.parametrize("tool", tools())
+def test_pages_of_tools_have_all_sections_in_order(tool):
+    headings = re.findall(r"^## (.*)$", (ROOT / "docs" / f"{tool}.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert [heading for heading in headings if heading in SECTIONS] == SECTIONS
+    assert (ROOT / "docs" / "results" / f"{tool}.md").exists()
 
 
-def test_the_readme_opens_with_a_picture_and_two_commands():
+def test_every_image_is_used_and_small():
+    used = {(page.parent / path).resolve() for page in PAGES for path, _ in links(page) if path}
+    assert [image.name for image in images() if image.resolve() not in used] == []
+    sizes = {image.name: image.stat().st_size for image in images()}
+    assert len(sizes) >= MIN_IMAGES
+    assert {name: size for name, size in sizes.items() if size > MAX_IMAGE_BYTES} == {}
+    assert sum(sizes.values()) <= MAX_FOLDER_BYTES
+
+
+def test_the_readme_serves_users_first_and_contributors_with_two_commands():
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    picture, demo, tests = (text.index(words) for words in ("![", "python3 scripts/demo.py", "python3 scripts/test.py"))
-    assert picture < demo < tests < text.index("\n## ")
+    parts = [
+        text.index(part)
+        for part in (
+            "![",
+            "\n## Install",
+            "\n## Tools",
+            "\n## Try It from a Checkout\n```\npython3 scripts/demo.py\npython3 scripts/test.py\n```",
+        )
+    ]
+    assert parts == sorted(parts)
 
 
-def test_the_readme_names_every_tool_and_says_which_are_there():
-    rows = dict(re.findall(r"^\| `(\w+)` \|(.*)\|$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE))
-    there = {path.parent.name for path in (ROOT / "addon" / "core").glob("*/__init__.py")}
-    assert there <= set(rows)
-    assert {tool for tool, row in rows.items() if "not there yet" not in row} == there
+def test_the_readme_lists_every_tool_and_the_roadmap_the_others():
+    sections = (ROOT / "README.md").read_text(encoding="utf-8").split("\n## ")
+    table, roadmap = (next(section for section in sections if section.startswith(title)) for title in ("Tools", "Roadmap"))
+    assert set(re.findall(r"\) `(\w+)` \|", table)) == set(tools())
+    assert set(re.findall(r"^\| `(\w+)` \|", roadmap, re.MULTILINE)) == {"restore", "photos", "bdam", "texmesh"} - set(tools())
+
+
+def test_names_of_data_in_files_are_those_of_the_code():
+    page = (ROOT / "docs" / "data.md").read_text(encoding="utf-8")
+    code = "\n".join(path.read_text(encoding="utf-8") for path in sorted((ROOT / "addon").rglob("*.py")))
+    written = set(re.findall(r"`(farfield_\w+|Farfield [\w-]+)`", page))
+    stems = {name.rstrip("0123456789") for name in written}
+    assert sorted(stem for stem in stems if stem not in code) == []
+    assert len(written) > 30

@@ -1,79 +1,146 @@
-"""Settings are declared once: flags and tables say what the declaration says, and what is read back is what was meant."""
+"""Settings are declared once: flags, tables and error messages follow the declaration, and values survive a round trip."""
 
 import argparse
+import copy
+import importlib
 import math
+from dataclasses import dataclass
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from farfield.addon.core.billboards.settings import BillboardSettings
+from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.errors import SettingsError
-from farfield.addon.core.settings import Unit, add_flags, describe, from_flags, markdown_table
+from farfield.addon.core.settings import (
+    Choice,
+    Settings,
+    Unit,
+    add_flags,
+    default_label,
+    describe,
+    from_flags,
+    markdown_table,
+    setting,
+    with_flags,
+)
+from lib import environment
 
 DESCRIPTIONS = {item.name: item for item in describe(BillboardSettings)}
 NUMBERS = [item for item in DESCRIPTIONS.values() if item.type in (int, float) and item.minimum is not None]
 
 
 def read(*flags: str) -> BillboardSettings:
-    """The settings that a script with these flags would use."""
+    """Return the settings that a script with these flags would use."""
     parser = argparse.ArgumentParser()
     add_flags(parser, BillboardSettings)
     return from_flags(BillboardSettings, parser.parse_args(flags))
 
 
-def test_no_flags_mean_the_defaults():
+def test_no_flags_give_the_defaults():
     assert read() == BillboardSettings()
 
 
-def test_units_of_people():
+def test_flags_take_the_units_of_the_interface():
     assert read("--error", "1%").error == 0.01
     assert read("--error", "0.01").error == 0.01
     assert read("--max-normal-deviation", "60").max_normal_deviation == pytest.approx(math.pi / 3)
-    assert read("--no-textures").textures is False
     assert read("--texture-mb", "1.5").texture_mb == 1.5
     assert read("--quads", "200").quads == 200
 
 
+def test_booleans_have_a_positive_and_a_negative_flag():
+    assert DESCRIPTIONS["textures"].flags == ("--textures", "--no-textures")
+    assert read().textures is True
+    assert read("--textures").textures is True
+    assert read("--no-textures").textures is False
+    assert read("--no-textures", "--textures").textures is True
+
+
 @pytest.mark.parametrize("item", NUMBERS, ids=lambda item: item.name)
-@given(share=st.floats(0.0, 1.0))
-def test_every_number_survives_being_written_as_a_flag(item, share):
-    value = item.minimum + share * (item.maximum - item.minimum)
-    value = item.parse(item.shown(item.type(value)))
+@given(fraction=st.floats(0.0, 1.0))
+def test_numbers_survive_formatting_and_parsing(item, fraction):
+    value = item.minimum + fraction * (item.maximum - item.minimum)
+    value = item.parse(item.format(item.type(value)))
     assert item.minimum <= value * (1 + 1e-5) and value <= item.maximum * (1 + 1e-5)
-    assert item.parse(item.shown(value)) == pytest.approx(value, rel=1e-5, abs=1e-12)
+    assert item.parse(item.format(value)) == pytest.approx(value, rel=1e-5, abs=1e-12)
 
 
 @pytest.mark.parametrize("item", NUMBERS, ids=lambda item: item.name)
-def test_limits_are_allowed_and_what_lies_beyond_is_refused_by_the_flag_name(item):
-    for limit, beyond in ((item.minimum, item.minimum - 1), (item.maximum, item.maximum * 2 + 1)):
+def test_limits_are_allowed_and_values_outside_are_rejected_with_the_label(item):
+    for limit, outside in ((item.minimum, item.minimum - 1), (item.maximum, item.maximum * 2 + 1)):
         assert getattr(BillboardSettings(**{item.name: item.type(limit)}), item.name) == limit
-        with pytest.raises(SettingsError, match=item.flag):
-            BillboardSettings(**{item.name: item.type(beyond)})
+        with pytest.raises(SettingsError, match=f"^{item.label} is ") as caught:
+            BillboardSettings(**{item.name: item.type(outside)})
+        assert caught.value.settings == (item.name,) and "--" not in str(caught.value)
 
 
 @pytest.mark.parametrize("flag", ["--error=0", "--error=-1%", "--error=900%", "--error=nan", "--error=small", "--levels=2.5"])
-def test_absurd_values_are_refused_in_one_sentence(flag):
+def test_command_line_rejects_bad_values_in_one_sentence_with_flag_and_label(flag):
     with pytest.raises(SettingsError) as caught:
         read(flag)
-    sentence = str(caught.value)
-    assert flag.split("=")[0] in sentence and sentence.endswith(".") and "\n" not in sentence
+    message, name = str(caught.value), flag.split("=")[0]
+    assert message.startswith(f"{name}: {name[2:].capitalize()} ") and message.endswith(".") and "\n" not in message
 
 
-def test_unknown_method_is_refused_with_the_known_ones():
-    with pytest.raises(SettingsError, match="clusters, hough, decimate"):
+def test_errors_gain_the_flags_of_their_settings_once():
+    error = SettingsError("Quads is 5 and Texture MB is 2.", ("quads", "texture_mb"))
+    assert str(with_flags(error)) == "--quads, --texture-mb: Quads is 5 and Texture MB is 2."
+    assert str(with_flags(with_flags(error))) == str(with_flags(error))
+    plain = SettingsError("No texture is large enough.")
+    assert with_flags(plain) is plain
+
+
+def test_copies_of_errors_keep_their_settings():
+    error = copy.copy(SettingsError("Quads is 5.", ("quads",)))
+    assert str(error) == "Quads is 5." and error.settings == ("quads",)
+
+
+def test_unknown_method_is_rejected_with_the_known_ones():
+    with pytest.raises(SettingsError, match="Method must be one of clusters, hough, decimate"):
         BillboardSettings(method="magic")
 
 
-def test_every_setting_says_what_it_does_and_stands_in_the_table_once():
+def test_every_setting_has_a_help_text_and_one_table_row():
     table = markdown_table(BillboardSettings)
     for item in DESCRIPTIONS.values():
         assert item.help and not item.help.endswith(".")
-        assert table.count(f"`{item.flag}`") == 1
+        assert all(table.count(f"`{flag}`") == 1 for flag in item.flags)
+        assert table.count(f"| {item.label} |") == 1
     assert len(table.splitlines()) == len(DESCRIPTIONS) + 2
 
 
-def test_shares_and_angles_are_shown_as_people_write_them():
-    assert DESCRIPTIONS["error"].unit is Unit.SHARE and DESCRIPTIONS["error"].shown(0.005) == "0.5%"
-    assert DESCRIPTIONS["max_normal_deviation"].shown(math.radians(60)) == "60"
-    assert DESCRIPTIONS["textures"].shown(True) == "on"
+def test_fractions_and_angles_are_formatted_in_the_units_of_the_interface():
+    assert DESCRIPTIONS["error"].unit is Unit.FRACTION and DESCRIPTIONS["error"].format(0.005) == "0.5%"
+    assert DESCRIPTIONS["max_normal_deviation"].format(math.radians(60)) == "60"
+    assert DESCRIPTIONS["textures"].format(True) == "on"
+
+
+def test_labels_keep_abbreviations_in_capitals():
+    assert default_label("texture_mb") == "Texture MB" and default_label("uv_map") == "UV Map"
+    codec = next(item for item in describe(BtfSettings) if item.name == "codec")
+    assert codec.choices["pca"].label == "PCA"
+
+
+def test_declarations_carry_label_path_group_and_choices():
+    @dataclass(frozen=True, kw_only=True)
+    class ExampleSettings(Settings):
+        folder: str = setting("", "Where files go", label="Output Folder", path="folder", group="Output")
+        mode: str = setting("a", "Mode", choices={"a": Choice("A", "First"), "b": Choice("B", "Second")})
+
+    folder, mode = describe(ExampleSettings)
+    assert (folder.label, folder.path, folder.group) == ("Output Folder", "folder", "Output")
+    assert (mode.label, mode.path, mode.group) == ("Mode", None, "")
+    assert "`a` (A), `b` (B)" in markdown_table(ExampleSettings)
+
+
+def test_panel_labels_fit_into_a_narrow_sidebar():
+    """At the default width of the sidebar about 15 characters fit next to a value; check boxes have the whole width."""
+    too_long = []
+    for path in sorted((environment.ROOT / "addon" / "core").glob("*/settings.py")):
+        module = importlib.import_module(f"farfield.addon.core.{path.parent.name}.settings")
+        for item in vars(module).values():
+            if isinstance(item, type) and issubclass(item, Settings) and item is not Settings:
+                too_long += [each.panel_label for each in describe(item) if each.type is not bool and len(each.panel_label) > 15]
+    assert not too_long

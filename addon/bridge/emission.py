@@ -1,4 +1,4 @@
-"""Which materials shine by themselves."""
+"""Which materials emit light."""
 
 from collections.abc import Iterable
 
@@ -6,18 +6,18 @@ import bpy
 
 from .node_groups import nodes_in
 
-COLOUR_STRENGTH = {"EMISSION": ("Color", "Strength"), "BSDF_PRINCIPLED": ("Emission Color", "Emission Strength")}
+COLOR_AND_STRENGTH = {"EMISSION": ("Color", "Strength"), "BSDF_PRINCIPLED": ("Emission Color", "Emission Strength")}
 
 
-def may_shine(materials: Iterable[bpy.types.Material]) -> bool:
-    """Whether any of `materials` has a node, in groups too, that emits light, or would if what is linked to it says so."""
+def has_emission(materials: Iterable[bpy.types.Material]) -> bool:
+    """Return whether any of `materials` has a node, also inside groups, that emits light or may do so depending on its links."""
     trees = [material.node_tree for material in materials if material.node_tree is not None]
     return any(_emits(node) for tree in trees for node in nodes_in(tree, muted=False))
 
 
 def _emits(node: bpy.types.Node) -> bool:
-    if node.type not in COLOUR_STRENGTH:
+    if node.type not in COLOR_AND_STRENGTH:
         return False
-    colour, strength = (node.inputs[name] for name in COLOUR_STRENGTH[node.type])
-    black = not colour.is_linked and not any(colour.default_value[:3])
-    return not black and (strength.is_linked or strength.default_value != 0.0)
+    color, strength = (node.inputs[name] for name in COLOR_AND_STRENGTH[node.type])
+    is_black = not color.is_linked and not any(color.default_value[:3])
+    return not is_black and (strength.is_linked or strength.default_value != 0.0)

@@ -1,4 +1,4 @@
-"""Between arrays and Blender images, and whether the images of materials are there."""
+"""Conversion between arrays and Blender images, and checks for missing image files."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,15 +11,15 @@ from .meshes import Source
 from .node_groups import nodes_in
 
 
-def data_image(name: str, pixels: np.ndarray, is_data: bool, half_floats: bool = False) -> bpy.types.Image:
-    """A packed image of `pixels` (H, W, 4), row 0 at the bottom, of 8 bits a channel or of half floats.
+def create_image(name: str, pixels: np.ndarray, is_data: bool, half_floats: bool = False) -> bpy.types.Image:
+    """Create a packed image of `pixels` (H, W, 4), row 0 at the bottom, with 8 bits per channel or half floats.
 
-    is_data: the numbers are kept as they are; else the colours are sRGB-encoded values. Alpha is straight and kept beside the colours
-    ("channel packed"), so that colours under no alpha survive and Cycles and EEVEE read the same.
+    is_data: store the values unchanged; otherwise the colors are sRGB-encoded values. Alpha is straight and independent of the colors
+    ("channel packed"), so that colors under zero alpha survive and Cycles and EEVEE read the same values.
     """
     height, width = pixels.shape[:2]
     image = bpy.data.images.new(name, width, height, alpha=True, float_buffer=half_floats, is_data=is_data)
-    # Before the pixels: setting it afterwards would wipe them.
+    # Before the pixels: setting it afterwards would erase them.
     image.colorspace_settings.name = "Non-Color" if is_data else "sRGB"
     image.alpha_mode = "CHANNEL_PACKED"
     if half_floats:
@@ -30,8 +30,8 @@ def data_image(name: str, pixels: np.ndarray, is_data: bool, half_floats: bool =
     return image
 
 
-def pixels_of(image: bpy.types.Image) -> np.ndarray:
-    """The pixels (H, W, 4) float32 of an image, row 0 at the bottom."""
+def read_pixels(image: bpy.types.Image) -> np.ndarray:
+    """Return the pixels (H, W, 4) float32 of an image, row 0 at the bottom."""
     width, height = image.size
     pixels = np.empty(width * height * 4, np.float32)
     image.pixels.foreach_get(pixels)
@@ -39,38 +39,38 @@ def pixels_of(image: bpy.types.Image) -> np.ndarray:
 
 
 def packed_bytes(image: bpy.types.Image) -> int:
-    """Bytes that a packed image takes in the .blend."""
+    """Return the size of a packed image in the .blend file, in bytes."""
     return sum(packed.packed_file.size for packed in image.packed_files)
 
 
 def check_images(source: Source) -> None:
-    """Raise FileError when a material of `source` needs an image whose file is missing; the sentence names both."""
-    for material, image in missing_images(source):
+    """Raise FileError when a material of `source` uses an image whose file is missing; the message names both."""
+    for material, image in find_missing_images(source):
         path = bpy.path.abspath(image.filepath, library=image.library)
         raise FileError(
             f'The image "{image.name}" of the material "{material.name}" is missing: there is no file "{path}". '
-            "Find it with File > External Data > Find Missing Files, or take the image out of the material."
+            "Find it with File > External Data > Find Missing Files, or remove the image from the material."
         )
 
 
-def images_of(source: Source) -> list[bpy.types.Image]:
-    """Every image that the materials of `source` use, once."""
+def find_images(source: Source) -> list[bpy.types.Image]:
+    """Return every image used by the materials of `source`, once."""
     trees = [material.node_tree for material in source.materials if material.node_tree is not None]
-    return list(dict.fromkeys(image for tree in trees for image in _images(tree)))
+    return list(dict.fromkeys(image for tree in trees for image in _images_in(tree)))
 
 
-def missing_images(source: Source) -> list[tuple[bpy.types.Material, bpy.types.Image]]:
-    """Materials of `source` and images they use whose file is not there; packed and generated images need none."""
+def find_missing_images(source: Source) -> list[tuple[bpy.types.Material, bpy.types.Image]]:
+    """Return the materials of `source` and their images whose file is missing; packed and generated images need no file."""
     return [
         (material, image)
         for material in source.materials
         if material.node_tree is not None
-        for image in _images(material.node_tree)
+        for image in _images_in(material.node_tree)
         if _is_missing(image)
     ]
 
 
-def _images(tree: bpy.types.NodeTree) -> Iterator[bpy.types.Image]:
+def _images_in(tree: bpy.types.NodeTree) -> Iterator[bpy.types.Image]:
     return (node.image for node in nodes_in(tree) if getattr(node, "image", None) is not None)
 
 
@@ -82,6 +82,7 @@ def _is_missing(image: bpy.types.Image) -> bool:
     return any(not Path(path.replace("<UDIM>", str(tile)).replace("<UVTILE>", _uv_tile(tile))).is_file() for tile in tiles)
 
 
-def _uv_tile(number: int) -> str:
-    column, row = (number - 1001) % 10, (number - 1001) // 10
+def _uv_tile(udim: int) -> str:
+    """Return the UVTILE name of a UDIM tile number: `u1_v1` for 1001."""
+    column, row = (udim - 1001) % 10, (udim - 1001) // 10
     return f"u{column + 1}_v{row + 1}"

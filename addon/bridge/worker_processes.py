@@ -1,4 +1,4 @@
-"""Blender processes that run one module of Farfield: how they are started, and what they see of their run."""
+"""Blender worker processes that run one module of Farfield: how to start them, and how they end."""
 
 import os
 import shutil
@@ -8,28 +8,28 @@ from pathlib import Path
 import bpy
 import scipy
 
-from ..core import lease
+from ..core.jobs import heartbeat
 
-START = Path(__file__).with_name("worker_start.py")
-ABANDONED = 3  # exit code of a worker whose run has gone
+START_SCRIPT = Path(__file__).with_name("worker_start.py")
+EXIT_RUN_GONE = 3  # exit code of a worker whose run has ended
 
 
 def worker_command(module: str, arguments: list[str]) -> list[str]:
-    """The command line of a process like this one, that calls `main(arguments)` of a `module` below the extension, such as
-    `addon.bridge.btf_worker`, and ends with the code that it returns. A Blender program starts itself, Python under pip's bpy Python."""
-    given = [module, str(Path(scipy.__file__).resolve().parents[1]), *arguments]
+    """Return the command of a process like this one that calls `main(arguments)` of a `module` of the extension, for instance
+    `addon.bridge.btf.worker`, and exits with the returned code. Blender starts itself; Python with pip's bpy starts Python."""
+    worker_arguments = [module, str(Path(scipy.__file__).resolve().parents[1]), *arguments]
     if bpy.app.module:
-        return [sys.executable, str(START), *given]
-    return [bpy.app.binary_path, "--background", "--factory-startup", "--python", str(START), "--", *given]
+        return [sys.executable, str(START_SCRIPT), *worker_arguments]
+    return [bpy.app.binary_path, "--background", "--factory-startup", "--python", str(START_SCRIPT), "--", *worker_arguments]
 
 
-def end_with(path: Path) -> None:
-    """End this process when the run that holds the lease at `path` does, whatever it is at."""
-    lease.watch(path, lambda: os._exit(ABANDONED))
+def exit_when_run_ends(heartbeat_file: Path) -> None:
+    """End this process, in any state, when the run with this heartbeat file ends."""
+    heartbeat.watch(heartbeat_file, lambda: os._exit(EXIT_RUN_GONE))
 
 
-def leave(code: int) -> None:
-    """End this process with the exit code `code`, at once: Blender 4.5 as a Python module hangs while it is being taken down."""
+def exit_process(code: int) -> None:
+    """End this process with the exit code `code` immediately: Blender 4.5 as a Python module hangs during shutdown."""
     shutil.rmtree(bpy.app.tempdir, ignore_errors=True)  # as Blender would
     sys.stdout.flush()
     sys.stderr.flush()

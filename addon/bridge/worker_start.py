@@ -1,9 +1,9 @@
-"""The file that a worker process begins with: it makes the package that it lies in known under a private name, and calls a module of it.
+"""Entry script of a worker process: imports the extension that contains it under a private name, and calls one of its modules.
 
     python worker_start.py MODULE FOLDER ARGUMENTS...
     blender --background --python worker_start.py -- MODULE FOLDER ARGUMENTS...
 
-FOLDER holds SciPy, which a Blender program that knows no extensions does not find.
+FOLDER contains SciPy, which Blender does not find without its extensions.
 """
 
 import importlib
@@ -14,32 +14,32 @@ import traceback
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-NAME = "farfield_worker"
-FAILED = 1  # exit code where nothing else was said
+PACKAGE = "farfield_worker"
+EXIT_FAILED = 1  # exit code of an exception
 
-# Threads of NumPy's own wait for each other on cores that renders keep busy; read when NumPy is loaded, so before all else.
+# NumPy's own threads wait for each other on cores that are busy with renders. Read when NumPy is loaded, so set first.
 for variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
 
 
 def main() -> None:
-    """Load the package, hand over, and end with the exit code that comes back."""
-    given = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
-    module, folder, *arguments = given
+    """Load the package, call the module, and exit with the returned code."""
+    arguments = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
+    module, folder, *module_arguments = arguments
     if importlib.util.find_spec("scipy") is None:
-        sys.path.append(folder)  # last: NumPy has to be Blender's own
-    spec = importlib.util.spec_from_file_location(NAME, ROOT / "__init__.py", submodule_search_locations=[str(ROOT)])
+        sys.path.append(folder)  # last: NumPy must be Blender's own
+    spec = importlib.util.spec_from_file_location(PACKAGE, ROOT / "__init__.py", submodule_search_locations=[str(ROOT)])
     package = importlib.util.module_from_spec(spec)
-    sys.modules[NAME] = package
+    sys.modules[PACKAGE] = package
     spec.loader.exec_module(package)
-    processes = importlib.import_module(f"{NAME}.addon.bridge.worker_processes")
-    code = FAILED
+    processes = importlib.import_module(f"{PACKAGE}.addon.bridge.worker_processes")
+    code = EXIT_FAILED
     try:
-        code = importlib.import_module(f"{NAME}.{module}").main(arguments)
+        code = importlib.import_module(f"{PACKAGE}.{module}").main(module_arguments)
     finally:
         if sys.exc_info()[0] is not None:
-            traceback.print_exc()  # here, since a Blender program would print it and end as if nothing had happened
-        processes.leave(code)
+            traceback.print_exc()  # here, since Blender would print it and exit with code 0
+        processes.exit_process(code)
 
 
 if __name__ == "__main__":

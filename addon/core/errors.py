@@ -1,25 +1,33 @@
 """Errors that Farfield raises on purpose.
 
-Each carries one sentence that says what is wrong, with which input, and what to do about it. Operators turn it into a report, scripts
-into exit code 2 and that sentence on stderr.
+The message of each is one sentence: the problem, the input that has it, and how to fix it. Operators show it as a report; scripts print it
+to stderr and exit with code 2.
 """
 
 
 class FarfieldError(Exception):
-    """Base of every error that a user can mend."""
+    """Base class of all errors that a user can fix."""
 
 
 class GeometryError(FarfieldError):
-    """The mesh or point cloud cannot be worked on: empty, not finite, without area."""
+    """The mesh or point cloud is unusable: empty, not finite or without area."""
 
 
 class SettingsError(FarfieldError):
-    """A setting is out of its range or contradicts another one."""
+    """A setting is out of range or contradicts another one.
+
+    The message names settings by their labels in the interface. `settings` holds the field names of the settings at fault; the command line
+    adds their flags (`settings.with_flags`).
+    """
+
+    def __init__(self, message: str, settings: tuple[str, ...] = ()) -> None:
+        super().__init__(message)
+        self.settings = settings
 
 
 class FileError(FarfieldError):
     """A file or folder cannot be read or written."""
 
 
-class Stopped(FarfieldError):
-    """The user stopped the work; nothing was changed."""
+class Cancelled(FarfieldError):
+    """The user cancelled the job; the scene is unchanged."""

@@ -1,11 +1,10 @@
-"""Settings declared once: a frozen dataclass from which panels, command-line flags and the tables in docs are built.
+"""Settings declared once: frozen dataclasses that panels, command-line flags and the tables in the docs are built from.
 
     @dataclass(frozen=True, kw_only=True)
     class BillboardSettings(Settings):
-        error: float = setting(0.01, "Largest distance ...", minimum=1e-5, maximum=0.5, unit=Unit.SHARE)
+        error: float = setting(0.01, "Largest distance ...", minimum=1e-5, maximum=0.5, unit=Unit.FRACTION)
 
-Values are kept in the units of the core (angles in radians, shares as fractions); panels and flags show them in the units of people
-(degrees, per cent), see `Unit`.
+Settings hold internal units: radians and fractions. Panels and flags show degrees and percentages, see `Unit`.
 """
 
 import argparse
@@ -13,45 +12,66 @@ import dataclasses
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
+from typing import Any, Literal
 
 from .errors import SettingsError
 
+ABBREVIATIONS = {"Mb": "MB", "Uv": "UV"}  # in labels
+
 
 class Unit(Enum):
-    """What a number means, and how people write it."""
+    """The unit of a number."""
 
     NONE = ""
-    SHARE = "%"  # of the longest side of the bounding box, or of another whole; a fraction inside
-    ANGLE = "degrees"  # radians inside
-    PIXELS = "px"
+    FRACTION = "%"  # of the longest bounding-box side or of another whole; a fraction internally
+    ANGLE = "degrees"  # radians internally
     COUNT = "count"
     MEGABYTES = "MB"
     LENGTH = "scene units"
 
 
 @dataclass(frozen=True)
+class Choice:
+    """One value of a setting with several values: its label in the interface and one line of help."""
+
+    label: str
+    help: str
+
+
+@dataclass(frozen=True)
 class Description:
-    """One setting as panels, flags and docs see it."""
+    """The declaration of one setting, as panels, flags and docs need it.
+
+    `choices` maps every allowed value to its `Choice`. `path` marks a string as the path of a file or folder. `group` names the sub-panel
+    that shows the setting, "" for the main panel. `panel_label` replaces `label` in a panel, where there is room for about 15 characters.
+    """
 
     name: str
     type: type
     default: Any
     help: str
+    label: str
     minimum: float | None
     maximum: float | None
     unit: Unit
-    choices: dict[str, str]
+    choices: dict[str, Choice]
+    path: Literal["file", "folder"] | None
+    group: str
+    panel_label: str
 
     @property
     def flag(self) -> str:
-        """The command-line flag, for instance `--max-normal-deviation`; a switch that is on by default is turned off by `--no-...`."""
-        switched_on = self.type is bool and self.default
-        return ("--no-" if switched_on else "--") + self.name.replace("_", "-")
+        """The command-line flag, for instance `--max-normal-deviation`."""
+        return flag_of(self.name)
 
-    def shown(self, value: Any) -> str:
-        """`value` as people write it: `1%`, `60`, `clusters`."""
-        if self.unit is Unit.SHARE:
+    @property
+    def flags(self) -> tuple[str, ...]:
+        """All flags of the setting: `--textures` and `--no-textures` for a boolean, otherwise `flag` alone."""
+        return (self.flag, "--no-" + self.flag.removeprefix("--")) if self.type is bool else (self.flag,)
+
+    def format(self, value: Any) -> str:
+        """Return `value` in the units of the interface: `1%`, `60`, `clusters`."""
+        if self.unit is Unit.FRACTION:
             return f"{value * 100:g}%"
         if self.unit is Unit.ANGLE:
             return f"{math.degrees(value):g}"
@@ -62,10 +82,10 @@ class Description:
         return f"{value:g}" if isinstance(value, float) else str(value)
 
     def parse(self, text: str) -> Any:
-        """The value written as `text` on a command line.
+        """Return the value written as `text` on a command line.
 
         Raises:
-            SettingsError: when `text` cannot be read as this setting.
+            SettingsError: `text` cannot be read as this setting.
         """
         try:
             if self.type is float:
@@ -75,27 +95,34 @@ class Description:
                 return tuple(float(number) for number in text.split(","))
             return self.type(text)
         except ValueError:
-            takes = "numbers with commas between them" if self.type is tuple else "a number"
-            raise SettingsError(f'{self.flag} takes {takes}, not "{text}".') from None
+            expected = "numbers separated by commas" if self.type is tuple else "a number"
+            raise SettingsError(f'{self.label} must be {expected}, not "{text}".', settings=(self.name,)) from None
 
 
 def setting(
     default: Any,
     help: str,
     *,
+    label: str | None = None,
     minimum: float | None = None,
     maximum: float | None = None,
     unit: Unit = Unit.NONE,
-    choices: dict[str, str] | None = None,
+    choices: dict[str, Choice] | None = None,
+    path: Literal["file", "folder"] | None = None,
+    group: str = "",
+    panel_label: str | None = None,
 ) -> Any:
-    """A dataclass field with all that is known about one setting. `choices` maps each allowed word to its help."""
-    metadata = {"help": help, "minimum": minimum, "maximum": maximum, "unit": unit, "choices": choices or {}}
-    return dataclasses.field(default=default, metadata=metadata)
+    """Declare one setting as a dataclass field; see `Description`. `label` is the field's name in title case by default, `panel_label` is
+    `label`."""
+    metadata = {"help": help, "label": label, "minimum": minimum, "maximum": maximum, "unit": unit}
+    return dataclasses.field(
+        default=default, metadata=metadata | {"choices": choices or {}, "path": path, "group": group, "panel_label": panel_label}
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Base of a tool's settings: checks every value against its declaration when it is made."""
+    """Base class of settings. Checks every value against its declaration on construction."""
 
     def __post_init__(self) -> None:
         for description in describe(type(self)):
@@ -103,75 +130,100 @@ class Settings:
 
 
 def describe(settings_type: type[Settings]) -> list[Description]:
-    """The settings of `settings_type` in their declared order."""
-    return [
-        Description(name=field.name, type=type(field.default), default=field.default, **field.metadata)
-        for field in dataclasses.fields(settings_type)
-    ]
+    """Return the settings of `settings_type` in declaration order."""
+    descriptions = []
+    for field in dataclasses.fields(settings_type):
+        label = field.metadata["label"] or default_label(field.name)
+        labels = {"label": label, "panel_label": field.metadata["panel_label"] or label}
+        descriptions.append(Description(name=field.name, type=type(field.default), default=field.default, **{**field.metadata, **labels}))
+    return descriptions
+
+
+def default_label(name: str) -> str:
+    """Return the label of the field `name`: `Max Normal Deviation`, `Texture MB`, `UV Map`."""
+    return " ".join(ABBREVIATIONS.get(word, word) for word in name.replace("_", " ").title().split())
+
+
+def flag_of(name: str) -> str:
+    """Return the command-line flag of the field `name`."""
+    return "--" + name.replace("_", "-")
 
 
 def check(description: Description, value: Any) -> None:
-    """Raise SettingsError when `value` is not allowed for this setting."""
+    """Raise SettingsError, with the setting's label, when `value` is not allowed for this setting."""
+    problem = _find_problem(description, value)
+    if problem is not None:
+        raise SettingsError(f"{description.label} {problem}.", settings=(description.name,))
+
+
+def _find_problem(description: Description, value: Any) -> str | None:
+    """Return the rest of a sentence that begins with the setting's label, None when `value` is allowed."""
     if description.choices:
-        if value not in description.choices:
-            words = ", ".join(description.choices)
-            raise SettingsError(f'{description.flag} must be one of {words}, not "{value}".')
-        return
+        return None if value in description.choices else f'must be one of {", ".join(description.choices)}, not "{value}"'
     if description.type is tuple:
         if len(value) != len(description.default) or not all(math.isfinite(number) for number in value):
-            raise SettingsError(
-                f"{description.flag} takes {len(description.default)} finite numbers, not {description.shown(tuple(value))}."
-            )
-        return
+            return f"must be {len(description.default)} finite numbers, not {description.format(tuple(value))}"
+        return None
     if not isinstance(value, int | float) or isinstance(value, bool):
-        return
+        return None
     if not math.isfinite(value):
-        raise SettingsError(f"{description.flag} must be a finite number, not {value}.")
-    low, high = description.minimum, description.maximum
-    if low is not None and value < low:
-        raise SettingsError(f"{description.flag} is {description.shown(value)}; the smallest is {description.shown(low)}.")
-    if high is not None and value > high:
-        raise SettingsError(f"{description.flag} is {description.shown(value)}; the largest is {description.shown(high)}.")
+        return f"must be a finite number, not {value}"
+    if description.minimum is not None and value < description.minimum:
+        return f"is {description.format(value)}; the minimum is {description.format(description.minimum)}"
+    if description.maximum is not None and value > description.maximum:
+        return f"is {description.format(value)}; the maximum is {description.format(description.maximum)}"
+    return None
 
 
 def add_flags(parser: argparse.ArgumentParser, settings_type: type[Settings]) -> None:
-    """Add one flag a setting to `parser`."""
+    """Add one flag per setting to `parser`."""
     for description in describe(settings_type):
-        text = description.help.replace("%", "%%")
+        default = description.format(description.default)
+        text = (f"{description.help} (default: {default})" if default else description.help).replace("%", "%%")
         if description.type is bool:
-            parser.add_argument(description.flag, dest=description.name, action="store_const", const=not description.default, help=text)
+            parser.add_argument(description.flag, dest=description.name, action=argparse.BooleanOptionalAction, help=text)
         else:
-            default = description.shown(description.default).replace("%", "%%")
-            parser.add_argument(
-                description.flag, dest=description.name, choices=list(description.choices) or None, help=f"{text} (default: {default})"
-            )
+            parser.add_argument(description.flag, dest=description.name, choices=list(description.choices) or None, help=text)
 
 
 def from_flags(settings_type: type[Settings], arguments: argparse.Namespace) -> Settings:
-    """The settings that a parser built by `add_flags` has read.
+    """Return the settings that a parser built by `add_flags` has read.
 
     Raises:
-        SettingsError: when a value cannot be read or is out of its range.
+        SettingsError: a value cannot be read or is out of range; the message begins with the flag.
     """
     values = {}
-    for description in describe(settings_type):
-        given = getattr(arguments, description.name)
-        if given is not None:
-            values[description.name] = description.parse(given) if isinstance(given, str) else given
-    return settings_type(**values)
+    try:
+        for description in describe(settings_type):
+            given = getattr(arguments, description.name)
+            if given is not None:
+                values[description.name] = description.parse(given) if isinstance(given, str) else given
+        return settings_type(**values)
+    except SettingsError as error:
+        raise with_flags(error) from None
+
+
+def with_flags(error: SettingsError) -> SettingsError:
+    """Return `error` for a command line: its message preceded by the flags of the settings that it names."""
+    if not error.settings:
+        return error
+    return SettingsError(f"{', '.join(flag_of(name) for name in error.settings)}: {error}")
 
 
 def markdown_table(settings_type: type[Settings]) -> str:
-    """The settings as a Markdown table for docs."""
-    rows = ["| flag | default | range | what it does |", "|---|---|---|---|"]
+    """Return the settings as a Markdown table for the docs."""
+    rows = ["| Setting | Flag | Default | Range | Description |", "|---|---|---|---|---|"]
     for description in describe(settings_type):
-        if description.choices:
-            span = ", ".join(f"`{word}`" for word in description.choices)
-        elif description.minimum is None or description.type is bool:
-            span = ""
-        else:
-            high = "" if description.maximum is None else description.shown(description.maximum)
-            span = f"{description.shown(description.minimum)} to {high}".rstrip()
-        default = description.shown(description.default)
-        rows.append(f"| `{description.flag}` | {default} | {span} | {description.help} |")
+        flags = ", ".join(f"`{flag}`" for flag in description.flags)
+        default = description.format(description.default)
+        rows.append(f"| {description.label} | {flags} | {default} | {_format_range(description)} | {description.help} |")
     return "\n".join(rows)
+
+
+def _format_range(description: Description) -> str:
+    if description.choices:
+        return ", ".join(f"`{value}` ({choice.label})" for value, choice in description.choices.items())
+    if description.minimum is None or description.type is bool:
+        return ""
+    minimum = description.format(description.minimum)
+    return f"{minimum} or more" if description.maximum is None else f"{minimum} to {description.format(description.maximum)}"

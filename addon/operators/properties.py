@@ -1,6 +1,6 @@
-"""Blender properties made from a tool's settings, and the settings read back out of them.
+"""Blender properties built from a tool's settings, and settings read back from such properties.
 
-On panels people see their own units: shares in per cent, angles in degrees (Blender keeps those in radians itself).
+Properties hold the units of the interface: fractions as percentages. Angles stay in radians, which Blender shows as degrees.
 """
 
 import math
@@ -10,73 +10,73 @@ import bpy
 
 from ..core.settings import Description, Settings, Unit, describe
 
-SUBTYPES = {Unit.SHARE: "PERCENTAGE", Unit.ANGLE: "ANGLE", Unit.PIXELS: "PIXEL", Unit.LENGTH: "DISTANCE"}
+NUMBER_SUBTYPES = {Unit.FRACTION: "PERCENTAGE", Unit.ANGLE: "ANGLE", Unit.LENGTH: "DISTANCE"}
+PATH_SUBTYPES = {None: "NONE", "file": "FILE_PATH", "folder": "DIR_PATH"}
 
 
-def annotations(settings_type: type[Settings], options: set[str]) -> dict[str, Any]:
-    """One Blender property a setting, as the annotations of a property group or operator class."""
-    return {description.name: blender_property(description, options) for description in describe(settings_type)}
+def build_annotations(settings_type: type[Settings], options: set[str]) -> dict[str, Any]:
+    """Return one Blender property per setting, as annotations of a property group or operator class."""
+    return {description.name: build_property(description, options) for description in describe(settings_type)}
 
 
-def blender_property(description: Description, options: set[str]) -> Any:
-    """The Blender property that holds one setting in the units of people."""
-    common = {"name": title(description), "description": description.help, "options": options}
+def build_property(description: Description, options: set[str]) -> Any:
+    """Return the Blender property that holds one setting in the units of the interface."""
+    common = {"name": description.label, "description": description.help, "options": options}
     if description.choices:
-        items = [(word, word.replace("_", " ").capitalize(), text) for word, text in description.choices.items()]
+        items = [(value, choice.label, choice.help) for value, choice in description.choices.items()]
         return bpy.props.EnumProperty(items=items, default=description.default, **common)
     if description.type is bool:
         return bpy.props.BoolProperty(default=description.default, **common)
     if description.type is str:
-        return bpy.props.StringProperty(default=description.default, **common)
+        return bpy.props.StringProperty(default=description.default, subtype=PATH_SUBTYPES[description.path], **common)
     if description.type is tuple:
         return bpy.props.FloatVectorProperty(size=len(description.default), default=description.default, precision=3, **common)
     limits = {
-        word: to_blender(description, limit)
-        for word, limit in (("min", description.minimum), ("max", description.maximum))
+        keyword: to_blender(description, limit)
+        for keyword, limit in (("min", description.minimum), ("max", description.maximum))
         if limit is not None
     }
     default = to_blender(description, description.default)
     if description.type is int:
         return bpy.props.IntProperty(default=default, **limits, **common)
-    return bpy.props.FloatProperty(default=default, precision=2, subtype=SUBTYPES.get(description.unit, "NONE"), **limits, **common)
-
-
-def title(description: Description) -> str:
-    """The name that panels show: `Max Normal Deviation`, `Texture MB`, `UV Map`."""
-    return description.name.replace("_", " ").title().replace(" Mb", " MB").replace("Uv ", "UV ")
+    subtype = NUMBER_SUBTYPES.get(description.unit, "NONE")
+    return bpy.props.FloatProperty(default=default, precision=2, subtype=subtype, **limits, **common)
 
 
 def to_blender(description: Description, value: Any) -> Any:
-    """A setting's value as its Blender property holds it."""
-    return value * 100.0 if description.unit is Unit.SHARE else value
+    """Return the value of a setting in the units of its Blender property."""
+    return value * 100.0 if description.unit is Unit.FRACTION else value
 
 
 def from_blender(description: Description, value: Any) -> Any:
-    """The inverse of `to_blender`. Blender's floats are single precision: rounding undoes that, so that limits are met exactly."""
+    """Invert `to_blender`.
+
+    Blender's floats are single precision. Rounding to six digits undoes this, so that values at a limit are not out of range.
+    """
     if description.type is tuple:
-        return tuple(_rounded(number) for number in value)
+        return tuple(_round(number) for number in value)
     if description.type is not float:
         return value
     if description.unit is Unit.ANGLE:
-        return math.radians(_rounded(math.degrees(value)))
-    return _rounded(value / 100.0 if description.unit is Unit.SHARE else value)
+        return math.radians(_round(math.degrees(value)))
+    return _round(value / 100.0 if description.unit is Unit.FRACTION else value)
 
 
-def read(settings_type: type[Settings], holder: Any) -> Settings:
-    """The settings that a property group or operator made from `annotations` holds.
+def read(settings_type: type[Settings], owner: Any) -> Settings:
+    """Return the settings held by `owner`, a property group or operator with properties from `build_annotations`.
 
     Raises:
-        SettingsError: when a value is out of its range.
+        SettingsError: a value is out of range.
     """
-    return settings_type(**{item.name: from_blender(item, getattr(holder, item.name)) for item in describe(settings_type)})
+    return settings_type(**{item.name: from_blender(item, getattr(owner, item.name)) for item in describe(settings_type)})
 
 
 def fill_unset(settings_type: type[Settings], operator: bpy.types.Operator, group: bpy.types.PropertyGroup) -> None:
-    """Give each property that the caller of `operator` did not set the value that the panel shows."""
+    """Set the properties that the caller of `operator` left unset to the values in the panel's `group`."""
     for description in describe(settings_type):
         if not operator.properties.is_property_set(description.name):
             setattr(operator, description.name, getattr(group, description.name))
 
 
-def _rounded(value: float) -> float:
+def _round(value: float) -> float:
     return float(f"{value:.6g}")

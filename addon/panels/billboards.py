@@ -1,126 +1,199 @@
-"""Panel *Billboard Cloud* in the sidebar tab *Farfield*."""
+"""Panel *Billboard Cloud* in the sidebar tab *Farfield*, with one sub-panel per group of settings."""
 
 import math
 
 import bpy
 
 from ..bridge import cameras
-from ..core.billboards.settings import BillboardSettings
-from ..core.cameras import Camera
+from ..bridge.billboards.scene_clouds import SceneCloud, find_cloud
+from ..core.billboards.settings import BillboardSettings, CrossfadeSettings
+from ..core.geometry.cameras import Camera
 from ..core.settings import describe
-from ..operators import billboards_estimates, properties
-from ..operators.billboards import (
+from ..operators import properties
+from ..operators.billboards.estimates import cache, estimate_key
+from ..operators.billboards.job import BuildOptions
+from ..operators.billboards.operators import (
     FARFIELD_OT_billboards_build,
+    FARFIELD_OT_billboards_crossfade,
     FARFIELD_OT_billboards_estimate,
-    FARFIELD_OT_billboards_fade,
+    FARFIELD_OT_billboards_show,
     FARFIELD_OT_billboards_show_level,
-    refusal,
+    disabled_reason,
 )
-from ..operators.billboards_clouds import StandingCloud, cloud_for
-from ..operators.billboards_job import BuildOptions
-from .sidebar import SidebarPanel, draw_bar, draw_button, draw_table, megabytes, settings_rows
+from .sidebar import (
+    SidebarPanel,
+    ToolPanel,
+    draw_button,
+    draw_message,
+    draw_progress_bar,
+    draw_setting,
+    draw_table,
+    format_megabytes,
+    settings_column,
+)
 
-MAIN_ROWS = ("method", "error", "levels", "texel_error", "textures")
-OTHER_ROWS = [item.name for item in describe(BillboardSettings) if item.name not in MAIN_ROWS]
-OPTION_ROWS = [item.name for item in describe(BuildOptions)]
+SETTINGS = [*describe(BillboardSettings), *describe(BuildOptions), *describe(CrossfadeSettings)]
+ESTIMATE_TITLES = ("Estimate", "Quads", "Texels", "MB")
+LEVEL_TITLES = ("Level", "Quads", "Texels", "MB", "Distance")
 
 
-class FARFIELD_PT_billboards(SidebarPanel, bpy.types.Panel):
-    """Settings, estimate, button, bar."""
+class FARFIELD_PT_billboards(ToolPanel, bpy.types.Panel):
+    """The main settings, the estimate, and the build button or the progress bar."""
 
     bl_idname = "FARFIELD_PT_billboards"
     bl_label = "Billboard Cloud"
+    page = "billboards"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Draw all rows; while a job runs they are grey and the bar takes the button's place."""
+        """Draw the settings without a group. While a job runs, they are disabled and the progress bar replaces the button."""
         layout, group = self.layout, context.scene.farfield_billboards
-        rows = settings_rows(layout)
-        for name in MAIN_ROWS:
-            row = rows.row()
-            row.active = name != "error" or not (group.quads or group.texture_mb)  # a budget takes the error's place
-            row.prop(group, name)
-        if draw_bar(layout):
+        draw_settings(layout, context, "")
+        if draw_progress_bar(layout):
             return
-        reason = refusal(context)
+        reason = disabled_reason(context)
         if reason:
-            layout.label(text=reason, icon="INFO")
+            draw_message(layout, reason, "INFO")
         else:
             draw_estimate(layout, context, group)
         draw_button(layout, FARFIELD_OT_billboards_build, "Build", "MESH_GRID")
 
 
-class FARFIELD_PT_billboards_more(SidebarPanel, bpy.types.Panel):
-    """Settings that most clouds do not need changed."""
+class SubPanel(SidebarPanel):
+    """A closed sub-panel with the settings of the group named like its label."""
 
-    bl_idname = "FARFIELD_PT_billboards_more"
     bl_parent_id = "FARFIELD_PT_billboards"
-    bl_label = "More"
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Draw the remaining settings."""
-        rows = settings_rows(self.layout)
-        for name in OTHER_ROWS + OPTION_ROWS:
-            rows.prop(context.scene.farfield_billboards, name)
+        """Draw the settings of the group."""
+        draw_settings(self.layout, context, self.bl_label)
 
 
-class FARFIELD_PT_billboards_figures(SidebarPanel, bpy.types.Panel):
-    """The cloud of the active object in figures."""
+class FARFIELD_PT_billboards_detail(SubPanel, bpy.types.Panel):
+    """Budgets and bounds of the quads."""
 
-    bl_idname = "FARFIELD_PT_billboards_figures"
+    bl_idname = "FARFIELD_PT_billboards_detail"
+    bl_label = "Detail"
+
+
+class FARFIELD_PT_billboards_textures(SubPanel, bpy.types.Panel):
+    """Resolution and samples of the captured textures."""
+
+    bl_idname = "FARFIELD_PT_billboards_textures"
+    bl_label = "Textures"
+
+
+class FARFIELD_PT_billboards_advanced(SubPanel, bpy.types.Panel):
+    """Settings that are rarely changed."""
+
+    bl_idname = "FARFIELD_PT_billboards_advanced"
+    bl_label = "Advanced"
+
+
+class CloudPanel(SidebarPanel):
+    """A sub-panel for the cloud of the active object."""
+
     bl_parent_id = "FARFIELD_PT_billboards"
-    bl_label = "Levels"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether the active object has a cloud or is one."""
-        return cloud_for(context.scene, context.active_object) is not None
+        """Return whether the active object belongs to a cloud."""
+        return find_cloud(context.scene, context.active_object) is not None
+
+
+class FARFIELD_PT_billboards_levels(CloudPanel, bpy.types.Panel):
+    """The levels of the active cloud and what of it is visible."""
+
+    bl_idname = "FARFIELD_PT_billboards_levels"
+    bl_label = "Levels of Detail"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Draw one row a level and the button that shows the right one."""
-        camera = cameras.scene_camera(context.scene)
-        draw_figures(self.layout, cloud_for(context.scene, context.active_object), camera)
+        """Draw one row per level and the visibility buttons."""
+        cloud, camera = find_cloud(context.scene, context.active_object), cameras.read_scene_camera(context.scene)
+        draw_levels(self.layout, cloud, camera)
         if camera is None:
-            self.layout.label(text="The scene has no camera", icon="INFO")
-        self.layout.operator(FARFIELD_OT_billboards_show_level.bl_idname, icon="VIEW_CAMERA")
-        fade = self.layout.column(align=True)
-        fade.operator(FARFIELD_OT_billboards_fade.bl_idname, icon="SMOOTHCURVE")
-        fade.prop(context.scene.farfield_billboards, "fade_range", text="Range")
+            self.layout.label(text="The scene has no active camera", icon="INFO")
+        buttons = self.layout.column(align=True)
+        if cloud.shows_sources:
+            show = buttons.operator(FARFIELD_OT_billboards_show.bl_idname, text="Show Cloud", icon="MESH_GRID")
+            show.show = "CLOUD"
+        else:
+            show = buttons.operator(FARFIELD_OT_billboards_show.bl_idname, text="Show Original", icon="MESH_DATA")
+            show.show = "SOURCE"
+        buttons.operator(FARFIELD_OT_billboards_show_level.bl_idname, text="Show Level for Camera", icon="VIEW_CAMERA")
+
+
+class FARFIELD_PT_billboards_crossfade(CloudPanel, bpy.types.Panel):
+    """The cross-fade between levels of all clouds."""
+
+    bl_idname = "FARFIELD_PT_billboards_crossfade"
+    bl_label = "Cross-Fade"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the range and the button."""
+        draw_settings(self.layout, context, self.bl_label)
+        self.layout.operator(FARFIELD_OT_billboards_crossfade.bl_idname, text="Cross-Fade Levels", icon="SMOOTHCURVE")
+
+
+def draw_settings(layout: bpy.types.UILayout, context: bpy.types.Context, group_name: str) -> None:
+    """Draw the settings of one group. Rows without effect under the current settings are grayed out."""
+    group = context.scene.farfield_billboards
+    column = settings_column(layout)
+    for setting in SETTINGS:
+        if setting.group == group_name:
+            row = column.row()
+            row.active = has_effect(setting.name, group)
+            draw_setting(row, group, setting)
+
+
+def has_effect(name: str, group: bpy.types.PropertyGroup) -> bool:
+    """Return whether the setting `name` has an effect: a budget overrides the error, and samples need textures."""
+    if name == "error":
+        return not (group.quads or group.texture_mb)
+    return name != "samples" or group.textures
 
 
 def draw_estimate(layout: bpy.types.UILayout, context: bpy.types.Context, group: bpy.types.PropertyGroup) -> None:
-    """The figures to expect, or a button that works them out when that takes longer than a redraw should."""
-    asked = billboards_estimates.question(context, properties.read(BillboardSettings, group))
-    answer = billboards_estimates.known(asked)
-    if answer is not None and answer.reason:
-        layout.label(text=answer.reason, icon="ERROR")
-    elif answer is not None:
-        levels = enumerate(answer.levels)
-        rows = [(str(number), f"{level.quads:,}", f"{level.texels:,}", megabytes(level.bytes)) for number, level in levels]
-        draw_table(layout, ("Estimate", "Quads", "Texels", "MB"), rows)
-    elif billboards_estimates.ask_later(asked):
-        draw_table(
-            layout, ("Estimate", "Quads", "Texels", "MB"), [(str(number), "...", "...", "...") for number in range(group.levels)]
-        )  # as tall as the figures will be
+    """Draw the estimate, or a button that computes it if that takes longer than a redraw should."""
+    key = estimate_key(context, properties.read(BillboardSettings, group))
+    result = cache.find(key)
+    if result is not None and result.error_message:
+        draw_message(layout, result.error_message, "ERROR")
+    elif result is not None:
+        rows = [
+            (str(index), f"{level.quads:,}", f"{level.texels:,}", format_megabytes(level.bytes))
+            for index, level in enumerate(result.levels)
+        ]
+        draw_table(layout, ESTIMATE_TITLES, rows)
+    elif cache.request(key):
+        # Placeholders with the height of the coming table, so that the panel does not jump.
+        draw_table(layout, ESTIMATE_TITLES, [(str(index), "...", "...", "...") for index in range(group.levels)])
     else:
-        layout.operator(FARFIELD_OT_billboards_estimate.bl_idname)
+        layout.operator(FARFIELD_OT_billboards_estimate.bl_idname, text="Estimate")
 
 
-def draw_figures(layout: bpy.types.UILayout, cloud: StandingCloud, camera: Camera | None) -> None:
-    """What each level of a standing cloud takes, and from which distance on `camera` cannot tell it from the original."""
+def draw_levels(layout: bpy.types.UILayout, cloud: SceneCloud, camera: Camera | None) -> None:
+    """Draw the figures of each level of a cloud and its switch distance for `camera`."""
     layout.label(text=cloud.collection.name, icon="OUTLINER_COLLECTION")
     rows = []
     for index, level in enumerate(cloud.levels):
-        distance = "-" if camera is None else distance_text(camera.switch_distance(level["farfield_error"]))
-        figures = f"{level['farfield_quads']:,}", f"{level['farfield_texels']:,}", megabytes(cloud.texture_bytes(index))
+        distance = "-" if camera is None else format_distance(camera.switch_distance(level["farfield_error"]))
+        figures = f"{level['farfield_quads']:,}", f"{level['farfield_texels']:,}", format_megabytes(cloud.texture_bytes(index))
         rows.append((str(index), *figures, distance))
-    draw_table(layout, ("Level", "Quads", "Texels", "MB", "From"), rows)
+    draw_table(layout, LEVEL_TITLES, rows)
 
 
-def distance_text(distance: float) -> str:
-    """A switch distance in scene units; orthographic cameras know no distance."""
+def format_distance(distance: float) -> str:
+    """Return a switch distance in scene units as text; for orthographic cameras it is "always" or "never"."""
     return "always" if distance == 0.0 else "never" if math.isinf(distance) else f"{distance:.4g}"
 
 
-CLASSES = (FARFIELD_PT_billboards, FARFIELD_PT_billboards_more, FARFIELD_PT_billboards_figures)
+CLASSES = (
+    FARFIELD_PT_billboards,
+    FARFIELD_PT_billboards_detail,
+    FARFIELD_PT_billboards_textures,
+    FARFIELD_PT_billboards_advanced,
+    FARFIELD_PT_billboards_levels,
+    FARFIELD_PT_billboards_crossfade,
+)
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -1,63 +1,145 @@
-"""Panel *Relightable Textures* in the sidebar tab *Farfield*."""
+"""Panel *Relightable Textures* in the sidebar tab *Farfield*, with one sub-panel per group of settings."""
 
 import bpy
 
-from ..bridge.btf_materials import SUNS
+from ..bridge.billboards.scene_clouds import SceneCloud
+from ..bridge.btf.materials import SUNS
 from ..core.btf.settings import BtfSettings
 from ..core.settings import describe
-from ..operators import btf, btf_estimates, btf_exports, long_work, properties
-from ..operators.billboards_clouds import StandingCloud
-from .sidebar import SidebarPanel, draw_bar, draw_button, megabytes, settings_rows
+from ..operators import long_work, properties
+from ..operators.btf import estimates
+from ..operators.btf.exports import FARFIELD_OT_btf_export
+from ..operators.btf.operators import (
+    FARFIELD_OT_btf_bake,
+    FARFIELD_OT_btf_link_suns,
+    FARFIELD_OT_btf_restore_pbr,
+    active_cloud,
+    disabled_reason,
+    is_baked,
+    sun_pointer_name,
+)
+from .sidebar import (
+    SettingsSubPanel,
+    SidebarPanel,
+    ToolPanel,
+    draw_button,
+    draw_message,
+    draw_progress_bar,
+    format_megabytes,
+    settings_column,
+)
 
-ROWS = [item.name for item in describe(BtfSettings) if item.name != "seed"]
-OF_CODEC = {"components": "pca", "clusters": "lpca", "cluster_components": "lpca", "blend_texels": "lpca"}  # rows of one codec alone
+CODEC_OF_SETTING = {"components": "pca", "clusters": "lpca", "cluster_components": "lpca", "blend_texels": "lpca"}
 
 
-class FARFIELD_PT_btf(SidebarPanel, bpy.types.Panel):
-    """Settings, number of renders, button, bar; then the lamps."""
+class FARFIELD_PT_btf(ToolPanel, bpy.types.Panel):
+    """The estimate, and the bake button or the progress bar."""
 
     bl_idname = "FARFIELD_PT_btf"
     bl_label = "Relightable Textures"
+    page = "btf"
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Draw all rows; while a job runs they are grey and the bar takes the button's place."""
-        layout, group = self.layout, context.scene.farfield_btf
-        rows = settings_rows(layout)
-        for name in ROWS:
-            if OF_CODEC.get(name, group.codec) == group.codec:
-                rows.prop(group, name)
-        if draw_bar(layout):
+        """Draw the estimate and the button. While a job runs, the progress bar replaces them."""
+        layout = self.layout
+        if draw_progress_bar(layout):
             return
-        cloud, reason, done = btf.chosen(context), btf.refusal(context), 0
-        settings = properties.read(BtfSettings, group)
-        reason = reason or btf_estimates.check(settings)
+        settings = properties.read(BtfSettings, context.scene.farfield_btf)
+        reason = disabled_reason(context) or estimates.settings_error(settings)
+        finished_count = 0
         if reason:
-            layout.label(text=reason, icon="INFO")
+            draw_message(layout, reason, "INFO")
         else:
-            done = btf_estimates.views_done(cloud, settings)
-            draw_estimate(layout, cloud, settings, done)
-        draw_button(layout, btf.FARFIELD_OT_btf_bake, "Resume" if done else "Bake", "LIGHT_SUN")
-        if btf.is_baked(cloud):
-            lamps = layout.column()
-            for number in range(SUNS):
-                lamps.prop(group, btf.sun_pointer(number))
-            lamps.prop(group, "ambient")
-            lamps.operator(btf.FARFIELD_OT_btf_light.bl_idname)
-            lamps.operator(btf.FARFIELD_OT_btf_plain.bl_idname)
-            lamps.operator(btf_exports.FARFIELD_OT_btf_export.bl_idname, icon="EXPORT")
+            cloud = active_cloud(context)
+            finished_count = estimates.count_finished_views(cloud, settings)
+            draw_estimate(layout, cloud, settings, finished_count)
+        draw_button(layout, FARFIELD_OT_btf_bake, "Resume" if finished_count else "Bake", "LIGHT_SUN")
 
 
-def draw_estimate(layout: bpy.types.UILayout, cloud: StandingCloud, settings: BtfSettings, done: int) -> None:
-    """What a bake will take, and how many of its views stand already."""
-    figures = btf_estimates.estimated(cloud, settings)
-    every = settings.views * len(cloud.levels)
+class SubPanel(SettingsSubPanel):
+    """A closed sub-panel of settings."""
+
+    bl_parent_id = "FARFIELD_PT_btf"
+    bl_options = {"DEFAULT_CLOSED"}
+    settings, property_name = describe(BtfSettings), "farfield_btf"
+
+    @staticmethod
+    def is_used(name: str, group: bpy.types.PropertyGroup) -> bool:
+        """Return whether the setting applies to the selected codec."""
+        return CODEC_OF_SETTING.get(name, group.codec) == group.codec
+
+
+class FARFIELD_PT_btf_directions(SubPanel, bpy.types.Panel):
+    """Numbers of views and lights."""
+
+    bl_idname = "FARFIELD_PT_btf_directions"
+    bl_label = "Directions"
+
+
+class FARFIELD_PT_btf_compression(SubPanel, bpy.types.Panel):
+    """Codec and numbers of components."""
+
+    bl_idname = "FARFIELD_PT_btf_compression"
+    bl_label = "Compression"
+
+
+class FARFIELD_PT_btf_shadows(SubPanel, bpy.types.Panel):
+    """Self-shadowing."""
+
+    bl_idname = "FARFIELD_PT_btf_shadows"
+    bl_label = "Shadows"
+
+
+class FARFIELD_PT_btf_performance(SubPanel, bpy.types.Panel):
+    """Samples and parallel execution."""
+
+    bl_idname = "FARFIELD_PT_btf_performance"
+    bl_label = "Performance"
+
+
+class FARFIELD_PT_btf_lighting(SidebarPanel, bpy.types.Panel):
+    """Sun lights of a relightable cloud, and what else can be done with it."""
+
+    bl_idname = "FARFIELD_PT_btf_lighting"
+    bl_label = "Lighting"
+    bl_parent_id = "FARFIELD_PT_btf"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether the active cloud has relightable textures and no job runs."""
+        return long_work.current_run() is None and is_baked(active_cloud(context))
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the Sun lights, the ambient color, and the buttons."""
+        group, column = context.scene.farfield_btf, settings_column(self.layout)
+        for index in range(SUNS):
+            column.prop(group, sun_pointer_name(index))
+        column.prop(group, "ambient")
+        column.operator(FARFIELD_OT_btf_link_suns.bl_idname, text="Link Sun Lights")
+        column.operator(FARFIELD_OT_btf_restore_pbr.bl_idname)
+        column.operator(FARFIELD_OT_btf_export.bl_idname, text="Export", icon="EXPORT")
+
+
+def draw_estimate(layout: bpy.types.UILayout, cloud: SceneCloud, settings: BtfSettings, finished_count: int) -> None:
+    """Draw the estimated cost of a bake, and how many of its views are finished."""
+    estimate = estimates.cache.estimate(cloud, settings)
+    view_count = settings.view_count * len(cloud.levels)
+    raw, compressed = format_megabytes(estimate.raw_bytes), format_megabytes(estimate.final_bytes)
     column = layout.box().column(align=True)
-    column.label(text=f"{figures.renders:,} renders, about {long_work.duration(figures.seconds)}", icon="RENDER_STILL")
-    column.label(text=f"{megabytes(figures.raw_bytes)} MB raw, {megabytes(figures.final_bytes)} MB in the end", icon="FILE_IMAGE")
-    if done:
-        column.label(text=f"{done} of {every} views stand", icon="CHECKMARK")
+    column.label(text=f"{estimate.renders:,} renders, about {long_work.format_duration(estimate.seconds)}", icon="RENDER_STILL")
+    column.label(text=f"{raw} MB uncompressed", icon="BLANK1")
+    column.label(text=f"{compressed} MB compressed", icon="FILE_IMAGE")
+    if finished_count:
+        column.label(text=f"{finished_count} of {view_count} views finished", icon="CHECKMARK")
 
 
-CLASSES = (FARFIELD_PT_btf,)
+CLASSES = (
+    FARFIELD_PT_btf,
+    FARFIELD_PT_btf_directions,
+    FARFIELD_PT_btf_compression,
+    FARFIELD_PT_btf_shadows,
+    FARFIELD_PT_btf_performance,
+    FARFIELD_PT_btf_lighting,
+)
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -1,58 +1,112 @@
-"""What all panels in the sidebar tab *Farfield* have in common."""
+"""Layout shared by all panels in the sidebar tab *Farfield*."""
+
+import textwrap
+from collections.abc import Sequence
 
 import bpy
 
-from ..operators import long_work
+from ..core.settings import Description
+from ..operators import documentation, long_work
+
+MESSAGE_WIDTH = 36  # characters per line at the default width of the sidebar
 
 
 class SidebarPanel:
-    """Where the panels stand."""
+    """Mixin of the panels: the sidebar tab that contains them."""
 
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = "Farfield"
 
 
-def settings_rows(layout: bpy.types.UILayout) -> bpy.types.UILayout:
-    """A column for settings: names to the left, values to the right, grey while a job runs."""
+class ToolPanel(SidebarPanel):
+    """Mixin of the top-level panel of a tool: a button in its header opens the page of the tool in the documentation.
+
+    page: name of the page, the identifier of the tool.
+    """
+
+    page = ""
+
+    def draw_header_preset(self, _context: bpy.types.Context) -> None:
+        """Draw the help button."""
+        self.layout.operator("wm.url_open", text="", icon="HELP", emboss=False).url = documentation.find_page(self.page)
+
+
+class SettingsSubPanel(SidebarPanel):
+    """Mixin of a sub-panel with the settings of the group named like its label.
+
+    settings: all settings of the tool. property_name: the property of the scene that holds them.
+    """
+
+    settings: Sequence[Description] = ()
+    property_name = ""
+
+    @staticmethod
+    def is_used(_name: str, _group: bpy.types.PropertyGroup) -> bool:
+        """Return whether the setting of that name has an effect with the other settings; others are not drawn."""
+        return True
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the settings of the group that have an effect."""
+        group = getattr(context.scene, self.property_name)
+        column = settings_column(self.layout)
+        for setting in self.settings:
+            if setting.group == self.bl_label and self.is_used(setting.name, group):
+                draw_setting(column, group, setting)
+
+
+def settings_column(layout: bpy.types.UILayout) -> bpy.types.UILayout:
+    """Return a column for settings: labels on the left, values on the right, disabled while a job runs."""
     layout.use_property_split = True
     layout.use_property_decorate = False
-    rows = layout.column()
-    rows.enabled = long_work.current() is None
-    return rows
+    column = layout.column()
+    column.enabled = long_work.current_run() is None
+    return column
 
 
-def draw_bar(layout: bpy.types.UILayout) -> bool:
-    """The bar of the job under way, if there is one: per cent, what is being done, the time left, how to stop. Whether there is."""
-    run = long_work.current()
+def draw_setting(layout: bpy.types.UILayout, group: bpy.types.PropertyGroup, setting: Description) -> None:
+    """Draw one setting of the property group `group` with its panel label."""
+    layout.prop(group, setting.name, text=setting.panel_label)
+
+
+def draw_message(layout: bpy.types.UILayout, message: str, icon: str) -> None:
+    """Draw a message with its icon, in as many lines as a sidebar of the default width needs."""
+    column = layout.column(align=True)
+    for index, line in enumerate(textwrap.wrap(message, MESSAGE_WIDTH)):
+        column.label(text=line, icon="BLANK1" if index else icon)
+
+
+def draw_progress_bar(layout: bpy.types.UILayout) -> bool:
+    """Draw the progress of the running job - percentage, label, time left, how to cancel - and return whether there is one."""
+    run = long_work.current_run()
     if run is None:
         return False
     column = layout.column(align=True)
     column.progress(factor=run.progress.fraction, type="BAR", text=f"{run.progress.fraction:.0%}")
-    column.label(text="Stopping" if run.stopping else run.progress.label)
-    left = run.seconds_left
-    column.label(text="Esc stops" if left is None else f"{long_work.duration(left)} left, Esc stops", icon="TIME")
+    column.label(text="Cancelling" if run.cancel_requested else run.progress.label)
+    seconds = run.seconds_left
+    column.label(text="Esc to cancel" if seconds is None else f"{long_work.format_duration(seconds)} left, Esc to cancel", icon="TIME")
     return True
 
 
 def draw_button(layout: bpy.types.UILayout, operator: type[bpy.types.Operator], text: str, icon: str) -> None:
-    """The button that starts a panel's job."""
+    """Draw the large button that starts a panel's job."""
     row = layout.row()
     row.scale_y = 1.4
     row.operator(operator.bl_idname, text=text, icon=icon)
 
 
-def draw_table(layout: bpy.types.UILayout, head: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
-    """Rows of words, the first to the left and the rest to the right, below their titles."""
+def draw_table(layout: bpy.types.UILayout, titles: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
+    """Draw a table below its `titles`: the first column left-aligned, the others right-aligned."""
     columns = layout.box().row()
-    for place, title in enumerate(head):
+    for index, title in enumerate(titles):
         column = columns.column(align=True)
-        column.alignment = "LEFT" if place == 0 else "RIGHT"
+        column.alignment = "LEFT" if index == 0 else "RIGHT"
         column.label(text=title)
         for row in rows:
-            column.label(text=row[place])
+            column.label(text=row[index])
 
 
-def megabytes(count: float) -> str:
-    """Bytes as megabytes, with two significant digits below ten."""
+def format_megabytes(count: float) -> str:
+    """Return a number of bytes in megabytes, with two significant digits below ten."""
     return f"{count / 1e6:.2g}" if count < 1e7 else f"{count / 1e6:,.0f}"

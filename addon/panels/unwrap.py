@@ -2,79 +2,88 @@
 
 import bpy
 
-from ..bridge import uv_maps, uv_overlay
+from ..bridge.unwrap import uv_maps
+from ..bridge.unwrap.uv_overlay import overlay
 from ..core.settings import describe
 from ..core.unwrap.settings import UnwrapSettings
-from ..operators.unwrap import (
+from ..operators.unwrap.operators import (
     FARFIELD_OT_unwrap,
     FARFIELD_OT_unwrap_direction,
     FARFIELD_OT_unwrap_overlay,
-    FARFIELD_OT_unwrap_picture,
+    FARFIELD_OT_unwrap_stretch_image,
+    disabled_reason,
     is_unwrapped,
-    refusal,
 )
-from .sidebar import SidebarPanel, draw_bar, draw_button, settings_rows
+from .sidebar import ToolPanel, draw_button, draw_message, draw_progress_bar, settings_column
 
-ROWS = [item.name for item in describe(UnwrapSettings)]
-OF_IMPORTANCE = {"direction": ("direction", "look"), "group": ("group",)}  # rows of some kinds of importance alone
-FIGURES = (
+SETTING_NAMES = [description.name for description in describe(UnwrapSettings)]
+SHOWN_FOR_IMPORTANCE = {"direction": ("direction", "gradual"), "vertex_group": ("vertex_group",)}
+METRICS = (
     ("Stretch L2", "l2", "{:.3f}"),
-    ("95 % below", "p95", "{:.2f}"),
-    ("Largest", "linf", "{:.2f}"),
+    ("95th Percentile", "p95", "{:.2f}"),
+    ("Max Stretch", "linf", "{:.2f}"),
     ("Flips", "flips", "{:.0f}"),
     ("Overlaps", "overlaps", "{:.0f}"),
-    ("Least shape", "min_shape", "{:.3f}"),
-    ("Filled", "fill", "{:.0%}"),
-    ("Density ratio", "density_ratio", "{:.2f}"),
+    ("Min Quality", "min_quality", "{:.3f}"),
+    ("Filled Area", "fill", "{:.0%}"),
+    ("Density Ratio", "density_ratio", "{:.2f}"),
 )
 
 
-class FARFIELD_PT_unwrap(SidebarPanel, bpy.types.Panel):
-    """Settings, button, bar, figures."""
+class FARFIELD_PT_unwrap(ToolPanel, bpy.types.Panel):
+    """Settings, the Unwrap button, and the metrics of the active object's UV map."""
 
     bl_idname = "FARFIELD_PT_unwrap"
     bl_label = "View-Dependent Unwrap"
+    page = "unwrap"
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Draw the rows that count; while a job runs they are grey and the bar takes the button's place."""
+        """Draw the settings in use. While a job runs they are disabled and the progress bar replaces the button."""
         layout, group = self.layout, context.scene.farfield_unwrap
-        rows = settings_rows(layout)
-        for name in ROWS:
-            if group.importance in OF_IMPORTANCE.get(name, (group.importance,)) and (name != "density_ratio" or group.importance != "even"):
-                draw_row(rows, context, group, name)
-        if draw_bar(layout):
+        column = settings_column(layout)
+        for name in SETTING_NAMES:
+            if is_used(name, group.importance):
+                draw_setting(column, context, group, name)
+        if draw_progress_bar(layout):
             return
-        reason = refusal(context)
+        reason = disabled_reason(context)
         if reason:
-            layout.label(text=reason, icon="INFO")
+            draw_message(layout, reason, "INFO")
         draw_button(layout, FARFIELD_OT_unwrap, "Unwrap", "UV")
         if is_unwrapped(context.active_object):
-            draw_figures(layout, uv_maps.figures_of(context.active_object.data))
-            tools = layout.row(align=True)
-            tools.operator(FARFIELD_OT_unwrap_overlay.bl_idname, icon="OVERLAY", depress=uv_overlay.shown())
-            tools.operator(FARFIELD_OT_unwrap_picture.bl_idname, text="", icon="IMAGE_DATA")
+            draw_metrics(layout, uv_maps.read_metrics(context.active_object.data))
+            row = layout.row(align=True)
+            row.operator(FARFIELD_OT_unwrap_overlay.bl_idname, text="Show Stretch", icon="OVERLAY", depress=overlay.is_shown)
+            row.operator(FARFIELD_OT_unwrap_stretch_image.bl_idname, text="", icon="IMAGE_DATA")
 
 
-def draw_row(layout: bpy.types.UILayout, context: bpy.types.Context, group: bpy.types.PropertyGroup, name: str) -> None:
-    """One setting; the vertex group is chosen from those of the active object, the direction may be taken from the view."""
-    if name == "group" and context.active_object is not None and context.active_object.type == "MESH":
+def is_used(name: str, importance: str) -> bool:
+    """Return whether the setting `name` has an effect with this importance."""
+    if name == "density_ratio":
+        return importance != "uniform"
+    return name not in SHOWN_FOR_IMPORTANCE or importance in SHOWN_FOR_IMPORTANCE[name]
+
+
+def draw_setting(layout: bpy.types.UILayout, context: bpy.types.Context, group: bpy.types.PropertyGroup, name: str) -> None:
+    """Draw one setting: a search field for the vertex group, and a button below the direction that sets it from the view."""
+    if name == "vertex_group" and context.active_object is not None and context.active_object.type == "MESH":
         layout.prop_search(group, name, context.active_object, "vertex_groups")
         return
     layout.prop(group, name)
     if name == "direction":
-        layout.operator(FARFIELD_OT_unwrap_direction.bl_idname, icon="VIEW3D")
+        layout.operator(FARFIELD_OT_unwrap_direction.bl_idname, text="From View", icon="VIEW3D")
 
 
-def draw_figures(layout: bpy.types.UILayout, figures: dict[str, float]) -> None:
-    """What the UV map is worth."""
+def draw_metrics(layout: bpy.types.UILayout, metrics: dict[str, float]) -> None:
+    """Draw the metrics of a UV map; the density ratio only where density is not uniform."""
     columns = layout.box().row()
-    names, values = columns.column(align=True), columns.column(align=True)
+    labels, values = columns.column(align=True), columns.column(align=True)
     values.alignment = "RIGHT"
-    for title, key, shape in FIGURES:
-        if figures.get(key, 0.0) or key != "density_ratio":
-            names.label(text=title)
-            values.label(text=shape.format(figures.get(key, 0.0)))
+    for label, key, number_format in METRICS:
+        if metrics.get(key, 0.0) or key != "density_ratio":
+            labels.label(text=label)
+            values.label(text=number_format.format(metrics.get(key, 0.0)))
 
 
 CLASSES = (FARFIELD_PT_unwrap,)

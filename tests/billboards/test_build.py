@@ -1,46 +1,44 @@
-"""A cloud keeps its bounds whatever the method, and shapes with a known answer get it."""
+"""Tests of the construction: every method keeps its bounds, and shapes with a known result give it."""
 
 import numpy as np
 import pytest
 
-from farfield.addon.core.billboards.build import build
+from farfield.addon.core.billboards.build import build_cloud
 from farfield.addon.core.billboards.cloud import Cloud, Level
 from farfield.addon.core.billboards.settings import BillboardSettings
 from farfield.addon.core.errors import GeometryError, SettingsError
-from farfield.addon.core.mesh import PointCloud, TriangleMesh, face_areas_and_normals, merge
-from farfield.addon.core.points import splat_radii
-from farfield.addon.core.progress import finish
-from shapes import box, bumpy_sphere, cards, cylinder, sheet, soup, sphere
+from farfield.addon.core.geometry.directions import fibonacci_sphere
+from farfield.addon.core.geometry.mesh import PointCloud, TriangleMesh, concatenate, face_areas_and_normals
+from farfield.addon.core.geometry.points import splat_radii
+from farfield.addon.core.jobs.progress import run_to_end
+from shapes import box, bumpy_sphere, cylinder, leaf_cards, sheet, soup, sphere
 
 METHODS = ("clusters", "hough", "decimate")
 UP = [0.0, 0.0, 1.0]
 
 
-def cloud_of(source: TriangleMesh | PointCloud, **how) -> Cloud:
-    return finish(build(source, BillboardSettings(**({"levels": 1, "error": 0.04} | how)), "Shape"))
+def build_test_cloud(source: TriangleMesh | PointCloud, **settings) -> Cloud:
+    return run_to_end(build_cloud(source, BillboardSettings(**({"levels": 1, "error": 0.04} | settings)), "Shape"))
 
 
 def drawn_pairs(level: Level) -> tuple[np.ndarray, np.ndarray]:
-    """The primitive and the quad (K,) of every drawing."""
+    """Return the primitive and the quad (K,) of every pair of which the quad draws the primitive."""
     return level.quads.drawn, np.repeat(np.arange(len(level.quads)), np.diff(level.quads.drawn_offsets))
 
 
 def heights(level: Level, corners: np.ndarray, quad: np.ndarray) -> np.ndarray:
-    """Heights (K, C) of `corners` (K, C, 3) over the planes of the quads (K,)."""
+    """Return the heights (K, C) of `corners` (K, C, 3) over the planes of the quads (K,)."""
     quads = level.quads
     return np.einsum("kci,ki->kc", corners - quads.centers[quad][:, None], quads.frames[quad, 2])
 
 
 def ball_of_points(count: int = 400) -> PointCloud:
-    height = 1.0 - 2.0 * (np.arange(count) + 0.5) / count
-    turn = np.arange(count) * np.pi * (3.0 - np.sqrt(5.0))
-    flat = np.sqrt(1.0 - height**2)
-    points = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
+    points = fibonacci_sphere(count)
     return PointCloud(points, points, splat_radii(points))
 
 
 class TestBounds:
-    """What holds for every face of every mesh."""
+    """Properties of every face of every mesh."""
 
     @pytest.mark.parametrize(
         ("mesh", "method"),
@@ -54,8 +52,8 @@ class TestBounds:
         ],
         ids=lambda value: value if isinstance(value, str) else f"{len(value.triangles)} triangles",
     )
-    def test_every_drawn_corner_is_within_the_error_of_the_plane(self, mesh, method):
-        cloud = cloud_of(mesh, method=method, error=0.08)
+    def test_drawn_corners_are_within_the_error_of_the_plane(self, mesh, method):
+        cloud = build_test_cloud(mesh, method=method, error=0.08)
         (level,) = cloud.levels
         drawn, quad = drawn_pairs(level)
         distance = np.abs(heights(level, mesh.corners[drawn], quad)).max()
@@ -65,9 +63,9 @@ class TestBounds:
         assert cloud.uncovered_faces == 0
 
     @pytest.mark.parametrize("degrees", [20.0, 60.0])
-    @pytest.mark.parametrize("mesh", [sphere(8), bumpy_sphere(), soup(50), cards(50)], ids=["sphere", "bumpy", "soup", "cards"])
-    def test_clusters_keep_the_normal_bound_on_every_quad_that_draws_a_face(self, mesh, degrees):
-        cloud = cloud_of(mesh, max_normal_deviation=np.radians(degrees), levels=2)
+    @pytest.mark.parametrize("mesh", [sphere(8), bumpy_sphere(), soup(50), leaf_cards(50)], ids=["sphere", "bumpy", "soup", "cards"])
+    def test_clusters_keep_the_normal_bound_on_every_quad(self, mesh, degrees):
+        cloud = build_test_cloud(mesh, max_normal_deviation=np.radians(degrees), levels=2)
         _, normals = face_areas_and_normals(mesh.corners)
         for level in cloud.levels:
             drawn, quad = drawn_pairs(level)
@@ -76,36 +74,36 @@ class TestBounds:
         assert cloud.faces_beyond_normal_bound == 0
 
     @pytest.mark.parametrize("method", ["clusters", "hough"])
-    def test_how_many_owned_faces_break_it_is_told(self, method):
+    def test_violations_of_the_normal_bound_are_counted(self, method):
         mesh = sphere(6)
-        cloud = cloud_of(mesh, method=method, error=0.1)
+        cloud = build_test_cloud(mesh, method=method, error=0.1)
         _, normals = face_areas_and_normals(mesh.corners)
         quads = cloud.levels[0].quads
         facing = np.einsum("ti,ti->t", normals, quads.frames[quads.owner, 2])
-        facing = np.abs(facing) if method == "hough" else facing  # a Hough plane serves both of its sides
+        facing = np.abs(facing) if method == "hough" else facing  # Hough planes are two-sided
         assert cloud.faces_beyond_normal_bound == (facing < 0.5).sum()
 
     @pytest.mark.parametrize("method", METHODS)
-    def test_an_owner_draws_what_it_owns_inside_its_rectangle_and_cutout(self, method):
-        mesh = box(cuts=2) if method == "decimate" else bumpy_sphere(8)  # decimate takes long over what is not flat
-        (level,) = cloud_of(mesh, method=method, error=0.08).levels
+    def test_owners_draw_their_faces_inside_rectangle_and_cutout(self, method):
+        mesh = box(cuts=2) if method == "decimate" else bumpy_sphere(8)  # decimate is slow on curved surfaces
+        (level,) = build_test_cloud(mesh, method=method, error=0.08).levels
         quads = level.quads
-        for number, (first, last) in enumerate(zip(quads.drawn_offsets[:-1], quads.drawn_offsets[1:], strict=True)):
-            drawn, owned = quads.drawn[first:last], np.flatnonzero(quads.owner == number)
+        for index, (first, last) in enumerate(zip(quads.drawn_offsets[:-1], quads.drawn_offsets[1:], strict=True)):
+            drawn, owned = quads.drawn[first:last], np.flatnonzero(quads.owner == index)
             assert (np.diff(drawn) > 0).all()
             assert np.isin(owned, drawn).all()
-            if method == "decimate" and len(level.cutouts[number]) == 3:
-                continue  # what reaches over the sides of a triangle is drawn beside it
-            local = ((mesh.corners[owned] - quads.centers[number]) @ quads.frames[number, :2].T / quads.half_sizes[number]).reshape(-1, 2)
-            polygon = level.cutouts[number]
-            sides = np.roll(polygon, -1, axis=0) - polygon
-            away = local[:, None] - polygon
-            assert (sides[:, 0] * away[:, :, 1] - sides[:, 1] * away[:, :, 0]).min(initial=0.0) >= -1e-5
+            if method == "decimate" and len(level.cutouts[index]) == 3:
+                continue  # other quads draw the parts outside the triangle
+            local = ((mesh.corners[owned] - quads.centers[index]) @ quads.frames[index, :2].T / quads.half_sizes[index]).reshape(-1, 2)
+            polygon = level.cutouts[index]
+            edges = np.roll(polygon, -1, axis=0) - polygon
+            offsets = local[:, None] - polygon
+            assert (edges[:, 0] * offsets[:, :, 1] - edges[:, 1] * offsets[:, :, 0]).min(initial=0.0) >= -1e-5
 
     @pytest.mark.parametrize("method", METHODS)
     def test_equal_seeds_give_equal_bytes(self, method):
         mesh = box(cuts=2) if method == "decimate" else bumpy_sphere(8)
-        first, second = (cloud_of(mesh, method=method, seed=3).levels[0] for _ in range(2))
+        first, second = (build_test_cloud(mesh, method=method, seed=3).levels[0] for _ in range(2))
         for name in ("centers", "frames", "half_sizes", "drawn_offsets", "drawn", "owner"):
             assert getattr(first.quads, name).tobytes() == getattr(second.quads, name).tobytes()
         assert first.atlas.rectangles.tobytes() == second.atlas.rectangles.tobytes()
@@ -116,102 +114,102 @@ class TestKnownShapes:
 
     @pytest.mark.parametrize("method", ["clusters", "hough"])
     @pytest.mark.parametrize("sides", [(1.0, 1.0, 1.0), (1.0, 2.0, 3.0)])
-    def test_a_box_gives_its_six_faces(self, sides, method):
-        (level,) = cloud_of(box(sides), method=method, error=0.02).levels
-        outwards = level.quads.frames[:, 2] * (-1.0 if method == "hough" else 1.0)  # a plane of hough serves both sides
+    def test_box_gives_six_quads(self, sides, method):
+        (level,) = build_test_cloud(box(sides), method=method, error=0.02).levels
+        outward = level.quads.frames[:, 2] * (-1.0 if method == "hough" else 1.0)  # Hough planes are two-sided
         assert len(level.quads) == 6
         expected = np.concatenate([np.eye(3), -np.eye(3)])
-        found = level.quads.centers / (0.5 * np.array(sides))
-        np.testing.assert_allclose(found[np.lexsort(found.T.round(6))], expected[np.lexsort(expected.T)], atol=1e-9)
-        np.testing.assert_allclose(np.abs(np.einsum("qi,qi->q", outwards, found)), 1.0)
+        relative_centers = level.quads.centers / (0.5 * np.array(sides))
+        np.testing.assert_allclose(relative_centers[np.lexsort(relative_centers.T.round(6))], expected[np.lexsort(expected.T)], atol=1e-9)
+        np.testing.assert_allclose(np.abs(np.einsum("qi,qi->q", outward, relative_centers)), 1.0)
         if method == "clusters":
-            np.testing.assert_allclose(outwards, found, atol=1e-9)
+            np.testing.assert_allclose(outward, relative_centers, atol=1e-9)
             assert level.solid.all()
 
     @pytest.mark.parametrize("method", ["clusters", "hough"])
-    def test_a_flat_sheet_is_one_quad_of_exactly_its_texels(self, method):
-        (level,) = cloud_of(sheet(7), method=method, error=0.02).levels
+    def test_flat_sheet_is_one_quad_with_exact_texel_count(self, method):
+        (level,) = build_test_cloud(sheet(7), method=method, error=0.02).levels
         assert len(level.quads) == 1
-        assert level.texels == level.atlas.texels == 100**2  # texels of 0.01 on a side of 1
+        assert level.texel_count == level.atlas.texel_count == 100**2  # texels of 0.01 on a side of 1
         np.testing.assert_allclose(np.abs(level.quads.frames[0, 2]), UP, atol=1e-9)
 
-    def test_a_decimated_flat_sheet_is_one_quad_that_takes_its_area_in_texels(self):
-        (level,) = cloud_of(sheet(3), method="decimate", error=0.02).levels
+    def test_decimated_flat_sheet_is_one_quad_with_its_area_in_texels(self):
+        (level,) = build_test_cloud(sheet(3), method="decimate", error=0.02).levels
         assert len(level.quads) == 1
         np.testing.assert_allclose(level.quads.frames[:, 2], [UP], atol=1e-9)
-        assert level.texels == pytest.approx(100**2, rel=0.05)
+        assert level.texel_count == pytest.approx(100**2, rel=0.05)
 
     @pytest.mark.parametrize("error", [0.02, 0.05])
-    def test_texels_are_area_over_texel_squared_and_waste(self, error):
+    def test_texel_count_is_area_over_texel_area_and_waste(self, error):
         mesh = sphere(12)
-        (level,) = cloud_of(mesh, error=error).levels
-        assert level.atlas.texels == pytest.approx(level.quads.areas.sum() / level.texel**2, rel=0.02)
+        (level,) = build_test_cloud(mesh, error=error).levels
+        assert level.atlas.texel_count == pytest.approx(level.quads.areas.sum() / level.texel_size**2, rel=0.02)
         area = face_areas_and_normals(mesh.corners)[0].sum()
-        assert 0.75 <= level.texels * level.texel**2 / area <= 2.0  # a quad is a little smaller than the curved piece it stands for
+        assert 0.75 <= level.texel_count * level.texel_size**2 / area <= 2.0  # quads are slightly smaller than a curved surface
 
     @pytest.mark.parametrize("degrees", [15.0, 30.0, 45.0, 60.0, 80.0])
-    def test_a_cylinder_is_cut_where_the_angle_bound_says(self, degrees):
-        """With no error to heed, a quad shows the sides whose normals lie within twice the bound."""
+    def test_cylinder_is_split_at_the_normal_bound(self, degrees):
+        """If the error does not matter, a quad shows the sides whose normals are within twice the bound."""
         sides = 72
-        cloud = cloud_of(cylinder(sides=sides, cuts=2, length=1.0), error=0.25, max_normal_deviation=np.radians(degrees))
-        shown_at_most = int(2.0 * degrees / (360.0 / sides) + 1e-9) + 1
-        least = int(np.ceil(sides / shown_at_most))
-        assert least <= len(cloud.levels[0].quads) <= 1.5 * least + 1.0
+        cloud = build_test_cloud(cylinder(sides=sides, cuts=2, length=1.0), error=0.25, max_normal_deviation=np.radians(degrees))
+        max_shown = int(2.0 * degrees / (360.0 / sides) + 1e-9) + 1
+        min_count = int(np.ceil(sides / max_shown))
+        assert min_count <= len(cloud.levels[0].quads) <= 1.5 * min_count + 1.0
 
     @pytest.mark.parametrize("method", METHODS)
-    def test_two_far_parallel_planes_stay_two(self, method):
+    def test_distant_parallel_planes_stay_separate(self, method):
         low = sheet(2)
-        both = merge([low, TriangleMesh(low.vertices + [0.0, 0.0, 0.5], low.triangles)])
-        (level,) = cloud_of(both, method=method).levels
+        both = concatenate([low, TriangleMesh(low.vertices + [0.0, 0.0, 0.5], low.triangles)])
+        (level,) = build_test_cloud(both, method=method).levels
         assert len(level.quads) == 2 or (method == "decimate" and len(level.quads) >= 4)
         off_plane = np.abs(level.quads.centers[:, 2, None] - [0.0, 0.5])
         assert off_plane.min(axis=1).max() <= (1e-9 if method != "decimate" else level.error)
         assert (off_plane.min(axis=0) <= level.error).all()
         assert not set(level.quads.owner[:8]) & set(level.quads.owner[8:])
 
-    def test_leaves_and_trunk_never_meet_on_one_quad(self):
-        trunk, leaves = cylinder(radius=0.1, sides=12, cuts=4), cards(100, spread=0.3)
-        (level,) = cloud_of(merge([trunk, leaves])).levels
+    def test_no_quad_shows_both_leaves_and_trunk(self):
+        trunk, leaves = cylinder(radius=0.1, sides=12, cuts=4), leaf_cards(100, spread=0.3)
+        (level,) = build_test_cloud(concatenate([trunk, leaves])).levels
         drawn, quad = drawn_pairs(level)
-        wooden = drawn < len(trunk.triangles)
-        assert not set(quad[wooden]) & set(quad[~wooden])
-        assert np.bincount(drawn)[len(trunk.triangles) :].max() == 1  # no leaf twice
+        is_trunk = drawn < len(trunk.triangles)
+        assert not set(quad[is_trunk]) & set(quad[~is_trunk])
+        assert np.bincount(drawn)[len(trunk.triangles) :].max() == 1  # no leaf is drawn twice
 
 
-class TestOddInput:
-    """What looks odd is built, what cannot be is refused by name."""
+class TestUnusualInput:
+    """Unusual input is accepted, unusable input is rejected with its name."""
 
     @pytest.mark.parametrize("method", METHODS)
     def test_zero_area_faces_are_dropped_and_counted(self, method):
         good = box(cuts=2)
         bad = np.array([[0, 0, 1], [3, 3, 3]], np.int32)
         mixed = TriangleMesh(good.vertices, np.concatenate([good.triangles[:5], bad, good.triangles[5:]]))
-        cloud = cloud_of(mixed, method=method)
+        cloud = build_test_cloud(mixed, method=method)
         quads = cloud.levels[0].quads
         assert (cloud.source_triangles, cloud.dropped_triangles) == (len(good.triangles) + 2, 2)
         np.testing.assert_array_equal(np.flatnonzero(quads.owner < 0), [5, 6])
         assert sorted(set(quads.drawn)) == sorted(set(range(len(mixed.triangles))) - {5, 6})
-        without = cloud_of(good, method=method).levels[0].quads
+        without = build_test_cloud(good, method=method).levels[0].quads
         np.testing.assert_array_equal(without.owner, np.delete(quads.owner, [5, 6]))
 
     @pytest.mark.parametrize("method", METHODS)
-    def test_duplicate_and_non_manifold_faces_are_fine(self, method):
+    def test_duplicate_and_non_manifold_faces_are_allowed(self, method):
         cube = box(cuts=1)
         fin = TriangleMesh(np.array([[0.5, 0.5, -0.5], [0.5, 0.5, 0.5], [1.0, 1.0, 0.0]]), np.array([[0, 1, 2]], np.int32))
-        odd = merge([cube, cube, fin])
-        cloud = cloud_of(odd, method=method, error=0.02)
+        odd = concatenate([cube, cube, fin])
+        cloud = build_test_cloud(odd, method=method, error=0.02)
         assert cloud.uncovered_faces == 0 and cloud.max_plane_distance <= 1.0
         if method == "clusters":
             assert len(cloud.levels[0].quads) == 7
 
     @pytest.mark.parametrize("method", METHODS)
-    def test_one_triangle_is_one_quad(self, method):
-        cloud = cloud_of(TriangleMesh(np.eye(3), np.array([[0, 1, 2]], np.int32)), method=method)
+    def test_single_triangle_is_one_quad(self, method):
+        cloud = build_test_cloud(TriangleMesh(np.eye(3), np.array([[0, 1, 2]], np.int32)), method=method)
         assert len(cloud.levels[0].quads) == 1 and cloud.levels[0].quads.owner.tolist() == [0]
 
     @pytest.mark.parametrize("method", METHODS)
     @pytest.mark.parametrize("bad", ["nan", "empty", "flat"])
-    def test_refusals_name_the_mesh(self, bad, method):
+    def test_error_messages_name_the_mesh(self, bad, method):
         mesh = sheet(2)
         if bad == "nan":
             mesh.vertices[0, 0] = np.nan
@@ -220,16 +218,16 @@ class TestOddInput:
         else:
             mesh = TriangleMesh(mesh.vertices * [1.0, 0.0, 0.0], mesh.triangles)
         with pytest.raises(GeometryError, match='"Shape"'):
-            cloud_of(mesh, method=method)
+            build_test_cloud(mesh, method=method)
 
 
 class TestPoints:
-    """Clouds of discs."""
+    """Point clouds."""
 
     @pytest.mark.parametrize("method", ["clusters", "hough"])
-    def test_a_ball_of_points_keeps_the_bounds(self, method):
+    def test_ball_of_points_keeps_the_bounds(self, method):
         ball = ball_of_points()
-        cloud = cloud_of(ball, method=method, error=0.08)
+        cloud = build_test_cloud(ball, method=method, error=0.08)
         (level,) = cloud.levels
         drawn, quad = drawn_pairs(level)
         assert np.abs(heights(level, ball.points[drawn][:, None], quad)).max() <= level.error
@@ -243,15 +241,15 @@ class TestPoints:
         ball = ball_of_points(100)
         radii, normals = ball.radii.copy(), ball.normals.copy()
         radii[3], normals[7] = 0.0, 0.0
-        cloud = cloud_of(PointCloud(ball.points, normals, radii))
+        cloud = build_test_cloud(PointCloud(ball.points, normals, radii))
         assert cloud.dropped_triangles == 2
         np.testing.assert_array_equal(np.flatnonzero(cloud.levels[0].quads.owner < 0), [3, 7])
 
     def test_points_cannot_be_decimated(self):
         with pytest.raises(SettingsError, match='"Shape" is a point cloud'):
-            cloud_of(ball_of_points(50), method="decimate")
+            build_test_cloud(ball_of_points(50), method="decimate")
 
-    def test_points_without_radii_are_refused(self):
+    def test_points_without_radii_are_rejected(self):
         ball = ball_of_points(50)
         with pytest.raises(GeometryError, match='"Shape"'):
-            cloud_of(PointCloud(ball.points, ball.normals, np.zeros(50)))
+            build_test_cloud(PointCloud(ball.points, ball.normals, np.zeros(50)))

@@ -1,35 +1,41 @@
-"""The operators as scripts and other add-ons call them: what they make, what they refuse, and that they change nothing else."""
+"""The operators as scripts and other add-ons call them: results, rejected input, visibility, undo, and no other changes."""
 
 import math
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import bpy
 import numpy as np
 import pytest
 
+from farfield.addon.bridge.billboards.level_objects import read_level_quads
+from farfield.addon.bridge.billboards.scene_clouds import clouds_in, find_cloud
+from farfield.addon.bridge.cameras import read_scene_camera
 from farfield.addon.core.billboards.settings import BillboardSettings
-from farfield.addon.core.cameras import choose_level
+from farfield.addon.core.geometry.cameras import choose_level
 from farfield.addon.core.settings import describe
 from farfield.addon.operators import long_work, properties
-from farfield.addon.operators.billboards_clouds import cloud_for, clouds_in
+from farfield.addon.operators.billboards import estimates
+from farfield.addon.panels import billboards as panels
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 ROUGH = {"error": 5.0, "levels": 2, "textures": False}
 
 
-def build(**properties_given):
-    """Build with few quads and no textures unless asked."""
-    return bpy.ops.farfield.billboards_build(**(ROUGH | properties_given))
+def build(**arguments):
+    """Build with few quads and without textures by default."""
+    return bpy.ops.farfield.billboards_build(**(ROUGH | arguments))
 
 
-def cube(name="Cube", location=(0.0, 0.0, 0.0), **how):
-    """A cube of side 2, selected."""
-    bpy.ops.mesh.primitive_cube_add(location=location, **how)
+def cube(name="Cube", location=(0.0, 0.0, 0.0), **arguments):
+    """Add a selected cube with side 2."""
+    bpy.ops.mesh.primitive_cube_add(location=location, **arguments)
     bpy.context.object.name = name
     return bpy.context.object
 
 
 def select(*objects):
-    """Select exactly these."""
+    """Select exactly these objects."""
     bpy.context.view_layer.update()
     for item in bpy.context.view_layer.objects:
         item.select_set(item in objects)
@@ -37,19 +43,39 @@ def select(*objects):
 
 
 def levels():
-    """Level objects in the file, by name."""
+    """Return the level objects in the file, by name."""
     return {item.name: item for item in bpy.data.objects if item.get("farfield_kind") == "cloud"}
 
 
-def refusal(**properties_given):
-    """The sentence with which building is refused."""
+def is_hidden(item):
+    """Return whether an object, or its cloud's collection, is hidden in the viewport and in renders; the two must agree."""
+    holders = [item, *(collection for collection in item.users_collection if collection != bpy.context.scene.collection)]
+    in_viewport, in_render = any(holder.hide_viewport for holder in holders), any(holder.hide_render for holder in holders)
+    assert in_viewport == in_render
+    return in_viewport
+
+
+def error_message(**arguments):
+    """Return the message with which building is rejected."""
     with pytest.raises(RuntimeError) as caught:
-        build(**properties_given)
+        build(**arguments)
     assert not levels()
     return str(caught.value)
 
 
-def test_a_cube_becomes_a_cloud_in_levels():
+def link_from_library(path, name="Linked"):
+    """Save a file with a cube, open an empty one, and link the cube into it; returns the linked object, selected."""
+    cube(name)
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(str(path), link=True) as (_, target):
+        target.objects = [name]
+    bpy.context.collection.objects.link(target.objects[0])
+    select(target.objects[0])
+    return target.objects[0]
+
+
+def test_cube_becomes_cloud_with_levels():
     source = cube(location=(3.0, 0.0, 0.0))
     assert build() == {"FINISHED"}
     assert list(levels()) == ["Cube Cloud L0", "Cube Cloud L1"]
@@ -58,10 +84,10 @@ def test_a_cube_becomes_a_cloud_in_levels():
     assert first["farfield_error"] == pytest.approx(0.05 * 2.0)
     assert second["farfield_error"] == pytest.approx(2 * first["farfield_error"])
     assert not first.hide_render and second.hide_render
-    assert not source.hide_render and source.name in bpy.context.scene.objects
+    assert source.name in bpy.context.scene.objects
 
 
-def test_the_cloud_stands_where_its_source_stands():
+def test_cloud_has_position_and_size_of_source():
     cube(location=(3.0, -2.0, 1.0), rotation=(0.3, 0.5, 0.7), scale=(1.0, 2.0, 0.5))
     source = bpy.context.object
     build(error=1.0)
@@ -72,16 +98,17 @@ def test_the_cloud_stands_where_its_source_stands():
     assert world[0].mean(axis=0) == pytest.approx(world[1].mean(axis=0), abs=0.05)
 
 
-def test_each_selected_object_gets_a_cloud_or_all_get_one():
+def test_one_cloud_per_selected_object_or_one_of_all():
     first, second = cube("One"), cube("Two", location=(5.0, 3.0, 1.3))
     select(first, second)
-    build(levels=1, error=1.0)
+    build(levels=1, error=1.0, keep_source_visible=True)
     assert {name: level["farfield_quads"] for name, level in levels().items()} == {"One Cloud L0": 6, "Two Cloud L0": 6}
-    build(levels=1, error=1.0, together=True)
+    select(first, second)
+    build(levels=1, error=1.0, combine_selected=True)
     assert sorted(level["farfield_quads"] for level in levels().values()) == [6, 6, 12]
 
 
-def test_what_is_skipped_is_named_with_the_reason(capfd):
+def test_skipped_objects_are_reported_with_reason(capfd):
     solid = cube("Solid")
     bpy.ops.object.light_add()
     light = bpy.context.object
@@ -91,21 +118,21 @@ def test_what_is_skipped_is_named_with_the_reason(capfd):
     select(solid, light, wire)
     build(levels=1)
     assert list(levels()) == ["Solid Cloud L0"]
-    said = capfd.readouterr().out
-    assert "Wire (no faces)" in said and f"{light.name} (a light has no faces)" in said
+    output = capfd.readouterr().out
+    assert "Wire (no faces)" in output and f"{light.name} (a light has no faces)" in output
     bpy.data.objects.remove(levels()["Solid Cloud L0"])
     select(light, wire)
-    sentence = refusal()
-    assert "Wire (no faces)" in sentence and light.name in sentence
+    message = error_message()
+    assert "Wire (no faces)" in message and light.name in message
 
 
-def test_what_is_only_disabled_in_renders_is_built_since_it_was_selected():
+def test_selected_object_disabled_in_renders_is_built():
     cube().hide_render = True
     build(levels=1)
     assert list(levels()) == ["Cube Cloud L0"]
 
 
-def test_hidden_objects_are_not_selected_and_so_not_built():
+def test_hidden_objects_are_not_built():
     shown, hidden = cube("Shown"), cube("Hidden")
     select(shown, hidden)
     hidden.hide_set(True)
@@ -117,17 +144,17 @@ def test_clouds_are_not_built_from_clouds():
     cube()
     build(levels=1)
     select(*levels().values())
-    with pytest.raises(RuntimeError, match="made by Farfield"):
+    with pytest.raises(RuntimeError, match="not its cloud"):
         build()
 
 
-def test_without_a_selection_the_button_says_what_to_do():
+def test_poll_message_without_selection():
     assert not bpy.ops.farfield.billboards_build.poll()
     with pytest.raises(RuntimeError, match="Select an object"):
         build()
 
 
-def test_edit_mode_is_served_as_it_stands():
+def test_edit_mode_changes_are_included():
     source = cube()
     bpy.ops.object.mode_set(mode="EDIT")
     bpy.ops.mesh.select_all(action="SELECT")
@@ -137,7 +164,7 @@ def test_edit_mode_is_served_as_it_stands():
     assert source.data.vertices[0].co.length == pytest.approx(3.0 * math.sqrt(3.0))
 
 
-def test_panel_settings_count_where_the_call_says_nothing():
+def test_panel_settings_apply_where_the_call_sets_nothing():
     cube()
     group = bpy.context.scene.farfield_billboards
     group.error, group.levels, group.textures = 2.0, 1, False
@@ -145,13 +172,7 @@ def test_panel_settings_count_where_the_call_says_nothing():
     assert levels()["Cube Cloud L0"]["farfield_error"] == pytest.approx(0.02 * 2.0)
 
 
-def test_source_is_hidden_from_render_only_if_asked():
-    source = cube()
-    build(hide_source_from_render=True)
-    assert source.hide_render and not source.hide_viewport
-
-
-def test_linked_and_shared_meshes_are_only_read():
+def test_shared_meshes_are_only_read():
     first = cube("First")
     second = first.copy()
     second.location.x = 5.0
@@ -163,20 +184,7 @@ def test_linked_and_shared_meshes_are_only_read():
     assert [tuple(vertex.co) for vertex in first.data.vertices] == before
 
 
-def test_library_objects_are_served(tmp_path):
-    cube("Linked")
-    library = tmp_path / "bibliothèque été.blend"
-    bpy.ops.wm.save_as_mainfile(filepath=str(library))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    with bpy.data.libraries.load(str(library), link=True) as (_, target):
-        target.objects = ["Linked"]
-    bpy.context.collection.objects.link(target.objects[0])
-    select(target.objects[0])
-    build(levels=1)
-    assert list(levels()) == ["Linked Cloud L0"]
-
-
-def test_a_mesh_of_vertices_alone_is_a_point_cloud():
+def test_mesh_with_only_vertices_is_point_cloud():
     angles = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
     around = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(40)])
     rings = [around * [r, r, 1.0] for r in np.linspace(0.2, 1.0, 8)]
@@ -197,7 +205,127 @@ def test_textures_are_captured_and_packed():
     assert [scene.name for scene in bpy.data.scenes] == ["Scene"]
 
 
-def test_show_level_follows_the_projected_error():
+class TestVisibility:
+    """Either the source or its cloud is visible, so that the two do not flicker in the same place."""
+
+    def test_build_shows_cloud_and_hides_source(self):
+        source = cube()
+        build()
+        fine, coarse = levels().values()
+        assert [is_hidden(item) for item in (source, fine, coarse)] == [True, False, True]
+        assert bpy.context.active_object == fine and fine.select_get(), "the panel shows the cloud of the active object"
+
+    def test_keep_source_visible_shows_both(self):
+        source = cube()
+        build(keep_source_visible=True)
+        fine, coarse = levels().values()
+        assert [is_hidden(item) for item in (source, fine, coarse)] == [False, False, True]
+        assert bpy.context.active_object == source and source.select_get()
+
+    def test_toggle_shows_original_and_cloud_again(self):
+        source = cube()
+        build()
+        fine, coarse = levels().values()
+        coarse.hide_viewport = coarse.hide_render = False
+        fine.hide_viewport = fine.hide_render = True
+        bpy.context.view_layer.objects.active = coarse
+        assert bpy.ops.farfield.billboards_show() == {"FINISHED"}
+        assert [is_hidden(item) for item in (source, fine, coarse)] == [False, True, True]
+        assert bpy.context.active_object == source and source.select_get()
+        assert bpy.ops.farfield.billboards_show() == {"FINISHED"}
+        assert [is_hidden(item) for item in (source, fine, coarse)] == [True, True, False], "the level that was visible before"
+        assert bpy.context.active_object == coarse
+
+    def test_show_sets_the_requested_state(self):
+        source = cube()
+        build(keep_source_visible=True, levels=1)
+        (level,) = levels().values()
+        for _ in range(2):
+            bpy.ops.farfield.billboards_show(show="CLOUD")
+            assert (is_hidden(source), is_hidden(level)) == (True, False)
+        for _ in range(2):
+            bpy.ops.farfield.billboards_show(show="SOURCE")
+            assert (is_hidden(source), is_hidden(level)) == (False, True)
+
+    def test_all_selected_clouds_are_toggled_and_no_others(self):
+        sources = [cube(name, location=(5.0 * index, 0.0, 0.0)) for index, name in enumerate(("One", "Two", "Three"))]
+        select(*sources)
+        build(levels=1)
+        first, second, third = (levels()[f"{source.name} Cloud L0"] for source in sources)
+        select(first, third)
+        assert bpy.ops.farfield.billboards_show() == {"FINISHED"}
+        assert [is_hidden(source) for source in sources] == [False, True, False]
+        assert [is_hidden(level) for level in (first, second, third)] == [True, False, True]
+
+    def test_combined_sources_are_toggled_together(self):
+        sources = cube("One"), cube("Two", location=(5.0, 0.0, 0.0))
+        select(*sources)
+        build(levels=1, combine_selected=True)
+        assert all(is_hidden(source) for source in sources)
+        bpy.ops.farfield.billboards_show()
+        assert not any(is_hidden(source) for source in sources)
+
+    def test_cross_fade_survives_showing_the_original(self):
+        source = cube()
+        build()
+        bpy.ops.object.camera_add(location=(0.0, -10.0, 0.0))
+        bpy.context.scene.camera = bpy.context.object
+        bpy.ops.farfield.billboards_crossfade()
+        select(levels()["Cube Cloud L0"])
+        bpy.ops.farfield.billboards_show()
+        assert not is_hidden(source) and all(is_hidden(level) for level in levels().values())
+        bpy.ops.farfield.billboards_show()
+        assert is_hidden(source) and not any(is_hidden(level) for level in levels().values())
+        assert clouds_in(bpy.context.scene)[0].has_crossfade
+
+    def test_undo_restores_visibility_in_one_step(self):
+        cube()
+        bpy.context.preferences.edit.use_global_undo = True
+        bpy.ops.ed.undo_push(message="Add cube")
+        build(levels=1)
+        bpy.ops.ed.undo_push(message="Build")
+        bpy.ops.farfield.billboards_show()
+        bpy.ops.ed.undo_push(message="Show")
+        bpy.ops.ed.undo()
+        assert is_hidden(bpy.data.objects["Cube"]) and not is_hidden(levels()["Cube Cloud L0"])
+        bpy.ops.ed.undo()
+        assert not is_hidden(bpy.data.objects["Cube"]) and not levels()
+
+    def test_without_cloud_there_is_nothing_to_show(self):
+        select(cube())
+        assert not bpy.ops.farfield.billboards_show.poll()
+
+    def test_cloud_without_source_stays_visible(self, capfd):
+        source = cube()
+        build(levels=1)
+        bpy.data.objects.remove(source)
+        select(*levels().values())
+        assert bpy.ops.farfield.billboards_show(show="SOURCE") == {"CANCELLED"}
+        assert not is_hidden(levels()["Cube Cloud L0"])
+        assert 'Without source objects: "Cube Cloud"' in capfd.readouterr().out
+
+    def test_linked_source_stays_as_it_is_and_is_reported(self, tmp_path, capfd):
+        linked = link_from_library(tmp_path / "bibliothèque été.blend")
+        build(levels=1)
+        assert list(levels()) == ["Linked Cloud L0"]
+        assert not is_hidden(linked)
+        message = "Visibility unchanged, linked from a library: Linked."
+        assert message in capfd.readouterr().out
+        level = levels()["Linked Cloud L0"]
+        select(level)
+        for hidden in (True, False):
+            assert bpy.ops.farfield.billboards_show() == {"FINISHED"}
+            assert not is_hidden(linked) and is_hidden(level) == hidden
+            assert message in capfd.readouterr().out
+            select(linked)
+        bpy.ops.object.camera_add(location=(0.0, 0.0, 500.0))
+        bpy.context.scene.camera = bpy.context.object
+        for show in (bpy.ops.farfield.billboards_show_level, bpy.ops.farfield.billboards_crossfade):
+            assert show() == {"FINISHED"}
+            assert not is_hidden(linked) and message in capfd.readouterr().out
+
+
+def test_show_level_depends_on_projected_error():
     source = cube()
     build(levels=2, error=1.0)
     assert not bpy.ops.farfield.billboards_show_level.poll()
@@ -207,50 +335,135 @@ def test_show_level_follows_the_projected_error():
     for distance, shown in ((10.0, source), (60.0, fine), (1000.0, coarse)):
         camera.location = (0.0, -distance, 0.0)
         assert bpy.ops.farfield.billboards_show_level() == {"FINISHED"}
-        assert [item for item in (source, fine, coarse) if not item.hide_render] == [shown]
-        assert [item for item in (source, fine, coarse) if not item.hide_viewport] == [shown]
-    assert cloud_for(bpy.context.scene, bpy.context.active_object) is None, "the camera is active"
+        assert [item for item in (source, fine, coarse) if not is_hidden(item)] == [shown]
+    assert find_cloud(bpy.context.scene, bpy.context.active_object) is None, "the camera is active"
     camera.location = (0.0, -10.0, 0.0)
     bpy.ops.farfield.billboards_show_level()
     bpy.context.view_layer.objects.active = source
     camera.location = (0.0, -1000.0, 0.0)
     bpy.ops.farfield.billboards_show_level()
-    assert bpy.context.active_object == coarse and coarse.select_get(), "the panel goes by the active object"
+    assert bpy.context.active_object == coarse and coarse.select_get(), "the panel shows the cloud of the active object"
     bpy.data.objects.remove(source)
     camera.location = (0.0, -10.0, 0.0)
     bpy.ops.farfield.billboards_show_level()
     assert not fine.hide_render and coarse.hide_render
 
 
-def test_choice_in_the_scene_is_the_choice_of_the_core():
-    from farfield.addon.bridge.cameras import scene_camera
+def test_show_level_shows_a_cloud_that_was_hidden():
+    source = cube()
+    build(levels=1)
+    bpy.ops.farfield.billboards_show(show="SOURCE")
+    bpy.ops.object.camera_add(location=(0.0, -1000.0, 0.0))
+    bpy.context.scene.camera = bpy.context.object
+    bpy.ops.farfield.billboards_show_level()
+    assert is_hidden(source) and not is_hidden(levels()["Cube Cloud L0"])
 
+
+def test_level_in_scene_is_the_level_of_core():
     cube()
     build(levels=3, error=1.0)
     bpy.ops.object.camera_add(location=(0.0, 0.0, 150.0))
     bpy.context.scene.camera = bpy.context.object
     bpy.context.view_layer.update()
     (cloud,) = clouds_in(bpy.context.scene)
-    camera = scene_camera(bpy.context.scene)
+    camera = read_scene_camera(bpy.context.scene)
     expected = choose_level(cloud.errors, cloud.distance(camera.position), camera)
-    assert cloud.show_for(camera) == expected
+    assert cloud.show_level_for(camera) == expected
 
 
-def test_estimate_reports_and_changes_nothing():
-    cube()
-    before = sorted(item.name for item in bpy.data.objects)
-    assert bpy.ops.farfield.billboards_estimate() == {"FINISHED"}
-    assert sorted(item.name for item in bpy.data.objects) == before
+def test_hidden_levels_keep_their_place_in_a_reopened_file(tmp_path):
+    """Blender does not compute world matrices of objects that are hidden when a file is opened."""
+    cube(location=(30.0, 0.0, 0.0))
+    build(levels=2)
+    bpy.ops.farfield.billboards_show(show="SOURCE")
+    path = str(tmp_path / "hidden.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.open_mainfile(filepath=path)
+    (cloud,) = clouds_in(bpy.context.scene)
+    assert cloud.distance(np.array([40.0, 0.0, 0.0])) == pytest.approx(9.0, abs=0.5)
+    for level in cloud.levels:
+        assert np.concatenate(read_level_quads(level).corners).mean(axis=0) == pytest.approx([30.0, 0.0, 0.0], abs=0.2)
+
+
+class TestEstimates:
+    """Estimates are stored until the selection, the settings or the objects change."""
+
+    def key(self):
+        group = bpy.context.scene.farfield_billboards
+        return estimates.estimate_key(bpy.context, properties.read(BillboardSettings, group))
+
+    def test_operator_reports_and_changes_nothing(self):
+        cube()
+        before = sorted(item.name for item in bpy.data.objects)
+        assert bpy.ops.farfield.billboards_estimate() == {"FINISHED"}
+        assert sorted(item.name for item in bpy.data.objects) == before
+        assert estimates.cache.find(self.key()).levels
+
+    def test_other_settings_need_another_estimate(self):
+        cube()
+        bpy.ops.farfield.billboards_estimate()
+        bpy.context.scene.farfield_billboards.error = 7.0
+        assert estimates.cache.find(self.key()) is None
+
+    def test_clear_discards_results_and_the_scheduled_estimate(self):
+        cube()
+        bpy.ops.farfield.billboards_estimate()
+        assert estimates.cache.request(self.key()) and estimates.cache.request(self.key())
+        assert bpy.app.timers.is_registered(estimates.cache._timer)
+        estimates.cache.clear()
+        assert estimates.cache.find(self.key()) is None and not bpy.app.timers.is_registered(estimates.cache._timer)
+
+    def test_estimates_of_deleted_objects_are_evicted(self):
+        item = cube()
+        bpy.ops.farfield.billboards_estimate()
+        key = self.key()
+        bpy.data.objects.remove(item)
+        assert estimates.cache.find(key) is None
+        assert estimates.cache._result is None and estimates.cache._samples is None
 
 
 @pytest.mark.parametrize("item", describe(BillboardSettings), ids=lambda item: item.name)
-def test_every_setting_goes_through_blender_and_back(item):
+def test_settings_round_trip_through_blender(item):
     group = bpy.context.scene.farfield_billboards
     for value in [*item.choices, item.default] if item.choices else [item.minimum, item.maximum, item.default]:
         if value is not None:
             setattr(group, item.name, properties.to_blender(item, value))
             back = getattr(properties.read(BillboardSettings, group), item.name)
             assert back == (pytest.approx(value, rel=1e-5, abs=1e-9) if item.type is float else value)
+
+
+class TestPanel:
+    """The panel and its sub-panels, drawn into a layout that records the calls."""
+
+    def draw(self):
+        """Draw all visible panels; returns the texts of buttons and labels and the drawn properties."""
+        layout = MagicMock()
+        for nested in ("row", "column", "box"):
+            getattr(layout, nested).return_value = layout
+        for panel in panels.CLASSES:
+            if not hasattr(panel, "poll") or panel.poll(bpy.context):
+                panel.draw(SimpleNamespace(layout=layout, bl_label=panel.bl_label), bpy.context)
+        texts = {call.kwargs.get("text") for called in (layout.operator, layout.label) for call in called.call_args_list}
+        return texts, [call.args[1] for call in layout.prop.call_args_list]
+
+    def test_every_setting_is_drawn_once(self):
+        cube()
+        build()
+        _, drawn = self.draw()
+        assert sorted(drawn) == sorted(item.name for item in panels.SETTINGS)
+
+    def test_buttons_follow_the_state(self):
+        texts, _ = self.draw()
+        assert "Select an object with a surface" in texts and "Cross-Fade Levels" not in texts
+        cube()
+        texts, _ = self.draw()
+        assert {"Build", "Estimate"} <= texts and "Show Original" not in texts
+        build()
+        texts, _ = self.draw()
+        assert {"Show Original", "Cross-Fade Levels", "Distance", "The scene has no active camera"} <= texts
+        bpy.ops.farfield.billboards_show()
+        texts, _ = self.draw()
+        assert "Show Cloud" in texts and "Show Original" not in texts
 
 
 def test_only_one_job_at_a_time(monkeypatch):

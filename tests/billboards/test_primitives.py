@@ -1,4 +1,4 @@
-"""Triangles and discs are one kind of thing: flat pieces with area, normal and spread."""
+"""Tests of the primitives of meshes and point clouds: area, normal and covariance."""
 
 import numpy as np
 import pytest
@@ -6,37 +6,37 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from farfield.addon.core.billboards.primitives import Primitives, from_mesh, from_points
-from farfield.addon.core.mesh import PointCloud, TriangleMesh
+from farfield.addon.core.geometry.mesh import PointCloud, TriangleMesh
 from shapes import sheet, soup
 
 seeds = st.integers(0, 2**32 - 1)
 
 
-def spread(primitives: Primitives) -> np.ndarray:
-    """Covariance (3, 3) of the surface of all `primitives` together."""
-    middles = primitives.positions.mean(axis=1)
-    centred = middles - np.average(middles, axis=0, weights=primitives.areas)
-    within = primitives.covariances + centred[:, :, None] * centred[:, None]
-    return np.average(within, axis=0, weights=primitives.areas)
+def total_covariance(primitives: Primitives) -> np.ndarray:
+    """Return the covariance (3, 3) of the surface of all `primitives` together."""
+    centroids = primitives.positions.mean(axis=1)
+    centered = centroids - np.average(centroids, axis=0, weights=primitives.areas)
+    covariances = primitives.covariances + centered[:, :, None] * centered[:, None]
+    return np.average(covariances, axis=0, weights=primitives.areas)
 
 
-def test_a_unit_square_spreads_a_twelfth():
-    np.testing.assert_allclose(spread(from_mesh(sheet(1))), np.diag([1.0 / 12.0, 1.0 / 12.0, 0.0]), atol=1e-15)
+def test_covariance_of_unit_square():
+    np.testing.assert_allclose(total_covariance(from_mesh(sheet(1))), np.diag([1.0 / 12.0, 1.0 / 12.0, 0.0]), atol=1e-15)
 
 
 @given(seeds)
-def test_cutting_a_triangle_in_four_changes_no_spread(seed):
+def test_subdivision_does_not_change_covariance(seed):
     corners = soup(1, seed=seed).corners[0]
-    middles = 0.5 * (corners + np.roll(corners, -1, axis=0))
+    midpoints = 0.5 * (corners + np.roll(corners, -1, axis=0))
     quarters = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]], np.int32)
-    whole = from_mesh(TriangleMesh(corners, np.array([[0, 1, 2]], np.int32)))
-    cut = from_mesh(TriangleMesh(np.concatenate([corners, middles]), quarters))
-    np.testing.assert_allclose(spread(cut), spread(whole), atol=1e-12)
-    assert cut.areas.sum() == pytest.approx(whole.areas[0])
+    single = from_mesh(TriangleMesh(corners, np.array([[0, 1, 2]], np.int32)))
+    subdivided = from_mesh(TriangleMesh(np.concatenate([corners, midpoints]), quarters))
+    np.testing.assert_allclose(total_covariance(subdivided), total_covariance(single), atol=1e-12)
+    assert subdivided.areas.sum() == pytest.approx(single.areas[0])
 
 
 @given(seeds)
-def test_a_disc_is_the_square_around_it_in_its_tangent_plane(seed):
+def test_disc_becomes_its_circumscribed_square(seed):
     random = np.random.default_rng(seed)
     normals = from_mesh(soup(10, seed=seed)).normals
     radii = random.uniform(0.1, 2.0, 10)

@@ -1,4 +1,4 @@
-"""`scripts/billboards.py`: every kind of file in and out, the report, and the exit codes."""
+"""`scripts/billboards.py`: all input and output formats, the report, and the exit codes."""
 
 import io
 import json
@@ -13,12 +13,10 @@ import numpy as np
 import pytest
 
 import billboards
-import command_line
-import environment
-import scene_files
-from farfield.addon.bridge.fades import FADE
+from farfield.addon.bridge.billboards.lod_crossfade import CROSSFADE
 from farfield.addon.core.errors import FileError, GeometryError
-from farfield.addon.core.progress import Progress
+from farfield.addon.core.jobs.progress import Progress
+from lib import command_line, environment, scene_files
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 SCRIPT = environment.ROOT / "scripts" / "billboards.py"
@@ -55,7 +53,7 @@ REPORT_KEYS = {
 
 @pytest.fixture
 def cube(tmp_path):
-    """A cube of side 2 in a file whose path has spaces and letters beyond ASCII."""
+    """A file with a cube of side 2, whose path has spaces and non-ASCII characters."""
     folder = tmp_path / "été à la mer"
     folder.mkdir()
     path = folder / "würfel 立方体.obj"
@@ -63,22 +61,22 @@ def cube(tmp_path):
     return path
 
 
-def run(*arguments, **how):
-    """The script in a process of its own."""
-    return subprocess.run([sys.executable, str(SCRIPT), *map(str, arguments)], capture_output=True, text=True, check=False, **how)
+def run(*arguments, **options):
+    """Run the script in its own process."""
+    return subprocess.run([sys.executable, str(SCRIPT), *map(str, arguments)], capture_output=True, text=True, check=False, **options)
 
 
 def main(*arguments):
-    """The script in this process; raises what it would have said."""
-    billboards.main([str(argument) for argument in arguments], command_line.ProgressLine())
+    """Run the script in this process; raises its errors. Returns its result."""
+    return billboards.main([str(argument) for argument in arguments], command_line.ProgressLine())
 
 
 def cloud_levels():
-    """Level objects in the open file, finest first."""
+    """Return the level objects in the open file, finest first."""
     return sorted((item for item in bpy.data.objects if item.get("farfield_kind") == "cloud"), key=lambda item: item.name)
 
 
-def test_a_cube_into_a_blend_with_a_report(cube):
+def test_blend_output_with_report(cube):
     out, figures = cube.with_name("wolke Ω.blend"), cube.with_name("figures.json")
     outcome = run(cube, "--out", out, "--error", "10%", "--levels", "2", "--samples", "1", "--report", figures)
     assert outcome.returncode == 0, outcome.stderr
@@ -99,9 +97,9 @@ def test_a_cube_into_a_blend_with_a_report(cube):
     assert len(bpy.data.meshes) == 3 and not levels[0].hide_render and levels[1].hide_render
 
 
-def test_levels_fade_for_the_camera_of_the_file(cube):
+def test_cross_fade_needs_camera_and_blend_output(cube):
     scene_files.open_scene(cube)
-    with pytest.raises(GeometryError, match="no camera"):
+    with pytest.raises(GeometryError, match="the file has none"):
         main(cube, "--out", cube.with_name("out.blend"), "--cross-fade")
     scene_files.open_scene(cube)
     bpy.ops.object.camera_add()
@@ -112,27 +110,39 @@ def test_levels_fade_for_the_camera_of_the_file(cube):
         main(with_camera, "--out", cube.with_name("out.glb"), "--cross-fade")
     main(with_camera, "--out", out, "--levels", "2", "--samples", "1", "--cross-fade", "--fade-range", "50%")
     bpy.ops.wm.open_mainfile(filepath=str(out))
-    assert [level[FADE][2] for level in cloud_levels()] == [0.5, 0.5]
+    assert [level[CROSSFADE][2] for level in cloud_levels()] == [0.5, 0.5]
     assert not any(level.hide_render for level in cloud_levels())
 
 
-def test_bad_input_is_one_sentence_and_code_2(cube):
+@pytest.mark.parametrize("keep", [False, True])
+def test_source_is_hidden_unless_kept(cube, keep):
+    out = cube.with_name("out.blend")
+    summary = main(cube, "--out", out, "--no-textures", "--levels", "1", *(["--keep-source-visible"] if keep else []))
+    assert summary.startswith("Built ")
+    bpy.ops.wm.open_mainfile(filepath=str(out))
+    (level,) = cloud_levels()
+    (source,) = (item for item in bpy.data.objects if item != level)
+    assert source.hide_viewport == source.hide_render == (not keep)
+    assert not level.hide_viewport and not level.hide_render
+
+
+def test_invalid_input_is_one_line_and_code_2(cube):
     outcome = run(cube.with_name("nowhere.obj"), "--out", cube.with_name("out.blend"))
     assert outcome.returncode == 2
     assert outcome.stderr.strip().count("\n") == 0 and "nowhere.obj" in outcome.stderr and "Traceback" not in outcome.stderr
     assert [path.name for path in cube.parent.iterdir()] == [cube.name]
 
 
-def test_unknown_flags_are_one_sentence_and_code_2(cube):
+def test_unknown_flag_is_one_line_and_code_2(cube):
     outcome = run(cube, "--out", "x.blend", "--magic")
     assert outcome.returncode == 2 and outcome.stderr.strip().count("\n") == 0 and "--magic" in outcome.stderr
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT to send to one process")
-def test_stopped_is_code_130_and_leaves_nothing(cube):
+def test_cancelling_is_code_130_and_leaves_no_files(cube):
     out = cube.with_name("out.blend")
     process = subprocess.Popen(
-        [sys.executable, "-u", str(SCRIPT), str(cube), "--out", str(out), "--error", "1%", "--samples", "16"],
+        [sys.executable, "-u", str(SCRIPT), str(cube), "--out", str(out), "--error", "1%", "--samples", "16", "--verbose"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -144,15 +154,15 @@ def test_stopped_is_code_130_and_leaves_nothing(cube):
     started = time.monotonic()
     _, errors = process.communicate(timeout=120)
     assert process.returncode == 130, errors
-    assert errors.strip() == "Stopped."
+    assert errors.strip() == "Cancelled."
     assert time.monotonic() - started < 60
     assert [path.name for path in cube.parent.iterdir()] == [cube.name]
 
 
-@pytest.mark.parametrize("ending", [".blend", ".ply", ".stl", ".glb", ".gltf", ".fbx", ".usd"])
-def test_every_kind_of_file_is_read(ending, cube):
+@pytest.mark.parametrize("extension", [".blend", ".ply", ".stl", ".glb", ".gltf", ".fbx", ".usd"])
+def test_input_formats(extension, cube):
     scene_files.open_scene(cube)
-    path = cube.with_name(f"cube 立方体{ending}")
+    path = cube.with_name(f"cube 立方体{extension}")
     export = {
         ".blend": lambda: bpy.ops.wm.save_as_mainfile(filepath=str(path)),
         ".ply": lambda: bpy.ops.wm.ply_export(filepath=str(path)),
@@ -161,7 +171,7 @@ def test_every_kind_of_file_is_read(ending, cube):
         ".gltf": lambda: bpy.ops.export_scene.gltf(filepath=str(path), export_format="GLTF_SEPARATE"),
         ".fbx": lambda: bpy.ops.export_scene.fbx(filepath=str(path)),
         ".usd": lambda: bpy.ops.wm.usd_export(filepath=str(path)),
-    }[ending]
+    }[extension]
     export()
     figures = cube.with_name("figures.json")
     main(path, "--out", cube.with_name("out.blend"), "--no-textures", "--error", "5%", "--levels", "1", "--report", figures)
@@ -169,7 +179,7 @@ def test_every_kind_of_file_is_read(ending, cube):
     assert report["source_triangles"] == 12 and report["quads"] == 6
 
 
-def test_points_without_faces_are_read_from_ply(cube):
+def test_point_cloud_input(cube):
     height, angle = np.meshgrid(np.linspace(0.0, 1.0, 20), np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False))
     points = np.column_stack([np.cos(angle).ravel(), np.sin(angle).ravel(), height.ravel()])
     path, figures = cube.with_name("points.ply"), cube.with_name("figures.json")
@@ -180,7 +190,7 @@ def test_points_without_faces_are_read_from_ply(cube):
     assert report["quads"] >= 3 and report["uncovered_faces"] == 0
 
 
-def test_obj_out_is_read_back_as_the_same_quads(cube):
+def test_obj_output_has_the_same_quads(cube):
     out = cube.with_name("cloud out.obj")
     main(cube, "--out", out, "--error", "10%", "--levels", "2", "--samples", "1")
     corners = [sorted(tuple(np.round(level.matrix_basis @ v.co, 4)) for v in level.data.vertices) for level in cloud_levels()]
@@ -199,7 +209,7 @@ def test_obj_out_is_read_back_as_the_same_quads(cube):
         assert textures and all(image.has_data or image.size[0] for image in textures)
 
 
-def test_glb_out_is_read_back_with_textures_and_figures(cube):
+def test_glb_output_has_textures_and_properties(cube):
     out = cube.with_name("cloud.glb")
     main(cube, "--out", out, "--error", "10%", "--levels", "2", "--samples", "1")
     figures = [level["farfield_quads"] for level in cloud_levels()]
@@ -215,10 +225,10 @@ def test_glb_out_is_read_back_with_textures_and_figures(cube):
         assert max(level.dimensions) == pytest.approx(2.0, abs=0.5)
 
 
-def test_two_runs_with_the_same_seed_give_the_same_figures(cube):
+def test_equal_seeds_give_equal_reports(cube):
     reports = []
-    for number in range(2):
-        figures = cube.with_name(f"{number}.json")
+    for index in range(2):
+        figures = cube.with_name(f"{index}.json")
         main(cube, "--out", cube.with_name("out.blend"), "--no-textures", "--error", "3%", "--seed", "7", "--report", figures)
         report = json.loads(figures.read_text(encoding="utf-8"))
         reports.append({key: value for key, value in report.items() if key not in {"seconds", "peak_memory_mb"}})
@@ -226,12 +236,12 @@ def test_two_runs_with_the_same_seed_give_the_same_figures(cube):
 
 
 @pytest.mark.parametrize("name", ["out.txt", "out", "out.gltf"])
-def test_unknown_ending_of_out_is_refused(cube, name):
+def test_unknown_output_extension_is_rejected(cube, name):
     with pytest.raises(FileError, match=r"\.blend, \.obj, \.glb"):
         main(cube, "--out", cube.with_name(name))
 
 
-def test_progress_line_is_for_terminals_only(monkeypatch):
+def test_progress_line_is_shown_only_on_terminals(monkeypatch):
     class Terminal(io.StringIO):
         def isatty(self):
             return True
@@ -246,11 +256,11 @@ def test_progress_line_is_for_terminals_only(monkeypatch):
         assert stream.getvalue().count("Clustering") == int(expected)
 
 
-def test_the_first_ctrl_c_ends_the_next_step_and_the_second_what_runs():
+def test_first_ctrl_c_cancels_at_next_step_and_second_immediately():
     line = command_line.ProgressLine()
     line.show(Progress(0.5, "Clustering"))
-    line.ask_to_stop(signal.SIGINT, None)  # nothing is raised into what runs, such as Cycles, which would swallow it
+    line.request_cancel(signal.SIGINT, None)  # must not raise: Cycles would swallow the exception
     with pytest.raises(KeyboardInterrupt):
         line.show(Progress(0.6, "Clustering"))
     with pytest.raises(KeyboardInterrupt):
-        line.ask_to_stop(signal.SIGINT, None)
+        line.request_cancel(signal.SIGINT, None)

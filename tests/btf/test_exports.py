@@ -1,4 +1,4 @@
-"""What goes out to other programs says what the textures show, and appears whole or not at all."""
+"""Exported files contain what the textures show, and appear completely or not at all."""
 
 import json
 from functools import partial
@@ -12,43 +12,44 @@ pytest.importorskip("bpy")
 import bpy
 
 from bridge import blender_scenes
-from farfield.addon.bridge.btf_clouds import texels_of_level, wear
-from farfield.addon.bridge.btf_reading import baked_atlas
-from farfield.addon.bridge.cloud_materials import FRONT_NORMAL
-from farfield.addon.bridge.images import pixels_of
-from farfield.addon.core.btf.compression import Compressed
-from farfield.addon.core.btf.factors import Factors
+from farfield.addon.bridge.billboards.cloud_materials import FRONT_COLOR, FRONT_NORMAL
+from farfield.addon.bridge.billboards.level_objects import PBR_MATERIAL, read_level_texels
+from farfield.addon.bridge.billboards.scene_clouds import clouds_in
+from farfield.addon.bridge.btf.clouds import assign_relightable_material
+from farfield.addon.bridge.btf.decode import read_relightable_texture
+from farfield.addon.bridge.images import read_pixels
+from farfield.addon.core.btf.compression import CompressedTextures
+from farfield.addon.core.btf.factorization.factors import Factors
 from farfield.addon.core.btf.settings import BtfSettings, ExportSettings
-from farfield.addon.core.directions import bonn_directions
 from farfield.addon.core.errors import FileError, GeometryError, SettingsError
-from farfield.addon.core.progress import finish
-from farfield.addon.operators import btf_export_job
-from farfield.addon.operators.billboards_clouds import clouds_in
-from farfield.addon.operators.btf_export_job import prepare
-from farfield.addon.operators.long_work import whole
+from farfield.addon.core.geometry.directions import bonn_directions
+from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.operators.btf import export_job
+from farfield.addon.operators.btf.export_job import prepare_export
+from farfield.addon.operators.long_work import run_job
 from fmf_reader import read_fmf
-from made_atlases import decoded, made_colour
+from random_textures import decode_radiance, random_color_factors
 
-SETTINGS = BtfSettings(views=16, lights=9)
+SETTINGS = BtfSettings(views_per_side=4, lights_per_side=3)
 BAKED = ExportSettings(directions="baked")
 
 
 @pytest.fixture(autouse=True)
 def fresh_scene(extension):
-    blender_scenes.fresh()
+    blender_scenes.reset_scene()
 
 
 @pytest.fixture(scope="module")
 def cloud_file(extension, tmp_path_factory) -> Path:
-    """A file with the cloud of a ball, active, in relightable textures of random numbers."""
-    blender_scenes.fresh()
-    ball = blender_scenes.ball("Bällchen", blender_scenes.material("Red", (0.8, 0.2, 0.1), 1.0))
+    """A file with the active cloud of a ball with random relightable textures."""
+    blender_scenes.reset_scene()
+    ball = blender_scenes.ball("Bällchen", blender_scenes.create_material("Red", (0.8, 0.2, 0.1), 1.0))
     bpy.context.view_layer.objects.active = ball
     ball.select_set(True)
     bpy.ops.farfield.billboards_build(error=8.0, levels=1, samples=4)
-    made = clouds_in(bpy.context.scene)[0]
-    dress(made.levels[0])
-    bpy.context.view_layer.objects.active = made.levels[0]
+    cloud = clouds_in(bpy.context.scene)[0]
+    assign_random_textures(cloud.levels[0])
+    bpy.context.view_layer.objects.active = cloud.levels[0]
     path = tmp_path_factory.mktemp("cloud") / "cloud.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
     return path
@@ -61,109 +62,109 @@ def cloud(cloud_file):
     return clouds_in(bpy.context.scene)[0]
 
 
-def dress(level) -> None:
-    texels = texels_of_level(level)
+def assign_random_textures(level) -> None:
+    texels = read_level_texels(level)
     random = np.random.default_rng(0)
-    colour = made_colour(len(texels), views=16, lights=9)
-    alpha = Factors(random.random((len(texels), 2), np.float32), random.normal(size=(16, 2, 1)).astype(np.float32), colour.known)
-    hues = random.uniform(0.5, 1.5, (len(texels), 3)).astype(np.float32)
-    wear(level, texels, Compressed(None, hues, colour, alpha), SETTINGS)
+    color = random_color_factors(len(texels), views=16, lights=9)
+    alpha = Factors(random.random((len(texels), 2), np.float32), random.normal(size=(16, 2, 1)).astype(np.float32), color.known)
+    chromaticity = random.uniform(0.5, 1.5, (len(texels), 3)).astype(np.float32)
+    assign_relightable_material(level, texels, CompressedTextures(None, chromaticity, color, alpha), SETTINGS)
 
 
-def exported(cloud, target: Path, settings: ExportSettings = BAKED) -> Path:
-    finish(whole(prepare(cloud.levels, target, settings)))
+def export(cloud, target: Path, settings: ExportSettings = BAKED) -> Path:
+    run_to_end(run_job(prepare_export(cloud.levels, target, settings)))
     return target
 
 
-def pixels_in(path: Path) -> np.ndarray:
+def read_image(path: Path) -> np.ndarray:
     image = bpy.data.images.load(str(path))
     image.colorspace_settings.is_data = True
-    return pixels_of(image)
+    return read_pixels(image)
 
 
-def test_textures_come_back_out_of_the_material(cloud):
+def test_textures_are_read_back_from_the_material(cloud):
     (level,) = cloud.levels
-    texels, atlas = texels_of_level(level), baked_atlas(level)
-    colour = made_colour(len(texels), views=16, lights=9)
-    rows = texels.pixels[:, 1] * atlas.size[0] + texels.pixels[:, 0]
-    assert atlas.size == texels.size and (len(atlas.views), len(atlas.lights)) == (16, 9)
-    np.testing.assert_allclose(atlas.colour.weights[rows], colour.weights, atol=5e-4)
-    np.testing.assert_allclose(atlas.colour.basis, colour.basis, rtol=1e-3, atol=1e-3)
-    assert atlas.alpha.basis.shape == (16, 2, 1)
-    assert atlas.plain.max() == 1.0
+    texels, texture = read_level_texels(level), read_relightable_texture(level)
+    color = random_color_factors(len(texels), views=16, lights=9)
+    rows = texels.pixels[:, 1] * texture.size[0] + texels.pixels[:, 0]
+    assert texture.size == texels.texture_size and (len(texture.views), len(texture.lights)) == (16, 9)
+    np.testing.assert_allclose(texture.color.weights[rows], color.weights, atol=5e-4)
+    np.testing.assert_allclose(texture.color.basis, color.basis, rtol=1e-3, atol=1e-3)
+    assert texture.alpha.basis.shape == (16, 2, 1)
+    assert texture.pbr_alpha.max() == 1.0
 
 
-def test_a_folder_holds_a_picture_for_each_view_and_light(cloud, tmp_path):
-    folder = exported(cloud, tmp_path / "Ordner ü")
+def test_a_folder_contains_an_image_per_view_and_light(cloud, tmp_path):
+    folder = export(cloud, tmp_path / "Ordner ü")
     (level,) = cloud.levels
-    atlas = baked_atlas(level)
-    pictures = sorted(folder.glob("tv*/tl*.exr"))
-    assert len(pictures) == 16 * 9 and len(list((folder / "coverage").iterdir())) == 16
-    assert all(path.stem.endswith(path.parent.name) for path in pictures)
+    texture = read_relightable_texture(level)
+    paths = sorted(folder.glob("tv*/tl*.exr"))
+    assert len(paths) == 16 * 9 and len(list((folder / "coverage").iterdir())) == 16
+    assert all(path.stem.endswith(path.parent.name) for path in paths)
     angles = np.loadtxt(folder / "views.txt")
     view, light = 5, 2
-    number = angles[view, 0]
+
     names = [
-        f"t{letter}{round(each[1]):03d}_p{letter}{round(each[2]):03d}"
-        for letter, each in (("v", angles[view]), ("l", np.loadtxt(folder / "lights.txt")[light]))
+        f"t{letter}{round(polar):03d}_p{letter}{round(azimuth):03d}"
+        for letter, (_, polar, azimuth) in (("v", angles[view]), ("l", np.loadtxt(folder / "lights.txt")[light]))
     ]
-    assert number == view + 1
-    expected = decoded(atlas, atlas.views.directions[view], atlas.lights.directions[light])
-    read = pixels_in(folder / names[0] / f"{names[1]}_{names[0]}.exr")[..., :3]
+    assert angles[view, 0] == view + 1
+    expected = decode_radiance(texture, texture.views.directions[view], texture.lights.directions[light])
+    read = read_image(folder / names[0] / f"{names[1]}_{names[0]}.exr")[..., :3]
     np.testing.assert_allclose(read, expected, rtol=1e-3, atol=1e-6)
-    coverage = pixels_in(folder / "coverage" / f"{names[0]}.exr")[..., 0]
-    np.testing.assert_allclose(coverage, atlas.coverage(atlas.views.directions[view]), atol=1e-3)
-    header = pictures[0].read_bytes()[:400]
+    coverage = read_image(folder / "coverage" / f"{names[0]}.exr")[..., 0]
+    np.testing.assert_allclose(coverage, texture.coverage(texture.views.directions[view]), atol=1e-3)
+    header = paths[0].read_bytes()[:400]
     assert header.count(b"\0\1\0\0\0") >= 3, "channels are half floats"
 
 
-def test_a_btf_file_holds_the_same(cloud, tmp_path):
-    file = read_fmf(exported(cloud, tmp_path / "cloud.btf", ExportSettings()))
-    atlas = baked_atlas(cloud.levels[0])
+def test_a_btf_file_decodes_to_the_same_radiance(cloud, tmp_path):
+    file = read_fmf(export(cloud, tmp_path / "cloud.btf", ExportSettings()))
+    texture = read_relightable_texture(cloud.levels[0])
     directions = bonn_directions()
-    assert (len(file.views), len(file.lights), file.size) == (81, 81, atlas.size)
-    expected = decoded(atlas, directions[40], directions[7])
-    np.testing.assert_allclose(np.maximum(file.image(40, 7), 0.0), expected, atol=1e-4)
-    assert file.header["per_millimetre"] == pytest.approx(0.001 / texels_of_level(cloud.levels[0]).side)
+    assert (len(file.views), len(file.lights), file.size) == (81, 81, texture.size)
+    expected = decode_radiance(texture, directions[40], directions[7])
+    np.testing.assert_allclose(np.maximum(file.decode_image(40, 7), 0.0), expected, atol=1e-4)
+    assert file.header["per_millimeter"] == pytest.approx(0.001 / read_level_texels(cloud.levels[0]).texel_size)
 
 
-def test_a_glb_holds_the_normals_of_the_plain_maps(cloud, tmp_path):
+def test_a_glb_contains_the_normals_of_the_pbr_maps(cloud, tmp_path):
     (level,) = cloud.levels
-    texels = texels_of_level(level)
-    plain = bpy.data.materials[level["farfield_plain_material"]]
-    normals = next(node.image for node in plain.node_tree.nodes if node.label == FRONT_NORMAL)
+    texels = read_level_texels(level)
+    pbr_material = bpy.data.materials[level[PBR_MATERIAL]]
+    normals = next(node.image for node in pbr_material.node_tree.nodes if node.label == FRONT_NORMAL)
     x, y = texels.pixels.T
-    inside = pixels_of(next(node.image for node in plain.node_tree.nodes if node.label == "Front colour"))[y, x, 3] > 0.9
-    meant = 2.0 * pixels_of(normals)[y, x, :3] - 1.0
-    before = blender_scenes.counts()
-    path = exported(cloud, tmp_path / "cloud.glb")
-    assert blender_scenes.counts() == before
+    inside = read_pixels(next(node.image for node in pbr_material.node_tree.nodes if node.label == FRONT_COLOR))[y, x, 3] > 0.9
+    expected = 2.0 * read_pixels(normals)[y, x, :3] - 1.0
+    before = blender_scenes.count_data()
+    path = export(cloud, tmp_path / "cloud.glb")
+    assert blender_scenes.count_data() == before
 
-    blender_scenes.fresh()
+    blender_scenes.reset_scene()
     bpy.ops.import_scene.gltf(filepath=str(path))
-    (read,) = [item for item in bpy.data.objects if item.type == "MESH"]
-    nodes = read.data.materials[0].node_tree.nodes
+    (imported,) = [item for item in bpy.data.objects if item.type == "MESH"]
+    nodes = imported.data.materials[0].node_tree.nodes
     shader = nodes["Principled BSDF"]
     assert shader.inputs["Base Color"].is_linked
-    picture = next(node.inputs["Color"].links[0].from_node.image for node in nodes if node.type == "NORMAL_MAP")
-    local = 2.0 * pixels_of(picture)[y, x, :3] - 1.0
+    normal_map = next(node.inputs["Color"].links[0].from_node.image for node in nodes if node.type == "NORMAL_MAP")
+    local = 2.0 * read_pixels(normal_map)[y, x, :3] - 1.0
     assert (local[:, 2] >= -0.01).all()
-    # The frame of every texel as a reader finds it: from positions, texture coordinates and vertex normals of the file alone.
-    frames = frames_read(read, texels)
-    shown = np.einsum("nij,ni->nj", frames, local)
-    facing = np.einsum("ni,ni->n", frames[:, 2], meant) > 0.05
-    chosen = inside & facing
-    assert chosen.mean() > 0.5
-    np.testing.assert_allclose(shown[chosen], meant[chosen], atol=0.03)
+    # The tangent frame of every texel as an importer computes it: from the positions, UVs and normals in the file only.
+    frames = read_frames(imported, texels)
+    world_normals = np.einsum("nij,ni->nj", frames, local)
+    facing = np.einsum("ni,ni->n", frames[:, 2], expected) > 0.05
+    mask = inside & facing
+    assert mask.mean() > 0.5
+    np.testing.assert_allclose(world_normals[mask], expected[mask], atol=0.03)
 
 
-def frames_read(item, texels) -> np.ndarray:
-    """(N, 3, 3): directions of the texture's x and y and the normal, in the world, at every texel, from an imported mesh."""
+def read_frames(item, texels) -> np.ndarray:
+    """Return tangent, bitangent and normal (N, 3, 3) in world space at every texel of an imported mesh."""
     mesh, matrix = item.data, np.array(item.matrix_world)[:3, :3]
     mesh.calc_loop_triangles()
     uvs = np.array([corner.uv for corner in mesh.uv_layers[0].data])
     frames = np.zeros((len(texels), 3, 3))
-    at = (texels.pixels + 0.5) / texels.size
+    uv = (texels.pixels + 0.5) / texels.texture_size
     for triangle in mesh.loop_triangles:
         positions = np.array([mesh.vertices[vertex].co for vertex in triangle.vertices]) @ matrix.T
         corners = uvs[list(triangle.loops)]
@@ -171,53 +172,53 @@ def frames_read(item, texels) -> np.ndarray:
         normal = matrix @ np.array(triangle.split_normals[0])
         frame = np.stack([edges[0] / np.linalg.norm(edges[0]), edges[1] / np.linalg.norm(edges[1]), normal])
         low, high = corners.min(axis=0), corners.max(axis=0)
-        frames[((at > low - 0.001) & (at < high + 0.001)).all(axis=1)] = frame
+        frames[((uv > low - 0.001) & (uv < high + 0.001)).all(axis=1)] = frame
     return frames
 
 
-def test_textures_of_another_version_are_refused(cloud):
+def test_textures_of_another_version_are_rejected(cloud):
     material = cloud.levels[0].data.materials[0]
-    material["farfield_btf"] = {**material["farfield_btf"], "version": 1}
+    material["farfield_btf_layout"] = {**material["farfield_btf_layout"], "version": 1}
     with pytest.raises(GeometryError, match="another version of Farfield; bake them again"):
-        baked_atlas(cloud.levels[0])
+        read_relightable_texture(cloud.levels[0])
 
 
-def test_an_octahedral_atlas_is_taken_from_the_original(cloud, tmp_path, monkeypatch):
-    small = partial(btf_export_job.write_octahedral_atlas, resolution=32, samples=8)  # 144 pictures a map as ever, a few seconds
-    monkeypatch.setattr(btf_export_job, "write_octahedral_atlas", small)
-    before = blender_scenes.counts()
-    folder = exported(cloud, tmp_path / "Bällchen.octahedral")
-    assert blender_scenes.counts() == before
-    words = json.loads((folder / "octahedral_atlas.json").read_text(encoding="utf-8"))
-    assert (words["frames"], words["map"], len(words["pictures"])) == (12, "octahedral", 144)
-    alpha = pixels_in(folder / words["maps"]["colour"]["file"])[..., 3]
+def test_an_octahedral_atlas_is_captured_from_the_source(cloud, tmp_path, monkeypatch):
+    capture_small = partial(export_job.write_octahedral_atlas, frame_resolution=32, samples=8)  # 144 frames per map in a few seconds
+    monkeypatch.setattr(export_job, "write_octahedral_atlas", capture_small)
+    before = blender_scenes.count_data()
+    folder = export(cloud, tmp_path / "Bällchen.octahedral")
+    assert blender_scenes.count_data() == before
+    metadata = json.loads((folder / "octahedral_atlas.json").read_text(encoding="utf-8"))
+    assert (metadata["frames_per_side"], metadata["map"], len(metadata["frames"])) == (12, "octahedral", 144)
+    alpha = read_image(folder / metadata["maps"]["color"]["file"])[..., 3]
     assert alpha.shape == (12 * 32, 12 * 32)
-    # A ball of radius 1 covers the same part of each picture.
-    shares = alpha.reshape(12, 32, 12, 32).mean(axis=(1, 3))
-    np.testing.assert_allclose(shares, np.pi * (1.0 / words["half_side"]) ** 2 / 4.0, rtol=0.02)
+    # A ball of radius 1 covers the same fraction of each frame.
+    coverage = alpha.reshape(12, 32, 12, 32).mean(axis=(1, 3))
+    np.testing.assert_allclose(coverage, np.pi * (1.0 / metadata["half_side"]) ** 2 / 4.0, rtol=0.02)
 
 
-def test_without_its_original_there_is_no_octahedral_atlas(cloud, tmp_path):
+def test_an_octahedral_atlas_needs_the_source(cloud, tmp_path):
     bpy.data.objects.remove(bpy.data.objects["Bällchen"])
-    with pytest.raises(GeometryError, match=r"The original of .* is gone"):
-        prepare(cloud.levels, tmp_path / "a.octahedral", BAKED)
+    with pytest.raises(GeometryError, match=r"Source objects of .* are missing"):
+        prepare_export(cloud.levels, tmp_path / "a.octahedral", BAKED)
 
 
-def test_several_levels_get_a_file_each(tmp_path):
+def test_each_level_is_written_to_its_own_file(tmp_path):
     ball = blender_scenes.ball()
     bpy.context.view_layer.objects.active = ball
     bpy.ops.farfield.billboards_build(error=8.0, levels=2, samples=1)
     cloud = clouds_in(bpy.context.scene)[0]
     for level in cloud.levels:
-        dress(level)
-    exported(cloud, tmp_path / "ball.btf", ExportSettings())
+        assign_random_textures(level)
+    export(cloud, tmp_path / "ball.btf", ExportSettings())
     assert sorted(path.name for path in tmp_path.iterdir()) == ["ball_Ball_Cloud_L0.btf", "ball_Ball_Cloud_L1.btf"]
-    exported(cloud, tmp_path / "ball.glb")
+    export(cloud, tmp_path / "ball.glb")
     assert (tmp_path / "ball.glb").stat().st_size > 1000
 
 
-def test_a_stopped_export_leaves_nothing(cloud, tmp_path):
-    steps = whole(prepare(cloud.levels, tmp_path / "folder", BAKED))
+def test_a_cancelled_export_leaves_no_files(cloud, tmp_path):
+    steps = run_job(prepare_export(cloud.levels, tmp_path / "folder", BAKED))
     for _ in range(30):
         next(steps)
     assert any(tmp_path.iterdir())
@@ -227,41 +228,41 @@ def test_a_stopped_export_leaves_nothing(cloud, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "error", "words"),
+    ("name", "error", "message"),
     [
-        ("cloud.obj", FileError, r"\.glb .*\.btf .*no ending"),
+        ("cloud.obj", FileError, r"\.glb .*\.btf .*no suffix"),
         ("full", FileError, "not empty"),
-        ("cloud.btf", SettingsError, "as many lights"),
+        ("cloud.btf", SettingsError, "equal numbers"),
     ],
 )
-def test_what_cannot_be_written_is_refused(cloud, tmp_path, name, error, words):
+def test_invalid_targets_are_rejected(cloud, tmp_path, name, error, message):
     (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "letter.txt").touch()
-    with pytest.raises(error, match=words):
-        exported(cloud, tmp_path / name)
+    (tmp_path / "full" / "file.txt").touch()
+    with pytest.raises(error, match=message):
+        export(cloud, tmp_path / name)
     assert [path.name for path in tmp_path.iterdir()] == ["full"]
 
 
-def test_a_folder_that_cannot_be_made_is_named(cloud, tmp_path):
+def test_errors_name_a_folder_that_cannot_be_created(cloud, tmp_path):
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
     for name in ("cloud.glb", "cloud.btf", "cloud"):
         with pytest.raises(FileError, match="file"):
-            exported(cloud, tmp_path / "file" / name, ExportSettings())
+            export(cloud, tmp_path / "file" / name, ExportSettings())
 
 
-def test_plain_clouds_and_lost_images_are_refused(cloud, tmp_path):
-    bpy.data.images.remove(bpy.data.images[f"{cloud.levels[0].name} BTF Tints"])
-    with pytest.raises(GeometryError, match='lost the image "Tints"'):
-        exported(cloud, tmp_path / "cloud.btf")
-    bpy.ops.farfield.btf_plain()
+def test_pbr_clouds_and_missing_images_are_rejected(cloud, tmp_path):
+    bpy.data.images.remove(bpy.data.images[f"{cloud.levels[0].name} BTF Chromaticity"])
+    with pytest.raises(GeometryError, match=r'The image "Chromaticity" .* is missing'):
+        export(cloud, tmp_path / "cloud.btf")
+    bpy.ops.farfield.btf_restore_pbr()
     with pytest.raises(GeometryError, match="bake them first"):
-        exported(cloud, tmp_path / "cloud.btf")
+        export(cloud, tmp_path / "cloud.btf")
     assert not bpy.ops.farfield.btf_export.poll()
 
 
-def test_the_operator_writes_what_its_file_says(cloud, tmp_path):
+def test_the_operator_writes_the_format_of_its_suffix(cloud, tmp_path):
     path = tmp_path / "cloud.btf"
     assert bpy.ops.farfield.btf_export(filepath=str(path), directions="bonn") == {"FINISHED"}
-    assert read_fmf(path).size == baked_atlas(cloud.levels[0]).size
+    assert read_fmf(path).size == read_relightable_texture(cloud.levels[0]).size
     with pytest.raises(RuntimeError, match="cannot be written as"):
         bpy.ops.farfield.btf_export(filepath=str(tmp_path / "cloud.png"))

@@ -1,4 +1,4 @@
-"""Worker processes render what this process would, give the same bytes under every executor, and lose nothing when they are killed."""
+"""Worker processes render the same as this process, write the same bytes under every executor, and lose no finished view when killed."""
 
 import contextlib
 import json
@@ -16,217 +16,231 @@ pytest.importorskip("bpy")
 
 import bpy
 
-import environment
 from bridge import blender_scenes
-from bridge.bakes import KILL, cloud_of, digests, job_of, small_cloud, states, views, workers_of
-from farfield.addon.bridge import btf_snapshot, btf_worker
-from farfield.addon.bridge.images import pixels_of
+from bridge.bakes import KILL_SIGNAL, build_cloud, build_small_cloud, digests, file_states, finished_views, prepare_job, worker_pids
+from farfield.addon.bridge.btf import snapshot as btf_snapshot
+from farfield.addon.bridge.btf import worker as btf_worker
+from farfield.addon.bridge.images import read_pixels
+from farfield.addon.core.btf.capture.dispatch import render_missing_views
 from farfield.addon.core.btf.settings import BtfSettings
-from farfield.addon.core.btf.spreading import render_missing
 from farfield.addon.core.errors import FarfieldError, FileError, GeometryError
-from farfield.addon.core.progress import finish
-from farfield.addon.operators.btf_job import prepare
+from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.operators.btf.job import prepare_bake
+from lib import environment
 
 SCRIPT = environment.ROOT / "scripts" / "btf.py"
-SETTINGS = ["--views", "4", "--lights", "4", "--samples", "1", "--components", "2", "--alpha-components", "2", "--shadows", "16"]
-on_linux = pytest.mark.skipif(not Path("/proc").is_dir(), reason="only Linux tells which processes work for a folder")
+SETTINGS = [
+    "--views-per-side",
+    "2",
+    "--lights-per-side",
+    "2",
+    "--samples",
+    "1",
+    "--components",
+    "2",
+    "--alpha-components",
+    "2",
+    "--shadows-per-side",
+    "4",
+]
+only_on_linux = pytest.mark.skipif(not Path("/proc").is_dir(), reason="workers can only be identified on Linux")
 
 
 @pytest.fixture(autouse=True)
 def fresh_scene(extension):
-    blender_scenes.fresh()
+    blender_scenes.reset_scene()
 
 
 @pytest.fixture(scope="module")
-def saved(extension, tmp_path_factory) -> Path:
-    """The small scene in a file."""
-    blender_scenes.fresh()
-    small_cloud()
+def cloud_file(extension, tmp_path_factory) -> Path:
+    """A file with the small scene."""
+    blender_scenes.reset_scene()
+    build_small_cloud()
     path = tmp_path_factory.mktemp("Größe") / "cloud ü.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path), check_existing=False)
     return path
 
 
 @pytest.fixture
-def cloud(saved):
-    """The small cloud, open."""
-    from farfield.addon.operators.billboards_clouds import clouds_in
+def cloud(cloud_file):
+    """The small cloud in the open scene."""
+    from farfield.addon.bridge.billboards.scene_clouds import clouds_in
 
-    bpy.ops.wm.open_mainfile(filepath=str(saved))
+    bpy.ops.wm.open_mainfile(filepath=str(cloud_file))
     return clouds_in(bpy.context.scene)[0]
 
 
 @pytest.fixture(scope="module")
-def undisturbed(saved, tmp_path_factory) -> dict[str, str]:
-    """Digests of the views of a bake that nothing happened to, rendered by the functions that workers call, in this process."""
-    from farfield.addon.operators.billboards_clouds import clouds_in
+def reference_digests(cloud_file, tmp_path_factory) -> dict[str, str]:
+    """Digests of the views of an uninterrupted bake, rendered in this process by the functions that workers call."""
+    from farfield.addon.bridge.billboards.scene_clouds import clouds_in
 
-    bpy.ops.wm.open_mainfile(filepath=str(saved))
-    folder = tmp_path_factory.mktemp("undisturbed")
-    job = job_of(clouds_in(bpy.context.scene)[0], folder)
+    bpy.ops.wm.open_mainfile(filepath=str(cloud_file))
+    folder = tmp_path_factory.mktemp("reference_digests")
+    job = prepare_job(clouds_in(bpy.context.scene)[0], folder)
     btf_worker.capture_views(job.folder, list(range(4)), threads=2)
-    found = digests(folder)
-    assert len(found) == 8 and len(set(found.values())) == 8
-    return found
+    view_digests = digests(folder)
+    assert len(view_digests) == 8 and len(set(view_digests.values())) == 8
+    return view_digests
 
 
-def script(saved: Path, folder: Path, *more: str) -> list[str]:
+def script_command(cloud_file: Path, folder: Path, *more: str) -> list[str]:
     out = folder.parent / "out.blend"
-    return [sys.executable, str(SCRIPT), str(saved), "--out", str(out), "--work", str(folder), *SETTINGS, *more]
+    return [sys.executable, str(SCRIPT), str(cloud_file), "--out", str(out), "--work", str(folder), *SETTINGS, *more]
 
 
 @pytest.mark.parametrize("executor", ["serial", "processes:2"])
-def test_processes_give_the_bytes_of_one_process(cloud, undisturbed, tmp_path, executor):
-    job = job_of(cloud, tmp_path / "Arbeit ü", executor)
-    finish(job.core_steps())
-    assert digests(tmp_path / "Arbeit ü") == undisturbed
+def test_all_executors_write_the_same_bytes(cloud, reference_digests, tmp_path, executor):
+    job = prepare_job(cloud, tmp_path / "Arbeit ü", executor)
+    run_to_end(job.core_steps())
+    assert digests(tmp_path / "Arbeit ü") == reference_digests
     assert sum(figure["renders"] for figure in job.figures) == 2 * 4 * 5
     assert all(figure["bare_render_seconds"] > 0.0 for figure in job.figures)
 
 
-def test_dask_gives_the_same_bytes(cloud, undisturbed, scheduler, tmp_path):
+def test_dask_writes_the_same_bytes(cloud, reference_digests, scheduler, tmp_path):
     scheduler.start_workers(2)
-    finish(job_of(cloud, tmp_path / "work", f"dask:{scheduler.address}").core_steps())
-    assert digests(tmp_path / "work") == undisturbed
+    run_to_end(prepare_job(cloud, tmp_path / "work", f"dask:{scheduler.address}").core_steps())
+    assert digests(tmp_path / "work") == reference_digests
 
 
-def kill_worker(job, folder: Path, number: int) -> None:
-    """Kill one worker of a bake at a moment that `number` chooses, and let the bake go on to its end. A bake may end before that."""
-    choice = random.Random(number)
-    enough, pause = choice.randrange(8), choice.uniform(0.0, 0.4)
-    killed = None
-    views_then = {}
-    for _ in job.core_steps():
-        workers = workers_of(folder)
-        if killed is None and workers and len(views(folder)) >= enough:
-            time.sleep(pause)
-            killed = choice.choice(workers)
-            views_then = states(folder)
-            with contextlib.suppress(ProcessLookupError):  # it may have come to its end
-                os.kill(killed, KILL)
-    assert views_then.items() <= states(folder).items(), "a finished view was rendered again"
+def random_moments() -> random.Random:
+    """Return a generator with a new seed, which is printed; FARFIELD_SEED sets it to repeat a failure."""
+    seed = int(os.environ.get("FARFIELD_SEED") or random.SystemRandom().randrange(2**32))
+    print(f"FARFIELD_SEED={seed}")
+    return random.Random(seed)
 
 
-@on_linux
-@pytest.mark.parametrize("number", [1, 2])
-def test_a_worker_that_is_killed_costs_nothing_that_stands(cloud, undisturbed, tmp_path, number):
-    kill_worker(job_of(cloud, tmp_path / "work", "processes:2"), tmp_path / "work", number)
-    assert digests(tmp_path / "work") == undisturbed
-
-
-def kill_main(saved: Path, folder: Path, number: int) -> None:
-    """Kill the main process of a bake at a moment that `number` chooses, see its workers end, and bake again to the end."""
-    choice = random.Random(number)
-    enough, pause = choice.randrange(-1, 7), choice.uniform(0.0, 0.8)
-    silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    process = subprocess.Popen(script(saved, folder, "--executor", "processes:2"), **silent)
-    while process.poll() is None and len(views(folder)) < enough:
+def start_and_kill(command: list[str], folder: Path, min_view_count: int, pause: float) -> None:
+    """Start a bake, kill its main process `pause` seconds after `min_view_count` views are finished, and wait until its workers exit."""
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    while process.poll() is None and len(finished_views(folder)) < min_view_count:
         time.sleep(0.02)
     time.sleep(pause)
     process.kill()
     process.wait()
     started = time.monotonic()
-    while workers_of(folder):
+    while worker_pids(folder):
         assert time.monotonic() - started < 60.0, "workers outlive the bake"
         time.sleep(0.05)
-    standing = states(folder)
-    outcome = subprocess.run(script(saved, folder, "--executor", "processes:2"), capture_output=True, text=True, check=False)
-    assert outcome.returncode == 0, outcome.stderr
-    assert standing.items() <= states(folder).items(), "a finished view was rendered again"
+
+
+@only_on_linux
+@pytest.mark.once
+def test_killing_a_worker_at_a_random_moment_loses_no_finished_view(cloud, reference_digests, tmp_path):
+    moments, folder = random_moments(), tmp_path / "work"
+    min_view_count, pause = moments.randrange(8), moments.uniform(0.0, 0.4)
+    killed, states_at_kill = None, {}
+    for _ in prepare_job(cloud, folder, "processes:2").core_steps():
+        workers = worker_pids(folder)
+        if killed is None and workers and len(finished_views(folder)) >= min_view_count:  # the bake may finish first
+            time.sleep(pause)
+            killed = moments.choice(workers)
+            states_at_kill = file_states(folder)
+            with contextlib.suppress(ProcessLookupError):  # it may have exited
+                os.kill(killed, KILL_SIGNAL)
+    assert states_at_kill.items() <= file_states(folder).items(), "a finished view was rendered again"
+    assert digests(folder) == reference_digests
+
+
+@only_on_linux
+@pytest.mark.once
+@pytest.mark.slow
+def test_a_bake_killed_at_random_moments_resumes_from_its_finished_views(cloud_file, reference_digests, tmp_path):
+    """The first kill may precede the first view, the second one happens while the bake is resumed."""
+    moments, folder = random_moments(), tmp_path / "work"
+    command = script_command(cloud_file, folder, "--executor", "processes:2")
+    states_at_kill = {}
+    for min_view_count in (moments.randrange(-1, 4), moments.randrange(4, 7)):
+        start_and_kill(command, folder, min_view_count, moments.uniform(0.0, 0.8))
+        assert states_at_kill.items() <= file_states(folder).items(), "a finished view was rendered again"
+        states_at_kill = file_states(folder)
+    completed = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert completed.returncode == 0, completed.stderr
+    assert states_at_kill.items() <= file_states(folder).items(), "a finished view was rendered again"
+    assert digests(folder / "Ball Cloud") == reference_digests
     left = {path.suffix for path in folder.rglob("*") if path.is_file()}
     assert left <= {".shard", ".json", ".npz", ".blend"}, left
 
 
-@on_linux
-def test_a_bake_whose_main_process_is_killed_goes_on_from_what_stands(saved, undisturbed, tmp_path):
-    folder = tmp_path / "work"
-    kill_main(saved, folder, 3)
-    baked = folder / "Ball Cloud"
-    assert digests(baked) == undisturbed
-
-
-@on_linux
-@pytest.mark.slow
-@pytest.mark.parametrize("number", range(3))
-def test_kills_at_random_moments(cloud, saved, undisturbed, tmp_path, number):
-    kill_worker(job_of(cloud, tmp_path / "one", "processes:2"), tmp_path / "one", 100 + number)
-    assert digests(tmp_path / "one") == undisturbed
-    kill_main(saved, tmp_path / "two", 200 + number)
-    assert digests(tmp_path / "two" / "Ball Cloud") == undisturbed
-
-
-def test_the_folder_of_another_cloud_is_refused(cloud, tmp_path):
-    job_of(cloud, tmp_path)
+def test_the_work_folder_of_another_cloud_is_rejected(cloud, tmp_path):
+    prepare_job(cloud, tmp_path)
     bpy.ops.mesh.primitive_cone_add()
     bpy.data.collections.remove(cloud.collection)
-    other = cloud_of(bpy.context.object)
-    with pytest.raises(FileError, match="holds the bake of another cloud"):
-        job_of(other, tmp_path)
+    other = build_cloud(bpy.context.object)
+    with pytest.raises(FileError, match="contains a bake of another cloud"):
+        prepare_job(other, tmp_path)
 
 
-def test_an_executor_that_is_none_is_refused_before_anything_is_written(cloud, tmp_path):
+def test_an_unknown_executor_is_rejected_before_anything_is_written(cloud, tmp_path):
     with pytest.raises(FarfieldError, match="must be serial"):
-        prepare(bpy.context, cloud, BtfSettings(views=4, lights=4, executor="threads"), tmp_path / "work", keeps_work=True)
+        prepare_bake(
+            bpy.context,
+            cloud,
+            BtfSettings(views_per_side=2, lights_per_side=2, executor="threads"),
+            tmp_path / "work",
+            keep_finished_views=True,
+        )
     assert not (tmp_path / "work").exists()
 
 
-def test_a_bake_without_a_folder_of_its_own_leaves_none(cloud):
-    job = job_of(cloud, None)
+def test_a_temporary_work_folder_is_deleted(cloud):
+    job = prepare_job(cloud, None)
     folder = job.folder
-    result = finish(job.core_steps())
+    result = run_to_end(job.core_steps())
     assert folder.is_dir()
-    finish(job.scene_steps(result))
+    run_to_end(job.scene_steps(result))
     assert not folder.exists()
-    stopped = job_of(cloud, None)
+    stopped = prepare_job(cloud, None)
     folder = stopped.folder
     del stopped
     assert not folder.exists()
 
 
-def test_a_cloud_that_was_removed_meanwhile_is_named(cloud, tmp_path):
-    job = job_of(cloud, tmp_path)
+def test_a_cloud_removed_during_the_bake_is_named(cloud, tmp_path):
+    job = prepare_job(cloud, tmp_path)
     bpy.data.collections.remove(cloud.collection)
     with pytest.raises(GeometryError, match="was removed while it was being baked"):
-        finish(job.scene_steps([]))
+        run_to_end(job.scene_steps([]))
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no limit for the size of files")
-def test_a_full_disk_is_told_by_the_worker(cloud, tmp_path):
+def test_the_worker_reports_a_full_disk(cloud, tmp_path):
     import resource
 
-    job = job_of(cloud, tmp_path)
+    job = prepare_job(cloud, tmp_path)
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (2_000, before[1]))
     try:
         with pytest.raises(FarfieldError, match="Free some space"):
-            finish(job.core_steps())
+            run_to_end(job.core_steps())
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert not views(tmp_path)
+    assert not finished_views(tmp_path)
 
 
-def test_a_snapshot_that_is_gone_is_told_by_the_worker(cloud, tmp_path):
-    job = job_of(cloud, tmp_path)
-    (tmp_path / btf_snapshot.BLEND).unlink()
+def test_the_worker_reports_a_missing_snapshot(cloud, tmp_path):
+    job = prepare_job(cloud, tmp_path)
+    (tmp_path / btf_snapshot.BLEND_FILE).unlink()
     stores = [level.store for level in job.levels]
     with pytest.raises(FarfieldError, match=r"The snapshot in .* cannot be read"):
-        finish(render_missing(tmp_path, stores, 4, "serial", lambda shard: btf_worker.command(tmp_path, shard)))
+        run_to_end(render_missing_views(tmp_path, stores, 4, "serial", lambda shard: btf_worker.shard_command(tmp_path, shard)))
 
 
 class TestSnapshot:
-    """What a worker finds is what the user sees."""
+    """A worker reads the same scene as the user sees."""
 
-    def test_what_hides_an_original_does_not_change_it(self, cloud, tmp_path):
+    def test_hidden_sources_are_captured_and_stay_hidden(self, cloud, tmp_path):
         source = cloud.sources[0]
         source.hide_viewport = source.hide_render = True
         source.hide_set(True)
-        job_of(cloud, tmp_path)
+        prepare_job(cloud, tmp_path)
         assert source.hide_viewport and source.hide_render
         snapshot = btf_snapshot.open_snapshot(tmp_path)
         assert [item.name for item in snapshot.objects] == ["Ball"]
-        assert len(snapshot.orders) == 2 and snapshot.settings.views == 4
+        assert len(snapshot.specs) == 2 and snapshot.settings.view_count == 4
 
-    def test_frame_drivers_modifiers_and_simplify_come_along(self, tmp_path):
+    def test_frame_drivers_modifiers_and_simplify_are_included(self, tmp_path):
         ball = blender_scenes.ball()
         scene = bpy.context.scene
         scene.render.use_simplify, scene.render.simplify_subdivision = True, 1
@@ -242,42 +256,44 @@ class TestSnapshot:
         variable = driver.variables.new()
         variable.targets[0].id, variable.targets[0].data_path = target, "location.z"
         scene.frame_set(7)
-        cloud = cloud_of(ball)
-        job = job_of(cloud, tmp_path)
+        cloud = build_cloud(ball)
+        job = prepare_job(cloud, tmp_path)
         snapshot = btf_snapshot.open_snapshot(tmp_path)
         assert snapshot.source.fingerprint == job.fingerprint
         assert np.ptp(snapshot.source.mesh.vertices[:, 2]) == pytest.approx(6.0, rel=0.01)
 
-    def test_strokes_that_were_never_saved_come_along(self, tmp_path):
+    def test_unsaved_paint_strokes_are_included(self, tmp_path):
         image = bpy.data.images.new("Gemälde", 8, 4)
         image.filepath_raw = str(tmp_path / "painted.png")
         image.file_format = "PNG"
         image.save()
         painted = np.random.default_rng(0).integers(0, 256, (4, 8, 4)).astype(np.float32) / 255.0
-        red = blender_scenes.material("Painted")
+        red = blender_scenes.create_material("Painted")
         node = red.node_tree.nodes.new("ShaderNodeTexImage")
         node.image = image
         blender_scenes.link(red, node.outputs["Color"], blender_scenes.shader_of(red).inputs["Base Color"])
-        cloud = cloud_of(blender_scenes.ball(made=red))
-        image.pixels = painted.ravel().tolist()  # after the renders: Blender 4.5 and 5.0 without a window drop strokes when they render
+        cloud = build_cloud(blender_scenes.ball(material=red))
+        image.pixels = (
+            painted.ravel().tolist()
+        )  # after the renders: Blender 4.5 and 5.0 in background mode discard strokes when they render
         assert image.is_dirty
         (tmp_path / "work").mkdir()
-        job_of(cloud, tmp_path / "work")
+        prepare_job(cloud, tmp_path / "work")
         assert image.is_dirty and not image.packed_files
         btf_snapshot.open_snapshot(tmp_path / "work")
-        np.testing.assert_allclose(pixels_of(bpy.data.images["Gemälde"]), painted, atol=1e-6)
+        np.testing.assert_allclose(read_pixels(bpy.data.images["Gemälde"]), painted, atol=1e-6)
 
-    def test_originals_that_are_linked_from_a_library_come_along(self, saved, tmp_path):
-        with bpy.data.libraries.load(str(saved), link=True) as (_, linked):
+    def test_sources_linked_from_a_library_are_included(self, cloud_file, tmp_path):
+        with bpy.data.libraries.load(str(cloud_file), link=True) as (_, linked):
             linked.objects = ["Ball"]
         bpy.context.scene.collection.objects.link(linked.objects[0])
-        cloud = cloud_of(linked.objects[0])
-        job = job_of(cloud, tmp_path)
+        cloud = build_cloud(linked.objects[0])
+        job = prepare_job(cloud, tmp_path)
         assert btf_snapshot.open_snapshot(tmp_path).source.fingerprint == job.fingerprint
 
-    def test_an_original_that_looks_different_there_is_refused(self, cloud, tmp_path):
-        job_of(cloud, tmp_path)
-        words = json.loads((tmp_path / btf_snapshot.WORDS).read_text())
-        (tmp_path / btf_snapshot.WORDS).write_text(json.dumps(words | {"fingerprint": "another"}))
-        with pytest.raises(GeometryError, match="another shape in a worker process"):
+    def test_a_source_with_another_fingerprint_is_rejected(self, cloud, tmp_path):
+        prepare_job(cloud, tmp_path)
+        metadata = json.loads((tmp_path / btf_snapshot.METADATA_FILE).read_text())
+        (tmp_path / btf_snapshot.METADATA_FILE).write_text(json.dumps(metadata | {"fingerprint": "another"}))
+        with pytest.raises(GeometryError, match="a different shape in a worker process"):
             btf_snapshot.open_snapshot(tmp_path)

@@ -1,50 +1,58 @@
-"""What terrains are made of: noise, spheres, formulas. What they answer must not depend on who asks."""
+"""Noise, spheres and formulas. Densities must not depend on the grid that is sampled."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from farfield.addon.core.clipbox import noise, terrains
-from farfield.addon.core.clipbox.formulas import Formula
-from farfield.addon.core.clipbox.grids import Grid
-from farfield.addon.core.clipbox.hashing import fractions, hashed_lattice
 from farfield.addon.core.clipbox.settings import ClipboxSettings
-from farfield.addon.core.clipbox.spheres import AROUND, FAR, SphereField, Spheres, carved, spheres_touching
+from farfield.addon.core.clipbox.terrains import noise
+from farfield.addon.core.clipbox.terrains.formulas import Formula
+from farfield.addon.core.clipbox.terrains.generators import GENERATORS, Sampler, build_sampler
+from farfield.addon.core.clipbox.terrains.grids import Grid
+from farfield.addon.core.clipbox.terrains.hashing import hash_lattice, uniform_random
+from farfield.addon.core.clipbox.terrains.spheres import (
+    MAX_DISTANCE,
+    SURFACE_MARGIN,
+    SphereField,
+    Spheres,
+    csg_density,
+    find_touching_spheres,
+)
 from farfield.addon.core.errors import GeometryError, SettingsError
 
-WITHOUT_FILES = [name for name in terrains.NAMES if name not in ("heights", "volume", "forest")]
-FIELD = SphereField(largest=12.0, classes=3, count=3, taken=0.4, height=20.0, seed=5)
+PROCEDURAL = [generator.name for generator in GENERATORS if generator.name not in ("heights", "volume", "forest")]
+FIELD = SphereField(max_radius=12.0, class_count=3, spheres_per_cell=3, subtracted_fraction=0.4, max_height=20.0, seed=5)
 
 
-def sampler(name, **given):
-    return terrains.terrain_of(ClipboxSettings(terrain=name, **given))
+def sampler(name, **changes):
+    return build_sampler(ClipboxSettings(terrain=name, **changes))
 
 
-@pytest.mark.parametrize("name", WITHOUT_FILES)
-@pytest.mark.parametrize("voxel", [0.5, 4.0, 64.0])
-def test_a_slab_is_a_part_of_the_whole_to_the_bit(name, voxel):
+@pytest.mark.parametrize("name", PROCEDURAL)
+@pytest.mark.parametrize("voxel_size", [0.5, 4.0, 64.0])
+def test_slabs_equal_parts_of_the_grid_to_the_bit(name, voxel_size):
     terrain = sampler(name)
-    whole = terrain.densities(Grid((-7, 12, -9), (16, 15, 14), voxel))
+    all_densities = terrain.densities(Grid((-7, 12, -9), (16, 15, 14), voxel_size))
     for low, high in (((3, 0, 0), (4, 15, 14)), ((0, 14, 0), (16, 15, 14)), ((0, 0, 6), (16, 15, 7)), ((2, 3, 4), (9, 8, 11))):
-        part = terrain.densities(Grid(tuple(np.add((-7, 12, -9), low).tolist()), tuple(np.subtract(high, low).tolist()), voxel))
-        assert part.tobytes() == whole[tuple(slice(*span) for span in zip(low, high, strict=True))].tobytes()
+        part = terrain.densities(Grid(tuple(np.add((-7, 12, -9), low).tolist()), tuple(np.subtract(high, low).tolist()), voxel_size))
+        assert part.tobytes() == all_densities[tuple(slice(*span) for span in zip(low, high, strict=True))].tobytes()
 
 
-@pytest.mark.parametrize("name", WITHOUT_FILES)
-def test_there_is_ground_and_air(name):
+@pytest.mark.parametrize("name", PROCEDURAL)
+def test_terrains_have_ground_and_air(name):
     solid = sampler(name).densities(Grid((-40, -40, -40), (80, 80, 80), 4.0)) > 0
     assert 0.02 < solid.mean() < 0.98
 
 
 @pytest.mark.parametrize("name", ["cascades", "islands", "spheres"])
-def test_a_seed_gives_one_terrain_and_another_seed_another(name):
+def test_the_seed_determines_the_terrain(name):
     grid = Grid((0, 0, -20), (24, 24, 40), 2.0)
     first, again, other = (sampler(name, seed=seed).densities(grid) for seed in (3, 3, 4))
     assert first.tobytes() == again.tobytes() and first.tobytes() != other.tobytes()
 
 
-def test_scale_makes_features_larger():
+def test_scale_enlarges_features():
     fine = sampler("cascades").densities(Grid((0, 0, 0), (12, 12, 12), 2.0))
     large = sampler("cascades", scale=4.0).densities(Grid((0, 0, 0), (12, 12, 12), 8.0))
     assert np.allclose(4.0 * fine.astype(np.float32), large, rtol=2e-3, atol=0.05)
@@ -53,110 +61,109 @@ def test_scale_makes_features_larger():
 class TestNoise:
     """Gradient noise on grids."""
 
-    def test_it_is_the_sum_over_eight_gradients(self):
-        grid, length = Grid((-5, 3, 7), (6, 5, 4), 1.0), 3.7
-        made = noise.gradient_noise(grid, length, 11)
+    def test_noise_is_the_sum_over_eight_lattice_gradients(self):
+        grid, wavelength = Grid((-5, 3, 7), (6, 5, 4), 1.0), 3.7
+        values = noise.gradient_noise(grid, wavelength, 11)
         for index in np.ndindex(*grid.shape):
-            place = np.array([grid.axis(axis)[index[axis]] for axis in range(3)]) / length
+            position = np.array([grid.coordinates_along(axis)[index[axis]] for axis in range(3)]) / wavelength
             total = 0.0
             for corner in np.ndindex(2, 2, 2):
-                lattice = np.floor(place).astype(np.int64) + corner
-                away = place - lattice
-                fade = 1.0 - np.abs(away)
-                fade = fade**3 * (fade * (fade * 6.0 - 15.0) + 10.0)
-                bits = hashed_lattice(*lattice[:, None], 11)[0] & np.uint32(noise.DIRECTIONS - 1)
-                total += fade.prod() * noise._gradients()[:, bits] @ away
-            assert made[index] == pytest.approx(total, abs=1e-5)
+                lattice = np.floor(position).astype(np.int64) + corner
+                offset = position - lattice
+                weight = 1.0 - np.abs(offset)
+                weight = weight**3 * (weight * (weight * 6.0 - 15.0) + 10.0)
+                bits = hash_lattice(*lattice[:, None], 11)[0] & np.uint32(noise.GRADIENT_COUNT - 1)
+                total += weight.prod() * noise._gradient_table()[:, bits] @ offset
+            assert values[index] == pytest.approx(total, abs=1e-5)
 
-    def test_it_is_smooth_across_lattice_points_and_about_zero(self):
-        made = noise.gradient_noise(Grid((0, 0, 0), (96, 96, 96), 0.25), 4.0, 1)
-        assert np.abs(np.diff(made, axis=0)).max() < 0.3 and abs(made.mean()) < 0.05 and made.std() > 0.2
-        assert np.abs(np.diff(made, 2, axis=2)).max() < 0.1
+    def test_noise_is_smooth_across_lattice_points_with_mean_zero(self):
+        values = noise.gradient_noise(Grid((0, 0, 0), (96, 96, 96), 0.25), 4.0, 1)
+        assert np.abs(np.diff(values, axis=0)).max() < 0.3 and abs(values.mean()) < 0.05 and values.std() > 0.2
+        assert np.abs(np.diff(values, 2, axis=2)).max() < 0.1
 
-    def test_waves_that_voxels_cannot_show_stand_with_their_mean(self):
-        coarse = noise.fractal(Grid((0, 0, 0), (4, 4, 4), 100.0), 64.0, 4, 0)
+    def test_unresolved_octaves_are_replaced_by_their_mean(self):
+        coarse = noise.fbm(Grid((0, 0, 0), (4, 4, 4), 100.0), 64.0, 4, 0)
         assert (coarse == 0.0).all()
-        ridged = noise.fractal(Grid((0, 0, 0), (4, 4, 4), 100.0), 64.0, 2, 0, ridged=True)
-        fine = noise.fractal(Grid((0, 0, 0), (64, 64, 64), 5.0), 64.0, 2, 0, ridged=True)
+        ridged = noise.fbm(Grid((0, 0, 0), (4, 4, 4), 100.0), 64.0, 2, 0, ridged=True)
+        fine = noise.fbm(Grid((0, 0, 0), (64, 64, 64), 5.0), 64.0, 2, 0, ridged=True)
         assert np.allclose(ridged, fine.mean(), atol=0.03)
 
-    def test_far_places_do_not_repeat_near_ones(self):
-        near, far = (noise.gradient_noise(Grid((at, 0, 0), (8, 8, 8), 1.0), 4.0, 0) for at in (0, 2**34))
+    def test_distant_noise_does_not_repeat_near_noise(self):
+        near, far = (noise.gradient_noise(Grid((x, 0, 0), (8, 8, 8), 1.0), 4.0, 0) for x in (0, 2**34))
         assert not np.allclose(near, far, atol=0.05)
 
 
 @given(st.integers(-(2**60), 2**60), st.integers(-(2**60), 2**60), st.integers(0, 2**31))
-def test_hashes_are_fractions(x, y, seed):
-    bits = hashed_lattice(np.array([x]), np.array([y]), np.array([3]), seed)
-    assert bits.dtype == np.uint32 and 0.0 <= fractions(bits, 2)[0] < 1.0
+def test_random_numbers_are_between_0_and_1(x, y, seed):
+    bits = hash_lattice(np.array([x]), np.array([y]), np.array([3]), seed)
+    assert bits.dtype == np.uint32 and 0.0 <= uniform_random(bits, 2)[0] < 1.0
 
 
 class TestSpheres:
-    """Spheres added and taken away."""
+    """CSG of spheres."""
 
-    def test_a_sphere_is_where_it_should_be(self):
+    def test_a_sphere_has_its_position_and_radius(self):
         grid = Grid((-10, -10, -10), (20, 20, 20), 1.0)
-        made = carved(grid, Spheres(np.array([[0.5, -1.0, 2.0]]), np.array([6.0]), np.array([False])))
-        x, y, z = grid.axes()
+        densities = csg_density(grid, Spheres(np.array([[0.5, -1.0, 2.0]]), np.array([6.0]), np.array([False])))
+        x, y, z = grid.coordinates()
         distance = np.sqrt((x - 0.5) ** 2 + (y + 1.0) ** 2 + (z - 2.0) ** 2)
-        assert np.array_equal(made > 0, distance < 6.0)
+        assert np.array_equal(densities > 0, distance < 6.0)
         near = np.abs(distance - 6.0) < 0.9
-        assert np.allclose(made[near], (6.0 - distance)[near], atol=0.1)
+        assert np.allclose(densities[near], (6.0 - distance)[near], atol=0.1)
 
-    def test_they_count_in_their_order(self):
+    def test_spheres_are_applied_in_order(self):
         grid = Grid((-10, -10, -10), (20, 20, 20), 1.0)
-        centres, radii = np.zeros((3, 3)), np.array([9.0, 6.0, 3.0])
-        solid = carved(grid, Spheres(centres, radii, np.array([False, True, False]))) > 0
-        x, y, z = grid.axes()
+        centers, radii = np.zeros((3, 3)), np.array([9.0, 6.0, 3.0])
+        solid = csg_density(grid, Spheres(centers, radii, np.array([False, True, False]))) > 0
+        x, y, z = grid.coordinates()
         distance = np.sqrt(x**2 + y**2 + z**2)
         assert np.array_equal(solid, (distance < 3.0) | ((distance >= 6.0) & (distance < 9.0)))
 
     @settings(max_examples=40)
     @given(st.integers(0, 2**31), st.tuples(*[st.integers(1, 24)] * 3), st.integers(1, 80), st.sampled_from([3.0, 9.0]))
-    def test_many_count_as_one_after_the_other(self, seed, shape, count, largest):
+    def test_batches_equal_a_loop_over_spheres(self, seed, shape, count, max_radius):
         random = np.random.default_rng(seed)
         grid = Grid((-6, 2, -4), shape, 0.75)
-        centres, radii = random.uniform(-9.0, 15.0, (count, 3)), random.uniform(0.2, 1.0, count) * largest
-        taken = np.repeat(random.random(-(-count // 7)) < 0.5, 7)[:count]
-        expected = np.full(shape, -FAR)
-        for centre, radius, takes in zip(centres, radii, taken, strict=True):
-            away = [along - c for along, c in zip(grid.axes(), centre, strict=True)]
-            value = (radius**2 - sum(each**2 for each in away)) / (2.0 * radius)
-            reached = np.ones(shape, bool)
-            for each in away:
-                reached = reached & (np.abs(each) <= radius + AROUND * grid.voxel)
-            joined = np.minimum(expected, -value) if takes else np.maximum(expected, value)
-            expected = np.where(reached, joined, expected)
-        assert np.allclose(carved(grid, Spheres(centres, radii, taken)), expected, atol=1e-4)
+        centers, radii = random.uniform(-9.0, 15.0, (count, 3)), random.uniform(0.2, 1.0, count) * max_radius
+        subtractive = np.repeat(random.random(-(-count // 7)) < 0.5, 7)[:count]
+        expected = np.full(shape, -MAX_DISTANCE)
+        for center, radius, is_subtractive in zip(centers, radii, subtractive, strict=True):
+            offsets = [coordinates - c for coordinates, c in zip(grid.coordinates(), center, strict=True)]
+            values = (radius**2 - sum(offset**2 for offset in offsets)) / (2.0 * radius)
+            in_window = np.ones(shape, bool)
+            for offset in offsets:
+                in_window = in_window & (np.abs(offset) <= radius + SURFACE_MARGIN * grid.voxel_size)
+            combined = np.minimum(expected, -values) if is_subtractive else np.maximum(expected, values)
+            expected = np.where(in_window, combined, expected)
+        assert np.allclose(csg_density(grid, Spheres(centers, radii, subtractive)), expected, atol=1e-4)
 
     @settings(max_examples=30)
     @given(st.integers(-30, 30), st.integers(-30, 30), st.integers(-30, 30))
-    def test_a_grid_finds_all_that_touch_it(self, x, y, z):
+    def test_all_touching_spheres_are_found(self, x, y, z):
         small, large = Grid((x, y, z), (3, 4, 5), 1.0), Grid((x - 9, y - 9, z - 9), (21, 22, 23), 1.0)
-        assert (
-            carved(small, spheres_touching(FIELD, small)).tobytes()
-            == carved(large, spheres_touching(FIELD, large))[9:12, 9:13, 9:14].tobytes()
-        )
+        part = csg_density(small, find_touching_spheres(FIELD, small))
+        all_densities = csg_density(large, find_touching_spheres(FIELD, large))
+        assert part.tobytes() == all_densities[9:12, 9:13, 9:14].tobytes()
 
-    def test_only_those_are_found_that_touch(self):
+    def test_only_touching_spheres_are_found(self):
         grid = Grid((0, 0, 0), (8, 8, 8), 1.0)
-        found = spheres_touching(FIELD, grid)
-        nearest = np.clip(found.centres, 0.0, 8.0)
-        assert len(found.radii) and (np.abs(found.centres - nearest).max(axis=1) <= found.radii + AROUND).all()
+        spheres = find_touching_spheres(FIELD, grid)
+        nearest = np.clip(spheres.centers, 0.0, 8.0)
+        assert len(spheres.radii) and (np.abs(spheres.centers - nearest).max(axis=1) <= spheres.radii + SURFACE_MARGIN).all()
 
-    def test_ranges_are_those_of_the_settings(self):
+    def test_settings_control_height_subtraction_and_count(self):
         grid = Grid((-60, -60, -90), (120, 120, 180), 1.0)
-        plain = {"sphere_radius": 10.0, "sphere_classes": 2, "sphere_count": 1, "sphere_height": 20.0}
-        solid = sampler("spheres", **plain, sphere_taken=0.0).densities(grid) > 0
+        single = {"sphere_radius": 10.0, "sphere_classes": 2, "sphere_count": 1, "sphere_height": 20.0}
+        solid = sampler("spheres", **single, sphere_subtracted=0.0).densities(grid) > 0
         heights = np.flatnonzero(solid.any(axis=(0, 1))) - 90 + 0.5
         assert heights.min() > -30.0 and heights.max() < 30.0 and heights.max() > 15.0
-        assert not (sampler("spheres", **plain, sphere_taken=1.0).densities(grid) > 0).any()
-        more = sampler("spheres", **(plain | {"sphere_count": 3}), sphere_taken=0.0).densities(grid) > 0
+        assert not (sampler("spheres", **single, sphere_subtracted=1.0).densities(grid) > 0).any()
+        more = sampler("spheres", **(single | {"sphere_count": 3}), sphere_subtracted=0.0).densities(grid) > 0
         assert more.sum() > 1.5 * solid.sum()
 
 
 class TestFormulas:
-    """What users type."""
+    """Formulas typed by the user."""
 
     @pytest.mark.parametrize(
         ("text", "expected"),
@@ -173,7 +180,7 @@ class TestFormulas:
             ("clip(10*x, 0, 7.5)", 7.5),
         ],
     )
-    def test_they_are_worked_out(self, text, expected):
+    def test_formulas_are_evaluated(self, text, expected):
         assert Formula(text)(np.array(2.0), np.array(3.0), np.array(4.0)) == pytest.approx(expected)
 
     @pytest.mark.parametrize(
@@ -185,39 +192,31 @@ class TestFormulas:
             "{x}", "globals()", "sin.__self__", "min(x, y, key=z)", "9" * 400, "-" * 1500 + "x", "(" * 900 + "x" + ")" * 900, "x" * 3000,
         ],
     )  # fmt: skip
-    def test_nothing_but_mathematics_is_taken(self, text):
+    def test_anything_but_arithmetic_is_rejected(self, text):
         with pytest.raises(SettingsError):
             Formula(text)
 
-    def test_what_has_no_value_is_air_and_what_is_infinite_is_kept_within_bounds(self):
-        made = sampler("formula", formula="log(x) + 0*y").densities(Grid((-2, 0, 0), (4, 1, 1), 1.0)).ravel()
-        assert (made[:2] == -1.0).all() and np.isfinite(made).all()
+    def test_nan_is_air_and_infinity_is_clamped(self):
+        densities = sampler("formula", formula="log(x) + 0*y").densities(Grid((-2, 0, 0), (4, 1, 1), 1.0)).ravel()
+        assert (densities[:2] == -1.0).all() and np.isfinite(densities).all()
         assert (sampler("formula", formula="1/0").densities(Grid((0, 0, 0), (2, 2, 2), 1.0)) > 0).all()
 
-    def test_the_least_density_keeps_its_sign(self):
+    def test_tiny_densities_keep_their_sign(self):
         assert (sampler("formula", formula="1e-30").densities(Grid((0, 0, 0), (2, 2, 2), 1.0)) > 0).all()
 
 
-class TestRegistry:
-    """Terrains of others."""
+class TestSampler:
+    """Density functions with invalid results."""
 
-    @pytest.fixture
-    def registered(self, monkeypatch):
-        monkeypatch.setattr(terrains, "NAMES", terrains.NAMES)
-        yield lambda function: terrains.register("other", "One from elsewhere", lambda _settings: function)
-        terrains.NAMES.pop("other", None)
+    def test_results_are_broadcast_to_the_grid(self):
+        densities = Sampler("plane", lambda grid: 5.0 - grid.coordinates()[2]).densities(Grid((0, 0, 0), (2, 2, 9), 1.0))
+        assert (densities > 0).sum() == 2 * 2 * 5
 
-    def test_it_can_be_chosen(self, registered):
-        registered(lambda grid: 5.0 - grid.axes()[2])
-        assert (sampler("other").densities(Grid((0, 0, 0), (2, 2, 9), 1.0)) > 0).sum() == 2 * 2 * 5
+    @pytest.mark.parametrize("result", [np.zeros((2, 3)), "ground", None, np.zeros(7)], ids=["sheet", "text", "none", "row"])
+    def test_invalid_results_are_rejected(self, result):
+        with pytest.raises(GeometryError, match='"other" failed'):
+            Sampler("other", lambda _grid: result).densities(Grid((0, 0, 0), (4, 4, 4), 1.0))
 
-    @pytest.mark.parametrize("answer", [np.zeros((2, 3)), "ground", None, np.zeros(7)], ids=["sheet", "word", "nothing", "row"])
-    def test_what_it_answers_is_checked(self, registered, answer):
-        registered(lambda _grid: answer)
-        with pytest.raises(GeometryError, match='"other" fails'):
-            sampler("other").densities(Grid((0, 0, 0), (4, 4, 4), 1.0))
-
-    def test_what_it_raises_is_told(self, registered):
-        registered(lambda _grid: 1 // 0)
+    def test_errors_are_reported(self):
         with pytest.raises(GeometryError, match="division"):
-            sampler("other").densities(Grid((0, 0, 0), (4, 4, 4), 1.0))
+            Sampler("other", lambda _grid: 1 // 0).densities(Grid((0, 0, 0), (4, 4, 4), 1.0))

@@ -1,20 +1,15 @@
-"""The Blender program that tests start, where this machine has one."""
+"""The Blender program that GUI tests start, if this machine has one."""
 
-import subprocess
 from pathlib import Path
 
 import pytest
 
-import environment
-
-LAUNCHER = environment.ROOT.parent / "shared" / "tools" / "blender-gui"
+from lib import blender_window
 
 
-def launcher() -> Path:
-    """The command that starts Blender; the test is skipped, loudly, where there is none."""
-    if not LAUNCHER.exists():
-        pytest.skip("BLENDER'S WINDOW WAS NOT TESTED: there is no ../shared/tools/blender-gui to open one with")
-    folder = Path(subprocess.run([LAUNCHER, "path"], capture_output=True, text=True, check=True).stdout.strip())
-    if not folder.exists():
-        pytest.skip("BLENDER'S WINDOW WAS NOT TESTED: run `../shared/tools/blender-gui setup` once")
-    return LAUNCHER
+def find_launcher() -> Path:
+    """Return the command that starts Blender; skip the test with a clear message if there is none."""
+    reason = blender_window.unavailable_reason()
+    if reason:
+        pytest.skip(f"BLENDER'S WINDOW WAS NOT TESTED: {reason}")
+    return blender_window.LAUNCHER

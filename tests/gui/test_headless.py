@@ -1,4 +1,4 @@
-"""A Blender program without a window runs the scripts as pip's bpy does: same figures, same exit codes, same sentence."""
+"""The Blender program without a window runs the scripts like pip's bpy: same results, exit codes and messages."""
 
 import json
 import math
@@ -8,23 +8,28 @@ import sys
 import bpy
 import pytest
 
-import environment
-from gui.blender_program import launcher
+from gui.blender_program import find_launcher
+from lib import environment
 
 pytestmark = [pytest.mark.gui, pytest.mark.usefixtures("empty_scene")]
 SCRIPT = environment.ROOT / "scripts" / "billboards.py"
 FLAGS = ["--error", "5%", "--levels", "2", "--samples", "1"]
 
 
-def in_blender(*arguments):
-    """The script under `blender --background --python`."""
-    command = [launcher(), "headless", "-t", "300", "--", "--factory-startup", "--python", SCRIPT, "--", *arguments]
+def run_in_blender(*arguments):
+    """Run the script with `blender --background --python`."""
+    command = [find_launcher(), "headless", "-t", "300", "--", "--factory-startup", "--python", SCRIPT, "--", *arguments]
     return subprocess.run(command, cwd=environment.ROOT, capture_output=True, text=True, errors="replace", check=False)
+
+
+def run_with_pip_bpy(*arguments):
+    """Run the script with this Python."""
+    return subprocess.run([sys.executable, SCRIPT, *arguments], capture_output=True, text=True, errors="replace", check=False)
 
 
 @pytest.fixture
 def pebble(tmp_path):
-    """An irregular ball in a file: no two choices are equally good, so the rounding of another NumPy decides none."""
+    """A file with an irregular ball: no two choices are equally good, so that the rounding of another NumPy version has no effect."""
     bpy.ops.mesh.primitive_uv_sphere_add()
     for vertex in bpy.context.object.data.vertices:
         x, y, z = vertex.co
@@ -34,14 +39,15 @@ def pebble(tmp_path):
     return path
 
 
-def test_the_same_cloud(pebble):
+def test_both_build_the_same_cloud(pebble):
     reports = []
-    for number, run in enumerate((in_blender, lambda *arguments: subprocess.run([sys.executable, SCRIPT, *arguments], check=False))):
-        out, figures = pebble.with_name(f"{number}.blend"), pebble.with_name(f"{number}.json")
-        outcome = run(pebble, "--out", out, "--report", figures, *FLAGS)
+    for index, run in enumerate((run_in_blender, run_with_pip_bpy)):
+        out, report_path = pebble.with_name(f"{index}.blend"), pebble.with_name(f"{index}.json")
+        outcome = run(pebble, "--out", out, "--report", report_path, *FLAGS)
         assert outcome.returncode == 0, outcome
         assert out.stat().st_size > 10_000
-        report = json.loads(figures.read_text(encoding="utf-8"))
+        assert "Saved" not in outcome.stdout, "messages of Blender reach stdout"
+        report = json.loads(report_path.read_text(encoding="utf-8"))
         assert report["uncovered_faces"] == 0 and report["max_plane_distance"] <= 1.0
         reports.append(report["levels"])
     for first, second in zip(*reports, strict=True):
@@ -49,7 +55,7 @@ def test_the_same_cloud(pebble):
         assert first["texels"] == pytest.approx(second["texels"], rel=0.01)
 
 
-def test_the_same_refusal(pebble):
-    outcome = in_blender(pebble.with_name("nowhere.obj"), "--out", pebble.with_name("out.blend"))
+def test_invalid_input_is_an_error_message_and_code_2(pebble):
+    outcome = run_in_blender(pebble.with_name("nowhere.obj"), "--out", pebble.with_name("out.blend"))
     assert outcome.returncode == 2
     assert "nowhere.obj" in outcome.stderr and "Traceback" not in outcome.stderr

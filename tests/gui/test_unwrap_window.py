@@ -1,36 +1,36 @@
-"""Unwrapping in a real window: the bar moves, Esc leaves all as it was, stretch is drawn, and one undo takes the map back."""
+"""Unwrapping in a real window: progress, Esc, the stretch overlay, and undo."""
 
 import pytest
 
-from gui.visits import findings_of
+from gui.session_runner import run_gui_session
 
 pytestmark = pytest.mark.gui
 
 
 @pytest.fixture(scope="module")
-def seen(tmp_path_factory) -> dict:
-    """What a visitor who unwraps a ball saw; see drive_unwrap.py."""
-    return findings_of("drive_unwrap.py", tmp_path_factory)
+def results(tmp_path_factory) -> dict:
+    """The results of session_unwrap.py."""
+    return run_gui_session("session_unwrap.py", tmp_path_factory)
 
 
-def test_the_visit_went_through(seen):
-    assert seen["error"] is None, seen["error"]
+def test_the_session_ran_to_its_end(results):
+    assert results["error"] is None, results["error"]
 
 
-def test_esc_leaves_everything_as_it_was(seen):
-    assert seen["running"], "the unwrap had ended before Esc was pressed"
-    assert seen["stopped"] == {"after": seen["before"], "maps": []}
+def test_esc_leaves_the_scene_unchanged(results):
+    assert results["was_running"], "the unwrap had ended before Esc was pressed"
+    assert results["cancelled"] == {"after": results["before"], "uv_maps": []}
 
 
-def test_the_bar_moves_and_the_map_is_sound(seen):
-    assert seen["fractions"] == sorted(seen["fractions"]) and len(set(seen["fractions"])) > 3
-    assert seen["maps"] == ["Unwrap"]
-    assert seen["figures"]["flips"] == seen["figures"]["overlaps"] == 0 and seen["figures"]["l2"] < 1.3
+def test_the_progress_increases_and_the_uv_map_is_valid(results):
+    assert results["fractions"] == sorted(results["fractions"]) and len(set(results["fractions"])) > 3
+    assert results["uv_maps"] == ["Unwrap"]
+    assert results["metrics"]["flips"] == results["metrics"]["overlaps"] == 0 and results["metrics"]["l2"] < 1.3
 
 
-def test_stretch_is_switched_on_and_off_by_its_button(seen):
-    assert seen["shown"] and seen["hidden"]
+def test_the_button_toggles_the_stretch_overlay(results):
+    assert results["overlay_shown"] and results["overlay_hidden"]
 
 
-def test_one_undo_takes_the_map_back(seen):
-    assert seen["undone"] == []
+def test_one_undo_removes_the_uv_map(results):
+    assert results["uv_maps_after_undo"] == []

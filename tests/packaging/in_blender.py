@@ -1,4 +1,4 @@
-"""Runs inside pip's bpy: enables the installed zip twice, uses it, and prints what it saw as one JSON line."""
+"""Runs inside pip's bpy: enables the installed zip twice, uses it, and prints the results as one JSON line."""
 
 import json
 import sys
@@ -8,42 +8,46 @@ import bpy
 MODULE = "bl_ext.user_default.farfield"
 
 
-def classes() -> list[str]:
-    """Names of the classes of the extension that Blender knows now."""
+def registered_classes() -> list[str]:
+    """Return the names of the extension's registered classes."""
     return sorted(name for name in dir(bpy.types) if name.startswith("FARFIELD_"))
 
 
-def passes_on(error: Exception) -> None:
-    """Blender prints errors of an extension and goes on; here they must end the run."""
+def raise_error(error: Exception) -> None:
+    """Raise errors of the extension, which Blender would print and ignore."""
     raise error
 
 
-def tab(names: list[str]) -> set[str]:
-    """The sidebar tabs that the panels among `names` stand in."""
+def sidebar_tabs(names: list[str]) -> set[str]:
+    """Return the sidebar tabs of the panels among `names`."""
     return {getattr(bpy.types, name).bl_category for name in names if "_PT_" in name}
 
 
 def main() -> None:
-    """Enable and disable twice; while enabled the second time, build a cloud of a cube and bake it."""
-    import addon_utils  # stands only where bpy has been imported
+    """Unpack the wheels; unless that is all that is requested, enable and disable the extension twice, and build and bake a cloud."""
+    import addon_utils  # only available after bpy has been imported
 
     addon_utils.extensions_refresh(addon_modules_pending=[MODULE])
-    seen = {"enabled": [], "disabled": [], "tabs": []}
-    for turn in range(2):
-        addon_utils.enable(MODULE, default_set=True, handle_error=passes_on)
-        seen["enabled"].append(classes())
-        seen["tabs"].append(sorted(tab(classes())))
-        if turn == 1:
+    if sys.argv[1:] == ["unpack"]:
+        return
+    results = {"enabled": [], "disabled": [], "tabs": []}
+    for index in range(2):
+        addon_utils.enable(MODULE, default_set=True, handle_error=raise_error)
+        results["enabled"].append(registered_classes())
+        results["tabs"].append(sorted(sidebar_tabs(registered_classes())))
+        if index == 1:
             bpy.ops.mesh.primitive_cube_add()
             bpy.ops.farfield.billboards_build(error=10.0, samples=1, levels=1)
-            seen["clouds"] = sum(item.get("farfield_kind") == "cloud" for item in bpy.data.objects)
-            bpy.ops.farfield.btf_bake(views=4, lights=4, samples=1, components=1, alpha_components=1, shadows=16, executor="processes:2")
-            seen["baked"] = [item.data.materials[0].name for item in bpy.data.objects if item.get("farfield_kind") == "cloud"]
-        addon_utils.disable(MODULE, default_set=True, handle_error=passes_on)
-        seen["disabled"].append(classes())
-    brought = ("scipy", "xatlas", "fast_simplification", "threadpoolctl", "tifffile")
-    seen["wheels"] = {name: sys.modules[name].__file__ for name in brought if name in sys.modules}
-    print("SEEN " + json.dumps(seen))
+            results["clouds"] = sum(item.get("farfield_kind") == "cloud" for item in bpy.data.objects)
+            bpy.ops.farfield.btf_bake(
+                views_per_side=2, lights_per_side=2, samples=1, components=1, alpha_components=1, shadows_per_side=4, executor="processes:2"
+            )
+            results["baked"] = [item.data.materials[0].name for item in bpy.data.objects if item.get("farfield_kind") == "cloud"]
+        addon_utils.disable(MODULE, default_set=True, handle_error=raise_error)
+        results["disabled"].append(registered_classes())
+    bundled = ("scipy", "xatlas", "fast_simplification", "threadpoolctl", "tifffile")
+    results["wheels"] = {name: sys.modules[name].__file__ for name in bundled if name in sys.modules}
+    print("RESULTS " + json.dumps(results))
 
 
 main()

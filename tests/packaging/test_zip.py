@@ -1,7 +1,8 @@
-"""The packaged zip, not the checkout, is installed and enabled in Blender, in a folder with spaces and non-ASCII letters."""
+"""The packaged zip, not the checkout, is installed and enabled in Blender, in a folder with spaces and non-ASCII characters."""
 
 import json
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -10,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-import environment
+from lib import environment
 
 pytest.importorskip("bpy")
 pytestmark = pytest.mark.slow
@@ -26,7 +27,7 @@ def folder(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def archive(folder) -> Path:
-    """The zip for this machine, as a user gets it."""
+    """The zip for this platform, as users get it."""
     import build_extension
 
     target = build_extension.running_platform()
@@ -41,7 +42,7 @@ def archive(folder) -> Path:
 
 @pytest.fixture(scope="module")
 def resources(folder, archive) -> Path:
-    """A Blender folder of its own with the zip installed in it."""
+    """A separate Blender resource folder with the zip installed."""
     installed = folder / "Blender" / "extensions" / "user_default" / "farfield"
     with zipfile.ZipFile(archive) as packed:
         packed.extractall(installed)
@@ -49,60 +50,77 @@ def resources(folder, archive) -> Path:
 
 
 @pytest.fixture(scope="module")
-def seen(folder, resources) -> dict:
-    """What a Blender sees that has the zip installed. It runs twice: the first run unpacks the wheels, the second begins with them."""
+def results(folder, resources) -> dict:
+    """The results of in_blender.py with the zip installed. A first run unpacks the wheels, because the second one must start with them."""
     wheels = resources / "extensions" / ".local" / "lib" / f"python{sys.version_info[0]}.{sys.version_info[1]}" / "site-packages"
     variables = {**os.environ, "BLENDER_USER_RESOURCES": str(resources), "PYTHONPATH": str(wheels), "PYTHONUTF8": "1"}
-    for _ in range(2):
+    for arguments in (["unpack"], []):
         outcome = subprocess.run(
-            [sys.executable, str(CHILD)], capture_output=True, encoding="utf-8", env=variables, cwd=folder, timeout=300, check=False
+            [sys.executable, str(CHILD), *arguments],
+            capture_output=True,
+            encoding="utf-8",
+            env=variables,
+            cwd=folder,
+            timeout=300,
+            check=False,
         )
         assert outcome.returncode == 0, outcome.stderr + outcome.stdout
-    lines = [line for line in outcome.stdout.splitlines() if line.startswith("SEEN ")]
+    lines = [line for line in outcome.stdout.splitlines() if line.startswith("RESULTS ")]
     assert lines, outcome.stdout + outcome.stderr
-    return json.loads(lines[0].removeprefix("SEEN "))
+    return json.loads(lines[0].removeprefix("RESULTS "))
 
 
-def test_zip_holds_the_extension_and_nothing_else(archive):
+def test_zip_contains_the_extension_and_nothing_else(archive):
     with zipfile.ZipFile(archive) as packed:
         names = packed.namelist()
-    assert {name.split("/")[0] for name in names} == {"__init__.py", "LICENSE", "addon", "blender_manifest.toml", "wheels"}
+    assert {name.split("/")[0] for name in names} == {"__init__.py", "LICENSE", "addon", "blender_manifest.toml", "manual", "wheels"}
     assert not [name for name in names if "__pycache__" in name or name.endswith((".pyc", ".blend1"))]
 
 
-def test_zip_brings_the_wheels_of_both_pythons_and_never_numpy(archive):
+def test_zip_contains_the_documentation_as_linked_html(resources):
+    manual = resources / "extensions" / "user_default" / "farfield" / "manual"
+    pages = sorted(manual.rglob("*.html"))
+    assert {"billboards", "btf", "unwrap", "clipbox", "troubleshooting"} <= {page.stem for page in pages}
+    for page in pages:
+        text = page.read_text(encoding="utf-8")
+        assert "<h1" in text and "| --- |" not in text
+        for link in re.findall(r'(?:href|src)="([^"#]+)', text):
+            assert "://" in link or (page.parent / link).exists(), f"{page.name}: {link}"
+
+
+def test_zip_contains_the_wheels_of_both_pythons_but_not_numpy(archive):
     with zipfile.ZipFile(archive) as packed:
         manifest = tomllib.loads(packed.read("blender_manifest.toml").decode())
         wheels = {name for name in packed.namelist() if name.startswith("wheels/")}
     assert {name.removeprefix("./") for name in manifest["wheels"]} == wheels
     assert len(manifest["platforms"]) == 1
-    brought = {(name.split("/")[1].split("-")[0].lower(), name.split("-")[2]) for name in wheels}
-    of_a_python = {(package, python) for package in ("scipy", "xatlas", "fast_simplification") for python in ("cp311", "cp313")}
-    assert brought == of_a_python | {("threadpoolctl", "py3"), ("tifffile", "py3")}
+    bundled = {(name.split("/")[1].split("-")[0].lower(), name.split("-")[2]) for name in wheels}
+    binary_wheels = {(package, python) for package in ("scipy", "xatlas", "fast_simplification") for python in ("cp311", "cp313")}
+    assert bundled == binary_wheels | {("threadpoolctl", "py3"), ("tifffile", "py3")}
 
 
-def test_enabling_registers_the_tab_and_disabling_takes_all_back(seen):
-    first, second = seen["enabled"]
+def test_enabling_registers_the_tab_and_disabling_removes_everything(results):
+    first, second = results["enabled"]
     assert first == second and first
-    assert seen["tabs"] == [["Farfield"], ["Farfield"]]
-    assert seen["disabled"] == [[], []]
+    assert results["tabs"] == [["Farfield"], ["Farfield"]]
+    assert results["disabled"] == [[], []]
 
 
-def test_installed_extension_builds_a_cloud_with_the_wheels_it_brought(seen, resources):
-    assert seen["clouds"] == 1
-    assert set(seen["wheels"]) >= {"scipy", "threadpoolctl"}
-    for path in seen["wheels"].values():
+def test_installed_extension_builds_a_cloud_with_its_own_wheels(results, resources):
+    assert results["clouds"] == 1
+    assert set(results["wheels"]) >= {"scipy", "threadpoolctl"}
+    for path in results["wheels"].values():
         assert Path(path).is_relative_to(resources / "extensions" / ".local")
 
 
-def test_workers_start_from_the_installed_extension(seen):
-    assert seen["baked"] == ["Cube.001 Cloud L0 BTF"]
+def test_workers_start_from_the_installed_extension(results):
+    assert results["baked"] == ["Cube.001 Cloud L0 BTF"]
 
 
-def test_a_torn_wheel_in_the_cache_is_not_used(tmp_path, monkeypatch):
+def test_a_damaged_wheel_in_the_cache_is_not_used(tmp_path, monkeypatch):
     import build_extension
 
-    monkeypatch.setattr(build_extension, "locked_wheels", lambda: {"scipy": {"0" * 64}})
-    assert build_extension.wheels_at_hand(tmp_path) == []
+    monkeypatch.setattr(build_extension, "read_locked_wheels", lambda: {"scipy": {"0" * 64}})
+    assert build_extension.cached_wheels(tmp_path) == []
     (tmp_path / "scipy-1.0-cp311-cp311-win_amd64.whl").write_bytes(b"half")
-    assert build_extension.wheels_at_hand(tmp_path) == []
+    assert build_extension.cached_wheels(tmp_path) == []

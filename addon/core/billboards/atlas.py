@@ -1,46 +1,53 @@
-"""Places for all quads of a level in one texture."""
+"""Rectangle packing: lays out all quads of a level in one texture."""
 
 import numpy as np
 
 from ..errors import SettingsError
-from .cloud import Atlas
+from .cloud import AtlasLayout
 
-LARGEST = 16384
-GUTTER = 4  # texels between quads: two mip levels stay apart, and dilation fills them
-MULTIPLE = 8  # width and height are multiples, so that the first mip levels halve evenly
+MAX_SIDE = 16384  # texels; the largest texture that common GPUs accept
+GUTTER = 4  # texels between quads: keeps two mip levels separate and is filled by dilation
+SIZE_MULTIPLE = 8  # width and height are multiples of this, so that the first mip levels halve evenly
+PACKING_SLACK = 1.05  # times the total area of the rectangles: the area of the square whose side is the first choice of width
 
 
-def pack(half_sizes: np.ndarray, texel: float, gutter: int = GUTTER) -> Atlas:
-    """An atlas for rectangles with `half_sizes` (Q, 2) at `texel` (a length) a texel, u along x.
+def pack(half_sizes: np.ndarray, texel_size: float, gutter: int = GUTTER) -> AtlasLayout:
+    """Pack rectangles with `half_sizes` (Q, 2) into an atlas with `texel_size`, a length per texel. u runs along x.
 
-    A side takes the nearest whole number of texels, at least one, so that the texels of a cloud are on the mean its area.
+    Each side is rounded to the nearest number of texels, at least one, so that the texels of a cloud match its area on average.
 
     Raises:
-        SettingsError: when no texture is large enough.
+        SettingsError: no texture is large enough.
     """
-    sizes = np.maximum(np.rint(2.0 * half_sizes / texel), 1).astype(np.int64)
+    sizes = np.maximum(np.rint(2.0 * half_sizes / texel_size), 1).astype(np.int64)
     padded = sizes + gutter
-    width = int(max(padded[:, 0].max() + gutter, np.ceil(np.sqrt(1.05 * padded.prod(axis=1).sum()))))
-    width += -width % MULTIPLE
+    width = int(max(padded[:, 0].max() + gutter, np.ceil(np.sqrt(PACKING_SLACK * padded.prod(axis=1).sum()))))
+    width += -width % SIZE_MULTIPLE
     height = int(padded.prod(axis=1).sum() // width)
-    if width <= LARGEST:  # looking for places in more than that takes minutes
-        places, height = skyline(padded, width - gutter)
-        height += gutter + -(height + gutter) % MULTIPLE
-    if max(width, height) > LARGEST:
+    if width <= MAX_SIDE:  # packing into a wider strip would take minutes
+        positions, height = pack_skyline(padded, width - gutter)
+        height += gutter + -(height + gutter) % SIZE_MULTIPLE
+    if max(width, height) > MAX_SIDE:
         raise SettingsError(
-            f"The quads need a texture of at least {width} x {height} texels and {LARGEST} is the largest side; take a larger error."
+            f"The quads need a texture of at least {width} x {height} texels, but the largest side is {MAX_SIDE}; use a larger Error.",
+            ("error",),
         )
-    return Atlas((width, height), np.column_stack([places + gutter, sizes]).astype(np.int32), gutter)
+    return AtlasLayout((width, height), np.column_stack([positions + gutter, sizes]).astype(np.int32), gutter)
 
 
-def skyline(sizes: np.ndarray, width: int) -> tuple[np.ndarray, int]:
-    """Places (Q, 2) of rectangles `sizes` (Q, 2) in a strip of `width`, and its height: bottom-left on a skyline, tallest first."""
-    places = np.zeros((len(sizes), 2), np.int64)
-    tops = np.zeros(width, np.int64)
+def pack_skyline(sizes: np.ndarray, width: int) -> tuple[np.ndarray, int]:
+    """Pack rectangles `sizes` (Q, 2) into a strip of `width`: bottom-left on a skyline, tallest first.
+
+    Returns:
+        Positions (Q, 2) of the lower left corners, and the height of the strip.
+    """
+    positions = np.zeros((len(sizes), 2), np.int64)
+    skyline = np.zeros(width, np.int64)
     for index in np.lexsort((-sizes[:, 0], -sizes[:, 1])):
-        wide, tall = sizes[index]
-        resting = np.lib.stride_tricks.sliding_window_view(tops, wide).max(axis=1) if wide > 1 else tops
-        x = int(resting.argmin())
-        places[index] = x, resting[x]
-        tops[x : x + wide] = resting[x] + tall
-    return places, int(tops.max())
+        rectangle_width, rectangle_height = sizes[index]
+        windows = np.lib.stride_tricks.sliding_window_view(skyline, rectangle_width)
+        lowest_y = windows.max(axis=1) if rectangle_width > 1 else skyline
+        x = int(lowest_y.argmin())
+        positions[index] = x, lowest_y[x]
+        skyline[x : x + rectangle_width] = lowest_y[x] + rectangle_height
+    return positions, int(skyline.max())

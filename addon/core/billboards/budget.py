@@ -1,9 +1,9 @@
-"""A number of quads or megabytes instead of an error: the error is searched that meets it.
+"""Budgets: search for the error that meets a number of quads or megabytes of texture.
 
-Loose parts and connected surfaces, leaves and trunk, each get a part of the budget and an error of their own; a kind that cannot use up its
-part leaves the rest to the other, and where one cannot do with its part both take the same error. A level is the union of both and keeps
-the larger of the two errors, since it is from there on that nobody can tell it from the original; all its texels have the size that this
-error asks for.
+Loose parts and connected surfaces, such as leaves and trunk, are two groups. Each gets a fraction of the budget and an error of its own. A
+group that cannot use up its fraction leaves the rest to the other; if a group needs more than its fraction, both use the same error. A
+level is the union of both groups and has the larger of the two errors, because it is indistinguishable from the source only from that
+error's distance on; all its texels have the size that follows from this error.
 """
 
 import math
@@ -13,223 +13,251 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import SettingsError
-from ..progress import Steps, scaled
+from ..jobs.progress import Steps, subprogress
 from .cloud import Level
-from .estimate import BYTES_PER_TEXEL, estimate, sample_of
+from .clustering.patches import Covering, merge_coverings
+from .components import Components
+from .error_search import MAX_ERROR, MIN_FRACTION, Attempt, search_error
+from .estimate import BYTES_PER_TEXEL, estimate_levels, sample_primitives
 from .levels import LevelBuilder
-from .patches import Covering, union
 from .primitives import Primitives
-from .search import ENOUGH, LARGEST, Attempt, search
 from .settings import BillboardSettings
-from .surfaces import Surfaces
 
-BUILDS_FOR_THE_REST = 4  # of the kind that gets what is left over
-LEAST_WEIGHT = 0.05  # of the whole area
-QUADS_POWER = 1.2  # of one over the error: how the number of quads grows, for heads and trees
-TEXTURE_POWER = 2.0  # texels have two sides
+MAX_REMAINING_BUILDS = 4  # of the group that gets the unused rest of the budget
+MIN_AREA_FRACTION = 0.05  # of the total area: lower bound of the area against which the quads of a group are weighed
+MIN_BUDGET_FRACTION = 1e-9  # of the budget: replaces 0 as a divisor
+QUADS_EXPONENT = 1.2  # of 1 / error: growth of the number of quads, measured on heads and trees
+TEXTURE_EXPONENT = 2.0  # of 1 / error: texels have two sides
+GROUP_PROGRESS = 0.3  # of the progress of the allocation, for the search of one group; the rest is for the second search
+COARSE_LEVELS_PROGRESS = 0.2  # of the progress, for the levels above those that count for the budget
 
 
 @dataclass(frozen=True)
 class Budget:
-    """Either quads at the finest level or megabytes of texture of all levels; the other is 0."""
+    """Either quads of the finest level or megabytes of texture of all levels; the other is 0."""
 
     quads: int
     megabytes: float
 
     @property
     def limit(self) -> float:
-        """The largest amount, in the unit of `used`."""
+        """Maximum usage, in the unit of `measure_usage`."""
         return self.quads or self.megabytes
 
     @property
-    def power(self) -> float:
-        """What is used falls about as the error to the power of -`power`."""
-        return QUADS_POWER if self.quads else TEXTURE_POWER
+    def exponent(self) -> float:
+        """The usage is about proportional to the error to the power of -`exponent`."""
+        return QUADS_EXPONENT if self.quads else TEXTURE_EXPONENT
 
-    def measured_levels(self, levels: int) -> int:
-        """How many of the `levels` of a cloud count, from the finest on."""
+    @property
+    def setting(self) -> tuple[str, str]:
+        """Field name and label of the setting."""
+        return ("quads", "Quads") if self.quads else ("texture_mb", "Texture MB")
+
+    def count_measured_levels(self, levels: int) -> int:
+        """Return how many of the `levels` of a cloud, from the finest on, count for the budget."""
         return 1 if self.quads else levels
 
-    def used(self, levels: Sequence[Level]) -> float:
-        """What `levels` take: quads of the first, or megabytes of all as Blender will hold them, gutters and all maps."""
-        return len(levels[0].quads) if self.quads else megabytes(sum(math.prod(level.atlas.size) for level in levels))
+    def measure_usage(self, levels: Sequence[Level]) -> float:
+        """Return the quads of the first of `levels`, or the megabytes of all in Blender, including gutters and all maps."""
+        return len(levels[0].quads) if self.quads else texture_megabytes(sum(math.prod(level.atlas.size) for level in levels))
 
-    def instead_of_error(self, settings: BillboardSettings, limit: float) -> BillboardSettings:
-        """`settings` that ask for `limit`, a positive amount, of the same thing."""
+    def replace_in_settings(self, settings: BillboardSettings, limit: float) -> BillboardSettings:
+        """Return `settings` with `limit`, positive, as the budget in the same unit."""
         return replace(settings, quads=max(1, int(limit))) if self.quads else replace(settings, texture_mb=limit)
 
-    def described(self, amount: float) -> str:
-        """`amount` for people, never less than it is."""
+    def format_amount(self, amount: float) -> str:
+        """Return `amount` with its unit for messages, rounded up."""
         return f"{math.ceil(amount)} quads" if self.quads else f"{math.ceil(amount * 1000.0) / 1000.0:g} MB of texture"
 
 
-def budget_of(settings: BillboardSettings) -> Budget | None:
-    """The budget that `settings` ask for, or None where they take an error.
+def read_budget(settings: BillboardSettings) -> Budget | None:
+    """Return the budget of `settings`, or None if they use an error.
 
     Raises:
-        SettingsError: when they ask for both quads and megabytes.
+        SettingsError: both quads and megabytes are set.
     """
     if settings.quads and settings.texture_mb:
-        raise SettingsError(f"--quads {settings.quads} and --texture-mb {settings.texture_mb:g} are two budgets; leave one of them 0.")
+        raise SettingsError(
+            f"Quads is {settings.quads} and Texture MB is {settings.texture_mb:g}; set only one budget and leave the other 0.",
+            ("quads", "texture_mb"),
+        )
     return Budget(settings.quads, settings.texture_mb) if settings.quads or settings.texture_mb else None
 
 
-def megabytes(texels: int) -> float:
-    """What all maps of a texture with so many `texels` take."""
+def texture_megabytes(texels: int) -> float:
+    """Return the memory of all maps of a texture with this number of `texels`."""
     return texels * BYTES_PER_TEXEL / 1e6
 
 
 @dataclass(frozen=True)
-class Kind:
-    """Primitives that share one error and one part of the budget.
+class BudgetGroup:
+    """Primitives that share one error and one fraction of the budget.
 
-    index (K,): their numbers among all, in which the other fields are counted. part: of the budget, 0..1.
+    indices (K,): of the primitives among all. primitives, components: of these K. fraction: of the budget, 0..1.
     """
 
-    index: np.ndarray
+    indices: np.ndarray
     primitives: Primitives
-    surfaces: Surfaces
-    part: float
+    components: Components
+    fraction: float
 
 
-def kinds_of(primitives: Primitives, surfaces: Surfaces, loose_part: float) -> list[Kind]:
-    """Loose parts and connected surfaces, or the one kind that there is; first the one with fewer primitives for its part of the budget,
-    which is the likelier to leave some of it."""
-    loose = surfaces.loose
+def split_into_groups(primitives: Primitives, components: Components, loose_fraction: float) -> list[BudgetGroup]:
+    """Split into loose parts and connected surfaces, or return one group if there is only one of them.
+
+    The first group has fewer primitives for its fraction of the budget, and is thus more likely to leave some of it.
+    """
+    loose = components.loose
     if loose.all() or not loose.any():
-        return [Kind(np.arange(len(primitives)), primitives, surfaces, 1.0)]
-    members = ((np.flatnonzero(loose), loose_part), (np.flatnonzero(~loose), 1.0 - loose_part))
-    kinds = [Kind(index, primitives.subset(index), surfaces.subset(index), part) for index, part in members]
-    return sorted(kinds, key=lambda kind: len(kind.index) / max(kind.part, 1e-9))
+        return [BudgetGroup(np.arange(len(primitives)), primitives, components, 1.0)]
+    members = ((np.flatnonzero(loose), loose_fraction), (np.flatnonzero(~loose), 1.0 - loose_fraction))
+    groups = [BudgetGroup(indices, primitives.subset(indices), components.subset(indices), fraction) for indices, fraction in members]
+    return sorted(groups, key=lambda group: len(group.indices) / max(group.fraction, MIN_BUDGET_FRACTION))
 
 
-def within_budget(
-    primitives: Primitives, surfaces: Surfaces, builder: LevelBuilder, budget: Budget, name: str
+def cover_within_budget(
+    primitives: Primitives, components: Components, builder: LevelBuilder, budget: Budget, name: str
 ) -> Steps[tuple[list[Covering], float]]:
-    """The coverings of all levels that take no more than `budget` and come near to it, and the larger error of the finest one's kinds, over
-    the longest side.
+    """Build the coverings of all levels so that their usage is close to `budget` but not above it.
+
+    Returns:
+        The coverings, and the relative error of the finest level: the larger one of its groups.
 
     Raises:
-        SettingsError: when even the largest error takes more; `name` says of what.
+        SettingsError: even the largest error exceeds the budget; the message contains `name`.
     """
-    task = _Task(primitives, surfaces, builder, budget)
-    found = yield from scaled(task.shared_out(), 0.0, 0.8)
-    used = task.used(found)
-    if used > budget.limit:
+    search = _BudgetSearch(primitives, components, builder, budget)
+    allocation = yield from subprogress(search.allocate(), 0.0, 1.0 - COARSE_LEVELS_PROGRESS)
+    usage = search.measure(allocation)
+    if usage > budget.limit:
+        field_name, label = budget.setting
         raise SettingsError(
-            f'"{name}" takes at least {budget.described(used)}, at the largest error of {LARGEST:.0%}, and '
-            f"{budget.described(budget.limit)} were asked for; ask for more."
+            f'"{name}" needs at least {budget.format_amount(usage)}, at the largest error of {MAX_ERROR:.0%}, but {label} is '
+            f"{budget.limit:g}; increase it.",
+            (field_name,),
         )
-    whole = []
-    for number, (kind, attempt) in enumerate(found):
-        steps = task.all_levels(kind, attempt)
-        coverings = yield from scaled(steps, 0.8 + 0.2 * number / len(found), 0.8 + 0.2 * (number + 1) / len(found))
-        whole.append((kind, replace(attempt, coverings=coverings)))
-    return task.together(whole), error_of(whole)
+    complete = []
+    for index, (group, attempt) in enumerate(allocation):
+        steps = search.build_all_levels(group, attempt)
+        start, stop = (1.0 - COARSE_LEVELS_PROGRESS + COARSE_LEVELS_PROGRESS * i / len(allocation) for i in (index, index + 1))
+        coverings = yield from subprogress(steps, start, stop)
+        complete.append((group, replace(attempt, coverings=coverings)))
+    return search.combine(complete), max_relative_error(complete)
 
 
-Found = list[tuple[Kind, Attempt]]  # every primitive belongs to one of the kinds
+Allocation = list[tuple[BudgetGroup, Attempt]]  # the groups contain every primitive once
 
 
-def error_of(found: Found) -> float:
-    """The error of the finest level that the kinds make together, over the longest side."""
-    return max(attempt.share for _, attempt in found)
+def max_relative_error(allocation: Allocation) -> float:
+    """Return the relative error of the finest level that the groups form together."""
+    return max(attempt.relative_error for _, attempt in allocation)
 
 
 @dataclass(frozen=True)
-class _Task:
-    """What is to fit into the budget, and what it takes to try an error for a kind of it."""
+class _BudgetSearch:
+    """The complete input of a search, and the builds and measurements that it makes."""
 
     primitives: Primitives
-    surfaces: Surfaces
+    components: Components
     builder: LevelBuilder
     budget: Budget
 
-    def shared_out(self) -> Steps[Found]:
-        """An attempt a kind that together meet the budget. Where a kind cannot do with its part all take one error, if over too."""
-        found: Found = []
+    def allocate(self) -> Steps[Allocation]:
+        """Find one attempt per group that together meet the budget.
+
+        If a group exceeds its fraction, returns a single error for all primitives, even if that exceeds the budget.
+        """
+        allocation: Allocation = []
         limit = self.budget.limit
-        kinds = kinds_of(self.primitives, self.surfaces, self.builder.settings.loose_part_share)
-        for number, kind in enumerate(kinds):
-            if found:
-                kind = replace(kind, part=1.0 - self.used(found) / limit)
-            attempt = yield from scaled(self.alone(kind, kind.part * limit), 0.3 * number, 0.3 * (number + 1))
-            if attempt.used > kind.part * limit:
-                return (yield from scaled(self.same_error(), 0.3 * (number + 1), 1.0))
-            found.append((kind, attempt))
-        if len(kinds) > 1 and not ENOUGH * limit <= self.used(found) <= limit:
-            coarser = max((0, 1), key=lambda number: found[number][1].share)
-            found[coarser] = found[coarser][0], (yield from scaled(self.beside(found[1 - coarser], found[coarser]), 0.6, 1.0))
-        return found
+        groups = split_into_groups(self.primitives, self.components, self.builder.settings.loose_fraction)
+        for index, group in enumerate(groups):
+            if allocation:
+                group = replace(group, fraction=1.0 - self.measure(allocation) / limit)
+            steps = self.solve_alone(group, group.fraction * limit)
+            attempt = yield from subprogress(steps, GROUP_PROGRESS * index, GROUP_PROGRESS * (index + 1))
+            if attempt.usage > group.fraction * limit:
+                return (yield from subprogress(self.solve_with_one_error(), GROUP_PROGRESS * (index + 1), 1.0))
+            allocation.append((group, attempt))
+        if len(groups) > 1 and not MIN_FRACTION * limit <= self.measure(allocation) <= limit:
+            coarser = max((0, 1), key=lambda index: allocation[index][1].relative_error)
+            steps = self.solve_remaining(allocation[1 - coarser], allocation[coarser])
+            allocation[coarser] = allocation[coarser][0], (yield from subprogress(steps, 2.0 * GROUP_PROGRESS, 1.0))
+        return allocation
 
-    def same_error(self) -> Steps[Found]:
-        """One error for everything."""
-        everything = Kind(np.arange(len(self.primitives)), self.primitives, self.surfaces, 1.0)
-        return [(everything, (yield from self.alone(everything, self.budget.limit)))]
+    def solve_with_one_error(self) -> Steps[Allocation]:
+        """Find one error for all primitives."""
+        group = BudgetGroup(np.arange(len(self.primitives)), self.primitives, self.components, 1.0)
+        return [(group, (yield from self.solve_alone(group, self.budget.limit)))]
 
-    def alone(self, kind: Kind, limit: float) -> Steps[Attempt]:
-        """The attempt at `kind` by itself that meets `limit`."""
+    def solve_alone(self, group: BudgetGroup, limit: float) -> Steps[Attempt]:
+        """Find the attempt at `group` that meets `limit`, independently of other groups."""
 
-        def build(share: float) -> Steps[Attempt]:
-            coverings = yield from self.finest(kind, share)
-            return Attempt(share, self.measured(kind.primitives, kind.surfaces, coverings, share), coverings)
+        def build(error: float) -> Steps[Attempt]:
+            coverings = yield from self.build_finest(group, error)
+            return Attempt(error, self.measure_coverings(group.primitives, group.components, coverings, error), coverings)
 
-        return (yield from search(build, limit, self.guess(kind, limit), self.budget.power))
+        return (yield from search_error(build, limit, self.guess_error(group, limit), self.budget.exponent))
 
-    def beside(self, standing: tuple[Kind, Attempt], given: tuple[Kind, Attempt]) -> Steps[Attempt]:
-        """An attempt instead of the `given` one that meets the whole limit together with the `standing` one; used is what both take."""
-        kind, first = given
+    def solve_remaining(self, fixed: tuple[BudgetGroup, Attempt], initial: tuple[BudgetGroup, Attempt]) -> Steps[Attempt]:
+        """Find an attempt for the group of `initial` that meets the whole limit together with `fixed`. Its usage is that of both."""
+        group, first = initial
 
-        def joined(share: float, coverings: list[Covering]) -> Attempt:
-            attempt = Attempt(share, 0.0, coverings)
-            return replace(attempt, used=self.used([standing, (kind, attempt)]))
+        def measure_both(error: float, coverings: list[Covering]) -> Attempt:
+            attempt = Attempt(error, 0.0, coverings)
+            return replace(attempt, usage=self.measure([fixed, (group, attempt)]))
 
-        def build(share: float) -> Steps[Attempt]:
-            return joined(share, (yield from self.finest(kind, share)))
+        def build(error: float) -> Steps[Attempt]:
+            return measure_both(error, (yield from self.build_finest(group, error)))
 
-        known = [joined(first.share, first.coverings)]
-        return (yield from search(build, self.budget.limit, first.share, self.budget.power, known, BUILDS_FOR_THE_REST))
+        known = [measure_both(first.relative_error, first.coverings)]
+        limit, exponent = self.budget.limit, self.budget.exponent
+        return (yield from search_error(build, limit, first.relative_error, exponent, known, MAX_REMAINING_BUILDS))
 
-    def guess(self, kind: Kind, limit: float) -> float:
-        """The error that the estimate expects to meet `limit`; the one of the settings where it thinks that none does."""
+    def guess_error(self, group: BudgetGroup, limit: float) -> float:
+        """Return the relative error that meets `limit` according to the estimate, or that of the settings if none does."""
         if limit <= 0.0:
-            return LARGEST
-        asked = self.budget.instead_of_error(self.builder.settings, limit)
-        levels = estimate(sample_of(kind.primitives, self.builder.side), asked)
-        expected = levels[0].quads if self.budget.quads else megabytes(sum(level.texels for level in levels))
-        return levels[0].error / self.builder.side if ENOUGH * limit <= expected <= limit else self.builder.settings.error
+            return MAX_ERROR
+        side = self.builder.longest_side
+        settings = self.budget.replace_in_settings(self.builder.settings, limit)
+        levels = estimate_levels(sample_primitives(group.primitives, side), settings)
+        expected = levels[0].quads if self.budget.quads else texture_megabytes(sum(level.texels for level in levels))
+        return levels[0].error / side if MIN_FRACTION * limit <= expected <= limit else self.builder.settings.error
 
-    def finest(self, kind: Kind, share: float) -> Steps[list[Covering]]:
-        """The coverings of `kind` that count for the budget."""
-        count = self.budget.measured_levels(self.builder.settings.levels)
-        return self.builder.coverings(kind.primitives, kind.surfaces, share, count, area=self.weight(kind))
+    def build_finest(self, group: BudgetGroup, error: float) -> Steps[list[Covering]]:
+        """Build the coverings of `group` that count for the budget."""
+        count = self.budget.count_measured_levels(self.builder.settings.levels)
+        area = self.reference_area(group)
+        return self.builder.build_coverings(group.primitives, group.components, error, count, reference_area=area)
 
-    def all_levels(self, kind: Kind, attempt: Attempt) -> Steps[list[Covering]]:
-        """The coverings of `attempt` and of the levels above them."""
+    def build_all_levels(self, group: BudgetGroup, attempt: Attempt) -> Steps[list[Covering]]:
+        """Build the coverings above those of `attempt` and return all."""
         count, finest = self.builder.settings.levels, attempt.coverings
         if len(finest) == count:
             return finest
-        return (yield from self.builder.coverings(kind.primitives, kind.surfaces, attempt.share, count, finest, self.weight(kind)))
+        area = self.reference_area(group)
+        steps = self.builder.build_coverings(group.primitives, group.components, attempt.relative_error, count, finest, area)
+        return (yield from steps)
 
-    def weight(self, kind: Kind) -> float:
-        """What a quad of `kind` is weighed against: its part of the whole area, so that a quad is worth the same on all kinds."""
-        return max(kind.part, LEAST_WEIGHT) * float(self.primitives.areas.sum())
+    def reference_area(self, group: BudgetGroup) -> float:
+        """Return the area against which a quad of `group` is weighed: its fraction of the total, so that quads cost the same in both."""
+        return max(group.fraction, MIN_AREA_FRACTION) * float(self.primitives.areas.sum())
 
-    def used(self, found: Found) -> float:
-        """What the kinds in `found` take together."""
-        if len(found) == 1:
-            return found[0][1].used
-        return self.measured(self.primitives, self.surfaces, self.together(found), error_of(found))
+    def measure(self, allocation: Allocation) -> float:
+        """Return the usage of the groups in `allocation` together."""
+        if len(allocation) == 1:
+            return allocation[0][1].usage
+        return self.measure_coverings(self.primitives, self.components, self.combine(allocation), max_relative_error(allocation))
 
-    def measured(self, primitives: Primitives, surfaces: Surfaces, coverings: list[Covering], share: float) -> float:
-        """What the levels that `coverings` make take of the budget; infinite where no texture is large enough."""
+    def measure_coverings(self, primitives: Primitives, components: Components, coverings: list[Covering], error: float) -> float:
+        """Return the usage of the levels of `coverings`; infinite if no texture is large enough."""
         try:
-            return self.budget.used(self.builder.levels(primitives, surfaces, coverings, share))
+            return self.budget.measure_usage(self.builder.build_levels(primitives, components, coverings, error))
         except SettingsError:
             return math.inf
 
-    def together(self, found: Found) -> list[Covering]:
-        """The union, level by level, of the coverings in `found`, in the numbering of all primitives."""
-        levels = zip(*(attempt.coverings for _, attempt in found), strict=True)
-        indices = [kind.index for kind, _ in found]
-        return [union(list(zip(indices, coverings, strict=True)), len(self.primitives)) for coverings in levels]
+    def combine(self, allocation: Allocation) -> list[Covering]:
+        """Return the union of the groups' coverings per level, in the numbering of all primitives."""
+        levels = zip(*(attempt.coverings for _, attempt in allocation), strict=True)
+        indices = [group.indices for group, _ in allocation]
+        return [merge_coverings(list(zip(indices, coverings, strict=True)), len(self.primitives)) for coverings in levels]

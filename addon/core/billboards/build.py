@@ -1,96 +1,105 @@
-"""From a mesh or point cloud to a billboard cloud in levels: the one entry to the tool `billboards`."""
+"""Construction of a billboard cloud with levels of detail from a mesh or point cloud: entry point of the tool `billboards`."""
 
 import numpy as np
 
 from ..errors import GeometryError, SettingsError
-from ..mesh import PointCloud, TriangleMesh, check_points, longest_side, without_zero_area
-from ..progress import Progress, StageClock, Steps, scaled
-from .budget import budget_of, within_budget
+from ..geometry.mesh import PointCloud, TriangleMesh, check_points, drop_degenerate, longest_side
+from ..jobs.progress import Progress, StageClock, Steps, subprogress
+from .budget import cover_within_budget, read_budget
 from .cloud import Cloud, Level, Quads
+from .components import find_components
 from .levels import LevelBuilder
 from .primitives import Primitives, from_mesh, from_points
 from .settings import BillboardSettings
-from .surfaces import surfaces_of
+
+PACKING_START = 0.95  # fraction of the progress bar; the rest is for packing the atlas
+MAX_NORMAL_LENGTH_ERROR = 1e-3  # of a point's normal; others count as missing
 
 
-def build(source: TriangleMesh | PointCloud, settings: BillboardSettings, name: str = "mesh") -> Steps[Cloud]:
+def build_cloud(source: TriangleMesh | PointCloud, settings: BillboardSettings, name: str = "mesh") -> Steps[Cloud]:
     """Build the billboard cloud of `source` (world space, any unit of length).
 
     Returns:
-        The cloud; primitive numbers in it are those of `source`, also where zero-area triangles were dropped (their owner is -1).
+        The cloud. Its primitive indices are those of `source`, also if zero-area triangles were dropped (their owner is -1).
 
     Raises:
-        GeometryError: when the source is empty, not finite or without area; `name` says whose it is.
-        SettingsError: when the settings contradict each other or the source, or no error keeps the cloud within the budget asked for.
+        GeometryError: the source is empty, not finite or without area; the message contains `name`.
+        SettingsError: the settings contradict each other or the source, or no error keeps the cloud within the requested budget.
     """
-    budget = budget_of(settings)
+    budget = read_budget(settings)
     clock = StageClock()
-    primitives, kept, total = prepare(source, settings, name)
+    primitives, kept, total = prepare_primitives(source, settings, name)
     side = longest_side(primitives.points[np.unique(primitives.corners)])
-    centred, middle = _about_origin(primitives)
-    with clock.stage("parts"):
-        surfaces = surfaces_of(centred)
+    centered, center = _move_to_origin(primitives)
+    with clock.stage("components"):
+        components = find_components(centered)
     builder = LevelBuilder(settings, side, clock)
     if budget is None:
-        coverings = yield from scaled(builder.coverings(centred, surfaces, settings.error, settings.levels), 0.0, 0.95)
+        steps = builder.build_coverings(centered, components, settings.error, settings.levels)
+        coverings = yield from subprogress(steps, 0.0, PACKING_START)
         error = settings.error
     else:
-        coverings, error = yield from scaled(within_budget(centred, surfaces, builder, budget, name), 0.0, 0.95)
-    yield Progress(0.95, "Packing the atlas")
-    levels = builder.levels(centred, surfaces, coverings, error)
-    distance, beyond, uncovered = _figures(centred, levels, settings)
-    levels = [_in_source(level, middle, kept, total) for level in levels]
-    return Cloud(levels, total, total - len(kept), side, distance, beyond, uncovered, clock.seconds)
+        coverings, error = yield from subprogress(cover_within_budget(centered, components, builder, budget, name), 0.0, PACKING_START)
+    yield Progress(PACKING_START, "Packing the atlas")
+    levels = builder.build_levels(centered, components, coverings, error)
+    distance, beyond_normal_bound, uncovered = _measure(centered, levels, settings)
+    levels = [_move_to_source(level, center, kept, total) for level in levels]
+    return Cloud(levels, total, total - len(kept), side, distance, beyond_normal_bound, uncovered, clock.seconds)
 
 
-def prepare(source: TriangleMesh | PointCloud, settings: BillboardSettings, name: str) -> tuple[Primitives, np.ndarray, int]:
-    """The checked primitives of `source`, their numbers (K,) in it, and how many it has in all."""
+def prepare_primitives(source: TriangleMesh | PointCloud, settings: BillboardSettings, name: str) -> tuple[Primitives, np.ndarray, int]:
+    """Check `source` and return its usable primitives, their indices (K,) in it, and the number of all its primitives."""
     if isinstance(source, PointCloud):
         if settings.method == "decimate":
-            raise SettingsError(f'"{name}" is a point cloud, which cannot be decimated; choose the method clusters or hough.')
+            raise SettingsError(f'"{name}" is a point cloud, which cannot be decimated; set Method to clusters or hough.', ("method",))
         check_points(source.points, name)
-        kept = np.flatnonzero((source.radii > 0.0) & (np.abs(np.linalg.norm(source.normals, axis=1) - 1.0) < 1e-3))
+        has_normal = np.abs(np.linalg.norm(source.normals, axis=1) - 1.0) < MAX_NORMAL_LENGTH_ERROR
+        kept = np.flatnonzero((source.radii > 0.0) & has_normal)
         if len(kept) == 0:
             raise GeometryError(f'No point of "{name}" has a radius and a normal; estimate them first.')
         colors = None if source.colors is None else source.colors[kept]
         return from_points(PointCloud(source.points[kept], source.normals[kept], source.radii[kept], colors)), kept, len(source.points)
-    mesh, kept = without_zero_area(source, name)
+    mesh, kept = drop_degenerate(source, name)
     return from_mesh(mesh), kept, len(source.triangles)
 
 
-def _about_origin(primitives: Primitives) -> tuple[Primitives, np.ndarray]:
-    """The primitives about the centre of their box, where sums of squares keep their digits, and that centre (3,)."""
-    used = primitives.positions.reshape(-1, 3)
-    middle = 0.5 * (used.min(axis=0) + used.max(axis=0))
-    return Primitives(primitives.points - middle, primitives.corners, primitives.areas, primitives.normals), middle
+def _move_to_origin(primitives: Primitives) -> tuple[Primitives, np.ndarray]:
+    """Return the primitives relative to the center of their bounding box, where sums of squares are accurate, and that center (3,)."""
+    positions = primitives.positions.reshape(-1, 3)
+    center = 0.5 * (positions.min(axis=0) + positions.max(axis=0))
+    return Primitives(primitives.points - center, primitives.corners, primitives.areas, primitives.normals), center
 
 
-def _figures(primitives: Primitives, levels: list[Level], settings: BillboardSettings) -> tuple[float, int, int]:
-    """Largest corner distance to a plane that shows it over the level's error; faces beyond the normal bound and faces shown nowhere.
+def _measure(primitives: Primitives, levels: list[Level], settings: BillboardSettings) -> tuple[float, int, int]:
+    """Measure what the levels promise.
 
-    A plane of the method hough serves both of its sides, so there it is the smaller angle to either that counts.
+    Returns:
+        The maximum distance of a corner to the plane of a quad that shows it, over the level's error; the number of faces of the finest
+        level beyond the normal bound of their owner; the number of faces that no quad shows. A plane of the method hough is two-sided, so
+        there the smaller angle to its two normals counts.
     """
-    distance, beyond, uncovered = 0.0, 0, 0
-    for number, level in enumerate(levels):
+    distance, beyond_normal_bound, uncovered = 0.0, 0, 0
+    for index, level in enumerate(levels):
         quads = level.quads
-        which = np.repeat(np.arange(len(quads)), np.diff(quads.drawn_offsets))
+        quad = np.repeat(np.arange(len(quads)), np.diff(quads.drawn_offsets))
         offsets = np.einsum("qi,qi->q", quads.centers, quads.frames[:, 2])
-        heights = np.einsum("kci,ki->kc", primitives.positions[quads.drawn], quads.frames[which, 2]) - offsets[which, None]
+        heights = np.einsum("kci,ki->kc", primitives.positions[quads.drawn], quads.frames[quad, 2]) - offsets[quad, None]
         distance = max(distance, float(np.abs(heights).max() / level.error))
-        shown = np.zeros(len(primitives), bool)
-        shown[quads.drawn] = True
-        uncovered = max(uncovered, int((~shown).sum()))
-        if number == 0:
-            facing = np.einsum("pi,pi->p", primitives.normals, quads.frames[quads.owner, 2])
-            facing = np.abs(facing) if settings.method == "hough" else facing
-            beyond = int((facing < np.cos(settings.max_normal_deviation)).sum())
-    return distance, beyond, uncovered
+        is_drawn = np.zeros(len(primitives), bool)
+        is_drawn[quads.drawn] = True
+        uncovered = max(uncovered, int((~is_drawn).sum()))
+        if index == 0:
+            cosines = np.einsum("pi,pi->p", primitives.normals, quads.frames[quads.owner, 2])
+            cosines = np.abs(cosines) if settings.method == "hough" else cosines
+            beyond_normal_bound = int((cosines < np.cos(settings.max_normal_deviation)).sum())
+    return distance, beyond_normal_bound, uncovered
 
 
-def _in_source(level: Level, middle: np.ndarray, kept: np.ndarray, total: int) -> Level:
-    """The level back in the place and the numbering of the source."""
+def _move_to_source(level: Level, center: np.ndarray, kept: np.ndarray, total: int) -> Level:
+    """Return the level in the space and numbering of the source."""
     owner = np.full(total, -1, np.int32)
     owner[kept] = level.quads.owner
     quads = level.quads
-    moved = Quads(quads.centers + middle, quads.frames, quads.half_sizes, quads.drawn_offsets, kept[quads.drawn].astype(np.int32), owner)
-    return Level(level.error, level.texel, moved, level.atlas, level.cutouts, level.joined, level.solid)
+    drawn = kept[quads.drawn].astype(np.int32)
+    moved = Quads(quads.centers + center, quads.frames, quads.half_sizes, quads.drawn_offsets, drawn, owner)
+    return Level(level.error, level.texel_size, moved, level.atlas, level.cutouts, level.joined, level.solid)

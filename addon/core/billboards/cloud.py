@@ -1,4 +1,4 @@
-"""What a billboard cloud is: quads in space, the faces drawn on each, and their places in an atlas, level by level."""
+"""Data of a billboard cloud: per level the quads in space, the faces drawn on each, and their rectangles in a texture atlas."""
 
 from dataclasses import dataclass, field
 
@@ -7,11 +7,11 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Quads:
-    """Q rectangles in world space and the primitives (triangles or points) that they stand for.
+    """Q rectangles in world space and the primitives (triangles or points) that they replace.
 
     centers (Q, 3); frames (Q, 3, 3): rows are the unit axes u, v and the normal n = u x v; half_sizes (Q, 2) along u and v. float64.
     drawn_offsets (Q + 1,), drawn (K,) int32: quad q shows the primitives drawn[drawn_offsets[q]:drawn_offsets[q + 1]], ascending;
-    a primitive may be drawn on several quads. owner (P,) int32: the one quad that each primitive belongs to.
+    a primitive may be drawn on several quads. owner (P,) int32: the single quad that owns each primitive.
     """
 
     centers: np.ndarray
@@ -30,17 +30,17 @@ class Quads:
         return 4.0 * self.half_sizes[:, 0] * self.half_sizes[:, 1]
 
     def corners(self) -> np.ndarray:
-        """(Q, 4, 3) corners, counter-clockwise seen from the side of the normal, from (-u, -v) on."""
+        """Return the corners (Q, 4, 3), counter-clockwise seen from the side of the normal, starting at (-u, -v)."""
         signs = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
         offsets = signs[None] * self.half_sizes[:, None]
         return self.centers[:, None] + np.einsum("qci,qij->qcj", offsets, self.frames[:, :2])
 
 
 @dataclass(frozen=True)
-class Atlas:
-    """Places of the quads in one texture.
+class AtlasLayout:
+    """Layout of the quads in one texture.
 
-    size: (width, height) in texels. rectangles (Q, 4) int32: x, y, width, height of each quad's texels, gutter not counted, row 0 at the
+    size: (width, height) in texels. rectangles (Q, 4) int32: x, y, width, height of each quad's texels without gutter, row 0 at the
     bottom; the texel (x, y) is the corner (-u, -v) of the quad and u runs along x. gutter: texels between rectangles.
     """
 
@@ -49,45 +49,45 @@ class Atlas:
     gutter: int
 
     @property
-    def texels(self) -> int:
-        """Texels that the quads take, gutters not counted."""
+    def texel_count(self) -> int:
+        """Number of texels in the rectangles, without gutters."""
         return int((self.rectangles[:, 2].astype(np.int64) * self.rectangles[:, 3]).sum())
 
 
 @dataclass(frozen=True)
 class Level:
-    """One level of a cloud.
+    """One level of detail of a cloud.
 
-    error and texel are lengths in scene units. cutouts: a (C, 2) polygon a quad, in -1..1 of its half sizes.
-    joined (Q,) bool: whether a quad shows a surface that goes on on another quad; its textures are grown by a texel, so that no crack
-    opens between the two. solid (Q,) bool: whether a quad shows nothing but the outside of solids, whose inside no camera sees.
+    error and texel_size are lengths in scene units. cutouts: per quad a (C, 2) polygon, in -1..1 of its half sizes.
+    joined (Q,) bool: the quad shows part of a surface that continues on other quads. Its textures are extended by one texel, so that no
+    crack opens between the two. solid (Q,) bool: the quad shows only the outside of solids, whose inside no camera sees.
     """
 
     error: float
-    texel: float
+    texel_size: float
     quads: Quads
-    atlas: Atlas
+    atlas: AtlasLayout
     cutouts: list[np.ndarray]
     joined: np.ndarray
     solid: np.ndarray
 
     @property
-    def texels(self) -> int:
-        """Texels within the quads; a quad cut to a triangle takes half of its rectangle."""
+    def texel_count(self) -> int:
+        """Number of texels inside the quads. A quad cut to a triangle counts half of its rectangle."""
         sizes = self.atlas.rectangles[:, 2:].astype(np.int64).prod(axis=1)
-        halved = np.array([len(cutout) == 3 for cutout in self.cutouts])
-        return int(np.where(halved, 0.5 * sizes, sizes).sum())
+        triangular = np.array([len(cutout) == 3 for cutout in self.cutouts])
+        return int(np.where(triangular, 0.5 * sizes, sizes).sum())
 
 
 @dataclass(frozen=True)
 class Cloud:
-    """A billboard cloud from fine to coarse, and the figures of the run that made it."""
+    """A billboard cloud, finest level first, and statistics of its construction."""
 
     levels: list[Level]
     source_triangles: int
     dropped_triangles: int
     longest_side: float
-    max_plane_distance: float  # largest distance of a vertex to the plane of a quad that shows it, over the level's error
+    max_plane_distance: float  # maximum distance of a vertex to the plane of a quad that shows it, over the level's error
     faces_beyond_normal_bound: int
     uncovered_faces: int
     seconds: dict[str, float] = field(default_factory=dict)

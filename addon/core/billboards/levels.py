@@ -1,88 +1,99 @@
-"""Levels for any error: coverings by the chosen method, then quads, atlas and cutouts."""
+"""Construction of levels of detail for any error: coverings by the selected method, then quads, atlas and cutouts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..progress import StageClock, Steps
+from ..jobs.progress import StageClock, Steps
 from . import methods
 from .atlas import pack
 from .cloud import Level
+from .clustering.patches import Covering, Patch, extend_overlaps, to_quads
+from .clustering.rectangles import compute_bounds
+from .components import Components, find_shared_surfaces
 from .cutouts import cut_corners
-from .patches import Covering, Patch, overlapping, to_quads
 from .primitives import Primitives
-from .rectangles import bounds_of
 from .settings import BillboardSettings
-from .surfaces import Surfaces, shared_surfaces
 
-METHODS = {"clusters": methods.clusters, "hough": methods.hough, "decimate": methods.decimate}
-MARGIN = 0.25  # of the error: quads of a convex surface that meet at 30 degrees are apart by about this much
-KEPT_BACK = 1e-4  # of the error and the normal bound: room for rounding to single precision in Blender and in files
+METHODS = {
+    "clusters": methods.cover_by_clustering,
+    "hough": methods.cover_by_hough,
+    "decimate": methods.cover_by_decimation,
+}
+OVERLAP_MARGIN = 0.25  # of the error: quads of a convex surface that meet at 30 degrees leave a gap of about this width
+ROUNDING_MARGIN = 1e-4  # of the error: reserve for rounding to single precision in Blender and in files
+MIN_HALF_SIZE = 1e-12  # of a texel: replaces the half size 0 of a quad without height, a divisor
+CLIP_TOLERANCE = 1e-6  # of a half size: primitives that exceed the rectangle by less are not clipped
 
 
 @dataclass(frozen=True)
 class LevelBuilder:
-    """Builds levels with `settings`, but with an error that the caller names: a share of `side`, the longest side of the whole source.
+    """Builds levels with `settings`, but with errors from the caller, as fractions of `longest_side`.
 
-    `clock` takes the time of every stage.
+    longest_side: length of the longest bounding-box side of the complete source. clock: measures the time of every stage.
     """
 
     settings: BillboardSettings
-    side: float
+    longest_side: float
     clock: StageClock
 
-    def coverings(
+    def build_coverings(
         self,
         primitives: Primitives,
-        surfaces: Surfaces,
-        share: float,
+        components: Components,
+        relative_error: float,
         count: int,
-        standing: Sequence[Covering] = (),
-        area: float | None = None,
+        finished: Sequence[Covering] = (),
+        reference_area: float | None = None,
     ) -> Steps[list[Covering]]:
-        """The coverings of the `count` finest levels, finest first, with the error `share` at the finest; see `methods`."""
-        inner = [error * (1.0 - KEPT_BACK) for error in self._errors(share, count)]
-        return METHODS[self.settings.method](primitives, surfaces, inner, self.settings, self.clock, standing, area)
+        """Build the coverings of the `count` finest levels, finest first, with `relative_error` at the finest; see `methods`."""
+        errors = [error * (1.0 - ROUNDING_MARGIN) for error in self._errors(relative_error, count)]
+        method = METHODS[self.settings.method]
+        return method(primitives, components, errors, self.settings, self.clock, finished, reference_area)
 
-    def levels(self, primitives: Primitives, surfaces: Surfaces, coverings: Sequence[Covering], share: float) -> list[Level]:
-        """The levels that `coverings` make, finest first, in the space and numbering of `primitives`.
+    def build_levels(
+        self, primitives: Primitives, components: Components, coverings: Sequence[Covering], relative_error: float
+    ) -> list[Level]:
+        """Build the levels of `coverings`, finest first, in the space and numbering of `primitives`.
 
         Raises:
-            SettingsError: when no texture is large enough for one of them.
+            SettingsError: no texture is large enough for one of them.
         """
         with self.clock.stage("pack"):
             return [
-                _level(primitives, covering, surfaces, error, self.settings.texel_error * error, self.settings.cutout_corners)
-                for covering, error in zip(coverings, self._errors(share, len(coverings)), strict=True)
+                _build_level(primitives, covering, components, error, self.settings.texel_size * error, self.settings.cutout_corners)
+                for covering, error in zip(coverings, self._errors(relative_error, len(coverings)), strict=True)
             ]
 
-    def _errors(self, share: float, count: int) -> list[float]:
-        """The errors of the `count` finest levels as lengths."""
-        return [share * self.side * 2.0**level for level in range(count)]
+    def _errors(self, relative_error: float, count: int) -> list[float]:
+        """Return the errors of the `count` finest levels as lengths."""
+        return [relative_error * self.longest_side * 2.0**level for level in range(count)]
 
 
-def _level(primitives: Primitives, covering: Covering, surfaces: Surfaces, error: float, texel: float, most_corners: int) -> Level:
-    """Quads, atlas and cutouts of one level."""
-    shared = shared_surfaces(surfaces, covering.owner)
-    covering = overlapping(primitives, covering, shared, MARGIN * error)
+def _build_level(
+    primitives: Primitives, covering: Covering, components: Components, error: float, texel_size: float, max_corners: int
+) -> Level:
+    """Build quads, atlas and cutouts of one level."""
+    shared = find_shared_surfaces(components, covering.owner)
+    covering = extend_overlaps(primitives, covering, shared, OVERLAP_MARGIN * error)
     quads = to_quads(covering.patches, covering.owner)
-    cutouts = [_cutout(primitives, patch, texel, most_corners) for patch in covering.patches]
-    joined = np.array([patch.outline is None and bool(shared[patch.shown].any()) for patch in covering.patches])
-    solid = np.array([bool(surfaces.solid[patch.shown].all()) for patch in covering.patches])
-    return Level(error, texel, quads, pack(quads.half_sizes, texel), cutouts, joined, solid)
+    cutouts = [_compute_cutout(primitives, patch, texel_size, max_corners) for patch in covering.patches]
+    joined = np.array([patch.outline is None and bool(shared[patch.drawn].any()) for patch in covering.patches])
+    solid = np.array([bool(components.solid[patch.drawn].all()) for patch in covering.patches])
+    return Level(error, texel_size, quads, pack(quads.half_sizes, texel_size), cutouts, joined, solid)
 
 
-def _cutout(primitives: Primitives, patch: Patch, texel: float, most_corners: int) -> np.ndarray:
-    """The polygon that `patch` is cut to, in -1..1 of its half sides; half a texel stays free around what it shows."""
+def _compute_cutout(primitives: Primitives, patch: Patch, texel_size: float, max_corners: int) -> np.ndarray:
+    """Compute the polygon that `patch` is cut to, in -1..1 of its half sizes, with a margin of half a texel around the drawn primitives."""
     if patch.outline is not None:
         return patch.outline
-    middle = patch.rectangle.reshape(2, 2).mean(axis=1)
-    half = np.maximum(0.5 * np.ptp(patch.rectangle.reshape(2, 2), axis=1), 1e-12 * texel)
-    bounds = (bounds_of(primitives.positions[patch.shown], patch.axes).reshape(-1, 2, 2) - middle[:, None]) / half[:, None]
-    sticking_out = (np.abs(bounds) > 1.0 + 1e-6).any(axis=(1, 2))
-    local = (primitives.positions[patch.shown[~sticking_out]].reshape(-1, 3) @ patch.axes.T - middle) / half
-    # What sticks out is cut at the rectangle: the corners of its box hold all that is left of it.
-    boxes = np.clip(bounds[sticking_out], -1.0, 1.0)
+    center = patch.rectangle.reshape(2, 2).mean(axis=1)
+    half_size = np.maximum(0.5 * np.ptp(patch.rectangle.reshape(2, 2), axis=1), MIN_HALF_SIZE * texel_size)
+    bounds = (compute_bounds(primitives.positions[patch.drawn], patch.axes).reshape(-1, 2, 2) - center[:, None]) / half_size[:, None]
+    clipped = (np.abs(bounds) > 1.0 + CLIP_TOLERANCE).any(axis=(1, 2))
+    local = (primitives.positions[patch.drawn[~clipped]].reshape(-1, 3) @ patch.axes.T - center) / half_size
+    # The rectangle clips these primitives: the corners of their clipped bounding boxes contain the visible part.
+    boxes = np.clip(bounds[clipped], -1.0, 1.0)
     corners = np.stack([boxes[:, 0][:, [0, 1, 1, 0]], boxes[:, 1][:, [0, 0, 1, 1]]], axis=2).reshape(-1, 2)
-    return cut_corners(np.clip(np.concatenate([local, corners]), -1.0, 1.0), 0.5 * texel / half, most_corners)
+    return cut_corners(np.clip(np.concatenate([local, corners]), -1.0, 1.0), 0.5 * texel_size / half_size, max_corners)

@@ -1,137 +1,164 @@
-"""The three ways to find the quads of a level: one function each, from primitives to coverings, finest level first.
+"""The three methods that find the quads of a level, one function each: from primitives to coverings, finest level first.
 
-`errors` are those of all levels; levels that are `standing` already, with the same errors, are handed back as they are. `area` is what a
-quad is weighed against, instead of the area of the primitives, where these are part of something larger.
+All take the same arguments. `errors`: lengths, of all levels. `finished`: coverings of the finest levels for the same errors, returned
+unchanged. `reference_area`: area against which the cost of a quad is weighed, for primitives that are part of a larger whole; by default
+that of the primitives.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from ..progress import Progress, StageClock, Steps, scaled
-from ..spatial import nearest_pairs
-from .cover import CoverBounds, SafePlanes, cover
-from .hierarchy import ClusterBounds, merge_in_rounds
-from .patches import Covering, Patch, members_of, owners_of_groups, squarest, union
-from .planes import frames_of
+from ..geometry.frames import frames_from_normals
+from ..geometry.proximity import nearest_pairs
+from ..jobs.progress import Progress, StageClock, Steps, subprogress
+from .clustering.cover import CoverSettings, cover_with_rectangles
+from .clustering.hierarchy import ClusterBounds, merge_in_rounds
+from .clustering.patches import Covering, Patch, assign_groups, best_facing_patch, group_by_label, merge_coverings
+from .clustering.planes import PlaneBounds, Planes
+from .clustering.rectangles import compute_bounds, enclosing_rectangle, min_area_axes
+from .components import Components
+from .decimation.flat_surfaces import cover_flat_surfaces
+from .decimation.triangle_patches import build_triangle_patches
 from .primitives import Primitives
-from .rectangles import around, bounds_of, smallest_rectangle
 from .settings import BillboardSettings
-from .surfaces import Surfaces
-from .triangles import patches_of_triangles
 
-REGION_NEIGHBOURS = 12  # through which a quad's region grows
-QUAD_COST = 4.0  # what one more quad is worth, in mean areas of a cluster
-ROUNDS = 4
-COARSE_ROUNDS = 2
+REGION_NEIGHBORS = 12  # per primitive, in the graph over which the region of a quad grows
+QUAD_COST = 4.0  # of one more quad, in mean areas of a cluster
+MAX_COVER_ROUNDS = 4  # at the finest level
+MAX_COARSE_COVER_ROUNDS = 2  # at other levels, which start from the quads of the finer one
+NEIGHBORS_FRACTION = 0.1  # of the progress bar of `cover_by_clustering`, for the proximity graph
+UNASSIGNED_FRACTION = 0.1  # of the progress of a level of `cover_by_decimation`, for clustering unassigned faces
 
 
-def clusters(
+def cover_by_clustering(
     primitives: Primitives,
-    surfaces: Surfaces,
+    components: Components,
     errors: list[float],
     settings: BillboardSettings,
     clock: StageClock,
-    standing: Sequence[Covering] = (),
-    area: float | None = None,
+    finished: Sequence[Covering] = (),
+    reference_area: float | None = None,
 ) -> Steps[list[Covering]]:
-    """Generalised hierarchical face clustering (section 4.3), then the fewest overlapping quads that cover everything.
+    """Generalized hierarchical face clustering (section 4.3), then the fewest overlapping quads that cover all primitives.
 
-    Ownership is settled at the finest level; a coarser quad owns whole clusters of the finer level, so levels nest. Loose parts and
-    connected surfaces, leaves and trunk, never meet on one quad.
+    The finest level determines ownership; a coarser quad owns whole clusters of the finer level, so levels nest. Loose parts and
+    connected surfaces, such as leaves and trunk, never share a quad.
     """
-    yield Progress(0.0, "Looking for neighbours")
-    with clock.stage("neighbours"):
-        pairs, distances = primitives.neighbours
-        alike = surfaces.loose[pairs[:, 0]] == surfaces.loose[pairs[:, 1]]
-        pairs, distances = pairs[alike], distances[alike]
-        near = pairs[nearest_pairs(pairs, distances, len(primitives), REGION_NEIGHBOURS)] if len(pairs) else pairs
+    yield Progress(0.0, "Finding neighbors")
+    with clock.stage("neighbors"):
+        pairs, distances = primitives.proximity_graph
+        same_kind = components.loose[pairs[:, 0]] == components.loose[pairs[:, 1]]
+        pairs, distances = pairs[same_kind], distances[same_kind]
+        near = pairs[nearest_pairs(pairs, distances, len(primitives), REGION_NEIGHBORS)] if len(pairs) else pairs
     bounds = ClusterBounds(errors[0], settings.max_normal_deviation, settings.max_texture_waste)
-    coverings = list(standing)
-    for level, start, stop in _spans(len(standing), len(errors), 0.1):
-        groups, safe = _groups_to_merge(primitives, coverings)
+    coverings = list(finished)
+    for level, start, stop in _progress_spans(len(finished), len(errors), NEIGHBORS_FRACTION):
+        groups, fallback = _initial_groups(primitives, coverings)
         merging = merge_in_rounds(primitives, groups, pairs, distances, bounds, level)
         with clock.stage("clusters"):
-            labels = yield from scaled(merging, start, 0.5 * (start + stop))
-        sets = members_of(labels) + [patch.shown for covering in coverings[-1:] for patch in covering.patches]
-        rounds = ROUNDS if level == 0 else COARSE_ROUNDS
-        quad_cost = QUAD_COST * (area or float(primitives.areas.sum())) / (int(labels.max()) + 1)
-        cover_bounds = CoverBounds(errors[level], settings.max_normal_deviation, quad_cost, rounds)
-        steps = cover(primitives, groups, safe, near, sets, cover_bounds)
+            labels = yield from subprogress(merging, start, 0.5 * (start + stop))
+        candidates = group_by_label(labels) + [patch.drawn for covering in coverings[-1:] for patch in covering.patches]
+        max_rounds = MAX_COVER_ROUNDS if level == 0 else MAX_COARSE_COVER_ROUNDS
+        quad_cost = QUAD_COST * (reference_area or float(primitives.areas.sum())) / (int(labels.max()) + 1)
+        plane_bounds = PlaneBounds(errors[level], float(np.cos(settings.max_normal_deviation)))
+        steps = cover_with_rectangles(primitives, groups, fallback, near, candidates, CoverSettings(plane_bounds, quad_cost, max_rounds))
         with clock.stage("cover"):
-            patches = yield from scaled(steps, 0.5 * (start + stop), stop)
-        owner = squarest(primitives, patches) if level == 0 else owners_of_groups(primitives, patches, groups)
+            patches = yield from subprogress(steps, 0.5 * (start + stop), stop)
+        owner = best_facing_patch(primitives, patches) if level == 0 else assign_groups(primitives, patches, groups)
         coverings.append(Covering(patches, owner))
     return coverings
 
 
-def _spans(first: int, count: int, start: float) -> list[tuple[int, float, float]]:
-    """The levels from `first` to the last of `count`, each with its part of the fractions from `start` to 1."""
+def _progress_spans(first: int, count: int, start: float) -> list[tuple[int, float, float]]:
+    """Return the levels from `first` to the last of `count`, each with its part of the progress from `start` to 1."""
     step = (1.0 - start) / max(count - first, 1)
     return [(level, start + step * (level - first), start + step * (level - first + 1)) for level in range(first, count)]
 
 
-def _groups_to_merge(primitives: Primitives, coverings: list[Covering]) -> tuple[np.ndarray, SafePlanes]:
-    """Where the level above `coverings` starts: the clusters (P,) int32 of the level below, each with the plane of the quad that owns it;
-    every primitive by itself where there is none."""
+def _initial_groups(primitives: Primitives, coverings: list[Covering]) -> tuple[np.ndarray, Planes]:
+    """Return the groups (P,) int32 from which the level above `coverings` starts, and for each a plane that shows it.
+
+    These are the clusters of the finer level with the planes of their owners, or single primitives for the finest level.
+    """
     if not coverings:
         offsets = np.einsum("pi,pi->p", primitives.normals, primitives.positions[:, 0])
-        return np.arange(len(primitives), dtype=np.int32), SafePlanes(primitives.normals, offsets)
-    owning, groups = np.unique(coverings[-1].owner, return_inverse=True)
-    patches = [coverings[-1].patches[number] for number in owning]
-    planes = SafePlanes(np.array([patch.normal for patch in patches]), np.array([patch.offset for patch in patches]))
+        return np.arange(len(primitives), dtype=np.int32), Planes(primitives.normals, offsets)
+    owners, groups = np.unique(coverings[-1].owner, return_inverse=True)
+    patches = [coverings[-1].patches[index] for index in owners]
+    planes = Planes(np.array([patch.normal for patch in patches]), np.array([patch.offset for patch in patches]))
     return groups.reshape(-1).astype(np.int32), planes
 
 
-def hough(
+def cover_by_hough(
     primitives: Primitives,
-    _surfaces: Surfaces,
+    _components: Components,
     errors: list[float],
     settings: BillboardSettings,
     clock: StageClock,
-    standing: Sequence[Covering] = (),
-    _area: float | None = None,
+    finished: Sequence[Covering] = (),
+    _reference_area: float | None = None,
 ) -> Steps[list[Covering]]:
-    """Greedy planes in Hough space (section 4.1), each level on its own."""
-    from .hough import find_planes
+    """Greedy planes in Hough space (section 4.1), each level independently."""
+    from .hough.hough import find_planes
 
-    coverings = list(standing)
-    for level, start, stop in _spans(len(standing), len(errors), 0.0):
+    coverings = list(finished)
+    for level, start, stop in _progress_spans(len(finished), len(errors), 0.0):
         steps = find_planes(primitives.positions, primitives.areas, primitives.normals, errors[level], settings.seed)
         with clock.stage("planes"):
-            planes = yield from scaled(steps, start, stop)
-        frames = frames_of(planes.normals)
+            planes = yield from subprogress(steps, start, stop)
+        frames = frames_from_normals(planes.normals)
         patches = []
-        for normal, offset, frame, shown in zip(planes.normals, planes.offsets, frames, planes.covers, strict=True):
-            positions = primitives.positions[shown]
-            axes = smallest_rectangle(positions.reshape(-1, 3) @ frame[:2].T) @ frame[:2]
-            patches.append(Patch(normal, float(offset), axes, around(bounds_of(positions, axes)), shown, shown))
+        for normal, offset, frame, drawn in zip(planes.normals, planes.offsets, frames, planes.drawn, strict=True):
+            positions = primitives.positions[drawn]
+            axes = min_area_axes(positions.reshape(-1, 3) @ frame[:2].T) @ frame[:2]
+            rectangle = enclosing_rectangle(compute_bounds(positions, axes))
+            patches.append(Patch(normal, float(offset), axes, rectangle, drawn, drawn))
         coverings.append(Covering(patches, planes.owner))
     return coverings
 
 
-def decimate(
+def cover_by_decimation(
     primitives: Primitives,
-    surfaces: Surfaces,
+    components: Components,
     errors: list[float],
     settings: BillboardSettings,
     clock: StageClock,
-    standing: Sequence[Covering] = (),
-    _area: float | None = None,
+    finished: Sequence[Covering] = (),
+    _reference_area: float | None = None,
 ) -> Steps[list[Covering]]:
-    """Edge collapse with a measured error (section 4.2), each level on its own; every triangle of the result becomes a quad, and those in
-    one plane become one together. Faces that no triangle stands for are clustered."""
-    from .decimate import decimate_to_error
+    """Edge collapse with a measured error (section 4.2), each level independently.
 
-    coverings = list(standing)
-    for level, start, stop in _spans(len(standing), len(errors), 0.0):
-        error = errors[level]
-        steps = decimate_to_error(primitives.points, primitives.corners, error, settings.max_normal_deviation)
-        with clock.stage("decimate"):
-            result = yield from scaled(steps, start, 0.1 * start + 0.9 * stop)
-        parts = [patches_of_triangles(primitives, result, error, settings.max_normal_deviation, QUAD_COST)]
-        if len(result.apart):
-            rest = clusters(primitives.subset(result.apart), surfaces.subset(result.apart), [error], settings, clock)
-            parts.append((result.apart, (yield from scaled(rest, 0.1 * start + 0.9 * stop, stop))[0]))
-        coverings.append(union(parts, len(primitives)))
+    Every triangle of the result becomes a quad; triangles in one plane share a quad. Unassigned faces are clustered. Flat surfaces are not
+    decimated.
+    """
+    coverings = list(finished)
+    for level, start, stop in _progress_spans(len(finished), len(errors), 0.0):
+        bounds = PlaneBounds(errors[level], float(np.cos(settings.max_normal_deviation)))
+        flat, covering = cover_flat_surfaces(primitives, components, bounds, QUAD_COST)
+        if len(flat):
+            yield Progress(start, "Covering flat surfaces")
+        parts = [(flat, covering)]
+        rest = np.setdiff1d(np.arange(len(primitives)), flat)
+        if len(rest):
+            steps = _decimate(primitives.subset(rest), components.subset(rest), bounds, settings, clock)
+            parts.append((rest, (yield from subprogress(steps, start, stop))))
+        coverings.append(merge_coverings(parts, len(primitives)))
     return coverings
+
+
+def _decimate(
+    primitives: Primitives, components: Components, bounds: PlaneBounds, settings: BillboardSettings, clock: StageClock
+) -> Steps[Covering]:
+    """Cover `primitives` with the triangles of a decimated mesh, and the faces that these do not approximate with clusters."""
+    from .decimation.decimate import decimate_to_error
+
+    steps = decimate_to_error(primitives.points, primitives.corners, bounds.error, settings.max_normal_deviation)
+    with clock.stage("decimate"):
+        result = yield from subprogress(steps, 0.0, 1.0 - UNASSIGNED_FRACTION)
+    parts = [build_triangle_patches(primitives, result, bounds, QUAD_COST)]
+    if len(result.unassigned):
+        unassigned = primitives.subset(result.unassigned), components.subset(result.unassigned)
+        steps = cover_by_clustering(*unassigned, [bounds.error], settings, clock)
+        parts.append((result.unassigned, (yield from subprogress(steps, 1.0 - UNASSIGNED_FRACTION, 1.0))[0]))
+    return merge_coverings(parts, len(primitives))

@@ -1,21 +1,22 @@
-"""What is clustered: triangles, or the squares that stand for the discs of a point cloud, as one kind of thing."""
+"""Primitives of the clustering: the triangles of a mesh, or one square per disc of a point cloud."""
 
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from ..mesh import PointCloud, TriangleMesh, face_areas_and_normals
-from ..spatial import neighbour_pairs
+from ..geometry.frames import frames_from_normals
+from ..geometry.mesh import PointCloud, TriangleMesh, face_areas_and_normals
+from ..geometry.proximity import neighbor_pairs
 
-NEIGHBOURS = 50  # n of section 4.3.1
-TRIANGLE_SPREAD = 1.0 / 4.0  # covariance of a triangle's area over the mean covariance of its corners
-SQUARE_SPREAD = 1.0 / 3.0  # the same for a square
+NEIGHBOR_COUNT = 50  # n of section 4.3.1
+TRIANGLE_COVARIANCE_SCALE = 1.0 / 4.0  # covariance of a triangle's area over the mean covariance of its corners
+SQUARE_COVARIANCE_SCALE = 1.0 / 3.0  # the same for a square
 
 
 @dataclass(frozen=True)
 class Primitives:
-    """P flat convex pieces with C corners each, in world space.
+    """P planar convex polygons with C corners each, in world space.
 
     points (V, 3) float64; corners (P, C) int32 into points; areas (P,); normals (P, 3) unit.
     """
@@ -35,35 +36,32 @@ class Primitives:
 
     @cached_property
     def covariances(self) -> np.ndarray:
-        """(P, 3, 3) covariance of the surface of each piece about its centroid."""
-        spread = TRIANGLE_SPREAD if self.corners.shape[1] == 3 else SQUARE_SPREAD
-        centred = self.positions - self.positions.mean(axis=1, keepdims=True)
-        return spread * np.einsum("pci,pcj->pij", centred, centred) / self.corners.shape[1]
+        """(P, 3, 3) covariance of each primitive's area about its centroid."""
+        scale = TRIANGLE_COVARIANCE_SCALE if self.corners.shape[1] == 3 else SQUARE_COVARIANCE_SCALE
+        centered = self.positions - self.positions.mean(axis=1, keepdims=True)
+        return scale * np.einsum("pci,pcj->pij", centered, centered) / self.corners.shape[1]
 
     @cached_property
-    def neighbours(self) -> tuple[np.ndarray, np.ndarray]:
-        """The proximity graph, pairs (E, 2) int32 and distances (E,), see `spatial.neighbour_pairs`; the same for every error."""
-        return neighbour_pairs(self.positions, NEIGHBOURS)
+    def proximity_graph(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pairs (E, 2) int32 of neighboring primitives and their distances (E,), see `neighbor_pairs`. Independent of the error."""
+        return neighbor_pairs(self.positions, NEIGHBOR_COUNT)
 
-    def subset(self, index: np.ndarray) -> "Primitives":
-        """The pieces `index` (K,) alone, numbered in that order; all points stay."""
-        return Primitives(self.points, self.corners[index], self.areas[index], self.normals[index])
+    def subset(self, indices: np.ndarray) -> "Primitives":
+        """Return the primitives `indices` (K,) in that order. Keeps all points."""
+        return Primitives(self.points, self.corners[indices], self.areas[indices], self.normals[indices])
 
 
 def from_mesh(mesh: TriangleMesh) -> Primitives:
-    """The triangles of a mesh without zero-area ones (see `mesh.without_zero_area`)."""
+    """Return the triangles of a mesh without zero-area triangles (see `drop_degenerate`)."""
     areas, normals = face_areas_and_normals(mesh.corners)
     return Primitives(mesh.vertices, mesh.triangles, areas, normals)
 
 
 def from_points(cloud: PointCloud) -> Primitives:
-    """Each disc as the square of its radius in its tangent plane, so that bounds hold for the whole splat."""
-    helper = np.eye(3)[np.abs(cloud.normals).argmin(axis=1)]
-    u = np.cross(helper, cloud.normals)
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    v = np.cross(cloud.normals, u)
+    """Return per disc its circumscribed square in the tangent plane, so that bounds on the corners hold for the whole splat."""
+    u, v, _ = np.moveaxis(frames_from_normals(cloud.normals), 1, 0)
     signs = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    arms = signs[:, 0, None] * u[:, None] + signs[:, 1, None] * v[:, None]
-    corners = cloud.points[:, None] + cloud.radii[:, None, None] * arms
-    index = np.arange(4 * len(cloud.points), dtype=np.int32).reshape(-1, 4)
-    return Primitives(corners.reshape(-1, 3), index, 4.0 * cloud.radii**2, cloud.normals)
+    diagonals = signs[:, 0, None] * u[:, None] + signs[:, 1, None] * v[:, None]
+    positions = cloud.points[:, None] + cloud.radii[:, None, None] * diagonals
+    corners = np.arange(4 * len(cloud.points), dtype=np.int32).reshape(-1, 4)
+    return Primitives(positions.reshape(-1, 3), corners, 4.0 * cloud.radii**2, cloud.normals)

@@ -1,78 +1,101 @@
-"""What a user can choose about a billboard cloud."""
+"""Settings of billboard clouds."""
 
 import math
 from dataclasses import dataclass
 
-from ..settings import Settings, Unit, setting
+from ..settings import Choice, Settings, Unit, setting
 
 METHODS = {
-    "clusters": "Generalised hierarchical face clustering: few quads, little texture, bounded normals (section 4.3)",
-    "hough": "Greedy planes in Hough space: fewest quads for tangled geometry, much texture (section 4.1)",
-    "decimate": "Edge collapse with a measured error: for smooth connected surfaces (section 4.2)",
+    "clusters": Choice(
+        "Face Clusters", "Generalized hierarchical face clustering: few quads, little texture, bounded normals (section 4.3)"
+    ),
+    "hough": Choice("Hough Space", "Greedy planes in Hough space: fewest quads for tangled geometry, much texture (section 4.1)"),
+    "decimate": Choice("Decimate", "Edge collapse with a measured error: for smooth connected surfaces (section 4.2)"),
 }
 
 
 @dataclass(frozen=True, kw_only=True)
-class FadeSettings(Settings):
-    """What a user can choose about levels that fade into each other."""
+class CrossfadeSettings(Settings):
+    """Settings of the cross-fade between levels of detail."""
 
     fade_range: float = setting(
         0.25,
-        "Range of distances over which one level fades into the next, as a share of the distance where it begins; 0 switches at once",
+        "Distance range of the cross-fade to the next level, relative to the distance where it starts; 0 switches instantly",
         minimum=0.0,
         maximum=4.0,
-        unit=Unit.SHARE,
+        unit=Unit.FRACTION,
+        group="Cross-Fade",
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class BillboardSettings(Settings):
-    """Settings of the tool `billboards`. Shares are of the longest side of the bounding box."""
+    """Settings of the tool `billboards`. Fractions are of the longest bounding-box side unless the help names another whole."""
 
-    method: str = setting("clusters", "How the planes are found", choices=METHODS)
+    method: str = setting("clusters", "Method that finds the planes of the quads", choices=METHODS)
     error: float = setting(
         0.01,
-        "Largest distance between the surface and its quads at the finest level, as a share of the longest side",
+        "Maximum distance between the surface and its quads at the finest level, relative to the longest bounding-box side",
         minimum=1e-4,
         maximum=0.25,
-        unit=Unit.SHARE,
+        unit=Unit.FRACTION,
     )
-    levels: int = setting(3, "Number of levels; the error doubles from one to the next", minimum=1, maximum=8, unit=Unit.COUNT)
+    levels: int = setting(3, "Number of levels of detail; the error doubles per level", minimum=1, maximum=8, unit=Unit.COUNT)
     quads: int = setting(
         0,
-        "Number of quads at the finest level to aim for instead of an error; 0 takes the error",
+        "Target number of quads of the finest level. Overrides Error; 0 disables",
         minimum=0,
         maximum=100_000,
         unit=Unit.COUNT,
+        group="Detail",
     )
     texture_mb: float = setting(
         0.0,
-        "Texture memory of all levels to aim for instead of an error; 0 takes the error",
+        "Target texture memory of all levels. Overrides Error; 0 disables",
         minimum=0.0,
         maximum=65_536.0,
         unit=Unit.MEGABYTES,
+        group="Detail",
     )
     max_normal_deviation: float = setting(
         math.radians(60.0),
-        "Largest angle between a face and the quad that stands for it",
+        "Maximum angle between a face and the quad that replaces it",
         minimum=math.radians(5.0),
         maximum=math.radians(90.0),
         unit=Unit.ANGLE,
+        group="Detail",
+        panel_label="Max Angle",
     )
     max_texture_waste: float = setting(
-        8.0, "Largest area of a quad over the area of the faces it stands for", minimum=1.5, maximum=1000.0, unit=Unit.NONE
+        8.0,
+        "Maximum area of a quad relative to the area of the faces that it replaces",
+        minimum=1.5,
+        maximum=1000.0,
+        unit=Unit.NONE,
+        group="Detail",
+        panel_label="Max Waste",
     )
-    texel_error: float = setting(0.5, "Side of a texel as a share of the level's error", minimum=0.05, maximum=4.0, unit=Unit.NONE)
-    loose_part_share: float = setting(
+    texel_size: float = setting(
+        0.5, "Side length of a texel relative to the level's error", minimum=0.05, maximum=4.0, unit=Unit.NONE, group="Textures"
+    )
+    loose_fraction: float = setting(
         0.5,
-        "Share of a quad or texture budget for loose parts such as leaves, when the mesh has both kinds",
+        "Fraction of a quad or texture budget for loose parts, such as leaves, if the mesh also has connected surfaces",
         minimum=0.0,
         maximum=1.0,
-        unit=Unit.SHARE,
+        unit=Unit.FRACTION,
+        group="Detail",
     )
     cutout_corners: int = setting(
-        8, "Corners of the polygon that each quad is cut to; 4 keeps the rectangle", minimum=4, maximum=8, unit=Unit.COUNT
+        8,
+        "Maximum corners of the polygon that each quad is cut to; 4 keeps the rectangle",
+        minimum=4,
+        maximum=8,
+        unit=Unit.COUNT,
+        group="Detail",
     )
     textures: bool = setting(True, "Capture textures from the materials with Cycles")
-    samples: int = setting(16, "Cycles samples a texel when textures are captured", minimum=1, maximum=4096, unit=Unit.COUNT)
-    seed: int = setting(0, "Seed of random choices", minimum=0, maximum=2**31 - 1)
+    samples: int = setting(
+        16, "Cycles samples per texel of the captured textures", minimum=1, maximum=4096, unit=Unit.COUNT, group="Textures"
+    )
+    seed: int = setting(0, "Seed of the random choices", minimum=0, maximum=2**31 - 1, group="Advanced")

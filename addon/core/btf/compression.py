@@ -1,172 +1,188 @@
-"""From finished views of a level to what its material decodes: lobes, hues, and factors of colours and silhouettes."""
+"""Compression of the finished views of a level into textures: lobes, chromaticity, and factors of residual colors and of alpha."""
 
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from ..parallel import mapped
-from ..progress import Progress, Steps, scaled
-from .alternation import by_light
-from .broad_suns import BroadSuns
-from .codecs import compressed_colours
-from .dome import under_dome
-from .factors import Factors, factorise_columns
-from .glow import mean_glow
-from .lobes import Lobes, Surface, fit_lobes
-from .photographs import broad_lights
-from .quality import Fit, quality
-from .readings import Colours, Domes, silhouettes
-from .refine import refined, seen, shown, texel_colours
-from .rests import write_rests
+from ..billboards.texels import Texels
+from ..jobs.chunks import map_ordered
+from ..jobs.progress import Progress, Steps, subprogress
+from .capture.observations import SUBSAMPLES
+from .capture.reference_images import low_order_lights
+from .capture.shards import ShardStore
+from .capture.view_data import DomeView, RadianceView, read_silhouettes
+from .factorization.als import ViewMatrix, split_lights
+from .factorization.compression_error import ComponentError, error_by_components
+from .factorization.factors import Factors, factorize, factorize_scalar
+from .factorization.lpca import factorize_lpca
+from .refinement.refine import compute_texel_colors, cull_hidden, refine_alpha, shade
+from .refinement.training import FragmentFiles, StoredTrainingView
+from .reflectance.chromaticity import compute_chromaticity
+from .reflectance.disc_lights import DiscLights
+from .reflectance.dome import fit_dome
+from .reflectance.emission import mean_emission
+from .reflectance.lobe_fit import CapturedRadiance, fit_lobes
+from .reflectance.lobes import Lobes, TexelSurface
+from .reflectance.residuals import ResidualFiles, write_residuals
+from .reflectance.shadows import Shadows, compute_shadows
 from .settings import BtfSettings
-from .shadows import Shadows, find_shadows
-from .shards import ShardStore
-from .texels import PARTS, Texels
-from .tints import tints
-from .training import TrainingView
 
-LEAST_FACING = 0.03  # cosine: what a texel counts at least from a view that sees its quad from the edge
-READ, TINTED, SHADOWED, FITTED, TAKEN, COLOURED, COVERED = 0.02, 0.05, 0.2, 0.6, 0.75, 0.95, 0.97  # of the bar of `compress`
-LIT = 0.3  # of the bar of `refine`
+MIN_COSINE = 0.03  # minimum weight of a texel in a view that sees its quad edge-on
+# Ends of the stages in the progress bar of `compress`, and of the first stage of `refine`.
+WEIGHTS_END, CHROMATICITY_END, SHADOWS_END, LOBES_END, RESIDUALS_END, COLOR_END, SILHOUETTES_END = 0.02, 0.05, 0.2, 0.6, 0.75, 0.95, 0.97
+SHADING_END = 0.3
 
 
 @dataclass(frozen=True)
-class Compressed:
-    """A level's textures: lobes, None where its plain maps say nothing of the surface; hues (N, 3); factors of colours and of alpha; what
-    shines by itself (N, 3), None where nothing does."""
+class CompressedTextures:
+    """Compressed textures of a level with N texels.
 
-    lobes: Lobes | None
-    hues: np.ndarray
-    colour: Factors
-    alpha: Factors
-    glow: np.ndarray | None = None
-
-    @property
-    def bytes(self) -> int:
-        """What they take as half floats."""
-        of_maps = 2 * (self.hues.size + (0 if self.glow is None else self.glow.size))
-        return of_maps + self.colour.bytes + self.alpha.bytes + (0 if self.lobes is None else self.lobes.bytes)
-
-
-class Compression:
-    """Compresses what `store` holds of all views of a level.
-
-    plain: the coverage (N,) of its texels in the plain maps, and surface: their normals and roughness, None where there are none.
+    lobes: None when the PBR maps contain no surface. chromaticity (N, 3). color, alpha: factors. emission (N, 3): None without emission.
     """
 
-    def __init__(self, store: ShardStore, texels: Texels, plain: np.ndarray, surface: Surface | None, settings: BtfSettings) -> None:
-        self._store, self._texels, self._plain, self._surface, self._settings = store, texels, plain, surface, settings
+    lobes: Lobes | None
+    chromaticity: np.ndarray
+    color: Factors
+    alpha: Factors
+    emission: np.ndarray | None = None
+
+    @property
+    def nbytes(self) -> int:
+        """Size as half floats."""
+        map_bytes = 2 * (self.chromaticity.size + (0 if self.emission is None else self.emission.size))
+        return map_bytes + self.color.nbytes + self.alpha.nbytes + (0 if self.lobes is None else self.lobes.nbytes)
+
+
+class LevelCompressor:
+    """Compresses the finished views of a level in `store`.
+
+    pbr_alpha (N,): coverage of the texels in the PBR maps. surface: their normals and roughness; None without such maps.
+    """
+
+    def __init__(
+        self, store: ShardStore, texels: Texels, pbr_alpha: np.ndarray, surface: TexelSurface | None, settings: BtfSettings
+    ) -> None:
+        self._store, self._texels, self._pbr_alpha, self._surface, self._settings = store, texels, pbr_alpha, surface, settings
         self._views, self._lights = settings.view_grid, settings.light_grid
-        self._suns = BroadSuns(self._lights.directions, settings.sun_size)
+        self._suns = DiscLights(self._lights.directions, settings.sun_solid_angle)
         self._weights = np.zeros((len(self._views), len(texels)), np.float32)
         self._light_weights = np.zeros(len(self._lights) + 1)
-        self._captured = [Colours(store, view) for view in range(len(self._views))]
+        self._captured = [RadianceView(store, view) for view in range(len(self._views))]
 
-    def compress(self) -> Steps[Compressed]:
-        """Lobes, hues and factors."""
-        count, settings, angles = len(self._texels), self._settings, self._views.solid_angles
-        yield from scaled(self._weigh(), 0.0, READ)
-        hues = yield from scaled(tints(self._captured, count, angles, self._light_weights), READ, TINTED)
-        shadows = yield from scaled(self._shadows(), TINTED, SHADOWED)
-        lobes = yield from scaled(self._lobes(shadows), SHADOWED, FITTED)
+    def compress(self) -> Steps[CompressedTextures]:
+        """Compute lobes, chromaticity, emission, and the factors of residual colors and of alpha."""
+        count, settings, solid_angles = len(self._texels), self._settings, self._views.solid_angles
+        yield from subprogress(self._compute_weights(), 0.0, WEIGHTS_END)
+        steps = compute_chromaticity(self._captured, count, solid_angles, self._light_weights)
+        chromaticity = yield from subprogress(steps, WEIGHTS_END, CHROMATICITY_END)
+        shadows = yield from subprogress(self._compute_shadows(), CHROMATICITY_END, SHADOWS_END)
+        lobes = yield from subprogress(self._fit_lobes(shadows), SHADOWS_END, LOBES_END)
         try:
-            rests = yield from scaled(write_rests(self._store, hues, lobes, self._views, self._suns), FITTED, TAKEN)
-            steps = compressed_colours(rests, count, self._weights, self._column_weights, settings)
-            colour = yield from scaled(steps, TAKEN, COLOURED)
+            steps = write_residuals(self._store, chromaticity, lobes, self._views, self._suns)
+            residuals = yield from subprogress(steps, LOBES_END, RESIDUALS_END)
+            steps = _factorize_color(ViewMatrix(residuals, count, self._weights, self._column_weights), settings)
+            color = yield from subprogress(steps, RESIDUALS_END, COLOR_END)
         finally:
-            self._store.remove_rests()
-        covered = yield from scaled(silhouettes(self._store, self._plain, angles), COLOURED, COVERED)
-        alpha = yield from scaled(factorise_columns(covered, settings.alpha_components, settings.seed), COVERED, 1.0)
-        glow = mean_glow((self._store.glow(view) for view in range(len(self._views))), self._weights)
-        return Compressed(lobes, hues, colour, alpha, glow)
+            ResidualFiles(self._store.folder).remove_all()
+        silhouettes = yield from subprogress(read_silhouettes(self._store, self._pbr_alpha, solid_angles), COLOR_END, SILHOUETTES_END)
+        alpha = yield from subprogress(factorize_scalar(silhouettes, settings.alpha_components, settings.seed), SILHOUETTES_END, 1.0)
+        emission = mean_emission((self._store.read_emission(view) for view in range(len(self._views))), self._weights)
+        return CompressedTextures(lobes, chromaticity, color, alpha, emission)
 
-    def refine(self, made: Compressed, photographed: list[TrainingView]) -> Steps[Compressed]:
-        """`made` with silhouettes refined against the photographs of all views. Raises FileError when the work folder's disk is full."""
+    def refine(self, textures: CompressedTextures, training_views: list[StoredTrainingView]) -> Steps[CompressedTextures]:
+        """Return `textures` with alpha refined against the reference images of all views. Raises FileError."""
         try:
-            yield from scaled(self._keep_looks(made, photographed), 0.0, LIT)
-            alpha = yield from scaled(refined(photographed, made.alpha, self._plain, self._views.solid_angles), LIT, 1.0)
+            yield from subprogress(self._store_fragments(textures, training_views), 0.0, SHADING_END)
+            steps = refine_alpha(training_views, textures.alpha, self._pbr_alpha, self._views.solid_angles)
+            alpha = yield from subprogress(steps, SHADING_END, 1.0)
         finally:
-            self._store.remove_looks()
-        return replace(made, alpha=alpha)
+            FragmentFiles(self._store.folder).remove_all()
+        return replace(textures, alpha=alpha)
 
-    def measure(self, made: Compressed) -> Steps[list[Fit]]:
-        """How near the colours of `made` come to what was captured, by the number of components."""
+    def measure_error(self, textures: CompressedTextures) -> Steps[list[ComponentError]]:
+        """Measure the error of the colors of `textures` against the captured colors, by number of components."""
+        offset = None if textures.lobes is None else partial(self._lobe_radiance, textures.lobes)
+        matrix = ViewMatrix(self._captured, len(self._texels), self._weights, self._column_weights)
+        return (yield from error_by_components(matrix, textures.color, textures.chromaticity, offset))
 
-        more = None if made.lobes is None else partial(self._of_lobes, made.lobes)
-        return (yield from quality(self._captured, made.colour, made.hues, self._weights, self._column_weights, more))
-
-    def captured(self, view: int) -> tuple[np.ndarray, np.ndarray]:
-        """The texels (M,) that a view saw, and their colours (M, L + 1, 3) float32 under every sun and last the dome."""
+    def captured_colors(self, view: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the visible texels (M,) of a view and their captured colors (M, L + 1, 3) float32 under every sun and, last, the dome."""
         visible, values = self._captured[view].read()
-        return visible, by_light(values)
+        return visible, split_lights(values)
 
-    def shown(self, made: Compressed, view: int, rows: np.ndarray) -> np.ndarray:
-        """What `made` shows of the texels `rows` (M,) instead; both before the shader cuts what is below 0."""
-        colours = by_light(made.colour.spread(rows) @ made.colour.basis[view]) * made.hues[rows, None]
-        return colours if made.lobes is None else colours + by_light(self._of_lobes(made.lobes, view, rows))
+    def decoded_colors(self, textures: CompressedTextures, view: int, rows: np.ndarray) -> np.ndarray:
+        """Return the colors (M, L + 1, 3) of the texels `rows` (M,) decoded from `textures`, not clamped at 0."""
+        colors = split_lights(textures.color.dense_weights(rows) @ textures.color.basis[view]) * textures.chromaticity[rows, None]
+        return colors if textures.lobes is None else colors + split_lights(self._lobe_radiance(textures.lobes, view, rows))
 
-    def _of_lobes(self, lobes: Lobes, view: int, rows: np.ndarray) -> np.ndarray:
-        return lobes.of_grid(self._views.directions[view], self._suns, rows).reshape(len(rows), -1)
+    def _lobe_radiance(self, lobes: Lobes, view: int, rows: np.ndarray) -> np.ndarray:
+        return lobes.radiance_on_grid(self._views.directions[view], self._suns, rows).reshape(len(rows), -1)
 
-    def _keep_looks(self, made: Compressed, photographed: list[TrainingView]) -> Steps[None]:
-        """Have all views keep what rays meet and its colours, as far as that matters."""
-        lights = broad_lights(self._lights)
+    def _store_fragments(self, textures: CompressedTextures, training_views: list[StoredTrainingView]) -> Steps[None]:
+        """Store the visible fragments of all views and their colors."""
+        lights = low_order_lights(self._lights)
 
-        def keep(number: int) -> None:
-            alpha = self._plain + made.alpha.applied(made.alpha.basis[number])[:, 0]
-            fragments = seen(photographed[number].fragments(), alpha)
-            colours = texel_colours(made.colour, number, made.hues, lights)
-            if made.lobes is not None:
-                rows = np.unique(fragments.texels)
-                colours[rows] += made.lobes.under(lights, self._views.directions[number], self._suns, rows)
-            photographed[number].keep(fragments, shown(fragments, colours))
+        def store_view(view: int) -> None:
+            alpha = self._pbr_alpha + textures.alpha.reconstruct(textures.alpha.basis[view])[:, 0]
+            fragments = cull_hidden(training_views[view].find_fragments(), alpha)
+            colors = compute_texel_colors(textures.color, view, textures.chromaticity, lights)
+            if textures.lobes is not None:
+                rows = np.unique(fragments.texel_indices)
+                colors[rows] += textures.lobes.radiance_under_lights(lights, self._views.directions[view], self._suns, rows)
+            training_views[view].store_fragments(fragments, shade(fragments, colors))
 
-        for number, _ in enumerate(mapped(keep, range(len(self._views)))):
-            yield Progress(number / len(self._views), "Lighting the lobes")
+        for view, _ in enumerate(map_ordered(store_view, range(len(self._views)))):
+            yield Progress(view / len(self._views), "Shading")
 
-    def _weigh(self) -> Steps[None]:
-        """Find what each texel counts from each view, as much as it fills of the picture there, and what each light does.
+    def _compute_weights(self) -> Steps[None]:
+        """Compute the weight of each texel in each view, from its projected visible area, and the weight of each light.
 
-        The dome counts so much that its colours have the energy of all others: it is ten times as bright as a sun, and so would take all
-        components for itself where it is weighted like one.
+        The dome's weight gives its colors the energy of all others together. The dome is ten times as bright as a sun; with a sun's weight
+        it would use up all components.
         """
-        facing = np.maximum(self._texels.facing(self._views.directions), LEAST_FACING)
-        angles = self._views.solid_angles
+        cosines = np.maximum(self._texels.view_cosines(self._views.directions), MIN_COSINE)
+        solid_angles = self._views.solid_angles
 
-        def of_view(view: int) -> np.ndarray:
-            visible, parts, radiance = self._store.read(view, "visible", "parts", "radiance")
-            counting = (angles[view] * facing[view, visible] ** 2 * parts / PARTS**2).astype(np.float32)
-            self._weights[view, visible] = counting
-            return np.square(radiance.astype(np.float32)).sum(axis=2) @ counting
+        def weigh_view(view: int) -> np.ndarray:
+            visible, counts, radiance = self._store.read(view, "visible", "subsample_counts", "radiance")
+            weights = (solid_angles[view] * cosines[view, visible] ** 2 * counts / SUBSAMPLES**2).astype(np.float32)
+            self._weights[view, visible] = weights
+            return np.square(radiance.astype(np.float32)).sum(axis=2) @ weights
 
         energy = np.zeros(len(self._lights) + 1)
-        for view, found in enumerate(mapped(of_view, range(len(self._views)))):
-            yield Progress(view / len(self._views), "Reading what was seen")
-            energy += found
-        of_suns = self._lights.solid_angles @ energy[:-1]
-        self._light_weights = np.append(self._lights.solid_angles, of_suns / energy[-1] if energy[-1] > 0.0 else 1.0)
+        for view, view_energy in enumerate(map_ordered(weigh_view, range(len(self._views)))):
+            yield Progress(view / len(self._views), "Reading views")
+            energy += view_energy
+        sun_energy = self._lights.solid_angles @ energy[:-1]
+        self._light_weights = np.append(self._lights.solid_angles, sun_energy / energy[-1] if energy[-1] > 0.0 else 1.0)
 
     @property
     def _column_weights(self) -> np.ndarray:
         return np.repeat(self._light_weights, 3)
 
-    def _shadows(self) -> Steps[Shadows | None]:
-        """The shadows, of which the suns are told."""
+    def _compute_shadows(self) -> Steps[Shadows | None]:
+        """Compute the shadows and set the visibility of the suns."""
         settings, grid = self._settings, self._settings.shadow_grid
         if self._surface is None or grid is None:
             return None
-        lit = self._store.lit(len(self._views))
-        shadows = yield from find_shadows(lit, grid, self._surface.normals, settings.shadow_components, settings.seed)
-        self._suns = self._suns.behind(shadows.reached_by(self._suns), shadows.openness(self._surface.normals))
+        visibility = self._store.read_visibility(len(self._views))
+        shadows = yield from compute_shadows(visibility, grid, self._surface.normals, settings.shadow_components, settings.seed)
+        self._suns = self._suns.with_visibility(shadows.mean_visibility(self._suns), shadows.sky_visibility(self._surface.normals))
         return shadows
 
-    def _lobes(self, shadows: Shadows | None) -> Steps[Lobes | None]:
+    def _fit_lobes(self, shadows: Shadows | None) -> Steps[Lobes | None]:
         if self._surface is None:
             return None
-        quads = self._texels.quads
-        steps = fit_lobes(self._captured, self._surface, quads, self._views, self._suns, self._weights, self._light_weights)
-        found = yield from scaled(steps, 0.0, 0.8)
-        domes = [Domes(self._store, view) for view in range(len(self._views))]
-        lobes = replace(found, shadows=shadows, openness=self._suns.openness)
-        return (yield from scaled(under_dome(domes, lobes, self._views, self._weights), 0.8, 1.0))
+        captured = CapturedRadiance(self._captured, self._views, self._suns, self._weights, self._light_weights)
+        lobes = yield from subprogress(fit_lobes(captured, self._surface, self._texels.quad_indices), 0.0, 0.8)
+        dome_views = [DomeView(self._store, view) for view in range(len(self._views))]
+        lobes = replace(lobes, shadows=shadows, sky_visibility=self._suns.sky_visibility)
+        return (yield from subprogress(fit_dome(dome_views, lobes, self._views, self._weights), 0.8, 1.0))
+
+
+def _factorize_color(matrix: ViewMatrix, settings: BtfSettings) -> Steps[Factors]:
+    """Factorize residual colors with the codec of the settings."""
+    if settings.codec == "lpca":
+        return (yield from factorize_lpca(matrix, settings.clusters, settings.cluster_components, settings.seed))
+    return (yield from factorize(matrix, settings.components, settings.seed))

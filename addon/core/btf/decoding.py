@@ -1,54 +1,55 @@
-"""What relightable textures show from any view under any light: the shader's look-ups as arrays."""
+"""Decoding of relightable textures for any view and light: the shader's lookups on arrays."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..direction_grids import DirectionGrid
-from .factors import Factors
-from .lobes import Lobes
+from ..geometry.direction_grids import DirectionGrid
+from .factorization.factors import Factors
+from .reflectance.lobes import Lobes
 
 
 @dataclass(frozen=True)
-class BakedAtlas:
-    """The relightable textures of one level, as they lie in its images.
+class RelightableTexture:
+    """The relightable texture of one level, as stored in its images.
 
-    size: (width, height) of its texture, whose P pixels are the rows of all that follows, row 0 of the texture at the bottom. tints (P, 3):
-    what colours are multiplied by. colour: a column for every light, the dome last, and channel. alpha: one column, on top of `plain` (P,),
-    the coverage in the plain maps. views, lights: the directions of the bake in the object's frame. lobes: what comes on top of the
-    colours, None where there is nothing.
+    size: (width, height) in pixels; its P pixels are the rows of all arrays below, texture row 0 at the bottom. chromaticity (P, 3): factor
+    of the decoded residual colors. color: factors with one column per light and channel, the dome last. alpha: factors with one column,
+    added to `pbr_alpha` (P,), the coverage in the PBR maps. views, lights: the baked directions in object space. lobes: the reflectance
+    model that is added to the residual colors; None without one.
     """
 
     size: tuple[int, int]
-    tints: np.ndarray
-    colour: Factors
+    chromaticity: np.ndarray
+    color: Factors
     alpha: Factors
-    plain: np.ndarray
+    pbr_alpha: np.ndarray
     views: DirectionGrid
     lights: DirectionGrid
     lobes: Lobes | None = None
 
-    def seen_from(self, views: np.ndarray, lights: np.ndarray) -> np.ndarray:
-        """The basis (V, components of all clusters, L, 3) float32 of unit directions `views` (V, 3) and `lights` (L, 3), interpolated."""
-        values = self.colour.basis.reshape(len(self.views), -1, len(self.lights) + 1, 3)
-        under = self.lights.interpolated(np.moveaxis(values[:, :, :-1], 2, 0), lights)  # light, view, component, channel
-        return np.moveaxis(self.views.interpolated(np.moveaxis(under, 1, 0), views), 1, 2)  # view, component, light, channel
+    def interpolate_basis(self, views: np.ndarray, lights: np.ndarray) -> np.ndarray:
+        """Return the color basis (V, components of all clusters, L, 3) float32, interpolated at the unit directions `views` (V, 3) and
+        `lights` (L, 3)."""
+        values = self.color.basis.reshape(len(self.views), -1, len(self.lights) + 1, 3)
+        by_light = self.lights.interpolate(np.moveaxis(values[:, :, :-1], 2, 0), lights)  # light, view, component, channel
+        return np.moveaxis(self.views.interpolate(np.moveaxis(by_light, 1, 0), views), 1, 2)  # view, component, light, channel
 
-    def picture(self, basis: np.ndarray, view: np.ndarray, light: np.ndarray) -> np.ndarray:
-        """The texture (H, W, 3) float32 of a view (3,) under a light (3,), with the `basis` (components of all clusters, 3) of both as
-        `seen_from` gives it.
+    def radiance(self, basis: np.ndarray, view: np.ndarray, light: np.ndarray) -> np.ndarray:
+        """Return the texture (H, W, 3) float32 for a view (3,) and a light (3,): straight scene-linear radiance under a sun of unit
+        irradiance.
 
-        Straight scene-linear colours: radiance under a sun of unit irradiance.
+        basis: (components of all clusters, 3) for this view and light, from `interpolate_basis`.
         """
-        return np.maximum(self.uncut(basis, view, light), 0.0).reshape(self.size[1], self.size[0], 3)
+        return np.maximum(self.unclamped_radiance(basis, view, light), 0.0).reshape(self.size[1], self.size[0], 3)
 
-    def uncut(self, basis: np.ndarray, view: np.ndarray, light: np.ndarray) -> np.ndarray:
-        """The same (P, 3) with its negative numbers, which the shader cuts at 0."""
-        colours = self.colour.applied(basis) * self.tints
-        return colours if self.lobes is None else colours + self.lobes.of_suns(view, light[None])[:, 0].astype(np.float32)
+    def unclamped_radiance(self, basis: np.ndarray, view: np.ndarray, light: np.ndarray) -> np.ndarray:
+        """Return the same as `radiance` as (P, 3), including the negative values that the shader clamps to 0."""
+        colors = self.color.reconstruct(basis) * self.chromaticity
+        return colors if self.lobes is None else colors + self.lobes.radiance_under_suns(view, light[None])[:, 0].astype(np.float32)
 
     def coverage(self, view: np.ndarray) -> np.ndarray:
-        """The alpha (H, W) float32 from a unit direction `view` (3,)."""
-        basis = self.views.interpolated(self.alpha.basis, view[None])[0]
-        alpha = self.plain + self.alpha.applied(basis)[:, 0]
+        """Return the alpha (H, W) float32 from the unit direction `view` (3,)."""
+        basis = self.views.interpolate(self.alpha.basis, view[None])[0]
+        alpha = self.pbr_alpha + self.alpha.reconstruct(basis)[:, 0]
         return np.clip(alpha, 0.0, 1.0).astype(np.float32).reshape(self.size[1], self.size[0])

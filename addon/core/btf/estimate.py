@@ -1,37 +1,38 @@
-"""What a bake will take, before it begins."""
+"""Estimate of the time and memory of a bake."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from .capture.observations import ID_BUFFER_SCALE
 from .settings import BtfSettings
-from .texels import FINER
 
-# Seconds of one core of 2020s server hardware, measured on a tree of alpha-mapped leaves; other originals differ by some factor, which the
-# first bake tells. What is fitted, factored and refined is done by all cores; there were two.
-RENDER = 0.008  # a render, however small
-PIXEL, SAMPLE = 1.0e-6, 3.3e-6  # a pixel of it, and each sample of a pixel
-NUMBERED_PIXEL = 14e-6  # a pixel of a view's picture of faces
-SIGHTED_TEXEL = 4e-6  # a texel that looks itself up in a view
-SHADOWED_TEXEL = 1.2e-6  # a texel that looks itself up from a sun, and whose edge of shadow is found
-FITTED = 2e-8  # an entry of the matrix, whose lobes are fitted and taken out
-FACTORED = 1e-9  # an entry and component of its factors
-REFINED_TEXEL = 10e-6  # a texel in a photograph, in all steps
-LOBES = 9  # numbers of a texel
-START = 3.0  # a worker process
+# Seconds on one core of 2020s server hardware, measured on a tree with alpha-mapped leaves. Other sources differ by some factor, which the
+# first bake measures. Fitting, factorizing and refining use all cores; the constants are for two.
+SECONDS_PER_RENDER = 0.008  # independent of its size
+SECONDS_PER_PIXEL, SECONDS_PER_SAMPLE = 1.0e-6, 3.3e-6  # per pixel of a render, and per sample of a pixel
+SECONDS_PER_ID_PIXEL = 14e-6  # per pixel of a view, for its ID buffer
+SECONDS_PER_OBSERVED_TEXEL = 4e-6  # to look up one texel in one view
+SECONDS_PER_SHADOW_TEXEL = 1.2e-6  # to look up one texel from one light, and to find its shadow boundary
+SECONDS_PER_FITTED_ENTRY = 2e-8  # per matrix entry, to fit and subtract the lobes
+SECONDS_PER_FACTOR_ENTRY = 1e-9  # per matrix entry and component
+SECONDS_PER_REFINED_TEXEL = 10e-6  # per texel and reference image, over all iterations
+LOBE_VALUES = 9  # per texel
+WORKER_START_SECONDS = 3.0
 
 
 @dataclass(frozen=True)
 class LevelExtent:
-    """A level to be baked: its texels, and the pixels along a side of the pictures that hold all of it."""
+    """Size of a level to bake: number of texels, and side length in pixels of a render that shows all of it."""
 
     texels: int
-    side: int
+    resolution: int
 
 
 @dataclass(frozen=True)
 class BakeEstimate:
-    """renders: of Cycles, over all levels. seconds: wall time. raw_bytes, final_bytes: half floats before and after compression."""
+    """renders: number of Cycles renders over all levels. seconds: wall time. raw_bytes, final_bytes: as half floats, before and after
+    compression."""
 
     renders: int
     seconds: float
@@ -39,34 +40,40 @@ class BakeEstimate:
     final_bytes: int
 
 
-def side_of(reach: float, pixel: float) -> int:
-    """Pixels along a side of a picture that holds everything within `reach` of its middle, from every side, `pixel` (a length) a pixel."""
-    return math.ceil(2.0 * reach / pixel) + 2
+def image_resolution(radius: float, pixel_size: float) -> int:
+    """Return the side length in pixels of a square image that contains a sphere of `radius` around its center; `pixel_size` is a length."""
+    return math.ceil(2.0 * radius / pixel_size) + 2
 
 
-def estimate(levels: Sequence[LevelExtent], settings: BtfSettings, workers: int, pace: float = 1.0) -> BakeEstimate:
-    """What baking `levels` takes with so many `workers` at a time, each on a core of its own.
+def estimate_bake(levels: Sequence[LevelExtent], settings: BtfSettings, workers: int, pace: float = 1.0) -> BakeEstimate:
+    """Estimate the cost of baking `levels` with that many simultaneous `workers`, each on its own core.
 
-    pace: how many times as long as this function says a bake before took.
+    pace: measured duration of an earlier bake, relative to its estimate.
 
-    The time is the sum over renders, pictures of faces, look-ups and compression of numbers known before times constants measured once.
+    The time is a sum over renders, ID buffers, lookups and compression: known counts times constants that were measured once.
     """
-    lights = settings.lights + 1
-    captured = compressed = raw = final = 0.0
+    images_per_view = settings.light_count + 1
+    capture_seconds = compress_seconds = raw_bytes = final_bytes = 0.0
     for level in levels:
-        pixels, entries = level.side**2, level.texels * settings.views * 3 * lights
+        pixels, entries = level.resolution**2, level.texels * settings.view_count * 3 * images_per_view
         components = settings.components + settings.alpha_components
-        view = lights * (RENDER + pixels * (PIXEL + SAMPLE * settings.samples)) + pixels * NUMBERED_PIXEL + level.texels * SIGHTED_TEXEL
-        shadow = RENDER + pixels * NUMBERED_PIXEL / FINER**2 + level.texels * SHADOWED_TEXEL
-        captured += settings.views * view + settings.shadows * shadow
-        compressed += entries * (FITTED + FACTORED * components)
+        seconds_per_view = (
+            images_per_view * (SECONDS_PER_RENDER + pixels * (SECONDS_PER_PIXEL + SECONDS_PER_SAMPLE * settings.samples))
+            + pixels * SECONDS_PER_ID_PIXEL
+            + level.texels * SECONDS_PER_OBSERVED_TEXEL
+        )
+        seconds_per_shadow = (
+            SECONDS_PER_RENDER + pixels * SECONDS_PER_ID_PIXEL / ID_BUFFER_SCALE**2 + level.texels * SECONDS_PER_SHADOW_TEXEL
+        )
+        capture_seconds += settings.view_count * seconds_per_view + settings.shadow_count * seconds_per_shadow
+        compress_seconds += entries * (SECONDS_PER_FITTED_ENTRY + SECONDS_PER_FACTOR_ENTRY * components)
         if settings.refine:
-            compressed += level.texels * settings.views * REFINED_TEXEL
-        raw += 2 * entries
-        tables = settings.views * (3 * lights * settings.components + settings.alpha_components)
-        if settings.shadows:
+            compress_seconds += level.texels * settings.view_count * SECONDS_PER_REFINED_TEXEL
+        raw_bytes += 2 * entries
+        table_values = settings.view_count * (3 * images_per_view * settings.components + settings.alpha_components)
+        if settings.shadow_count:
             components += settings.shadow_components
-            tables += settings.shadows * settings.shadow_components
-        final += 2 * (level.texels * (3 + LOBES + components) + tables)
-    seconds = pace * (START + captured / workers + compressed)
-    return BakeEstimate(settings.views * lights * len(levels), seconds, int(raw), int(final))
+            table_values += settings.shadow_count * settings.shadow_components
+        final_bytes += 2 * (level.texels * (3 + LOBE_VALUES + components) + table_values)
+    seconds = pace * (WORKER_START_SECONDS + capture_seconds / workers + compress_seconds)
+    return BakeEstimate(settings.view_count * images_per_view * len(levels), seconds, int(raw_bytes), int(final_bytes))

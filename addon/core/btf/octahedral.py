@@ -1,11 +1,10 @@
-"""Octahedral impostors: an object as a grid of small pictures from all sides, and what a ray sees in the three pictures around it.
+"""Octahedral impostors: renders of an object from all directions on a grid, and the sampling of rays from the three nearest ones.
 
-After Brucks, "Octahedral Impostors" (2018). The pictures ("frames") stand at the vertices of a grid over the octahedral map of all
-directions, or over the hemi-octahedral map of those above the horizon; so the middle of the map's sides and its corners have frames of
-their own. On the map of the whole sphere a border vertex and its mirror image are one direction, and the four corners are all straight
-down; each has its own frame all the same, as is usual. Every cell of the grid is cut into two triangles along the diagonal that runs
-beside the fold of its quarter of the map, which makes them nearly equilateral on the sphere. A direction takes the three frames of its
-triangle with barycentric weights.
+After Brucks, "Octahedral Impostors" (2018). The renders ("frames") are at the vertices of a grid over the octahedral map of all directions,
+or over the hemi-octahedral map of those above the horizon, so the edge midpoints and corners of the map have frames too. On the full map, a
+boundary vertex and its mirror image are the same direction, and all four corners point straight down; each has its own frame all the same,
+as usual. Every grid cell is split into two triangles along the diagonal parallel to the fold of its quadrant, which makes them nearly
+equilateral on the sphere. A direction uses the three frames of its triangle with barycentric weights.
 """
 
 from dataclasses import dataclass
@@ -13,183 +12,189 @@ from functools import cached_property
 
 import numpy as np
 
-from ..direction_grids import DirectionGrid
-from ..directions import from_hemi_octahedral, from_octahedral
 from ..errors import SettingsError
-from ..images import EMPTY, bilinear
-from ..metrics import encode_srgb
-from .texels import View
+from ..geometry.cameras import OrthographicView
+from ..geometry.direction_grids import DirectionGrid
+from ..geometry.directions import from_hemi_octahedral, from_octahedral
+from ..imaging.images import MIN_ALPHA, sample_bilinear
+from ..imaging.metrics import encode_srgb
 
-FEWEST_FRAMES, MOST_FRAMES = 2, 64
-FEWEST_PIXELS = 8  # along a frame; fewer show nothing
-STEPS = 2  # of the search for the surface along a ray; the first starts on the plane through the centre
-LEAST_COSINE = 0.1  # between a ray and the direction of a frame; a flatter ray counts as this flat
-SURFACE_VARIES = 1.5 / 255.0  # roughness or metallic within this of their mean need no map
+MIN_FRAMES, MAX_FRAMES = 2, 64  # per side
+MIN_FRAME_RESOLUTION = 8  # pixels; smaller frames show nothing
+PARALLAX_STEPS = 2  # of the search for the surface along a ray; the first starts at the plane through the center
+MIN_COSINE = 0.1  # between a ray and the direction of a frame; smaller cosines are clamped
+MAX_UNIFORM_DEVIATION = 1.5 / 255.0  # roughness and metallic within this of their mean need no image
 
 
 @dataclass(frozen=True)
 class FrameGrid:
-    """frames x frames directions at the vertices of a grid over the octahedral map (`upper`: the hemi-octahedral one).
+    """frames_per_side x frames_per_side directions at the vertices of a grid over the octahedral map (`upper`: the hemi-octahedral map).
 
-    Number i * frames + j is row i (y), column j (x) of the map, from (-1, -1) on.
+    Index i * frames_per_side + j is row i (y), column j (x) of the map, starting at (-1, -1).
 
     Raises:
-        SettingsError: when there are too few or too many frames.
+        SettingsError: there are too few or too many frames.
     """
 
-    frames: int
+    frames_per_side: int
     upper: bool = False
 
     def __post_init__(self) -> None:
-        if not FEWEST_FRAMES <= self.frames <= MOST_FRAMES:
+        if not MIN_FRAMES <= self.frames_per_side <= MAX_FRAMES:
             raise SettingsError(
-                f"An octahedral atlas has {FEWEST_FRAMES} to {MOST_FRAMES} frames a side, not {self.frames}; 12 is the usual number."
+                f"An octahedral atlas has {MIN_FRAMES} to {MAX_FRAMES} frames per side, not {self.frames_per_side}; 12 is the usual number."
             )
 
     def __len__(self) -> int:
-        return self.frames**2
+        return self.frames_per_side**2
 
     @cached_property
     def directions(self) -> np.ndarray:
         """(N, 3) float64 unit vectors towards the viewer."""
-        ticks = np.linspace(-1.0, 1.0, self.frames)
+        ticks = np.linspace(-1.0, 1.0, self.frames_per_side)
         points = np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2)
         return from_hemi_octahedral(points) if self.upper else from_octahedral(points)
 
-    def around(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The three frames around each of `directions` (M, 3): numbers (M, 3) int32 and weights (M, 3) that sum to 1.
+    def surrounding_frames(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the three frames around each of `directions` (M, 3): indices (M, 3) int32 and weights (M, 3) that sum to 1.
 
-        On the upper half, what lies below the horizon counts as on it.
+        On the upper half, directions below the horizon are moved to the horizon.
         """
-        cells = self.frames - 1
-        places = 0.5 * (DirectionGrid(self.frames, self.upper).places(directions) + 1.0) * cells
-        low = np.clip(np.floor(places), 0, cells - 1)
-        share = places - low
-        from_middle = low + 0.5 - 0.5 * cells
-        mirrored = from_middle[:, 0] * from_middle[:, 1] > 0.0
-        x, y = np.where(mirrored, 1.0 - share[:, 0], share[:, 0]), share[:, 1]
-        rightwards = x > y
-        ones = np.ones_like(rightwards)
-        columns = np.stack([~ones, ones, rightwards], axis=1) ^ mirrored[:, None]
-        rows = np.stack([~ones, ones, ~rightwards], axis=1)
-        numbers = (low[:, 1:] + rows) * self.frames + low[:, :1] + columns
+        cells = self.frames_per_side - 1
+        positions = 0.5 * (DirectionGrid(self.frames_per_side, self.upper).to_map(directions) + 1.0) * cells
+        low = np.clip(np.floor(positions), 0, cells - 1)
+        fraction = positions - low
+        from_center = low + 0.5 - 0.5 * cells
+        is_mirrored = from_center[:, 0] * from_center[:, 1] > 0.0
+        x, y = np.where(is_mirrored, 1.0 - fraction[:, 0], fraction[:, 0]), fraction[:, 1]
+        is_lower_right = x > y
+        ones = np.ones_like(is_lower_right)
+        columns = np.stack([~ones, ones, is_lower_right], axis=1) ^ is_mirrored[:, None]
+        rows = np.stack([~ones, ones, ~is_lower_right], axis=1)
+        indices = (low[:, 1:] + rows) * self.frames_per_side + low[:, :1] + columns
         weights = np.stack([1.0 - np.maximum(x, y), np.minimum(x, y), np.abs(x - y)], axis=1)
-        return numbers.astype(np.int32), weights
+        return indices.astype(np.int32), weights
 
 
 @dataclass(frozen=True)
-class Atlas:
-    """The frames of one object side by side; number i * frames + j of the grid stands in row i, column j. Row 0 at the bottom.
+class OctahedralAtlas:
+    """The frames of one object in one image; frame i * frames_per_side + j is at row i, column j. Row 0 at the bottom.
 
-    center (3,): what all frames look at, world space. half_side: half the side of a frame, as a length. pixels: P along a frame; with
-    S = frames * P, all float32:
-    colour (S, S, 4): scene-linear Rec.709, straight; alpha is the share of a pixel that is covered.
-    normal (S, S, 3): world space, on the side of the viewer; the mean of unit normals, so shorter where they differ within a pixel.
-    height (S, S): of the surface above the plane through the centre that faces the viewer, in half sides, -1..1.
-    surface (S, S, 2): roughness and metallic.
-    All but alpha have a value in every pixel.
+    center (3,): center of all frames, world space. half_side: half the side of a frame, a length. frame_resolution: pixels per side of a
+    frame. With S = frames_per_side * frame_resolution, all float32:
+    color (S, S, 4): scene-linear Rec.709, straight; alpha is the covered fraction of a pixel.
+    normal (S, S, 3): world space, facing the viewer; the mean of unit normals, thus shorter where they vary within a pixel.
+    height (S, S): of the surface above the plane through the center that faces the viewer, in half sides, -1..1.
+    roughness_metallic (S, S, 2).
+    All except alpha have a value in every pixel.
     """
 
     grid: FrameGrid
     center: np.ndarray
     half_side: float
-    pixels: int
-    colour: np.ndarray
+    frame_resolution: int
+    color: np.ndarray
     normal: np.ndarray
     height: np.ndarray
-    surface: np.ndarray
+    roughness_metallic: np.ndarray
 
-    def view(self, number: int) -> View:
-        """The picture that frame `number` was rendered as."""
-        return View(self.grid.directions[number], self.center, self.pixels, 2.0 * self.half_side / self.pixels)
+    def view(self, index: int) -> OrthographicView:
+        """Return the view of frame `index`."""
+        pixel_size = 2.0 * self.half_side / self.frame_resolution
+        return OrthographicView(self.grid.directions[index], self.center, self.frame_resolution, pixel_size)
 
-    def tile(self, number: int) -> tuple[slice, slice]:
-        """Rows and columns of frame `number`."""
-        row, column = divmod(number, self.grid.frames)
-        return slice(row * self.pixels, (row + 1) * self.pixels), slice(column * self.pixels, (column + 1) * self.pixels)
+    def tile(self, index: int) -> tuple[slice, slice]:
+        """Return the rows and columns of frame `index`."""
+        row, column = divmod(index, self.grid.frames_per_side)
+        size = self.frame_resolution
+        return slice(row * size, (row + 1) * size), slice(column * size, (column + 1) * size)
 
     @property
-    def plain_surface(self) -> np.ndarray | None:
-        """Roughness and metallic (2,) where they are the same all over what is covered, else None."""
-        return uniform_surface(self.surface, self.colour[..., 3])
+    def uniform_roughness_metallic(self) -> np.ndarray | None:
+        """Roughness and metallic (2,) if both are uniform where the object covers the image, else None."""
+        return find_uniform_value(self.roughness_metallic, self.color[..., 3])
 
-    def encoded(self) -> dict[str, np.ndarray]:
-        """What the images hold, values 0..1 of 8 bits, (S, S, 4): `colour` (sRGB, straight alpha), `normal_height` (normal and height
-        moved from -1..1 to 0..1), and, unless one value says it all, `surface` (roughness, metallic, 0, 1)."""
-        colour = np.concatenate([encode_srgb(self.colour[..., :3]), self.colour[..., 3:]], axis=2)
-        images = {"colour": colour, "normal_height": 0.5 + 0.5 * np.concatenate([self.normal, self.height[..., None]], axis=2)}
-        if self.plain_surface is None:
-            rest = np.broadcast_to(np.float32([0.0, 1.0]), self.surface.shape)
-            images["surface"] = np.concatenate([self.surface, rest], axis=2)
+    def encode(self) -> dict[str, np.ndarray]:
+        """Return the images (S, S, 4) to store, with values 0..1 for 8 bits per channel.
+
+        `color` (sRGB, straight alpha), `normal_height` (normal and height mapped from -1..1 to 0..1), and `roughness_metallic` (roughness,
+        metallic, 0, 1) unless both are uniform.
+        """
+        color = np.concatenate([encode_srgb(self.color[..., :3]), self.color[..., 3:]], axis=2)
+        images = {"color": color, "normal_height": 0.5 + 0.5 * np.concatenate([self.normal, self.height[..., None]], axis=2)}
+        if self.uniform_roughness_metallic is None:
+            blue_alpha = np.broadcast_to(np.float32([0.0, 1.0]), self.roughness_metallic.shape)
+            images["roughness_metallic"] = np.concatenate([self.roughness_metallic, blue_alpha], axis=2)
         return images
 
 
 @dataclass(frozen=True)
-class Seen:
-    """What M rays see. colour (M, 4): premultiplied, less bright where normals differ, since not all of them can face a light.
+class RaySample:
+    """Samples of M rays.
 
-    normal (M, 3): unit, or 0 where nothing is seen. along (M,): from the ray's point towards the viewer to the surface.
+    color (M, 4): premultiplied; darker where normals vary, since not all of them can face a light. normal (M, 3): unit, or 0 where nothing
+    is hit. distances (M,): from the ray's point to the surface, towards the viewer.
     """
 
-    colour: np.ndarray
+    color: np.ndarray
     normal: np.ndarray
-    along: np.ndarray
+    distances: np.ndarray
 
 
-def uniform_surface(surface: np.ndarray, alpha: np.ndarray) -> np.ndarray | None:
-    """The mean (2,) of `surface` (H, W, 2) over what `alpha` (H, W) covers when all of it is nearly that, else None."""
-    values = surface[alpha > 0.5]
-    if not len(values):
+def find_uniform_value(values: np.ndarray, alpha: np.ndarray) -> np.ndarray | None:
+    """Return the mean (2,) of `values` (H, W, 2) where `alpha` (H, W) is above one half if they hardly deviate from it, else None."""
+    covered = values[alpha > 0.5]
+    if not len(covered):
         return np.zeros(2, np.float32)
-    mean = values.mean(axis=0)
-    return mean if np.abs(values - mean).max() <= SURFACE_VARIES else None
+    mean = covered.mean(axis=0)
+    return mean if np.abs(covered - mean).max() <= MAX_UNIFORM_DEVIATION else None
 
 
-def frame_pixels(total_bytes: int, frames: int, images: int) -> int:
-    """Pixels along a frame so that so many `images` of four bytes a pixel take at most, and nearly, `total_bytes` without compression.
+def compute_frame_resolution(total_bytes: int, frames_per_side: int, image_count: int) -> int:
+    """Return the largest frame resolution with which `image_count` images, four bytes per pixel, uncompressed, fit into `total_bytes`.
 
     Raises:
-        SettingsError: when that leaves a frame too few pixels.
+        SettingsError: the frames would be too small.
     """
-    pixels = int((total_bytes / (4.0 * images)) ** 0.5 / frames)
-    if pixels < FEWEST_PIXELS:
+    resolution = int((total_bytes / (4.0 * image_count)) ** 0.5 / frames_per_side)
+    if resolution < MIN_FRAME_RESOLUTION:
         raise SettingsError(
-            f"{total_bytes:,} bytes leave the {frames} x {frames} frames of an octahedral atlas {pixels} pixels a side; "
-            f"{4 * images * (FEWEST_PIXELS * frames) ** 2:,} bytes are the fewest that show something."
+            f"{total_bytes:,} bytes are too few for an octahedral atlas of {frames_per_side} x {frames_per_side} frames: each would have "
+            f"{resolution} pixels per side. Use at least {4 * image_count * (MIN_FRAME_RESOLUTION * frames_per_side) ** 2:,} bytes."
         )
-    return pixels
+    return resolution
 
 
-def look_up(atlas: Atlas, points: np.ndarray, direction: np.ndarray) -> Seen:
-    """What the rays through `points` (M, 3), world space, see that run against the unit `direction` (3,), which points to the viewer.
+def sample_rays(atlas: OctahedralAtlas, points: np.ndarray, direction: np.ndarray) -> RaySample:
+    """Sample the rays through `points` (M, 3), world space, that run opposite to the unit `direction` (3,), which points to the viewer.
 
-    In each of the three frames the ray is followed to the frame's own heights (parallax mapping, STEPS steps from the plane through the
-    centre), so that the frames agree about what they show before they are blended. The shader does the same, ray by ray.
+    In each of the three frames, the ray is intersected with the frame's heights (parallax mapping, PARALLAX_STEPS steps from the plane
+    through the center), so that the frames agree before they are blended. This is the reference implementation of the shader, for tests.
     """
-    numbers, weights = atlas.grid.around(direction[None])
-    colour, normal, along = np.zeros((len(points), 4)), np.zeros((len(points), 3)), np.zeros(len(points))
-    for number, weight in zip(numbers[0], weights[0], strict=True):
-        seen, reach = _look_into(atlas, int(number), points - atlas.center, direction)
-        share = weight * seen[:, 3]
-        colour += share[:, None] * np.column_stack([seen[:, :3], np.ones(len(points))])
-        normal += share[:, None] * seen[:, 4:7]
-        along += share * reach
+    indices, weights = atlas.grid.surrounding_frames(direction[None])
+    color, normal, distances = np.zeros((len(points), 4)), np.zeros((len(points), 3)), np.zeros(len(points))
+    for index, frame_weight in zip(indices[0], weights[0], strict=True):
+        values, frame_distances = _sample_frame(atlas, int(index), points - atlas.center, direction)
+        weight = frame_weight * values[:, 3]
+        color += weight[:, None] * np.column_stack([values[:, :3], np.ones(len(points))])
+        normal += weight[:, None] * values[:, 4:7]
+        distances += weight * frame_distances
     lengths = np.linalg.norm(normal, axis=1, keepdims=True)
-    covered = np.maximum(colour[:, 3:], EMPTY)
-    colour[:, :3] *= lengths / covered
-    return Seen(colour, normal / np.maximum(lengths, EMPTY), along / covered[:, 0])
+    coverage = np.maximum(color[:, 3:], MIN_ALPHA)
+    color[:, :3] *= lengths / coverage
+    return RaySample(color, normal / np.maximum(lengths, MIN_ALPHA), distances / coverage[:, 0])
 
 
-def _look_into(atlas: Atlas, number: int, points: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Colour, alpha and normal (M, 7) where rays meet the surface that frame `number` shows, and how far along (M,) that is."""
-    view, tile = atlas.view(number), atlas.tile(number)
-    cosine = max(float(view.direction @ direction), LEAST_COSINE)
+def _sample_frame(atlas: OctahedralAtlas, index: int, points: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return color, alpha and normal (M, 7) where rays hit the surface in frame `index`, and the distances (M,) along the rays."""
+    view, tile = atlas.view(index), atlas.tile(index)
+    cosine = max(float(view.direction @ direction), MIN_COSINE)
     height = np.zeros(len(points))
-    for _ in range(STEPS + 1):
-        along = (height - points @ view.direction) / cosine
-        hit = points + along[:, None] * direction
-        places = np.stack([hit @ view.right, hit @ view.up], axis=1) / view.pixel + 0.5 * view.side
-        height = atlas.half_side * bilinear(atlas.height[tile][..., None], places)[:, 0]
-    seen = bilinear(np.concatenate([atlas.colour[tile], atlas.normal[tile]], axis=2), places)
-    seen[:, 3] *= ((places >= 0.0) & (places <= view.side)).all(axis=1)
-    return seen, along
+    for _ in range(PARALLAX_STEPS + 1):
+        distances = (height - points @ view.direction) / cosine
+        hits = points + distances[:, None] * direction
+        pixels = np.stack([hits @ view.right, hits @ view.up], axis=1) / view.pixel_size + 0.5 * view.resolution
+        height = atlas.half_side * sample_bilinear(atlas.height[tile][..., None], pixels)[:, 0]
+    values = sample_bilinear(np.concatenate([atlas.color[tile], atlas.normal[tile]], axis=2), pixels)
+    values[:, 3] *= ((pixels >= 0.0) & (pixels <= view.resolution)).all(axis=1)
+    return values, distances

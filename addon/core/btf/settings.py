@@ -1,115 +1,184 @@
-"""What a user can choose about relightable textures."""
+"""Settings of the tool `btf`: baking, compressing and exporting relightable textures."""
 
-import math
 from dataclasses import dataclass
 
-from ..direction_grids import DirectionGrid
 from ..errors import SettingsError
-from ..settings import Settings, Unit, setting
+from ..geometry.direction_grids import DirectionGrid
+from ..settings import Choice, Settings, Unit, setting
 
 CODECS = {
-    "pca": "One set of components for all quads: linear, filtered and mip-mapped like any texture",
-    "lpca": "Local PCA: texels in clusters, each with components of its own; sharper, but not filtered like a texture",
+    "pca": Choice("PCA", "One set of components for all quads. Linear: filtered and mip-mapped like any texture"),
+    "lpca": Choice("Local PCA", "Clusters of texels with a set of components each. Sharper, but cannot be filtered like a texture"),
 }
-LARGEST_SIDE = 16384  # pixels of an image that graphics cards take
+MAX_IMAGE_SIDE = 16384  # pixels; limit of graphics cards
 
-DIRECTIONS = {
-    "bonn": "The 81 directions of the Bonn measurements, above the horizon, interpolated from those of the bake",
-    "baked": "The directions of the bake, as they are",
+EXPORT_DIRECTIONS = {
+    "bonn": Choice("Bonn", "The 81 directions of the Bonn measurements, all above the horizon, interpolated from the baked directions"),
+    "baked": Choice("Baked", "The baked directions"),
 }
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExportSettings(Settings):
-    """What a user can choose about files for other programs."""
+    """Settings of an export to other programs."""
 
-    directions: str = setting("bonn", "Views and lights of an exported folder or .btf file", choices=DIRECTIONS)
+    directions: str = setting("bonn", "View and light directions of an exported image folder or .btf file", choices=EXPORT_DIRECTIONS)
 
 
 @dataclass(frozen=True, kw_only=True)
 class BtfSettings(Settings):
-    """Settings of the tool `btf`."""
+    """Settings of a bake."""
 
-    views: int = setting(64, "Number of view directions, a square number", minimum=4, maximum=1024, unit=Unit.COUNT)
-    lights: int = setting(
-        64, "Number of light directions, a square number; a dome of even light comes on top", minimum=4, maximum=1024, unit=Unit.COUNT
+    views_per_side: int = setting(
+        8,
+        "View directions along each side of their square grid: 8 for 64 views",
+        label="Views per Side",
+        minimum=2,
+        maximum=32,
+        unit=Unit.COUNT,
+        group="Directions",
     )
-    upper_hemisphere: bool = setting(False, "Views and lights from above the horizon only, twice as dense, for what stands on the ground")
-    codec: str = setting("pca", "How the textures are compressed", choices=CODECS)
-    components: int = setting(12, "Components of colour; four share a pixel", minimum=1, maximum=64, unit=Unit.COUNT)
-    clusters: int = setting(32, "Clusters of texels, for lpca", minimum=1, maximum=256, unit=Unit.COUNT)
-    cluster_components: int = setting(8, "Components of colour of each cluster, for lpca", minimum=1, maximum=32, unit=Unit.COUNT)
-    blend_texels: bool = setting(True, "For lpca: blend neighbouring texels at random from sample to sample, which more samples smooth")
-    alpha_components: int = setting(12, "Components of the silhouette; four share a pixel", minimum=1, maximum=64, unit=Unit.COUNT)
-    shadows: int = setting(
-        256,
-        "Number of sun directions from which the original's shadows upon itself are looked up, a square number; 0 for none",
+    lights_per_side: int = setting(
+        8,
+        "Light directions along each side of their square grid: 8 for 64 Sun lights. Uniform World lighting is baked as well",
+        label="Lights per Side",
+        minimum=2,
+        maximum=32,
+        unit=Unit.COUNT,
+        group="Directions",
+    )
+    upper_hemisphere: bool = setting(
+        False,
+        "Only bake views and lights above the horizon, at twice the density. Use for objects standing on the ground",
+        group="Directions",
+    )
+    codec: str = setting("pca", "Compression method", choices=CODECS, group="Compression")
+    components: int = setting(
+        12,
+        "PCA only: number of color components; four share a pixel",
+        minimum=1,
+        maximum=64,
+        unit=Unit.COUNT,
+        group="Compression",
+        panel_label="Color",
+    )
+    clusters: int = setting(32, "Local PCA only: number of texel clusters", minimum=1, maximum=256, unit=Unit.COUNT, group="Compression")
+    cluster_components: int = setting(
+        8,
+        "Local PCA only: number of color components per cluster",
+        minimum=1,
+        maximum=32,
+        unit=Unit.COUNT,
+        group="Compression",
+        panel_label="Per Cluster",
+    )
+    blend_texels: bool = setting(
+        True,
+        "Local PCA only: randomly blend neighboring texels per sample. Removes blockiness; needs more render samples",
+        group="Compression",
+    )
+    alpha_components: int = setting(
+        12,
+        "Number of silhouette components; four share a pixel",
+        minimum=1,
+        maximum=64,
+        unit=Unit.COUNT,
+        group="Compression",
+        panel_label="Alpha",
+    )
+    shadows_per_side: int = setting(
+        16,
+        "Light directions along each side of the grid for which self-shadowing is captured: 16 for 256; 0 disables self-shadowing",
+        label="Shadow Directions per Side",
         minimum=0,
+        maximum=64,
+        unit=Unit.COUNT,
+        group="Shadows",
+        panel_label="Per Side",
+    )
+    shadow_components: int = setting(
+        24,
+        "Number of self-shadowing components; four share a pixel",
+        minimum=1,
+        maximum=64,
+        unit=Unit.COUNT,
+        group="Shadows",
+        panel_label="Components",
+    )
+    refine: bool = setting(
+        True, "Refine silhouettes against renders of the source, so that overlapping quads add up to its coverage", group="Compression"
+    )
+    samples: int = setting(
+        4,
+        "Cycles samples per pixel of each render. Compression reduces noise",
+        minimum=1,
         maximum=4096,
         unit=Unit.COUNT,
-    )
-    shadow_components: int = setting(24, "Components of shadows; four share a pixel", minimum=1, maximum=64, unit=Unit.COUNT)
-    refine: bool = setting(True, "Refine the silhouettes against whole pictures of the original, so that quads fit together")
-    samples: int = setting(
-        4, "Cycles samples a pixel of every render; compression removes their noise", minimum=1, maximum=4096, unit=Unit.COUNT
+        group="Performance",
     )
     executor: str = setting(
         "processes",
-        "Where the renders run: serial, processes, processes:N for N at a time, or dask:tcp://HOST:PORT for a Dask scheduler",
+        "Where renders run: serial, processes, processes:N for N at a time, or dask:tcp://HOST:PORT for a Dask scheduler",
+        group="Performance",
     )
-    seed: int = setting(0, "Seed of random choices", minimum=0, maximum=2**31 - 1)
+    seed: int = setting(0, "Random seed", minimum=0, maximum=2**31 - 1)
 
     @property
-    def of_capture(self) -> str:
-        """Those settings that the renders depend on, in words; the same renders can be compressed again in other ways."""
+    def view_count(self) -> int:
+        """Number of view directions."""
+        return self.views_per_side**2
+
+    @property
+    def light_count(self) -> int:
+        """Number of light directions, without the dome."""
+        return self.lights_per_side**2
+
+    @property
+    def shadow_count(self) -> int:
+        """Number of light directions for which self-shadowing is captured; may be 0."""
+        return self.shadows_per_side**2
+
+    @property
+    def capture_fingerprint(self) -> str:
+        """The settings that the renders depend on, as text. The same renders can be compressed again with other settings."""
         return (
-            f"views={self.views} lights={self.lights} upper={self.upper_hemisphere} shadows={self.shadows} samples={self.samples} "
-            f"seed={self.seed}"
+            f"views={self.view_count} lights={self.light_count} upper={self.upper_hemisphere} shadows={self.shadow_count} "
+            f"samples={self.samples} seed={self.seed}"
         )
 
     @property
     def view_grid(self) -> DirectionGrid:
-        """The views.
-
-        Raises:
-            SettingsError: when their number is no square.
-        """
-        return DirectionGrid(_side(self.views, "views"), self.upper_hemisphere)
+        """The view directions."""
+        return DirectionGrid(self.views_per_side, self.upper_hemisphere)
 
     @property
     def light_grid(self) -> DirectionGrid:
-        """The lights without the dome; see `view_grid`."""
-        return DirectionGrid(_side(self.lights, "lights"), self.upper_hemisphere)
+        """The light directions, without the dome."""
+        return DirectionGrid(self.lights_per_side, self.upper_hemisphere)
 
     @property
     def shadow_grid(self) -> DirectionGrid | None:
-        """The directions of suns whose shadows are looked up, None for none; see `view_grid`."""
-        return DirectionGrid(_side(self.shadows, "shadows"), self.upper_hemisphere) if self.shadows else None
+        """The light directions for which self-shadowing is captured; None when it is disabled."""
+        return DirectionGrid(self.shadows_per_side, self.upper_hemisphere) if self.shadows_per_side else None
 
     @property
-    def sun_size(self) -> float:
-        """The solid angle of each sun of a bake, in steradians: a cell of the lights' grid.
+    def sun_solid_angle(self) -> float:
+        """Solid angle of each baked Sun light in steradians: one cell of the light grid.
 
-        A sun like a point makes highlights narrower than the grid: one view and light would hold a spike, and its neighbours nothing.
+        A point light makes highlights narrower than a grid cell: a single view and light would hold a spike, and its neighbors nothing.
         """
         return float(self.light_grid.solid_angles.mean())
 
-    def check(self) -> None:
-        """Raise SettingsError when the numbers of views, lights and shadows are no squares, or a table would be larger than images are."""
-        in_shadow = 0 if self.shadow_grid is None else -(-self.shadow_components // 4) * (self.shadow_grid.size + 2)
+    def check_table_size(self) -> None:
+        """Raise SettingsError when a lookup table would exceed the size limit of images."""
+        shadow_height = 0 if self.shadow_grid is None else -(-self.shadow_components // 4) * (self.shadow_grid.size + 2)
         tile = (self.view_grid.size + 2) * (self.light_grid.size + 2)
-        local = self.codec == "lpca"
-        width, height = tile * (self.clusters if local else 1), tile * (self.cluster_components if local else self.components)
-        if max(width, height, in_shadow) > LARGEST_SIDE:
+        is_local = self.codec == "lpca"
+        width, height = tile * (self.clusters if is_local else 1), tile * (self.cluster_components if is_local else self.components)
+        if max(width, height, shadow_height) > MAX_IMAGE_SIDE:
+            counts = ("clusters", "cluster_components") if is_local else ("components",)
             raise SettingsError(
-                f"{self.views} views, {self.lights} lights and these components would make a table of {width} x "
-                f"{max(height, in_shadow)} pixels, more than "
-                f"the {LARGEST_SIDE} that an image can have; take fewer of one of them."
+                f"{self.view_count} views, {self.light_count} lights and this number of components need a lookup table of {width} x "
+                f"{max(height, shadow_height)} pixels; the limit is {MAX_IMAGE_SIDE}. Reduce one of them.",
+                ("views_per_side", "lights_per_side", *counts),
             )
-
-
-def _side(count: int, what: str) -> int:
-    side = math.isqrt(count)
-    if side * side != count:
-        raise SettingsError(f"--{what} {count} is no square number; take {side * side} or {(side + 1) ** 2}.")
-    return side

@@ -1,1 +1,1 @@
-"""Nested clip-boxes: volumetric terrain of any extent around a viewer, after `papers/nested-clip-boxes.txt`."""
+"""Nested clip-boxes: unbounded volumetric terrain around a viewer."""

@@ -1,141 +1,154 @@
-"""Nested boxes about a viewer: their voxels, and what stands about any corner of theirs, also where two levels meet."""
+"""The voxels of nested boxes around a viewer, and the octants of any of their corners, also where two levels meet."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..progress import Progress, Steps, scaled
-from . import surface
-from .layout import Cuboid, Layout, layout_about, same_layout
-from .patterns import DIRECTIONS, OCTANTS
+from ..jobs.progress import Progress, Steps, subprogress
+from .layout import BoxLayout, IntBox, is_same_layout, layout_around
+from .meshing import surface_nets
+from .meshing.case_table import DIRECTIONS, OCTANTS
 from .settings import ClipboxSettings
-from .terrains import Sampler
-from .volumes import Volume
+from .terrains.generators import Sampler
+from .toroidal_grid import ToroidalGrid
 
-ABOUT = np.array([OCTANTS[OCTANTS[:, axis] == high] for axis in range(3) for high in (0, 1)])  # (6, 4, 3) octants about each half edge
+# (6, 4, 3) octants around the lattice edge that leaves a corner in each direction
+EDGE_OCTANTS = np.array([OCTANTS[OCTANTS[:, axis] == high] for axis in range(3) for high in (0, 1)])
 
 
 @dataclass(frozen=True)
-class About:
-    """What stands about corners: values (8, K) densities of the octants, centres (8, 3, K) float32 where these belong, from the corner,
-    in voxels of the corner's level."""
+class CornerNeighborhood:
+    """The octants of corners.
+
+    values (8, K): densities. centers (8, 3, K) float32: center of each octant relative to the corner, in voxels of the corner's level.
+    """
 
     values: np.ndarray
-    centres: np.ndarray
+    centers: np.ndarray
 
 
 class NestedBoxes:
-    """The voxels of all levels. Finer levels than `finest` have none: they are made by subdividing.
+    """The voxels of all levels. Levels finer than `finest_level` have none: they are subdivided.
 
-    Its methods that read may only be called between two moves.
+    Methods that read voxels must not be called during a move.
     """
 
     def __init__(self, terrain: Sampler, settings: ClipboxSettings, closed: bool = False) -> None:
-        """closed: whether there is nothing beyond the outermost box, so that walls close the ground there; else it goes on as it ends."""
+        """Prepare boxes without voxels.
+
+        closed: whether it is empty outside the outermost box, so that walls close the ground there. Otherwise the outermost voxels repeat.
+        """
         self.settings = settings
         self.closed = closed
-        self.finest = settings.subdivided
-        self.layout: Layout | None = None
-        fill = terrain.densities if settings.surface == "smooth" else lambda grid: terrain.bits(grid, settings.smoothing > 0)
-        self.volumes = [Volume(settings.resolution, settings.voxel * 2**level, fill) for level in range(self.finest, settings.boxes)]
+        self.finest_level = settings.subdivided_boxes
+        self.layout: BoxLayout | None = None
+        sample = terrain.densities if settings.surface == "smooth" else lambda grid: terrain.signs(grid, settings.smoothing > 0)
+        self.grids = [
+            ToroidalGrid(settings.resolution, settings.voxel_size * 2**level, sample) for level in range(self.finest_level, settings.boxes)
+        ]
 
     @property
-    def coarsest(self) -> int:
-        """The outermost level."""
+    def coarsest_level(self) -> int:
+        """Level of the outermost box."""
         return self.settings.boxes - 1
 
-    def volume(self, level: int) -> Volume:
-        """The voxels of a level."""
-        return self.volumes[level - self.finest]
+    def grid(self, level: int) -> ToroidalGrid:
+        """Return the voxels of a level."""
+        return self.grids[level - self.finest_level]
 
     def move(self, viewer: np.ndarray) -> Steps[None]:
-        """Let the boxes lie about a viewer at (3,) scene units. When it is stopped or fails, it can be called again."""
-        layout = self._layout_about(viewer)
+        """Center the boxes on a viewer at (3,) scene units. If it is cancelled or fails, it can be called again."""
+        layout = self._layout_around(viewer)
         self.layout = None
-        for number, volume in enumerate(self.volumes):
-            steps = volume.move(layout.origins[self.finest + number])
-            yield from scaled(steps, number / len(self.volumes), (number + 1) / len(self.volumes))
+        for index, grid in enumerate(self.grids):
+            steps = grid.move(layout.origins[self.finest_level + index])
+            yield from subprogress(steps, index / len(self.grids), (index + 1) / len(self.grids))
         self.layout = layout
-        yield Progress(1.0, "Working out voxels")
+        yield Progress(1.0, "Computing voxels")
 
-    def lie_about(self, viewer: np.ndarray) -> bool:
-        """Whether the boxes lie about a viewer at (3,) already."""
-        return self.layout is not None and same_layout(self.layout, self._layout_about(viewer))
+    def is_centered_on(self, viewer: np.ndarray) -> bool:
+        """Return whether a move to a viewer at (3,) would change nothing."""
+        return self.layout is not None and is_same_layout(self.layout, self._layout_around(viewer))
 
-    def _layout_about(self, viewer: np.ndarray) -> Layout:
-        return layout_about(viewer, self.settings)
+    def _layout_around(self, viewer: np.ndarray) -> BoxLayout:
+        return layout_around(viewer, self.settings)
 
-    def hole(self, level: int) -> Cuboid | None:
-        """The voxels of `level` that finer voxels stand for."""
-        return self.layout.hole(level) if level > self.finest else None
+    def hole(self, level: int) -> IntBox | None:
+        """Return the voxels of `level` that finer voxels replace."""
+        return self.layout.hole(level) if level > self.finest_level else None
 
     def window(self, level: int, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """The voxels `low` to `high` of a level; next to what it shows, those of the next coarser one, and farther out
-        what counts nowhere; where there is none, the outermost again."""
-        shown = self.layout.shown[level]
-        first, last = np.maximum(low, shown.low), np.minimum(high, shown.high)
-        window = self.volume(level).window(first, last)
+        """Return the voxels `low` to `high` of a level.
+
+        Two voxels around its visible part are those of the next coarser level. Voxels beyond these are not used anywhere, and have any
+        value. Around the outermost box its voxels repeat.
+        """
+        visible = self.layout.visible[level]
+        first, last = np.maximum(low, visible.low), np.minimum(high, visible.high)
+        window = self.grid(level).window(first, last)
         if window.shape == tuple((high - low).tolist()):
             return window
-        if level < self.coarsest:
-            near_low, near_high = np.maximum(low, shown.low - 2), np.minimum(high, shown.high + 2)
-            beyond = self.volume(level + 1).window(near_low // 2, -(-near_high // 2))
-            found = np.full(tuple((high - low).tolist()), window.flat[0])  # which is what there is, or counts nowhere
-            if _alike(window, beyond):
-                return found
+        if level < self.coarsest_level:
+            near_low, near_high = np.maximum(low, visible.low - 2), np.minimum(high, visible.high + 2)
+            coarser = self.grid(level + 1).window(near_low // 2, -(-near_high // 2))
+            result = np.full(tuple((high - low).tolist()), window.flat[0])  # the right value if all are alike, otherwise unused
+            if _is_uniform(window, coarser):
+                return result
             for axis in range(3):
-                beyond = beyond.repeat(2, axis)
-            beyond = beyond[slices_of(near_low - near_low // 2 * 2, near_high - near_low // 2 * 2)]
-            beyond[slices_of(first - near_low, last - near_low)] = window
-            found[slices_of(near_low - low, near_high - low)] = beyond
-            return found
+                coarser = coarser.repeat(2, axis)
+            coarser = coarser[box_slices(near_low - near_low // 2 * 2, near_high - near_low // 2 * 2)]
+            coarser[box_slices(first - near_low, last - near_low)] = window
+            result[box_slices(near_low - low, near_high - low)] = coarser
+            return result
         padded = np.pad(window, np.stack([first - low, high - last], axis=1), mode="edge")
-        if self.closed and level == self.coarsest:
-            outside = np.ones(padded.shape, bool)
-            outside[slices_of(first - low, last - low)] = False
-            padded[outside] = -np.abs(padded[outside])
+        if self.closed and level == self.coarsest_level:
+            is_outside = np.ones(padded.shape, bool)
+            is_outside[box_slices(first - low, last - low)] = False
+            padded[is_outside] = -np.abs(padded[is_outside])
         return padded
 
-    def about(self, level: int, corners: np.ndarray) -> About:
-        """What stands about the corners (K, 3) of a level's lattice that lie in what it shows or on the border of that."""
+    def gather_octants(self, level: int, corners: np.ndarray) -> CornerNeighborhood:
+        """Return the octants of corners (K, 3) of a level's lattice, which lie in its visible part or on the boundary of that."""
         voxels = corners[:, None] + OCTANTS - 1
-        shown, hole = self.layout.shown[level], self.hole(level)
-        values = self.volume(level).at(np.clip(voxels, shown.low, shown.high - 1))
-        if self.closed and level == self.coarsest:
-            values = np.where(shown.contains(voxels), values, -np.abs(values))
-        centres = np.broadcast_to((OCTANTS - 0.5).astype(np.float32), voxels.shape).copy()
-        if hole is not None and (finer := hole.contains(voxels)).any():
-            within = (2 * corners[:, None] + OCTANTS - 1)[finer]
-            values[finer] = self.volume(level - 1).at(within)
-            centres[finer] *= np.float32(0.5)
-        if level < self.coarsest and (coarser := ~shown.contains(voxels)).any():
-            values[coarser] = self.volume(level + 1).at(voxels[coarser] // 2)
-            centres[coarser] = (voxels // 2 * 2 + 1 - corners[:, None])[coarser]
-        return About(values.T, np.moveaxis(centres, 0, 2))
+        visible, hole = self.layout.visible[level], self.hole(level)
+        values = self.grid(level).values_at(np.clip(voxels, visible.low, visible.high - 1))
+        if self.closed and level == self.coarsest_level:
+            values = np.where(visible.contains(voxels), values, -np.abs(values))
+        centers = np.broadcast_to((OCTANTS - 0.5).astype(np.float32), voxels.shape).copy()
+        if hole is not None and (is_finer := hole.contains(voxels)).any():
+            finer_voxels = (2 * corners[:, None] + OCTANTS - 1)[is_finer]
+            values[is_finer] = self.grid(level - 1).values_at(finer_voxels)
+            centers[is_finer] *= np.float32(0.5)
+        if level < self.coarsest_level and (is_coarser := ~visible.contains(voxels)).any():
+            values[is_coarser] = self.grid(level + 1).values_at(voxels[is_coarser] // 2)
+            centers[is_coarser] = (voxels // 2 * 2 + 1 - corners[:, None])[is_coarser]
+        return CornerNeighborhood(values.T, np.moveaxis(centers, 0, 2))
 
-    def patterns_beyond(self, level: int, corners: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """The patterns (K,) of the corners at the other ends of the edges that leave `corners` (K, 3) of a level in `directions` (K,)."""
-        voxels, steps = corners[:, None] + ABOUT[directions] - 1, DIRECTIONS[directions]
-        hole, shown = self.hole(level), self.layout.shown[level]
-        finer = np.zeros(len(corners), bool) if hole is None else hole.contains(voxels).any(axis=1)
-        coarser = np.zeros(len(corners), bool) if level == self.coarsest else ~finer & ~shown.contains(voxels).any(axis=1)
-        found = np.empty(len(corners), np.int64)
-        for those, of_level, ends in (
-            (finer, level - 1, 2 * corners + steps),
-            (coarser, level + 1, corners // 2 + steps),
-            (~(finer | coarser), level, corners + steps),
+    def cases_at_edge_ends(self, level: int, corners: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Return the cases (K,) of the other ends of the lattice edges that leave `corners` (K, 3) of a level in `directions` (K,)."""
+        voxels, steps = corners[:, None] + EDGE_OCTANTS[directions] - 1, DIRECTIONS[directions]
+        hole, visible = self.hole(level), self.layout.visible[level]
+        is_finer = np.zeros(len(corners), bool) if hole is None else hole.contains(voxels).any(axis=1)
+        has_coarser = level < self.coarsest_level
+        is_coarser = ~is_finer & ~visible.contains(voxels).any(axis=1) if has_coarser else np.zeros(len(corners), bool)
+        cases = np.empty(len(corners), np.int64)
+        for rows, end_level, ends in (
+            (is_finer, level - 1, 2 * corners + steps),
+            (is_coarser, level + 1, corners // 2 + steps),
+            (~(is_finer | is_coarser), level, corners + steps),
         ):
-            if those.any():
-                found[those] = surface.patterns_of(surface.bits_of(self.about(of_level, ends[those]).values))
-        return found
+            if rows.any():
+                octants = self.gather_octants(end_level, ends[rows])
+                cases[rows] = surface_nets.case_indices(surface_nets.is_solid(octants.values))
+        return cases
 
 
-def slices_of(low: np.ndarray, high: np.ndarray) -> tuple[slice, ...]:
-    """The part `low` to `high` (3,) of an array."""
+def box_slices(low: np.ndarray, high: np.ndarray) -> tuple[slice, ...]:
+    """Return the slices of the part `low` to `high` (3,) of an array."""
     return tuple(slice(*span) for span in zip(low.tolist(), high.tolist(), strict=True))
 
 
-def _alike(*parts: np.ndarray) -> bool:
-    """Whether all voxels of all `parts` are set, or none is."""
-    bits = [surface.bits_of(part) for part in parts]
-    return all(part.all() for part in bits) or not any(part.any() for part in bits)
+def _is_uniform(*windows: np.ndarray) -> bool:
+    """Return whether all voxels of all `windows` are solid, or all are empty."""
+    masks = [surface_nets.is_solid(window) for window in windows]
+    return all(mask.all() for mask in masks) or not any(mask.any() for mask in masks)

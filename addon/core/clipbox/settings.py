@@ -3,85 +3,151 @@
 from dataclasses import dataclass
 
 from ..errors import SettingsError
-from ..settings import Settings, Unit, setting
-from . import forest, heights, voxels  # noqa: F401 - their terrains join the others when they are imported
-from .terrains import NAMES
+from ..settings import Choice, Settings, Unit, setting
+from .terrains.generators import CHOICES
 
-LEAST_PART = 8  # of a box: a threshold beyond this part of its side would let it leave the next one
+TERRAIN, BOXES, DETAIL = "Terrain", "Boxes", "Detail"  # groups
+MIN_RESOLUTION_PER_THRESHOLD = 8  # voxels; with a larger threshold a box could leave the next coarser one
 SURFACES = {
-    "smooth": "The surface passes where the density is 0 (surface nets)",
-    "blocky": "The faces of voxels, as in the paper; smoothing rounds them",
+    "smooth": Choice("Smooth", "Surface nets: vertices lie where the density is 0"),
+    "blocky": Choice("Blocky", "Cuberille: the faces of the voxels, which Smoothing rounds off"),
 }
 
 
 @dataclass(frozen=True, kw_only=True)
 class ClipboxSettings(Settings):
-    """What a user can choose about a terrain in nested boxes."""
+    """Settings of a terrain in nested boxes. Implements `TerrainSource`."""
 
-    terrain: str = setting("cascades", "What the terrain is made of", choices=NAMES)
+    terrain: str = setting("cascades", "Shape of the terrain", choices=CHOICES, group=TERRAIN)
     formula: str = setting(
-        "30*sin(x/40)*sin(y/40) - z", "For the terrain formula: a function of x, y and z in scene units, solid where it is above 0"
+        "30*sin(x/40)*sin(y/40) - z",
+        "Formula only: density as a function of x, y and z in scene units; positive values are solid",
+        group=TERRAIN,
     )
-    source: str = setting("", "For the terrains heights, volume and forest: the file they come from")
+    source: str = setting(
+        "", "Heights, Volume and Forest only: height map or voxel model to read", label="Source File", path="file", group=TERRAIN
+    )
     source_size: float = setting(
-        1000.0, "How far the longest side of the file reaches; of the largest copy in a forest", minimum=1e-3, maximum=1e7, unit=Unit.LENGTH
+        1000.0,
+        "Length of the longest side of the source file's content; for Forest, of the largest copy",
+        minimum=1e-3,
+        maximum=1e7,
+        unit=Unit.LENGTH,
+        group=TERRAIN,
     )
     source_height: float = setting(
-        100.0, "How high white is above black where a picture gives the heights", minimum=0.0, maximum=1e6, unit=Unit.LENGTH
+        100.0,
+        "Height difference between black and white for image height maps",
+        minimum=0.0,
+        maximum=1e6,
+        unit=Unit.LENGTH,
+        group=TERRAIN,
     )
-    source_color: str = setting("", "For the terrain heights: a picture of the ground from above, of the same extent as the file")
+    source_color: str = setting(
+        "", "Heights only: image of the ground from above, with the same extent as the source file", path="file", group=TERRAIN
+    )
     forest_spacing: float = setting(
-        0.8, "For the terrain forest: how far apart copies stand, in sizes of the largest", minimum=0.25, maximum=100.0
+        0.8, "Forest only: distance between copies, relative to the size of the largest", minimum=0.25, maximum=100.0, group=TERRAIN
     )
-    forest_hills: float = setting(15.0, "How far the ground under them rises and falls", minimum=0.0, maximum=1e5, unit=Unit.LENGTH)
+    forest_hills: float = setting(
+        15.0, "Forest only: height range of the ground below the copies", minimum=0.0, maximum=1e5, unit=Unit.LENGTH, group=TERRAIN
+    )
     sphere_radius: float = setting(
-        120.0, "For the terrain spheres: radius of the largest; each class has half of the last", minimum=0.1, maximum=1e5, unit=Unit.LENGTH
+        120.0,
+        "Spheres only: maximum radius of the largest size class; each further class is half as large",
+        minimum=0.1,
+        maximum=1e5,
+        unit=Unit.LENGTH,
+        group=TERRAIN,
     )
-    sphere_classes: int = setting(7, "How many classes of size there are", minimum=1, maximum=12)
-    sphere_count: int = setting(4, "How many spheres of a class there are in a cube of four of its radii", minimum=1, maximum=64)
-    sphere_taken: float = setting(0.5, "Share of the spheres that take ground away", minimum=0.0, maximum=1.0, unit=Unit.SHARE)
+    sphere_classes: int = setting(7, "Spheres only: number of size classes", minimum=1, maximum=12, group=TERRAIN)
+    sphere_count: int = setting(
+        4, "Spheres only: spheres of each class per cell (a cube four radii wide)", minimum=1, maximum=64, group=TERRAIN
+    )
+    sphere_subtracted: float = setting(
+        0.5,
+        "Spheres only: fraction of spheres that are subtracted",
+        minimum=0.0,
+        maximum=1.0,
+        unit=Unit.FRACTION,
+        group=TERRAIN,
+        panel_label="Subtracted",
+    )
     sphere_height: float = setting(
-        60.0, "How far above and below 0 the largest have their centres", minimum=0.0, maximum=1e6, unit=Unit.LENGTH
+        60.0,
+        "Spheres only: maximum distance of the largest spheres' centers above and below z = 0",
+        minimum=0.0,
+        maximum=1e6,
+        unit=Unit.LENGTH,
+        group=TERRAIN,
     )
-    seed: int = setting(0, "Another number gives another terrain of the same kind", minimum=0, maximum=2**31 - 1)
-    scale: float = setting(1.0, "How many times as large the terrain's features are", minimum=1e-3, maximum=1e3)
-    voxel: float = setting(1.0, "Side of the smallest voxels", minimum=1e-4, maximum=1e4, unit=Unit.LENGTH)
-    resolution: int = setting(64, "Voxels along each side of every box", minimum=32, maximum=256)
-    boxes: int = setting(7, "Boxes, each twice as wide as the one within it", minimum=1, maximum=10)
+    seed: int = setting(
+        0, "Random seed; every value gives a different terrain of the same kind", minimum=0, maximum=2**31 - 1, group=TERRAIN
+    )
+    scale: float = setting(1.0, "Size factor of all terrain features", minimum=1e-3, maximum=1e3, group=TERRAIN)
+    voxel_size: float = setting(1.0, "Side of the smallest voxels", minimum=1e-4, maximum=1e4, unit=Unit.LENGTH, group=BOXES)
+    resolution: int = setting(64, "Voxels along each side of every box", minimum=32, maximum=256, group=BOXES)
+    boxes: int = setting(7, "Number of nested boxes, each twice as large as the next inner one", minimum=1, maximum=10, group=BOXES)
     threshold: int = setting(
         4,
-        "Voxels of its own that the viewer may go before a box follows; more moves it less often",
+        "Distance, in its own voxels, that the viewer moves before a box is recentered. Higher values update less often",
         minimum=1,
         maximum=8,
+        group=BOXES,
     )
-    subdivided: int = setting(
-        0, "How many of the innermost boxes are made by subdividing the surface around them instead of from voxels", minimum=0, maximum=9
+    subdivided_boxes: int = setting(
+        0,
+        "Number of innermost boxes that subdivide the surface of the next coarser box instead of sampling the terrain",
+        minimum=0,
+        maximum=9,
+        group=DETAIL,
+        panel_label="Subdivided",
     )
     roughness: float = setting(
-        0.25, "How far the vertices that subdivision adds may be moved, as a share of the voxel", minimum=0.0, maximum=1.0, unit=Unit.SHARE
+        0.25,
+        "Maximum random displacement of subdivided vertices, relative to the voxel size",
+        minimum=0.0,
+        maximum=1.0,
+        unit=Unit.FRACTION,
+        group=DETAIL,
     )
-    surface: str = setting("smooth", "Where the surface passes", choices=SURFACES)
-    smoothing: int = setting(0, "How many times every vertex is moved half way to the mean of its neighbours", minimum=0, maximum=8)
+    surface: str = setting("smooth", "How the surface is extracted from the voxels", choices=SURFACES, group=DETAIL)
+    smoothing: int = setting(
+        0,
+        "Smoothing iterations; each moves every vertex halfway to the mean of its neighbors",
+        minimum=0,
+        maximum=8,
+        group=DETAIL,
+    )
 
     def __post_init__(self) -> None:
-        """Also check what the settings say together."""
+        """Also check combinations of settings."""
         super().__post_init__()
-        if self.subdivided >= self.boxes:
-            raise SettingsError(f"--subdivided is {self.subdivided} of {self.boxes} boxes; at least one has to come from voxels.")
-        if self.threshold > self.resolution // LEAST_PART:
+        if self.subdivided_boxes >= self.boxes:
             raise SettingsError(
-                f"--threshold is {self.threshold} in boxes of {self.resolution} voxels; the largest is {self.resolution // LEAST_PART}."
+                f"Subdivided Boxes is {self.subdivided_boxes} of {self.boxes} boxes; at least one box must sample the terrain.",
+                ("subdivided_boxes",),
+            )
+        max_threshold = self.resolution // MIN_RESOLUTION_PER_THRESHOLD
+        if self.threshold > max_threshold:
+            raise SettingsError(
+                f"Threshold is {self.threshold} in boxes of {self.resolution} voxels; the maximum is {max_threshold}.", ("threshold",)
             )
 
 
 @dataclass(frozen=True, kw_only=True)
-class FreezeSettings(Settings):
-    """What a user can choose about meshes that a terrain is frozen to."""
+class ConvertSettings(Settings):
+    """Settings of the conversion of a terrain to meshes."""
 
-    per_box: bool = setting(False, "A mesh for each box instead of one for all; only one for all is watertight")
-    closed: bool = setting(True, "Close the ground with walls at the border of the outermost box")
-    collider: bool = setting(True, "Make a mesh of few triangles for collisions as well")
-    collider_share: float = setting(
-        0.05, "How many triangles the collider has, as a share of all", minimum=1e-3, maximum=1.0, unit=Unit.SHARE
+    per_box: bool = setting(False, "Create one mesh per box instead of one for all boxes. Only a single mesh is watertight")
+    closed: bool = setting(True, "Close the ground with walls at the boundary of the outermost box")
+    collider: bool = setting(True, "Also create a mesh with few triangles for collisions")
+    collider_fraction: float = setting(
+        0.05,
+        "Number of collider triangles relative to the terrain mesh",
+        minimum=1e-3,
+        maximum=1.0,
+        unit=Unit.FRACTION,
+        panel_label="Fraction",
     )
-    keep_terrain: bool = setting(False, "Keep the terrain that follows beside its frozen mesh")
+    keep_terrain: bool = setting(False, "Keep the terrain in addition to its meshes")

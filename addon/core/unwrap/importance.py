@@ -1,50 +1,61 @@
-"""What matters on a surface: how many texels each triangle should get beside the others, from 0 for the fewest to 1 for the most."""
+"""Importance of surface triangles: their desired relative texel density, from 0 (lowest) to 1 (highest)."""
 
 import numpy as np
 
 from ..errors import SettingsError
 
-WELL_SEEN = 95.0  # per cent of what is seen get no more pixels than what counts as most important
+REFERENCE_PERCENTILE = 95.0  # of the visible area: the pixel density that gets importance 1; the few denser triangles get no more
 
 
 def from_direction(normals: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Importance (T,) of triangles with unit `normals` (T, 3) for a viewer far off in `direction` (3,): all that faces it matters alike.
+    """Return the importance (T,) of triangles with unit `normals` (T, 3): 1 where they face `direction` (3,), towards the viewer, else 0.
 
     Raises:
-        SettingsError: when the direction has no length or is not finite.
+        SettingsError: the direction has no length or is not finite.
     """
-    return (normals @ _unit(direction) > 0.0).astype(np.float64)
+    return (normals @ _normalize(direction) > 0.0).astype(np.float64)
 
 
-def from_look(normals: np.ndarray, direction: np.ndarray, ratio: float) -> np.ndarray:
-    """Importance (T,) as the paper has it, weights 1 / (<N, V> + k) with V along the look (section 3.2): what is turned to the viewer
-    matters more the more it is. k is such that the largest weight is the least times `ratio` squared.
+def from_direction_gradual(normals: np.ndarray, direction: np.ndarray, ratio: float) -> np.ndarray:
+    """Return the importance (T,) of triangles that grows with how directly their unit `normals` (T, 3) point in `direction` (3,).
+
+    The weights are 1 / (<N, V> + k) with V along the view (section 3.2 of the paper). k is chosen so that the largest weight is
+    `ratio` squared times the smallest.
 
     Raises:
-        SettingsError: when the direction has no length or is not finite.
+        SettingsError: the direction has no length or is not finite.
     """
-    towards = normals @ _unit(direction)
+    cosines = normals @ _normalize(direction)
     if ratio <= 1.0:
         return np.zeros(len(normals))
     k = (ratio**2 + 1.0) / (ratio**2 - 1.0)
-    return np.clip(np.log((k + 1.0) / (k - towards)) / np.log(ratio**2), 0.0, 1.0)
+    return np.clip(np.log((k + 1.0) / (k - cosines)) / np.log(ratio**2), 0.0, 1.0)
 
 
-def from_pixels(pixels: np.ndarray, areas: np.ndarray, ratio: float) -> np.ndarray:
-    """Importance (T,) of triangles with `areas` (T,) that show `pixels` (T,): texels are to follow pixels within a factor `ratio`."""
-    density = np.divide(pixels, areas, out=np.zeros(len(areas)), where=areas > 0.0)
-    seen = density > 0.0
-    if not seen.any() or ratio <= 1.0:
+def from_visible_pixels(pixel_areas: np.ndarray, areas: np.ndarray, ratio: float) -> np.ndarray:
+    """Return the importance (T,) of triangles whose texel density follows their pixel density, within a factor of `ratio`.
+
+    Args:
+        pixel_areas: (T,) visible areas in pixels.
+        areas: (T,) areas on the surface.
+        ratio: largest texel density over the smallest.
+    """
+    density = np.divide(pixel_areas, areas, out=np.zeros(len(areas)), where=areas > 0.0)
+    is_visible = density > 0.0
+    if not is_visible.any() or ratio <= 1.0:
         return np.zeros(len(areas))
     order = np.argsort(density)
-    ranks = np.cumsum(np.where(seen, areas, 0.0)[order])
-    most = density[order][np.searchsorted(ranks, 0.01 * WELL_SEEN * ranks[-1])]
-    return np.where(seen, np.clip(1.0 + np.log(np.where(seen, density, 1.0) / most) / np.log(ratio), 0.0, 1.0), 0.0)
+    cumulative = np.cumsum(np.where(is_visible, areas, 0.0)[order])
+    reference = density[order][np.searchsorted(cumulative, 0.01 * REFERENCE_PERCENTILE * cumulative[-1])]
+    relative = np.log(np.where(is_visible, density, 1.0) / reference) / np.log(ratio)
+    return np.where(is_visible, np.clip(1.0 + relative, 0.0, 1.0), 0.0)
 
 
-def _unit(direction: np.ndarray) -> np.ndarray:
+def _normalize(direction: np.ndarray) -> np.ndarray:
     direction = np.asarray(direction, np.float64)
     length = float(np.linalg.norm(direction))
     if not np.isfinite(length) or length == 0.0:
-        raise SettingsError("The direction of importance has no length; give one that points from the surface to the viewer.")
+        raise SettingsError(
+            "Direction has no length; enter a vector that points from the surface towards the viewer.", settings=("direction",)
+        )
     return direction / length

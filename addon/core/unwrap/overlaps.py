@@ -1,78 +1,79 @@
-"""Which triangles of a UV map lie over each other, pair by pair.
+"""Counts overlapping pairs of triangles in a UV map.
 
-Triangles lie in grids by their size, each in the one cell of the grid of its level where its lower left corner is. Whatever meets a box
-lies in a few cells of every level, and those of a row are neighbours in the order of the grid.
+Triangles are sorted into nested grids by size. Each triangle is stored once, in the grid of its level and in the cell that holds the lower
+left corner of its bounding box. A box can therefore only meet triangles of a few cells per level, and the cells of one row are
+contiguous in memory.
 """
 
 from collections.abc import Iterator
 
 import numpy as np
 
-from ..parallel import slices
-from ..progress import Progress, Steps
-from .plane import cross, signed_areas
+from ..arrays import concatenate_ranges
+from ..geometry.geometry_2d import cross, signed_areas
+from ..jobs.chunks import slices
+from ..jobs.progress import Progress, Steps
 
-LEVELS = 24  # of halved cells, from the largest triangle on
-TOUCH = 1e-9  # of the extent of the map: triangles that come no farther into each other only touch
-CHUNK = 1 << 13  # triangles whose neighbours are looked up at once
+MAX_LEVELS = 24  # of grids; the cell size halves per level, starting at the largest triangle
+CONTACT_TOLERANCE = 1e-9  # of the extent of the map: triangles that penetrate each other by no more than this only touch
+CHUNK_SIZE = 1 << 13  # triangles per query
 
 
-def overlap_count(corners: np.ndarray) -> Steps[int]:
-    """How many pairs of triangles (T, 3, 2) lie over each other; triangles without area do with none."""
-    areas = signed_areas(corners)
-    yield Progress(0.0, "Looking for overlaps")
-    corners = np.where((areas < 0.0)[:, None, None], corners[:, ::-1], corners)[areas != 0.0]
+def count_overlaps(corner_uvs: np.ndarray) -> Steps[int]:
+    """Return the number of overlapping pairs of triangles (T, 3, 2); triangles without area overlap nothing."""
+    areas = signed_areas(corner_uvs)
+    yield Progress(0.0, "Finding overlaps")
+    corners = np.where((areas < 0.0)[:, None, None], corner_uvs[:, ::-1], corner_uvs)[areas != 0.0]
     if len(corners) < 2:
         return 0
     extent = float(np.ptp(corners.reshape(-1, 2), axis=0).max())
-    yield Progress(0.0, "Looking for overlaps")
+    yield Progress(0.0, "Finding overlaps")
     total = 0
-    for share, first, second in _candidates(corners):
-        yield Progress(share, "Looking for overlaps")
-        total += int(_overlap(corners[first], corners[second], TOUCH * extent).sum())
+    for fraction, first, second in _candidate_pairs(corners):
+        yield Progress(fraction, "Finding overlaps")
+        total += int(_overlap(corners[first], corners[second], CONTACT_TOLERANCE * extent).sum())
     return total
 
 
-def _candidates(corners: np.ndarray) -> Iterator[tuple[float, np.ndarray, np.ndarray]]:
-    """Pairs of triangles whose boxes may meet, every pair once, and what share of them has been looked at."""
+def _candidate_pairs(corners: np.ndarray) -> Iterator[tuple[float, np.ndarray, np.ndarray]]:
+    """Yield pairs of triangles (two index arrays) with overlapping bounding boxes, each pair once, and the fraction of work done."""
     low, high = corners.min(axis=1), corners.max(axis=1)
     low, high = low - low.min(axis=0), high - low.min(axis=0)
     sizes = (high - low).max(axis=1)
-    levels = np.clip(np.floor(np.log2(sizes.max() / sizes)), 0, LEVELS).astype(np.int64)
+    levels = np.clip(np.floor(np.log2(sizes.max() / sizes)), 0, MAX_LEVELS).astype(np.int64)
     order = np.argsort(-levels, kind="stable")
-    filled = np.unique(levels)
-    for number, level in enumerate(filled):
-        side = sizes.max() / 2.0**level
+    used_levels = np.unique(levels)
+    for level_index, level in enumerate(used_levels):
+        cell_size = sizes.max() / 2.0**level
         members = np.flatnonzero(levels == level)
-        columns = int(high[:, 0].max() / side) + 2
-        cells = (low[members] // side).astype(np.int64)
+        columns = int(high[:, 0].max() / cell_size) + 2
+        cells = (low[members] // cell_size).astype(np.int64)
         keys = cells[:, 1] * columns + cells[:, 0]
         members, keys = members[np.argsort(keys, kind="stable")], np.sort(keys)
         finer = order[: int(np.searchsorted(-levels[order], -level, side="right"))]
-        for chunk in slices(len(finer), CHUNK):
-            asking = finer[chunk]
-            left, right = np.maximum(low[asking, 0] // side - 1, 0), high[asking, 0] // side
-            bottom, top = (low[asking, 1] // side - 1).astype(np.int64), (high[asking, 1] // side).astype(np.int64)
+        for chunk in slices(len(finer), CHUNK_SIZE):
+            queries = finer[chunk]
+            left, right = np.maximum(low[queries, 0] // cell_size - 1, 0), high[queries, 0] // cell_size
+            bottom, top = (low[queries, 1] // cell_size - 1).astype(np.int64), (high[queries, 1] // cell_size).astype(np.int64)
             for row in range(int((top - bottom).max()) + 1):
-                line = (bottom + row) * columns
-                first = np.searchsorted(keys, line + left.astype(np.int64))
-                last = np.where(bottom + row <= top, np.searchsorted(keys, line + right.astype(np.int64), side="right"), first)
-                own = np.repeat(np.arange(len(asking)), last - first)
-                met = members[np.arange(len(own)) - np.repeat(np.cumsum(last - first) - last, last - first)]
-                own = asking[own]
-                new = (levels[own] > level) | (own < met)
-                new &= ((low[own] <= high[met]) & (low[met] <= high[own])).all(axis=1)
-                yield number / len(filled), own[new], met[new]
+                row_start = (bottom + row) * columns
+                first = np.searchsorted(keys, row_start + left.astype(np.int64))
+                last = np.where(bottom + row <= top, np.searchsorted(keys, row_start + right.astype(np.int64), side="right"), first)
+                query = queries[np.repeat(np.arange(len(queries)), last - first)]
+                candidate = members[concatenate_ranges(first, last - first)]
+                is_new = (levels[query] > level) | (query < candidate)
+                is_new &= ((low[query] <= high[candidate]) & (low[candidate] <= high[query])).all(axis=1)
+                yield level_index / len(used_levels), query[is_new], candidate[is_new]
 
 
-def _overlap(first: np.ndarray, second: np.ndarray, touch: float) -> np.ndarray:
-    """Whether pairs of counter-clockwise triangles (P, 3, 2) lie over each other by more than `touch`, (P,) bool."""
-    return ~(_parted(first, second, touch) | _parted(second, first, touch))
+def _overlap(first: np.ndarray, second: np.ndarray, tolerance: float) -> np.ndarray:
+    """Return whether pairs of counter-clockwise triangles (P, 3, 2) penetrate each other by more than `tolerance`, (P,) bool."""
+    return ~(_is_separated(first, second, tolerance) | _is_separated(second, first, tolerance))
 
 
-def _parted(triangles: np.ndarray, others: np.ndarray, touch: float) -> np.ndarray:
-    """Whether a side of each of `triangles` (P, 3, 2) has all of the other one beyond it, (P,) bool."""
-    sides = np.roll(triangles, -1, axis=1) - triangles
-    lengths = np.linalg.norm(sides, axis=2)
-    inwards = cross(sides[:, :, None], others[:, None] - triangles[:, :, None])
-    return (inwards.max(axis=2) <= touch * lengths).any(axis=1)
+def _is_separated(triangles: np.ndarray, others: np.ndarray, tolerance: float) -> np.ndarray:
+    """Return whether an edge of each of `triangles` (P, 3, 2) separates it from the other triangle, (P,) bool."""
+    edges = np.roll(triangles, -1, axis=1) - triangles
+    lengths = np.linalg.norm(edges, axis=2)
+    inward = cross(edges[:, :, None], others[:, None] - triangles[:, :, None])
+    return (inward.max(axis=2) <= tolerance * lengths).any(axis=1)

@@ -1,69 +1,70 @@
-"""Charts packed into the UV square, each as large as it should be beside the others."""
+"""Packs charts into the UV square without changing their relative scale."""
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-TEXELS = 1024  # along the side that the charts are packed for
+PACKING_RESOLUTION = 1024  # texels per side of the square that xatlas packs into
 
 
-def packed(layouts: list[np.ndarray], triangles: list[np.ndarray], margin: float) -> list[np.ndarray]:
-    """The `layouts` (V, 2) of charts turned and moved apart, and all scaled by one factor, so that they fill the unit square well.
+def pack_charts(uvs: list[np.ndarray], triangles: list[np.ndarray], margin: float) -> list[np.ndarray]:
+    """Return the `uvs` (V, 2) of charts, rotated and moved apart, and scaled by one common factor to fill the unit square.
 
-    triangles: (T, 3) of each. margin: room around each chart, as a share of the square's side.
+    triangles: (T, 3) of each chart. margin: margin around each chart, as a fraction of the side of the square.
     """
-    upright = [_upright(layout) for layout in layouts]
-    if len(upright) > 1:
-        upright = _side_by_side(upright, triangles, margin)
-    low = np.min([layout.min(axis=0) for layout in upright], axis=0)
-    high = np.max([layout.max(axis=0) for layout in upright], axis=0)
+    oriented = [_min_area_orientation(uv) for uv in uvs]
+    if len(oriented) > 1:
+        oriented = _pack_with_xatlas(oriented, triangles, margin)
+    low = np.min([uv.min(axis=0) for uv in oriented], axis=0)
+    high = np.max([uv.max(axis=0) for uv in oriented], axis=0)
     scale = (1.0 - 2.0 * margin) / float((high - low).max())
-    return [margin + scale * (layout - low) for layout in upright]
+    return [margin + scale * (uv - low) for uv in oriented]
 
 
-def _upright(layout: np.ndarray) -> np.ndarray:
-    """`layout` turned so that its bounding box is the smallest, the longer side along u."""
+def _min_area_orientation(uv: np.ndarray) -> np.ndarray:
+    """Return `uv` (V, 2) rotated to the bounding box of minimum area, with the longer side along u."""
     try:
-        hull = layout[ConvexHull(layout).vertices]
-    except QhullError:  # hardly more than a line
-        hull = layout
-    sides = np.roll(hull, -1, axis=0) - hull
-    angles = np.arctan2(sides[:, 1], sides[:, 0]) % (0.5 * np.pi)
-    turned = np.stack([np.cos(angles), np.sin(angles), -np.sin(angles), np.cos(angles)], axis=1).reshape(-1, 2, 2)
-    extents = np.ptp(turned @ hull.T, axis=2)
+        hull = uv[ConvexHull(uv).vertices]
+    except QhullError:  # a degenerate chart, close to a line
+        hull = uv
+    edges = np.roll(hull, -1, axis=0) - hull
+    angles = np.arctan2(edges[:, 1], edges[:, 0]) % (0.5 * np.pi)
+    rotations = np.stack([np.cos(angles), np.sin(angles), -np.sin(angles), np.cos(angles)], axis=1).reshape(-1, 2, 2)
+    extents = np.ptp(rotations @ hull.T, axis=2)
     best = int(extents.prod(axis=1).argmin())
-    made = layout @ turned[best].T
-    return made if extents[best, 0] >= extents[best, 1] else made @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+    rotated = uv @ rotations[best].T
+    return rotated if extents[best, 0] >= extents[best, 1] else rotated @ np.array([[0.0, 1.0], [-1.0, 0.0]])
 
 
-def _side_by_side(layouts: list[np.ndarray], triangles: list[np.ndarray], margin: float) -> list[np.ndarray]:
-    """The charts moved apart by xatlas, which packs outlines texel by texel. It gets places alone from there: its coordinates are single
-    floats, and its turns mirror."""
+def _pack_with_xatlas(uvs: list[np.ndarray], triangles: list[np.ndarray], margin: float) -> list[np.ndarray]:
+    """Return the charts moved apart by xatlas, which packs silhouettes texel by texel.
+
+    Only translations are taken from xatlas: its coordinates are single precision, and its rotations may mirror a chart.
+    """
     import xatlas  # here, so that importing the core needs only NumPy and SciPy
 
-    area = sum(float(np.ptp(layout, axis=0).prod()) for layout in layouts)
+    area = sum(float(np.ptp(uv, axis=0).prod()) for uv in uvs)
     options = xatlas.PackOptions()
-    options.resolution, options.padding = 0, int(np.ceil(margin * TEXELS))
-    options.texels_per_unit = TEXELS / np.sqrt(area)
+    options.resolution, options.padding = 0, int(np.ceil(margin * PACKING_RESOLUTION))
+    options.texels_per_unit = PACKING_RESOLUTION / np.sqrt(area)
     options.rotate_charts = options.rotate_charts_to_axis = False
     atlas = xatlas.Atlas()
-    held = [_outline(layout, drawn, 1.0 / options.texels_per_unit) for layout, drawn in zip(layouts, triangles, strict=True)]
-    for coordinates, drawn in held:  # all held at once: xatlas takes what comes from the same address for the same chart
-        atlas.add_uv_mesh(coordinates, drawn)
+    meshes = [_to_xatlas(uv, faces, 1.0 / options.texels_per_unit) for uv, faces in zip(uvs, triangles, strict=True)]
+    for uv, faces in meshes:  # all arrays stay alive: xatlas takes data at the same address for the same chart
+        atlas.add_uv_mesh(uv, faces)
     atlas.generate(pack_options=options)
     size = np.array([atlas.width, atlas.height], np.float64)
-    return [layout + _shift(layout, atlas.get_mesh(index), size / options.texels_per_unit) for index, layout in enumerate(layouts)]
+    return [uv + _translation(uv, atlas.get_mesh(index), size / options.texels_per_unit) for index, uv in enumerate(uvs)]
 
 
-def _outline(layout: np.ndarray, triangles: np.ndarray, texel: float) -> tuple[np.ndarray, np.ndarray]:
-    """A chart as xatlas takes it, coordinates (V, 2) float32 and triangles uint32; of one thinner than a texel, which it would not place,
-    a box."""
-    extent = np.ptp(layout, axis=0)
-    if extent.min() >= texel:
-        return (layout - layout.min(axis=0)).astype(np.float32), triangles.astype(np.uint32)
-    box = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * np.maximum(extent, texel)
+def _to_xatlas(uv: np.ndarray, triangles: np.ndarray, texel_size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return a chart as coordinates (V, 2) float32 and triangles uint32; a box where it is thinner than a texel, as xatlas drops these."""
+    extent = np.ptp(uv, axis=0)
+    if extent.min() >= texel_size:
+        return (uv - uv.min(axis=0)).astype(np.float32), triangles.astype(np.uint32)
+    box = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * np.maximum(extent, texel_size)
     return box.astype(np.float32), np.array([[0, 1, 2], [0, 2, 3]], np.uint32)
 
 
-def _shift(layout: np.ndarray, placed: tuple[np.ndarray, np.ndarray, np.ndarray], size: np.ndarray) -> np.ndarray:
-    """How far (2,) a chart has to go to where it was `placed`, with coordinates over `size` (2,)."""
-    return placed[2].min(axis=0) * size - layout.min(axis=0)
+def _translation(uv: np.ndarray, packed_mesh: tuple[np.ndarray, np.ndarray, np.ndarray], size: np.ndarray) -> np.ndarray:
+    """Return the translation (2,) of a chart to its packed position; xatlas divides its coordinates by `size` (2,)."""
+    return packed_mesh[2].min(axis=0) * size - uv.min(axis=0)

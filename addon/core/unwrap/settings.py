@@ -2,49 +2,49 @@
 
 from dataclasses import dataclass
 
-from ..settings import Settings, Unit, setting
+from ..settings import Choice, Settings, Unit, setting
 
 IMPORTANCE = {
-    "even": "Every part of the surface gets as many texels for its area",
-    "direction": "What faces a direction gets more texels, all of it alike",
-    "look": "The more something faces a direction, the more texels it gets, as in the paper",
-    "camera": "What the scene's camera sees gets texels as it shows pixels",
-    "cameras": "The same for all cameras of the scene together",
-    "group": "What a vertex group is painted on gets more texels",
+    "uniform": Choice("Uniform", "The same texel density everywhere"),
+    "direction": Choice("Direction", "Higher density on all faces towards the direction, uniformly"),
+    "gradual": Choice("Direction (Gradual)", "Density grows with how directly a face looks in the direction, as in the paper"),
+    "camera": Choice("Active Camera", "Density follows the pixels that the active camera shows"),
+    "cameras": Choice("All Cameras", "Density follows the pixels that all cameras of the scene show"),
+    "vertex_group": Choice("Vertex Group", "Higher density where a vertex group is painted"),
 }
-CHARTS = {
-    "one": "Each connected part in one piece, cut open where it has to be",
-    "atlas": "Many pieces that hardly stretch, cut along creases",
+ISLANDS = {
+    "one": Choice("One per Part", "One UV island per connected part, cut open where necessary"),
+    "atlas": Choice("Atlas", "Many UV islands with little stretch, cut along creases"),
 }
 BOUNDARIES = {
-    "free": "The border lies where the stretch is least",
-    "square": "The border of each piece around a square",
-    "circle": "The border of each piece around a circle",
+    "free": Choice("Free", "Place the boundary of each UV island where stretch is minimal"),
+    "square": Choice("Square", "Map the boundary of each UV island to a square"),
+    "circle": Choice("Circle", "Map the boundary of each UV island to a circle"),
 }
 
 
 @dataclass(frozen=True, kw_only=True)
 class UnwrapSettings(Settings):
-    """What a user can choose about an unwrap."""
+    """Settings of an unwrap."""
 
-    importance: str = setting("even", "What gets more texels", choices=IMPORTANCE)
-    direction: tuple = setting((0.0, -1.0, 0.0), "From the surface to the viewer, in world space, for direction and look")
-    group: str = setting("", "Vertex group that is painted where texels should go; the active one when empty")
-    density_ratio: float = setting(
-        4.0, "How many times as many texels for its area the most important part gets as the least", minimum=1.0, maximum=64.0
+    importance: str = setting("uniform", "What determines the texel density", choices=IMPORTANCE)
+    direction: tuple = setting(
+        (0.0, -1.0, 0.0), "Direction from the surface to the viewer, in world space. Used by Direction and Direction (Gradual)"
     )
-    min_shape: float = setting(
+    vertex_group: str = setting("", "Vertex group that is painted where texels are needed. Empty uses the active one")
+    density_ratio: float = setting(
+        4.0, "Texel density of the most important areas relative to the least important", minimum=1.0, maximum=64.0
+    )
+    min_quality: float = setting(
         0.0,
-        "What height over base of every UV triangle is kept above: 0.05 to 0.15 where textures crack along slivers, 0 for no bound",
+        "Minimum height-to-base ratio of UV triangles. Use 0.05 to 0.15 to avoid cracks along thin triangles; 0 disables the limit",
         minimum=0.0,
         maximum=0.3,
     )
-    chart: str = setting("one", "Into how many pieces the surface is laid out", choices=CHARTS)
-    further_cuts: bool = setting(
-        True, "Cut parts that are all but closed as if they were closed; others are only cut where they have to be"
-    )
-    boundary: str = setting("free", "Where the border of each piece lies", choices=BOUNDARIES)
+    islands: str = setting("one", "How the surface is divided into UV islands", choices=ISLANDS)
+    further_cuts: bool = setting(True, "Also cut nearly closed parts. When off, parts are only cut where necessary")
+    boundary: str = setting("free", "Shape of the boundary of each UV island", choices=BOUNDARIES)
     margin: float = setting(
-        0.004, "Room around each piece, as a share of the side of the UV square", minimum=0.0, maximum=0.1, unit=Unit.SHARE
+        0.004, "Margin around each UV island, relative to the side of the UV square", minimum=0.0, maximum=0.1, unit=Unit.FRACTION
     )
-    uv_map: str = setting("Unwrap", "Name of the UV map, made when missing")
+    uv_map: str = setting("Unwrap", "Name of the UV map, created if missing")

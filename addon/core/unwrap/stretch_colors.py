@@ -1,20 +1,20 @@
-"""Stretch as colours: white where lengths are as they should be, red where texels are stretched out, blue where they are crowded."""
+"""Colors for UV stretch: white without stretch, red where texels are stretched, blue where they are compressed."""
 
 import numpy as np
 
-from ..raster import painted
+from ..imaging.raster import fill_triangles
 
-EVEN, STRETCHED, CROWDED = np.array([0.93, 0.93, 0.90]), np.array([0.75, 0.10, 0.08]), np.array([0.10, 0.28, 0.70])
-FULL = 2.0  # times as long as it should be, or as short: full colour
-PAPER = 0.16
+NEUTRAL, STRETCHED, COMPRESSED = np.array([0.93, 0.93, 0.90]), np.array([0.75, 0.10, 0.08]), np.array([0.10, 0.28, 0.70])
+SATURATION_STRETCH = 2.0  # stretch, or its inverse, that gets the full color
+BACKGROUND = 0.16
 
 
 def stretch_colors(stretches: np.ndarray) -> np.ndarray:
-    """Colours (N, 3) float32, sRGB, of `stretches` (N,), 1 for none."""
-    share = np.clip(np.log(np.maximum(stretches, 1e-6)) / np.log(FULL), -1.0, 1.0)[:, None]
-    return (EVEN + np.abs(share) * (np.where(share > 0.0, STRETCHED, CROWDED) - EVEN)).astype(np.float32)
+    """Return colors (N, 3) float32, sRGB, of `stretches` (N,); 1 is no stretch."""
+    t = np.clip(np.log(np.maximum(stretches, 1e-6)) / np.log(SATURATION_STRETCH), -1.0, 1.0)[:, None]
+    return (NEUTRAL + np.abs(t) * (np.where(t > 0.0, STRETCHED, COMPRESSED) - NEUTRAL)).astype(np.float32)
 
 
-def stretch_picture(corners: np.ndarray, stretches: np.ndarray, side: int) -> np.ndarray:
-    """A picture (side, side, 3), sRGB, of a UV map with `corners` (T, 3, 2), its triangles coloured by `stretches` (T,)."""
-    return painted(np.asarray(corners, np.float64) * side, stretch_colors(stretches), (side, side), PAPER)
+def draw_stretch_image(corner_uvs: np.ndarray, stretches: np.ndarray, resolution: int) -> np.ndarray:
+    """Return an image (resolution, resolution, 3), sRGB, of a UV map `corner_uvs` (T, 3, 2), colored by `stretches` (T,)."""
+    return fill_triangles(np.asarray(corner_uvs, np.float64) * resolution, stretch_colors(stretches), (resolution, resolution), BACKGROUND)

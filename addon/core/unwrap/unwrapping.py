@@ -1,4 +1,4 @@
-"""A surface in, its UV map out: charts, their layouts, the packing, and what all of it is worth."""
+"""Unwraps a surface: cuts it into charts, parameterizes and packs them, and measures the resulting UV map."""
 
 import time
 from dataclasses import dataclass
@@ -6,67 +6,72 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import GeometryError
-from ..mesh import TriangleMesh, check_points, face_areas_and_normals
-from ..progress import Progress, Steps, scaled
-from .atlas_seams import atlas_seams
-from .chart import Chart
-from .chart_layout import Border, chart_layout
-from .charts import Piece, pieces_of
-from .measures import Measures, Stretches, measured, stretches_of
-from .packing import packed
-from .plane import signed_areas
+from ..geometry.geometry_2d import signed_areas
+from ..geometry.mesh import TriangleMesh, check_points, face_areas_and_normals
+from ..jobs.progress import Progress, Steps, subprogress
+from .cutting.atlas_seams import find_atlas_seams
+from .cutting.chart import Chart
+from .cutting.charts import CutChart, cut_into_charts
+from .distortion import DistortionMetrics, Stretches, compute_stretches, measure_distortion
+from .packing import pack_charts
+from .parameterization.developable import unfold_developable
+from .parameterization.parameterize import Boundary, parameterize
 from .settings import UnwrapSettings
-from .unfolding import unfolded
 
-CUTTING, LAYING, PACKING = 0.1, 0.9, 0.95  # shares of the bar when each is done
-SPECK = 1e-7  # of the whole: the least area that a chart gets
+CUTTING_END, PARAMETERIZATION_END, PACKING_END = 0.1, 0.9, 0.95  # fractions of the progress bar
+MIN_CHART_AREA = 1e-7  # of the total area
 
 
 @dataclass(frozen=True)
-class Unwrapped:
-    """A UV map. corners: (T, 3, 2) float64 in the unit square. stretches: of every triangle. charts: their number. seconds: by stage."""
+class UnwrapResult:
+    """A UV map.
 
-    corners: np.ndarray
+    corner_uvs: (T, 3, 2) float64 in the unit square. stretches: per triangle. chart_count: number of charts. seconds: run time per stage.
+    """
+
+    corner_uvs: np.ndarray
     stretches: Stretches
-    measures: Measures
-    charts: int
+    metrics: DistortionMetrics
+    chart_count: int
     seconds: dict[str, float]
 
 
 def unwrap(
-    mesh: TriangleMesh, faces: np.ndarray, seams: np.ndarray, importance: np.ndarray, settings: UnwrapSettings, name: str = "mesh"
-) -> Steps[Unwrapped]:
-    """The UV map of `mesh`, in world space.
+    mesh: TriangleMesh, polygon_ids: np.ndarray, seams: np.ndarray, importance: np.ndarray, settings: UnwrapSettings, name: str = "mesh"
+) -> Steps[UnwrapResult]:
+    """Return the UV map of `mesh`, in world space.
 
-    faces: (T,), which triangles make up a face and are never cut apart. seams: (S, 2), vertices joined by edges that are cut in any case.
-    importance: (T,), 0 to 1, of every triangle.
+    Args:
+        polygon_ids: (T,) the polygon of each triangle; polygons are never cut.
+        seams: (S, 2) vertices of edges that are always cut.
+        importance: (T,) 0 to 1.
 
     Raises:
-        GeometryError: when the mesh is empty, not finite, or has a part of which no layout can be begun.
+        GeometryError: the mesh is empty, not finite, or has a part that cannot be parameterized.
     """
-    clock, started = {}, time.perf_counter()
+    seconds, started = {}, time.perf_counter()
     _check(mesh, name)
     yield Progress(0.0, "Cutting")
-    if settings.chart == "atlas":
-        seams = np.concatenate([np.reshape(seams, (-1, 2)), atlas_seams(mesh, faces)])
+    if settings.islands == "atlas":
+        seams = np.concatenate([np.reshape(seams, (-1, 2)), find_atlas_seams(mesh, polygon_ids)])
     density = settings.density_ratio**importance
-    surface = Chart(mesh.vertices, mesh.triangles, density, faces)
-    pieces = yield from scaled(pieces_of(surface, seams, settings.further_cuts), 0.0, CUTTING)
-    clock["cut"], started = time.perf_counter() - started, time.perf_counter()
-    layouts = yield from scaled(_layouts(pieces, settings), CUTTING, LAYING)
-    clock["layout"], started = time.perf_counter() - started, time.perf_counter()
-    yield Progress(LAYING, "Packing")
-    layouts = packed(layouts, [piece.chart.triangles for piece in pieces], settings.margin)
-    corners = np.empty((len(mesh.triangles), 3, 2))
-    for piece, layout in zip(pieces, layouts, strict=True):
-        corners[piece.triangles] = layout[piece.chart.triangles]
-    clock["pack"], started = time.perf_counter() - started, time.perf_counter()
-    yield Progress(PACKING, "Measuring")
-    stretches = yield from scaled(stretches_of(mesh, corners), PACKING, PACKING)
-    yield Progress(PACKING, "Measuring")
-    figures = yield from scaled(measured(mesh, corners, stretches, importance), PACKING, 1.0)
-    clock["measure"] = time.perf_counter() - started
-    return Unwrapped(corners, stretches, figures, len(pieces), clock)
+    surface = Chart(mesh.vertices, mesh.triangles, density, polygon_ids)
+    charts = yield from subprogress(cut_into_charts(surface, seams, settings.further_cuts), 0.0, CUTTING_END)
+    seconds["cut"], started = time.perf_counter() - started, time.perf_counter()
+    uvs = yield from subprogress(_parameterize_charts(charts, settings), CUTTING_END, PARAMETERIZATION_END)
+    seconds["parameterize"], started = time.perf_counter() - started, time.perf_counter()
+    yield Progress(PARAMETERIZATION_END, "Packing")
+    uvs = pack_charts(uvs, [cut.chart.triangles for cut in charts], settings.margin)
+    corner_uvs = np.empty((len(mesh.triangles), 3, 2))
+    for cut, uv in zip(charts, uvs, strict=True):
+        corner_uvs[cut.triangle_indices] = uv[cut.chart.triangles]
+    seconds["pack"], started = time.perf_counter() - started, time.perf_counter()
+    yield Progress(PACKING_END, "Measuring")
+    stretches = yield from subprogress(compute_stretches(mesh, corner_uvs), PACKING_END, PACKING_END)
+    yield Progress(PACKING_END, "Measuring")
+    metrics = yield from subprogress(measure_distortion(mesh, corner_uvs, stretches, importance), PACKING_END, 1.0)
+    seconds["measure"] = time.perf_counter() - started
+    return UnwrapResult(corner_uvs, stretches, metrics, len(charts), seconds)
 
 
 def _check(mesh: TriangleMesh, name: str) -> None:
@@ -75,25 +80,25 @@ def _check(mesh: TriangleMesh, name: str) -> None:
     check_points(mesh.vertices[np.unique(mesh.triangles)], name)
 
 
-def _layouts(pieces: list[Piece], settings: UnwrapSettings) -> Steps[list[np.ndarray]]:
-    """A layout of every piece, with the areas that importance gives them."""
-    total, done, layouts = sum(len(piece.triangles) for piece in pieces), 0, []
-    border = Border(settings.boundary)
-    for number, piece in enumerate(pieces):
-        share = len(piece.triangles) / total
-        yield Progress(done, f"Laying out chart {number + 1} of {len(pieces)}")
-        layout = (yield from scaled(unfolded(piece.chart), done, done)) if border is Border.FREE else None
-        if layout is None:
-            layout = yield from scaled(chart_layout(piece.chart, border, settings.min_shape), done, done + share)
-        layouts.append(layout)
-        done += share
+def _parameterize_charts(charts: list[CutChart], settings: UnwrapSettings) -> Steps[list[np.ndarray]]:
+    """Return the uv (V, 2) of every chart, scaled by its density."""
+    total, done, uvs = sum(len(cut.triangle_indices) for cut in charts), 0, []
+    boundary = Boundary(settings.boundary)
+    for index, cut in enumerate(charts):
+        fraction = len(cut.triangle_indices) / total
+        yield Progress(done, f"Unwrapping UV island {index + 1} of {len(charts)}")
+        uv = (yield from subprogress(unfold_developable(cut.chart), done, done)) if boundary is Boundary.FREE else None
+        if uv is None:
+            uv = yield from subprogress(parameterize(cut.chart, boundary, settings.min_quality), done, done + fraction)
+        uvs.append(uv)
+        done += fraction
     yield Progress(1.0, "Packing")
-    return _sized(layouts, [piece.chart for piece in pieces])
+    return _scale_to_density(uvs, [cut.chart for cut in charts])
 
 
-def _sized(layouts: list[np.ndarray], charts: list[Chart]) -> list[np.ndarray]:
-    """Layouts scaled to the areas that their charts' triangles should have, `density` times their own, or next to none."""
+def _scale_to_density(uvs: list[np.ndarray], charts: list[Chart]) -> list[np.ndarray]:
+    """Scale each of `uvs` to the chart's surface area times `density`, but at least to `MIN_CHART_AREA`."""
     wanted = np.array([float(face_areas_and_normals(chart.vertices[chart.triangles])[0] @ chart.density) for chart in charts])
-    wanted = np.maximum(wanted, SPECK * wanted.sum() or 1.0)
-    has = [float(signed_areas(layout[chart.triangles]).sum()) for layout, chart in zip(layouts, charts, strict=True)]
-    return [layout * scale for layout, scale in zip(layouts, np.sqrt(wanted / has), strict=True)]
+    wanted = np.maximum(wanted, MIN_CHART_AREA * wanted.sum() or 1.0)
+    areas = [float(signed_areas(uv[chart.triangles]).sum()) for uv, chart in zip(uvs, charts, strict=True)]
+    return [uv * scale for uv, scale in zip(uvs, np.sqrt(wanted / areas), strict=True)]

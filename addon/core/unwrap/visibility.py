@@ -1,68 +1,65 @@
-"""How large a camera shows each triangle, what stands before it taken into account."""
+"""Visible area of each triangle in a camera's image, with occlusion."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import maximum_filter
 
-from ..mesh import TriangleMesh
-from ..raster import nearest
-from .plane import signed_areas
+from ..arrays import TINY
+from ..geometry.cameras import CameraProjection
+from ..geometry.geometry_2d import signed_areas
+from ..geometry.mesh import TriangleMesh
+from ..imaging.raster import depth_buffer
 
-SAMPLES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])  # barycentric, within a triangle
-BEHIND = 1e-4  # of the range of depths: nearer to what is seen than that counts as seen
-LARGEST = 2048  # pixels along the longer side for which what hides what is looked up
-
-
-@dataclass(frozen=True)
-class Shot:
-    """What a camera takes. projection: (4, 4), world to clip space, in which -w..w is seen in every axis. size: pixels of its picture."""
-
-    projection: np.ndarray
-    size: tuple[int, int]
+BARYCENTRIC_SAMPLES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])
+DEPTH_TOLERANCE = 1e-4  # of the depth range: samples no farther behind the nearest surface than this are visible
+MAX_DEPTH_BUFFER_SIZE = 2048  # pixels along the longer side
 
 
-def shown_pixels(mesh: TriangleMesh, shot: Shot, others: Iterable[TriangleMesh] = ()) -> np.ndarray:
-    """Pixels (T,) that each triangle of `mesh` shows in `shot`, from either side; 0 of those behind or beside the camera, or hidden.
+def visible_pixel_areas(mesh: TriangleMesh, camera: CameraProjection, occluders: Iterable[TriangleMesh] = ()) -> np.ndarray:
+    """Return the visible area (T,) in pixels of each triangle of `mesh`, from either side; 0 where hidden or outside the view.
 
-    others: what may hide it besides itself, in world space as well.
+    occluders: other meshes that may hide it, in world space like `mesh`.
     """
-    size = tuple(max(int(side * min(1.0, LARGEST / max(shot.size))), 1) for side in shot.size)
-    drawn, corners, depths = _projected(mesh, shot, size)
-    pixels = np.zeros(len(mesh.triangles))
-    if drawn.any():
-        buffer = nearest(corners, depths, size)
-        for other in others:
-            _, before, distances = _projected(other, shot, size)
-            buffer = np.minimum(buffer, nearest(before, distances, size))
-        areas = np.abs(signed_areas(corners)) * (shot.size[0] * shot.size[1]) / (size[0] * size[1])
-        pixels[drawn] = _shares_seen(corners, depths, buffer) * areas
-    return pixels
+    size = tuple(max(int(side * min(1.0, MAX_DEPTH_BUFFER_SIZE / max(camera.size))), 1) for side in camera.size)
+    in_front, corners, depths = _project(mesh, camera, size)
+    pixel_areas = np.zeros(len(mesh.triangles))
+    if in_front.any():
+        buffer = depth_buffer(corners, depths, size)
+        for occluder in occluders:
+            _, occluder_corners, occluder_depths = _project(occluder, camera, size)
+            buffer = np.minimum(buffer, depth_buffer(occluder_corners, occluder_depths, size))
+        areas = np.abs(signed_areas(corners)) * (camera.size[0] * camera.size[1]) / (size[0] * size[1])
+        pixel_areas[in_front] = _visible_fractions(corners, depths, buffer) * areas
+    return pixel_areas
 
 
-def _projected(mesh: TriangleMesh, shot: Shot, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Which triangles (T,) bool are drawn, all that are wholly before the camera, and of these the corners (D, 3, 2) in pixels of a
-    picture of `size`, and depths (D, 3), smaller where nearer."""
-    clip = np.column_stack([mesh.vertices, np.ones(len(mesh.vertices))]) @ shot.projection.T
-    before = (clip[:, 3] > 1e-9 * np.abs(clip[:, 3]).max(initial=1e-300)) & (np.abs(clip[:, 2]) <= clip[:, 3])
-    placed = clip[:, :3] / np.where(before, clip[:, 3], 1.0)[:, None]
-    drawn = before[mesh.triangles].all(axis=1)
-    corners = placed[mesh.triangles[drawn]]
-    return drawn, 0.5 * (corners[:, :, :2] + 1.0) * size, corners[:, :, 2]
+def _project(mesh: TriangleMesh, camera: CameraProjection, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Project the triangles between the clipping planes into an image of `size`.
+
+    Returns:
+        (T,) bool, triangles that lie completely in front of the camera; of these the corners (D, 3, 2) in pixels and depths (D, 3),
+        smaller where nearer.
+    """
+    clip = np.column_stack([mesh.vertices, np.ones(len(mesh.vertices))]) @ camera.projection.T
+    is_inside = (clip[:, 3] > 1e-9 * np.abs(clip[:, 3]).max(initial=TINY)) & (np.abs(clip[:, 2]) <= clip[:, 3])
+    projected = clip[:, :3] / np.where(is_inside, clip[:, 3], 1.0)[:, None]
+    in_front = is_inside[mesh.triangles].all(axis=1)
+    corners = projected[mesh.triangles[in_front]]
+    return in_front, 0.5 * (corners[:, :, :2] + 1.0) * size, corners[:, :, 2]
 
 
-def _shares_seen(corners: np.ndarray, depths: np.ndarray, buffer: np.ndarray) -> np.ndarray:
-    """Share (T,) of points in triangles (T, 3, 2), in pixels, that lie in the picture with nothing nearer around their pixel.
+def _visible_fractions(corners: np.ndarray, depths: np.ndarray, buffer: np.ndarray) -> np.ndarray:
+    """Return the visible fraction (T,) of triangles (T, 3, 2), in pixels, by the sample points with nothing nearer around their pixel.
 
-    buffer: (H, W), what is nearest in every pixel.
+    buffer: (H, W), the smallest depth per pixel.
     """
     size = buffer.shape[::-1]
     deepest = maximum_filter(np.where(np.isfinite(buffer), buffer, -np.inf), 3, mode="nearest")
-    points, depth = np.einsum("si,tij->tsj", SAMPLES, corners), depths @ SAMPLES.T
-    pixels = np.floor(points).astype(np.int64)
-    within = ((pixels >= 0) & (pixels < size)).all(axis=2)
+    positions, sample_depths = np.einsum("si,tij->tsj", BARYCENTRIC_SAMPLES, corners), depths @ BARYCENTRIC_SAMPLES.T
+    pixels = np.floor(positions).astype(np.int64)
+    in_image = ((pixels >= 0) & (pixels < size)).all(axis=2)
     x, y = np.clip(pixels, 0, np.array(size) - 1).transpose(2, 0, 1)
-    there = deepest[y, x]  # -inf where triangles are too small to meet the middle of a pixel: nothing hides them
-    tolerance = BEHIND * max(float(np.ptp(depths)), 1e-12)
-    return (within & ((depth <= there + tolerance) | ~np.isfinite(there))).mean(axis=1)
+    nearest = deepest[y, x]  # -inf where triangles are too small to cover a pixel center: nothing hides them
+    tolerance = DEPTH_TOLERANCE * max(float(np.ptp(depths)), 1e-12)
+    return (in_image & ((sample_depths <= nearest + tolerance) | ~np.isfinite(nearest))).mean(axis=1)

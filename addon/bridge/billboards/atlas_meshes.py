@@ -1,0 +1,158 @@
+"""The faces that a level's quads show, as meshes in the atlas plane."""
+
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from ...core.arrays import TINY
+from ...core.billboards.cloud import Level
+from ...core.geometry.mesh import connected_components
+from ..evaluated_mesh import EvaluatedMesh
+from ..material_channels import CELL_COORDINATES
+from ..mesh_arrays import write_attribute, write_triangles
+from ..meshes import Source
+from ..scene_space_nodes import GENERATED, ISLAND, LOCATION, OBJECT, OBJECT_AXES, POSITION, QUAD_AXES, RANDOM
+from .atlas_placement import AtlasPlacement
+
+
+@dataclass(frozen=True)
+class DrawnTriangles:
+    """K triangles of one mesh, each drawn on one quad for one instance of the mesh.
+
+    primitives, triangles, quads, instances (K,) int: indices into the source's primitives, the mesh's triangles, the level's quads and the
+    source's P instances. matrices (P, 4, 4), instance_randoms (P,): of the instances.
+    """
+
+    mesh: EvaluatedMesh
+    primitives: np.ndarray
+    triangles: np.ndarray
+    quads: np.ndarray
+    instances: np.ndarray
+    matrices: np.ndarray
+    instance_randoms: np.ndarray
+
+    @property
+    def corner_order(self) -> np.ndarray:
+        """(K, 3) corner indices of every triangle in the order that makes it face outwards, reversed in mirrored instances."""
+        mirrored = np.linalg.det(self.matrices[:, :3, :3]) < 0.0
+        return np.where(mirrored[self.instances][:, None], [2, 1, 0], [0, 1, 2])
+
+    def reorder_corners(self, corners: np.ndarray) -> np.ndarray:
+        """Return the corner values `corners` (K, 3, width) in `corner_order`."""
+        return np.take_along_axis(corners, self.corner_order[:, :, None], axis=1)
+
+
+def find_drawn_triangles(source: Source, primitives: np.ndarray, quads: np.ndarray) -> list[DrawnTriangles]:
+    """Return the triangles of the `primitives` (D,) of `source`, drawn on `quads` (D,): one entry per distinct mesh of the instances."""
+    first_primitives = np.array([instance.first_primitive for instance in source.instances])
+    instances = np.searchsorted(first_primitives, primitives, side="right") - 1
+    local = primitives - first_primitives[instances]
+    meshes = {id(instance.mesh): instance.mesh for instance in source.instances}
+    mesh_of_instance = np.array([list(meshes).index(id(instance.mesh)) for instance in source.instances])
+    matrices = np.stack([instance.matrix for instance in source.instances])
+    instance_randoms = np.array([instance.random for instance in source.instances])
+    fan = np.arange(source.triangles_per_primitive)
+    drawn = []
+    for index, mesh in enumerate(meshes.values()):
+        selected = np.flatnonzero(mesh_of_instance[instances] == index)
+        if len(selected):
+            triangles = (local[selected][:, None] * len(fan) + fan).ravel()
+            per_triangle = (np.repeat(values[selected], len(fan)) for values in (primitives, quads, instances))
+            primitive_of, quad_of, instance_of = per_triangle
+            drawn.append(DrawnTriangles(mesh, primitive_of, triangles, quad_of, instance_of, matrices, instance_randoms))
+    return drawn
+
+
+def compute_atlas_positions(drawn: DrawnTriangles, placement: AtlasPlacement) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the corners of every drawn triangle in world space and in the atlas plane, both (K, 3, 3) float64."""
+    local = drawn.reorder_corners(drawn.mesh.vertices[drawn.mesh.triangles[drawn.triangles]]).astype(np.float64)
+    matrices = drawn.matrices[drawn.instances]
+    world = np.einsum("kij,kcj->kci", matrices[:, :3, :3], local) + matrices[:, None, :3, 3]
+    return world, placement.to_atlas(world, drawn.quads)
+
+
+def compute_cell_coordinates(level: Level, placement: AtlasPlacement, flat: np.ndarray, quads: np.ndarray) -> np.ndarray:
+    """Compute where `flat` (K, 3, 3), points of the atlas plane, lie in the rectangles of `quads` (K,).
+
+    Returns (K, 3, 3): -1..1 across each rectangle with half of its gutter; the third component is 0.
+    """
+    half_sizes = 0.5 * level.texel_size * (level.atlas.rectangles[:, 2:] + level.atlas.gutter)
+    coordinates = (flat - placement.positions[quads][:, None])[..., :2] / half_sizes[quads][:, None]
+    return np.concatenate([coordinates, np.zeros_like(coordinates[..., :1])], axis=2)
+
+
+def create_atlas_mesh(
+    name: str,
+    drawn: DrawnTriangles,
+    world: np.ndarray,
+    flat: np.ndarray,
+    cell_coordinates: np.ndarray,
+    placement: AtlasPlacement,
+    required: set[str],
+) -> bpy.types.Mesh:
+    """Create a mesh of separate triangles at `flat` (K, 3, 3), with their shading normals and the attributes named in `required`.
+
+    world (K, 3, 3): the same corners in world space. cell_coordinates: see `compute_cell_coordinates`.
+    """
+    mesh = bpy.data.meshes.new(name)
+    write_triangles(mesh, flat.reshape(-1, 3), np.arange(3 * len(drawn.triangles)).reshape(-1, 3))
+    mesh.polygons.foreach_set("material_index", drawn.mesh.material_indices[drawn.triangles])
+    _write_attribute(mesh, "custom_normal", _compute_normals(drawn, placement))
+    for attribute in drawn.mesh.attributes:
+        if attribute in required or attribute in (drawn.mesh.uv_map, drawn.mesh.color):
+            _write_attribute(mesh, attribute, drawn.reorder_corners(drawn.mesh.at_corners(attribute, drawn.triangles)))
+    for attribute, values in _scene_space_attributes(drawn, world, cell_coordinates, placement, required).items():
+        _write_attribute(mesh, attribute, values)
+    if drawn.mesh.uv_map:
+        mesh.uv_layers[drawn.mesh.uv_map].active_render = True
+    if drawn.mesh.color:
+        mesh.attributes.default_color_name = drawn.mesh.color
+    return mesh
+
+
+def _compute_normals(drawn: DrawnTriangles, placement: AtlasPlacement) -> np.ndarray:
+    """Compute the shading normals (K, 3, 3) of the corners, rotated with their quads."""
+    local = drawn.reorder_corners(drawn.mesh.normals[drawn.mesh.loops[drawn.triangles]]).astype(np.float64)
+    to_world = np.linalg.pinv(drawn.matrices[:, :3, :3]).transpose(0, 2, 1)[drawn.instances]
+    rotated = np.einsum("kij,kjl,kcl->kci", placement.axes[drawn.quads], to_world, local, optimize=True)
+    lengths = np.linalg.norm(rotated, axis=2, keepdims=True)
+    return rotated / np.where(lengths > 0.0, lengths, 1.0)
+
+
+def _scene_space_attributes(
+    drawn: DrawnTriangles, world: np.ndarray, cell_coordinates: np.ndarray, placement: AtlasPlacement, required: set[str]
+) -> dict[str, np.ndarray]:
+    """Compute the scene-space attributes that the materials read, as values (K, 3, width), see `scene_space_nodes`."""
+    mesh = drawn.mesh
+    object_axes = drawn.matrices[:, :3, :3] / np.maximum(np.linalg.norm(drawn.matrices[:, :3, :3], axis=1, keepdims=True), TINY)
+    compute = {
+        POSITION: lambda: world,
+        OBJECT: lambda: drawn.reorder_corners(mesh.vertices[mesh.triangles[drawn.triangles]]),
+        GENERATED: lambda: drawn.reorder_corners(mesh.generated[mesh.triangles[drawn.triangles]]),
+        CELL_COORDINATES: lambda: cell_coordinates,
+        LOCATION: lambda: _to_corners(drawn.matrices[drawn.instances, :3, 3]),
+        RANDOM: lambda: _to_corners(drawn.instance_randoms[drawn.instances][:, None]),
+        ISLAND: lambda: _to_corners(_island_randoms(mesh)[drawn.triangles][:, None]),
+    }
+    for index, name in enumerate(QUAD_AXES):
+        compute[name] = lambda index=index: _to_corners(placement.axes[drawn.quads, index])
+    for index, name in enumerate(OBJECT_AXES):
+        compute[name] = lambda index=index: _to_corners(object_axes[drawn.instances, :, index])
+    return {name: function() for name, function in compute.items() if name in required}
+
+
+def _to_corners(values: np.ndarray) -> np.ndarray:
+    """Repeat `values` (K, width) per triangle for its three corners."""
+    return np.repeat(values[:, None], 3, axis=1)
+
+
+def _island_randoms(mesh: EvaluatedMesh) -> np.ndarray:
+    """Return a random number 0..1 per connected component, for each triangle (T,). Uniform as in Cycles, but not the same numbers."""
+    components = connected_components(mesh.vertices.astype(np.float64), mesh.triangles)
+    return np.random.default_rng(0).random(int(components.max()) + 1)[components]
+
+
+def _write_attribute(mesh: bpy.types.Mesh, name: str, values: np.ndarray) -> None:
+    """Add the attribute `name` with `values` (K, 3, width) at the corners. Values of width 2 become a UV map."""
+    write_attribute(mesh, name, "CORNER" if values.shape[2] == 2 else "POINT", values)

@@ -1,0 +1,111 @@
+"""PBR maps of a cloud, captured from the real materials with Cycles.
+
+The faces that the quads of a level show are laid flat on their rectangles of the atlas, all quads at once. One orthographic camera above
+renders every front at the atlas resolution, one below renders every back, each with three channels: color, normal, and roughness, metallic
+and depth. A level takes six renders.
+"""
+
+import math
+
+import bpy
+import numpy as np
+
+from ...core.billboards.cloud import Cloud, Level
+from ...core.billboards.settings import BillboardSettings
+from ...core.jobs.progress import Progress, Steps
+from ..cycles_renders import prepare_channel_render
+from ..evaluated_mesh import MaterialKey
+from ..images import check_images
+from ..material_channels import CHANNELS, CaptureMaterial, build_capture_material
+from ..meshes import Source
+from ..render_scene import RenderScene, render_scene
+from ..scene_space_nodes import required_attributes
+from .atlas_meshes import compute_atlas_positions, compute_cell_coordinates, create_atlas_mesh, find_drawn_triangles
+from .atlas_placement import compute_placement
+from .level_maps import LevelTextures, compute_maps
+from .silhouettes import SurfaceContinuation
+
+SIDES = ("front", "back")
+MIN_SAMPLES = 4  # of the channels other than color
+MIN_UNSCALED_TEXEL, MAX_UNSCALED_TEXEL = 1e-3, 1e3  # texel sizes that single precision and the camera's clipping handle without scaling
+
+
+def capture_textures(source: Source, cloud: Cloud, settings: BillboardSettings) -> Steps[list[LevelTextures]]:
+    """Capture the maps of every level of `cloud`. Runs in Blender's main thread; each step is one render.
+
+    The user's scene, selection and mode stay unchanged. All temporary data is removed, also when the generator is closed early. Emission of
+    Principled shaders is not captured; the color of an Emission shader becomes the base color.
+
+    Raises:
+        FileError: an image file of a material is missing, or the temporary folder cannot hold a render.
+        FarfieldError: Cycles is disabled.
+    """
+    check_images(source)
+    surface_continuation = SurfaceContinuation(source)
+    textures = []
+    for index, level in enumerate(cloud.levels):
+        with render_scene("Farfield Capture") as work:
+            prepare_channel_render(work.scene, *level.atlas.size, settings.seed)
+            work.camera.data.ortho_scale = level.atlas.size[0] * level.texel_size / _unit(level)
+            materials, max_height = _add_meshes(work, source, level)
+            renders: dict[tuple[str, str], np.ndarray] = {}
+            for side in SIDES:
+                _place_camera(work.camera, side, max_height)
+                for channel in CHANNELS:
+                    fraction = (index + len(renders) / 6.0) / len(cloud.levels)
+                    yield Progress(fraction, f"Capturing {channel.replace('_', ' ')} of level {index}, {side}")
+                    for material in materials:
+                        material.emit(channel)
+                    work.scene.cycles.samples = _samples(channel, settings)
+                    image = work.render()
+                    renders[side, channel] = image if side == "front" else image[:, ::-1]
+        continuation = surface_continuation.find_texels(level, [renders[side, "color"][..., 3] for side in SIDES])
+        maps = (compute_maps(*(renders[side, channel] for channel in CHANNELS), level, continuation) for side in SIDES)
+        textures.append(LevelTextures(*maps))
+    return textures
+
+
+def _samples(channel: str, settings: BillboardSettings) -> int:
+    """Samples per texel. Alpha along the edge of a leaf is a mean over all samples; the other channels vary less and need fewer."""
+    return settings.samples if channel == "color" else max(min(settings.samples, MIN_SAMPLES), settings.samples // 4)
+
+
+def _unit(level: Level) -> float:
+    """The length of one unit in the capture scene: a scene unit, or the texel size if that is extremely large or small."""
+    return 1.0 if MIN_UNSCALED_TEXEL <= level.texel_size <= MAX_UNSCALED_TEXEL else level.texel_size
+
+
+def _add_meshes(work: RenderScene, source: Source, level: Level) -> tuple[list[CaptureMaterial], float]:
+    """Add the faces that the quads show to the capture scene.
+
+    Returns their materials, and the largest height above or below the atlas plane plus one texel, in capture units.
+    """
+    placement, unit = compute_placement(level), _unit(level)
+    copies: dict[tuple[MaterialKey | None, str, bool], CaptureMaterial] = {}
+    max_height = 0.0
+    quads = np.repeat(np.arange(len(level.quads)), np.diff(level.quads.drawn_offsets))
+    for drawn in find_drawn_triangles(source, level.quads.drawn, quads):
+        world, flat = compute_atlas_positions(drawn, placement)
+        cell_coordinates = compute_cell_coordinates(level, placement, flat, drawn.quads)
+        clip = bool(np.abs(cell_coordinates).max() > 1.0)
+        color_attribute = drawn.mesh.color if source.points is not None else ""
+        keys = [(material, color_attribute, clip) for material in drawn.mesh.materials]
+        for key in keys:
+            if key not in copies:
+                material = None if key[0] is None else bpy.data.materials[key[0]]
+                copies[key] = build_capture_material(material, color_attribute, level.error / unit, clip, work)
+        required = set().union(*(required_attributes(copies[key].material.node_tree) for key in keys))
+        mesh = work.own(create_atlas_mesh("Farfield Atlas", drawn, world, flat / unit, cell_coordinates, placement, required))
+        for key in keys:
+            mesh.materials.append(copies[key].material)
+        work.add_object(mesh)
+        max_height = max(max_height, float(np.abs(flat[..., 2]).max()) / unit)
+    return list(copies.values()), max_height + level.texel_size / unit
+
+
+def _place_camera(camera: bpy.types.Object, side: str, max_height: float) -> None:
+    """Place the camera above the atlas plane for the fronts, below it for the backs; the render from below is mirrored."""
+    distance = 2.0 * max_height
+    camera.location = (0.0, 0.0, distance if side == "front" else -distance)
+    camera.rotation_euler = (0.0, 0.0 if side == "front" else math.pi, 0.0)
+    camera.data.clip_start, camera.data.clip_end = 0.5 * max_height, 3.5 * max_height

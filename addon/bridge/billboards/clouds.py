@@ -1,0 +1,106 @@
+"""A billboard cloud as Blender objects: a collection with one mesh of textured quads per level."""
+
+import math
+
+import bpy
+import numpy as np
+
+from ...core.billboards.cloud import Cloud, Level
+from ...core.geometry.cameras import Camera
+from ..cameras import read_scene_camera
+from ..images import packed_bytes
+from ..mesh_arrays import write_attribute, write_geometry
+from ..meshes import Source
+from .atlas_placement import compute_placement, compute_uvs
+from .cloud_materials import JOINED_ATTRIBUTE, SOLID_ATTRIBUTE, create_gray_material
+from .level_maps import LevelTextures, PbrMaps
+from .map_images import create_textured_material
+from .quad_normals import compute_corner_normals
+
+KIND, CLOUD = "farfield_kind", "cloud"  # custom property of all objects that Farfield creates, and its value on levels of a cloud
+FINGERPRINT = "farfield_source_fingerprint"  # custom property of a cloud's collection, see `Source.fingerprint`
+CORNER_NORMALS = "custom_normal"  # Blender's built-in attribute of custom normals
+DRAWN_OFFSETS, DRAWN = "farfield_drawn_offsets", "farfield_drawn"  # custom properties of a level's mesh, see `cloud.Quads`
+DEFAULT_CAMERA = Camera(np.zeros(3), 1920, math.radians(39.6))  # Blender's default, for scenes without a camera
+
+
+def create_cloud(
+    cloud: Cloud, textures: list[LevelTextures] | None, source: Source, collection_parent: bpy.types.Collection
+) -> bpy.types.Collection:
+    """Create a collection "<name> Cloud" in `collection_parent` with one object per level, finest first; only that one is visible.
+
+    The objects are located at the source's origin, without rotation or scale. Their custom properties are farfield_kind ("cloud"),
+    farfield_level, farfield_error (a length), farfield_switch_distance (for the active camera of the first scene that contains the parent,
+    otherwise for Blender's default camera; inf for an orthographic camera that shows the error), farfield_quads, farfield_texels,
+    farfield_atlas and farfield_texture_bytes. Without `textures` the material is gray.
+    """
+    collection = bpy.data.collections.new(f"{source.name} Cloud")
+    camera = _find_camera(collection_parent)
+    for index, level in enumerate(cloud.levels):
+        name = f"{collection.name} L{index}"
+        level_textures = None if textures is None else textures[index]
+        material = create_gray_material(name) if level_textures is None else create_textured_material(name, level, level_textures)
+        mesh = _create_mesh(name, level, None if level_textures is None else level_textures.front, source.origin)
+        level_object = bpy.data.objects.new(name, mesh)
+        level_object.location = source.origin
+        level_object.data.materials.append(material)
+        _write_properties(level_object, index, level, camera, material)
+        _write_drawn_primitives(level_object.data, level)
+        level_object.hide_viewport = level_object.hide_render = index > 0
+        collection.objects.link(level_object)
+    collection[FINGERPRINT] = source.fingerprint
+    collection_parent.children.link(collection)
+    return collection
+
+
+def _write_drawn_primitives(mesh: bpy.types.Mesh, level: Level) -> None:
+    """Store which primitives of the source each quad shows; later bakes of the quads' textures need them."""
+    mesh[DRAWN_OFFSETS], mesh[DRAWN] = level.quads.drawn_offsets.tolist(), level.quads.drawn.tolist()
+
+
+def read_drawn_primitives(mesh: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Return the offsets (Q + 1,) and the primitives (K,) of the source that the quads of a level's mesh show, see `cloud.Quads`."""
+    return np.array(mesh[DRAWN_OFFSETS], np.int64), np.array(mesh[DRAWN], np.int64)
+
+
+def _find_camera(parent: bpy.types.Collection) -> Camera:
+    """Return the camera for which switch distances are computed."""
+    for scene in bpy.data.scenes:
+        if parent == scene.collection or parent in scene.collection.children_recursive:
+            camera = read_scene_camera(scene)
+            if camera is not None:
+                return camera
+    return DEFAULT_CAMERA
+
+
+def _write_properties(level_object: bpy.types.Object, index: int, level: Level, camera: Camera, material: bpy.types.Material) -> None:
+    level_object[KIND] = CLOUD
+    level_object["farfield_level"] = index
+    level_object["farfield_error"] = float(level.error)
+    level_object["farfield_switch_distance"] = float(camera.switch_distance(level.error))
+    level_object["farfield_quads"] = len(level.quads)
+    level_object["farfield_texels"] = level.texel_count
+    level_object["farfield_atlas"] = list(level.atlas.size)
+    images = [node.image for node in material.node_tree.nodes if node.type == "TEX_IMAGE"] if material.node_tree else []
+    level_object["farfield_texture_bytes"] = sum(packed_bytes(image) for image in images)
+
+
+def _create_mesh(name: str, level: Level, maps: PbrMaps | None, origin: np.ndarray) -> bpy.types.Mesh:
+    """Create the quads of `level`, cut to their polygons, with UVs and corner normals fitted to `maps`; vertices relative to `origin`."""
+    quads, placement = level.quads, compute_placement(level)
+    positions, uvs, normals = [], [], []
+    for quad, cutout in enumerate(level.cutouts):
+        local = cutout * quads.half_sizes[quad]
+        positions.append(quads.centers[quad] - origin + local @ quads.frames[quad, :2])
+        uvs.append(compute_uvs(level, placement, quad, cutout))
+        if maps is not None:
+            normals.append(compute_corner_normals(level, maps, quad, cutout))
+    corners = np.array([len(cutout) for cutout in level.cutouts])
+    mesh = bpy.data.meshes.new(name)
+    write_geometry(mesh, np.concatenate(positions), np.arange(corners.sum()), np.cumsum(corners) - corners)
+    if maps is not None:
+        write_attribute(mesh, CORNER_NORMALS, "POINT", np.concatenate(normals))
+    for attribute, flags in ((SOLID_ATTRIBUTE, level.solid), (JOINED_ATTRIBUTE, level.joined)):
+        write_attribute(mesh, attribute, "FACE", flags)
+    write_attribute(mesh, "UVMap", "CORNER", np.concatenate(uvs))
+    return mesh

@@ -1,0 +1,156 @@
+"""Export of a cloud's levels for programs without Blender's nodes: color, alpha and normals on simple quads."""
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ...compat import enable_nodes
+from ...core.imaging.images import dilate
+from ..images import create_image, read_pixels
+from ..mesh_arrays import read_positions, read_uvs, read_values
+from .cloud_materials import FRONT_COLOR, FRONT_NORMAL
+from .clouds import CORNER_NORMALS
+from .level_objects import labeled_image, pbr_image, read_level_texels
+
+FLAT_NORMAL = np.float32([0.0, 0.0, 1.0])  # in tangent space
+
+
+def write_obj(levels: list[bpy.types.Object], path: Path) -> None:
+    """Write `levels` as objects of one `.obj`, with a `.mtl` and one PNG per level next to it; in world space, Y up as usual for OBJ.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    shapes, materials = [f"mtllib {path.stem}.mtl"], []
+    first_vertex = 1  # vertices are numbered from 1 through the whole file
+    for level in levels:
+        name = level.name.replace(" ", "_")
+        materials += [f"newmtl {name}", "Kd 1 1 1", "Ks 0 0 0", "illum 1"]
+        image = front_color_image(level)
+        if image is not None:
+            image_name = f"{path.stem}_{name}.png"
+            path.with_name(image_name).write_bytes(image.packed_file.data)
+            materials += [f"map_Kd {image_name}", f"map_d {image_name}"]
+        shapes += [f"o {name}", *_format_shape(level, name, first_vertex)]
+        first_vertex += len(level.data.vertices)
+    path.with_suffix(".mtl").write_text("\n".join(materials) + "\n", encoding="utf-8")
+    path.write_text("\n".join(shapes) + "\n", encoding="utf-8")
+
+
+def write_glb(levels: list[bpy.types.Object], path: Path) -> None:
+    """Write `levels` as nodes of one `.glb` with embedded textures. Each node has the level's custom properties as extras.
+
+    Raises:
+        RuntimeError: Blender's exporter failed.
+    """
+    layer = bpy.context.view_layer
+    selected, active = list(bpy.context.selected_objects), layer.objects.active
+    for item in selected:
+        item.select_set(False)
+    copies = [_create_export_copy(level) for level in levels]
+    try:
+        bpy.ops.export_scene.gltf(
+            filepath=str(path),
+            export_format="GLB",
+            use_selection=True,
+            export_extras=True,
+            export_image_format="AUTO",
+            export_animations=False,
+        )
+    finally:
+        for copy in copies:
+            material = copy.data.materials[0]
+            normal_map = labeled_image(material, FRONT_NORMAL)
+            bpy.data.meshes.remove(copy.data)
+            bpy.data.materials.remove(material)
+            if normal_map is not None:
+                bpy.data.images.remove(normal_map)
+        for item in selected:
+            item.select_set(True)
+        layer.objects.active = active
+
+
+def front_color_image(level: bpy.types.Object) -> bpy.types.Image | None:
+    """Return the image with the color and alpha of the fronts of a level's quads, or None if no textures were captured."""
+    return pbr_image(level, FRONT_COLOR)
+
+
+def compute_tangent_normals(level: bpy.types.Object) -> np.ndarray | None:
+    """Compute a tangent-space normal map (H, W, 4) in 0..1 of the fronts of a level's quads, or None if no normals were captured.
+
+    Red is the component along the texture's x axis on the quad, green along its y axis, blue along the quad's normal. Blue is at least 0.5:
+    normals do not point behind the quad.
+    """
+    image = pbr_image(level, FRONT_NORMAL)
+    if image is None:
+        return None
+    texels = read_level_texels(level)
+    x, y = texels.pixels.T
+    normals = 2.0 * read_pixels(image)[y, x, :3] - 1.0
+    quad_normals = read_values(level.data.polygons, "normal", 3)
+    tangents = texels.steps / np.linalg.norm(texels.steps, axis=2, keepdims=True)
+    frames = np.concatenate([tangents, quad_normals.reshape(-1, 1, 3)], axis=1)[texels.quad_indices]
+    local = np.einsum("nij,nj->ni", frames, normals)
+    local[:, 2] = np.maximum(local[:, 2], 0.0)
+    lengths = np.linalg.norm(local, axis=1, keepdims=True)
+    local = np.where(lengths > 0.0, local / np.where(lengths > 0.0, lengths, 1.0), FLAT_NORMAL)
+    is_texel = texels.to_image(np.ones((len(texels), 1), np.float32))
+    return dilate(texels.to_image(np.column_stack([0.5 + 0.5 * local, np.ones(len(local))]).astype(np.float32)), is_texel[..., 0])
+
+
+def _format_shape(level: bpy.types.Object, material: str, first_vertex: int) -> list[str]:
+    """Return vertices, UVs and polygons of one level as lines of an `.obj`."""
+    mesh = level.data
+    matrix = np.array(level.matrix_basis)  # levels have no parent; world matrices of hidden objects are not up to date
+    positions = read_positions(mesh) @ matrix[:3, :3].T + matrix[:3, 3]
+    lines = [f"v {x:.9g} {z:.9g} {-y:.9g}" for x, y, z in positions]
+    lines += [f"vt {u:.7g} {v:.7g}" for u, v in read_uvs(mesh.uv_layers[0])]
+    lines += [f"usemtl {material}"]
+    # Quads share no vertices, so vertices and UVs have the same numbers.
+    lines += [
+        "f " + " ".join(f"{first_vertex + vertex}/{first_vertex + vertex}" for vertex in polygon.vertices) for polygon in mesh.polygons
+    ]
+    return lines
+
+
+def _create_export_copy(level: bpy.types.Object) -> bpy.types.Object:
+    """Create a visible, selected copy of `level` with a material that every glTF reader supports.
+
+    With a normal map the quads are flat shaded, because a tangent-space normal map is relative to the quad's own normal.
+    """
+    normals = compute_tangent_normals(level)
+    copy = bpy.data.objects.new(level.name, level.data.copy())
+    copy.matrix_basis = level.matrix_basis
+    for key in level.keys():  # noqa: SIM118 - an object is not a dict
+        copy[key] = level[key]
+    copy.data.materials.clear()
+    copy.data.materials.append(_create_export_material(level.name, front_color_image(level), normals))
+    if normals is not None and CORNER_NORMALS in copy.data.attributes:
+        copy.data.attributes.remove(copy.data.attributes[CORNER_NORMALS])
+    bpy.context.scene.collection.objects.link(copy)
+    copy.select_set(True)
+    return copy
+
+
+def _create_export_material(name: str, image: bpy.types.Image | None, normals: np.ndarray | None) -> bpy.types.Material:
+    """Create a two-sided material without highlights. Alpha is clipped at 0.5, because game engines do not sort blended quads."""
+    material = bpy.data.materials.new(name)
+    enable_nodes(material)
+    material.use_backface_culling = False
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    shader = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
+    shader.inputs["Roughness"].default_value = 1.0
+    if image is not None:
+        texture, clip = nodes.new("ShaderNodeTexImage"), nodes.new("ShaderNodeMath")
+        texture.image, texture.extension = image, "EXTEND"
+        clip.operation = "ROUND"
+        links.new(texture.outputs["Color"], shader.inputs["Base Color"])
+        links.new(texture.outputs["Alpha"], clip.inputs[0])
+        links.new(clip.outputs[0], shader.inputs["Alpha"])
+    if normals is not None:
+        texture, normal_map = nodes.new("ShaderNodeTexImage"), nodes.new("ShaderNodeNormalMap")
+        texture.image, texture.extension, texture.label = create_image(f"{name} Normals", normals, is_data=True), "EXTEND", FRONT_NORMAL
+        links.new(texture.outputs["Color"], normal_map.inputs["Color"])
+        links.new(normal_map.outputs[0], shader.inputs["Normal"])
+    return material

@@ -1,0 +1,67 @@
+"""Where the surface that a quad shows continues past the quad's silhouette.
+
+There the silhouette may grow to close cracks; elsewhere growing would make a trunk thicker.
+"""
+
+import numpy as np
+from mathutils import Vector
+from mathutils.bvhtree import BVHTree
+
+from ...core.billboards.cloud import Level
+from ...core.imaging.images import MIN_ALPHA, max_of_neighbors
+from ..meshes import Source
+from .atlas_placement import compute_placement
+
+MAX_HEIGHT = 2.0  # errors above and below the plane of a quad in which its surface is searched
+
+
+class SurfaceContinuation:
+    """Finds the surface of `source` next to the silhouettes of its quads by ray casting."""
+
+    def __init__(self, source: Source) -> None:
+        self._mesh = source.mesh
+        self._bvh: BVHTree | None = None
+
+    def find_texels(self, level: Level, alphas: list[np.ndarray]) -> np.ndarray:
+        """Return a mask (H, W) bool of the texels of joined quads on or next to the silhouette of one of `alphas` (H, W) where the
+        surface continues."""
+        candidates = np.zeros(alphas[0].shape, bool)
+        for alpha in alphas:
+            candidates |= (alpha < 1.0 - MIN_ALPHA) & (max_of_neighbors(alpha) > MIN_ALPHA)
+        quads = _rasterize_joined_quads(level)
+        row, column = np.nonzero(candidates & (quads >= 0))
+        if self._mesh is None or len(row) == 0:  # the discs of a point cloud have no silhouette of their own
+            return quads >= 0
+        quad = quads[row, column]
+        points = level.texel_size * (np.column_stack([column, row]) + 0.5 - 0.5 * np.array(level.atlas.size, np.float64))
+        normals = level.quads.frames[quad, 2]
+        origins = compute_placement(level).to_world(points, quad) - MAX_HEIGHT * level.error * normals
+        continuation = np.zeros(candidates.shape, bool)
+        continuation[row, column] = self._cast_rays(origins, normals, 2.0 * MAX_HEIGHT * level.error)
+        return continuation
+
+    def _cast_rays(self, origins: np.ndarray, directions: np.ndarray, distance: float) -> np.ndarray:
+        """Return whether each ray meets the surface within `distance`.
+
+        The tree's unit of length is the `distance` of the first call, because the tree stores single precision.
+        """
+        if self._bvh is None:
+            self._center = self._mesh.vertices.mean(axis=0)
+            self._unit = distance
+            vertices = ((self._mesh.vertices - self._center) / distance).tolist()
+            self._bvh = BVHTree.FromPolygons(vertices, self._mesh.triangles.tolist(), all_triangles=True)
+        local = ((origins - self._center) / self._unit).tolist()
+        rays = zip(local, directions.tolist(), strict=True)
+        max_distance = distance / self._unit
+        return np.array([self._bvh.ray_cast(Vector(origin), Vector(ray), max_distance)[0] is not None for origin, ray in rays], bool)
+
+
+def _rasterize_joined_quads(level: Level) -> np.ndarray:
+    """Return the index (H, W) int32 of the joined quad of each texel of the atlas, including half of the gutter; -1 for none."""
+    width, height = level.atlas.size
+    quads = np.full((height, width), -1, np.int32)
+    margin = level.atlas.gutter // 2
+    for quad in np.flatnonzero(level.joined):
+        x, y, quad_width, quad_height = level.atlas.rectangles[quad]
+        quads[y - margin : y + quad_height + margin, x - margin : x + quad_width + margin] = quad
+    return quads

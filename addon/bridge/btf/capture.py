@@ -1,0 +1,179 @@
+"""Capture of a cloud's source: one Cycles render per view and light, and one face-ID render per view."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import bpy
+import mathutils
+import numpy as np
+
+from ...compat import enable_nodes
+from ...core.btf.capture.observations import ID_BUFFER_SCALE, ViewRender
+from ...core.btf.estimate import image_resolution
+from ...core.btf.reflectance.disc_lights import disc_radius
+from ...core.btf.settings import BtfSettings
+from ...core.geometry.cameras import OrthographicView
+from ...core.geometry.direction_grids import DirectionGrid
+from ..cameras import set_camera_view
+from ..cycles_renders import prepare_cycles
+from ..emission import has_emission
+from ..meshes import Source
+from ..render_scene import RenderScene, render_scene
+from .face_id_pass import add_face_id_proxies, decode_face_ids
+
+MAX_TRANSPARENT_BOUNCES = 256
+MIN_FILTER_WIDTH = 0.01  # pixels: the narrowest filter of Cycles
+
+
+class FaceIdRenderer:
+    """Renders the face IDs of a source from any view."""
+
+    def __init__(self, work: RenderScene) -> None:
+        self._work = work
+
+    @property
+    def render_seconds(self) -> float:
+        """Total time of all Cycles renders so far."""
+        return self._work.render_seconds
+
+    def render_face_ids(self, view: OrthographicView) -> np.ndarray:
+        """Return the face ID (H, W) int32 at the center of every pixel of `view`, -1 for none."""
+        set_camera_view(self._work.scene, view)
+        return decode_face_ids(self._work.render())
+
+
+class RadianceRenderer:
+    """Renders the source objects from any view, under one Sun light or uniform World lighting."""
+
+    def __init__(self, work: RenderScene, source: Source, settings: BtfSettings) -> None:
+        self._work, self._source, self._settings = work, source, settings
+        light = work.own(bpy.data.lights.new("Farfield Sun", "SUN"))
+        light.energy, light.angle = 1.0, sun_angle(settings)
+        self._sun = work.add_object(light)
+        self._black_world, self._white_world = (_new_world(work, strength) for strength in (0.0, 1.0))
+        self._has_emission = has_emission(source.materials)
+
+    @property
+    def render_seconds(self) -> float:
+        """Total time of all Cycles renders so far."""
+        return self._work.render_seconds
+
+    def render_view(self, view: OrthographicView, face_ids: np.ndarray) -> ViewRender:
+        """Render one view under every Sun direction of the light grid, and last under uniform World lighting.
+
+        Emission is subtracted from all of them. If a material may emit light, one more render captures it.
+
+        face_ids: of this view, as `ViewRender.face_ids`.
+        """
+        sun_directions = self._settings.light_grid.directions
+        set_camera_view(self._work.scene, view)
+        radiance = np.empty((len(sun_directions) + 1, view.resolution, view.resolution, 3), np.float32)
+        coverage = np.zeros((view.resolution, view.resolution), np.float32)
+        self._work.scene.world, self._sun.hide_render = self._black_world, False
+        for index in range(len(sun_directions) + 1):
+            if index < len(sun_directions):
+                self._sun.matrix_world = mathutils.Vector(sun_directions[index]).to_track_quat("Z", "Y").to_matrix().to_4x4()
+            else:
+                self._work.scene.world, self._sun.hide_render = self._white_world, True
+            render = self._work.render()
+            radiance[index] = render[..., :3]
+            coverage += render[..., 3] / (len(sun_directions) + 1)
+        emission = None
+        if self._has_emission:
+            self._work.scene.world, self._sun.hide_render = self._black_world, True
+            emission = self._work.render()[..., :3]
+            radiance = np.maximum(radiance - emission, 0.0)
+        heights = compute_heights(self._source, view.supersample(ID_BUFFER_SCALE), face_ids)
+        return ViewRender(radiance, coverage, face_ids, heights, emission)
+
+
+def compute_heights(source: Source, view: OrthographicView, face_ids: np.ndarray) -> np.ndarray:
+    """Return the height (H, W) above the view's center of the surface at every pixel center, on the plane of its face; -inf for none."""
+    row, column = np.nonzero(face_ids >= 0)
+    point, normal = _face_planes(source, face_ids[row, column])
+    x = (column + 0.5 - 0.5 * view.resolution) * view.pixel_size
+    y = (row + 0.5 - 0.5 * view.resolution) * view.pixel_size
+    base = view.center + x[:, None] * view.right + y[:, None] * view.up
+    cosine = normal @ view.direction
+    cosine = np.where(np.abs(cosine) < 1e-3, np.copysign(1e-3, cosine), cosine)
+    heights = np.full(face_ids.shape, -np.inf)
+    heights[row, column] = np.einsum("ni,ni->n", point - base, normal) / cosine
+    return heights
+
+
+# Open one renderer after the other, never both at once: between renders Blender keeps the data of only one scene.
+
+
+@contextmanager
+def open_face_id_renderer(source: Source, settings: BtfSettings, threads: int) -> Iterator[FaceIdRenderer]:
+    """Open a renderer for the face IDs of `source` that uses `threads` threads. It leaves nothing behind."""
+    with render_scene("Farfield Face IDs") as work:
+        add_face_id_proxies(work, source)
+        _prepare_scene(work, settings, threads)
+        cycles = work.scene.cycles
+        cycles.samples, cycles.max_bounces = 1, 0
+        cycles.pixel_filter_type = "BLACKMAN_HARRIS"  # its width can be set
+        cycles.filter_width = MIN_FILTER_WIDTH
+        yield FaceIdRenderer(work)
+
+
+@contextmanager
+def open_radiance_renderer(
+    objects: Sequence[bpy.types.Object], source: Source, settings: BtfSettings, threads: int
+) -> Iterator[RadianceRenderer]:
+    """Open a renderer for the `objects` that `source` was read from. It uses `threads` threads and leaves nothing behind.
+
+    Objects that are disabled in renders are enabled meanwhile.
+    """
+    hidden = [item.hide_render for item in objects]
+    with render_scene("Farfield Radiance") as work:
+        for item in objects:
+            work.scene.collection.objects.link(item)
+            item.hide_render = False
+        _prepare_scene(work, settings, threads)
+        try:
+            yield RadianceRenderer(work, source, settings)
+        finally:
+            for item, was_hidden in zip(objects, hidden, strict=True):
+                item.hide_render = was_hidden
+
+
+def sun_angle(settings: BtfSettings) -> float:
+    """Return the angular diameter, in radians, of a Sun light of the bake; see `BtfSettings.sun_solid_angle`."""
+    return 2.0 * disc_radius(settings.sun_solid_angle)
+
+
+def build_views(source: Source, grid: DirectionGrid, pixel_size: float) -> list[OrthographicView]:
+    """Return one view per direction of `grid` that contains the whole source. pixel_size: a length."""
+    points = source.mesh.vertices if source.mesh is not None else source.points.points
+    low, high = points.min(axis=0), points.max(axis=0)
+    center = 0.5 * (low + high)
+    radius = float(np.linalg.norm(points - center, axis=1).max())
+    return [OrthographicView(direction, center, image_resolution(radius, pixel_size), pixel_size) for direction in grid.directions]
+
+
+def _face_planes(source: Source, face_ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a point (N, 3) and the unit normal (N, 3) of each face."""
+    if source.mesh is None:
+        return source.points.points[face_ids], source.points.normals[face_ids]
+    corners = source.mesh.vertices[source.mesh.triangles[face_ids]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return corners[:, 0], normals / np.where(lengths > 0.0, lengths, 1.0)
+
+
+def _new_world(work: RenderScene, strength: float) -> bpy.types.World:
+    world = work.own(bpy.data.worlds.new("Farfield"))
+    enable_nodes(world)
+    background = next(node for node in world.node_tree.nodes if node.type == "BACKGROUND")
+    background.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
+    background.inputs["Strength"].default_value = strength
+    return world
+
+
+def _prepare_scene(work: RenderScene, settings: BtfSettings, threads: int) -> None:
+    scene = work.scene
+    prepare_cycles(scene, settings.samples, MAX_TRANSPARENT_BOUNCES)
+    scene.render.threads_mode, scene.render.threads = "FIXED", threads
+    scene.cycles.seed = settings.seed
+    scene.cycles.pixel_filter_type = "BOX"

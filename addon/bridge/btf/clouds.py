@@ -1,0 +1,202 @@
+"""Cloud levels with relightable materials, and the Sun lights linked to them."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ...core.billboards.texels import Texels
+from ...core.btf.compression import CompressedTextures
+from ...core.btf.factorization.factors import Factors
+from ...core.btf.factorization.lpca import LocalFactors
+from ...core.btf.reflectance.lobes import SCHLICK, Lobes, TexelSurface
+from ...core.btf.reflectance.parallax import ParallaxMap, parallax_axes
+from ...core.btf.reflectance.shadows import Shadows
+from ...core.btf.settings import BtfSettings
+from ...core.btf.tables import LookupTables, build_tables, pack_weights
+from ...core.imaging.images import decode_normals, dilate, nearest_known
+from ..billboards.cloud_materials import FRONT_COLOR, FRONT_NORMAL, FRONT_ROUGHNESS_METALLIC_DEPTH
+from ..billboards.level_objects import PBR_MATERIAL, pbr_image
+from ..billboards.lod_crossfade import apply_to_materials
+from ..billboards.transparent_bounces import ensure_transparent_bounces
+from ..drivers import add_object_driver
+from ..images import create_image, read_pixels
+from .materials import AMBIENT, SUNS, BtfImages, build_relightable_material, sun_color_property, sun_direction_property, sun_node_labels
+from .nodes.parallax_nodes import write_texel_axes
+
+DILATION_TEXELS = 3  # width of the margin around known texels
+OTHER_TRANSPARENT_SURFACES = 8  # allowance for the rest of a scene
+
+
+def read_texel_surface(level_object: bpy.types.Object, texels: Texels) -> TexelSurface | None:
+    """Return normals, roughness and parallax of texels from the PBR maps of a level; None if it has none."""
+    images = [pbr_image(level_object, label) for label in (FRONT_NORMAL, FRONT_ROUGHNESS_METALLIC_DEPTH)]
+    if None in images:
+        return None
+    normal_map, roughness_metallic_depth_map = map(read_pixels, images)
+    normals, roughness_metallic_depth = (
+        pixels[texels.pixels[:, 1], texels.pixels[:, 0]] for pixels in (normal_map, roughness_metallic_depth_map)
+    )
+    parallax = build_parallax_map(level_object, texels, normal_map, roughness_metallic_depth[:, 2])
+    return TexelSurface(decode_normals(normals), roughness_metallic_depth[:, 0], parallax)
+
+
+def build_parallax_map(level_object: bpy.types.Object, texels: Texels, normals: np.ndarray, depths: np.ndarray) -> ParallaxMap:
+    """Return the parallax map of the texels of a level, from the pixels (H, W, 4) of its normal map and encoded `depths` (N,) in 0..1."""
+    axes = parallax_axes(texels, float(level_object["farfield_error"]))
+    unit_normals = decode_normals(normals.reshape(-1, normals.shape[2])).reshape(*normals.shape[:2], 3)
+    return ParallaxMap(texels.pixels, texels.quad_indices, axes, 2.0 * depths - 1.0, unit_normals)
+
+
+def assign_relightable_material(
+    level_object: bpy.types.Object, texels: Texels, textures: CompressedTextures, settings: BtfSettings
+) -> None:
+    """Give a level object a relightable material that decodes the `textures` of its `texels`. Its PBR material stays in the file.
+
+    The alpha of `textures` is added to that of the PBR maps. The normals of their lobes must be those of the PBR maps.
+    """
+    shadows = None if textures.lobes is None else textures.lobes.shadows
+    tables = build_tables(textures.color, textures.alpha, settings.view_grid, settings.light_grid, shadows)
+    name = f"{level_object.name} BTF"
+    images = _create_images(level_object, name, texels, textures, tables)
+    if images.depth is not None:
+        write_texel_axes(level_object.data, textures.lobes.surface.parallax.axes)
+    material = build_relightable_material(name, images, tables, settings.blend_texels)
+    pbr_material = level_object.data.materials[0]
+    if pbr_material is not None and PBR_MATERIAL not in level_object:
+        pbr_material.use_fake_user = True
+        level_object[PBR_MATERIAL] = pbr_material.name
+    level_object.data.materials[0] = material
+    for index in range(SUNS):
+        level_object[sun_direction_property(index)] = [0.0, 0.0, 1.0]
+        level_object[sun_color_property(index)] = [0.0, 0.0, 0.0]
+    level_object[AMBIENT] = [0.0, 0.0, 0.0]
+    apply_to_materials(level_object)
+
+
+def _create_images(
+    level_object: bpy.types.Object, name: str, texels: Texels, textures: CompressedTextures, tables: LookupTables
+) -> BtfImages:
+    """Create all images of a relightable material."""
+    color, alpha, lobes = textures.color, textures.alpha, textures.lobes
+    known = texels.to_image(color.known[:, None].astype(np.float32))[..., 0]
+    weights, clusters = _build_weight_maps(color, texels, known)
+    sky_visibility = None if lobes is None else lobes.sky_visibility
+    return BtfImages(
+        weights=_weight_images(f"{name} Weights", weights),
+        clusters=None if clusters is None else _half_float_image(f"{name} Clusters", np.repeat(clusters[..., None], 4, axis=2)),
+        chromaticity=_color_image(f"{name} Chromaticity", textures.chromaticity, sky_visibility, texels, known),
+        emission=None if textures.emission is None else _color_image(f"{name} Emission", textures.emission, None, texels, known),
+        basis=_half_float_image(f"{name} Basis", tables.basis),
+        dome=_half_float_image(f"{name} Dome", tables.dome.image),
+        alpha_weights=_weight_images(f"{name} Alpha Weights", texels.to_image(alpha.weights)),
+        alpha_basis=_half_float_image(f"{name} Alpha", tables.alpha.image),
+        pbr_color=pbr_image(level_object, FRONT_COLOR),
+        **_lobe_images(level_object, name, texels, lobes, known),
+        **_shadow_images(name, texels, None if lobes is None else lobes.shadows, tables, known),
+    )
+
+
+def _color_image(name: str, colors: np.ndarray, alpha: np.ndarray | None, texels: Texels, known: np.ndarray) -> bpy.types.Image:
+    """Create an image of `colors` (N, 3) with `alpha` (N,), 1 if None, dilated around the texels in `known` (H, W)."""
+    alpha = np.ones(len(colors), np.float32) if alpha is None else alpha
+    return _half_float_image(name, dilate(texels.to_image(np.column_stack([colors, alpha])), known, DILATION_TEXELS))
+
+
+def _weight_images(name: str, weights: np.ndarray) -> list[bpy.types.Image]:
+    """Create the images of `weights` (H, W, K), see `pack_weights`."""
+    return [_half_float_image(f"{name} {index}", image) for index, image in enumerate(pack_weights(weights))]
+
+
+def _lobe_images(level_object: bpy.types.Object, name: str, texels: Texels, lobes: Lobes | None, known: np.ndarray) -> dict[str, Any]:
+    if lobes is None:
+        return {**dict.fromkeys(("diffuse", "specular", "normals", "depth")), "dome_fresnel": SCHLICK}
+    diffuse, specular = (
+        dilate(texels.to_image(np.column_stack(columns)), known, DILATION_TEXELS)
+        for columns in ((lobes.diffuse, lobes.surface.roughness), (lobes.f0, lobes.f90_minus_f0))
+    )
+    return {
+        "diffuse": _half_float_image(f"{name} Diffuse", diffuse),
+        "specular": _half_float_image(f"{name} Specular", specular),
+        "normals": pbr_image(level_object, FRONT_NORMAL),
+        "depth": None if lobes.surface.parallax is None else pbr_image(level_object, FRONT_ROUGHNESS_METALLIC_DEPTH),
+        "dome_fresnel": lobes.dome_fresnel,
+    }
+
+
+def _shadow_images(name: str, texels: Texels, shadows: Shadows | None, tables: LookupTables, known: np.ndarray) -> dict[str, Any]:
+    if shadows is None:
+        return {"shadow_weights": [], "shadow_basis": None}
+    weights = dilate(texels.to_image(shadows.angles.weights), known, DILATION_TEXELS)
+    return {
+        "shadow_weights": _weight_images(f"{name} Shadow Weights", weights),
+        "shadow_basis": _half_float_image(f"{name} Shadow", tables.shadow.image),
+    }
+
+
+def _build_weight_maps(color: Factors, texels: Texels, known: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return maps of the weights (H, W, K) and of cluster indices (H, W), filled in all pixels; None if there are no clusters.
+
+    Weights of different clusters cannot be mixed: a texel that is not in `known` (H, W) takes both from the nearest known texel.
+    """
+    weights = texels.to_image(color.weights)
+    if not isinstance(color, LocalFactors):
+        return dilate(weights, known, DILATION_TEXELS), None
+    nearest = nearest_known(known > 0.0)
+    return weights[nearest], texels.to_image(color.labels[:, None].astype(np.float32))[..., 0][nearest]
+
+
+def raise_transparent_bounces(collection: bpy.types.Collection, stacked_quads: int) -> None:
+    """Let rays pass through `stacked_quads` quads in all scenes that contain `collection`; Cycles renders deeper ones black.
+
+    Higher limits stay.
+    """
+    for scene in bpy.data.scenes:
+        if collection in scene.collection.children_recursive:
+            ensure_transparent_bounces(scene, stacked_quads + OTHER_TRANSPARENT_SURFACES)
+
+
+def restore_pbr_material(level_object: bpy.types.Object) -> None:
+    """Give a level its PBR material back. Remove the relightable material and its drivers."""
+    link_suns(level_object, (), (0.0, 0.0, 0.0))
+    relightable_material = level_object.data.materials[0]
+    pbr_material = bpy.data.materials.get(level_object[PBR_MATERIAL])
+    level_object.data.materials[0] = pbr_material
+    sun_properties = (name(index) for index in range(SUNS) for name in (sun_direction_property, sun_color_property))
+    for name in (AMBIENT, PBR_MATERIAL, *sun_properties):
+        del level_object[name]
+    if pbr_material is not None:
+        pbr_material.use_fake_user = False
+    apply_to_materials(level_object)
+    if relightable_material is not None and relightable_material.users == 0:
+        bpy.data.materials.remove(relightable_material)
+
+
+def link_suns(level_object: bpy.types.Object, suns: Sequence[bpy.types.Object], ambient: Sequence[float]) -> None:
+    """Light a level with up to four Sun lights, linked by drivers, and with uniform World lighting of the radiance `ambient` (3,)."""
+    for index in range(SUNS):
+        for name in (sun_direction_property(index), sun_color_property(index)):
+            level_object.driver_remove(f'["{name}"]')
+        if index >= len(suns):
+            level_object[sun_color_property(index)] = [0.0, 0.0, 0.0]
+            continue
+        for axis in range(3):
+            direction = {"value": f"matrix_world[2][{axis}]"}
+            add_object_driver(level_object, sun_direction_property(index), axis, "value", suns[index], direction)
+            color = {"color": f"data.color[{axis}]", "strength": "data.energy"}
+            add_object_driver(level_object, sun_color_property(index), axis, "color * strength", suns[index], color)
+    level_object[AMBIENT] = [float(value) for value in ambient]
+    _mute_unused_suns(level_object.data.materials[0], len(suns))
+
+
+def _mute_unused_suns(material: bpy.types.Material, used_count: int) -> None:
+    """Mute the nodes that decode Suns from index `used_count` on: renderers would evaluate them although their light is black."""
+    unused = {label for index in range(used_count, SUNS) for label in sun_node_labels(index)}
+    for node in material.node_tree.nodes:
+        if node.type == "GROUP" and node.label:
+            node.mute = node.label in unused
+
+
+def _half_float_image(name: str, pixels: np.ndarray) -> bpy.types.Image:
+    return create_image(name, pixels, is_data=True, half_floats=True)

@@ -1,0 +1,175 @@
+"""The terrain material: shader nodes that select the ground by slope and height, with noise and a box-projected grain texture."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ...compat import enable_nodes
+from ...core.errors import FileError
+from ..images import create_image
+from ..node_builder import NodeBuilder, SocketOrValue
+from ..node_groups import ensure_shared_group
+
+GROUP_NAME = "Farfield Ground"
+GROUP_VERSION = 1
+GRAIN_IMAGE = "Farfield Grain"
+GRAIN_RESOLUTION = 256  # pixels per side
+GRAIN_MIN_FREQUENCY = 3.0  # per image; lower frequencies have the amplitude of this one
+GRAIN_FALLOFF = 0.9  # exponent of the spectrum
+GRAIN_DEVIATION = 0.22  # standard deviation of the gray values
+GRAIN_TILE_SIZE = 0.12  # side of one repetition, relative to the size of the terrain
+GRAIN_BLEND = 0.35  # between the three projections
+SNOW_LINE = 0.3  # default height of snow above the upper height, relative to the size of the terrain
+MIN_SIZE = 1e-3  # scene units, for a flat terrain
+INPUTS = (
+    ("Position", "Vector"), ("Grain", "Color"), ("Rock", "Color"), ("Grass", "Color"), ("Sand", "Color"), ("Snow", "Color"),
+    ("Rock Slope", "Float"), ("Snow Height", "Float"), ("Sand Height", "Float"), ("Size", "Float"), ("Height Blend", "Float"),
+    ("Height Noise", "Float"), ("Slope Blend", "Float"), ("Slope Noise", "Float"), ("Noise Scale", "Float"), ("Grain Strength", "Float"),
+    ("Grain Offset", "Float"), ("Color Noise", "Float"), ("Roughness", "Float"),
+)  # fmt: skip
+DEFAULTS = {
+    "Rock": (0.17, 0.14, 0.115, 1.0),
+    "Grass": (0.075, 0.11, 0.03, 1.0),
+    "Sand": (0.36, 0.27, 0.16, 1.0),
+    "Snow": (0.8, 0.83, 0.88, 1.0),
+    "Rock Slope": 0.72,  # z of the normal below which the ground is rock
+    "Height Blend": 0.12,  # half the width of the blends at Sand Height and Snow Height, relative to Size
+    "Height Noise": 0.6,  # variation of these heights, relative to Size
+    "Slope Blend": 0.07,  # half the width of the blend at Rock Slope
+    "Slope Noise": 0.35,  # variation of Rock Slope
+    "Noise Scale": 6.0,  # noise features per Size
+    "Grain Strength": 0.7,  # factor of the grain texture, which varies the brightness
+    "Grain Offset": 0.65,  # brightness added to it
+    "Color Noise": 0.8,  # variation of the brightness by noise
+    "Roughness": 0.9,
+}
+FOREST_DEFAULTS = {  # in forests steep ground is foliage
+    "Rock": (0.045, 0.075, 0.018, 1.0), "Snow": (0.06, 0.09, 0.025, 1.0), "Sand": (0.12, 0.105, 0.05, 1.0)
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class GroundImage:
+    """An image of the ground from above, centered on x = y = 0 of the terrain.
+
+    path: the file. size: length of its longest side, scene units. origin: (3,) terrain position at the root.
+    """
+
+    path: Path
+    size: float
+    origin: np.ndarray
+
+
+def create_terrain_material(
+    name: str, root: bpy.types.Object, low: float, high: float, ground_image: GroundImage | None = None, is_forest: bool = False
+) -> bpy.types.Material:
+    """Create a material for terrain below `root`, most of which lies between the heights `low` and `high`, scene units above the root.
+
+    All colors and numbers are inputs of its node group. A `ground_image` replaces all ground colors.
+
+    Raises:
+        FileError: the ground image cannot be read.
+    """
+    size = max(0.5 * (high - low), MIN_SIZE)
+    material = bpy.data.materials.new(name)
+    enable_nodes(material)
+    tree = material.node_tree
+    tree.nodes.clear()
+    builder = NodeBuilder(tree)
+    position = builder.node("ShaderNodeTexCoord", {"object": root}).outputs["Object"]
+    grain_position = builder.vector("SCALE", position, 1.0 / (GRAIN_TILE_SIZE * size))
+    grain_position.node.label = "Grain Scale"
+    grain = builder.node(
+        "ShaderNodeTexImage",
+        {
+            "image": _ensure_grain_image(), "projection": "BOX", "projection_blend": GRAIN_BLEND, "extension": "REPEAT", "label": "Grain"
+        },
+    )  # fmt: skip
+    builder.connect(grain_position, grain.inputs["Vector"])
+    group = builder.node("ShaderNodeGroup", {"node_tree": _ensure_ground_group(), "width": 200.0})
+    for socket, value in (DEFAULTS | (FOREST_DEFAULTS if is_forest else {})).items():
+        group.inputs[socket].default_value = value
+    group.inputs["Size"].default_value = size
+    group.inputs["Snow Height"].default_value, group.inputs["Sand Height"].default_value = high + SNOW_LINE * size, low
+    if ground_image is not None:
+        color = _project_ground_image(builder, position, ground_image)
+        for socket in ("Rock", "Grass", "Sand", "Snow"):
+            builder.connect(color, group.inputs[socket])
+    builder.connect(position, group.inputs["Position"])
+    builder.connect(grain.outputs["Color"], group.inputs["Grain"])
+    principled = builder.node("ShaderNodeBsdfPrincipled")
+    builder.connect(group.outputs["Color"], principled.inputs["Base Color"])
+    builder.connect(group.outputs["Roughness"], principled.inputs["Roughness"])
+    builder.connect(principled.outputs[0], builder.node("ShaderNodeOutputMaterial").inputs["Surface"])
+    builder.arrange()
+    return material
+
+
+def _project_ground_image(builder: NodeBuilder, position: bpy.types.NodeSocket, ground_image: GroundImage) -> bpy.types.NodeSocket:
+    """Return the color of a ground image at a `position` relative to the root."""
+    try:
+        image = bpy.data.images.load(str(ground_image.path), check_existing=True)
+    except RuntimeError as error:
+        raise FileError(f'The image "{ground_image.path}" cannot be read; check the path.') from error
+    width, height = image.size
+    if not (width and height):
+        raise FileError(f'The file "{ground_image.path}" is not an image that Blender supports.')
+    size = np.array([width, height]) * ground_image.size / max(width, height)
+    centered_uv = builder.vector("MULTIPLY", builder.vector("ADD", position, ground_image.origin.tolist()), (*(1.0 / size).tolist(), 0.0))
+    node = builder.node("ShaderNodeTexImage", {"image": image, "extension": "EXTEND", "label": "Ground Image"})
+    builder.connect(builder.vector("ADD", centered_uv, (0.5, 0.5, 0.0)), node.inputs["Vector"])
+    return node.outputs["Color"]
+
+
+def _ensure_ground_group() -> bpy.types.NodeTree:
+    return ensure_shared_group(GROUP_NAME, GROUP_VERSION, INPUTS, (("Color", "Color"), ("Roughness", "Float")), _fill_ground_group)
+
+
+def _fill_ground_group(builder: NodeBuilder) -> None:
+    for item in builder.tree.interface.items_tree:
+        if item.item_type == "SOCKET" and item.in_out == "INPUT" and item.name in DEFAULTS:
+            item.default_value = DEFAULTS[item.name]
+    inputs = builder.node("NodeGroupInput").outputs
+    noise = builder.node("ShaderNodeTexNoise")
+    noise_scale = builder.math("DIVIDE", inputs["Noise Scale"], inputs["Size"])
+    builder.connect(builder.vector("SCALE", inputs["Position"], noise_scale), noise.inputs["Vector"])
+    noise.inputs["Scale"].default_value, noise.inputs["Detail"].default_value = 1.0, 4.0
+    centered_noise = builder.math("SUBTRACT", noise.outputs[0], 0.5)
+    normal_z = builder.separate(builder.node("ShaderNodeNewGeometry").outputs["Normal"])[2]
+    height = builder.separate(inputs["Position"])[2]
+    height_noise = builder.math("MULTIPLY", centered_noise, builder.math("MULTIPLY", inputs["Size"], inputs["Height Noise"]))
+    height = builder.math("ADD", height, height_noise)
+    normal_z = builder.math("ADD", normal_z, builder.math("MULTIPLY", centered_noise, inputs["Slope Noise"]))
+    above_sand = _ramp(builder, height, inputs["Sand Height"], builder.math("MULTIPLY", inputs["Size"], inputs["Height Blend"]))
+    ground = builder.mix(above_sand, inputs["Sand"], inputs["Grass"])
+    above_snow = _ramp(builder, height, inputs["Snow Height"], builder.math("MULTIPLY", inputs["Size"], inputs["Height Blend"]))
+    ground = builder.mix(above_snow, ground, inputs["Snow"])
+    color = builder.mix(_ramp(builder, normal_z, inputs["Rock Slope"], inputs["Slope Blend"]), inputs["Rock"], ground)
+    brightness = builder.vector("ADD", builder.vector("SCALE", inputs["Grain"], inputs["Grain Strength"]), inputs["Grain Offset"])
+    noise_factor = builder.math("ADD", builder.math("MULTIPLY", centered_noise, inputs["Color Noise"]), 1.0)
+    brightness = builder.vector("SCALE", brightness, noise_factor)
+    output = builder.node("NodeGroupOutput")
+    builder.connect(builder.vector("MULTIPLY", color, brightness), output.inputs["Color"])
+    builder.connect(inputs["Roughness"], output.inputs["Roughness"])
+
+
+def _ramp(builder: NodeBuilder, value: SocketOrValue, center: SocketOrValue, half_width: SocketOrValue) -> bpy.types.NodeSocket:
+    """Return a linear ramp from 0 at `center` - `half_width` to 1 at `center` + `half_width`."""
+    width = builder.math("MULTIPLY", half_width, 2.0)
+    return builder.math("ADD", builder.math("DIVIDE", builder.math("SUBTRACT", value, center), width), 0.5, True)
+
+
+def _ensure_grain_image() -> bpy.types.Image:
+    """Return a tileable gray image of grains of all sizes, which all terrains of the file share."""
+    for image in bpy.data.images:
+        if image.name.startswith(GRAIN_IMAGE) and image.library is None and image.size[0] == GRAIN_RESOLUTION:
+            return image
+    spectrum = np.fft.rfft2(np.random.default_rng(1).normal(size=(GRAIN_RESOLUTION, GRAIN_RESOLUTION)))
+    frequency = np.hypot(np.fft.fftfreq(GRAIN_RESOLUTION)[:, None], np.fft.rfftfreq(GRAIN_RESOLUTION)) * GRAIN_RESOLUTION
+    gray = np.fft.irfft2(spectrum / np.maximum(frequency, GRAIN_MIN_FREQUENCY) ** GRAIN_FALLOFF)
+    gray = np.clip(0.5 + GRAIN_DEVIATION * (gray - gray.mean()) / gray.std(), 0.0, 1.0)
+    pixels = np.ones((GRAIN_RESOLUTION, GRAIN_RESOLUTION, 4), np.float32)
+    pixels[..., :3] = gray[..., None]
+    return create_image(GRAIN_IMAGE, pixels, is_data=True)

@@ -1,0 +1,109 @@
+"""A separate scene for Farfield's own renders, removed afterwards with all its data."""
+
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ..compat import set_file_format
+from ..core.errors import FarfieldError, FileError
+
+
+class RenderScene:
+    """A scene with a camera, a folder for its renders, and a list of all data created for it.
+
+    render_seconds: total time of Blender's renders, without reading the images back.
+    """
+
+    def __init__(self, name: str, folder: Path) -> None:
+        self.folder = folder
+        self.render_seconds = 0.0
+        self.owned: list[bpy.types.ID] = []
+        self.scene = self.own(bpy.data.scenes.new(name))
+        self.camera = self.add_object(self.own(bpy.data.cameras.new(name)))
+        self.scene.camera = self.camera
+
+    def own(self, data: bpy.types.ID) -> bpy.types.ID:
+        """Register `data` for removal with the scene, and return it."""
+        self.owned.append(data)
+        return data
+
+    def add_object(self, data: bpy.types.ID) -> bpy.types.Object:
+        """Add an object of `data` to the scene."""
+        item = self.own(bpy.data.objects.new(data.name, data))
+        self.scene.collection.objects.link(item)
+        return item
+
+    def render(self) -> np.ndarray:
+        """Render the scene's camera: (height, width, 4) float32, scene-linear, premultiplied, row 0 at the bottom.
+
+        Raises:
+            FileError: the image cannot be written to the temporary folder.
+        """
+        settings = self.scene.render
+        set_file_format(settings.image_settings, "OPEN_EXR")
+        settings.image_settings.color_mode = "RGBA"
+        settings.image_settings.color_depth = "32"
+        settings.image_settings.exr_codec = "NONE"
+        path = self.folder / "render.exr"
+        path.unlink(missing_ok=True)  # otherwise a failed write would look like the previous render
+        settings.filepath = str(path)
+        start = time.perf_counter()
+        try:
+            bpy.ops.render.render(write_still=True, scene=self.scene.name)
+        except RuntimeError as error:
+            reason = str(error).strip()
+            raise FileError(f'Rendering into the temporary folder "{self.folder}" failed: {reason} Free some space there.') from error
+        self.render_seconds += time.perf_counter() - start
+        size = (side * settings.resolution_percentage // 100 for side in (settings.resolution_x, settings.resolution_y))
+        pixels = _read_exr(path, *size)
+        if pixels is None:  # Blender does not always notice that a disk is full
+            raise FileError(f'Rendering into the temporary folder "{self.folder}" failed: the image is truncated. Free some space there.')
+        return pixels
+
+    def close(self) -> None:
+        """Remove all owned data and the folder."""
+        bpy.data.batch_remove(list(reversed(self.owned)))
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+@contextmanager
+def render_scene(name: str) -> Iterator[RenderScene]:
+    """Create a scene beside the user's scenes, which are not touched; remove it with all its data at the end of the block.
+
+    Raises:
+        FileError: temporary files cannot be created.
+        FarfieldError: the Cycles add-on is disabled.
+    """
+    try:
+        folder = Path(tempfile.mkdtemp(prefix="farfield-"))
+    except OSError as error:
+        raise FileError(f"A temporary folder cannot be created ({error.strerror}); free some space on that disk.") from error
+    work = RenderScene(name, folder)
+    try:
+        if not hasattr(work.scene, "cycles"):
+            raise FarfieldError("Farfield renders with Cycles, which is disabled; enable the add-on Cycles Render Engine.")
+        yield work
+    finally:
+        work.close()
+
+
+def _read_exr(path: Path, width: int, height: int) -> np.ndarray | None:
+    """Return the pixels of an uncompressed EXR image of 32-bit floats, as `render` returns them; None when the file is incomplete.
+
+    Reading it through a Blender image takes as long as a small render. The pixels are at the end of such a file, line by line from the
+    top: line number, byte count, and the channels in alphabetical order (OpenEXR file layout).
+    """
+    line = np.dtype([("number", "<i4"), ("bytes", "<i4"), ("alpha_blue_green_red", "<f4", (4, width))])
+    start = path.stat().st_size - height * line.itemsize if path.exists() else -1
+    if start < 0:
+        return None
+    lines = np.fromfile(path, line, count=height, offset=start)
+    if (lines["number"] != np.arange(height)).any() or (lines["bytes"] != 16 * width).any():
+        return None
+    return np.ascontiguousarray(lines["alpha_blue_green_red"][::-1, ::-1].transpose(0, 2, 1))

@@ -1,0 +1,87 @@
+"""Replaces shader nodes that read scene-space inputs, for materials rendered at a different place than in the scene.
+
+While a quad is captured, its faces are placed in a rectangle of the atlas. The meshes there store the scene-space inputs as attributes. In
+the copies of the materials, nodes that would read the position, normal or object in the atlas are replaced by these attributes. Not
+supported: View and camera coordinates, reflections, Vector Transform nodes, box-projected images, Tangent and Pointiness of the Geometry
+node, ambient occlusion and bevels (which would see the faces of one quad only), and the color and indices of an instance where they differ
+from those of its object.
+"""
+
+from collections.abc import Callable
+
+import bpy
+import numpy as np
+
+from .node_builder import NodeBuilder
+from .node_groups import nodes_in
+
+POSITION, OBJECT, GENERATED = "farfield_position", "farfield_object", "farfield_generated"
+LOCATION, RANDOM, ISLAND = "farfield_location", "farfield_random", "farfield_island"
+QUAD_AXES = ("farfield_u", "farfield_v", "farfield_n")
+OBJECT_AXES = ("farfield_x", "farfield_y", "farfield_z")
+GENERATED_BY_DEFAULT = {  # nodes whose unlinked Vector input means Generated coordinates
+    "ShaderNodeTexNoise",
+    "ShaderNodeTexVoronoi",
+    "ShaderNodeTexWave",
+    "ShaderNodeTexMagic",
+    "ShaderNodeTexGradient",
+    "ShaderNodeTexChecker",
+    "ShaderNodeTexBrick",
+    "ShaderNodeTexGabor",
+}
+
+
+def world_normal(builder: NodeBuilder) -> bpy.types.NodeSocket:
+    """Return the shading normal in world space, on the viewer's side."""
+    return builder.from_frame(builder.node("ShaderNodeNewGeometry").outputs["Normal"], QUAD_AXES)
+
+
+def replace_scene_space_nodes(tree: bpy.types.NodeTree) -> None:
+    """Replace the nodes of `tree` that would read the atlas instead of the scene. Node groups inside it are not changed."""
+    builder = NodeBuilder(tree)
+    for node in list(tree.nodes):
+        if node.bl_idname == "ShaderNodeTexCoord":
+            _replace_coordinates(builder, node)
+        elif node.bl_idname == "ShaderNodeNewGeometry":
+            _replace_geometry(builder, node)
+        elif node.bl_idname == "ShaderNodeObjectInfo":
+            _relink(builder, node.outputs["Location"], lambda: builder.attribute(LOCATION))
+            _relink(builder, node.outputs["Random"], lambda: builder.attribute(RANDOM, is_scalar=True))
+        elif node.bl_idname in GENERATED_BY_DEFAULT and not node.inputs["Vector"].is_linked:
+            tree.links.new(builder.attribute(GENERATED), node.inputs["Vector"])
+
+
+def required_attributes(tree: bpy.types.NodeTree) -> set[str]:
+    """Return the names of the attributes read by `tree` and the node groups inside it."""
+    keys = ("attribute_name", "layer_name", "uv_map")
+    return {getattr(node, key) for node in nodes_in(tree) for key in keys if getattr(node, key, "")}
+
+
+def _replace_coordinates(builder: NodeBuilder, node: bpy.types.Node) -> None:
+    _relink(builder, node.outputs["Generated"], lambda: builder.attribute(GENERATED))
+    _relink(builder, node.outputs["Normal"], lambda: builder.to_frame(world_normal(builder), OBJECT_AXES))
+    if node.object is None:
+        _relink(builder, node.outputs["Object"], lambda: builder.attribute(OBJECT))
+    else:
+        to_object = np.linalg.pinv(np.array(node.object.matrix_world, np.float64))
+        _relink(builder, node.outputs["Object"], lambda: builder.transform(builder.attribute(POSITION), to_object))
+
+
+def _replace_geometry(builder: NodeBuilder, node: bpy.types.Node) -> None:
+    _relink(builder, node.outputs["Position"], lambda: builder.attribute(POSITION))
+    _relink(builder, node.outputs["Random Per Island"], lambda: builder.attribute(ISLAND, is_scalar=True))
+    # An input called Normal expects the normal at the shading point, which is in the atlas.
+    _relink(builder, node.outputs["Normal"], lambda: builder.from_frame(node.outputs["Normal"], QUAD_AXES), keep="Normal")
+    _relink(builder, node.outputs["True Normal"], lambda: builder.from_frame(node.outputs["True Normal"], QUAD_AXES), keep="Normal")
+
+
+def _relink(
+    builder: NodeBuilder, output: bpy.types.NodeSocket, replacement: Callable[[], bpy.types.NodeSocket], keep: str | None = None
+) -> None:
+    """Move the links of `output`, except those into inputs called `keep`, to the socket returned by `replacement`."""
+    targets = [link.to_socket for link in output.links if link.to_socket.name != keep]
+    if not targets:
+        return
+    source = replacement()
+    for target in targets:
+        builder.tree.links.new(source, target)

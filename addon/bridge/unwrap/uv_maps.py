@@ -1,0 +1,152 @@
+"""Reads meshes for unwrapping, and writes UV maps, their stretch and their metrics into meshes."""
+
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from ...core.errors import GeometryError
+from ...core.geometry.mesh import TriangleMesh
+from ..mesh_arrays import read_attribute, read_loop_triangles, read_loop_vertices, read_positions, read_uvs, read_values, write_uvs
+
+STRETCH_ATTRIBUTE = "farfield_stretch"  # face attribute: maximum stretch of the triangles of a polygon
+PIN_PREFIX = ".pn."  # of the attribute with the pinned corners of a UV map, before its name
+METRICS_PROPERTY = "farfield_unwrap"  # custom property of a mesh
+MAX_UV_MAPS = 8  # per mesh
+
+
+@dataclass(frozen=True)
+class UvTarget:
+    """A mesh, or some polygons of it, to unwrap. Holds no pointers into Blender.
+
+    mesh_name: in bpy.data.meshes. object_name: of the object. mesh: in world space, wound as in Blender. other_triangles (R, 3): of
+    polygons that are not unwrapped. loops (T, 3), polygon_ids (T,): of the triangles of `mesh`. seams (S, 2): vertices. normal_sign: -1
+    where the object's matrix mirrors, so that normals of `mesh` point inwards, else 1. group_weights (V,): weights of the vertex group, 0
+    without one.
+    """
+
+    mesh_name: str
+    object_name: str
+    mesh: TriangleMesh
+    other_triangles: np.ndarray
+    loops: np.ndarray
+    polygon_ids: np.ndarray
+    seams: np.ndarray
+    normal_sign: float
+    group_weights: np.ndarray
+
+
+def read_uv_target(item: bpy.types.Object, vertex_group: str | None) -> UvTarget:
+    """Read the original mesh of an object, before modifiers, since these inherit its UVs; in Edit Mode only its selected polygons.
+
+    vertex_group: name of the group to read, "" for the active one, None for none.
+
+    Raises:
+        GeometryError: there are no polygons to unwrap, or no such group.
+    """
+    mesh = item.data
+    is_editing = item.mode == "EDIT"
+    if is_editing:
+        item.update_from_editmode()
+    loops, polygons = read_loop_triangles(mesh)
+    loop_vertices = read_loop_vertices(mesh)
+    is_selected = np.ones(len(loops), bool)
+    if is_editing:
+        is_selected = read_values(mesh.polygons, "select", dtype=bool)[polygons]
+    if not is_selected.any():
+        raise GeometryError(f'"{item.name}" has no {"selected " if is_editing else ""}faces to unwrap; select some.')
+    matrix = np.array(item.matrix_world, np.float64)
+    positions = read_positions(mesh).astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+    return UvTarget(
+        mesh_name=mesh.name,
+        object_name=item.name,
+        mesh=TriangleMesh(positions, loop_vertices[loops[is_selected]]),
+        other_triangles=loop_vertices[loops[~is_selected]],
+        loops=loops[is_selected],
+        polygon_ids=polygons[is_selected],
+        seams=_read_seams(mesh),
+        normal_sign=-1.0 if np.linalg.det(matrix[:3, :3]) < 0.0 else 1.0,
+        group_weights=np.zeros(len(mesh.vertices)) if vertex_group is None else _read_vertex_group(item, vertex_group),
+    )
+
+
+def skip_reason(item: bpy.types.Object, uv_map: str) -> str:
+    """Return why no UV map of this name can be written into an object's mesh, or an empty string."""
+    if item.type != "MESH":
+        return f"a {item.type.replace('_', ' ').lower()} has no UV map"
+    mesh = item.data
+    if not mesh.is_editable:
+        return "its mesh is linked from a library; make it local"
+    if len(mesh.polygons) == 0:
+        return "no faces"
+    layer = mesh.uv_layers.get(uv_map)
+    if layer is None:
+        if uv_map in mesh.attributes:
+            return f'another attribute is named "{uv_map}"; choose another UV map name'
+        return "it has the maximum of eight UV maps; remove one" if len(mesh.uv_layers) >= MAX_UV_MAPS else ""
+    pins = mesh.attributes.get(PIN_PREFIX + uv_map)
+    return f'its UV map "{uv_map}" has pinned vertices; unpin them' if pins is not None and any(pin.value for pin in pins.data) else ""
+
+
+def write_uv_map(target: UvTarget, corner_uvs: np.ndarray, stretches: np.ndarray, uv_map: str, metrics: dict[str, float]) -> None:
+    """Write the UV map `corner_uvs` (T, 3, 2), its stretch (T,) as an attribute and its metrics into the mesh, and make the map active.
+
+    Raises:
+        GeometryError: the mesh was removed, or edited since it was read.
+    """
+    mesh = bpy.data.meshes.get(target.mesh_name)
+    if mesh is None or len(mesh.loops) <= int(target.loops.max()) or len(mesh.polygons) <= int(target.polygon_ids.max()):
+        raise GeometryError(f'The mesh of "{target.object_name}" was removed or edited while it was being unwrapped; unwrap it again.')
+    layer = mesh.uv_layers.get(uv_map) or mesh.uv_layers.new(name=uv_map, do_init=False)
+    mesh.uv_layers.active = layer
+    uvs = read_uvs(layer)
+    uvs[target.loops] = corner_uvs
+    write_uvs(layer, uvs)
+    attribute = mesh.attributes.get(STRETCH_ATTRIBUTE) or mesh.attributes.new(STRETCH_ATTRIBUTE, "FLOAT", "FACE")
+    polygon_stretches = read_attribute(attribute)
+    polygon_stretches[target.polygon_ids] = 0.0
+    np.maximum.at(polygon_stretches, target.polygon_ids, np.minimum(stretches, np.finfo(np.float32).max).astype(np.float32))
+    attribute.data.foreach_set("value", polygon_stretches)
+    mesh[METRICS_PROPERTY] = metrics
+    mesh.update()
+
+
+@dataclass(frozen=True)
+class UvStretch:
+    """The active UV map of a mesh and its stretch. loops (T, 3): of its triangles. uvs (L, 2) float32. stretches (T,) float32."""
+
+    loops: np.ndarray
+    uvs: np.ndarray
+    stretches: np.ndarray
+
+
+def read_uv_stretch(mesh: bpy.types.Mesh) -> UvStretch | None:
+    """Read the active UV map and the stretch stored by `write_uv_map`; None for a mesh not unwrapped or in Edit Mode."""
+    attribute, layer = mesh.attributes.get(STRETCH_ATTRIBUTE), mesh.uv_layers.active
+    if attribute is None or layer is None or len(attribute.data) != len(mesh.polygons):  # Edit Mode keeps its data elsewhere
+        return None
+    loops, polygons = read_loop_triangles(mesh)
+    stretches = read_attribute(attribute)
+    return UvStretch(loops, read_uvs(layer), stretches[polygons])
+
+
+def read_metrics(mesh: bpy.types.Mesh) -> dict[str, float | list[float]]:
+    """Read the metrics stored by `write_uv_map`; empty for a mesh that has not been unwrapped."""
+    return mesh[METRICS_PROPERTY].to_dict() if METRICS_PROPERTY in mesh else {}
+
+
+def _read_seams(mesh: bpy.types.Mesh) -> np.ndarray:
+    return read_values(mesh.edges, "vertices", 2, np.int32)[read_values(mesh.edges, "use_seam", dtype=bool)]
+
+
+def _read_vertex_group(item: bpy.types.Object, name: str) -> np.ndarray:
+    group = item.vertex_groups.get(name) if name else item.vertex_groups.active
+    if group is None:
+        missing = f'no vertex group "{name}"' if name else "no vertex group"
+        raise GeometryError(f'"{item.name}" has {missing}; paint one, or choose another Importance.')
+    weights = np.zeros(len(item.data.vertices))
+    for vertex in item.data.vertices:
+        for membership in vertex.groups:
+            if membership.group == group.index:
+                weights[vertex.index] = membership.weight
+    return np.clip(weights, 0.0, 1.0)

@@ -1,0 +1,19 @@
+"""Small array helpers that several modules share."""
+
+import numpy as np
+
+TINY = 1e-300  # added to or clamped under divisors and weights that may be 0; far below every length, area and weight
+
+
+def concatenate_ranges(starts: np.ndarray | int, counts: np.ndarray) -> np.ndarray:
+    """Return the integers of several ranges one after the other.
+
+    Args:
+        starts: (N,) integers, the first of every range, or one integer for all.
+        counts: (N,) integers, the lengths; may be 0.
+
+    Returns:
+        (sum of counts,) int64: starts[0], starts[0] + 1, ... starts[0] + counts[0] - 1, starts[1], ...
+    """
+    offsets = np.cumsum(counts) - counts
+    return np.arange(counts.sum()) - np.repeat(offsets - starts, counts)

@@ -1,0 +1,146 @@
+"""Finished views on disk, one file per view, from which an interrupted bake resumes."""
+
+import json
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import FileError
+from ...files.atomic_write import TEMPORARY_SUFFIX, write_bytes_atomically
+from .face_id_files import FaceIdFiles
+from .observations import Observation
+from .reference_images import ReferenceImage
+from .shard_files import ViewFiles, to_bytes, to_half, write_view_file
+
+JOB_FILE = "job.json"
+FORMAT_VERSION = 6  # of the files; a folder written with another version belongs to another bake
+
+
+@dataclass(frozen=True)
+class ShardStore:
+    """The finished views of one level of a bake in `folder`."""
+
+    folder: Path
+
+    @property
+    def face_ids(self) -> FaceIdFiles:
+        """The ID buffers of unfinished views."""
+        return FaceIdFiles(self.folder)
+
+    def open(self, fingerprint: str) -> None:
+        """Create the folder, or check that it belongs to the bake with this `fingerprint`.
+
+        Raises:
+            FileError: the folder belongs to another bake or cannot be written.
+        """
+        job_path, fingerprint = self.folder / JOB_FILE, f"{fingerprint} format={FORMAT_VERSION}"
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            if not job_path.exists():
+                write_bytes_atomically(job_path, json.dumps({"fingerprint": fingerprint}).encode())
+            stored_fingerprint = json.loads(job_path.read_text(encoding="utf-8")).get("fingerprint")
+        except (OSError, ValueError) as error:
+            raise FileError(f'The work folder "{self.folder}" cannot be used: {error}. Choose another one.') from error
+        if stored_fingerprint != fingerprint:
+            raise FileError(
+                f'The work folder "{self.folder}" contains a bake of another cloud or with other settings; choose another one or empty it.'
+            )
+
+    def path(self, view: int) -> Path:
+        """Return the path of the file of a view."""
+        return self._files.path(view)
+
+    def remove_temporary_files(self) -> None:
+        """Delete the unfinished files of dead processes. No process may be writing to the folder."""
+        for path in self.folder.glob(f"*{TEMPORARY_SUFFIX}"):
+            path.unlink(missing_ok=True)
+
+    def validate_or_remove(self, view: int) -> bool:
+        """Return whether a view is finished and undamaged. A damaged file is deleted, so that `exists` agrees from then on."""
+        is_valid = self.is_valid(view)
+        if not is_valid:
+            self._files.remove(view)
+        return is_valid
+
+    def exists(self, view: int) -> bool:
+        """Whether a view is finished; its file may be damaged, see `is_valid`."""
+        return self.path(view).exists()
+
+    def is_valid(self, view: int) -> bool:
+        """Whether a view is finished and undamaged."""
+        return self._files.is_valid(view)
+
+    def write(
+        self, view: int, observation: Observation, reference: ReferenceImage, visibility: Sequence[np.ndarray], render_seconds: float
+    ) -> None:
+        """Write a finished view and delete its ID buffer.
+
+        The render time goes to a file of its own: the view's file has the same bytes on every machine.
+
+        visibility: bytes (N,) for each light whose shadows are captured along with this view, see `encode_visibility`.
+
+        Raises:
+            FileError: the file cannot be written.
+        """
+        arrays = {
+            "known": np.packbits(observation.known),
+            "coverage": to_bytes(observation.coverage),
+            "visible": observation.visible,
+            "subsample_counts": observation.subsample_counts,
+            "radiance": to_half(observation.radiance),
+            "emission": to_half(np.zeros((0, 3)) if observation.emission is None else observation.emission),
+            "reference_colors": to_half(reference.colors),
+            "reference_coverage": to_bytes(reference.coverage),
+            "visibility": np.array(visibility, np.uint8),
+        }
+        write_view_file(self._timing_path(view), json.dumps({"render_seconds": render_seconds}).encode())
+        self._files.write(view, arrays)
+        self.face_ids.remove(view)
+
+    def read(self, view: int, *names: str) -> list[np.ndarray]:
+        """Return the arrays called `names` of a view, as `write` stores them: known, coverage, visible, subsample_counts, radiance.
+
+        Raises:
+            FileError: the file is missing or damaged.
+        """
+        return self._files.read(view, *names)
+
+    def read_visibility(self, view_count: int) -> np.ndarray:
+        """Return the visibility bytes (D, N) of all lights; view v holds the lights v, v + view_count, ... Raises FileError."""
+        by_view = [self.read(view, "visibility")[0] for view in range(view_count)]
+        visibility = np.empty((sum(map(len, by_view)), by_view[0].shape[1]), np.uint8)
+        for view, rows in enumerate(by_view):
+            visibility[view::view_count] = rows
+        return visibility
+
+    def read_emission(self, view: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the visible texels (M,) of a view and their emission (M, 3) float32; M is 0 without emission. Raises FileError."""
+        visible, emission = self.read(view, "visible", "emission")
+        return visible[: len(emission)], emission.astype(np.float32)
+
+    def read_reference(self, view: int) -> ReferenceImage:
+        """Return the reference image of a view. Raises FileError."""
+        colors, coverage = self.read(view, "reference_colors", "reference_coverage")
+        return ReferenceImage(colors.astype(np.float32), coverage / np.float32(255.0))
+
+    def render_seconds(self, view_count: int) -> float:
+        """Return the Cycles render time of all finished views, those of earlier runs included, as far as it is known."""
+        total = 0.0
+        for path in (self._timing_path(view) for view in range(view_count) if self.exists(view)):
+            with suppress(OSError, KeyError, TypeError, ValueError):  # a missing time is no reason to fail
+                total += float(json.loads(path.read_bytes())["render_seconds"])
+        return total
+
+    def total_bytes(self, view_count: int) -> int:
+        """Return the total size of the files of all finished views."""
+        return sum(self.path(view).stat().st_size for view in range(view_count) if self.exists(view))
+
+    @property
+    def _files(self) -> ViewFiles:
+        return ViewFiles(self.folder, "view")
+
+    def _timing_path(self, view: int) -> Path:
+        return self.folder / f"view-{view:04d}.json"

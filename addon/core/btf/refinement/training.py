@@ -1,0 +1,108 @@
+"""Training views of the refinement: the finished views of a bake, with their fragments cached in memory or in the work folder."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from threading import Lock
+
+import numpy as np
+
+from ...billboards.texels import QuadPolygons, Texels
+from ...geometry.cameras import OrthographicView
+from ..capture.shard_files import ViewFiles
+from ..capture.shards import ShardStore
+from .fragments import Fragments, find_fragments
+from .refine import RAYS_PER_SIDE, TrainingView
+
+MAX_MEMORY_BYTES = 4e8  # of fragments and colors; those of further views go to files
+
+
+@dataclass(frozen=True)
+class FragmentFiles:
+    """Fragments and their colors in `folder`, one file per view. They exist during refinement only."""
+
+    folder: Path
+
+    def write(self, view: int, fragments: Fragments, colors: np.ndarray) -> None:
+        """Write the fragments of a view and their `colors` (F, D) float16. Raises FileError."""
+        arrays = {
+            "ray_count": np.array(fragments.ray_count),
+            "ray_indices": fragments.ray_indices,
+            "texel_indices": fragments.texel_indices,
+            "weights": fragments.weights,
+            "colors": colors,
+        }
+        self._files.write(view, arrays)
+
+    def read(self, view: int) -> tuple[Fragments, np.ndarray]:
+        """Return fragments and colors of a view. Raises FileError."""
+        ray_count, *arrays, colors = self._files.read(view, "ray_count", "ray_indices", "texel_indices", "weights", "colors")
+        return Fragments(int(ray_count), *arrays), colors
+
+    def remove_all(self) -> None:
+        """Delete the files of all views."""
+        self._files.remove_all()
+
+    @property
+    def _files(self) -> ViewFiles:
+        return ViewFiles(self.folder, "fragments")
+
+
+@dataclass
+class _Cache:
+    """Fragments and colors by view index, and the depth complexity of views. Several threads may add entries at once."""
+
+    free_bytes: float = MAX_MEMORY_BYTES
+    entries: dict[int, tuple[Fragments, np.ndarray]] = field(default_factory=dict)
+    max_depth_complexity: dict[int, int] = field(default_factory=dict)
+    lock: Lock = field(default_factory=Lock)
+
+    def add(self, view: int, fragments: Fragments, colors: np.ndarray) -> bool:
+        """Add an entry if it fits into memory; return whether it did."""
+        with self.lock:
+            fits = fragments.nbytes + colors.nbytes <= self.free_bytes
+            if fits:
+                self.free_bytes -= fragments.nbytes + colors.nbytes
+                self.entries[view] = fragments, colors
+        return fits
+
+
+@dataclass(frozen=True)
+class StoredTrainingView:
+    """A finished view of a bake; see `refine.TrainingViewSource`."""
+
+    quads: QuadPolygons
+    texels: Texels
+    view: OrthographicView
+    store: ShardStore
+    index: int
+    cache: _Cache
+
+    def find_fragments(self) -> Fragments:
+        """Intersect the rays of the view with the quads."""
+        fragments = find_fragments(self.quads, self.texels, self.view, RAYS_PER_SIDE)
+        self.cache.max_depth_complexity[self.index] = fragments.max_depth_complexity
+        return fragments
+
+    def max_depth_complexity(self) -> int:
+        """Return the largest number of quads along one ray. Calls `find_fragments` if that has not happened yet."""
+        if self.index not in self.cache.max_depth_complexity:
+            self.find_fragments()
+        return self.cache.max_depth_complexity[self.index]
+
+    def store_fragments(self, fragments: Fragments, colors: np.ndarray) -> None:
+        """Store fragments and colors for `load`. Raises FileError when they do not fit into memory and the file cannot be written."""
+        if not self.cache.add(self.index, fragments, colors):
+            FragmentFiles(self.store.folder).write(self.index, fragments, colors)
+
+    def load(self) -> TrainingView:
+        """Return the stored fragments and colors, and the reference image. Raises FileError."""
+        entry = self.cache.entries.get(self.index)
+        fragments, colors = FragmentFiles(self.store.folder).read(self.index) if entry is None else entry
+        return TrainingView(fragments, colors, self.store.read_reference(self.index))
+
+
+def training_views(quads: QuadPolygons, texels: Texels, views: Sequence[OrthographicView], store: ShardStore) -> list[StoredTrainingView]:
+    """Return the training views of all `views`, which must be finished in `store`."""
+    cache = _Cache()
+    return [StoredTrainingView(quads, texels, view, store, index, cache) for index, view in enumerate(views)]

@@ -1,0 +1,34 @@
+"""Chromaticity of texels. Colors are divided by it before they are factorized, so that the residual depends on view and light alone."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...jobs.chunks import map_ordered
+from ...jobs.progress import Progress, Steps
+from ..factorization.als import ViewData, split_lights
+
+MIN_CHROMATICITY = 1e-3  # division by a smaller value would amplify noise
+
+
+def compute_chromaticity(
+    views: Sequence[ViewData], row_count: int, view_weights: np.ndarray, light_weights: np.ndarray
+) -> Steps[np.ndarray]:
+    """Return the weighted mean color (N, 3) float32 of N = `row_count` texels over all views and lights, divided by its mean channel; 1
+    for unknown texels.
+
+    The columns of `views` are light by light, three channels each. view_weights: (V,). light_weights: (L,).
+    """
+    total = np.zeros((row_count, 3))
+    float32_weights = light_weights.astype(np.float32)
+
+    def sum_lights(view: ViewData) -> tuple[np.ndarray, np.ndarray]:
+        rows, values = view.read()
+        return rows, float32_weights @ split_lights(values)
+
+    for index, (rows, colors) in enumerate(map_ordered(sum_lights, views)):
+        yield Progress(index / len(views), "Computing chromaticity")
+        total[rows] += view_weights[index] * colors
+    mean = total.mean(axis=1, keepdims=True)
+    chromaticity = np.where(mean > 0.0, total / np.where(mean > 0.0, mean, 1.0), 1.0)
+    return np.maximum(chromaticity, MIN_CHROMATICITY).astype(np.float32)

@@ -1,0 +1,83 @@
+"""Residual radiance: captured radiance without lobes, divided by the chromaticity. This is what the components represent."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...geometry.direction_grids import DirectionGrid
+from ...jobs.chunks import map_ordered
+from ...jobs.progress import Progress, Steps
+from ..capture.shard_files import ViewFiles, to_half
+from ..capture.shards import ShardStore
+from ..capture.view_data import RadianceView
+from ..factorization.als import split_lights
+from .disc_lights import DiscLights
+from .lobes import Lobes
+
+MAX_RESIDUAL, MAX_DOME_RESIDUAL = 0.5 / np.pi, 1.0  # radiance under a sun and under the dome; larger residuals are misplaced highlights
+MIN_RESIDUAL, MIN_DOME_RESIDUAL = -1.0 / np.pi, -1.0  # those of a white surface in shadow
+
+
+@dataclass(frozen=True)
+class ResidualFiles:
+    """The residuals in `folder`, one file per view. They exist during compression only."""
+
+    folder: Path
+
+    def write(self, view: int, visible: np.ndarray, residuals: np.ndarray) -> None:
+        """Write the residuals (M, L * 3) of the texels `visible` (M,) as half floats. Raises FileError."""
+        self._files.write(view, {"visible": visible, "residuals": to_half(residuals)})
+
+    def read(self, view: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return visible texels (M,) and residuals (M, L * 3) float16. Raises FileError."""
+        visible, residuals = self._files.read(view, "visible", "residuals")
+        return visible, residuals
+
+    def remove_all(self) -> None:
+        """Delete the residuals of all views."""
+        self._files.remove_all()
+
+    @property
+    def _files(self) -> ViewFiles:
+        return ViewFiles(self.folder, "residuals")
+
+
+@dataclass(frozen=True)
+class ResidualView:
+    """The residuals of a view; see `als.ViewData`."""
+
+    files: ResidualFiles
+    view: int
+
+    def read(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the visible texels (M,) and their residuals (M, L * 3) float32."""
+        visible, residuals = self.files.read(self.view)
+        return visible, residuals.astype(np.float32)
+
+
+def write_residuals(
+    store: ShardStore, chromaticity: np.ndarray, lobes: Lobes | None, views: DirectionGrid, suns: DiscLights
+) -> Steps[list[ResidualView]]:
+    """Write the residuals of all `views` in `store`: radiance minus that of `lobes`, divided by `chromaticity` (N, 3).
+
+    Residuals under `lobes` are clamped to the brightness of paper. Larger values are highlights at another place than their lobe; they are
+    the largest of all and would use up the components.
+    """
+    files = ResidualFiles(store.folder)
+
+    def write_view(view: int) -> ResidualView:
+        visible, values = RadianceView(store, view).read()
+        values = split_lights(values)
+        if lobes is not None:
+            values = values - lobes.radiance_on_grid(views.directions[view], suns, visible)
+            values[:, :-1] = np.clip(values[:, :-1], MIN_RESIDUAL, MAX_RESIDUAL)
+            values[:, -1] = np.clip(values[:, -1], MIN_DOME_RESIDUAL, MAX_DOME_RESIDUAL)
+        files.write(view, visible, (values / chromaticity[visible, None]).reshape(len(visible), 3 * values.shape[1]))
+        return ResidualView(files, view)
+
+    residual_views = []
+    for residual_view in map_ordered(write_view, range(len(views))):
+        yield Progress(len(residual_views) / len(views), "Subtracting highlights")
+        residual_views.append(residual_view)
+    return residual_views

@@ -1,0 +1,74 @@
+"""Voxels from NIfTI-1 files, `.nii` and `.nii.gz` (nifti1.h of the NIfTI working group)."""
+
+# Not read with nibabel: only the array and the voxel sizes of such files are needed.
+
+import gzip
+import math
+import struct
+import zlib
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from ...errors import FileError
+from .file_data import Voxels, are_valid_sizes, check_size
+
+HEADER_BYTES = 348
+MAX_DATA_OFFSET = 2**26  # bytes of header and extensions; larger offsets in a gzip file are malicious
+DTYPES = {2: "u1", 4: "i2", 8: "i4", 16: "f4", 64: "f8", 256: "i1", 512: "u2", 768: "u4"}
+
+
+def read_nifti(path: Path) -> Voxels:
+    """Read the voxels of a NIfTI file along x, y, z as stored, scaled as the header declares. Rotation and translation are ignored.
+
+    Raises:
+        FileError: it is no NIfTI-1 file, is truncated, or does not contain a single volume.
+    """
+    try:
+        with gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb") as file:
+            return _read(path, file)
+    except (EOFError, gzip.BadGzipFile, zlib.error) as error:
+        raise FileError(f'"{path}" is not a complete gzip file: {str(error).rstrip(".")}.') from error
+
+
+def _read(path: Path, file: BinaryIO) -> Voxels:
+    header = file.read(HEADER_BYTES)
+    byte_order = next((order for order in "<>" if header[:4] == struct.pack(f"{order}i", HEADER_BYTES)), None)
+    if byte_order is None or len(header) < HEADER_BYTES or header[344:348] != b"n+1\0":
+        raise FileError(f'"{path}" is not a NIfTI-1 file that contains its voxels; export it as a single .nii file.')
+    shape = _parse_shape(path, struct.unpack_from(f"{byte_order}8h", header, 40))
+    type_code = struct.unpack_from(f"{byte_order}h", header, 70)[0]
+    if type_code not in DTYPES:
+        raise FileError(f'"{path}" contains voxels of the unsupported NIfTI type {type_code}; save it with 8 to 32 bits or as floats.')
+    dtype = np.dtype(byte_order + DTYPES[type_code])
+    check_size(path, math.prod(shape), dtype.itemsize)
+    values = np.frombuffer(_read_voxel_bytes(path, file, header, byte_order, math.prod(shape) * dtype.itemsize), dtype)
+    values = values.astype(dtype.newbyteorder("=")).reshape(shape, order="F")
+    scale, offset = struct.unpack_from(f"{byte_order}2f", header, 112)
+    if math.isfinite(scale) and math.isfinite(offset) and scale != 0.0 and (scale, offset) != (1.0, 0.0):
+        with np.errstate(over="ignore", invalid="ignore"):  # overflowing values become invalid
+            values = values * np.float32(scale) + np.float32(offset)
+    sizes = struct.unpack_from(f"{byte_order}3f", header, 80)
+    return Voxels(values, sizes) if are_valid_sizes(sizes) else Voxels(values)
+
+
+def _parse_shape(path: Path, dimensions: tuple[int, ...]) -> tuple[int, int, int]:
+    axis_count, *sizes = dimensions
+    if not 1 <= axis_count <= 7 or min(sizes[:axis_count]) < 1:
+        raise FileError(f'"{path}" has an invalid header: its voxels have no shape.')
+    sizes = [*sizes[:axis_count], 1, 1]
+    if max(sizes[3:], default=1) > 1:
+        raise FileError(f'"{path}" contains a series of volumes; save one of them as a separate file.')
+    return tuple(sizes[:3])
+
+
+def _read_voxel_bytes(path: Path, file: BinaryIO, header: bytes, byte_order: str, byte_count: int) -> bytes:
+    offset = struct.unpack_from(f"{byte_order}f", header, 108)[0]
+    if not HEADER_BYTES <= offset <= MAX_DATA_OFFSET:
+        raise FileError(f'"{path}" has an invalid header: its voxels would begin at byte {offset:g}.')
+    file.seek(int(offset))
+    content = file.read(byte_count)
+    if len(content) < byte_count:
+        raise FileError(f'"{path}" is truncated: it contains {len(content):,} bytes of voxels instead of {byte_count:,}.')
+    return content

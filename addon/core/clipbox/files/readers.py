@@ -1,0 +1,103 @@
+"""Readers of terrain files, selected by file name extension."""
+
+import math
+import re
+import tokenize
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import FileError, SettingsError
+from .file_data import FileData, HeightMap, Voxels, check_size, to_native_byte_order
+from .nifti import read_nifti
+from .tiffs import read_tiff
+
+Readers = Mapping[str, Callable[[Path], FileData]]  # by lower-case extension
+
+RAW_NAME = re.compile(r"(?:^|_)(\d+)x(\d+)x(\d+)_(u?int(?:8|16|32)|float(?:32|64))$")
+NUMPY_ERRORS = (EOFError, OverflowError, SyntaxError, TypeError, ValueError, tokenize.TokenError)
+
+
+def read_array(path: Path) -> FileData:
+    """Read a NumPy array: heights (H, W) or voxels (X, Y, Z).
+
+    Row 0 of heights is in the north, as in images and maps. Heights and the pixel size are in meters.
+
+    Raises:
+        FileError: it is neither.
+    """
+    try:
+        mapped = np.load(path, mmap_mode="r", allow_pickle=False)  # mapped, so that a header with a false size costs no memory
+        if not isinstance(mapped, np.ndarray):
+            raise FileError(f'"{path}" is an archive, not a single array; save the array with numpy.save.')
+    except NUMPY_ERRORS as error:
+        raise FileError(f'"{path}" cannot be read as a NumPy array: it is truncated, damaged or not an array of numbers.') from error
+    if mapped.ndim not in (2, 3):
+        raise FileError(f'"{path}" contains an array with {mapped.ndim} axes; heights have 2, voxels 3.')
+    check_size(path, mapped.size, mapped.dtype.itemsize)
+    values = to_native_byte_order(path, np.array(mapped))
+    return Voxels(values) if values.ndim == 3 else HeightMap(values[::-1], (1.0, 1.0))
+
+
+def read_raw(path: Path) -> Voxels:
+    """Read a file of voxels without a header, whose shape and type are in its name, as in `skull_256x256x178_uint8.raw`.
+
+    x varies fastest; the byte order is little-endian.
+
+    Raises:
+        FileError: the name does not contain them, or the file has another size.
+    """
+    match = RAW_NAME.search(path.stem)
+    if match is None:
+        raise FileError(f'The name of "{path}" must contain its shape and type, as in "skull_256x256x178_uint8.raw".')
+    shape, dtype = tuple(int(count) for count in match.groups()[:3]), np.dtype(match[4]).newbyteorder("<")
+    check_size(path, math.prod(shape), dtype.itemsize)
+    expected_size, size = math.prod(shape) * dtype.itemsize, path.stat().st_size
+    if size != expected_size:
+        raise FileError(f'"{path}" has {size:,} bytes; according to its name it must have {expected_size:,}.')
+    return Voxels(to_native_byte_order(path, np.fromfile(path, dtype)).reshape(shape, order="F"))
+
+
+READERS: Readers = {
+    ".npy": read_array,
+    ".raw": read_raw,
+    ".tif": read_tiff,
+    ".tiff": read_tiff,
+    ".nii": read_nifti,
+    ".nii.gz": read_nifti,
+}  # without Blender; `bridge.clipbox.sources` has those that need it
+
+
+def read_source(terrain: str, source: str, readers: Readers) -> FileData:
+    """Read the source file of a terrain.
+
+    Raises:
+        SettingsError: `source` is empty.
+        FileError: the file cannot be read.
+    """
+    if not source:
+        raise SettingsError(f'The terrain "{terrain}" needs a file; set Source File.', ("source",))
+    return read_file(Path(source), readers)
+
+
+def read_file(path: Path, readers: Readers = READERS) -> FileData:
+    """Read a file with the reader for its extension.
+
+    Raises:
+        FileError: the file is missing, empty, damaged, too large, or has an unknown extension.
+    """
+    name = path.name.lower()
+    extension = max((known for known in readers if name.endswith(known)), key=len, default=None)
+    try:
+        if not path.is_file():
+            raise FileError(f'There is no file "{path}"; check the path of the source file.')
+        if extension is None:
+            raise FileError(f'"{path}" cannot be read as terrain; its name must end in one of {", ".join(sorted(readers))}.')
+        if path.stat().st_size == 0:
+            raise FileError(f'The file "{path}" is empty.')
+        return readers[extension](path)
+    except OSError as error:
+        raise FileError(f'"{path}" cannot be read: {error.strerror or error}.') from error
+    except MemoryError as error:
+        raise FileError(f'"{path}" needs more memory than is available; reduce its size.') from error

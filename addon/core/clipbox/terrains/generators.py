@@ -1,0 +1,193 @@
+"""The terrain generators, and sampling of the density functions that they build.
+
+A density function returns the densities of a voxel grid: positive where solid, NaN counts as air. It is built once from the settings and
+then called from any thread, in any order. The density of a voxel must not depend on the grid that it is part of. Densities should be about
+the signed distance to the surface in scene units.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import GeometryError
+from ...settings import Choice
+from ..files.readers import READERS, Readers
+from ..meshing.repair import MARGIN, repair_voxels
+from ..meshing.surface_nets import is_solid
+from .forest import build_forest
+from .formulas import Formula
+from .grids import DensityFunction, Grid
+from .heights import build_heights
+from .noise import fbm
+from .spheres import SphereField, csg_density, find_touching_spheres
+from .terrain_source import TerrainSource
+from .volume_terrain import build_volume
+
+MAX_DENSITY = 6.0e4  # close to the maximum of half precision
+MIN_POSITIVE_DENSITY = 6.0e-8  # the smallest positive number of half precision
+FUNCTION_ERRORS = (ArithmeticError, AttributeError, LookupError, MemoryError, OSError, RuntimeError, TypeError, ValueError)
+
+
+@dataclass(frozen=True)
+class Generator:
+    """One kind of terrain. `build` turns settings into a density function; source files are read with the given readers."""
+
+    name: str
+    choice: Choice
+    build: Callable[[TerrainSource, Readers], DensityFunction]
+
+
+@dataclass(frozen=True)
+class Sampler:
+    """A density function with checked results."""
+
+    name: str
+    function: DensityFunction
+
+    def signs(self, grid: Grid, repair: bool) -> np.ndarray:
+        """Return 1 for solid voxels and -1 for air, (X, Y, Z) int8. `repair` prepares the voxels for smoothing.
+
+        Raises:
+            GeometryError: as `densities`.
+        """
+        if not repair:
+            solid = is_solid(self.densities(grid))
+        else:
+            origin = tuple(index - MARGIN for index in grid.origin)
+            shape = tuple(count + 2 * MARGIN for count in grid.shape)
+            solid = repair_voxels(is_solid(self.densities(Grid(origin, shape, grid.voxel_size))))
+        return np.where(solid, np.int8(1), np.int8(-1))
+
+    def densities(self, grid: Grid) -> np.ndarray:
+        """Return the densities (X, Y, Z) float16 of a grid. NaN becomes air.
+
+        Raises:
+            GeometryError: the function fails or returns another shape.
+        """
+        try:
+            values = np.asarray(self.function(grid))
+            values = np.broadcast_to(values, grid.shape)
+            clipped = np.clip(np.nan_to_num(values, nan=-1.0, posinf=MAX_DENSITY, neginf=-MAX_DENSITY), -MAX_DENSITY, MAX_DENSITY)
+        except FUNCTION_ERRORS as error:
+            position = ", ".join(f"{index * grid.voxel_size:g}" for index in grid.origin)
+            raise GeometryError(f'The terrain "{self.name}" failed at {position}: {error}.') from error
+        half = clipped.astype(np.float16)
+        underflow = (half == 0) & (clipped > 0)
+        if underflow.any():
+            half[underflow] = MIN_POSITIVE_DENSITY
+        return half
+
+
+def build_sampler(source: TerrainSource, readers: Readers = READERS) -> Sampler:
+    """Build the density function of the terrain described by `source`.
+
+    Raises:
+        SettingsError, FileError: its formula or its source file cannot be read.
+    """
+    generator = next(generator for generator in GENERATORS if generator.name == source.terrain)
+    return Sampler(generator.name, generator.build(source, readers))
+
+
+def build_cascades(source: TerrainSource, _readers: Readers) -> DensityFunction:
+    """Build mountains of ridged noise with overhangs, arches and winding caves."""
+    seed, scale = 16 * source.seed, source.scale
+
+    def densities(grid: Grid) -> np.ndarray:
+        _, _, z = grid.coordinates()
+        ridges = fbm(grid, 420.0 * scale, 6, seed, gain=0.48, ridged=True, squash=0.6)
+        ground = ridges
+        ground *= np.float32(110.0 * scale)
+        ground += fbm(grid, 90.0 * scale, 5, seed + 1, gain=0.5) * np.float32(26.0 * scale)
+        ground -= (z + 165.0 * scale).astype(np.float32)
+        if grid.voxel_size > 5.0 * scale:  # half the width of the tunnels: they cannot be resolved
+            return ground
+        tunnels = fbm(grid, 130.0 * scale, 2, seed + 2) ** 2
+        tunnels += fbm(grid, 110.0 * scale, 2, seed + 3, squash=1.5) ** 2
+        np.sqrt(tunnels, out=tunnels)
+        tunnels -= np.float32(0.12)
+        tunnels *= np.float32(60.0 * scale)
+        return _smooth_minimum(ground, tunnels, np.float32(max(8.0 * scale, 3.0 * grid.voxel_size)))
+
+    return densities
+
+
+def _smooth_minimum(first: np.ndarray, second: np.ndarray, width: np.float32) -> np.ndarray:
+    """Return the polynomial smooth minimum of two densities, which blends where they differ by less than `width`.
+
+    It rounds off the edges between them, which would show as jagged lines in voxels.
+    """
+    blend = np.abs(first - second)
+    np.subtract(width, blend, out=blend)
+    np.maximum(blend, np.float32(0.0), out=blend)
+    blend *= blend
+    blend /= 4.0 * width
+    minimum = np.minimum(first, second)
+    minimum -= blend
+    return minimum
+
+
+def build_islands(source: TerrainSource, _readers: Readers) -> DensityFunction:
+    """Build layers of floating rocks, rough below and flatter above."""
+    seed, scale = 16 * source.seed + 5, source.scale
+
+    def densities(grid: Grid) -> np.ndarray:
+        _, _, z = grid.coordinates()
+        rocks = fbm(grid, 150.0 * scale, 5, seed, gain=0.45) * np.float32(70.0 * scale)
+        height_in_layer = (z / (130.0 * scale) + 0.5) % 1.0 - 0.5  # -0.5 to 0.5 in every layer
+        falloff = np.where(height_in_layer > 0.0, 260.0, 70.0) * scale * np.abs(height_in_layer)
+        rocks -= (falloff + 14.0 * scale).astype(np.float32)
+        return rocks
+
+    return densities
+
+
+def build_spheres(source: TerrainSource, _readers: Readers) -> DensityFunction:
+    """Build terrain from spheres of several size classes that are added and subtracted."""
+    scale = source.scale
+    field = SphereField(
+        max_radius=source.sphere_radius * scale,
+        class_count=source.sphere_classes,
+        spheres_per_cell=source.sphere_count,
+        subtracted_fraction=source.sphere_subtracted,
+        max_height=source.sphere_height * scale,
+        seed=source.seed,
+    )
+    return lambda grid: csg_density(grid, find_touching_spheres(field, grid))
+
+
+def build_formula(source: TerrainSource, _readers: Readers) -> DensityFunction:
+    """Build the formula typed by the user."""
+    return _evaluate_scaled(source.formula, source.scale)
+
+
+def _evaluate_scaled(formula: str, scale: float) -> DensityFunction:
+    function = Formula(formula)
+    return lambda grid: function(*(coordinates / scale for coordinates in grid.coordinates()))
+
+
+def _preset(formula: str) -> Callable[[TerrainSource, Readers], DensityFunction]:
+    return lambda source, _readers: _evaluate_scaled(formula, source.scale)
+
+
+GENERATORS = (
+    Generator("cascades", Choice("Cascades", "Ridged mountains with overhangs, arches and caves"), build_cascades),
+    Generator("islands", Choice("Islands", "Layers of floating rocks"), build_islands),
+    Generator("spheres", Choice("Spheres", "Spheres of several sizes, added and subtracted"), build_spheres),
+    Generator("formula", Choice("Formula", "A density function typed as a formula"), build_formula),
+    Generator("xor", Choice("XOR", "Steps whose height is the exclusive or of x and y"), _preset("2*mod(xor(x/4, y/4), 32) - 40 - z")),
+    Generator(
+        "sawtooth",
+        Choice("Sawtooth", "Sawtooth waves along every axis"),
+        _preset("mod(x, 48) + mod(y, 64)/2 + 12*mod(z/24, 1) - 70 - z"),
+    ),
+    Generator(
+        "sine",
+        Choice("Sine", "Crossing sine waves with overhangs"),
+        _preset("26*sin(x/40)*sin(y/34) + 14*sin(z/9)*sin((x + y)/30) - z"),
+    ),
+    Generator("volume", Choice("Volume", "A voxel model from a file"), build_volume),
+    Generator("forest", Choice("Forest", "Copies of a voxel model from a file, scattered over hills"), build_forest),
+    Generator("heights", Choice("Heights", "A height map from a file: an image, a GeoTIFF or an array"), build_heights),
+)
+CHOICES = {generator.name: generator.choice for generator in GENERATORS}

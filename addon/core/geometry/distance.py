@@ -1,0 +1,236 @@
+"""Exact distance from points to a triangle mesh, with a tree of bounding boxes (AABB tree) that all points descend level by level."""
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..arrays import concatenate_ranges
+from ..jobs.chunks import slices
+
+MAX_LEAF_TRIANGLES = 4
+CHUNK_POINTS = 4096  # points or tests at once: fits the cache of a CPU core
+MAX_PIECES = 400_000
+MIN_SQUARED_SINE = 1e-14  # of a triangle's corner; below, it counts as a segment, since dot products cannot resolve its plane
+
+
+def closest_on_mesh(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the distance of every point to the nearest triangle, and the index of that triangle.
+
+    Args:
+        points: (N, 3) float64, in the space and unit of `corners`.
+        corners: (T, 3, 3) float64, T at least 1; triangles without area count as segments or points.
+
+    Returns:
+        Distances (N,) float64 and triangle indices (N,) int32. Of equally near triangles, an arbitrary one.
+    """
+    levels, order = _build_aabb_tree(corners)
+    centroids = cKDTree(corners.mean(axis=1))
+    distances = np.empty(len(points))
+    nearest = np.empty(len(points), np.int32)
+    for chunk in _chunks(len(points)):
+        distances[chunk], nearest[chunk] = _descend(points[chunk], corners, levels, order, centroids)
+    return distances, nearest
+
+
+def squared_point_triangle_distances(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Return the squared distance (N,) of each of `points` (N, 3) to the triangle `corners` (N, 3, 3) of the same row."""
+    return np.concatenate([closest_on_triangles(points[chunk], corners[chunk])[0] for chunk in _chunks(len(points))])
+
+
+def points_farther_than(points: np.ndarray, corners: np.ndarray, distance: float) -> np.ndarray:
+    """Return the ascending indices (K,) of the `points` (N, 3) farther than `distance` from every triangle of `corners` (T, 3, 3)."""
+    centroids = cKDTree(corners.mean(axis=1))
+    squared = np.concatenate([_upper_bounds(points[chunk], corners, centroids)[0] for chunk in _chunks(len(points))])
+    undecided = np.flatnonzero(squared > distance**2)
+    return undecided[closest_on_mesh(points[undecided], corners)[0] > distance]
+
+
+def _chunks(count: int) -> list[slice]:
+    return slices(max(count, 1), CHUNK_POINTS)
+
+
+def closest_barycentric(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Return barycentric coordinates (N, 3), none negative, of the closest point on each of `corners` (N, 3, 3) to its row of `points`."""
+    _, b, c = closest_on_triangles(points, corners)
+    return np.stack([1.0 - b - c, b, c], axis=1)
+
+
+def closest_on_triangles(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the squared distance (N,) of each of `points` (N, 3) to its row of `corners` (N, 3, 3), and the barycentric coordinates (N,)
+    of the closest point for the second and third corner.
+
+    The closest point is found from dot products; its distance is then computed from the vector, without cancellation.
+    """
+    ab, ac, ap = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], points - corners[:, 0]
+    bb, bc, cc, bp, cp = (np.einsum("ij,ij->i", first, second) for first, second in ((ab, ab), (ab, ac), (ac, ac), (ab, ap), (ac, ap)))
+    opposite = bb + cc - 2.0 * bc
+    zero = np.zeros(len(points))
+    on_ab, on_ac = _segment_fraction(bp, bb), _segment_fraction(cp, cc)
+    on_bc = _segment_fraction(cp - bp - bc + bb, opposite)
+    best_b, best_c, best = on_ab, zero, on_ab * (on_ab * bb - 2.0 * bp)
+    for b, c in ((zero, on_ac), (1.0 - on_bc, on_bc)):
+        value = b * (b * bb + 2.0 * c * bc - 2.0 * bp) + c * (c * cc - 2.0 * cp)
+        is_nearer = value < best
+        best_b, best_c, best = np.where(is_nearer, b, best_b), np.where(is_nearer, c, best_c), np.where(is_nearer, value, best)
+    area_squared = bb * cc - bc * bc
+    scaled_b, scaled_c = cc * bp - bc * cp, bb * cp - bc * bp
+    is_degenerate = area_squared <= MIN_SQUARED_SINE * bb * cc
+    is_inside = (scaled_b >= 0.0) & (scaled_c >= 0.0) & (scaled_b + scaled_c <= area_squared) & ~is_degenerate
+    scale = np.where(is_degenerate, 1.0, area_squared)
+    best_b, best_c = np.where(is_inside, scaled_b / scale, best_b), np.where(is_inside, scaled_c / scale, best_c)
+    offset = ap - best_b[:, None] * ab - best_c[:, None] * ac
+    return np.einsum("ij,ij->i", offset, offset), best_b, best_c
+
+
+def _segment_fraction(dot: np.ndarray, length_squared: np.ndarray) -> np.ndarray:
+    return np.clip(dot / np.where(length_squared > 0.0, length_squared, 1.0), 0.0, 1.0)
+
+
+def segment_argmin(values: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """Return the index (G,) of the first minimum of `values` (N,) in each of the segments that begin at `starts` (G,), ascending; no
+    segment is empty."""
+    segment = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(values))))
+    minima = np.flatnonzero(values == np.minimum.reduceat(values, starts)[segment])
+    return minima[np.flatnonzero(np.diff(segment[minima], prepend=-1))]
+
+
+def plane_barycentric(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Return barycentric coordinates (N, 3) of each point's projection onto the plane of its triangle: negative outside, all -1 for a
+    triangle without area."""
+    ab, ac, ap = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], points - corners[:, 0]
+    normal = np.cross(ab, ac)
+    length_squared = np.einsum("ij,ij->i", normal, normal)
+    scale = np.where(length_squared > 0.0, length_squared, 1.0)
+    b = np.einsum("ij,ij->i", np.cross(ap, ac), normal) / scale
+    c = np.einsum("ij,ij->i", np.cross(ab, ap), normal) / scale
+    coordinates = np.stack([1.0 - b - c, b, c], axis=1)
+    coordinates[length_squared == 0.0] = -1.0
+    return coordinates
+
+
+def one_sided_hausdorff(corners: np.ndarray, target: np.ndarray, tolerance: float, minimum: float = 0.0) -> float:
+    """Return the largest distance of any point of triangles (T, 3, 3) to the triangles `target` (K, 3, 3), at most `tolerance` too large.
+
+    The distance to one triangle is convex, so over a whole face it is largest at a corner: this bounds a face from above, and its corners
+    bound it from below. Faces whose bounds differ are subdivided until they agree, or until there are too many pieces: then the result is
+    still an upper bound, but a looser one. Distances below `minimum` are not resolved, and the result is at least `minimum`.
+    """
+    largest, pieces = minimum, corners
+    while True:
+        lower, upper = _distance_bounds(pieces, target, largest + tolerance)
+        largest = max(largest, float(lower.max()))
+        is_open = upper > largest + tolerance
+        if not is_open.any():
+            return largest + tolerance
+        if 4 * is_open.sum() > MAX_PIECES:
+            return float(upper.max())
+        pieces = _subdivide(pieces[is_open])
+
+
+def faces_farther_than(corners: np.ndarray, target: np.ndarray, distance: float, tolerance: float) -> np.ndarray:
+    """Return which of the triangles (T, 3, 3) have a point farther than `distance` from the triangles `target` (K, 3, 3): (T,) bool.
+
+    None of them is missed. Triangles within `tolerance` of the distance may be included; so may any that are undecided when there are too
+    many pieces, see `one_sided_hausdorff`.
+    """
+    is_farther = np.zeros(len(corners), bool)
+    pieces, face = corners, np.arange(len(corners))
+    while len(pieces):
+        lower, upper = _distance_bounds(pieces, target, distance)
+        is_farther[face[lower > distance - tolerance]] = True
+        is_open = (upper > distance) & ~is_farther[face]
+        if 4 * is_open.sum() > MAX_PIECES:
+            is_farther[face[is_open]] = True
+            break
+        pieces, face = _subdivide(pieces[is_open]), np.tile(face[is_open], 4)
+    return is_farther
+
+
+def _distance_bounds(pieces: np.ndarray, target: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return lower and upper bounds (P,) of the largest distance of any point of each of `pieces` (P, 3, 3); loose below `threshold`."""
+    lower, nearest = closest_on_mesh(pieces.mean(axis=1), target)
+    # The triangle nearest to the centroid decides most faces; only the others need those nearest to their corners.
+    upper = _max_corner_distances(pieces, target[nearest])
+    undecided = np.flatnonzero(upper > threshold)
+    if len(undecided):
+        distances, nearest = closest_on_mesh(pieces[undecided].reshape(-1, 3), target)
+        lower[undecided] = np.maximum(lower[undecided], distances.reshape(-1, 3).max(axis=1))
+        for candidates in nearest.reshape(-1, 3).T:
+            upper[undecided] = np.minimum(upper[undecided], _max_corner_distances(pieces[undecided], target[candidates]))
+    return lower, upper
+
+
+def _max_corner_distances(pieces: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Return the largest distance (P,) of the corners of each of `pieces` (P, 3, 3) to the triangle (P, 3, 3) of the same row."""
+    squared = squared_point_triangle_distances(pieces.reshape(-1, 3), np.repeat(triangles, 3, axis=0))
+    return np.sqrt(squared.reshape(-1, 3).max(axis=1))
+
+
+def _subdivide(corners: np.ndarray) -> np.ndarray:
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
+    return np.concatenate([np.stack(piece, axis=1) for piece in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
+
+
+def _build_aabb_tree(corners: np.ndarray) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray]:
+    """Return the boxes (2^l, 3) low and high of every level l, and the order (T,) of the triangles: node k of 2^l contains those at
+    k T / 2^l to (k + 1) T / 2^l."""
+    count = len(corners)
+    depth = max(0, int(np.log2(count / MAX_LEAF_TRIANGLES))) if count > MAX_LEAF_TRIANGLES else 0
+    low, high, centers = corners.min(axis=1), corners.max(axis=1), corners.mean(axis=1)
+    order = np.arange(count)
+    for level in range(depth):
+        starts = _node_starts(count, level)
+        node = np.repeat(np.arange(2**level), np.diff(starts))
+        ordered = centers[order]
+        extent = np.maximum.reduceat(ordered, starts[:-1]) - np.minimum.reduceat(ordered, starts[:-1])
+        split_axis = extent.argmax(axis=1)[node]
+        order = order[np.lexsort((ordered[np.arange(count), split_axis], node))]
+    levels = []
+    for level in range(depth + 1):
+        starts = _node_starts(count, level)[:-1]
+        levels.append((np.minimum.reduceat(low[order], starts), np.maximum.reduceat(high[order], starts)))
+    return levels, order
+
+
+def _node_starts(count: int, level: int) -> np.ndarray:
+    """Return where the nodes of one level start in the order (2^level + 1,), the end included; the next level bisects them."""
+    return (np.arange(2**level + 1, dtype=np.int64) * count) >> level
+
+
+def _descend(points, corners, levels, order, centroids) -> tuple[np.ndarray, np.ndarray]:
+    best, nearest = _upper_bounds(points, corners, centroids)
+    point = np.arange(len(points))
+    node = np.zeros(len(points), np.int64)
+    for level, (low, high) in enumerate(levels):
+        if level > 0:
+            point = np.repeat(point, 2)
+            node = np.stack([2 * node, 2 * node + 1], axis=1).ravel()
+        is_candidate = _squared_box_distances(points[point], low[node], high[node]) < best[point]
+        point, node = point[is_candidate], node[is_candidate]
+    starts = _node_starts(len(corners), len(levels) - 1)
+    sizes = starts[node + 1] - starts[node]
+    point = np.repeat(point, sizes)
+    triangle = order[concatenate_ranges(starts[node], sizes)]
+    if len(point):
+        squared = squared_point_triangle_distances(points[point], corners[triangle])
+        first = segment_argmin(squared, np.flatnonzero(np.diff(point, prepend=-1)))
+        better = first[squared[first] < best[point[first]]]
+        best[point[better]], nearest[point[better]] = squared[better], triangle[better]
+    return np.sqrt(best), nearest.astype(np.int32)
+
+
+def _upper_bounds(points, corners, centroids) -> tuple[np.ndarray, np.ndarray]:
+    """Return squared distances (N,) and indices (N,) of the best of the few triangles with the nearest centroids."""
+    count = min(3, len(corners))
+    _, triangles = centroids.query(points, k=count)
+    triangles = np.asarray(triangles).reshape(len(points), count)
+    repeated = np.repeat(points, count, axis=0)
+    squared = squared_point_triangle_distances(repeated, corners[triangles.ravel()]).reshape(len(points), count)
+    best = squared.argmin(axis=1)
+    rows = np.arange(len(points))
+    return squared[rows, best], triangles[rows, best]
+
+
+def _squared_box_distances(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    outside = np.maximum(np.maximum(low - points, points - high), 0.0)
+    return np.einsum("ij,ij->i", outside, outside)

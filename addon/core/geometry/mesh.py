@@ -1,0 +1,167 @@
+"""Triangle meshes and oriented points as plain arrays, their connected components, and the checks that every input passes."""
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_matrix, csgraph
+
+from ..errors import GeometryError
+
+ZERO_AREA = 1e-14  # of the squared longest side: below, a triangle's direction is lost in double precision
+
+MAX_SOLID_BOUNDARY = 0.5  # boundary length of a solid relative to the square root of its area
+MAX_LOOSE_AREA = 0.05  # of the whole: a component with more is no leaf
+MAX_LOOSE_TRIANGLES = 32
+MAX_LOOSE_SIDE = 0.05  # of the longest side of the whole
+MIN_VOLUME = 1e-3  # of area**1.5 (a ball has 0.094): anything flatter is a folded sheet
+
+
+@dataclass(frozen=True)
+class TriangleMesh:
+    """A triangle soup in world space.
+
+    vertices: (V, 3) float64. triangles: (T, 3) int32, counter-clockwise seen from outside.
+    materials: (T,) int32 index into a list kept by the creator of the mesh, or None.
+    """
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    materials: np.ndarray | None = None
+
+    @property
+    def corners(self) -> np.ndarray:
+        """(T, 3, 3) float64 corner positions of every triangle."""
+        return self.vertices[self.triangles]
+
+
+@dataclass(frozen=True)
+class PointCloud:
+    """Oriented discs in world space: points (N, 3), unit normals (N, 3), radii (N,), all float64; colors (N, 4) scene-linear or None."""
+
+    points: np.ndarray
+    normals: np.ndarray
+    radii: np.ndarray
+    colors: np.ndarray | None = None
+
+
+def scaled_normals(corners: np.ndarray) -> np.ndarray:
+    """Return the cross products of the edges, (T, 3): unit normal times twice the area. `corners` is (T, 3, 3)."""
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def face_areas_and_normals(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return areas (T,) and unit normals (T, 3) of the triangles `corners` (T, 3, 3). A zero-area triangle gets a zero normal."""
+    normals = scaled_normals(corners)
+    lengths = np.linalg.norm(normals, axis=1)
+    return 0.5 * lengths, normals / np.where(lengths > 0.0, lengths, 1.0)[:, None]
+
+
+def longest_side(points: np.ndarray) -> float:
+    """Return the longest side of the axis-aligned bounding box of `points` (N, 3), in their unit."""
+    return float(np.ptp(points, axis=0).max())
+
+
+def check_points(points: np.ndarray, name: str) -> None:
+    """Raise GeometryError when `points` (N, 3) are empty, not finite, or all at the same position. `name` is that of their object."""
+    if len(points) == 0:
+        raise GeometryError(f'"{name}" has no vertices; choose an object with a surface.')
+    if not np.isfinite(points).all():
+        count = int((~np.isfinite(points).all(axis=1)).sum())
+        raise GeometryError(f'"{name}" has {count} vertices with coordinates that are not finite numbers; delete or repair them.')
+    if longest_side(points) <= 0.0:
+        raise GeometryError(f'All vertices of "{name}" are at the same position; choose an object with a surface.')
+
+
+def drop_degenerate(mesh: TriangleMesh, name: str = "mesh") -> tuple[TriangleMesh, np.ndarray]:
+    """Return the mesh without zero-area triangles, and the indices (K,) of the remaining triangles.
+
+    Raises:
+        GeometryError: the mesh is empty, not finite, or has no triangle with an area.
+    """
+    if len(mesh.triangles) == 0:
+        raise GeometryError(f'"{name}" has no faces; choose an object with a surface.')
+    is_used = np.zeros(len(mesh.vertices), bool)
+    is_used[mesh.triangles] = True
+    check_points(mesh.vertices[is_used], name)
+    areas, _ = face_areas_and_normals(mesh.corners)
+    kept = np.flatnonzero(areas > ZERO_AREA * longest_side(mesh.vertices[is_used]) ** 2)
+    if len(kept) == 0:
+        raise GeometryError(f'Every face of "{name}" has zero area; choose an object with a surface.')
+    materials = None if mesh.materials is None else mesh.materials[kept]
+    return TriangleMesh(mesh.vertices, mesh.triangles[kept], materials), kept
+
+
+def concatenate(meshes: list[TriangleMesh]) -> TriangleMesh:
+    """Return one soup of all `meshes`; materials keep their indices (-1 where a mesh has none)."""
+    offsets = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
+    triangles = [mesh.triangles + offset for mesh, offset in zip(meshes, offsets[:-1], strict=True)]
+    materials = [np.full(len(mesh.triangles), -1, np.int32) if mesh.materials is None else mesh.materials for mesh in meshes]
+    return TriangleMesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate(triangles).astype(np.int32),
+        np.concatenate(materials).astype(np.int32),
+    )
+
+
+def connected_components(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Return the label (P,) int32 of every face's connected component; points at exactly the same position count as one.
+
+    Args:
+        points: (V, 3) float64. corners: (P, C) int32 into points.
+    """
+    _, welded = np.unique(points, axis=0, return_inverse=True)
+    corners = welded.reshape(-1)[corners]
+    links = np.stack([corners[:, :-1], corners[:, 1:]], axis=2).reshape(-1, 2)
+    count = int(corners.max()) + 1
+    graph = coo_matrix((np.ones(len(links), np.int8), (links[:, 0], links[:, 1])), shape=(count, count))
+    return csgraph.connected_components(graph, directed=False)[1][corners[:, 0]].astype(np.int32)
+
+
+def solid_components(points: np.ndarray, triangles: np.ndarray, components: np.ndarray) -> np.ndarray:
+    """Return whether each triangle's component bounds a solid, with normals pointing outwards: (T,) bool.
+
+    Holes are ignored while the total boundary is shorter than MAX_SOLID_BOUNDARY times the square root of the component's area, such as
+    those under a scanned bust. A leaf, a cup or a sheet is not solid.
+
+    Args:
+        points: (V, 3) float64. triangles: (T, 3) int32. components: (T,) int32 from `connected_components`.
+    """
+    _, welded = np.unique(points, axis=0, return_inverse=True)
+    corners = welded.reshape(-1)[triangles]
+    starts, ends = corners.reshape(-1), np.roll(corners, -1, axis=1).reshape(-1)
+    count = int(corners.max()) + 1
+    forward, backward = starts.astype(np.int64) * count + ends, ends.astype(np.int64) * count + starts
+    positions = points[triangles]
+    lengths = np.linalg.norm(positions - np.roll(positions, -1, axis=1), axis=2)
+    boundary = np.where(np.isin(forward, backward).reshape(-1, 3), 0.0, lengths).sum(axis=1)
+    face_areas, _ = face_areas_and_normals(positions)
+    areas = np.bincount(components, face_areas)
+    centers = np.stack([np.bincount(components, face_areas * positions[:, :, axis].mean(axis=1)) / areas for axis in range(3)], axis=1)
+    face_volumes = np.einsum("ti,ti->t", scaled_normals(positions), positions[:, 0] - centers[components]) / 6.0
+    volumes = np.bincount(components, face_volumes)
+    is_solid = (np.bincount(components, boundary) < MAX_SOLID_BOUNDARY * np.sqrt(areas)) & (volumes > MIN_VOLUME * areas**1.5)
+    return is_solid[components]
+
+
+def loose_components(points: np.ndarray, triangles: np.ndarray, components: np.ndarray) -> np.ndarray:
+    """Return whether each triangle belongs to a loose component, such as a leaf or a card of leaves: (T,) bool.
+
+    A loose component has a small part of the area, and has few triangles or is small. Arguments as in `solid_components`.
+    """
+    positions = points[triangles]
+    areas, _ = face_areas_and_normals(positions)
+    order = np.argsort(components, kind="stable")
+    starts = np.searchsorted(components[order], np.arange(int(components.max()) + 1))
+    low = np.minimum.reduceat(positions.min(axis=1)[order], starts)
+    high = np.maximum.reduceat(positions.max(axis=1)[order], starts)
+    has_few = np.bincount(components) < MAX_LOOSE_TRIANGLES
+    is_small = (high - low).max(axis=1) < MAX_LOOSE_SIDE * longest_side(positions.reshape(-1, 3))
+    return ((np.bincount(components, areas) < MAX_LOOSE_AREA * areas.sum()) & (has_few | is_small))[components]
+
+
+def fingerprint(points: np.ndarray, corners: np.ndarray) -> str:
+    """Return a digest of a geometry: points (V, 3) to a ten-thousandth of the longest side, and their connectivity (any integers)."""
+    side = longest_side(points) or 1.0
+    rounded = np.rint(points * (1e4 / side)).astype(np.int64)
+    return hashlib.sha256(rounded.tobytes() + np.ascontiguousarray(corners, np.int64).tobytes()).hexdigest()

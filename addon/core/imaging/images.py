@@ -1,0 +1,122 @@
+"""Images as arrays: alpha, filling uncovered texels, bilinear sampling.
+
+Images are (H, W, C) float32, row 0 at the bottom; colors are scene-linear.
+"""
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+
+MIN_ALPHA = 1e-6  # coverage below this counts as zero: a color divided by it would be noise
+
+
+def unpremultiply(image: np.ndarray) -> np.ndarray:
+    """Return a premultiplied `image` (H, W, 4) with straight colors, black where alpha is zero. Alpha is unchanged."""
+    alpha = image[..., 3:]
+    straight = image[..., :3] / np.where(alpha > MIN_ALPHA, alpha, 1.0) * (alpha > MIN_ALPHA)
+    return np.concatenate([straight, alpha], axis=2)
+
+
+def mean_over_coverage(image: np.ndarray, radius: int = 4, maximum: float = 1.0) -> np.ndarray:
+    """Return the straight values (H, W, 3) of a premultiplied `image` (H, W, 4), clamped to 0..maximum.
+
+    Texels without coverage are filled from their neighbors, see `dilate`.
+    """
+    coverage = image[..., 3]
+    mean = image[..., :3] / np.maximum(coverage, MIN_ALPHA)[..., None]
+    return dilate(np.clip(mean, 0.0, maximum), coverage, radius)
+
+
+def dilate(image: np.ndarray, known: np.ndarray, radius: int = 4) -> np.ndarray:
+    """Return `image` (H, W, C) with a value in every texel: known texels stay, the others are filled from the known ones around them.
+
+    known: (H, W) bool, or coverage 0..1, which counts as known above zero and weights the neighbors. Up to `radius` texels away a value is
+    the mean of its nearest known neighbors, so that no chart bleeds into the next within a gutter of twice that. Farther away it comes
+    from an image pyramid (pull-push), so that every texel of every mipmap level has a color. An image with nothing known is unchanged.
+    """
+    weight = np.where(known > MIN_ALPHA, known, 0.0).astype(np.float32)[..., None]
+    if not weight.any():
+        return image
+    filled = image * (weight > 0.0)
+    for _ in range(radius):
+        is_unknown = weight == 0.0
+        if not is_unknown.any():
+            return filled
+        sums = _sum_of_neighbors(np.concatenate([filled * weight, weight], axis=2))
+        is_filled = is_unknown & (sums[..., -1:] > 0.0)
+        mean = sums[..., :-1] / np.where(sums[..., -1:] > 0.0, sums[..., -1:], 1.0)
+        filled = np.where(is_filled, mean, filled)
+        weight = np.where(is_filled, np.minimum(sums[..., -1:], 1.0), weight)
+    return _pull_push(filled, weight)
+
+
+def nearest_known(known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return row and column (H, W) of the nearest texel where `known` (H, W) bool is set, for values that must not be averaged."""
+    if not known.any():
+        return tuple(np.indices(known.shape))
+    return tuple(distance_transform_edt(~known, return_distances=False, return_indices=True))
+
+
+def grow_silhouette(image: np.ndarray, region: np.ndarray, radius: int) -> np.ndarray:
+    """Grow the opaque parts of a premultiplied `image` (H, W, 4) by one texel within `region` (H, W) bool.
+
+    Alpha becomes the maximum of the texel and its four neighbors; colors come from up to `radius` texels away.
+    """
+    alpha = image[..., 3]
+    grown = np.where(region, np.maximum(alpha, max_of_neighbors(alpha)), alpha)[..., None]
+    straight = dilate(unpremultiply(image)[..., :3], alpha, radius)
+    return np.concatenate([straight * grown, grown], axis=2)
+
+
+def max_of_neighbors(values: np.ndarray) -> np.ndarray:
+    """Return the maximum (H, W) of the four neighbors of each of `values` (H, W), with 0 outside the image."""
+    padded = np.pad(values, 1)
+    return np.max([padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:]], axis=0)
+
+
+def sample_bilinear(image: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Sample `image` (H, W, C) at `positions` (M, 2), x and y in pixels from its lower left corner, bilinearly between pixel centers:
+    (M, C)."""
+    limits = np.array(image.shape[1::-1]) - 1
+    clamped = np.clip(positions - 0.5, 0.0, limits)
+    low = np.minimum(np.floor(clamped).astype(np.int64), np.maximum(limits - 1, 0))
+    high = np.minimum(low + 1, limits)
+    x, y = (clamped - low).T[..., None]
+    lower = (1.0 - x) * image[low[:, 1], low[:, 0]] + x * image[low[:, 1], high[:, 0]]
+    upper = (1.0 - x) * image[high[:, 1], low[:, 0]] + x * image[high[:, 1], high[:, 0]]
+    return (1.0 - y) * lower + y * upper
+
+
+def decode_normals(pixels: np.ndarray) -> np.ndarray:
+    """Return the unit normals (N, 3) that the `pixels` (N, 3 or more) of a normal map encode; +Z where a pixel encodes none."""
+    normals = 2.0 * pixels[:, :3] - 1.0
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.where(lengths > 1e-6, normals / np.maximum(lengths, 1e-6), np.float32([0.0, 0.0, 1.0]))
+
+
+def _sum_of_neighbors(image: np.ndarray) -> np.ndarray:
+    """Return the sum over the 3 x 3 texels around each texel of `image` (H, W, C), with 0 outside the image."""
+    rows = image.copy()
+    rows[1:] += image[:-1]
+    rows[:-1] += image[1:]
+    total = rows.copy()
+    total[:, 1:] += rows[:, :-1]
+    total[:, :-1] += rows[:, 1:]
+    return total
+
+
+def _half(image: np.ndarray) -> np.ndarray:
+    """Return the means over 2 x 2 texels; an odd last row or column is repeated."""
+    odd_rows, odd_columns = image.shape[0] % 2, image.shape[1] % 2
+    even = np.pad(image, ((0, odd_rows), (0, odd_columns), (0, 0)), mode="edge")
+    return 0.25 * (even[0::2, 0::2] + even[1::2, 0::2] + even[0::2, 1::2] + even[1::2, 1::2])
+
+
+def _pull_push(image: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Fill the texels of `image` (H, W, C) that have zero `weight` (H, W, 1) from coarser and coarser weighted means."""
+    if weight.all() or max(image.shape[:2]) == 1:
+        return image
+    halved = _half(np.concatenate([image * weight, weight], axis=2))
+    sums, coarse_weight = halved[..., :-1], halved[..., -1:]
+    coarse = _pull_push(sums / np.where(coarse_weight > 0.0, coarse_weight, 1.0), coarse_weight)
+    pushed = np.repeat(np.repeat(coarse, 2, axis=0), 2, axis=1)[: image.shape[0], : image.shape[1]]
+    return np.where(weight > 0.0, image, pushed)

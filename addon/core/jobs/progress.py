@@ -1,0 +1,74 @@
+"""Long work as generators of progress, and a clock for the time per stage.
+
+A long task is a generator function: it yields `Progress` between two steps and returns its result. The caller decides how a step is
+shown: scripts print it, panels draw it. Both can cancel the task between two steps by closing the generator.
+"""
+
+import time
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TypeVar
+
+MIN_FRACTION, MIN_SECONDS = 0.02, 0.5  # below these, the pace is too uncertain for an estimate of the time left
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Progress:
+    """The state of a task: the finished `fraction`, 0 to 1, and a `label` for the user."""
+
+    fraction: float
+    label: str
+
+
+Steps = Generator[Progress, None, Result]
+
+
+def subprogress(steps: Steps[Result], start: float, stop: float) -> Steps[Result]:
+    """Run `steps` as one stage of a larger task: map its fractions 0..1 to `start`..`stop`. Returns the result of `steps`."""
+    try:
+        while True:
+            step = next(steps)
+            yield Progress(start + (stop - start) * min(max(step.fraction, 0.0), 1.0), step.label)
+    except StopIteration as end:
+        return end.value
+    finally:
+        steps.close()
+
+
+def run_to_end(steps: Steps[Result], on_progress: Callable[[Progress], None] | None = None) -> Result:
+    """Run `steps` to the end in this thread and return the result. An exception of `on_progress` cancels the task and propagates."""
+    try:
+        while True:
+            step = next(steps)
+            if on_progress is not None:
+                on_progress(step)
+    except StopIteration as end:
+        return end.value
+    finally:
+        steps.close()
+
+
+def time_left(elapsed: float, fraction: float) -> float | None:
+    """Return the remaining seconds at the mean pace so far, or None while it is too early for an estimate."""
+    if fraction < MIN_FRACTION or elapsed < MIN_SECONDS:
+        return None
+    return elapsed * (1.0 - fraction) / fraction
+
+
+class StageClock:
+    """Wall-clock seconds by stage name, summed over repeated stages."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Add the time spent in the block to the stage `name`."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start

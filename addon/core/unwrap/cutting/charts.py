@@ -1,0 +1,89 @@
+"""Cuts a surface into charts, disks possibly with holes, along its seams and where no plane could hold it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import minimum_spanning_tree
+
+from ...geometry.edges import find_edges
+from ...geometry.proximity import encode_pairs
+from ...jobs.progress import Progress, Steps, subprogress
+from .chart import Chart
+from .cuts import cut_to_disk_edges
+from .splitting import split_into_components
+
+MAX_CUT_ROUNDS = 4  # before a component is cut along the complement of a spanning tree
+
+
+@dataclass(frozen=True)
+class CutChart:
+    """A chart, and the indices (T,) in the surface of its triangles."""
+
+    chart: Chart
+    triangle_indices: np.ndarray
+
+
+def cut_into_charts(surface: Chart, seams: np.ndarray, further_cuts: bool = True) -> Steps[list[CutChart]]:
+    """Return the charts of a surface, which may be non-manifold, sorted by decreasing number of triangles.
+
+    Edges with more than two triangles are cut, and edges between triangles of opposite orientation, since one of them would be mirrored
+    in the plane. Vertices where components only touch are split. Closed components and components with handles are cut open.
+
+    Args:
+        seams: (S, 2) vertices of edges that are always cut.
+        further_cuts: cut nearly closed components without seams like closed ones.
+    """
+    triangles, progress = surface.triangles, Progress(0.0, "Cutting")
+    edges = find_edges(triangles, len(surface.vertices))
+    yield progress
+    is_seam = np.isin(edges.keys, encode_pairs(*np.reshape(seams, (-1, 2)).T, edges.vertex_count))
+    is_connected = _consistently_oriented(triangles, edges.interior_halfedges) & ~is_seam[edges.interior]
+    has_seam = is_seam[edges.face_edges].any(axis=1)
+    yield progress
+    components = split_into_components(surface, edges.interior_halfedges[is_connected])
+    yield progress
+    total, done, charts = len(triangles), 0, []
+    for component, members in components:
+        steps = _cut_to_disks(component, MAX_CUT_ROUNDS, further_cuts and not has_seam[members].any())
+        disks = yield from subprogress(steps, done / total, (done + len(members)) / total)
+        charts += [CutChart(disk, members[indices]) for disk, indices in disks]
+        done += len(members)
+    return sorted(charts, key=lambda cut: -len(cut.triangle_indices))
+
+
+def _cut_to_disks(chart: Chart, rounds_left: int, further_cuts: bool) -> Steps[list[tuple[Chart, np.ndarray]]]:
+    """Cut a component into disks, possibly with holes; return each with the indices of its triangles."""
+    edges = find_edges(chart.triangles, len(chart.vertices))
+    yield Progress(0.0, "Cutting")
+    halfedges = edges.interior_halfedges
+    if rounds_left > 0:
+        is_cut_edge = yield from cut_to_disk_edges(chart, edges, further_cuts)
+        is_cut = is_cut_edge[edges.interior]
+    else:
+        is_cut = _spanning_tree_cut(chart, halfedges)
+    if not is_cut.any():
+        return [(chart, np.arange(len(chart.triangles)))]
+    disks = []
+    for component, members in split_into_components(chart, halfedges[~is_cut]):
+        if rounds_left == 0:
+            disks.append((component, members))
+        else:
+            disks += [(disk, members[indices]) for disk, indices in (yield from _cut_to_disks(component, rounds_left - 1, False))]
+    return disks
+
+
+def _spanning_tree_cut(chart: Chart, halfedges: np.ndarray) -> np.ndarray:
+    """Return which of `halfedges` (I, 2) to cut so that the others connect the triangles as a tree, which always results in a disk."""
+    count, (first, second) = len(chart.triangles), halfedges.T // 3
+    ranks = np.arange(1.0, len(halfedges) + 1)
+    if chart.polygon_ids is not None:
+        ranks[chart.polygon_ids[first] != chart.polygon_ids[second]] += len(halfedges)
+    tree = minimum_spanning_tree(coo_array((ranks, (first, second)), shape=(count, count)))
+    return ~np.isin(ranks, tree.data)
+
+
+def _consistently_oriented(triangles: np.ndarray, halfedges: np.ndarray) -> np.ndarray:
+    """Return whether the two triangles at each of `halfedges` (I, 2) traverse the edge in opposite directions, (I,) bool."""
+    starts = triangles.ravel()[3 * (halfedges // 3) + (halfedges % 3 + 1) % 3]
+    return starts[:, 0] != starts[:, 1]

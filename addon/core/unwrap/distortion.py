@@ -1,0 +1,117 @@
+"""Quality metrics of a UV map: stretch, flips, overlaps, triangle quality, filled area and texel density."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..geometry.geometry_2d import signed_areas
+from ..geometry.mesh import TriangleMesh, face_areas_and_normals
+from ..jobs.progress import Progress, Steps
+from .energies.rest_shapes import compute_rest_shapes
+from .energies.shape_barrier import min_height_to_base
+from .energies.stretch_energy import compute_jacobians
+from .overlaps import count_overlaps
+from .parameterization.density_control import compute_density_ratio
+
+NEGLIGIBLE_AREA = 1e-9  # of the mean area: the stretch of smaller triangles is rounding noise
+PERCENTILES = 95.0, 99.0
+IMPORTANCE_BINS = 4
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """Stretch of T triangles in a UV map that is scaled to the area of the surface.
+
+    max_stretch, min_stretch (T,): largest and smallest ratio of a length on the surface to the length in the map; infinite where the
+    triangle has no area in the map. is_flipped (T,) bool: triangles that are mirrored in the map.
+    """
+
+    max_stretch: np.ndarray
+    min_stretch: np.ndarray
+    is_flipped: np.ndarray
+
+
+@dataclass(frozen=True)
+class DistortionMetrics:
+    """Metrics of a UV map. For an isometry the stretches are 1 and symmetric_dirichlet is 4.
+
+    l2, linf: geometric stretch, mean and maximum (Sander et al. 2001, section 3). p95, p99: percentiles of the maximum stretch of
+    triangles, weighted by area. flips: flipped triangles. overlaps: overlapping pairs of triangles. min_quality: minimum
+    height-to-base ratio of UV triangles. fill: covered fraction of the unit square. densities: texel density over the mean density, for
+    triangles with importance in the first to the fourth quarter of 0..1; 0 for empty quarters. density_ratio: texel density of triangles
+    with an importance above 0.5 over that of the others; 0 where either set is empty.
+    """
+
+    l2: float
+    linf: float
+    p95: float
+    p99: float
+    symmetric_dirichlet: float
+    flips: int
+    overlaps: int
+    min_quality: float
+    fill: float
+    densities: tuple[float, ...]
+    density_ratio: float
+
+
+def compute_stretches(mesh: TriangleMesh, corner_uvs: np.ndarray) -> Steps[Stretches]:
+    """Return the stretch of every triangle of `mesh` in a UV map `corner_uvs` (T, 3, 2)."""
+    uv = corner_uvs.reshape(-1, 2)
+    shapes = compute_rest_shapes(mesh.corners)
+    yield Progress(0.0, "Measuring")
+    jacobians = compute_jacobians(shapes, np.arange(len(uv)).reshape(-1, 3), uv)
+    determinants = jacobians.determinants
+    areas, _ = face_areas_and_normals(mesh.corners)
+    yield Progress(0.0, "Measuring")
+    scale = np.sqrt(areas @ np.abs(determinants) / areas.sum())
+    # singular values s1 >= s2 from s1^2 + s2^2 and s1 s2; s2 = determinant / s1 keeps precision
+    half_difference = np.sqrt(np.maximum(jacobians.frobenius_squared**2 - 4.0 * determinants**2, 0.0))
+    largest = np.sqrt(0.5 * (jacobians.frobenius_squared + half_difference))
+    absolute = np.abs(determinants)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return Stretches(
+            np.where(absolute > 0.0, scale * largest / absolute, np.inf),
+            np.where(largest > 0.0, scale / largest, np.inf),
+            determinants < 0.0,
+        )
+
+
+def measure_distortion(
+    mesh: TriangleMesh, corner_uvs: np.ndarray, stretches: Stretches, importance: np.ndarray
+) -> Steps[DistortionMetrics]:
+    """Return all metrics of the UV map `corner_uvs` (T, 3, 2) of `mesh`, from its `stretches` and `importance` (T,), 0 to 1."""
+    areas, _ = face_areas_and_normals(mesh.corners)
+    measurable = areas > NEGLIGIBLE_AREA * areas.mean()
+    weights = areas[measurable] / areas[measurable].sum()
+    max_stretch, min_stretch = stretches.max_stretch[measurable], stretches.min_stretch[measurable]
+    squares = max_stretch**2 + min_stretch**2
+    order = np.argsort(max_stretch)
+    ranks = 100.0 * np.cumsum(weights[order])
+    p95, p99 = (float(max_stretch[order[min(int(np.searchsorted(ranks, rank)), len(order) - 1)]]) for rank in PERCENTILES)
+    with np.errstate(divide="ignore"):
+        dirichlet = float(weights @ (squares + 1.0 / max_stretch**2 + 1.0 / min_stretch**2))
+    uv_areas = np.abs(signed_areas(corner_uvs))
+    yield Progress(0.0, "Measuring")
+    overlaps = yield from count_overlaps(corner_uvs)
+    return DistortionMetrics(
+        l2=float(np.sqrt(0.5 * weights @ squares)),
+        linf=float(max_stretch.max()),
+        p95=p95,
+        p99=p99,
+        symmetric_dirichlet=dirichlet,
+        flips=int(stretches.is_flipped.sum()),
+        overlaps=overlaps,
+        min_quality=float(min_height_to_base(corner_uvs).min()),
+        fill=float(uv_areas.sum()),
+        densities=_compute_densities(uv_areas, areas, importance),
+        density_ratio=compute_density_ratio(uv_areas, areas, importance),
+    )
+
+
+def _compute_densities(uv_areas: np.ndarray, areas: np.ndarray, importance: np.ndarray) -> tuple[float, ...]:
+    """Return `uv_areas` over `areas` per quarter of importance, (T,) each, relative to all triangles."""
+    bins = np.clip((IMPORTANCE_BINS * importance).astype(int), 0, IMPORTANCE_BINS - 1)
+    area_sums, uv_sums = (np.bincount(bins, values, IMPORTANCE_BINS) for values in (areas, uv_areas))
+    densities = np.divide(uv_sums, area_sums, out=np.zeros(IMPORTANCE_BINS), where=area_sums > 0.0)
+    return tuple((densities * areas.sum() / uv_areas.sum()).tolist())

@@ -1,0 +1,211 @@
+"""Decimates a mesh by batches of independent halfedge collapses, so that it can be parameterized with few triangles and then refined.
+
+A collapse moves a vertex into one of its neighbors. Other vertices never move, so the vertices of every coarser mesh are vertices of the
+finest one. The collapses of a batch share no triangle and are undone together: a vertex is inserted into the polygon that its triangles
+had left (Hormann, Greiner, Campagna: Hierarchical parametrization of triangulated surfaces, 1999).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...geometry.edges import Edges, find_edges
+from ...geometry.proximity import encode_pairs
+from ...jobs.chunks import map_chunks
+from ...jobs.progress import Progress, Steps, subprogress
+
+MAX_VALENCE = 10  # triangles around a vertex that is removed
+MIN_QUALITY = 0.05  # of triangles after a collapse; 1 is equilateral
+MIN_NORMAL_COSINE = 0.2  # between the normals of a triangle before and after a collapse
+CANDIDATE_FRACTION, MIN_CANDIDATES = 0.7, 64  # of all collapses, the cheapest ones: tested per batch
+MAX_JITTER = 3.0  # random factor of the squared length
+INDEPENDENT_SET_SWEEPS = 3
+CHUNK_SIZE = 1 << 14  # collapses
+
+
+@dataclass(frozen=True)
+class CollapseBatch:
+    """N collapses that are performed together.
+
+    triangles (T, 3) int32: the mesh before the collapses. removed (N,), kept (N,) int32: the removed vertices and the neighbors that they
+    were moved into. links (N, L, 2) int32: links of the removed vertices, see `vertex_links`.
+    """
+
+    triangles: np.ndarray
+    removed: np.ndarray
+    kept: np.ndarray
+    links: np.ndarray
+
+    def subset(self, rows: slice) -> "CollapseBatch":
+        """Return the batch with some of the collapses; they do not depend on each other."""
+        return CollapseBatch(self.triangles, self.removed[rows], self.kept[rows], self.links[rows])
+
+
+def decimate(
+    vertices: np.ndarray, triangles: np.ndarray, target: int, is_kept: np.ndarray
+) -> Steps[tuple[np.ndarray, list[CollapseBatch]]]:
+    """Decimate a mesh to about `target` vertices; return its triangles and the batches in order.
+
+    Ends early where no collapse is left that preserves shape and topology.
+
+    Args:
+        vertices: (V, 3) float64.
+        triangles: (T, 3) int32, a manifold.
+        is_kept: (V,) bool, vertices that are never removed.
+    """
+    batches: list[CollapseBatch] = []
+    count = int(np.count_nonzero(np.bincount(triangles.ravel())))
+    initial_count = count
+    while count > target:
+        fraction = (initial_count - count) / (initial_count - target)
+        steps = _next_batch(vertices, triangles, is_kept, count - target, len(batches))
+        batch = yield from subprogress(steps, fraction, fraction)
+        if len(batch.removed) == 0:
+            break
+        batches.append(batch)
+        triangles = _apply(batch)
+        count -= len(batch.removed)
+    return triangles, batches
+
+
+def vertex_links(triangles: np.ndarray, selected: np.ndarray, vertex_count: int) -> np.ndarray:
+    """Return the links (N, L, 2) of the vertices `selected` (N,): the edges opposite to them in their triangles, counter-clockwise.
+
+    -1 where a vertex has fewer than L triangles.
+    """
+    index = np.full(vertex_count, -1)
+    index[selected] = np.arange(len(selected))
+    corners = np.flatnonzero(index[triangles.ravel()] >= 0)
+    owner = index[triangles.ravel()[corners]]
+    order = np.argsort(owner, kind="stable")
+    corners, owner = corners[order], owner[order]
+    slot = np.arange(len(owner)) - np.searchsorted(owner, owner)
+    links = np.full((len(selected), int(slot.max(initial=0)) + 1, 2), -1, np.int32)
+    triangle, corner = corners // 3, corners % 3
+    links[owner, slot, 0] = triangles[triangle, (corner + 1) % 3]
+    links[owner, slot, 1] = triangles[triangle, (corner + 2) % 3]
+    return links
+
+
+def _next_batch(vertices: np.ndarray, triangles: np.ndarray, is_kept: np.ndarray, max_count: int, seed: int) -> Steps[CollapseBatch]:
+    """Return the next batch, of at most `max_count` collapses.
+
+    Random priorities keep rows of similar vertices from waiting for each other.
+    """
+    progress = Progress(0.0, "Decimating")
+    yield progress
+    edges = find_edges(triangles, len(vertices))
+    yield progress
+    removed, kept, squared_lengths = _candidates(vertices, triangles, is_kept, edges)
+    yield progress
+    priority = squared_lengths * np.random.default_rng(seed).uniform(1.0, MAX_JITTER, len(squared_lengths))
+    order = np.argsort(priority, kind="stable")
+    order = order[: max(int(CANDIDATE_FRACTION * len(order)), min(len(order), MIN_CANDIDATES))]
+    removed, kept = removed[order], kept[order]
+    selected = find_independent_set(removed, edges)
+    removed, kept = removed[selected], kept[selected]
+    yield progress
+    links = vertex_links(triangles, removed, len(vertices))
+    yield progress
+    is_valid = map_chunks(
+        lambda rows: _is_valid(vertices, edges, links[rows], removed[rows], kept[rows]), np.arange(len(removed)), CHUNK_SIZE
+    )
+    yield progress
+    selected = np.flatnonzero(is_valid)[:max_count]
+    selected = selected[_creates_distinct_edges(links[selected], kept[selected], edges)]
+    return CollapseBatch(triangles, removed[selected].astype(np.int32), kept[selected].astype(np.int32), links[selected])
+
+
+def _apply(batch: CollapseBatch) -> np.ndarray:
+    """Return the triangles (T', 3) after the collapses of a batch."""
+    new_index = np.arange(int(batch.triangles.max()) + 1, dtype=np.int32)
+    new_index[batch.removed] = batch.kept
+    triangles = new_index[batch.triangles]
+    return triangles[(triangles != np.roll(triangles, -1, axis=1)).all(axis=1)]
+
+
+def _candidates(
+    vertices: np.ndarray, triangles: np.ndarray, is_kept: np.ndarray, edges: Edges
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the shortest halfedge of every removable vertex: the vertex (C,), its neighbor (C,), the squared length (C,).
+
+    Boundary vertices only move along the boundary.
+    """
+    valence = np.bincount(triangles.ravel(), minlength=edges.vertex_count)
+    removed, kept = np.concatenate([edges.ends, edges.ends[:, ::-1]]).T
+    is_candidate = (valence[removed] <= MAX_VALENCE) & ~is_kept[removed]
+    is_candidate &= np.tile(edges.face_counts == 1, 2) | ~edges.boundary_vertices[removed]
+    removed, kept = removed[is_candidate], kept[is_candidate]
+    squared_lengths = ((vertices[removed] - vertices[kept]) ** 2).sum(axis=1)
+    order = np.argsort(squared_lengths, kind="stable")
+    _, first = np.unique(removed[order], return_index=True)
+    return removed[order[first]], kept[order[first]], squared_lengths[order[first]]
+
+
+def _is_valid(vertices: np.ndarray, edges: Edges, links: np.ndarray, removed: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """Return which collapses (C,) bool preserve the topology, fold no triangle over and create no new sliver."""
+    is_used = links[:, :, 0] >= 0
+    remains = is_used & (links != kept[:, None, None]).all(axis=2)
+    old, new = (_fan(vertices, links, center) for center in (removed, kept))
+    old_quality, new_quality = _quality(*old), _quality(*new)
+    dots = np.einsum("csk,csk->cs", old[1], new[1])
+    lengths = np.sqrt(np.einsum("csk,csk->cs", old[1], old[1]) * np.einsum("csk,csk->cs", new[1], new[1]))
+    min_quality = np.minimum(MIN_QUALITY, np.where(is_used, old_quality, 1.0).min(axis=1))
+    is_good = ~remains | ((dots >= MIN_NORMAL_COSINE * lengths) & (new_quality >= min_quality[:, None]))
+    return is_good.all(axis=1) & remains.any(axis=1) & ~_violates_link_condition(edges, links, kept)
+
+
+def _fan(vertices: np.ndarray, links: np.ndarray, centers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return sums of squared side lengths (C, L) and normals (C, L, 3), twice the area long, of the triangles from `centers` to `links`."""
+    center = vertices[centers][:, None]
+    first, second = vertices[links[:, :, 0]] - center, vertices[links[:, :, 1]] - center
+    opposite = second - first
+    return sum(np.einsum("csk,csk->cs", side, side) for side in (first, second, opposite)), np.cross(first, second)
+
+
+def _quality(squares: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Return the quality of the triangles of `_fan`: 1 if equilateral, 0 without area."""
+    return 2.0 * np.sqrt(3.0 * np.einsum("csk,csk->cs", normals, normals)) / np.where(squares > 0.0, squares, 1.0)
+
+
+def _new_neighbors(links: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """Return which entries (C, L, 2) bool of `links` become neighbors of the kept vertex that were not its neighbors within the star."""
+    contains_kept = (links == kept[:, None, None]).any(axis=2)
+    neighbors = np.where(contains_kept[:, :, None], links, -1).reshape(len(links), 2 * links.shape[1])
+    known = np.sort(neighbors, axis=1)[:, -4:]  # the kept vertex at most twice, and its neighbors on the link
+    return (links >= 0) & (links[..., None] != known[:, None, None, :]).all(axis=3)
+
+
+def _violates_link_condition(edges: Edges, links: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """Return which collapses (C,) bool would create an existing edge, after which the mesh would be non-manifold."""
+    is_new = _new_neighbors(links, kept)
+    return (is_new & (edges.between(kept[:, None, None], np.maximum(links, 0)) >= 0)).any(axis=(1, 2))
+
+
+def find_independent_set(candidates: np.ndarray, edges: Edges) -> np.ndarray:
+    """Return the indices of some of the vertices `candidates` (C,), no two of them adjacent; earlier candidates are preferred."""
+    rank = np.full(edges.vertex_count, len(candidates))
+    rank[candidates] = np.arange(len(candidates))
+    is_open = np.zeros(edges.vertex_count, bool)
+    is_open[candidates] = True
+    is_selected = np.zeros(edges.vertex_count, bool)
+    for _ in range(INDEPENDENT_SET_SWEEPS):
+        first, second = edges.ends[is_open[edges.ends].all(axis=1)].T
+        is_local_minimum = is_open.copy()
+        is_local_minimum[np.where(rank[first] < rank[second], second, first)] = False
+        is_selected |= is_local_minimum
+        is_open &= ~is_local_minimum
+        is_open[edges.ends[is_selected[edges.ends].any(axis=1)]] = False
+    return np.flatnonzero(is_selected[candidates])
+
+
+def _creates_distinct_edges(links: np.ndarray, kept: np.ndarray, edges: Edges) -> np.ndarray:
+    """Return which collapses (C,) bool create no edge that an earlier one creates too."""
+    collapse, slot, end = np.nonzero(_new_neighbors(links, kept))
+    neighbor = links[collapse, slot, end]
+    keys = encode_pairs(kept[collapse], neighbor, edges.vertex_count)
+    order = np.lexsort((collapse, keys))
+    is_repeated = (keys[order][1:] == keys[order][:-1]) & (collapse[order][1:] != collapse[order][:-1])
+    is_distinct = np.ones(len(kept), bool)
+    is_distinct[collapse[order][1:][is_repeated]] = False
+    return is_distinct

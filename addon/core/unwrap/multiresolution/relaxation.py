@@ -1,0 +1,51 @@
+"""Relaxes single vertices where a UV map is distorted most, since a few nearly flat triangles would limit every step of all vertices."""
+
+import numpy as np
+
+from ...geometry.edges import Edges, find_edges
+from ..energies.rest_shapes import RestShapes
+from ..energies.stretch_energy import compute_jacobians
+from .halfedge_decimation import find_independent_set, vertex_links
+from .one_rings import OneRings
+
+MAX_ENERGY_RATIO = 3.0  # of a triangle's energy to its lower bound; the corners of triangles above it are relaxed
+NEWTON_STEPS = 2  # per vertex
+
+
+def relax_worst_vertices(
+    uv: np.ndarray, triangles: np.ndarray, vertices: np.ndarray, shapes: RestShapes, weights: np.ndarray, is_fixed: np.ndarray
+) -> np.ndarray:
+    """Return uv (V, 2) with fewer strongly distorted triangles; the same array where there are none.
+
+    Args:
+        triangles: (T, 3) with their rest `shapes`.
+        vertices: (V, 3).
+        weights: (V,) importance.
+        is_fixed: (V,) bool.
+    """
+    triangle_weights = weights[triangles].mean(axis=1)
+    jacobians = compute_jacobians(shapes, triangles, uv)
+    determinants = jacobians.determinants
+    energies = 0.5 * triangle_weights * jacobians.frobenius_squared / determinants**2 + determinants
+    is_distorted = energies > MAX_ENERGY_RATIO * 2.0 * np.sqrt(triangle_weights)
+    is_selected = np.zeros(len(uv), bool)
+    is_selected[triangles[is_distorted]] = True
+    is_selected &= ~is_fixed
+    if not is_selected.any():
+        return uv
+    uv = uv.copy()
+    adjacent = triangles[is_selected[triangles].any(axis=1)]
+    for centers in partition_into_independent_sets(find_edges(adjacent, len(uv)), np.flatnonzero(is_selected)):
+        rings = OneRings(uv, centers, vertex_links(adjacent, centers, len(uv)), vertices, weights)
+        uv[centers] = rings.relax(uv[centers], NEWTON_STEPS)
+    return uv
+
+
+def partition_into_independent_sets(edges: Edges, vertices: np.ndarray) -> list[np.ndarray]:
+    """Partition `vertices` (N,) into sets without adjacent vertices."""
+    sets = []
+    while len(vertices):
+        selected = find_independent_set(vertices, edges)
+        sets.append(vertices[selected])
+        vertices = np.delete(vertices, selected)
+    return sets

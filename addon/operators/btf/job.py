@@ -1,0 +1,216 @@
+"""The job of the bake operator and script: bakes relightable textures for a billboard cloud in the scene."""
+
+import shutil
+import tempfile
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ...bridge import images, meshes
+from ...bridge.billboards import clouds
+from ...bridge.billboards.level_objects import read_level_quads, read_level_texels, read_pbr_alpha
+from ...bridge.billboards.scene_clouds import SceneCloud, read_cloud
+from ...bridge.billboards.source_objects import read_source_objects
+from ...bridge.btf import capture as btf_capture
+from ...bridge.btf import clouds as btf_clouds
+from ...bridge.btf import snapshot as btf_snapshot
+from ...bridge.btf import worker as btf_worker
+from ...core.billboards.texels import QuadPolygons, Texels
+from ...core.btf.capture.capture_spec import LevelCaptureSpec
+from ...core.btf.capture.dispatch import render_missing_views
+from ...core.btf.capture.shards import ShardStore
+from ...core.btf.compression import CompressedTextures, LevelCompressor
+from ...core.btf.refinement.training import training_views
+from ...core.btf.reflectance.lobes import TexelSurface
+from ...core.btf.settings import BtfSettings
+from ...core.errors import FileError, GeometryError
+from ...core.geometry.cameras import OrthographicView
+from ...core.jobs.executors import parse_executor
+from ...core.jobs.progress import StageClock, Steps, subprogress
+from . import estimates
+
+CAPTURE_FRACTION = 0.8  # of the progress bar
+COMPRESS_END, REFINE_END = 0.5, 0.9  # fractions of the remaining progress of a level
+
+
+@dataclass(frozen=True)
+class LevelBake:
+    """One level to bake.
+
+    spec: input of its capture. quads: its polygons. views: captured views. pbr_alpha: alpha (N,) of its texels in the PBR maps. surface:
+    their normals, roughness and parallax. store: finished views.
+    """
+
+    spec: LevelCaptureSpec
+    quads: QuadPolygons
+    views: list[OrthographicView]
+    pbr_alpha: np.ndarray
+    surface: TexelSurface | None
+    store: ShardStore
+
+
+@dataclass(frozen=True)
+class BakedLevel:
+    """One baked level. max_depth_complexity: maximum number of its quads behind each other."""
+
+    texels: Texels
+    textures: CompressedTextures
+    max_depth_complexity: int
+
+
+@dataclass
+class BakeJob:
+    """Bakes all levels of one cloud. `figures` describes each of them when the job is finished.
+
+    folder: for finished views. keep_finished_views: whether they stay when the job is finished; when it is cancelled they always stay.
+    temporary_folder: deletes the folder together with the job.
+    """
+
+    core_fraction = 0.98
+
+    collection: str
+    fingerprint: str
+    settings: BtfSettings
+    levels: list[LevelBake]
+    folder: Path
+    keep_finished_views: bool
+    temporary_folder: tempfile.TemporaryDirectory | None
+    figures: list[dict[str, Any]] = field(default_factory=list)
+    clock: StageClock = field(default_factory=StageClock)
+    _rendered_count: int = 0
+
+    def core_steps(self) -> Steps[list[BakedLevel]]:
+        """Let worker processes capture missing views, then compress.
+
+        Raises:
+            FarfieldError: if the executor does not exist or workers fail; see `render_missing_views`.
+        """
+        view_count = len(self.settings.view_grid)
+        stores = [level.store for level in self.levels]
+        with self.clock.stage("capture"):
+            steps = render_missing_views(
+                self.folder, stores, view_count, self.settings.executor, lambda shard: btf_worker.shard_command(self.folder, shard)
+            )
+            self._rendered_count = yield from subprogress(steps, 0.0, CAPTURE_FRACTION)
+        baked = []
+        for index in range(len(self.levels)):
+            span = (CAPTURE_FRACTION + (1.0 - CAPTURE_FRACTION) * i / len(self.levels) for i in (index, index + 1))
+            baked.append((yield from subprogress(self._compress(index), *span)))
+        return baked
+
+    def scene_steps(self, core_result: list[BakedLevel]) -> Steps[str]:
+        """Assign the relightable materials of all levels.
+
+        Raises:
+            GeometryError: if the cloud was removed or rebuilt in the meantime.
+        """
+        yield from ()
+        cloud = self._find_cloud()
+        if self._rendered_count == self.settings.view_count * len(self.levels):
+            estimates.cache.remember_pace(cloud, self.settings, sum(self.clock.seconds.values()))
+        with self.clock.stage("assign"):
+            for level_object, baked in zip(cloud.levels, core_result, strict=True):
+                btf_clouds.assign_relightable_material(level_object, baked.texels, baked.textures, self.settings)
+            btf_clouds.raise_transparent_bounces(cloud.collection, max(baked.max_depth_complexity for baked in core_result))
+        if self.temporary_folder is not None:
+            self.temporary_folder.cleanup()
+        elif not self.keep_finished_views:
+            shutil.rmtree(self.folder, ignore_errors=True)
+        return f'Baked "{self.collection}": {sum(figure["renders"] for figure in self.figures):,} renders.'
+
+    def _find_cloud(self) -> SceneCloud:
+        """Return the cloud, which the user may have changed during the renders."""
+        collection = bpy.data.collections.get(self.collection)
+        cloud = read_cloud(collection) if collection is not None else None
+        if cloud is None:
+            raise GeometryError(f'The cloud "{self.collection}" was removed while it was being baked; build and bake it again.')
+        texel_counts = [len(read_level_texels(level_object)) for level_object in cloud.levels]
+        if cloud.collection.get(clouds.FINGERPRINT) != self.fingerprint or texel_counts != [
+            len(level.spec.texels) for level in self.levels
+        ]:
+            raise GeometryError(f'The cloud "{self.collection}" was rebuilt while it was being baked; bake it again.')
+        return cloud
+
+    def _compress(self, index: int) -> Steps[BakedLevel]:
+        """Compress the textures of one level. All its views must be finished."""
+        level = self.levels[index]
+        texels, store, settings = level.spec.texels, level.store, self.settings
+        compressor = LevelCompressor(store, texels, level.pbr_alpha, level.surface, settings)
+        with self.clock.stage("compress"):
+            textures = yield from subprogress(compressor.compress(), 0.0, COMPRESS_END)
+        with self.clock.stage("refine"):
+            training = training_views(level.quads, texels, level.views, store)
+            if settings.refine:
+                textures = yield from subprogress(compressor.refine(textures, training), COMPRESS_END, REFINE_END)
+            max_depth_complexity = max(view.max_depth_complexity() for view in training)
+        with self.clock.stage("measure"):
+            component_errors = yield from subprogress(compressor.measure_error(textures), REFINE_END, 1.0)
+        view_count, renders_per_view = settings.view_count, settings.light_count + 1
+        self.figures.append(
+            {
+                "level": index,
+                "renders": view_count * renders_per_view,
+                "shards": view_count,
+                "texels": len(texels),
+                "max_depth_complexity": max_depth_complexity,
+                "bare_render_seconds": round(store.render_seconds(view_count), 3),
+                "raw_bytes": 2 * 3 * len(texels) * view_count * renders_per_view,
+                "captured_bytes": store.total_bytes(view_count),
+                "compressed_bytes": textures.nbytes,
+                "component_errors": [asdict(error) for error in component_errors],
+            }
+        )
+        return BakedLevel(texels, textures, max_depth_complexity)
+
+
+def prepare_bake(
+    context: bpy.types.Context, cloud: SceneCloud, settings: BtfSettings, work_folder: Path | None, keep_finished_views: bool
+) -> BakeJob:
+    """Prepare the bake of `cloud`. Its source objects must be unchanged since the cloud was built; see `BakeJob`.
+
+    work_folder: for finished views; None for a temporary one that is deleted with the job. All input of the workers is written there now.
+
+    Raises:
+        GeometryError: if a source object was removed or edited, or an older version of Farfield built the cloud.
+        FileError: if an image file of a material is missing, or the folder belongs to another bake or cannot be written.
+        SettingsError: see `BtfSettings.check_table_size`; or if the executor does not exist.
+    """
+    settings.check_table_size()
+    parse_executor(settings.executor)
+    name = cloud.collection.name
+    source_objects = cloud.sources
+    if not source_objects or len(source_objects) < len(cloud.source_names):
+        missing = sorted(set(cloud.source_names) - {item.name for item in source_objects})
+        raise GeometryError(f'Source objects of "{name}" are missing: {", ".join(missing)}. Restore them or rebuild the cloud.')
+    if clouds.DRAWN not in cloud.levels[0].data or clouds.FINGERPRINT not in cloud.collection:
+        raise GeometryError(f'"{name}" was built by an older version of Farfield; rebuild the cloud.')
+    source = read_source_objects(context, source_objects)
+    if source.fingerprint != cloud.collection[clouds.FINGERPRINT]:
+        raise GeometryError(f'The source objects of "{name}" were edited or moved after the cloud was built; rebuild the cloud.')
+    images.check_images(source)
+    temporary_folder = _create_temporary_folder() if work_folder is None else None
+    folder = work_folder if temporary_folder is None else Path(temporary_folder.name)
+    levels = [_read_level(level_object, source, settings, folder, index) for index, level_object in enumerate(cloud.levels)]
+    for level in levels:
+        level.store.open(f"{source.fingerprint} {settings.capture_fingerprint} {len(level.spec.texels)} {level.spec.error:.9g}")
+    btf_snapshot.write_snapshot(folder, context.scene, source_objects, source, [level.spec for level in levels], settings)
+    return BakeJob(name, source.fingerprint, settings, levels, folder, keep_finished_views, temporary_folder)
+
+
+def _read_level(level_object: bpy.types.Object, source: meshes.Source, settings: BtfSettings, folder: Path, index: int) -> LevelBake:
+    texels = read_level_texels(level_object)
+    quads, views = read_level_quads(level_object), btf_capture.build_views(source, settings.view_grid, texels.texel_size)
+    spec = LevelCaptureSpec(texels, *clouds.read_drawn_primitives(level_object.data), float(level_object["farfield_error"]))
+    store = ShardStore(btf_snapshot.store_folder(folder, index))
+    pbr_alpha, surface = read_pbr_alpha(level_object, texels), btf_clouds.read_texel_surface(level_object, texels)
+    return LevelBake(spec, quads, views, pbr_alpha, surface, store)
+
+
+def _create_temporary_folder() -> tempfile.TemporaryDirectory:
+    try:
+        return tempfile.TemporaryDirectory(prefix="farfield-btf-", ignore_cleanup_errors=True)
+    except OSError as error:
+        raise FileError(f"No temporary folder can be created ({error.strerror}); free some space on that disk.") from error

@@ -1,0 +1,138 @@
+"""Operators of the tool `btf`: bake relightable textures for a cloud, link Sun lights to it, restore its PBR materials."""
+
+import bpy
+
+from ...bridge.billboards.level_objects import PBR_MATERIAL
+from ...bridge.billboards.scene_clouds import SceneCloud, find_cloud
+from ...bridge.btf import clouds as btf_clouds
+from ...bridge.btf.materials import SUNS
+from ...core.btf.settings import BtfSettings
+from .. import long_work, properties
+from . import estimates
+from .job import BakeJob, prepare_bake
+
+
+def sun_pointer_name(index: int) -> str:
+    """Return the property of the panel's settings that points to Sun `index`."""
+    return f"sun_{index + 1}"
+
+
+def _is_sun(_group: bpy.types.PropertyGroup, item: bpy.types.Object) -> bool:
+    return item.type == "LIGHT" and item.data.type == "SUN"
+
+
+class FARFIELD_PG_btf(bpy.types.PropertyGroup):
+    """Settings of the panel *Relightable Textures*, stored per scene."""
+
+    __annotations__ = (
+        properties.build_annotations(BtfSettings, set())
+        | {
+            sun_pointer_name(index): bpy.props.PointerProperty(
+                name=f"Sun {index + 1}", description="Sun light that lights the cloud", type=bpy.types.Object, poll=_is_sun
+            )
+            for index in range(SUNS)
+        }
+        | {
+            "ambient": bpy.props.FloatVectorProperty(
+                name="Ambient", description="Color of uniform World lighting", subtype="COLOR", size=3, min=0.0, soft_max=1.0
+            )
+        }
+    )
+
+
+class FARFIELD_OT_btf_bake(long_work.LongWork, bpy.types.Operator):
+    """Bake textures that change with the view and light direction for the active billboard cloud, with Cycles"""
+
+    bl_idname = "farfield.btf_bake"
+    bl_label = "Bake Relightable Textures"
+    bl_options = {"REGISTER", "UNDO"}
+    __annotations__ = properties.build_annotations(BtfSettings, {"SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether there is an active cloud and no other job runs."""
+        return long_work.poll_with_reason(cls, disabled_reason(context))
+
+    def prepare(self, context: bpy.types.Context) -> BakeJob:
+        """Read the source objects of the active cloud. Finished views are stored in a temporary folder, so a cancelled bake can resume."""
+        properties.fill_unset(BtfSettings, self, context.scene.farfield_btf)
+        settings = properties.read(BtfSettings, self)
+        cloud = active_cloud(context)
+        return prepare_bake(context, cloud, settings, estimates.capture_folder(cloud, settings), keep_finished_views=False)
+
+
+class RequiresBakedCloud:
+    """Mixin of operators that need relightable textures."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether the active cloud has relightable textures."""
+        return long_work.poll_with_reason(cls, not_baked_reason(context))
+
+
+class FARFIELD_OT_btf_link_suns(RequiresBakedCloud, bpy.types.Operator):
+    """Light the active cloud with the selected Sun lights and the ambient color. Rotating a linked light relights the cloud"""
+
+    bl_idname = "farfield.btf_link_suns"
+    bl_label = "Link Sun Lights to Cloud"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Replace the drivers of all levels."""
+        group = context.scene.farfield_btf
+        suns = [sun for sun in (getattr(group, sun_pointer_name(index)) for index in range(SUNS)) if sun is not None]
+        for level in active_cloud(context).levels:
+            btf_clouds.link_suns(level, suns, group.ambient)
+        self.report({"INFO"}, f"Lit by {', '.join(sun.name for sun in suns) or 'the ambient color only'}.")
+        return {"FINISHED"}
+
+
+class FARFIELD_OT_btf_restore_pbr(RequiresBakedCloud, bpy.types.Operator):
+    """Remove the relightable textures of the active cloud. Its PBR materials also work with many lights or an environment texture"""
+
+    bl_idname = "farfield.btf_restore_pbr"
+    bl_label = "Restore PBR Materials"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Restore the PBR materials of all levels."""
+        for level in active_cloud(context).levels:
+            btf_clouds.restore_pbr_material(level)
+        return {"FINISHED"}
+
+
+def active_cloud(context: bpy.types.Context) -> SceneCloud | None:
+    """Return the cloud that the active object is a level or a source of."""
+    return find_cloud(context.scene, context.active_object)
+
+
+def is_baked(cloud: SceneCloud | None) -> bool:
+    """Whether a cloud has relightable materials."""
+    return cloud is not None and all(PBR_MATERIAL in level for level in cloud.levels)
+
+
+def disabled_reason(context: bpy.types.Context) -> str:
+    """Return why nothing can be baked now, or an empty string."""
+    return long_work.running_job_message() or ("" if active_cloud(context) is not None else "Select a billboard cloud or its source")
+
+
+def not_baked_reason(context: bpy.types.Context) -> str:
+    """Return why an operator on relightable textures is disabled, or an empty string."""
+    return "" if is_baked(active_cloud(context)) else "Select a billboard cloud with relightable textures"
+
+
+CLASSES = (FARFIELD_PG_btf, FARFIELD_OT_btf_bake, FARFIELD_OT_btf_link_suns, FARFIELD_OT_btf_restore_pbr)
+register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
+
+
+def register() -> None:
+    """Register the classes, and the settings as a property of scenes."""
+    register_classes()
+    bpy.types.Scene.farfield_btf = bpy.props.PointerProperty(type=FARFIELD_PG_btf)
+
+
+def unregister() -> None:
+    """Unregister them and discard all estimates."""
+    estimates.cache.clear()
+    del bpy.types.Scene.farfield_btf
+    unregister_classes()

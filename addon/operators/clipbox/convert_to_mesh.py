@@ -1,0 +1,101 @@
+"""The operator *Convert Terrain to Mesh*."""
+
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from ...bridge.clipbox import objects as terrain_objects
+from ...bridge.clipbox.objects import SceneTerrain, terrain_of_object
+from ...core.clipbox.engine import TerrainEngine
+from ...core.clipbox.settings import ConvertSettings
+from ...core.clipbox.to_mesh import ConvertedMesh, convert_to_meshes
+from ...core.errors import GeometryError
+from ...core.jobs.progress import Progress, Steps
+from .. import long_work, properties
+from . import engines, operators
+
+
+@dataclass
+class ConvertJob:
+    """Converts `terrain` to meshes. Afterwards `object_names` has the names of the new objects."""
+
+    core_fraction = 0.95
+
+    terrain: SceneTerrain
+    engine: TerrainEngine
+    viewer: np.ndarray
+    settings: ConvertSettings
+    object_names: tuple[str, ...] = ()
+
+    def core_steps(self) -> Steps[list[ConvertedMesh]]:
+        """Compute the meshes."""
+        return convert_to_meshes(self.engine, self.viewer, self.settings)
+
+    def scene_steps(self, core_result: list[ConvertedMesh]) -> Steps[str]:
+        """Create the objects, and remove the terrain unless it is to be kept. Returns the message for the user.
+
+        Raises:
+            GeometryError: the terrain was removed during the conversion.
+        """
+        yield Progress(0.5, "Creating objects")
+        if self.terrain.root is None:
+            raise GeometryError(f'The terrain "{self.terrain.name}" was removed during the conversion.')
+        self.object_names = terrain_objects.add_converted_meshes(bpy.context.scene, self.terrain, core_result)
+        if not self.settings.keep_terrain:
+            terrain_objects.remove(self.terrain)
+            engines.cache.evict_missing()
+        triangles = sum(len(part.mesh.triangles) for part in core_result)
+        meshes = f"{len(core_result)} mesh{'' if len(core_result) == 1 else 'es'}"
+        return f'Converted "{self.terrain.name}" to {meshes} with {triangles:,} triangles.'
+
+
+class FARFIELD_OT_clipbox_convert_to_mesh(long_work.LongWork, bpy.types.Operator):
+    """Convert the active terrain to regular mesh objects that do not need Farfield"""
+
+    bl_idname = "farfield.clipbox_convert_to_mesh"
+    bl_label = "Convert Terrain to Mesh"
+    bl_options = {"REGISTER", "UNDO"}
+    __annotations__ = properties.build_annotations(ConvertSettings, {"SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Return whether a terrain is active and nothing else runs."""
+        return long_work.poll_with_reason(cls, operators.disabled_reason(context) or operators.disabled_reason_of_active(context))
+
+    def prepare(self, context: bpy.types.Context) -> ConvertJob:
+        """Prepare the conversion of the active terrain."""
+        properties.fill_unset(ConvertSettings, self, context.scene.farfield_clipbox_convert)
+        return prepare(terrain_of_object(context.active_object), properties.read(ConvertSettings, self))
+
+
+def prepare(terrain: SceneTerrain, settings: ConvertSettings) -> ConvertJob:
+    """Return the job that converts a terrain in its current position.
+
+    Raises:
+        SettingsError, FileError: the terrain's settings, formula or source file cannot be read.
+    """
+    engine = engines.create_engine(terrain.settings, settings.closed)
+    return ConvertJob(terrain, engine, terrain.viewer, settings)
+
+
+class FARFIELD_PG_clipbox_convert(bpy.types.PropertyGroup):
+    """Settings of *Convert to Mesh* in the panel, stored per scene."""
+
+    __annotations__ = properties.build_annotations(ConvertSettings, set())
+
+
+CLASSES = (FARFIELD_PG_clipbox_convert, FARFIELD_OT_clipbox_convert_to_mesh)
+register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
+
+
+def register() -> None:
+    """Register the classes and add the settings to scenes."""
+    register_classes()
+    bpy.types.Scene.farfield_clipbox_convert = bpy.props.PointerProperty(type=FARFIELD_PG_clipbox_convert)
+
+
+def unregister() -> None:
+    """Remove the settings from scenes and unregister the classes."""
+    del bpy.types.Scene.farfield_clipbox_convert
+    unregister_classes()

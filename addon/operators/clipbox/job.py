@@ -1,0 +1,95 @@
+"""The job behind *Create* and *Update*, and behind the script."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ...bridge.clipbox import objects as terrain_objects
+from ...bridge.clipbox.materials import GroundImage, create_terrain_material
+from ...bridge.clipbox.objects import SceneTerrain
+from ...core.clipbox.engine import NO_SURFACE, TerrainEngine, Update, check_viewer
+from ...core.clipbox.layout import choose_origin
+from ...core.clipbox.settings import ClipboxSettings
+from ...core.errors import FileError, GeometryError
+from ...core.jobs.progress import Progress, Steps, subprogress
+from . import engines
+
+HEIGHT_PERCENTILES = 10, 90  # of the vertices, between which most ground has the color of grass
+
+
+@dataclass
+class TerrainJob:
+    """Builds a terrain around a viewer: a new one, or `terrain` with other settings. Afterwards `terrain` is the result."""
+
+    core_fraction = 0.9
+
+    engine: TerrainEngine
+    settings: ClipboxSettings
+    viewer: np.ndarray
+    terrain: SceneTerrain | None = None
+    update: Update | None = None
+
+    def core_steps(self) -> Steps[Update]:
+        """Compute voxels and surfaces."""
+        return self.engine.move(self.viewer)
+
+    def scene_steps(self, core_result: Update) -> Steps[str]:
+        """Show the surfaces. Returns the message for the user.
+
+        Raises:
+            GeometryError: the terrain to update was removed, or the boxes contain no surface.
+        """
+        settings = self.settings
+        if not core_result.meshes:
+            raise GeometryError(NO_SURFACE)
+        origin = self.terrain.origin if self.terrain is not None else choose_origin(self.viewer, settings)
+        mesh_names = yield from subprogress(terrain_objects.fill_meshes(core_result, origin, settings), 0.0, 0.99)
+        yield Progress(0.99, "Showing meshes")
+        ground_image = find_ground_image(settings, origin)
+        if self.terrain is None:
+            self.terrain = terrain_objects.create_root(bpy.context.scene, settings, self.viewer, origin)
+            terrain_objects.select(bpy.context.view_layer, self.terrain)
+        elif self.terrain.root is None:
+            raise GeometryError(f'The terrain "{self.terrain.name}" was removed during the update.')
+        terrain_objects.store_settings(self.terrain.root, settings)
+        material = self.terrain.material or create_terrain_material(
+            self.terrain.name, self.terrain.root, *height_range(core_result, origin), ground_image, is_forest=settings.terrain == "forest"
+        )
+        terrain_objects.show_meshes(self.terrain, mesh_names, core_result, material)
+        engines.cache.store(self.terrain, self.engine)
+        self.update = core_result
+        triangles = sum(len(mesh.triangles) for mesh in core_result.meshes.values())
+        return f'"{self.terrain.name}": {triangles:,} triangles in {settings.boxes} boxes.'
+
+
+def prepare(settings: ClipboxSettings, viewer: np.ndarray, terrain: SceneTerrain | None = None) -> TerrainJob:
+    """Return the job that builds a terrain around `viewer` (3,), a terrain position, or that rebuilds `terrain`.
+
+    Raises:
+        SettingsError, FileError, GeometryError: the formula, a file or the position is invalid.
+    """
+    check_viewer(viewer, settings.voxel_size)
+    find_ground_image(settings, np.zeros(3))  # before any work is spent
+    return TerrainJob(engines.create_engine(settings), settings, np.array(viewer, np.float64), terrain)
+
+
+def find_ground_image(settings: ClipboxSettings, origin: np.ndarray) -> GroundImage | None:
+    """Return the image that colors a height map, None if there is none.
+
+    Raises:
+        FileError: the file is missing.
+    """
+    if settings.terrain != "heights" or not settings.source_color:
+        return None
+    path = Path(bpy.path.abspath(settings.source_color))
+    if not path.is_file():
+        raise FileError(f'There is no image "{path}"; check the path in Source Color.')
+    return GroundImage(path, settings.source_size * settings.scale, origin)
+
+
+def height_range(update: Update, origin: np.ndarray) -> tuple[float, float]:
+    """Return the heights above the root, in scene units, between which most of the ground lies."""
+    heights = np.concatenate([mesh.vertices[:, 2] for mesh in update.meshes.values()]) - origin[2]
+    return tuple(np.percentile(heights, HEIGHT_PERCENTILES).tolist())

@@ -1,0 +1,146 @@
+"""The job of the operator and the script: unwraps meshes and writes their UV maps."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+
+import bpy
+import numpy as np
+
+from ...bridge.cameras import read_camera_projection
+from ...bridge.meshes import SourceInstance, concatenate_in_world_space, read_instances
+from ...bridge.unwrap import uv_maps
+from ...core.errors import GeometryError, SettingsError
+from ...core.geometry.cameras import CameraProjection
+from ...core.geometry.mesh import TriangleMesh, face_areas_and_normals
+from ...core.jobs.progress import Progress, Steps, subprogress
+from ...core.unwrap import importance
+from ...core.unwrap.settings import UnwrapSettings
+from ...core.unwrap.unwrapping import UnwrapResult, unwrap
+from ...core.unwrap.visibility import visible_pixel_areas
+
+
+@dataclass
+class UnwrapJob:
+    """Unwraps every target. `results` holds targets and UV maps once the job is done; `skipped` the other objects with the reason."""
+
+    core_fraction = 0.98
+
+    targets: list[uv_maps.UvTarget]
+    cameras: list[CameraProjection]
+    occluders: list[SourceInstance]
+    settings: UnwrapSettings
+    skipped: list[str]
+    results: list[tuple[uv_maps.UvTarget, UnwrapResult]] = field(default_factory=list)
+
+    def core_steps(self) -> Steps[list[UnwrapResult]]:
+        """Unwrap every mesh."""
+        total, done, results = sum(len(target.mesh.triangles) for target in self.targets), 0.0, []
+        for target in self.targets:
+            fraction = len(target.mesh.triangles) / total
+            yield Progress(done, "Computing importance")
+            weights = self._compute_importance(target)
+            steps = unwrap(target.mesh, target.polygon_ids, target.seams, weights, self.settings, target.object_name)
+            results.append((yield from subprogress(steps, done, done + fraction)))
+            done += fraction
+        return results
+
+    def scene_steps(self, core_result: list[UnwrapResult]) -> Steps[str]:
+        """Write all UV maps at once.
+
+        Raises:
+            GeometryError: a mesh was removed or edited in the meantime.
+        """
+        yield Progress(0.0, "Writing UV maps")
+        is_editing = bpy.context.mode == "EDIT_MESH"
+        if is_editing:
+            bpy.ops.object.mode_set(mode="OBJECT")  # mesh data can only be written outside of Edit Mode
+        try:
+            for target, result in zip(self.targets, core_result, strict=True):
+                stretches = result.stretches.max_stretch
+                uv_maps.write_uv_map(target, result.corner_uvs, stretches, self.settings.uv_map, asdict(result.metrics))
+                self.results.append((target, result))
+        finally:
+            if is_editing:
+                bpy.ops.object.mode_set(mode="EDIT")
+        return self._summarize()
+
+    def _compute_importance(self, target: uv_maps.UvTarget) -> np.ndarray:
+        """Return the importance (T,) of the triangles, 0 to 1."""
+        settings, mesh = self.settings, target.mesh
+        areas, normals = face_areas_and_normals(mesh.corners)
+        if settings.importance == "direction":
+            return importance.from_direction(target.normal_sign * normals, np.array(settings.direction))
+        if settings.importance == "gradual":
+            return importance.from_direction_gradual(target.normal_sign * normals, np.array(settings.direction), settings.density_ratio)
+        if settings.importance in ("camera", "cameras"):
+            pixel_areas = np.max([visible_pixel_areas(mesh, camera, self._occluders(target)) for camera in self.cameras], axis=0)
+            return importance.from_visible_pixels(pixel_areas, areas, settings.density_ratio)
+        if settings.importance == "vertex_group":
+            return target.group_weights[mesh.triangles].mean(axis=1)
+        return np.zeros(len(mesh.triangles))
+
+    def _occluders(self, target: uv_maps.UvTarget) -> Iterator[TriangleMesh]:
+        """Yield the meshes that may hide a target: its polygons that are not unwrapped, and all other visible objects."""
+        yield TriangleMesh(target.mesh.vertices, target.other_triangles)
+        for instance in self.occluders:
+            if instance.name != target.object_name:
+                yield concatenate_in_world_space([instance])
+
+    def _summarize(self) -> str:
+        summaries = [
+            f'"{target.object_name}" (stretch {result.metrics.l2:.3f}, {_format_islands(result.chart_count)})'
+            for target, result in self.results
+        ]
+        skipped = f" Skipped: {'; '.join(self.skipped)}." if self.skipped else ""
+        return f"Unwrapped {', '.join(summaries)}.{skipped}"
+
+
+def prepare(context: bpy.types.Context, objects: Sequence[bpy.types.Object], settings: UnwrapSettings) -> UnwrapJob:
+    """Return the job that unwraps the meshes of `objects`, each mesh once.
+
+    Raises:
+        GeometryError: none of them can be unwrapped; the message names each with the reason.
+        SettingsError: importance needs a camera and there is none, or the direction has no length.
+    """
+    cameras = _read_cameras(context, settings)
+    if settings.importance in ("direction", "gradual"):
+        importance.from_direction(np.zeros((0, 3)), np.array(settings.direction))  # reports an invalid direction early
+    targets, skipped, meshes, errors = [], [], set(), []
+    for item in objects:
+        reason = uv_maps.skip_reason(item, settings.uv_map)
+        if reason:
+            skipped.append(f"{item.name} ({reason})")
+        elif item.data not in meshes:
+            meshes.add(item.data)
+            try:
+                targets.append(uv_maps.read_uv_target(item, settings.vertex_group if settings.importance == "vertex_group" else None))
+            except GeometryError as error:
+                errors.append(error)
+    if not targets:
+        if errors:
+            raise errors[0]
+        raise GeometryError(f"Nothing to unwrap: {'; '.join(skipped) or 'no object is selected'}. Select a local mesh object.")
+    return UnwrapJob(targets, cameras, _read_occluders(context) if cameras else [], settings, skipped)
+
+
+def _read_cameras(context: bpy.types.Context, settings: UnwrapSettings) -> list[CameraProjection]:
+    """Return the cameras that determine importance; none for other settings."""
+    if settings.importance not in ("camera", "cameras"):
+        return []
+    scene = context.scene
+    candidates = [scene.camera] if settings.importance == "camera" else scene.objects
+    cameras = [item for item in candidates if item is not None and item.type == "CAMERA"]
+    if not cameras:
+        raise SettingsError("The scene has no camera; add one, or choose another Importance.", settings=("importance",))
+    depsgraph = context.evaluated_depsgraph_get()
+    return [read_camera_projection(scene, item.evaluated_get(depsgraph), depsgraph) for item in cameras]
+
+
+def _read_occluders(context: bpy.types.Context) -> list[SourceInstance]:
+    """Return all surfaces that are visible in renders."""
+    visible = [item for item in context.view_layer.objects if item.visible_get() and not item.hide_render]
+    return read_instances(visible, context.evaluated_depsgraph_get())
+
+
+def _format_islands(count: int) -> str:
+    return "1 UV island" if count == 1 else f"{count} UV islands"

@@ -1,0 +1,155 @@
+"""Operators of the tool `unwrap`: unwrap meshes, set the importance direction from the view, show and save UV stretch."""
+
+from pathlib import Path
+
+import bpy
+from mathutils import Vector
+
+from ...bridge.unwrap import uv_maps
+from ...bridge.unwrap.stretch_images import save_stretch_image
+from ...bridge.unwrap.uv_overlay import overlay
+from ...core.errors import FarfieldError
+from ...core.unwrap.settings import UnwrapSettings
+from .. import long_work, properties
+from .job import UnwrapJob, prepare
+
+
+class FARFIELD_PG_unwrap(bpy.types.PropertyGroup):
+    """Settings of the panel *View-Dependent Unwrap*, stored per scene."""
+
+    __annotations__ = properties.build_annotations(UnwrapSettings, set())
+
+
+class FARFIELD_OT_unwrap(long_work.LongWork, bpy.types.Operator):
+    """Create low-stretch UV maps for the selected meshes, or for the selected faces in Edit Mode, with more texels in important areas"""
+
+    bl_idname = "farfield.unwrap"
+    bl_label = "Unwrap with Low Stretch"
+    bl_options = {"REGISTER", "UNDO"}
+    # SKIP_SAVE: settings that the caller omits come from the panel, not from the last call
+    __annotations__ = properties.build_annotations(UnwrapSettings, {"SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Return whether there is a mesh to unwrap and no job is running."""
+        return long_work.poll_with_reason(cls, disabled_reason(context))
+
+    def prepare(self, context: bpy.types.Context) -> UnwrapJob:
+        """Read the selected meshes."""
+        properties.fill_unset(UnwrapSettings, self, context.scene.farfield_unwrap)
+        return prepare(context, target_objects(context), properties.read(UnwrapSettings, self))
+
+
+class FARFIELD_OT_unwrap_direction(bpy.types.Operator):
+    """Set the importance direction from the current view"""
+
+    bl_idname = "farfield.unwrap_direction"
+    bl_label = "Set Importance Direction from View"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Return whether the operator is called from a 3D Viewport."""
+        return long_work.poll_with_reason(cls, "" if context.region_data is not None else "Only available in a 3D Viewport")
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Set the direction from the surface to the viewer."""
+        context.scene.farfield_unwrap.direction = context.region_data.view_rotation @ Vector((0.0, 0.0, 1.0))
+        return {"FINISHED"}
+
+
+class FARFIELD_OT_unwrap_overlay(bpy.types.Operator):
+    """Color faces by UV stretch in 3D Viewports and UV Editors: white is undistorted, red is stretched, blue is compressed"""
+
+    bl_idname = "farfield.unwrap_overlay"
+    bl_label = "Show UV Stretch"
+    bl_options = {"REGISTER"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Show or hide the overlay."""
+        if overlay.is_shown:
+            overlay.hide()
+        else:
+            overlay.show()
+        for window in context.window_manager.windows:
+            for area in window.screen.areas:
+                area.tag_redraw()
+        return {"FINISHED"}
+
+
+class FARFIELD_OT_unwrap_stretch_image(bpy.types.Operator):
+    """Save an image of the active object's UV map, colored by stretch"""
+
+    bl_idname = "farfield.unwrap_stretch_image"
+    bl_label = "Save Stretch Image"
+    bl_options = {"REGISTER"}
+    __annotations__ = {
+        "filepath": bpy.props.StringProperty(subtype="FILE_PATH"),
+        "filter_glob": bpy.props.StringProperty(default="*.png", options={"HIDDEN"}),
+        "resolution": bpy.props.IntProperty(name="Resolution", description="Pixels per side", default=1024, min=64, max=8192),
+    }
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Return whether the active object has been unwrapped."""
+        return long_work.poll_with_reason(cls, "" if is_unwrapped(context.active_object) else "Unwrap a mesh first")
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Open the file browser."""
+        self.filepath = f"{context.active_object.name} stretch.png"
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Draw the image and write it."""
+        path = Path(bpy.path.abspath(self.filepath)).with_suffix(".png")
+        try:
+            save_stretch_image(context.active_object, path, self.resolution)
+        except FarfieldError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, f'Saved "{path}".')
+        return {"FINISHED"}
+
+
+def target_objects(context: bpy.types.Context) -> list[bpy.types.Object]:
+    """Return the objects to unwrap: those in Edit Mode, otherwise the selected ones."""
+    if context.mode == "EDIT_MESH":
+        return list(context.objects_in_mode_unique_data)
+    return list(context.selected_objects)
+
+
+def is_unwrapped(item: bpy.types.Object | None) -> bool:
+    """Return whether an object is a mesh that this tool has unwrapped."""
+    return item is not None and item.type == "MESH" and bool(uv_maps.read_metrics(item.data))
+
+
+def disabled_reason(context: bpy.types.Context) -> str:
+    """Return why nothing can be unwrapped now, or an empty string."""
+    if context.mode not in ("OBJECT", "EDIT_MESH"):
+        return "Switch to Object Mode or Edit Mode"
+    has_mesh = any(item.type == "MESH" for item in target_objects(context))
+    return long_work.running_job_message() or ("" if has_mesh else "Select a mesh object")
+
+
+CLASSES = (
+    FARFIELD_PG_unwrap,
+    FARFIELD_OT_unwrap,
+    FARFIELD_OT_unwrap_direction,
+    FARFIELD_OT_unwrap_overlay,
+    FARFIELD_OT_unwrap_stretch_image,
+)
+register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
+
+
+def register() -> None:
+    """Register the classes and add the settings to scenes."""
+    register_classes()
+    bpy.types.Scene.farfield_unwrap = bpy.props.PointerProperty(type=FARFIELD_PG_unwrap)
+
+
+def unregister() -> None:
+    """Hide the overlay, remove the settings from scenes and unregister the classes."""
+    overlay.hide()
+    del bpy.types.Scene.farfield_unwrap
+    unregister_classes()

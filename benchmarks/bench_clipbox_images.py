@@ -1,0 +1,199 @@
+"""Image error of terrain in nested boxes: `python3 benchmarks/bench_clipbox_images.py [flags]`.
+
+Prints JSON. Parts (`--only`): `error`, the paper's Figure 18: the fraction of pixels whose gray value differs by more than 20 of 255 from
+that of boxes with 192 voxels per side and the same extent, for 32, 64, 96 and 128; `uniform`, depth errors compared with one marching cubes
+mesh with as many triangles and the same extent. `--sheet FILE.png` shows the renders of `error`.
+"""
+
+import sys
+from argparse import Namespace
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+
+from lib import environment
+
+environment.ensure()
+environment.import_farfield()
+
+import benchmark_cli
+import bpy
+import numpy as np
+
+from farfield.addon.bridge.clipbox.objects import fill_mesh
+from farfield.addon.bridge.cycles_renders import prepare_cycles
+from farfield.addon.bridge.node_builder import NodeBuilder
+from farfield.addon.bridge.render_scene import RenderScene, render_scene
+from farfield.addon.compat import enable_nodes
+from farfield.addon.core.clipbox.engine import TerrainEngine, WeldedMesh, weld
+from farfield.addon.core.clipbox.meshing.surface_nets import extract_surface
+from farfield.addon.core.clipbox.settings import ClipboxSettings
+from farfield.addon.core.clipbox.terrains.generators import build_sampler
+from farfield.addon.core.clipbox.terrains.grids import Grid
+from farfield.addon.core.jobs.progress import run_to_end
+from lib import command_line
+from lib.contact_sheet import draw_contact_sheet, write_png
+from lib.studio import look_at_matrix
+
+EXTENT = 128.0  # side of the innermost box, scene units
+BOXES = 7
+REFERENCE_RESOLUTION = 192
+RESOLUTIONS = (32, 64, 96, 128)
+MAX_GRAY_ERROR = 20 / 255
+SIZE = (640, 360)
+LIGHT_DIRECTION = (0.5, -0.4, 0.77)
+NEAR_DISTANCE = 64.0  # scene units, half of the innermost box
+VIEWERS = {  # position, and direction towards the viewer
+    "valley": ((0.0, 0.0, 45.0), (-0.62, -0.74, 0.26)),
+    "ridge": ((300.0, -150.0, 60.0), (0.7, -0.66, 0.27)),
+    "plain": ((-700.0, 420.0, 50.0), (-0.2, 0.95, 0.24)),
+}
+
+
+def build_parser() -> command_line.Parser:
+    """Return the parser of all arguments of the benchmark."""
+    parser = benchmark_cli.build_parser("bench_clipbox_images.py", __doc__, PARTS)
+    parser.add_argument("--terrain", default="cascades", help="the terrain to measure")
+    parser.add_argument("--viewers", nargs="+", choices=list(VIEWERS), default=list(VIEWERS), help="viewer positions")
+    parser.add_argument("--sheet", type=Path, help="a PNG file for the renders of the first viewer and their wrong pixels")
+    return parser
+
+
+def main(arguments: list[str], _line: command_line.ProgressLine) -> str:
+    """Measure and return the figures as JSON; raises FarfieldError if the input is invalid."""
+    return benchmark_cli.run_parts(build_parser().parse_args(arguments), PARTS)
+
+
+def error(given: Namespace) -> dict[str, Any]:
+    """Measure the fraction of wrong pixels by resolution."""
+    figures = {}
+    for index, viewer in enumerate(given.viewers):
+        position, direction = (np.array(vector) for vector in VIEWERS[viewer])
+        with renderer(position, direction, shade_lambert) as render:
+            reference = render(build_nested(given.terrain, REFERENCE_RESOLUTION, position))
+            images = {resolution: render(build_nested(given.terrain, resolution, position)) for resolution in RESOLUTIONS}
+        wrong = {resolution: np.abs(image - reference).max(axis=2) > MAX_GRAY_ERROR for resolution, image in images.items()}
+        figures[viewer] = {str(resolution): round(float(mask.mean()), 4) for resolution, mask in wrong.items()}
+        if index == 0 and given.sheet is not None:
+            write_sheet(given.sheet, [*images.values(), reference], [*wrong.values(), np.zeros_like(wrong[32])], figures[viewer])
+    means = [float(np.mean([fractions[str(resolution)] for fractions in figures.values()])) for resolution in RESOLUTIONS]
+    return {"by_viewer": figures, "mean": [round(mean, 4) for mean in means], "falls_at_each_step": bool((np.diff(means) < 0).all())}
+
+
+def write_sheet(path: Path, images: list[np.ndarray], wrong: list[np.ndarray], fractions: dict[str, float]) -> None:
+    """Write the renders by resolution, the reference last, and their wrong pixels below them, at half size."""
+    masks = [np.repeat(1.0 - 0.85 * mask[..., None], 3, axis=2) for mask in wrong]
+    labels = [[name, f"{fraction:.1%} wrong"] for name, fraction in fractions.items()] + [[f"{REFERENCE_RESOLUTION}", "reference"]]
+    rows = [[image[::2, ::2] for image in row] for row in (images, masks)]
+    write_png(path, draw_contact_sheet("Voxels along each side of seven boxes", rows, ["render", "wrong"], labels))
+
+
+def uniform(given: Namespace) -> dict[str, Any]:
+    """Measure the relative depth errors of nested boxes and of a uniform mesh with as many triangles, near the viewer and everywhere."""
+    figures = {}
+    for viewer in given.viewers:
+        position, direction = (np.array(vector) for vector in VIEWERS[viewer])
+        nested_mesh = build_nested(given.terrain, 64, position)
+        uniform_mesh = build_uniform(given.terrain, position, len(nested_mesh.triangles))
+        with renderer(position, direction, shade_distance) as render:
+            reference_mesh = build_nested(given.terrain, REFERENCE_RESOLUTION, position)
+            reference, *depths = (render(mesh)[..., 0] for mesh in (reference_mesh, nested_mesh, uniform_mesh))
+        figures[viewer] = {"triangles": [len(nested_mesh.triangles), len(uniform_mesh.triangles)]}
+        for name, mask in (("near", (reference > 0) & (reference < NEAR_DISTANCE)), ("everywhere", reference > 0)):
+            errors = [np.abs(depth - reference)[mask] / reference[mask] for depth in depths]
+            figures[viewer][name] = {
+                "pixels": int(mask.sum()),
+                "mean_error": [round(float(np.minimum(error, 1.0).mean()), 4) if mask.any() else None for error in errors],
+                "median_error": [round(float(np.median(error)), 5) if mask.any() else None for error in errors],
+            }
+    return {"order": ["nested boxes", "uniform marching cubes"], "by_viewer": figures}
+
+
+def build_nested(terrain: str, resolution: int, position: np.ndarray) -> WeldedMesh:
+    """Build seven boxes around a viewer, with the same extent for every resolution."""
+    settings = ClipboxSettings(terrain=terrain, resolution=resolution, voxel_size=EXTENT / resolution, boxes=BOXES)
+    return weld(list(run_to_end(TerrainEngine(settings).move(position)).meshes.values()))
+
+
+def build_uniform(terrain: str, position: np.ndarray, triangles: int) -> WeldedMesh:
+    """Build a marching cubes mesh with the same extent and about as many triangles; surface nets if scikit-image is not installed."""
+    sampler, side = build_sampler(ClipboxSettings(terrain=terrain)), EXTENT * 2 ** (BOXES - 1)
+    low, high, best = 16, 320, None
+    while high - low > 4:
+        count = (low + high) // 2
+        voxel_size = side / count
+        origin = np.floor(position / voxel_size).astype(np.int64) - count // 2
+        mesh = marching_cubes(sampler.densities(Grid(tuple(origin.tolist()), (count,) * 3, voxel_size)).astype(np.float32))
+        best = WeldedMesh((mesh.vertices + origin) * voxel_size, mesh.normals, mesh.triangles)
+        low, high = (count, high) if len(mesh.triangles) < triangles else (low, count)
+    return best
+
+
+def marching_cubes(densities: np.ndarray) -> WeldedMesh:
+    """Extract the surface of a volume; vertices in voxels, whose centers have half-integer coordinates."""
+    try:
+        from skimage import measure
+    except ImportError:
+        surface = extract_surface(densities)
+        triangles = np.concatenate([surface.quads[:, [0, 1, 2]], surface.quads[:, [0, 2, 3]]])
+        return WeldedMesh(surface.vertices, surface.normals, triangles)
+    vertices, triangles, normals, _ = measure.marching_cubes(densities, 0.0, gradient_direction="ascent")
+    return WeldedMesh(vertices.astype(np.float64) + 0.5, normals, triangles.astype(np.int32))
+
+
+@contextmanager
+def renderer(
+    position: np.ndarray, direction: np.ndarray, shade: Callable[[NodeBuilder], None]
+) -> Iterator[Callable[[WeldedMesh], np.ndarray]]:
+    """Yield a function that renders a mesh (H, W, 3) from `position` against `direction`, one sample per pixel; `shade` adds emission."""
+    with render_scene("Farfield Terrain") as work:
+        prepare_cycles(work.scene, 1, 8)
+        work.scene.cycles.filter_width = 0.01
+        work.scene.render.resolution_x, work.scene.render.resolution_y = SIZE
+        work.camera.data.type, work.camera.data.angle = "PERSP", 1.2
+        work.camera.data.clip_end = 1e6
+        work.camera.matrix_world = look_at_matrix(direction / np.linalg.norm(direction), position)
+        yield lambda mesh: render_mesh(work, mesh, shade)
+
+
+def render_mesh(work: RenderScene, source: WeldedMesh, shade: Callable[[NodeBuilder], None]) -> np.ndarray:
+    """Render one mesh."""
+    mesh = work.own(bpy.data.meshes.new("Terrain"))
+    fill_mesh(mesh, source.vertices, source.normals, source.triangles)
+    material = work.own(bpy.data.materials.new("Terrain"))
+    enable_nodes(material)
+    material.node_tree.nodes.clear()
+    shade(NodeBuilder(material.node_tree))
+    mesh.materials.append(material)
+    item = work.add_object(mesh)
+    image = work.render()[..., :3]
+    item.hide_render = True
+    return image
+
+
+def shade_lambert(builder: NodeBuilder) -> None:
+    """Emit gray by the angle between the light and the normal."""
+    normal = builder.node("ShaderNodeNewGeometry").outputs["Normal"]
+    diffuse = builder.math("MULTIPLY", builder.math("MAXIMUM", builder.vector("DOT_PRODUCT", normal, LIGHT_DIRECTION), 0.0), 0.85)
+    _emit(builder, builder.math("ADD", diffuse, 0.1))
+
+
+def shade_distance(builder: NodeBuilder) -> None:
+    """Emit the distance from the camera."""
+    _emit(builder, builder.node("ShaderNodeCameraData").outputs["View Distance"])
+
+
+def _emit(builder: NodeBuilder, gray: bpy.types.NodeSocket) -> None:
+    emission = builder.node("ShaderNodeEmission")
+    builder.connect(builder.combine(gray, gray, gray), emission.inputs["Color"])
+    builder.connect(emission.outputs[0], builder.node("ShaderNodeOutputMaterial").inputs["Surface"])
+
+
+PARTS = {"error": error, "uniform": uniform}
+
+
+if __name__ == "__main__":
+    command_line.run(main)

@@ -1,0 +1,189 @@
+"""Drive a Blender window through Farfield's panels and take a screenshot of each, in both themes.
+
+    blender --python docs/figures/window_screenshots.py -- FOLDER open|closed TOOL
+
+FOLDER receives the screenshots and index.json with the rectangle of each that shows the sidebar. The second argument is the state of the
+sub-panels. A window shows the panel of one tool only, since Blender remembers which panels are open. See docs/screenshots.py.
+"""
+
+import json
+import subprocess
+import sys
+import traceback
+from collections.abc import Iterator
+from pathlib import Path
+
+import addon_utils
+import bpy
+
+PACKAGE = "bl_ext.user_default.farfield"
+FOLDER, SUBPANELS, TOOL = sys.argv[sys.argv.index("--") + 1 :]
+SETTLE_SECONDS = 1.5  # until Blender has drawn a change
+THEMES = {"dark": "Blender_Dark.xml", "light": "Blender_Light.xml"}
+ALWAYS_OPEN = ("_figures", "_levels", "_lighting")  # sub-panels that show results
+
+report: dict = {"error": None, "boxes": {}}
+
+
+def region(kind: str) -> bpy.types.Region:
+    """Return a region of the 3D Viewport."""
+    return next(region for region in area().regions if region.type == kind)
+
+
+def area() -> bpy.types.Area:
+    """Return the 3D Viewport."""
+    return next(area for area in bpy.context.window_manager.windows[0].screen.areas if area.type == "VIEW_3D")
+
+
+def module(name: str):
+    """Return a module of the installed extension."""
+    return sys.modules[f"{PACKAGE}.{name}"]
+
+
+def open_panel(tool: str) -> None:
+    """Open the panel of `tool`, with its sub-panels as SUBPANELS says, and close the panels of other tools."""
+    classes = module(f"addon.panels.{tool}").CLASSES
+    others = [cls for name in TOOLS if name != tool for cls in module(f"addon.panels.{name}").CLASSES]
+    for cls in reversed([*others, *classes]):
+        bpy.utils.unregister_class(cls)
+    for cls in classes:
+        is_closed = SUBPANELS == "closed" and hasattr(cls, "bl_parent_id") and not cls.bl_idname.endswith(ALWAYS_OPEN)
+        cls.bl_options = set(getattr(cls, "bl_options", set())) - {"DEFAULT_CLOSED"} | ({"DEFAULT_CLOSED"} if is_closed else set())
+        bpy.utils.register_class(cls)
+    for cls in others:
+        cls.bl_options = set(getattr(cls, "bl_options", set())) | {"DEFAULT_CLOSED"}
+        bpy.utils.register_class(cls)
+
+
+def set_theme(name: str) -> None:
+    """Switch to one of THEMES."""
+    folder = next(path for path in bpy.utils.preset_paths("interface_theme") if Path(path, THEMES[name]).exists())
+    bpy.ops.script.execute_preset(filepath=str(Path(folder, THEMES[name])), menu_idname="USERPREF_MT_interface_theme_presets")
+
+
+def shoot(name: str, full_window: bool = False) -> Iterator[float]:
+    """Take the screenshot `name` in both themes; of the whole window, or of the sidebar."""
+    for theme in THEMES:
+        set_theme(theme)
+        sidebar = region("UI")
+        sidebar.active_panel_category = "Farfield"
+        area().tag_redraw()
+        yield SETTLE_SECONDS
+        subprocess.run(["import", "-window", "root", str(Path(FOLDER) / f"{name}-{theme}.png")], check=True)
+        window = bpy.context.window_manager.windows[0]
+        box = (0, 0, window.width, window.height) if full_window else (sidebar.x, sidebar.y, sidebar.width, sidebar.height)
+        report["boxes"][f"{name}-{theme}"] = box
+
+
+def run_job() -> Iterator[float]:
+    """Wait until the running job has ended."""
+    work = module("addon.operators.long_work")
+    yield 0.5
+    while work.current_run() is not None:
+        yield 0.2
+    yield SETTLE_SECONDS
+
+
+def make_statue() -> bpy.types.Object:
+    """Add a monkey head with a material to the scene, selected and active."""
+    bpy.ops.mesh.primitive_monkey_add(size=2.0)
+    statue = bpy.context.active_object
+    statue.name = "Statue"
+    statue.modifiers.new("Subdivision", "SUBSURF").levels = 2
+    bpy.ops.object.shade_smooth()
+    material = bpy.data.materials.new("Clay")
+    material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.55, 0.2, 0.1, 1.0)
+    statue.data.materials.append(material)
+    return statue
+
+
+def start(operator: str, **properties) -> Iterator[float]:
+    """Press the button of an operator and wait for its job."""
+    group, name = operator.split(".")
+    with bpy.context.temp_override(window=bpy.context.window_manager.windows[0], area=area(), region=region("WINDOW")):
+        getattr(getattr(bpy.ops, group), name)("INVOKE_DEFAULT", **properties)
+    yield from run_job()
+
+
+def visit() -> Iterator[float]:
+    """Visit all panels, as pauses in seconds."""
+    scene = bpy.context.scene
+    area().spaces.active.region_3d.view_distance = 7.0
+    bpy.data.objects.remove(bpy.data.objects["Cube"])
+    make_statue()
+    if TOOL == "btf":
+        scene.farfield_billboards.levels, scene.farfield_billboards.samples = 1, 1
+        yield from start("farfield.billboards_build")
+    open_panel(TOOL)
+    area().spaces.active.show_region_ui = True
+    yield 3.0
+    yield from {"billboards": visit_billboards, "btf": visit_btf, "unwrap": visit_unwrap, "clipbox": visit_clipbox}[TOOL](scene)
+
+
+def visit_billboards(scene: bpy.types.Scene) -> Iterator[float]:
+    """Before and after *Build*."""
+    scene.farfield_billboards.samples = 2
+    yield 4.0  # the estimate is computed in the background
+    yield from shoot("billboards-settings")
+    yield from start("farfield.billboards_build")
+    yield from shoot("billboards-levels")
+    area().spaces.active.shading.type = "MATERIAL"
+    yield 3 * SETTLE_SECONDS  # shaders compile
+    yield from shoot("window", full_window=True)
+    area().spaces.active.shading.type = "SOLID"
+
+
+def visit_btf(scene: bpy.types.Scene) -> Iterator[float]:
+    """Before and after a bake."""
+    yield from shoot("btf-settings")
+    light = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
+    scene.collection.objects.link(light)
+    group = scene.farfield_btf
+    group.views_per_side, group.lights_per_side, group.shadows_per_side, group.samples = 2, 2, 2, 1
+    yield from start("farfield.btf_bake")
+    group.sun_1 = light
+    yield from shoot("btf-linked")
+
+
+def visit_unwrap(_scene: bpy.types.Scene) -> Iterator[float]:
+    """Before and after *Unwrap*."""
+    yield from shoot("unwrap-settings")
+    yield from start("farfield.unwrap")
+    yield from shoot("unwrap-figures")
+
+
+def visit_clipbox(scene: bpy.types.Scene) -> Iterator[float]:
+    """Before and after *Create*."""
+    yield from shoot("clipbox-settings")
+    scene.farfield_clipbox.resolution = 32
+    yield from start("farfield.clipbox_create")
+    yield from shoot("clipbox-active")
+
+
+TOOLS = ("billboards", "btf", "unwrap", "clipbox")
+
+
+def drive() -> None:
+    """Enable the extension, visit the panels, and quit."""
+    steps = visit()
+
+    def go_on() -> float | None:
+        finished = True
+        try:
+            pause = next(steps, None)
+            finished = pause is None
+            return pause
+        finally:
+            if sys.exc_info()[0] is not None:  # reaches the script that waits outside
+                report["error"] = traceback.format_exc()
+            if finished:
+                Path(FOLDER, "index.json").write_text(json.dumps(report), encoding="utf-8")
+                bpy.ops.wm.quit_blender()
+
+    bpy.context.preferences.view.show_splash = False
+    bpy.context.preferences.system.use_region_overlap = False
+    addon_utils.enable(PACKAGE)
+    bpy.app.timers.register(go_on, first_interval=3.0)
+
+
+drive()

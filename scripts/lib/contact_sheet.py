@@ -1,0 +1,79 @@
+"""Contact sheets: images side by side in a grid of equal cells with labels, written as PNG.
+
+Images in this module are (H, W, 3) float sRGB values in 0..1 with row 0 at the bottom, as in renders.
+"""
+
+import struct
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from lib.text_raster import rasterize_text
+
+PAPER_GRAY = 0.93
+INK_GRAY = 0.12
+GAP = 10
+LINE_HEIGHT = 20
+
+
+def draw_contact_sheet(
+    title: str, rows: Sequence[Sequence[np.ndarray]], row_labels: Sequence[str], column_labels: Sequence[Sequence[str]]
+) -> np.ndarray:
+    """Return a sheet of images of one size. `rows[r][c]` is below the lines of text of column c and beside the label of row r."""
+    height, width = rows[0][0].shape[:2]
+    lines = max(len(label) for label in column_labels)
+    label_masks = [rasterize_text(label, LINE_HEIGHT) for label in row_labels]
+    left = max(mask.shape[1] for mask in label_masks) + 2 * GAP
+    top = LINE_HEIGHT * (lines + 2) + 2 * GAP
+    sheet_height = top + len(rows) * (height + GAP)
+    sheet_width = max(left + len(rows[0]) * (width + GAP), rasterize_text(title, LINE_HEIGHT).shape[1] + 2 * GAP)
+    sheet = np.full((sheet_height, sheet_width, 3), PAPER_GRAY)  # filled with row 0 at the top, flipped at the end
+    draw_text(sheet, title, GAP, GAP)
+    for column, label in enumerate(column_labels):
+        for line, text in enumerate(label):
+            draw_text(sheet, text, int(GAP + LINE_HEIGHT * (1.75 + line)), left + column * (width + GAP))
+    for row, images in enumerate(rows):
+        y = top + row * (height + GAP)
+        draw_text(sheet, row_labels[row], y + (height - LINE_HEIGHT) // 2, GAP)
+        for column, image in enumerate(images):
+            x = left + column * (width + GAP)
+            sheet[y : y + height, x : x + width] = image[::-1]
+    return sheet[::-1]
+
+
+def enlarge(image: np.ndarray, factor: int) -> np.ndarray:
+    """Return `image` (H, W, ...) with every pixel repeated `factor` times along both axes, so that single pixels can be seen."""
+    return image.repeat(factor, axis=0).repeat(factor, axis=1)
+
+
+def write_png(path: Path, image: np.ndarray) -> None:
+    """Write an image (H, W, 3) of sRGB values in 0..1, row 0 at the bottom, as an 8-bit PNG."""
+    values = np.clip(np.rint(image[::-1] * 255.0), 0, 255).astype(np.uint8)
+    height, width = values.shape[:2]
+    data = min((_compress_rows(values, filter_type) for filter_type in range(3)), key=len)
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    chunks = [(b"IHDR", header), (b"IDAT", data), (b"IEND", b"")]
+    with path.open("wb") as file:
+        file.write(b"\x89PNG\r\n\x1a\n")
+        for name, content in chunks:
+            file.write(struct.pack(">I", len(content)) + name + content + struct.pack(">I", zlib.crc32(name + content)))
+
+
+def _compress_rows(values: np.ndarray, filter_type: int) -> bytes:
+    """Compress the rows of an image (H, W, 3) uint8 after PNG's filter 0 (none), 1 (minus the left pixel) or 2 (minus the upper pixel)."""
+    previous = np.zeros_like(values)
+    if filter_type == 1:
+        previous[:, 1:] = values[:, :-1]
+    elif filter_type == 2:
+        previous[1:] = values[:-1]
+    rows = (values - previous).reshape(len(values), -1)
+    return zlib.compress(np.insert(rows, 0, filter_type, axis=1).tobytes(), 9)
+
+
+def draw_text(sheet: np.ndarray, text: str, y: int, x: int, color: float | tuple[float, float, float] = INK_GRAY) -> None:
+    """Draw `text` into `sheet`, row 0 at the top, with its upper left corner at (x, y). Text beyond the sheet is clipped."""
+    mask = rasterize_text(text, LINE_HEIGHT)[: sheet.shape[0] - y, : sheet.shape[1] - x]
+    area = sheet[y : y + mask.shape[0], x : x + mask.shape[1]]
+    area += mask[..., None] * (np.asarray(color) - area)

@@ -1,0 +1,70 @@
+"""The demo's report as a Markdown page."""
+
+from typing import Any
+
+
+def to_markdown(heading: str, report: dict[str, Any]) -> str:
+    """Return the report as Markdown with the title `heading`; its images are in the same folder."""
+    lines = [f"# {heading}", "", "![source above, cloud below](contact-sheet.png)", "", *_levels(report), ""]
+    for index, level in enumerate(report["levels"]):
+        if "comparison" in level:
+            lines += [*_views(index, level["comparison"]), ""]
+    if "relighting" in report:
+        lines += [*_relighting(report["relighting"]), "", *_forest(report["forest"]), ""]
+    stages = ", ".join(f"{stage} {seconds:.1f}" for stage, seconds in report["seconds"].items())
+    lines += [f"Seconds: {stages}. Peak memory: {report['peak_memory_mb']:,.0f} MB.", ""]
+    return "\n".join(lines)
+
+
+def _levels(report: dict[str, Any]) -> list[str]:
+    rows = [
+        "| level | error (scene units) | quads | texels | switch distance | mean SSIM | mean silhouette IoU |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for index, level in enumerate(report["levels"]):
+        comparison = level.get("comparison")
+        scores = f"{comparison['mean_ssim']:.3f} | {comparison['mean_alpha_iou']:.3f}" if comparison else "not compared | not compared"
+        distance = "never" if level["switch_distance"] is None else f"{level['switch_distance']:.4g}"
+        rows.append(f"| {index} | {level['error']:.4g} | {level['quads']:,} | {level['texels']:,} | {distance} | {scores} |")
+    return rows
+
+
+def _views(index: int, comparison: dict[str, Any]) -> list[str]:
+    rows = [f"Level {index}, view by view ({comparison['render_setup']}):", "", "| view from | SSIM | silhouette IoU |", "|---|---|---|"]
+    for view in comparison["views"]:
+        direction = ", ".join(f"{value:.2f}" for value in view["direction"])
+        rows.append(f"| {direction} | {view['ssim']:.3f} | {view['alpha_iou']:.3f} |")
+    return rows
+
+
+def _relighting(report: dict[str, Any]) -> list[str]:
+    hemisphere = "above the horizon" if report["upper_hemisphere"] else "in all directions"
+    ratio = report["raw_bytes"] / report["compressed_bytes"]
+    summary = (
+        f"Level {report['level']} with textures baked for {report['views']} views and {report['lights']} lights plus uniform lighting, "
+        f"{hemisphere}: {report['renders']:,} renders of {report['samples']} samples, {report['bare_render_seconds']:.1f} s in Cycles. "
+        f"{report['raw_bytes'] / 1e6:,.1f} MB compressed to {report['compressed_bytes'] / 1e6:,.2f} MB, {ratio:,.0f} to 1; "
+        f"{report['fit']['components']} components, {report['fit']['psnr']:.1f} dB, with render noise counted as error."
+    )
+    rows = [
+        "## Relightable",
+        "",
+        "![source, relightable cloud and others](relighting.png)",
+        "",
+        summary,
+        "",
+        f"Mean of {report['pairs']} held-out pairs of view and Sun direction; the impostor has as many bytes as the relightable textures:",
+        "",
+        "| | PSNR | SSIM | silhouette IoU |",
+        "|---|---|---|---|",
+    ]
+    for name, scores in report["scores"].items():
+        rows.append(f"| {name} | {scores['psnr']:.1f} | {scores['ssim']:.3f} | {scores['alpha_iou']:.3f} |")
+    stages = ", ".join(f"{stage} {seconds:.1f}" for stage, seconds in report["seconds"].items())
+    return [*rows, "", f"Seconds: {stages}."]
+
+
+def _forest(report: dict[str, Any]) -> list[str]:
+    hours = f"{report['hours'][0]} to {report['hours'][-1]}"
+    summary = f"{report['trees']:,} instances in forest.blend, animated from {hours}; rendered without Farfield."
+    return ["![a forest](forest.png)", "", summary]

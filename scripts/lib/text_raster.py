@@ -1,0 +1,51 @@
+"""Text as pixels. The outlines of Blender's own font are filled with NumPy, so that no font file and no other package is needed."""
+
+import bpy
+import numpy as np
+
+from lib import environment
+
+environment.import_farfield()
+
+from farfield.addon.bridge.mesh_arrays import read_loop_triangles, read_loop_vertices, read_positions
+
+SUPERSAMPLES = 4  # per axis
+FONT_SIZE_FRACTION = 0.72  # font size relative to the line height
+BASELINE_FRACTION = 0.28  # distance of the baseline from the lower edge relative to the line height
+
+
+def rasterize_text(text: str, height: int) -> np.ndarray:
+    """Return the ink coverage of each pixel of `text`: (height, W) float64 in 0..1, row 0 at the top, in Blender's own font."""
+    vertices, triangles = _text_outline(text)
+    scale = FONT_SIZE_FRACTION * height * SUPERSAMPLES
+    points = vertices * scale + [0.0, BASELINE_FRACTION * height * SUPERSAMPLES]
+    width = int(np.ceil(points[:, 0].max() / SUPERSAMPLES)) + 1 if len(points) else 1
+    samples = np.zeros((height * SUPERSAMPLES, width * SUPERSAMPLES), bool)
+    for corners in points[triangles]:
+        _fill_triangle(samples, corners)
+    return samples.reshape(height, SUPERSAMPLES, width, SUPERSAMPLES).mean(axis=(1, 3))[::-1]
+
+
+def _text_outline(text: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the filled outline of `text`: vertices (V, 2), in units of the font size from the baseline, and triangles (T, 3)."""
+    curve = bpy.data.curves.new("Farfield Label", "FONT")
+    curve.body = text
+    text_object = bpy.data.objects.new(curve.name, curve)
+    mesh = bpy.data.meshes.new_from_object(text_object)
+    try:
+        loops, _ = read_loop_triangles(mesh)
+        return read_positions(mesh)[:, :2].astype(np.float64), read_loop_vertices(mesh)[loops]
+    finally:
+        bpy.data.meshes.remove(mesh)
+        bpy.data.curves.remove(curve)
+
+
+def _fill_triangle(samples: np.ndarray, corners: np.ndarray) -> None:
+    """Set the `samples` (H, W) inside the triangle `corners` (3, 2) of x and y, for both windings."""
+    low = np.maximum(np.floor(corners.min(axis=0)).astype(int), 0)
+    high = np.minimum(np.ceil(corners.max(axis=0)).astype(int), [samples.shape[1], samples.shape[0]])
+    y, x = np.mgrid[low[1] : high[1], low[0] : high[0]] + 0.5
+    edges = np.roll(corners, -1, axis=0) - corners
+    signs = [edge[0] * (y - corner[1]) - edge[1] * (x - corner[0]) for corner, edge in zip(corners, edges, strict=True)]
+    inside = np.all([sign >= 0.0 for sign in signs], axis=0) | np.all([sign <= 0.0 for sign in signs], axis=0)
+    samples[low[1] : high[1], low[0] : high[0]] |= inside

@@ -1,0 +1,90 @@
+"""A session in a Blender window: creates a terrain, cancels once, follows the view, converts it to meshes, and undoes that."""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import bpy
+import mathutils
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not add the script's folder
+
+from session import UserInput, current_job, module, open_panel_alone, results, save_screenshot, scene_state, start_session, wait_for_job
+
+BUTTON = "farfield.clipbox_create"
+
+
+def terrain_names() -> list[str]:
+    """Return the names of the terrains of the scene."""
+    return [terrain.name for terrain in module("addon.bridge.clipbox.objects").scene_terrains(bpy.context.scene)]
+
+
+def session() -> Iterator[float]:
+    """Run the session; yields pauses in seconds."""
+    user = UserInput()
+    bpy.data.objects.remove(bpy.data.objects["Cube"])
+    settings = bpy.context.scene.farfield_clipbox
+    settings.resolution, settings.boxes = 128, 7
+    bpy.ops.ed.undo_push(message="Change Settings")
+    open_panel_alone("clipbox", "convert")
+    yield from user.open_sidebar()
+    view = user.area.spaces.active.region_3d
+    view.view_distance = 90.0
+    view.view_location = (0.0, 0.0, 20.0)
+    save_screenshot("1-panel")
+    results["before"] = scene_state()
+
+    x, y = yield from user.press_and_start(BUTTON)
+    yield from wait_for_job(until_fraction=0.1)
+    results["was_running"] = current_job() is not None
+    user.press("ESC", x, y)
+    yield from wait_for_job()
+    yield 0.5
+    results["cancelled"] = {"after": scene_state(), "terrains": terrain_names()}
+
+    settings.resolution = 96
+    bpy.ops.ed.undo_push(message="Reduce Resolution")
+    yield from user.press_and_start(BUTTON)
+    results["fractions"] = yield from wait_for_job()
+    yield 4.0
+    results["terrains"] = terrain_names()
+    terrain = module("addon.bridge.clipbox.objects").SceneTerrain(results["terrains"][0])
+    save_screenshot("2-created")
+
+    results["active"] = bpy.context.view_layer.objects.active.name
+    results["first_viewer"] = terrain.viewer.tolist()
+    x, y = yield from user.find_button("farfield.clipbox_follow_view")
+    user.press("LEFTMOUSE", x, y)
+    yield 1.0
+    following_module = module("addon.operators.clipbox.following")
+    results["followings"] = len(following_module.running())
+    (following,) = following_module.running()
+    for step in range(25):
+        view.view_location = mathutils.Vector((4.0 * (step + 1), 2.0 * (step + 1), 20.0))
+        yield 0.3
+    while not following.is_settled(terrain.viewer_position(view.view_matrix.inverted())):
+        yield 0.2
+    save_screenshot("3-followed")
+    results["moves"], results["longest_tick"] = following.moves, following.longest_tick
+    user.press("ESC", x, y)
+    yield 1.0
+    results["followings_after_esc"] = len(following_module.running())
+    results["last_viewer"] = terrain.viewer.tolist()
+    position = terrain.viewer_position(view.view_matrix.inverted())
+    results["distance_to_view"] = max(abs(a - b) for a, b in zip(position, terrain.viewer, strict=True))
+
+    bpy.context.scene.farfield_clipbox_convert.collider = False  # this Blender lacks the package that simplifies
+    bpy.ops.ed.undo_push(message="Disable Collider")
+    yield from user.press_and_start("farfield.clipbox_convert_to_mesh")
+    yield from wait_for_job()
+    yield 3.0
+    results["converted"] = sorted(item.name for item in bpy.data.objects if item.name.startswith("Ground"))
+    results["terrains_after_conversion"] = terrain_names()
+    save_screenshot("4-converted")
+    yield from user.press_undo()
+    yield 1.0
+    results["terrains_after_undo"] = terrain_names()
+    save_screenshot("5-undone")
+
+
+start_session(session)

@@ -1,0 +1,95 @@
+"""A worker runs while its run is alive, and no longer."""
+
+import os
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from farfield.addon.core.errors import FileError
+from farfield.addon.core.jobs import heartbeat
+from lib import environment
+
+CHILD = f"""
+import os, sys, time
+sys.path.insert(0, {str(environment.ROOT / "scripts")!r})
+from lib import environment
+environment.import_farfield()
+from pathlib import Path
+from farfield.addon.core.jobs import heartbeat
+heartbeat.watch(Path(sys.argv[1]), lambda: os._exit(3))
+Path(sys.argv[2]).touch()
+time.sleep(120)
+"""
+
+
+def watch_event(path) -> threading.Event:
+    """Return an event that is set once a watch of `path` in this process has ended."""
+    event = threading.Event()
+    heartbeat.watch(path, event.set)
+    return event
+
+
+def test_a_watch_ends_with_its_run(tmp_path):
+    with heartbeat.hold(tmp_path) as beat:
+        event = watch_event(beat.path)
+        assert not event.wait(3 * heartbeat.POLL_SECONDS)
+    assert event.wait(30.0)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_new_run_ends_the_previous_one(tmp_path):
+    with heartbeat.hold(tmp_path) as first:
+        event = watch_event(first.path)
+        with heartbeat.hold(tmp_path) as second:
+            assert event.wait(30.0)
+            with pytest.raises(FileError, match="Another run has started"):
+                first.renew()
+            second.renew()
+
+
+def test_a_run_without_heartbeat_times_out(tmp_path, monkeypatch):
+    monkeypatch.setattr(heartbeat, "TIMEOUT_SECONDS", 1.0)
+    with heartbeat.hold(tmp_path) as beat:
+        event = watch_event(beat.path)
+        for _ in range(8):
+            beat.renew()
+            assert not event.wait(0.25)
+        assert event.wait(30.0)
+
+
+def test_an_invalid_folder_is_named(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(FileError, match="file"), heartbeat.hold(tmp_path / "file"):
+        pass
+
+
+@pytest.mark.skipif(os.name == "nt", reason="On Windows a process does not notice the death of its parent; the heartbeat times out instead")
+def test_a_worker_ends_with_its_parent_process(tmp_path):
+    with heartbeat.hold(tmp_path) as beat:
+        ready = tmp_path / "ready"
+        parent = "import subprocess, sys, time; print(subprocess.Popen(sys.argv[1:]).pid, flush=True); time.sleep(120)"
+        command = [sys.executable, "-c", parent, sys.executable, "-c", CHILD, str(beat.path), str(ready)]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        child = int(process.stdout.readline())
+        started = time.monotonic()
+        while not ready.exists():
+            assert time.monotonic() - started < 60.0
+            time.sleep(0.02)
+        process.kill()
+        process.wait()
+        while _is_running(child):
+            assert time.monotonic() - started < 90.0, "the worker outlives its parent"
+            time.sleep(0.05)
+
+
+def _is_running(pid: int) -> bool:
+    """Return whether the process exists and has not ended."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    state = subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True, check=False).stdout
+    return bool(state) and not state.startswith("Z")

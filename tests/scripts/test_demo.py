@@ -1,0 +1,103 @@
+"""The demo writes its files, rejects invalid input, and its Markdown page agrees with its report."""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+
+import pytest
+
+from lib import environment
+from lib.demo_report import to_markdown
+
+CUBE = """v -1 -1 -1\nv 1 -1 -1\nv 1 1 -1\nv -1 1 -1\nv -1 -1 1\nv 1 -1 1\nv 1 1 1\nv -1 1 1
+f 1 4 3 2\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8
+"""
+
+
+def run_demo(*arguments) -> subprocess.CompletedProcess:
+    command = [sys.executable, str(environment.ROOT / "scripts" / "demo.py"), *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, encoding="utf-8", check=False)
+
+
+@pytest.mark.once
+@pytest.mark.slow
+def test_the_demo_writes_scenes_sheets_and_report(extension, tmp_path, monkeypatch):
+    import demo
+    from lib import command_line
+
+    bake = replace(demo.QUICK.relighting.bake, views_per_side=2, lights_per_side=2, executor="serial")
+    relighting = replace(demo.QUICK.relighting, bake=bake, frames=3)
+    preset = replace(demo.QUICK, samples=2, forest_width=64, forest_samples=1, relighting=relighting)
+    monkeypatch.setattr(demo, "QUICK", preset)
+    mesh = tmp_path / "würfel.obj"
+    mesh.write_text(CUBE, encoding="utf-8")
+    out = tmp_path / "out folder"
+    result = demo.main(["--quick", "--input", str(mesh), "--out", str(out)], command_line.ProgressLine())
+    assert "\n" not in result and "12 triangles as 6 quads" in result and str(out) in result
+    sheets = ["contact-sheet.png", "forest.png", "relighting.png"]
+    assert sorted(path.name for path in out.iterdir()) == sorted([*sheets, "demo.blend", "forest.blend", "report.json", "report.md"])
+    assert all((out / name).read_bytes().startswith(b"\x89PNG") for name in sheets)
+    report = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    assert report["source_triangles"] == 12
+    assert [level["quads"] for level in report["levels"]] == [6, 6, 6]
+    comparison = report["levels"][0]["comparison"]
+    assert len(comparison["views"]) == 6
+    assert comparison["mean_alpha_iou"] > 0.95
+    relighting = report["relighting"]
+    assert relighting["renders"] == relighting["views"] * (relighting["lights"] + 1)
+    assert not relighting["upper_hemisphere"], "the mesh of a user may be visible from below"
+    assert set(relighting["scores"]) == {"relightable", "PBR maps", "octahedral impostor"}
+    assert relighting["scores"]["relightable"]["alpha_iou"] > 0.8
+    assert report["forest"]["trees"] == 1000
+    assert "12 triangles as 6 quads" in (out / "report.md").read_text(encoding="utf-8")
+
+
+def test_a_missing_input_is_named_and_nothing_is_written(tmp_path):
+    pytest.importorskip("bpy")
+    outcome = run_demo("--quick", "--input", tmp_path / "none.obj", "--out", tmp_path / "out")
+    assert outcome.returncode == 2
+    assert "none.obj" in outcome.stderr
+    assert "Traceback" not in outcome.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_page_lists_every_level_and_view():
+    view = {"direction": [0.6, 0.0, 0.8], "ssim": 0.9, "alpha_iou": 0.95}
+    comparison = {"mean_ssim": 0.9, "mean_alpha_iou": 0.95, "render_setup": "one Sun light", "views": [view]}
+    fine = {"error": 0.01, "quads": 1234, "texels": 5678, "switch_distance": 12.5, "comparison": comparison}
+    coarse = {"error": 0.02, "quads": 99, "texels": 100, "switch_distance": None}
+    page = to_markdown("A ball", {"levels": [fine, coarse], "seconds": {"capture": 1.25}, "peak_memory_mb": 512.0})
+    assert page.startswith("# A ball\n")
+    assert "| 0 | 0.01 | 1,234 | 5,678 | 12.5 | 0.900 | 0.950 |" in page
+    assert "| 1 | 0.02 | 99 | 100 | never | not compared | not compared |" in page
+    assert "| 0.60, 0.00, 0.80 | 0.900 | 0.950 |" in page
+
+
+def test_the_page_describes_bake_and_comparison():
+    scores = {
+        "relightable": {"psnr": 27.25, "ssim": 0.91, "alpha_iou": 0.88},
+        "PBR maps": {"psnr": 24.0, "ssim": 0.85, "alpha_iou": 0.83},
+    }
+    relighting = {
+        "level": 1,
+        "views": 36,
+        "lights": 16,
+        "upper_hemisphere": True,
+        "samples": 4,
+        "renders": 612,
+        "bare_render_seconds": 61.5,
+        "raw_bytes": 400_000_000,
+        "compressed_bytes": 2_000_000,
+        "fit": {"components": 8, "rms": 0.01, "psnr": 24.5},
+        "pairs": 8,
+        "scores": scores,
+        "seconds": {"capture": 33.0},
+    }
+    forest = {"trees": 1000, "hours": ["morning", "noon", "evening"]}
+    page = to_markdown("A tree", {"levels": [], "seconds": {}, "peak_memory_mb": 1.0, "relighting": relighting, "forest": forest})
+    assert "36 views and 16 lights plus uniform lighting, above the horizon: 612 renders" in page
+    assert "400.0 MB compressed to 2.00 MB, 200 to 1" in page
+    assert "| relightable | 27.2 | 0.910 | 0.880 |" in page and "| PBR maps | 24.0 |" in page
+    assert "](relighting.png)" in page and "](forest.png)" in page
+    assert "1,000 instances in forest.blend, animated from morning to evening" in page

@@ -1,0 +1,15 @@
+"""Array helpers equal their definition."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from farfield.addon.core.arrays import concatenate_ranges
+
+
+@given(st.lists(st.tuples(st.integers(-50, 50), st.integers(0, 6))))
+def test_concatenated_ranges_are_the_ranges_in_order(ranges):
+    starts, counts = np.array([pair[0] for pair in ranges], int), np.array([pair[1] for pair in ranges], int)
+    expected = [value for start, count in ranges for value in range(start, start + count)]
+    assert concatenate_ranges(starts, counts).tolist() == expected
+    assert concatenate_ranges(7, counts).tolist() == [7 + value for count in counts for value in range(count)]

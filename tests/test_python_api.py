@@ -1,0 +1,45 @@
+"""The examples in docs/python-api.md run and do what the page says."""
+
+import re
+
+import pytest
+
+from lib import environment
+
+PAGE = (environment.ROOT / "docs" / "python-api.md").read_text(encoding="utf-8")
+EXAMPLES = dict(re.findall(r"```python\n# example: (\w+)\n(.*?)```", PAGE, re.DOTALL))
+
+
+def run(name: str) -> dict:
+    namespace = {}
+    exec(compile(EXAMPLES[name], f"python-api.md, {name}", "exec"), namespace)
+    return namespace
+
+
+def test_every_example_of_the_page_is_run_here():
+    assert PAGE.count("```python") == len(EXAMPLES)
+    assert set(EXAMPLES) == {"operators", "billboards", "unwrap", "progress"}
+
+
+def test_operators(empty_scene, capsys):
+    cloud = run("operators")["cloud"]
+    assert [level["farfield_level"] for level in cloud.objects] == [0, 1]
+    assert "Sphere Cloud L0" in capsys.readouterr().out
+
+
+def test_a_box_as_a_library_user_builds_it():
+    level = run("billboards")["cloud"].levels[0]
+    assert len(level.quads) == 6
+    assert level.error == pytest.approx(0.03)
+
+
+def test_unwrapping_a_bump():
+    result = run("unwrap")["result"]
+    assert result.corner_uvs.shape == (242, 3, 2)
+    assert result.metrics.flips == 0 and 1.0 <= result.metrics.l2 < 1.2
+
+
+def test_progress(capsys):
+    run("progress")
+    lines = capsys.readouterr().out.splitlines()
+    assert lines == ["0% Adding 0", "20% Adding 1", "40% Adding 2", "60% Adding 3", "80% Adding 4", "10"]
