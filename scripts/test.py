@@ -2,16 +2,21 @@
 
     python3 scripts/test.py [arguments of pytest]
 
-Test files run in parallel, one per core but at most four, since each process loads a Blender; `-n 0` runs them one after the other.
+Test files run in parallel, one per core but at most four, since each process loads a Blender; `-n 0` runs them one after the other. If
+Blender crashes in one of the processes, the test files that have no result are run once more, in a new process.
 
 The first run creates an environment, see lib/environment.py. FARFIELD_BPY=4.5, 5.0 or 5.2 selects the Blender to test with.
 """
 
+import json
 import os
 import platform
+import subprocess
 import sys
+import tempfile
+from pathlib import Path
 
-from lib import environment
+from lib import crash_recorder, environment
 
 environment.ensure(extra_modules=("pytest", "pytest_timeout", "xdist", "hypothesis"))
 
@@ -20,31 +25,29 @@ environment.ensure(extra_modules=("pytest", "pytest_timeout", "xdist", "hypothes
 PARALLEL_OPTIONS = ("-n", "auto", "--maxprocesses", "4", "--dist", "loadfile", "--no-loadscope-reorder", "--max-worker-restart", "0")
 
 
-class CrashRecorder:
-    """Records the tests in which a worker crashed."""
-
-    def __init__(self) -> None:
-        self.tests: list[str] = []
-
-    def pytest_handlecrashitem(self, crashitem: str) -> None:
-        """Record one test."""
-        self.tests.append(crashitem)
-
-
 def main() -> int:
     from importlib.metadata import version
 
     import pytest
 
     os.chdir(environment.ROOT)
+    variables = dict(os.environ)  # conftest.py changes them
     print(f"Farfield's tests with bpy {version('bpy')}, Python {platform.python_version()}, NumPy {version('numpy')}", flush=True)
-    arguments, crashes = [*PARALLEL_OPTIONS, *sys.argv[1:]], CrashRecorder()
-    code = pytest.main(arguments, plugins=[crashes])
-    if not crashes.tests:
+    recorder = crash_recorder.CrashRecorder()
+    code = pytest.main(["-p", "lib.rerun_selection", *PARALLEL_OPTIONS, *sys.argv[1:]], plugins=[recorder])
+    if not recorder.crashed or crash_recorder.SELECTION_VARIABLE in variables:
         return code
-    # Blender has crashed once for an unknown reason; a second run distinguishes this from a defect of Farfield.
-    print(f"\nWARNING: BLENDER CRASHED in {', '.join(crashes.tests)}. All tests are run again.", flush=True)
-    return pytest.main(arguments)
+    tests = recorder.tests_to_repeat()
+    print(f"\nWARNING: BLENDER CRASHED in {', '.join(recorder.crashed)}. {len(tests)} tests without a result are run again.", flush=True)
+    with tempfile.TemporaryDirectory(prefix="farfield-tests-", dir=variables.get("TMPDIR")) as folder:
+        selection = Path(folder) / "tests.json"
+        selection.write_text(json.dumps(tests), encoding="utf-8")
+        variables[crash_recorder.SELECTION_VARIABLE] = str(selection)
+        code = subprocess.run([sys.executable, __file__, *sys.argv[1:]], env=variables, check=False).returncode
+    if recorder.other_failures:
+        print(f"Before the crash these tests failed: {', '.join(sorted(recorder.other_failures))}", flush=True)
+        return code or 1
+    return code
 
 
 if __name__ == "__main__":

@@ -67,7 +67,12 @@ class RenderScene:
         return pixels
 
     def close(self) -> None:
-        """Remove all owned data and the folder."""
+        """Remove all owned data and the folder.
+
+        Persistent render data is freed first. Otherwise the render session and its dependency graph outlive the scene that they point
+        to, and the next change of any property, in any scene, may crash Blender.
+        """
+        self.scene.render.use_persistent_data = False
         bpy.data.batch_remove(list(reversed(self.owned)))
         shutil.rmtree(self.folder, ignore_errors=True)
 

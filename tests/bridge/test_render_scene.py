@@ -1,5 +1,7 @@
 """Renders equal the images that Blender reads from their files; incomplete files are rejected; no data is left behind."""
 
+import contextlib
+from pathlib import Path
 from types import SimpleNamespace
 
 import bpy
@@ -12,6 +14,7 @@ from farfield.addon.compat import enable_nodes
 from farfield.addon.core.errors import FileError
 
 WIDTH, HEIGHT = 23, 14
+THREADS = Path("/proc/self/task")
 
 
 def furnish(work: render_scene.RenderScene) -> None:
@@ -81,3 +84,22 @@ def test_a_render_that_was_not_written_is_not_the_previous_one(monkeypatch):
         monkeypatch.setattr(render_scene, "bpy", SimpleNamespace(ops=no_op, data=bpy.data))
         with pytest.raises(FileError, match="truncated"):
             work.render()
+
+
+@pytest.mark.skipif(not THREADS.exists(), reason="this system does not list the threads of a process")
+@pytest.mark.parametrize("fails", [False, True])
+def test_the_render_session_ends_with_its_scene(fails):
+    """A session that outlives its scene keeps a thread, and refers to freed memory."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with render_scene.render_scene("Test") as work:  # the first render starts threads that Blender keeps
+        furnish(work)
+        work.render()
+    before = len(list(THREADS.iterdir()))
+    with contextlib.suppress(ZeroDivisionError), render_scene.render_scene("Test") as work:
+        furnish(work)
+        work.scene.render.use_persistent_data = True
+        work.render()
+        during = len(list(THREADS.iterdir()))
+        if fails:
+            raise ZeroDivisionError
+    assert len(list(THREADS.iterdir())) <= before < during
