@@ -8,6 +8,11 @@ def eevee_engine() -> str:
     return "BLENDER_EEVEE" if bpy.app.version >= (5, 0, 0) else "BLENDER_EEVEE_NEXT"
 
 
+def blender_version() -> str:
+    """Return the version of Blender for reports, for instance `5.0.1`."""
+    return bpy.app.version_string
+
+
 def set_file_format(settings: bpy.types.ImageFormatSettings, file_format: str) -> None:
     """Set the file format of renders, for instance `PNG`, `OPEN_EXR` or `OPEN_EXR_MULTILAYER`.
 

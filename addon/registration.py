@@ -13,6 +13,7 @@ from .panels import clipbox as clipbox_panels
 from .panels import unwrap as unwrap_panels
 
 MODULES = (
+    long_work,
     documentation,
     billboards_operators,
     btf_operators,
@@ -34,7 +35,6 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Cancel a running job and unregister everything."""
-    long_work.cancel_current()
+    """Unregister everything; a running job is cancelled."""
     for module in reversed(MODULES):
         module.unregister()

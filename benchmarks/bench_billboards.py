@@ -31,13 +31,12 @@ from farfield.addon.core.billboards.build import build_cloud
 from farfield.addon.core.billboards.cloud import Cloud
 from farfield.addon.core.billboards.clustering.hierarchy import ClusterBounds, merge_in_rounds
 from farfield.addon.core.billboards.primitives import from_mesh
-from farfield.addon.core.billboards.settings import BillboardSettings
+from farfield.addon.core.billboards.settings import BillboardSettings, BuildOptions
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.geometry.mesh import TriangleMesh, longest_side
 from farfield.addon.core.geometry.proximity import neighbor_pairs
 from farfield.addon.core.jobs.progress import Progress, run_to_end
-from farfield.addon.operators.billboards.job import BuildOptions
-from farfield.addon.operators.long_work import run_job
+from farfield.addon.operators.job_run import run_job
 from lib import command_line, scene_files
 from lib.comparison import compare_cloud, draw_comparison_sheet
 from lib.contact_sheet import write_png
@@ -147,7 +146,7 @@ def measure_images(sheets: Path | None) -> dict[str, Any]:
     for path in (HEAD, TREE):
         scene_files.open_scene(path)
         options = BuildOptions(combine_selected=True, keep_source_visible=True)
-        job = billboards.prepare_input(BillboardSettings(error=0.01, levels=1), options)
+        job = billboards.prepare_input(path, BillboardSettings(error=0.01, levels=1), options)
         run_to_end(run_job(job))
         cloud = billboards.read_built_clouds(job)[0]
         comparison = run_to_end(compare_cloud(cloud.sources, cloud.levels[0]))

@@ -2,7 +2,7 @@
 [--sheets DIR] [--report R.json]`.
 
 Prints JSON. Parts: `images` (scores relative to the source, also of PBR maps, an octahedral impostor of the same size in bytes, and a
-decimated mesh with the same index of triangles, at the switch distance and half of it; compression, also with Local PCA), `time` (bakes
+decimated mesh with the same number of triangles, at the switch distance and half of it; compression, also with Local PCA), `time` (bakes
 relative to Cycles alone, and executors), `memory` (60,000 texels, 4,160 renders), `noise` (effect of the compression on the noise of few
 samples), `eevee` (relative to Cycles, for the result of `images`). The meshes are in ../shared/data beside the project, except for the tree
 of the demo. FLIP needs the environment of scripts/reference_tools.py. With --work a cancelled run resumes.
@@ -45,7 +45,7 @@ def build_parser() -> command_line.Parser:
         "--work", type=Path, help="folder for clouds and finished views, so that a cancelled run can resume (default: none)"
     )
     parser.add_argument("--sheets", type=Path, help="folder for contact sheets")
-    parser.add_argument("--report", type=Path, help="write the figures to this JSON file")
+    parser.add_argument("--report", type=Path, help="write the measurements to this JSON file")
     parser.add_argument("--no-lpca", dest="lpca", action="store_false", help="skip Local PCA, which takes longest to compress")
     parser.add_argument("--error", default="2%", help="error of the clouds (default: 2%%)")
     parser.add_argument("--sizes", nargs="+", choices=list(SIZES), default=list(SIZES), help="sizes of the compared renders (default: all)")
@@ -64,7 +64,7 @@ def build_parser() -> command_line.Parser:
 
 
 def main(arguments: list[str], line: command_line.ProgressLine) -> str:
-    """Run the benchmark and return its figures as JSON; raises FarfieldError if a mesh is missing or a bake fails."""
+    """Run the benchmark and return its measurements as JSON; raises FarfieldError if a mesh is missing or a bake fails."""
     values = vars(build_parser().parse_args(arguments))
     parts, report, work = values.pop("only"), values.pop("report"), values.pop("work")
     figures = {}

@@ -34,7 +34,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> None:
     """Render, compare and report."""
     parser = command_line.Parser(prog="bench_btf_eevee.py", description="Compare EEVEE with Cycles on a relightable cloud.")
     parser.add_argument("input", type=Path, help="a .blend file with a relightable cloud")
-    parser.add_argument("--report", type=Path, required=True, help="a JSON file for the figures")
+    parser.add_argument("--report", type=Path, required=True, help="a JSON file for the measurements")
     parser.add_argument("--upper-hemisphere", action="store_true", help="only views and Suns above the horizon")
     parser.add_argument("--pairs", type=int, default=6, help="held-out pairs of view and Sun (default: 6)")
     parser.add_argument("--samples", type=int, default=64, help="samples per pixel of both engines (default: 64)")

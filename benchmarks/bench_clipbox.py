@@ -36,7 +36,7 @@ from farfield.addon.core.clipbox.terrains.grids import Grid
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.operators.clipbox.following import Following
 from farfield.addon.operators.clipbox.job import prepare
-from farfield.addon.operators.long_work import run_job
+from farfield.addon.operators.job_run import run_job
 from lib import command_line
 
 START = np.array([0.0, 0.0, 40.0])
@@ -54,7 +54,7 @@ def build_parser() -> command_line.Parser:
 
 
 def main(arguments: list[str], _line: command_line.ProgressLine) -> str:
-    """Measure and return the figures as JSON; raises FarfieldError if the input is invalid."""
+    """Measure and return the results as JSON; raises FarfieldError if the input is invalid."""
     return benchmark_cli.run_parts(build_parser().parse_args(arguments), PARTS)
 
 

@@ -63,7 +63,7 @@ def build_parser() -> command_line.Parser:
 
 
 def main(arguments: list[str], _line: command_line.ProgressLine) -> str:
-    """Measure and return the figures as JSON; raises FarfieldError if the input is invalid."""
+    """Measure and return the results as JSON; raises FarfieldError if the input is invalid."""
     return benchmark_cli.run_parts(build_parser().parse_args(arguments), PARTS)
 
 

@@ -16,12 +16,12 @@ def build_parser(prog: str, doc: str, parts: BenchmarkParts) -> command_line.Par
     """Build a parser with flags that select `parts` and name a report; `doc` is the docstring of the benchmark."""
     parser = command_line.Parser(prog=prog, description=doc.split("\n")[0], formatter_class=ArgumentDefaultsHelpFormatter)
     parser.add_argument("--only", nargs="+", choices=list(parts), default=list(parts), help="parts to measure")
-    parser.add_argument("--report", type=Path, help="a JSON file for the figures")
+    parser.add_argument("--report", type=Path, help="a JSON file for the measurements")
     return parser
 
 
 def run_parts(given: Namespace, parts: BenchmarkParts) -> str:
-    """Measure the selected parts, write the report, and return all figures as JSON."""
+    """Measure the selected parts, write the report, and return all measurements as JSON."""
     figures = {}
     for part in given.only:
         figures[part] = parts[part](given)

@@ -21,7 +21,7 @@ from dask_farm import DaskFarm
 
 PROCESSES = 2
 TWO_PROCESSES = f"processes:{PROCESSES}"
-EXECUTORS = {"serial": 1, TWO_PROCESSES: PROCESSES, "dask": PROCESSES}  # index of simultaneous workers
+EXECUTORS = {"serial": 1, TWO_PROCESSES: PROCESSES, "dask": PROCESSES}  # number of simultaneous workers
 MEMORY_MODEL, MEMORY_ERROR = "leafy_tree", 0.03
 MEMORY_TEXELS, MEMORY_SIDE = 60_000, 8  # 64 views x (64 lights and a dome)
 

@@ -90,7 +90,7 @@ def _summarize_bake(report: dict[str, Any]) -> dict[str, Any]:
 def _open_candidates(
     cloud: BenchmarkCloud, reports: dict[str, dict[str, Any]], options: BenchmarkOptions, skipped: list[str]
 ) -> Iterator[tuple[SceneCloud, list[Candidate]]]:
-    """Open the file with the relightable cloud, and add everything that it is comparison with to its scene."""
+    """Open the file with the relightable cloud, and add everything that it is compared with to its scene."""
     scene_files.open_scene(cloud.path.with_name(RELIGHTABLE))
     scene_cloud = clouds_in(bpy.context.scene)[0]
     level = scene_cloud.levels[0]

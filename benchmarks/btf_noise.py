@@ -13,7 +13,7 @@ from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.jobs.progress import Progress, Steps, run_to_end
 from lib import scene_files
 
-REFERENCE_SAMPLE_FACTOR = 32  # so many times more samples have almost no noise
+REFERENCE_SAMPLE_FACTOR = 32  # with this many times the samples there is almost no noise
 DIRECTIONS_PER_SIDE = 5  # of views and lights: enough to separate noise from colors
 
 

@@ -36,7 +36,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     parser.add_argument("--views", type=int, default=12, help="number of held-out views (default: 12)")
     parser.add_argument("--samples", type=int, default=64, help="Cycles samples per pixel (default: 64)")
     parser.add_argument("--sheet", type=Path, help="a PNG file for the contact sheet")
-    parser.add_argument("--report", type=Path, help="a JSON file for the figures")
+    parser.add_argument("--report", type=Path, help="a JSON file for the measurements")
     given = parser.parse_args(arguments)
     scene_files.open_scene(given.input.absolute())
     cloud = select_cloud(given.input.name, given.level)

@@ -31,12 +31,11 @@ from figures.unwrap_comparison import unwrap_copies
 import billboards
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
 from farfield.addon.bridge.images import read_pixels
-from farfield.addon.core.billboards.settings import BillboardSettings
+from farfield.addon.core.billboards.settings import BillboardSettings, BuildOptions
 from farfield.addon.core.errors import FarfieldError
 from farfield.addon.core.imaging import metrics
 from farfield.addon.core.jobs.progress import Progress, run_to_end
-from farfield.addon.operators.billboards.job import BuildOptions
-from farfield.addon.operators.long_work import run_job
+from farfield.addon.operators.job_run import run_job
 from lib import command_line, scene_files
 from lib.atomic_output import atomic_file
 from lib.contact_sheet import PAPER_GRAY, draw_contact_sheet, enlarge, write_png
@@ -144,7 +143,7 @@ def unwrap(_scene: Path, path: Path, samples: int) -> None:
 def build_monkey_cloud(error: float, roughness: float = 0.45) -> tuple[SceneCloud, int]:
     """Build the cloud of a monkey of clay in a new scene. Returns it and the number of triangles of its source."""
     create_closed_monkey().data.materials.append(create_clay_material(roughness))
-    job = billboards.prepare_input(BillboardSettings(levels=1, error=error, samples=32), BuildOptions(keep_source_visible=True))
+    job = billboards.prepare_input(None, BillboardSettings(levels=1, error=error, samples=32), BuildOptions(keep_source_visible=True))
     run_to_end(run_job(job))
     return billboards.read_built_clouds(job)[0], job.built_clouds[0][1].source_triangles
 

@@ -25,7 +25,7 @@ def find_settings() -> dict[str, type[Settings]]:
     """Return the settings classes in `core/<tool>/settings.py` by table name.
 
     The table of the settings class that is named after the tool has the name of the tool; the names of others have a suffix:
-    `clipbox` for `ClipboxSettings`, `clipbox_convert` for `ConvertSettings`.
+    `clipbox` for `ClipboxSettings`, `clipbox_convert` for `ConvertSettings`, `billboards_build` for `BuildOptions`.
     """
     tables = {}
     for path in sorted((environment.ROOT / "addon" / "core").glob("*/settings.py")):
@@ -33,7 +33,7 @@ def find_settings() -> dict[str, type[Settings]]:
         module = importlib.import_module(f"farfield.addon.core.{tool}.settings")
         for name, item in vars(module).items():
             if isinstance(item, type) and issubclass(item, Settings) and item is not Settings:
-                subject = name.removesuffix("Settings").lower()
+                subject = name.removesuffix("Settings").removesuffix("Options").lower()
                 tables[tool if tool.startswith(subject) else f"{tool}_{subject}"] = item
     return tables
 

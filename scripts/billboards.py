@@ -19,18 +19,20 @@ environment.import_farfield()
 
 import bpy
 
-from farfield.addon.bridge.billboards.exports import write_glb, write_obj
+from farfield.addon.bridge.billboards.exports import material_path, write_glb, write_obj
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, read_cloud
 from farfield.addon.bridge.cameras import read_scene_camera
 from farfield.addon.core.billboards.cloud import Level
-from farfield.addon.core.billboards.settings import BillboardSettings, CrossfadeSettings
+from farfield.addon.core.billboards.settings import BillboardSettings, BuildOptions, CrossfadeSettings
 from farfield.addon.core.errors import FileError, GeometryError
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
 from farfield.addon.core.settings import add_flags, describe, from_flags
-from farfield.addon.operators.billboards.job import BillboardJob, BuildOptions, may_have_surface, prepare_job
-from farfield.addon.operators.long_work import run_job
+from farfield.addon.operators.billboards.job import BillboardJob, prepare_job
+from farfield.addon.operators.billboards.sources import may_have_surface
+from farfield.addon.operators.job_run import run_job
 from lib import command_line, scene_files
-from lib.atomic_output import atomic_folder, check_writable, suppress_operator_tracebacks
+from lib.atomic_output import atomic_folder, check_outputs
+from lib.script_stdout import mute_stderr
 
 EXTENSIONS = (".blend", ".obj", ".glb")
 
@@ -38,9 +40,11 @@ EXTENSIONS = (".blend", ".obj", ".glb")
 def build_parser() -> command_line.Parser:
     """Return the parser of all arguments of the script."""
     parser = command_line.Parser(prog="billboards.py", description="Build a billboard cloud: a few textured quads that replace a mesh.")
-    parser.add_argument("input", type=Path, help="a .blend .obj .ply .stl .glb .gltf .fbx or .usd file; a .ply may be a point cloud")
-    parser.add_argument("--out", type=Path, required=True, help="the file to write: .blend, .obj or .glb")
-    parser.add_argument("--report", type=Path, help="write the figures of the run to this JSON file")
+    parser.add_argument(
+        "input", type=command_line.parse_path, help="a .blend .obj .ply .stl .glb .gltf .fbx or .usd file; a .ply may be a point cloud"
+    )
+    parser.add_argument("--out", type=command_line.parse_path, required=True, help="the file to write: .blend, .obj or .glb")
+    parser.add_argument("--report", type=command_line.parse_path, help="write a report of the run to this JSON file")
     add_flags(parser, BillboardSettings)
     keep = next(item for item in describe(BuildOptions) if item.name == "keep_source_visible")
     parser.add_argument(keep.flag, action="store_true", help=keep.help)
@@ -58,13 +62,15 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
         raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(EXTENSIONS)}.')
     if given.cross_fade and out.suffix.lower() != ".blend":
         raise FileError(f'--cross-fade needs shader nodes, which "{given.out}" cannot store; --out must end in .blend.')
-    check_writable(out, given.report)
+    materials = material_path(out) if out.suffix.lower() == ".obj" else None
+    check_outputs({"--out": out, "the materials of --out": materials}, {"the input": given.input}, given.report)
     clock = StageClock()
     with clock.stage("read"):
         scene_files.open_scene(given.input.absolute())
         if given.cross_fade and read_scene_camera(bpy.context.scene) is None:
             raise GeometryError("--cross-fade needs an active camera, and the file has none; add a camera, or omit --cross-fade.")
-        job = prepare_input(settings, BuildOptions(combine_selected=True, keep_source_visible=given.keep_source_visible))
+        options = BuildOptions(combine_selected=True, keep_source_visible=given.keep_source_visible)
+        job = prepare_input(given.input, settings, options)
     for reason in job.skipped:
         print(f"Skipped: {reason}.", file=sys.stderr)
     summary = run_to_end(run_job(job), line.show)
@@ -78,11 +84,10 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     return summary
 
 
-def prepare_input(settings: BillboardSettings, options: BuildOptions) -> BillboardJob:
-    """Return the job for all objects of the open scene that are visible in renders."""
+def prepare_input(path: Path | None, settings: BillboardSettings, options: BuildOptions) -> BillboardJob:
+    """Return the job for all objects of the open scene, read from `path` if it is given, that are visible in renders."""
     candidates = [item for item in bpy.context.scene.objects if may_have_surface(item)]
-    visible = [item for item in candidates if not item.hide_render]
-    job = prepare_job(bpy.context, visible, settings, options)
+    job = prepare_job(bpy.context, scene_files.objects_in_renders(candidates, path), settings, options)
     job.skipped.extend(f"{item.name} (disabled in renders)" for item in candidates if item.hide_render)
     return job
 
@@ -94,7 +99,7 @@ def write_output(out: Path, job: BillboardJob) -> None:
         scene_files.save_scene(out)
         return
     levels = [level for cloud in read_built_clouds(job) for level in cloud.levels]
-    with atomic_folder(out.parent) as folder, suppress_operator_tracebacks():
+    with atomic_folder(out.parent) as folder, mute_stderr():  # the exporter prints the tracebacks of errors that it also raises
         if extension == ".obj":
             write_obj(levels, folder / out.name)
         else:
@@ -107,7 +112,7 @@ def read_built_clouds(job: BillboardJob) -> list[SceneCloud]:
 
 
 def build_report(job: BillboardJob, clock: StageClock) -> dict[str, Any]:
-    """Return the figures of the run; several clouds are summed per level. Lengths are in scene units."""
+    """Return the report of the run; several clouds are summed per level. Lengths are in scene units."""
     clouds = [cloud for _, cloud in job.built_clouds]
     level_objects = [cloud.levels for cloud in read_built_clouds(job)]
     levels = [
@@ -134,7 +139,7 @@ def build_report(job: BillboardJob, clock: StageClock) -> dict[str, Any]:
 
 
 def build_level_report(levels: list[Level], objects: list[bpy.types.Object]) -> dict[str, Any]:
-    """Return the figures of one level of all clouds. switch_distance is null for an orthographic camera that always shows the error."""
+    """Return the report of one level of all clouds. switch_distance is null for an orthographic camera that always shows the error."""
     distance = max(item["farfield_switch_distance"] for item in objects)
     return {
         "error": max(level.error for level in levels),

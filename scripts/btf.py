@@ -23,13 +23,16 @@ from farfield.addon.bridge.billboards.scene_clouds import clouds_in
 from farfield.addon.bridge.btf.clouds import link_suns
 from farfield.addon.core.btf.settings import BtfSettings, ExportSettings
 from farfield.addon.core.errors import FileError, GeometryError
+from farfield.addon.core.files.file_access import is_same_file
+from farfield.addon.core.files.filenames import unique_filenames
+from farfield.addon.core.files.user_folders import check_owner
 from farfield.addon.core.jobs.progress import StageClock, run_to_end, subprogress
 from farfield.addon.core.settings import add_flags, from_flags
 from farfield.addon.operators.btf import export_job
 from farfield.addon.operators.btf.job import BakeJob, prepare_bake
-from farfield.addon.operators.long_work import run_job
+from farfield.addon.operators.job_run import run_job
 from lib import command_line, scene_files
-from lib.atomic_output import check_writable
+from lib.atomic_output import atomic_file, check_outputs
 from lib.contact_sheet import write_png
 from lib.line_chart import draw_line_chart
 
@@ -37,17 +40,19 @@ from lib.line_chart import draw_line_chart
 def build_parser() -> command_line.Parser:
     """Return the parser of all arguments of the script."""
     parser = command_line.Parser(prog="btf.py", description="Bake relightable textures for billboard clouds with Cycles.")
-    parser.add_argument("input", type=Path, help="a .blend file with source objects and their cloud")
-    parser.add_argument("--out", type=Path, required=True, help="the .blend file to write")
-    parser.add_argument("--work", type=Path, help="folder for finished views, so that a cancelled bake can resume (default: none)")
+    parser.add_argument("input", type=command_line.parse_path, help="a .blend file with source objects and their cloud")
+    parser.add_argument("--out", type=command_line.parse_path, required=True, help="the .blend file to write")
+    parser.add_argument(
+        "--work", type=command_line.parse_path, help="folder for finished views, so that a cancelled bake can resume (default: none)"
+    )
     parser.add_argument(
         "--sun", default="Sun", help="name of the Sun light that lights the result; created if it is missing (default: Sun)"
     )
-    parser.add_argument("--report", type=Path, help="write the figures of the run to this JSON file")
-    parser.add_argument("--curve", type=Path, help="write a chart of the PSNR by number of components to this PNG file")
+    parser.add_argument("--report", type=command_line.parse_path, help="write a report of the run to this JSON file")
+    parser.add_argument("--curve", type=command_line.parse_path, help="write a chart of the PSNR by number of components to this PNG file")
     parser.add_argument(
         "--export",
-        type=Path,
+        type=command_line.parse_path,
         action="append",
         default=[],
         metavar="PATH",
@@ -66,10 +71,9 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     out = options.out.absolute()
     if out.suffix.lower() != ".blend":
         raise FileError(f'--out is "{options.out}"; it must end in .blend.')
-    check_writable(out, options.report, options.curve)
     export_paths = [path.absolute() for path in options.export]
-    for path in export_paths:
-        export_job.check_target(path)
+    check_outputs({"--out": out, "--curve": options.curve}, {"the input": options.input}, options.report)
+    check_exports(export_paths, [out, options.curve, options.report, options.input])
     clock = StageClock()
     with clock.stage("read"):
         scene_files.open_scene(options.input.absolute())
@@ -90,10 +94,24 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
             run_to_end(run_job(export_job.prepare_export(levels, path, export_settings)), line.show)
             line.clear()
     if options.curve is not None:
-        write_png(options.curve.absolute(), draw_curve(jobs))
+        with atomic_file(options.curve.absolute()) as temporary:
+            write_png(temporary, draw_curve(jobs))
     if options.report is not None:
         command_line.write_report(options.report.absolute(), build_report(jobs, clock))
     return " ".join(summaries)
+
+
+def check_exports(paths: list[Path], others: list[Path | None]) -> None:
+    """Check that every export can be written, and that none replaces another one or one of the `others`.
+
+    Raises:
+        FileError: it cannot, or would.
+    """
+    for index, path in enumerate(paths):
+        export_job.check_target(path)
+        for other in (*paths[:index], *others):
+            if other is not None and is_same_file(path, other):
+                raise FileError(f'--export is "{path}", which this run reads or writes already; choose another path.')
 
 
 def prepare_jobs(settings: BtfSettings, work_folder: Path | None) -> list[BakeJob]:
@@ -101,7 +119,10 @@ def prepare_jobs(settings: BtfSettings, work_folder: Path | None) -> list[BakeJo
     clouds = clouds_in(bpy.context.scene)
     if not clouds:
         raise GeometryError("The file contains no billboard cloud; build one with scripts/billboards.py.")
-    folders = [None if work_folder is None else work_folder / cloud.collection.name for cloud in clouds]
+    if work_folder is not None and work_folder.exists():
+        check_owner(work_folder)
+    names = unique_filenames([cloud.collection.name for cloud in clouds])
+    folders = [None if work_folder is None else work_folder / name for name in names]
     return [
         prepare_bake(bpy.context, cloud, settings, folder, keep_finished_views=True) for cloud, folder in zip(clouds, folders, strict=True)
     ]
@@ -146,7 +167,7 @@ def draw_curve(jobs: list[BakeJob]) -> np.ndarray:
 
 
 def build_report(jobs: list[BakeJob], clock: StageClock) -> dict[str, Any]:
-    """Return the figures of the run for all levels of all clouds."""
+    """Return the report of the run for all levels of all clouds."""
     seconds = dict(clock.seconds)
     for job in jobs:
         for stage, duration in job.clock.seconds.items():

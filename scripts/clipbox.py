@@ -9,6 +9,7 @@ other; the output is the terrain at the last one. `blender --background --python
 import csv
 import sys
 from argparse import Namespace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ import bpy
 import numpy as np
 
 from farfield.addon.core.clipbox.engine import TerrainEngine, Update, check_viewer, weld
+from farfield.addon.core.clipbox.files.readers import check_path
 from farfield.addon.core.clipbox.layout import choose_origin
 from farfield.addon.core.clipbox.mesh_export import write_obj, write_ply
 from farfield.addon.core.clipbox.settings import ClipboxSettings, ConvertSettings
@@ -31,9 +33,9 @@ from farfield.addon.core.jobs.progress import Progress, StageClock, Steps, run_t
 from farfield.addon.core.settings import add_flags, describe, from_flags
 from farfield.addon.operators.clipbox import convert_to_mesh, engines, following
 from farfield.addon.operators.clipbox.job import prepare
-from farfield.addon.operators.long_work import run_job
+from farfield.addon.operators.job_run import run_job
 from lib import command_line, scene_files
-from lib.atomic_output import atomic_file, check_writable
+from lib.atomic_output import atomic_file, check_outputs
 
 EXTENSIONS = (".blend", ".ply", ".obj")
 
@@ -42,9 +44,9 @@ def build_parser() -> command_line.Parser:
     """Return the parser of all arguments of the script."""
     parser = command_line.Parser(prog="clipbox.py", description="Create unbounded volumetric terrain in nested boxes around a viewer.")
     parser.add_argument("--at", default="0,0,60", help="position of the viewer, x,y,z in scene units (default: 0,0,60)")
-    parser.add_argument("--path", type=Path, help="a .csv file with further positions of the viewer, x,y,z per line")
-    parser.add_argument("--out", type=Path, required=True, help="the file to write: .blend, .ply or .obj")
-    parser.add_argument("--report", type=Path, help="write the figures of the run to this JSON file")
+    parser.add_argument("--path", type=command_line.parse_path, help="a .csv file with further positions of the viewer, x,y,z per line")
+    parser.add_argument("--out", type=command_line.parse_path, required=True, help="the file to write: .blend, .ply or .obj")
+    parser.add_argument("--report", type=command_line.parse_path, help="write a report of the run to this JSON file")
     add_flags(parser, ClipboxSettings)
     parser.add_argument("--convert-to-mesh", action="store_true", help="for a .blend: write regular meshes that do not need Farfield")
     add_flags(parser.add_argument_group("with --convert-to-mesh"), ConvertSettings)
@@ -56,13 +58,14 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     given = build_parser().parse_args(arguments)
     if given.formula is not None and given.terrain is None:
         given.terrain = "formula"
-    settings, convert_settings = from_flags(ClipboxSettings, given), read_convert_settings(given)
+    settings, convert_settings = make_sources_absolute(from_flags(ClipboxSettings, given)), read_convert_settings(given)
     out = given.out.absolute()
     if out.suffix.lower() not in EXTENSIONS:
         raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(EXTENSIONS)}.')
     if convert_settings is not None and out.suffix.lower() != ".blend":
         raise FileError(f'--out is "{given.out}"; with --convert-to-mesh it must end in .blend.')
-    check_writable(out, given.report)
+    sources = {"--source": settings.source, "--source-color": settings.source_color}
+    check_outputs({"--out": out}, {"--path": given.path} | {flag: Path(text) for flag, text in sources.items() if text}, given.report)
     positions = [parse_position(given.at), *(read_path(given.path.absolute()) if given.path is not None else [])]
     for position in positions:
         check_viewer(position, settings.voxel_size)
@@ -77,6 +80,18 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     if given.report is not None:
         command_line.write_report(given.report.absolute(), build_report(engine, clock))
     return f'"{out.name}": {sum(box["triangles"] for box in engine.statistics()):,} triangles in {settings.boxes} boxes.'
+
+
+def make_sources_absolute(settings: ClipboxSettings) -> ClipboxSettings:
+    """Return `settings` with absolute paths, so that the terrain of a .blend finds its files wherever Blender is started.
+
+    Raises:
+        FileError: a path begins with "//", which means that it is relative to a .blend file.
+    """
+    for path in (settings.source, settings.source_color):
+        check_path(path)
+    absolute = {name: str(Path(path).absolute()) for name in ("source", "source_color") if (path := getattr(settings, name))}
+    return replace(settings, **absolute)
 
 
 def read_convert_settings(given: Namespace) -> ConvertSettings | None:
@@ -188,7 +203,7 @@ def write_output(out: Path, engine: TerrainEngine, origin: np.ndarray) -> None:
 
 
 def build_report(engine: TerrainEngine, clock: StageClock) -> dict[str, Any]:
-    """Return the figures of the run."""
+    """Return the report of the run."""
     boxes = engine.statistics()
     computed, reused = (sum(box[name] for box in boxes) for name in ("computed", "reused"))
     return {

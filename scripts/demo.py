@@ -23,12 +23,11 @@ import numpy as np
 
 import billboards
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud
-from farfield.addon.core.billboards.settings import BillboardSettings
+from farfield.addon.core.billboards.settings import BillboardSettings, BuildOptions
 from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.geometry.directions import held_out_views
 from farfield.addon.core.jobs.progress import StageClock, run_to_end, subprogress
-from farfield.addon.operators.billboards.job import BuildOptions
-from farfield.addon.operators.long_work import run_job
+from farfield.addon.operators.job_run import run_job
 from lib import command_line, scene_files
 from lib.atomic_output import atomic_folder, check_writable
 from lib.comparison import Comparison, compare_cloud, draw_comparison_sheet
@@ -117,7 +116,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     with clock.stage("scene"):
         prepare_scene(given.input, preset)
     settings = BillboardSettings(error=preset.error, levels=LEVEL_COUNT, samples=preset.capture_samples)
-    job = billboards.prepare_input(settings, BuildOptions(combine_selected=True, keep_source_visible=True))
+    job = billboards.prepare_input(given.input, settings, BuildOptions(combine_selected=True, keep_source_visible=True))
     run_to_end(subprogress(run_job(job), 0.0, BUILD_END), line.show)
     cloud = billboards.read_built_clouds(job)[0]
     with clock.stage("compare"):

@@ -25,10 +25,11 @@ from farfield.addon.core.errors import FileError
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
 from farfield.addon.core.settings import add_flags, from_flags
 from farfield.addon.core.unwrap.settings import UnwrapSettings
-from farfield.addon.operators.long_work import run_job
+from farfield.addon.operators.job_run import run_job
 from farfield.addon.operators.unwrap.job import UnwrapJob, prepare
 from lib import command_line, scene_files
-from lib.atomic_output import atomic_file, atomic_folder, check_writable, suppress_operator_tracebacks
+from lib.atomic_output import atomic_file, check_outputs
+from lib.script_stdout import mute_stderr
 
 EXTENSIONS = (".blend", ".obj", ".glb")
 STRETCH_IMAGE_RESOLUTION = 2048  # pixels per side
@@ -39,10 +40,12 @@ def build_parser() -> command_line.Parser:
     parser = command_line.Parser(
         prog="unwrap.py", description="Create low-stretch UV maps with more texels in important areas for the meshes of a file."
     )
-    parser.add_argument("input", type=Path, help="a .blend .obj .ply .stl .glb .gltf .fbx or .usd file")
-    parser.add_argument("--out", type=Path, required=True, help="the file to write: .blend, .obj or .glb")
-    parser.add_argument("--report", type=Path, help="write the figures of the run to this JSON file")
-    parser.add_argument("--image", type=Path, help="write the UV map of the first mesh, colored by stretch, to this PNG file")
+    parser.add_argument("input", type=command_line.parse_path, help="a .blend .obj .ply .stl .glb .gltf .fbx or .usd file")
+    parser.add_argument("--out", type=command_line.parse_path, required=True, help="the file to write: .blend, .obj or .glb")
+    parser.add_argument("--report", type=command_line.parse_path, help="write a report of the run to this JSON file")
+    parser.add_argument(
+        "--image", type=command_line.parse_path, help="write the UV map of the first mesh, colored by stretch, to this PNG file"
+    )
     add_flags(parser, UnwrapSettings)
     return parser
 
@@ -58,10 +61,11 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
         raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(EXTENSIONS)}.')
     if given.image is not None and given.image.suffix.lower() != ".png":
         raise FileError(f'--image is "{given.image}"; it must end in .png.')
-    check_writable(out, given.report, given.image)
+    check_outputs({"--out": out, "--image": given.image}, {"the input": given.input}, given.report)
     clock = StageClock()
     with clock.stage("read"):
         scene_files.open_scene(given.input.absolute())
+        scene_files.objects_in_renders([item for item in bpy.context.scene.objects if item.type == "MESH"], given.input)
         job = prepare(bpy.context, [item for item in bpy.context.scene.objects if not item.hide_render], settings)
     for reason in job.skipped:
         print(f"Skipped: {reason}.", file=sys.stderr)
@@ -84,15 +88,15 @@ def write_output(out: Path) -> None:
     if extension == ".blend":
         scene_files.save_scene(out)
         return
-    with atomic_folder(out.parent) as folder, suppress_operator_tracebacks():
+    with atomic_file(out) as temporary, mute_stderr():  # the exporters print the tracebacks of errors that they also raise
         if extension == ".obj":
-            bpy.ops.wm.obj_export(filepath=str(folder / out.name), export_materials=False, export_normals=False, apply_modifiers=False)
+            scene_files.save_obj(temporary)
         else:
-            bpy.ops.export_scene.gltf(filepath=str(folder / out.name), export_format="GLB", export_apply=False)
+            bpy.ops.export_scene.gltf(filepath=str(temporary), export_format="GLB", export_apply=False)
 
 
 def build_report(job: UnwrapJob, clock: StageClock) -> dict[str, Any]:
-    """Return the figures of the run: those of the mesh with the most triangles, and of every mesh."""
+    """Return the report of the run: the metrics of the mesh with the most triangles, and of every mesh."""
     seconds = dict(clock.seconds)
     objects = []
     for target, result in job.results:

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import hypothesis
 import pytest
 
-from lib import environment
+from lib import blender_window, environment
 
 NEEDS_MORE_THAN_CORE = re.compile(r"\b(bpy|empty_scene|environment|extension|gui|scheduler|subprocess)\b")
 
@@ -18,6 +18,7 @@ NEEDS_MORE_THAN_CORE = re.compile(r"\b(bpy|empty_scene|environment|extension|gui
 # temporary folders.
 TEMPORARY_FOLDER = tempfile.mkdtemp(prefix="farfield-tests-")
 os.environ["BLENDER_USER_RESOURCES"] = TEMPORARY_FOLDER
+os.environ[blender_window.CACHE_VARIABLE] = os.environ["LOCALAPPDATA"] = TEMPORARY_FOLDER
 for variable in ("TMPDIR", "TEMP", "TMP"):
     os.environ[variable] = tempfile.tempdir = TEMPORARY_FOLDER
 

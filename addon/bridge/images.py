@@ -1,7 +1,7 @@
 """Conversion between arrays and Blender images, and checks for missing image files."""
 
+import os
 from collections.abc import Iterator
-from pathlib import Path
 
 import bpy
 import numpy as np
@@ -79,7 +79,8 @@ def _is_missing(image: bpy.types.Image) -> bool:
         return False
     path = bpy.path.abspath(image.filepath, library=image.library)
     tiles = [tile.number for tile in image.tiles] if image.source == "TILED" else [0]
-    return any(not Path(path.replace("<UDIM>", str(tile)).replace("<UVTILE>", _uv_tile(tile))).is_file() for tile in tiles)
+    files = (path.replace("<UDIM>", str(tile)).replace("<UVTILE>", _uv_tile(tile)) for tile in tiles)
+    return not all(os.path.isfile(file) for file in files)  # noqa: PTH113 - Path.is_file raises for forbidden folders and long names
 
 
 def _uv_tile(udim: int) -> str:

@@ -290,7 +290,7 @@ def _linked_output(target: bpy.types.NodeSocket) -> bpy.types.NodeSocket | None:
 
 
 def _value(node: bpy.types.Node, name: str | float, default: SocketOrValue) -> SocketOrValue:
-    """Return the link or the value of the input `name` of `node`; a number is returned itself; `default` if there is no such input."""
+    """Return the link or the value of the input `name` of `node`; a number is returned unchanged; `default` if there is no such input."""
     if not isinstance(name, str):
         return name
     target = node.inputs.get(name)

@@ -22,7 +22,8 @@ class SourceInstance:
     """One object, or one instance made by an object, and its primitives in the source.
 
     name: the selected object. matrix (4, 4) float64: object to world. first_primitive: index of its first primitive in the source; it has
-    `len(mesh.triangles) / triangles_per_primitive` of them. random: the value of Object Info > Random, 0..1.
+    `len(mesh.triangles) / triangles_per_primitive` of them. random: the value of Object Info > Random, 0..1. object_uid: session UID of the
+    selected object, which stays when it is renamed.
     """
 
     name: str
@@ -30,6 +31,7 @@ class SourceInstance:
     matrix: np.ndarray
     first_primitive: int
     random: float = 0.0
+    object_uid: int = 0
 
     @property
     def is_mirrored(self) -> bool:
@@ -71,9 +73,25 @@ class Source:
 
     @property
     def materials(self) -> list[bpy.types.Material]:
-        """Every material of the instances, once."""
+        """Every material of the instances, once.
+
+        Raises:
+            GeometryError: a material was renamed or removed after the source was read.
+        """
         keys = dict.fromkeys(key for instance in self.instances for key in instance.mesh.materials if key is not None)
-        return [bpy.data.materials[key] for key in keys]
+        return [find_material(key) for key in keys]
+
+
+def find_material(key: MaterialKey) -> bpy.types.Material:
+    """Return the material with the name and library of `key`.
+
+    Raises:
+        GeometryError: it was renamed or removed after `key` was read.
+    """
+    material = bpy.data.materials.get(key)
+    if material is None:
+        raise GeometryError(f'The material "{key[0]}" was renamed or removed before its appearance was captured; start again.')
+    return material
 
 
 def read_source(objects: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> Source:
@@ -120,11 +138,18 @@ def read_point_cloud(point_object: bpy.types.Object) -> Source:
         mesh, matrix = read_evaluated_mesh(data, evaluated), np.array(evaluated.matrix_world, np.float64)
     finally:
         evaluated.to_mesh_clear()
-    points = mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3]
+    with np.errstate(invalid="ignore"):  # the check reports coordinates that are not finite
+        points = mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3]
     check_points(points, point_object.name)
     cloud = PointCloud(points, _point_normals(mesh, matrix, points), _point_radii(mesh, matrix, points), _point_colors(mesh))
-    instance = SourceInstance(point_object.name, _build_discs(cloud, mesh.materials), np.eye(4), 0)
+    instance = SourceInstance(point_object.name, _build_discs(cloud, mesh.materials), np.eye(4), 0, object_uid=point_object.session_uid)
     return Source(None, [instance], point_object.name, [], matrix[:3, 3].copy(), cloud)
+
+
+def is_in_view_layer(item: bpy.types.Object, view_layer: bpy.types.ViewLayer) -> bool:
+    """Return whether `item` is in `view_layer`: neither only in excluded collections nor only in other scenes."""
+    found = view_layer.objects.get(item.name)
+    return found == item or (found is not None and item in set(view_layer.objects))  # a linked and a local object may share a name
 
 
 def visible_meshes(
@@ -161,6 +186,8 @@ def _skip_reason(candidate: bpy.types.Object) -> str:
     instances_collection = candidate.type == "EMPTY" and candidate.instance_type == "COLLECTION"
     if candidate.type not in SURFACE_TYPES and not instances_collection:
         return f"a {candidate.type.replace('_', ' ').lower()} has no faces"
+    if not is_in_view_layer(candidate, bpy.context.view_layer):
+        return "not in the view layer"
     return "" if candidate.visible_get() else "hidden"
 
 
@@ -183,10 +210,10 @@ def read_instances(objects: list[bpy.types.Object], depsgraph: bpy.types.Depsgra
             meshes[key] = _read_mesh(instance.object, depsgraph)
         if len(meshes[key].triangles):
             matrix = np.array(instance.matrix_world, np.float64)
-            found_by_owner[owner.name_full].append((owner.name, meshes[key], matrix, instance.random_id / 0xFFFFFFFF))
+            found_by_owner[owner.name_full].append((owner, meshes[key], matrix, instance.random_id / 0xFFFFFFFF))
     instances, first_primitive = [], 0
-    for name, mesh, matrix, random in (item for items in found_by_owner.values() for item in items):
-        instances.append(SourceInstance(name, mesh, matrix, first_primitive, random))
+    for owner, mesh, matrix, random in (item for items in found_by_owner.values() for item in items):
+        instances.append(SourceInstance(owner.name, mesh, matrix, first_primitive, random, owner.session_uid))
         first_primitive += len(mesh.triangles)
     return instances
 
@@ -202,7 +229,7 @@ def _read_mesh(evaluated: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> E
 
 def _point_normals(mesh: EvaluatedMesh, matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
     name = next((name for name in NORMAL_ATTRIBUTES if name in mesh.attributes), None)
-    if name is None or mesh.attributes[name].values.shape != points.shape:
+    if name is None or mesh.attributes[name].values.shape != points.shape or not _is_invertible(matrix):
         return estimate_normals(points)
     normals = mesh.attributes[name].values.astype(np.float64) @ np.linalg.inv(matrix[:3, :3])
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -212,9 +239,14 @@ def _point_normals(mesh: EvaluatedMesh, matrix: np.ndarray, points: np.ndarray) 
 
 
 def _point_radii(mesh: EvaluatedMesh, matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    if "radius" not in mesh.attributes:
+    if "radius" not in mesh.attributes or not _is_invertible(matrix):
         return splat_radii(points)
     return mesh.attributes["radius"].values[:, 0].astype(np.float64) * abs(np.linalg.det(matrix[:3, :3])) ** (1.0 / 3.0)
+
+
+def _is_invertible(matrix: np.ndarray) -> bool:
+    """Return whether `matrix` (4, 4) does not flatten the space: its scale along every axis is above 0."""
+    return np.linalg.matrix_rank(matrix[:3, :3]) == 3
 
 
 def _point_colors(mesh: EvaluatedMesh) -> np.ndarray | None:

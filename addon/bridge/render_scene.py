@@ -1,7 +1,6 @@
 """A separate scene for Farfield's own renders, removed afterwards with all its data."""
 
 import shutil
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,6 +11,7 @@ import numpy as np
 
 from ..compat import set_file_format
 from ..core.errors import FarfieldError, FileError
+from ..core.files.temporary_folders import create_temporary_folder
 
 
 class RenderScene:
@@ -29,7 +29,8 @@ class RenderScene:
         self.scene.camera = self.camera
 
     def own(self, data: bpy.types.ID) -> bpy.types.ID:
-        """Register `data` for removal with the scene, and return it."""
+        """Register `data` for removal with the scene, and return it. A file that is saved meanwhile does not contain it."""
+        data.is_runtime_data = True
         self.owned.append(data)
         return data
 
@@ -57,13 +58,15 @@ class RenderScene:
         try:
             bpy.ops.render.render(write_still=True, scene=self.scene.name)
         except RuntimeError as error:
-            reason = str(error).strip()
-            raise FileError(f'Rendering into the temporary folder "{self.folder}" failed: {reason} Free some space there.') from error
+            reason = " ".join(str(error).removeprefix("Error: ").split()).rstrip(".")
+            raise FileError(
+                f'Rendering into the temporary folder "{self.folder}" failed: {reason}; check that it can be written.'
+            ) from error
         self.render_seconds += time.perf_counter() - start
         size = (side * settings.resolution_percentage // 100 for side in (settings.resolution_x, settings.resolution_y))
         pixels = _read_exr(path, *size)
         if pixels is None:  # Blender does not always notice that a disk is full
-            raise FileError(f'Rendering into the temporary folder "{self.folder}" failed: the image is truncated. Free some space there.')
+            raise FileError(f'Rendering into the temporary folder "{self.folder}" failed: the image is truncated; free some space there.')
         return pixels
 
     def close(self) -> None:
@@ -86,7 +89,7 @@ def render_scene(name: str) -> Iterator[RenderScene]:
         FarfieldError: the Cycles add-on is disabled.
     """
     try:
-        folder = Path(tempfile.mkdtemp(prefix="farfield-"))
+        folder = create_temporary_folder()
     except OSError as error:
         raise FileError(f"A temporary folder cannot be created ({error.strerror}); free some space on that disk.") from error
     work = RenderScene(name, folder)

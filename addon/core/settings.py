@@ -12,10 +12,12 @@ import dataclasses
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any, Literal
+from numbers import Integral, Real
+from typing import Any, ClassVar, Literal
 
 from .errors import SettingsError
 
+TYPE_NAMES = {float: "a number", int: "an integer", bool: "true or false", str: "text", tuple: "a list of numbers"}
 ABBREVIATIONS = {"Mb": "MB", "Uv": "UV"}  # in labels
 
 
@@ -23,7 +25,7 @@ class Unit(Enum):
     """The unit of a number."""
 
     NONE = ""
-    FRACTION = "%"  # of the longest bounding-box side or of another whole; a fraction internally
+    FRACTION = "%"  # of the longest bounding-box side or of another quantity; a fraction internally
     ANGLE = "degrees"  # radians internally
     COUNT = "count"
     MEGABYTES = "MB"
@@ -122,7 +124,12 @@ def setting(
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Base class of settings. Checks every value against its declaration on construction."""
+    """Base class of settings. Checks every value against its declaration on construction.
+
+    has_flags: whether scripts have a flag for each setting.
+    """
+
+    has_flags: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         for description in describe(type(self)):
@@ -158,6 +165,8 @@ def check(description: Description, value: Any) -> None:
 
 def _find_problem(description: Description, value: Any) -> str | None:
     """Return the rest of a sentence that begins with the setting's label, None when `value` is allowed."""
+    if not _has_type(description.type, value):
+        return f"must be {TYPE_NAMES[description.type]}, not {value!r:.60}"
     if description.choices:
         return None if value in description.choices else f'must be one of {", ".join(description.choices)}, not "{value}"'
     if description.type is tuple:
@@ -173,6 +182,15 @@ def _find_problem(description: Description, value: Any) -> str | None:
     if description.maximum is not None and value > description.maximum:
         return f"is {description.format(value)}; the maximum is {description.format(description.maximum)}"
     return None
+
+
+def _has_type(setting_type: type, value: Any) -> bool:
+    """Return whether `value` can be a setting of this type: settings in a file from elsewhere can have any JSON type."""
+    if setting_type in (float, int):
+        return isinstance(value, Real if setting_type is float else Integral) and not isinstance(value, bool)
+    if setting_type is tuple:
+        return isinstance(value, tuple | list) and all(_has_type(float, number) for number in value)
+    return isinstance(value, setting_type)
 
 
 def add_flags(parser: argparse.ArgumentParser, settings_type: type[Settings]) -> None:
@@ -212,12 +230,12 @@ def with_flags(error: SettingsError) -> SettingsError:
 
 def markdown_table(settings_type: type[Settings]) -> str:
     """Return the settings as a Markdown table for the docs."""
-    rows = ["| Setting | Flag | Default | Range | Description |", "|---|---|---|---|---|"]
+    titles = ["Setting", *(["Flag"] if settings_type.has_flags else []), "Default", "Range", "Description"]
+    rows = [titles, ["---"] * len(titles)]
     for description in describe(settings_type):
-        flags = ", ".join(f"`{flag}`" for flag in description.flags)
-        default = description.format(description.default)
-        rows.append(f"| {description.label} | {flags} | {default} | {_format_range(description)} | {description.help} |")
-    return "\n".join(rows)
+        flags = [", ".join(f"`{flag}`" for flag in description.flags)] if settings_type.has_flags else []
+        rows.append([description.label, *flags, description.format(description.default), _format_range(description), description.help])
+    return "\n".join(f"|{'|'.join(row)}|" if row[0] == "---" else f"| {' | '.join(row)} |" for row in rows)
 
 
 def _format_range(description: Description) -> str:

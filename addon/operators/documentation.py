@@ -25,7 +25,7 @@ def find_page(page: str) -> str:
 
 
 def manual_map() -> tuple[str, tuple[tuple[str, str], ...]]:
-    """Return the prefix of all URLs and the URL of each operator pattern, as `bpy.utils.register_manual_map` wants them."""
+    """Return the prefix of all URLs and the URL of each operator pattern, as `bpy.utils.register_manual_map` expects them."""
     return "", tuple((pattern, find_page(page)) for pattern, page in PAGE_OF_OPERATORS.items())
 
 

@@ -1,106 +1,20 @@
 """Long work in operators: blocking in scripts; in the background with progress bar, time left and Esc in the interface.
 
-A job has two halves. `core_steps` works on arrays and runs in a thread. `scene_steps` uses Blender (Cycles renders, new objects) and runs
-on the main thread, about one tick at a time. Only the end of `scene_steps` changes the scene, so a cancelled job leaves the scene as it
-was, and a finished one is one undo step.
+A timer watches the first half of a job, which runs in a thread, so that Blender continues to autosave: it does not while a modal
+operator runs. The second half uses the scene. It belongs to a modal operator that keeps the user from changing the scene meanwhile.
 """
 
-import time
-from typing import Any, Protocol
+from typing import Any
 
 import bpy
 
-from ..core.errors import Cancelled, FarfieldError
-from ..core.jobs.background_thread import BackgroundThread
-from ..core.jobs.progress import Progress, Steps, run_to_end, subprogress, time_left
+from ..core.jobs.progress import run_to_end
+from .error_reports import report_error, reports_errors
+from .job_run import TICK, Job, Run, run_job, status_text
 
-TICK = 0.05  # seconds between two updates of the job
-
-
-class Job(Protocol):
-    """The work of a `LongWork` operator. It keeps no reference to Blender data between steps, only names and arrays.
-
-    core_fraction: the part of the progress bar for the half without Blender.
-    """
-
-    core_fraction: float
-
-    def core_steps(self) -> Steps[Any]:
-        """Do the half without Blender, in any thread."""
-
-    def scene_steps(self, core_result: Any) -> Steps[str]:
-        """Do the half with Blender, on the main thread. Returns a message about the result."""
-
-
-def run_job(job: Job) -> Steps[str]:
-    """Run both halves of `job` in the calling thread, as scripts and `execute` do."""
-    core_result = yield from subprogress(job.core_steps(), 0.0, job.core_fraction)
-    return (yield from subprogress(job.scene_steps(core_result), job.core_fraction, 1.0))
-
-
-class Run:
-    """A job running in the background of the interface."""
-
-    def __init__(self, job: Job, title: str) -> None:
-        self.title = title
-        self.progress = Progress(0.0, "Starting")
-        self.message: str | None = None
-        self._job = job
-        self._start = time.monotonic()
-        self._thread = BackgroundThread(job.core_steps())
-        self._scene_steps: Steps[str] | None = None
-
-    @property
-    def uses_scene(self) -> bool:
-        """Whether the job is in its second half, which uses Blender."""
-        return self._scene_steps is not None
-
-    @property
-    def cancel_requested(self) -> bool:
-        """Whether `cancel` was called and the job has not ended yet."""
-        return self._thread.cancel_requested
-
-    @property
-    def seconds_left(self) -> float | None:
-        """Remaining seconds, or None while it is too early for an estimate."""
-        return time_left(time.monotonic() - self._start, self.progress.fraction)
-
-    def cancel(self) -> None:
-        """Ask the job to end before its next step."""
-        self._thread.cancel()
-
-    def close(self) -> None:
-        """End the job now: wait for the thread, and let `scene_steps` restore its temporary changes."""
-        self.cancel()
-        self._thread.wait()
-        if self._scene_steps is not None:
-            self._scene_steps.close()
-
-    def advance(self) -> bool:
-        """Continue for about one tick; return True when the job has finished. Raises the exceptions of the job, including `Cancelled`."""
-        if self._scene_steps is None:
-            step = self._thread.progress
-            self._update_progress(Progress(self._job.core_fraction * step.fraction, step.label))
-            if not self._thread.is_done:
-                return False
-            self._scene_steps = subprogress(self._job.scene_steps(self._thread.result()), self._job.core_fraction, 1.0)
-        if self.cancel_requested:
-            raise Cancelled("Cancelled; nothing was changed.")
-        end = time.monotonic() + TICK
-        while time.monotonic() < end:
-            try:
-                self._update_progress(next(self._scene_steps))
-            except StopIteration as finished:
-                self.message = finished.value
-                return True
-        return False
-
-    def _update_progress(self, step: Progress) -> None:
-        """Show `step`; the progress bar never moves back, even if a job turns out to be longer than expected."""
-        self.progress = Progress(max(step.fraction, self.progress.fraction), step.label)
-
-
-_current: Run | None = None  # Blender's modal operators, panels and load handlers share the one running job
+_current: Run | None = None  # operators, panels, timers and load handlers of Blender share the one running job
+_shown_status = ""
+_keymap_items: list[tuple[bpy.types.KeyMap, bpy.types.KeyMapItem]] = []
 
 
 def current_run() -> Run | None:
@@ -120,13 +34,23 @@ def poll_with_reason(operator: type[bpy.types.Operator], reason: str) -> bool:
     return not reason
 
 
+def redraw_sidebars(window_manager: bpy.types.WindowManager) -> None:
+    """Redraw the sidebars of all 3D Viewports."""
+    for window in window_manager.windows:
+        for area in window.screen.areas:
+            for region in area.regions if area.type == "VIEW_3D" else ():
+                if region.type == "UI":
+                    region.tag_redraw()
+
+
 class LongWork:
-    """Mixin of operators that run a `Job`. The operator implements `prepare`; the mixin implements execute, invoke, modal and cancel."""
+    """Mixin of operators that run a `Job`. The operator implements `prepare`; the mixin implements execute and invoke."""
 
     def prepare(self, context: bpy.types.Context) -> Job:
         """Read everything that the job needs from Blender, or raise FarfieldError."""
         raise NotImplementedError
 
+    @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Run the job to the end, blocking."""
         if not self._check_no_job_runs():
@@ -135,14 +59,12 @@ class LongWork:
         window_manager.progress_begin(0.0, 1.0)
         try:
             message = run_to_end(run_job(self.prepare(context)), lambda step: window_manager.progress_update(step.fraction))
-        except FarfieldError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
         finally:
             window_manager.progress_end()
         self.report({"INFO"}, message)
         return {"FINISHED"}
 
+    @reports_errors
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Start the job in the background and return immediately."""
         global _current
@@ -150,100 +72,79 @@ class LongWork:
             return self.execute(context)
         if not self._check_no_job_runs():
             return {"CANCELLED"}
-        try:
-            _current = Run(self.prepare(context), self.bl_label)
-        except FarfieldError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        self._status = ""
-        self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
+        _current = Run(self.prepare(context), self.bl_label)
+        bpy.app.timers.register(_watch_core, first_interval=TICK)
         bpy.app.handlers.load_pre.append(_cancel_before_loading)
-        context.window_manager.modal_handler_add(self)
-        self._show_status(context)
-        return {"RUNNING_MODAL"}
-
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Advance the job; the interface stays usable between the steps, except while the job uses the scene."""
-        run = _current
-        if run is None:  # another file was opened
-            self._clean_up(context)
-            return {"CANCELLED"}
-        if event.type == "ESC" and event.value == "PRESS":
-            run.cancel()
-            self._show_status(context)
-            return {"RUNNING_MODAL"}
-        if event.type != "TIMER":
-            return {"RUNNING_MODAL"} if run.uses_scene else {"PASS_THROUGH"}
-        continues = False
-        try:
-            continues = not run.advance()
-        except FarfieldError as error:
-            self.report({"INFO" if isinstance(error, Cancelled) else "ERROR"}, str(error))
-            return {"CANCELLED"}
-        finally:
-            if continues:
-                self._show_status(context)
-            else:
-                self._clean_up(context)
-        if continues:
-            return {"RUNNING_MODAL"}
-        self.report({"INFO"}, run.message)
-        return {"FINISHED"}
-
-    def cancel(self, context: bpy.types.Context) -> None:
-        """End the job: the window is closed or Blender quits."""
-        self._clean_up(context)
+        _show_status()
+        return {"INTERFACE"}  # handled, but nothing to undo or repeat yet
 
     def _check_no_job_runs(self) -> bool:
         if _current is not None:
             self.report({"ERROR"}, f'"{_current.title}" is still running; wait for it or cancel it with Esc.')
         return _current is None
 
-    def _show_status(self, context: bpy.types.Context) -> None:
-        """Update the progress bar and the status bar if the status has changed."""
-        text = status_text(_current)
-        if text != self._status:
-            self._status = text
-            if context.workspace is not None:
-                context.workspace.status_text_set(text)
-            redraw_sidebars(context.window_manager)
 
-    def _clean_up(self, context: bpy.types.Context) -> None:
-        if self._timer is not None:
-            context.window_manager.event_timer_remove(self._timer)
-            self._timer = None
-        if context.workspace is not None:
-            context.workspace.status_text_set(None)
+class FARFIELD_OT_finish_job(bpy.types.Operator):
+    """Do the half of the running job that uses the scene, with one undo step at its end"""
+
+    bl_idname = "farfield.finish_job"
+    bl_label = "Finish Job"
+    bl_options = {"INTERNAL"}
+
+    @reports_errors
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Start to advance the job; events do not reach the rest of Blender until it ends."""
+        self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    @reports_errors
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Advance the job for one tick."""
+        run = _current
+        if run is None:  # another file was opened
+            self.cancel(context)
+            return {"CANCELLED"}
+        if event.type == "ESC" and event.value == "PRESS":
+            run.cancel()
+        elif event.type == "TIMER":
+            try:
+                finished = run.advance()
+            except Exception as error:  # noqa: BLE001 the last resort, see CONTRIBUTING.md
+                self.cancel(context)
+                return report_error(self, error, run.title)
+            if finished:
+                self.cancel(context)
+                bpy.ops.ed.undo_push(message=run.title)
+                self.report({"INFO"}, run.message)
+                return {"FINISHED"}
+        _show_status()
+        return {"RUNNING_MODAL"}
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """End the job: it has finished, the window is closed or Blender quits."""
+        context.window_manager.event_timer_remove(self._timer)
         cancel_current()
-        redraw_sidebars(context.window_manager)
 
 
-def status_text(run: Run) -> str:
-    """Return the status of `run` in one line: title, percentage, label, time left."""
-    if run.cancel_requested:
-        return f"{run.title}: cancelling"
-    seconds = run.seconds_left
-    remaining = "" if seconds is None else f", {format_duration(seconds)} left"
-    return f"{run.title}: {run.progress.fraction:.0%} {run.progress.label}{remaining} (Esc to cancel)"
+class FARFIELD_OT_cancel_job(bpy.types.Operator):
+    """Cancel the running job of Farfield. The scene stays as it was"""
 
+    bl_idname = "farfield.cancel_job"
+    bl_label = "Cancel Farfield Job"
+    bl_options = {"INTERNAL"}
 
-def format_duration(seconds: float) -> str:
-    """Return `seconds` as `8 s`, `3 min 20 s` or `2 h 5 min`. Rounded up, so that jobs do not take much longer than announced."""
-    total = int(-(-seconds // 1))
-    if total < 60:
-        return f"{total} s"
-    minutes, remainder = divmod(total, 60)
-    return f"{minutes} min {remainder} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Return whether a job runs; Esc has its usual meaning otherwise."""
+        return poll_with_reason(cls, "" if _current is not None and context.window is not None else "No job is running")
 
-
-def redraw_sidebars(window_manager: bpy.types.WindowManager) -> None:
-    """Redraw the sidebars of all 3D Viewports."""
-    for window in window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                for region in area.regions:
-                    if region.type == "UI":
-                        region.tag_redraw()
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Ask the job to end before its next step."""
+        _current.cancel()
+        _show_status()
+        return {"FINISHED"}
 
 
 def cancel_current() -> None:
@@ -252,10 +153,62 @@ def cancel_current() -> None:
     run, _current = _current, None
     if _cancel_before_loading in bpy.app.handlers.load_pre:
         bpy.app.handlers.load_pre.remove(_cancel_before_loading)
+    if bpy.app.timers.is_registered(_watch_core):
+        bpy.app.timers.unregister(_watch_core)
     if run is not None:
-        run.close()
+        try:
+            run.close()
+        finally:
+            _show_status()
+
+
+def _watch_core() -> float | None:
+    """Show the progress of the first half of the job, and start the second half when it has ended and no render runs."""
+    if _current is None:
+        return None
+    is_done = _current.check_core()
+    _show_status()
+    windows = bpy.context.window_manager.windows
+    if not is_done or not windows or bpy.app.is_job_running("RENDER"):
+        return TICK
+    with bpy.context.temp_override(window=windows[0]):
+        bpy.ops.farfield.finish_job("INVOKE_DEFAULT")
+    return None
+
+
+def _show_status() -> None:
+    """Update the status bars and the progress bars in the sidebars if the status has changed."""
+    global _shown_status
+    text = "" if _current is None else status_text(_current)
+    if text == _shown_status:
+        return
+    _shown_status = text
+    for window in bpy.context.window_manager.windows:
+        window.workspace.status_text_set(text or None)
+    redraw_sidebars(bpy.context.window_manager)
 
 
 @bpy.app.handlers.persistent
 def _cancel_before_loading(*_: Any) -> None:
     cancel_current()
+
+
+register_classes, unregister_classes = bpy.utils.register_classes_factory((FARFIELD_OT_finish_job, FARFIELD_OT_cancel_job))
+
+
+def register() -> None:
+    """Register the operators and Esc as the key that cancels a job."""
+    register_classes()
+    key_configuration = bpy.context.window_manager.keyconfigs.addon
+    if key_configuration is not None:  # in background mode it is None
+        keymap = key_configuration.keymaps.new(name="Window", space_type="EMPTY", region_type="WINDOW")
+        _keymap_items.append((keymap, keymap.keymap_items.new(FARFIELD_OT_cancel_job.bl_idname, "ESC", "PRESS")))
+
+
+def unregister() -> None:
+    """Cancel a running job, remove the key and unregister the operators."""
+    cancel_current()
+    for keymap, item in _keymap_items:
+        keymap.keymap_items.remove(item)
+    _keymap_items.clear()
+    unregister_classes()

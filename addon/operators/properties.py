@@ -28,6 +28,8 @@ def build_property(description: Description, options: set[str]) -> Any:
     if description.type is bool:
         return bpy.props.BoolProperty(default=description.default, **common)
     if description.type is str:
+        if description.path is not None:
+            common["options"] = options | {"PATH_SUPPORTS_BLEND_RELATIVE"}
         return bpy.props.StringProperty(default=description.default, subtype=PATH_SUBTYPES[description.path], **common)
     if description.type is tuple:
         return bpy.props.FloatVectorProperty(size=len(description.default), default=description.default, precision=3, **common)

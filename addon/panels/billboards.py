@@ -6,12 +6,11 @@ import bpy
 
 from ..bridge import cameras
 from ..bridge.billboards.scene_clouds import SceneCloud, find_cloud
-from ..core.billboards.settings import BillboardSettings, CrossfadeSettings
+from ..core.billboards.settings import BillboardSettings, BuildOptions, CrossfadeSettings
 from ..core.geometry.cameras import Camera
 from ..core.settings import describe
 from ..operators import properties
 from ..operators.billboards.estimates import cache, estimate_key
-from ..operators.billboards.job import BuildOptions
 from ..operators.billboards.operators import (
     FARFIELD_OT_billboards_build,
     FARFIELD_OT_billboards_crossfade,
@@ -20,34 +19,38 @@ from ..operators.billboards.operators import (
     FARFIELD_OT_billboards_show_level,
     disabled_reason,
 )
-from .sidebar import (
-    SidebarPanel,
-    ToolPanel,
-    draw_button,
-    draw_message,
-    draw_progress_bar,
-    draw_setting,
-    draw_table,
-    format_megabytes,
-    settings_column,
-)
+from .sidebar import SettingsSubPanel, SidebarPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, draw_table, format_megabytes
 
-SETTINGS = [*describe(BillboardSettings), *describe(BuildOptions), *describe(CrossfadeSettings)]
 ESTIMATE_TITLES = ("Estimate", "Quads", "Texels", "MB")
 LEVEL_TITLES = ("Level", "Quads", "Texels", "MB", "Distance")
 
 
-class FARFIELD_PT_billboards(ToolPanel, bpy.types.Panel):
+class BillboardSettingsPanel(SettingsSubPanel):
+    """Mixin of the panels that show settings of billboard clouds."""
+
+    settings = [*describe(BillboardSettings), *describe(BuildOptions), *describe(CrossfadeSettings)]
+    property_name = "farfield_billboards"
+
+    @staticmethod
+    def is_active(name: str, group: bpy.types.PropertyGroup) -> bool:
+        """Return whether the setting `name` has an effect: a budget overrides the error, and samples need textures."""
+        if name == "error":
+            return not (group.quads or group.texture_mb)
+        return name != "samples" or group.textures
+
+
+class FARFIELD_PT_billboards(BillboardSettingsPanel, ToolPanel, bpy.types.Panel):
     """The main settings, the estimate, and the build button or the progress bar."""
 
     bl_idname = "FARFIELD_PT_billboards"
     bl_label = "Billboard Cloud"
     page = "billboards"
+    group_name = ""
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the settings without a group. While a job runs, they are disabled and the progress bar replaces the button."""
         layout, group = self.layout, context.scene.farfield_billboards
-        draw_settings(layout, context, "")
+        self.draw_settings(context)
         if draw_progress_bar(layout):
             return
         reason = disabled_reason(context)
@@ -58,15 +61,11 @@ class FARFIELD_PT_billboards(ToolPanel, bpy.types.Panel):
         draw_button(layout, FARFIELD_OT_billboards_build, "Build", "MESH_GRID")
 
 
-class SubPanel(SidebarPanel):
-    """A closed sub-panel with the settings of the group named like its label."""
+class SubPanel(BillboardSettingsPanel):
+    """A closed sub-panel of settings."""
 
     bl_parent_id = "FARFIELD_PT_billboards"
     bl_options = {"DEFAULT_CLOSED"}
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """Draw the settings of the group."""
-        draw_settings(self.layout, context, self.bl_label)
 
 
 class FARFIELD_PT_billboards_detail(SubPanel, bpy.types.Panel):
@@ -102,7 +101,7 @@ class CloudPanel(SidebarPanel):
 
 
 class FARFIELD_PT_billboards_levels(CloudPanel, bpy.types.Panel):
-    """The levels of the active cloud and what of it is visible."""
+    """The levels of the active cloud, and buttons that change its visibility."""
 
     bl_idname = "FARFIELD_PT_billboards_levels"
     bl_label = "Levels of Detail"
@@ -123,7 +122,7 @@ class FARFIELD_PT_billboards_levels(CloudPanel, bpy.types.Panel):
         buttons.operator(FARFIELD_OT_billboards_show_level.bl_idname, text="Show Level for Camera", icon="VIEW_CAMERA")
 
 
-class FARFIELD_PT_billboards_crossfade(CloudPanel, bpy.types.Panel):
+class FARFIELD_PT_billboards_crossfade(CloudPanel, BillboardSettingsPanel, bpy.types.Panel):
     """The cross-fade between levels of all clouds."""
 
     bl_idname = "FARFIELD_PT_billboards_crossfade"
@@ -131,26 +130,8 @@ class FARFIELD_PT_billboards_crossfade(CloudPanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the range and the button."""
-        draw_settings(self.layout, context, self.bl_label)
+        self.draw_settings(context)
         self.layout.operator(FARFIELD_OT_billboards_crossfade.bl_idname, text="Cross-Fade Levels", icon="SMOOTHCURVE")
-
-
-def draw_settings(layout: bpy.types.UILayout, context: bpy.types.Context, group_name: str) -> None:
-    """Draw the settings of one group. Rows without effect under the current settings are grayed out."""
-    group = context.scene.farfield_billboards
-    column = settings_column(layout)
-    for setting in SETTINGS:
-        if setting.group == group_name:
-            row = column.row()
-            row.active = has_effect(setting.name, group)
-            draw_setting(row, group, setting)
-
-
-def has_effect(name: str, group: bpy.types.PropertyGroup) -> bool:
-    """Return whether the setting `name` has an effect: a budget overrides the error, and samples need textures."""
-    if name == "error":
-        return not (group.quads or group.texture_mb)
-    return name != "samples" or group.textures
 
 
 def draw_estimate(layout: bpy.types.UILayout, context: bpy.types.Context, group: bpy.types.PropertyGroup) -> None:
@@ -173,7 +154,7 @@ def draw_estimate(layout: bpy.types.UILayout, context: bpy.types.Context, group:
 
 
 def draw_levels(layout: bpy.types.UILayout, cloud: SceneCloud, camera: Camera | None) -> None:
-    """Draw the figures of each level of a cloud and its switch distance for `camera`."""
+    """Draw quads, texels and memory of each level of a cloud, and its switch distance for `camera`."""
     layout.label(text=cloud.collection.name, icon="OUTLINER_COLLECTION")
     rows = []
     for index, level in enumerate(cloud.levels):

@@ -6,7 +6,7 @@ from ..bridge.billboards.scene_clouds import SceneCloud
 from ..bridge.btf.materials import SUNS
 from ..core.btf.settings import BtfSettings
 from ..core.settings import describe
-from ..operators import long_work, properties
+from ..operators import job_run, long_work, properties
 from ..operators.btf import estimates
 from ..operators.btf.exports import FARFIELD_OT_btf_export
 from ..operators.btf.operators import (
@@ -127,7 +127,7 @@ def draw_estimate(layout: bpy.types.UILayout, cloud: SceneCloud, settings: BtfSe
     view_count = settings.view_count * len(cloud.levels)
     raw, compressed = format_megabytes(estimate.raw_bytes), format_megabytes(estimate.final_bytes)
     column = layout.box().column(align=True)
-    column.label(text=f"{estimate.renders:,} renders, about {long_work.format_duration(estimate.seconds)}", icon="RENDER_STILL")
+    column.label(text=f"{estimate.renders:,} renders, about {job_run.format_duration(estimate.seconds)}", icon="RENDER_STILL")
     column.label(text=f"{raw} MB uncompressed", icon="BLANK1")
     column.label(text=f"{compressed} MB compressed", icon="FILE_IMAGE")
     if finished_count:

@@ -6,6 +6,7 @@ from ..bridge.clipbox.objects import terrain_of_object
 from ..core.clipbox.settings import BOXES, DETAIL, TERRAIN, ClipboxSettings, ConvertSettings
 from ..core.settings import describe
 from ..operators import long_work
+from ..operators.clipbox import view_following
 from ..operators.clipbox.convert_to_mesh import FARFIELD_OT_clipbox_convert_to_mesh
 from ..operators.clipbox.operators import (
     FARFIELD_OT_clipbox_create,
@@ -43,12 +44,19 @@ class FARFIELD_PT_clipbox(ToolPanel, bpy.types.Panel):
         reason = disabled_reason(context)
         if reason:
             draw_message(layout, reason, "INFO")
+        if view_following.current.error:
+            draw_message(layout, view_following.current.error, "ERROR")
         draw_button(layout, FARFIELD_OT_clipbox_create, "Create", "WORLD_DATA")
-        terrain = terrain_of_object(context.active_object)
+        terrain, is_following = terrain_of_object(context.active_object), view_following.current.terrain is not None
+        if terrain is None and not is_following:
+            return
+        if terrain is not None and terrain.read_only_reason:
+            draw_message(layout, terrain.read_only_reason, "INFO")
+        column = layout.column(align=True)
+        column.operator(FARFIELD_OT_clipbox_update.bl_idname, text="Update", icon="FILE_REFRESH")
+        text, icon = ("Stop Following", "CANCEL") if is_following else ("Follow View", "VIEW_PERSPECTIVE")
+        column.operator(FARFIELD_OT_clipbox_follow_view.bl_idname, text=text, icon=icon, depress=is_following)
         if terrain is not None:
-            column = layout.column(align=True)
-            column.operator(FARFIELD_OT_clipbox_update.bl_idname, text="Update", icon="FILE_REFRESH")
-            column.operator(FARFIELD_OT_clipbox_follow_view.bl_idname, text="Follow View", icon="VIEW_PERSPECTIVE")
             column.prop(terrain.root, "farfield_clipbox_follow_camera")
 
 

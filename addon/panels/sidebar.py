@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import bpy
 
 from ..core.settings import Description
-from ..operators import documentation, long_work
+from ..operators import documentation, job_run, long_work
 
 MESSAGE_WIDTH = 36  # characters per line at the default width of the sidebar
 
@@ -33,26 +33,40 @@ class ToolPanel(SidebarPanel):
 
 
 class SettingsSubPanel(SidebarPanel):
-    """Mixin of a sub-panel with the settings of the group named like its label.
+    """Mixin of a panel with the settings of one group.
 
-    settings: all settings of the tool. property_name: the property of the scene that holds them.
+    settings: all settings of the tool. property_name: the property of the scene that holds them. group_name: of the settings to draw, by
+    default the label of the panel.
     """
 
     settings: Sequence[Description] = ()
     property_name = ""
+    group_name: str | None = None
 
     @staticmethod
     def is_used(_name: str, _group: bpy.types.PropertyGroup) -> bool:
-        """Return whether the setting of that name has an effect with the other settings; others are not drawn."""
+        """Return whether the setting of that name belongs to what the other settings choose; others are not drawn."""
+        return True
+
+    @staticmethod
+    def is_active(_name: str, _group: bpy.types.PropertyGroup) -> bool:
+        """Return whether the setting of that name has an effect with the other settings; others are grayed out."""
         return True
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Draw the settings of the group that have an effect."""
+        """Draw the settings."""
+        self.draw_settings(context)
+
+    def draw_settings(self, context: bpy.types.Context) -> None:
+        """Draw the settings of the group that are used."""
         group = getattr(context.scene, self.property_name)
+        group_name = self.bl_label if self.group_name is None else self.group_name
         column = settings_column(self.layout)
         for setting in self.settings:
-            if setting.group == self.bl_label and self.is_used(setting.name, group):
-                draw_setting(column, group, setting)
+            if setting.group == group_name and self.is_used(setting.name, group):
+                item = column.column()
+                item.active = self.is_active(setting.name, group)
+                draw_setting(item, group, setting)
 
 
 def settings_column(layout: bpy.types.UILayout) -> bpy.types.UILayout:
@@ -85,7 +99,7 @@ def draw_progress_bar(layout: bpy.types.UILayout) -> bool:
     column.progress(factor=run.progress.fraction, type="BAR", text=f"{run.progress.fraction:.0%}")
     column.label(text="Cancelling" if run.cancel_requested else run.progress.label)
     seconds = run.seconds_left
-    column.label(text="Esc to cancel" if seconds is None else f"{long_work.format_duration(seconds)} left, Esc to cancel", icon="TIME")
+    column.label(text="Esc to cancel" if seconds is None else f"{job_run.format_duration(seconds)} left, Esc to cancel", icon="TIME")
     return True
 
 

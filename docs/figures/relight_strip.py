@@ -13,7 +13,7 @@ from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.imaging import metrics
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.operators.btf.job import prepare_bake
-from farfield.addon.operators.long_work import run_job
+from farfield.addon.operators.job_run import run_job
 from lib.contact_sheet import PAPER_GRAY, draw_contact_sheet
 from lib.studio import SKY_RADIANCE, bounding_sphere, open_studio
 

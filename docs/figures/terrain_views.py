@@ -23,7 +23,7 @@ from farfield.addon.core.clipbox.terrains.grids import Grid
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.operators.clipbox.following import recenter
 from farfield.addon.operators.clipbox.job import prepare
-from farfield.addon.operators.long_work import run_job
+from farfield.addon.operators.job_run import run_job
 from lib.studio import look_at_matrix, set_uniform_sky, sun_matrix
 
 TERRAIN = ClipboxSettings(terrain="cascades", seed=2, resolution=128, boxes=6, voxel_size=0.5)

@@ -15,7 +15,7 @@ from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.unwrap.distortion import DistortionMetrics, compute_stretches, measure_distortion
 from farfield.addon.core.unwrap.settings import UnwrapSettings
 from farfield.addon.core.unwrap.stretch_colors import draw_stretch_image
-from farfield.addon.operators.long_work import run_job
+from farfield.addon.operators.job_run import run_job
 from farfield.addon.operators.unwrap.job import prepare
 from lib.demo_materials import create_material
 

@@ -9,50 +9,26 @@ sub-panels. A window shows the panel of one tool only, since Blender remembers w
 import json
 import subprocess
 import sys
-import traceback
 from collections.abc import Iterator
 from pathlib import Path
 
-import addon_utils
 import bpy
 
-PACKAGE = "bl_ext.user_default.farfield"
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+
+from lib.window_session import open_panel, region, run_steps, viewport, wait_for_job
+
 FOLDER, SUBPANELS, TOOL = sys.argv[sys.argv.index("--") + 1 :]
 SETTLE_SECONDS = 1.5  # until Blender has drawn a change
 THEMES = {"dark": "Blender_Dark.xml", "light": "Blender_Light.xml"}
-ALWAYS_OPEN = ("_figures", "_levels", "_lighting")  # sub-panels that show results
+ALWAYS_OPEN = ("_levels", "_lighting")  # sub-panels that show results
 
 report: dict = {"error": None, "boxes": {}}
 
 
-def region(kind: str) -> bpy.types.Region:
-    """Return a region of the 3D Viewport."""
-    return next(region for region in area().regions if region.type == kind)
-
-
-def area() -> bpy.types.Area:
-    """Return the 3D Viewport."""
-    return next(area for area in bpy.context.window_manager.windows[0].screen.areas if area.type == "VIEW_3D")
-
-
-def module(name: str):
-    """Return a module of the installed extension."""
-    return sys.modules[f"{PACKAGE}.{name}"]
-
-
-def open_panel(tool: str) -> None:
-    """Open the panel of `tool`, with its sub-panels as SUBPANELS says, and close the panels of other tools."""
-    classes = module(f"addon.panels.{tool}").CLASSES
-    others = [cls for name in TOOLS if name != tool for cls in module(f"addon.panels.{name}").CLASSES]
-    for cls in reversed([*others, *classes]):
-        bpy.utils.unregister_class(cls)
-    for cls in classes:
-        is_closed = SUBPANELS == "closed" and hasattr(cls, "bl_parent_id") and not cls.bl_idname.endswith(ALWAYS_OPEN)
-        cls.bl_options = set(getattr(cls, "bl_options", set())) - {"DEFAULT_CLOSED"} | ({"DEFAULT_CLOSED"} if is_closed else set())
-        bpy.utils.register_class(cls)
-    for cls in others:
-        cls.bl_options = set(getattr(cls, "bl_options", set())) | {"DEFAULT_CLOSED"}
-        bpy.utils.register_class(cls)
+def is_open(panel: type) -> bool:
+    """Whether a sub-panel is open in this window."""
+    return SUBPANELS == "open" or panel.__name__.endswith(ALWAYS_OPEN)
 
 
 def set_theme(name: str) -> None:
@@ -67,7 +43,7 @@ def shoot(name: str, full_window: bool = False) -> Iterator[float]:
         set_theme(theme)
         sidebar = region("UI")
         sidebar.active_panel_category = "Farfield"
-        area().tag_redraw()
+        viewport().tag_redraw()
         yield SETTLE_SECONDS
         subprocess.run(["import", "-window", "root", str(Path(FOLDER) / f"{name}-{theme}.png")], check=True)
         window = bpy.context.window_manager.windows[0]
@@ -77,10 +53,8 @@ def shoot(name: str, full_window: bool = False) -> Iterator[float]:
 
 def run_job() -> Iterator[float]:
     """Wait until the running job has ended."""
-    work = module("addon.operators.long_work")
     yield 0.5
-    while work.current_run() is not None:
-        yield 0.2
+    yield from wait_for_job()
     yield SETTLE_SECONDS
 
 
@@ -100,7 +74,7 @@ def make_statue() -> bpy.types.Object:
 def start(operator: str, **properties) -> Iterator[float]:
     """Press the button of an operator and wait for its job."""
     group, name = operator.split(".")
-    with bpy.context.temp_override(window=bpy.context.window_manager.windows[0], area=area(), region=region("WINDOW")):
+    with bpy.context.temp_override(window=bpy.context.window_manager.windows[0], area=viewport(), region=region("WINDOW")):
         getattr(getattr(bpy.ops, group), name)("INVOKE_DEFAULT", **properties)
     yield from run_job()
 
@@ -108,14 +82,14 @@ def start(operator: str, **properties) -> Iterator[float]:
 def visit() -> Iterator[float]:
     """Visit all panels, as pauses in seconds."""
     scene = bpy.context.scene
-    area().spaces.active.region_3d.view_distance = 7.0
+    viewport().spaces.active.region_3d.view_distance = 7.0
     bpy.data.objects.remove(bpy.data.objects["Cube"])
     make_statue()
     if TOOL == "btf":
         scene.farfield_billboards.levels, scene.farfield_billboards.samples = 1, 1
         yield from start("farfield.billboards_build")
-    open_panel(TOOL)
-    area().spaces.active.show_region_ui = True
+    open_panel(TOOL, is_open)
+    viewport().spaces.active.show_region_ui = True
     yield 3.0
     yield from {"billboards": visit_billboards, "btf": visit_btf, "unwrap": visit_unwrap, "clipbox": visit_clipbox}[TOOL](scene)
 
@@ -127,10 +101,10 @@ def visit_billboards(scene: bpy.types.Scene) -> Iterator[float]:
     yield from shoot("billboards-settings")
     yield from start("farfield.billboards_build")
     yield from shoot("billboards-levels")
-    area().spaces.active.shading.type = "MATERIAL"
+    viewport().spaces.active.shading.type = "MATERIAL"
     yield 3 * SETTLE_SECONDS  # shaders compile
     yield from shoot("window", full_window=True)
-    area().spaces.active.shading.type = "SOLID"
+    viewport().spaces.active.shading.type = "SOLID"
 
 
 def visit_btf(scene: bpy.types.Scene) -> Iterator[float]:
@@ -160,30 +134,11 @@ def visit_clipbox(scene: bpy.types.Scene) -> Iterator[float]:
     yield from shoot("clipbox-active")
 
 
-TOOLS = ("billboards", "btf", "unwrap", "clipbox")
+def write_index(error: str | None) -> None:
+    """Write index.json."""
+    report["error"] = error
+    Path(FOLDER, "index.json").write_text(json.dumps(report), encoding="utf-8")
 
 
-def drive() -> None:
-    """Enable the extension, visit the panels, and quit."""
-    steps = visit()
-
-    def go_on() -> float | None:
-        finished = True
-        try:
-            pause = next(steps, None)
-            finished = pause is None
-            return pause
-        finally:
-            if sys.exc_info()[0] is not None:  # reaches the script that waits outside
-                report["error"] = traceback.format_exc()
-            if finished:
-                Path(FOLDER, "index.json").write_text(json.dumps(report), encoding="utf-8")
-                bpy.ops.wm.quit_blender()
-
-    bpy.context.preferences.view.show_splash = False
-    bpy.context.preferences.system.use_region_overlap = False
-    addon_utils.enable(PACKAGE)
-    bpy.app.timers.register(go_on, first_interval=3.0)
-
-
-drive()
+bpy.context.preferences.system.use_region_overlap = False
+run_steps(visit(), write_index)

@@ -1,9 +1,7 @@
 """Output files that appear complete or not at all."""
 
-import io
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stderr
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 from lib import environment
@@ -11,7 +9,7 @@ from lib import environment
 environment.import_farfield()
 
 from farfield.addon.core.errors import FileError
-from farfield.addon.core.files import atomic_write
+from farfield.addon.core.files import atomic_write, file_access
 
 
 @contextmanager
@@ -21,46 +19,66 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
     Raises:
         FileError: a file cannot be written, also by an operator of Blender; `folder` then has no new files.
     """
-    try:
-        with atomic_write.atomic_folder(folder) as temporary:
-            yield temporary
-    except RuntimeError as error:  # raised by Blender's operators
-        raise FileError(f'Cannot write in "{folder}": {blender_error_message(error)}') from error
+    with _convert_operator_errors(f'Cannot write in "{folder}"'), atomic_write.atomic_folder(folder) as temporary:
+        yield temporary
 
 
 @contextmanager
 def atomic_file(path: Path) -> Iterator[Path]:
-    """Yield the path to write to instead of `path`; see `atomic_folder`."""
-    with atomic_folder(path.parent) as folder:
-        yield folder / path.name
+    """Yield the path to write to instead of `path`. When the block succeeds, the file is moved to `path`.
+
+    Raises:
+        FileError: the file cannot be written, also by an operator of Blender; `path` is then as before.
+    """
+    with _convert_operator_errors(f'Cannot write "{path}"'), atomic_write.atomic_write(path) as temporary:
+        yield temporary
 
 
 def check_writable(*paths: Path | None) -> None:
-    """Raise FileError when one of `paths` cannot be written, before any work is spent on it. Paths that are None are skipped."""
+    """Raise FileError when one of `paths` cannot be written, before any work is done. Paths that are None are skipped."""
     for path in paths:
         if path is not None:
-            _check_writable(path)
+            file_access.check_writable(path)
 
 
-def _check_writable(path: Path) -> None:
-    if path.is_dir():
-        raise FileError(f'"{path}" is a folder; give a file name.')
-    folder = next(parent for parent in path.absolute().parents if parent.exists())
-    if not folder.is_dir():
-        raise FileError(f'Cannot write "{path}": "{folder}" is not a folder.')
-    if not os.access(folder, os.W_OK):
-        raise FileError(f'Cannot write "{path}": the folder "{folder}" is read-only; choose another one.')
+def check_outputs(outputs: Mapping[str, Path | None], inputs: Mapping[str, Path | None], report: Path | None = None) -> None:
+    """Check before any work is done that all files can be written, and that none replaces another one or an input.
+
+    outputs, inputs: paths by the names that messages use, for instance "--out"; those that are None are skipped. report: the path of
+    --report, which may also be a device or a pipe. A .blend file may be an input and --out: it is then changed in place.
+
+    Raises:
+        FileError: a file cannot be written, or would replace another one.
+    """
+    given_inputs = {name: path for name, path in inputs.items() if path is not None}
+    checked: dict[str, Path] = {}
+    is_file = report is not None and not file_access.is_stream(report)
+    for name, path in {**outputs, "--report": report if is_file else None}.items():
+        if path is None:
+            continue
+        file_access.check_writable(path)
+        for other, other_path in {**checked, **given_inputs}.items():
+            is_in_place = name == "--out" and other in given_inputs and path.suffix.lower() == ".blend"
+            if not is_in_place and file_access.is_same_file(path, other_path):
+                raise FileError(f'{name} and {other} are the same file "{path}"; choose different files.')
+        checked[name] = path
 
 
 @contextmanager
-def suppress_operator_tracebacks() -> Iterator[None]:
-    """Keep Blender from printing the tracebacks of operators written in Python; the operators also raise them."""
-    with redirect_stderr(io.StringIO()):
+def _convert_operator_errors(action: str) -> Iterator[None]:
+    """Raise a FileError instead of a RuntimeError of a Blender operator in the block. `action` begins its message."""
+    try:
         yield
+    except RuntimeError as error:
+        if type(error) is not RuntimeError:
+            raise  # a defect of Python code, such as unlimited recursion
+        raise FileError(f"{action}: {blender_error_message(error)}") from error
 
 
 def blender_error_message(error: RuntimeError) -> str:
     """Return the message of an error that a Blender operator raised: its first line, or the last line of a traceback in it."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip() and not line.startswith("Location:")]
+    if not lines:
+        return "Blender gives no reason."
     line = lines[-1].partition(": ")[2] if "Traceback" in str(error) else lines[0].removeprefix("Error: ")
-    return line.rstrip(".") + "."
+    return (line or lines[-1]).rstrip(".") + "."

@@ -1,16 +1,20 @@
 """The command line that all scripts share: arguments, progress line, reports and exit codes.
 
-Exit codes: 0 success, 2 invalid input (an error message of one sentence on stderr), 130 cancelled. Standard output holds the result that
-`main` returns and nothing else; `--verbose` adds the messages of Blender. Import this module after `environment.ensure()`.
+Exit codes: 0 success, 1 a defect of Farfield, 2 invalid input, 130 cancelled; in all but the first case there is one sentence on stderr.
+Standard output holds the result that `main` returns and nothing else; `--verbose` adds the messages of Blender and the traceback of a
+defect. Import this module after `environment.ensure()`.
 """
 
 import argparse
 import json
+import os
 import re
 import signal
 import sys
 import time
+import traceback
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn, TextIO
 
@@ -21,15 +25,19 @@ from lib import environment
 farfield = environment.import_farfield()
 
 from farfield.addon.core.errors import FarfieldError, SettingsError
+from farfield.addon.core.files.defect_log import defect_message, write_defect_log
+from farfield.addon.core.files.file_access import convert_os_errors, is_stream
 from farfield.addon.core.jobs.progress import Progress, time_left
-from farfield.addon.core.settings import with_flags
-from farfield.addon.operators.long_work import format_duration
+from farfield.addon.core.settings import flag_of, with_flags
+from farfield.addon.operators.job_run import format_duration
 from lib.atomic_output import atomic_file
 from lib.script_stdout import script_stdout
 
-SUCCESS, INVALID_INPUT, CANCELLED = 0, 2, 130
+SUCCESS, DEFECT, INVALID_INPUT, CANCELLED = 0, 1, 2, 130
 LINE_WIDTH = 78
 NEGATIVE_NUMBER = re.compile(r"-\.?\d")
+STDOUT_PATH = re.compile(r"(^|(?<==))/(?:dev/stdout|dev/fd/1|proc/self/fd/1)$")  # as an argument, or as --flag=PATH
+OPEN_DESCRIPTOR = re.compile(r"/(?:dev|proc/self)/fd/(\d+)")
 
 
 class Parser(argparse.ArgumentParser):
@@ -51,6 +59,9 @@ class Parser(argparse.ArgumentParser):
                 joined.append(argument)
         parsed = super().parse_args(joined, namespace)
         del parsed.verbose
+        for name, value in vars(parsed).items():
+            if isinstance(value, str) and not _is_unicode(value):
+                self.error(f"{flag_of(name)} is not valid UTF-8 text; write it with other characters")
         return parsed
 
     def error(self, message: str) -> NoReturn:
@@ -95,9 +106,21 @@ class ProgressLine:
 
     def _write(self, text: str) -> None:
         if self._visible and text != self._last:
-            sys.stderr.write("\r" + text[:LINE_WIDTH].ljust(LINE_WIDTH) + ("" if text else "\r"))
-            sys.stderr.flush()
+            with suppress(OSError):  # the terminal was closed
+                sys.stderr.write("\r" + text[:LINE_WIDTH].ljust(LINE_WIDTH) + ("" if text else "\r"))
+                sys.stderr.flush()
             self._last = text
+
+
+def parse_path(text: str) -> Path:
+    """Return the path written as `text` on a command line; the type of arguments that are paths.
+
+    Raises:
+        argparse.ArgumentTypeError: it is empty.
+    """
+    if not text.strip():
+        raise argparse.ArgumentTypeError('the path is empty; write "." for the current folder')
+    return Path(text)
 
 
 def script_arguments() -> list[str]:
@@ -113,53 +136,100 @@ def run(main: Callable[[list[str], ProgressLine], str | None]) -> NoReturn:
     The result is one line; benchmarks return JSON. Error messages go to stderr.
     """
     arguments = script_arguments()
-    with script_stdout(verbose=_keeps_stdout(arguments)) as stdout:
-        code = _run(main, arguments, stdout)
+    verbose, wants_help = _read_output_flags(arguments)
+    with script_stdout(verbose=verbose or wants_help) as stdout:
+        # Descriptor 1 leads to the null device from here on.
+        arguments = [STDOUT_PATH.sub(f"/dev/fd/{stdout.fileno()}", argument) for argument in arguments]
+        code = _run(main, arguments, stdout, verbose)
     sys.exit(code)
 
 
-def _run(main: Callable[[list[str], ProgressLine], str | None], arguments: list[str], stdout: TextIO) -> int:
+def _run(main: Callable[[list[str], ProgressLine], str | None], arguments: list[str], stdout: TextIO, verbose: bool) -> int:
     """Return the exit code."""
     line = ProgressLine()
-    signal.signal(signal.SIGINT, line.request_cancel)  # the handler of Blender's background mode only cancels renders
-    _disable_installed_extension()
-    farfield.register()
+    _handle_signals(line)
+    script = Path(main.__code__.co_filename).name
     try:
-        result = main(arguments, line)
-        line.clear()
+        _disable_installed_extension()
+        farfield.register()
+        try:
+            result = main(arguments, line)
+        finally:
+            line.clear()
+            farfield.unregister()
         if result is not None:
             print(result, file=stdout)
         return SUCCESS
     except FarfieldError as error:
-        line.clear()
-        print(with_flags(error) if isinstance(error, SettingsError) else error, file=sys.stderr)
+        _print_error(with_flags(error) if isinstance(error, SettingsError) else error)
+        return INVALID_INPUT
+    except MemoryError:
+        _print_error(f"{script} needs more memory than there is; choose settings that need less, or give it smaller input.")
         return INVALID_INPUT
     except KeyboardInterrupt:
-        line.clear()
-        print("Cancelled.", file=sys.stderr)
+        _print_error("Cancelled.")
         return CANCELLED
-    finally:
-        line.clear()
-        farfield.unregister()
+    except Exception as error:  # noqa: BLE001 - the last net: a defect ends in one sentence too
+        log = write_defect_log(script, error, [f"Blender {bpy.app.version_string}", f"Arguments: {arguments}"])
+        if verbose:
+            traceback.print_exception(error)
+        _print_error(defect_message(script, error, log))
+        return DEFECT
 
 
-def _keeps_stdout(arguments: list[str]) -> bool:
-    """Whether the standard output is left alone: `--verbose` asks for the messages of Blender, and `--help` prints to it."""
+def _handle_signals(line: ProgressLine) -> None:
+    """Let the signals that ask a process to end cancel the run, as Ctrl+C does."""
+    signal.signal(signal.SIGINT, line.request_cancel)  # the handler of Blender's background mode only cancels renders
+    for name in ("SIGTERM", "SIGHUP", "SIGBREAK"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) != signal.SIG_IGN:  # `nohup` ignores SIGHUP
+            signal.signal(number, line.request_cancel)
+
+
+def _print_error(message: object) -> None:
+    with suppress(OSError):  # nobody reads it
+        print(message, file=sys.stderr, flush=True)
+
+
+def _is_unicode(text: str) -> bool:
+    """Whether `text` has no bytes that Python could not decode."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def _read_output_flags(arguments: list[str]) -> tuple[bool, bool]:
+    """Return whether the messages of Blender are wanted, and whether the help is, which is printed to the standard output."""
     parser = argparse.ArgumentParser(add_help=False)
     parser.add_argument("--verbose", action="store_true")
     parser.add_argument("-h", "--help", action="store_true")
     known = parser.parse_known_args(arguments)[0]
-    return known.verbose or known.help
+    return known.verbose, known.help
 
 
 def write_report(path: Path, report: dict[str, Any]) -> None:
-    """Write `report` as JSON. The file appears complete or not at all.
+    """Write `report` as JSON. A file appears complete or not at all; a device or a pipe is written to.
 
     Raises:
         FileError: the file cannot be written.
     """
-    with atomic_file(path) as temporary:
-        temporary.write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    content = json.dumps(report, indent=2, allow_nan=False) + "\n"
+    if is_stream(path):
+        with convert_os_errors(f'Cannot write "{path}"'), _open_stream(path) as stream:
+            stream.write(content)
+    else:
+        with atomic_file(path) as temporary:
+            temporary.write_text(content, encoding="utf-8")
+
+
+def _open_stream(path: Path) -> TextIO:
+    """Open a device, a pipe or an open file of this process. Raises OSError."""
+    descriptor = OPEN_DESCRIPTOR.fullmatch(str(path.absolute()))
+    if descriptor:  # opening the path of a regular file again would start at its beginning
+        return os.fdopen(os.dup(int(descriptor[1])), "w", encoding="utf-8")
+    return path.open("w", encoding="utf-8")
 
 
 def peak_memory_mb() -> float:

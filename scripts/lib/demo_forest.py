@@ -6,7 +6,6 @@ directions to its local space.
 
 import subprocess
 import sys
-import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +25,7 @@ from farfield.addon.bridge.btf.materials import AMBIENT
 from farfield.addon.bridge.images import read_pixels
 from farfield.addon.compat import enable_nodes, set_file_format
 from farfield.addon.core.errors import FileError
+from farfield.addon.core.files.temporary_folders import temporary_folder
 from farfield.addon.core.jobs.progress import Progress, Steps
 from lib import scene_files
 from lib.contact_sheet import draw_contact_sheet
@@ -123,10 +123,10 @@ def render_day(path: Path) -> Steps[np.ndarray]:
     Raises:
         FileError: the process does not render them.
     """
-    with tempfile.TemporaryDirectory(prefix="farfield-forest-") as folder:
-        images = [Path(folder) / f"{frame_of_hour(index)}.png" for index in range(len(DAY))]
+    with temporary_folder() as folder:
+        images = [folder / f"{frame_of_hour(index)}.png" for index in range(len(DAY))]
         process = subprocess.Popen(
-            _render_command([str(path), folder, *(image.stem for image in images)]),
+            _render_command([str(path), str(folder), *(image.stem for image in images)]),
             stderr=subprocess.PIPE,
             text=True,
             encoding="utf-8",
@@ -172,8 +172,8 @@ def _read_image(path: Path) -> np.ndarray:
 def _isolate_collection(cloud: SceneCloud) -> bpy.types.Collection:
     """Replace the open file by one with nothing but the collection of `cloud`, its dependencies and its PBR material."""
     pbr = pbr_material(cloud.levels[0])
-    with tempfile.TemporaryDirectory(prefix="farfield-forest-") as folder:
-        path = str(Path(folder) / "cloud.blend")
+    with temporary_folder() as folder:
+        path = str(folder / "cloud.blend")
         names = cloud.collection.name, pbr.name
         link_suns(cloud.levels[0], (), (0.0, 0.0, 0.0))
         try:

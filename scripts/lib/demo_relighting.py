@@ -10,12 +10,13 @@ from lib import environment
 
 environment.import_farfield()
 
+from farfield.addon.bridge.billboards.cloud_sources import store_sources
 from farfield.addon.bridge.billboards.clouds import FINGERPRINT
-from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, read_cloud, store_source_names
+from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, read_cloud
 from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.jobs.progress import Steps, subprogress
 from farfield.addon.operators.btf.job import BakeJob, prepare_bake
-from farfield.addon.operators.long_work import run_job
+from farfield.addon.operators.job_run import run_job
 from lib.baselines import build_octahedral_impostor
 from lib.relighting import Candidate, RelightingComparison, compare_relighting, draw_relighting_sheet, held_out_pairs
 
@@ -101,7 +102,7 @@ def copy_level_as_cloud(cloud: SceneCloud, index: int) -> SceneCloud:
     """Copy one level of `cloud` to a new cloud in the scene."""
     collection = bpy.data.collections.new(f"{cloud.collection.name} Relightable")
     collection[FINGERPRINT] = cloud.collection[FINGERPRINT]
-    store_source_names(collection, cloud.source_names)
+    store_sources(collection, cloud.sources)
     level = cloud.levels[index].copy()
     level.data = level.data.copy()
     level.name = level.data.name = collection.name

@@ -5,9 +5,7 @@ Andersson et al.: FLIP: a difference evaluator for alternating images, 2020. `re
 
 import json
 import subprocess
-import tempfile
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -17,6 +15,7 @@ from lib import environment
 environment.import_farfield()
 
 from farfield.addon.core.errors import FarfieldError
+from farfield.addon.core.files.temporary_folders import temporary_folder
 
 PROGRAM = """
 import json, sys
@@ -39,8 +38,8 @@ def mean_flip(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[float] | N
     python = reference_tools.find_python()
     if python is None:
         return None
-    with tempfile.TemporaryDirectory(prefix="farfield-flip-") as folder:
-        path = Path(folder) / "pairs.npz"
+    with temporary_folder() as folder:
+        path = folder / "pairs.npz"
         arrays = {}
         for index, pair in enumerate(pairs):
             for name, image in zip(("reference", "image"), pair, strict=True):

@@ -1,6 +1,6 @@
-"""Reading scenes from all file formats that Blender reads, and writing `.blend` files."""
+"""Reading scenes from all file formats that Blender reads, and writing `.blend` and `.obj` files."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import bpy
@@ -9,8 +9,12 @@ from lib import environment
 
 environment.import_farfield()
 
-from farfield.addon.core.errors import FileError
-from lib.atomic_output import atomic_file, blender_error_message, suppress_operator_tracebacks
+from farfield.addon.core.errors import FileError, GeometryError
+from farfield.addon.core.files.complete_files import is_complete_blend
+from farfield.addon.core.files.file_access import check_readable
+from lib.atomic_output import atomic_file, blender_error_message
+from lib.ply_header import check_ply_header
+from lib.script_stdout import mute_stderr
 
 
 def _importers() -> dict[str, Callable[..., set[str]]]:
@@ -27,21 +31,38 @@ def open_scene(path: Path) -> None:
     Raises:
         FileError: the file does not exist, its extension is unknown, or Blender cannot read it.
     """
-    if not path.is_file():
-        raise FileError(f'The file "{path}" does not exist; check the path.')
+    check_readable(path)
     importers = _importers()
     extension = path.suffix.lower()
     if extension != ".blend" and extension not in importers:
         raise FileError(f'"{path.name}" has the extension "{extension}"; Farfield reads .blend {" ".join(importers)}.')
+    if extension == ".ply":
+        check_ply_header(path)
     try:
-        if extension == ".blend":
-            bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False)
-        else:
-            bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-            with suppress_operator_tracebacks():
+        with mute_stderr():  # the operators also raise what they print
+            if extension == ".blend":
+                bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False)
+            else:
+                bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
                 importers[extension](filepath=str(path))
     except RuntimeError as error:  # raised by Blender's operators
         raise FileError(f'Blender cannot read "{path}": {blender_error_message(error)}') from error
+
+
+def objects_in_renders(objects: Sequence[bpy.types.Object], path: Path | None) -> list[bpy.types.Object]:
+    """Return those of `objects`, read from `path` or created by the script if it is None, that are visible in renders.
+
+    Raises:
+        GeometryError: there are none.
+    """
+    place = "the scene" if path is None else f'"{path}"'
+    if not objects:
+        raise GeometryError(f"There is no mesh in {place}; give a file with an object that has faces.")
+    visible = [item for item in objects if not item.hide_render]
+    if not visible:
+        names = ", ".join(item.name for item in objects)
+        raise GeometryError(f"Every object in {place} is disabled in renders ({names}); enable one of them.")
+    return visible
 
 
 def save_scene(path: Path) -> None:
@@ -54,3 +75,25 @@ def save_scene(path: Path) -> None:
         bpy.ops.file.make_paths_absolute()  # relative paths would refer to the temporary folder
     with atomic_file(path) as temporary:
         bpy.ops.wm.save_as_mainfile(filepath=str(temporary), copy=True, compress=True, check_existing=False, relative_remap=False)
+        if not is_complete_blend(temporary) or not _can_be_opened(temporary):  # Blender reports no failed write of a compressed file
+            raise FileError(f'Cannot write "{path}": the saved file is truncated, because the disk or your quota is full; free some space.')
+
+
+def save_obj(path: Path) -> None:
+    """Write all objects as `path`, a path of a temporary file: without materials and normals, and without the effect of modifiers.
+
+    Raises:
+        OSError: the disk is full.
+    """
+    bpy.ops.wm.obj_export(filepath=str(path), export_materials=False, export_normals=False, apply_modifiers=False)
+    with path.open("ab") as file:  # Blender reports no failed write; after one, there is no room for another line either
+        file.write(b"# end of file\n")
+
+
+def _can_be_opened(path: Path) -> bool:
+    """Whether Blender finds all blocks of a `.blend` file; none of their data is read."""
+    try:
+        with bpy.data.libraries.load(str(path)):
+            return True
+    except OSError:
+        return False

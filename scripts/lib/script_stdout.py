@@ -1,14 +1,15 @@
-"""A script's standard output without the messages of Blender.
+"""A script's standard output and standard error without the messages of Blender.
 
 Blender, its add-ons and the processes that it starts print to file descriptor 1: "Saved: ...", the statistics of Cycles, the progress of
-importers. `script_stdout` sends all of that to the null device and gives the script a stream of its own.
+importers. `script_stdout` sends all of that to the null device and gives the script a stream of its own. `mute_stderr` does the same with
+descriptor 2, for operators that print the reasons of errors that they also raise.
 """
 
 import ctypes
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext, redirect_stdout
+from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import TextIO
 
@@ -42,7 +43,26 @@ def _muted(original: int) -> Iterator[None]:
             os.dup2(original, 1)
 
 
+@contextmanager
+def mute_stderr() -> Iterator[None]:
+    """Send what Blender, its libraries and add-ons print to stderr within the block to the null device."""
+    _flush()
+    original = os.dup(2)
+    try:
+        with Path(os.devnull).open("w", encoding="utf-8") as null:
+            os.dup2(null.fileno(), 2)
+            try:
+                with redirect_stderr(null):
+                    yield
+            finally:
+                _flush()
+                os.dup2(original, 2)
+    finally:
+        os.close(original)
+
+
 def _flush() -> None:
-    """Flush the buffers of Python and C, so that what Blender has printed goes where descriptor 1 points now."""
+    """Flush the buffers of Python and C, so that what Blender has printed goes where descriptors 1 and 2 point now."""
     sys.stdout.flush()
+    sys.stderr.flush()
     ctypes.CDLL("ucrtbase" if os.name == "nt" else None).fflush(None)

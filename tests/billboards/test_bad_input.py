@@ -139,6 +139,22 @@ class TestTransforms:
         for polygon in level().data.polygons:
             assert polygon.normal.dot(polygon.center) > 0.0
 
+    @pytest.mark.parametrize("method", ["clusters", "hough", "decimate"])
+    def test_small_objects_at_large_distances(self, method):
+        """The error is much larger than the objects, but their faces have an area."""
+        far = add_cube("Far")
+        far.location.x = 1e7
+        add_cube().select_set(True)
+        far.select_set(True)
+        assert build(combine_selected=True, method=method) == {"FINISHED"}
+        assert level()["farfield_quads"] >= 1
+
+    @pytest.mark.filterwarnings("error::RuntimeWarning")
+    @pytest.mark.parametrize("location", [1e15, 1e30])
+    def test_far_from_the_origin(self, location):
+        add_cube(scale=(location * 1e-6,) * 3).location.x = location
+        assert build() == {"FINISHED"}
+
     def test_zero_scale_is_flat(self):
         add_cube(scale=(1.0, 1.0, 0.0))
         build()
@@ -165,6 +181,16 @@ class TestMaterials:
         message = error_message(textures=True)
         assert "Lost" in message and "Painted" in message and path.name in message
         assert build(textures=False) == {"FINISHED"}
+
+    def test_an_image_path_that_no_disk_can_hold_is_missing_too(self):
+        cube = add_cube()
+        material = bpy.data.materials.new("Painted")
+        enable_nodes(material)
+        image = bpy.data.images.new("Lost", 4, 4)
+        image.source, image.filepath = "FILE", f"/{'a' * 300}.png"
+        material.node_tree.nodes.new("ShaderNodeTexImage").image = image
+        cube.data.materials.append(material)
+        assert "Lost" in error_message(textures=True)
 
     def test_empty_material_slots_are_gray(self):
         add_cube().data.materials.append(None)
@@ -222,7 +248,7 @@ class TestFiles:
         locked.mkdir()
         locked.chmod(0o500)
         if os.access(locked, os.W_OK):  # the superuser can write anywhere
-            monkeypatch.setattr(atomic_output.os, "access", lambda path, _: Path(path) != locked)
+            monkeypatch.setattr(os, "access", lambda path, _: Path(path) != locked)
         with pytest.raises(FileError, match="read-only"):
             main(cube_file, "--out", locked / "out.blend")
         assert list(locked.iterdir()) == []

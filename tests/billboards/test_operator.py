@@ -1,13 +1,13 @@
 """The operators as scripts and other add-ons call them: results, rejected input, visibility, undo, and no other changes."""
 
 import math
-from types import SimpleNamespace
 from unittest.mock import MagicMock
 
 import bpy
 import numpy as np
 import pytest
 
+from bridge.operator_scenes import build, cube, is_hidden, levels, link_from_library, select
 from farfield.addon.bridge.billboards.level_objects import read_level_quads
 from farfield.addon.bridge.billboards.scene_clouds import clouds_in, find_cloud
 from farfield.addon.bridge.cameras import read_scene_camera
@@ -19,40 +19,6 @@ from farfield.addon.operators.billboards import estimates
 from farfield.addon.panels import billboards as panels
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
-ROUGH = {"error": 5.0, "levels": 2, "textures": False}
-
-
-def build(**arguments):
-    """Build with few quads and without textures by default."""
-    return bpy.ops.farfield.billboards_build(**(ROUGH | arguments))
-
-
-def cube(name="Cube", location=(0.0, 0.0, 0.0), **arguments):
-    """Add a selected cube with side 2."""
-    bpy.ops.mesh.primitive_cube_add(location=location, **arguments)
-    bpy.context.object.name = name
-    return bpy.context.object
-
-
-def select(*objects):
-    """Select exactly these objects."""
-    bpy.context.view_layer.update()
-    for item in bpy.context.view_layer.objects:
-        item.select_set(item in objects)
-    bpy.context.view_layer.objects.active = objects[0] if objects else None
-
-
-def levels():
-    """Return the level objects in the file, by name."""
-    return {item.name: item for item in bpy.data.objects if item.get("farfield_kind") == "cloud"}
-
-
-def is_hidden(item):
-    """Return whether an object, or its cloud's collection, is hidden in the viewport and in renders; the two must agree."""
-    holders = [item, *(collection for collection in item.users_collection if collection != bpy.context.scene.collection)]
-    in_viewport, in_render = any(holder.hide_viewport for holder in holders), any(holder.hide_render for holder in holders)
-    assert in_viewport == in_render
-    return in_viewport
 
 
 def error_message(**arguments):
@@ -61,18 +27,6 @@ def error_message(**arguments):
         build(**arguments)
     assert not levels()
     return str(caught.value)
-
-
-def link_from_library(path, name="Linked"):
-    """Save a file with a cube, open an empty one, and link the cube into it; returns the linked object, selected."""
-    cube(name)
-    bpy.ops.wm.save_as_mainfile(filepath=str(path))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    with bpy.data.libraries.load(str(path), link=True) as (_, target):
-        target.objects = [name]
-    bpy.context.collection.objects.link(target.objects[0])
-    select(target.objects[0])
-    return target.objects[0]
 
 
 def test_cube_becomes_cloud_with_levels():
@@ -138,14 +92,6 @@ def test_hidden_objects_are_not_built():
     hidden.hide_set(True)
     build(levels=1)
     assert list(levels()) == ["Shown Cloud L0"]
-
-
-def test_clouds_are_not_built_from_clouds():
-    cube()
-    build(levels=1)
-    select(*levels().values())
-    with pytest.raises(RuntimeError, match="not its cloud"):
-        build()
 
 
 def test_poll_message_without_selection():
@@ -295,14 +241,14 @@ class TestVisibility:
         select(cube())
         assert not bpy.ops.farfield.billboards_show.poll()
 
-    def test_cloud_without_source_stays_visible(self, capfd):
+    def test_cloud_without_original_stays_visible(self, capfd):
         source = cube()
         build(levels=1)
         bpy.data.objects.remove(source)
         select(*levels().values())
         assert bpy.ops.farfield.billboards_show(show="SOURCE") == {"CANCELLED"}
         assert not is_hidden(levels()["Cube Cloud L0"])
-        assert 'Without source objects: "Cube Cloud"' in capfd.readouterr().out
+        assert 'Original not found: "Cube" of "Cube Cloud"' in capfd.readouterr().out
 
     def test_linked_source_stays_as_it_is_and_is_reported(self, tmp_path, capfd):
         linked = link_from_library(tmp_path / "bibliothèque été.blend")
@@ -368,7 +314,7 @@ def test_level_in_scene_is_the_level_of_core():
     (cloud,) = clouds_in(bpy.context.scene)
     camera = read_scene_camera(bpy.context.scene)
     expected = choose_level(cloud.errors, cloud.distance(camera.position), camera)
-    assert cloud.show_level_for(camera) == expected
+    assert cloud.show_level_for(camera, bpy.context.view_layer) == expected
 
 
 def test_hidden_levels_keep_their_place_in_a_reopened_file(tmp_path):
@@ -442,7 +388,10 @@ class TestPanel:
             getattr(layout, nested).return_value = layout
         for panel in panels.CLASSES:
             if not hasattr(panel, "poll") or panel.poll(bpy.context):
-                panel.draw(SimpleNamespace(layout=layout, bl_label=panel.bl_label), bpy.context)
+                plain = type(panel.__name__, panel.__bases__[:-1], {key: item for key, item in vars(panel).items() if key[:2] != "__"})
+                drawn = plain()
+                drawn.layout = layout
+                drawn.draw(bpy.context)
         texts = {call.kwargs.get("text") for called in (layout.operator, layout.label) for call in called.call_args_list}
         return texts, [call.args[1] for call in layout.prop.call_args_list]
 
@@ -450,7 +399,7 @@ class TestPanel:
         cube()
         build()
         _, drawn = self.draw()
-        assert sorted(drawn) == sorted(item.name for item in panels.SETTINGS)
+        assert sorted(drawn) == sorted(item.name for item in panels.BillboardSettingsPanel.settings)
 
     def test_buttons_follow_the_state(self):
         texts, _ = self.draw()

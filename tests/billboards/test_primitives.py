@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from farfield.addon.core.billboards.primitives import Primitives, from_mesh, from_points
+from farfield.addon.core.billboards.primitives import Primitives, drop_incomplete_points, from_mesh, from_points
+from farfield.addon.core.errors import GeometryError
 from farfield.addon.core.geometry.mesh import PointCloud, TriangleMesh
 from shapes import sheet, soup
 
@@ -46,3 +47,24 @@ def test_disc_becomes_its_circumscribed_square(seed):
     np.testing.assert_allclose(np.linalg.norm(sides, axis=2), np.repeat(2.0 * radii[:, None], 4, axis=1))
     np.testing.assert_allclose(np.cross(sides[:, 0], sides[:, 1]), squares.areas[:, None] * normals, atol=1e-9)
     np.testing.assert_allclose(np.trace(squares.covariances, axis1=1, axis2=2), 2.0 * radii**2 / 3.0)
+
+
+@pytest.mark.parametrize("radius", [0.0, -1.0, np.inf, np.nan])
+def test_points_without_a_radius_are_dropped_or_named(radius):
+    points = np.random.default_rng(0).random((10, 3))
+    normals, radii = np.tile([0.0, 0.0, 1.0], (10, 1)), np.ones(10)
+    radii[3] = radius
+    kept, indices = drop_incomplete_points(PointCloud(points, normals, radii, np.ones((10, 4))), "Dots")
+    np.testing.assert_array_equal(indices, np.delete(np.arange(10), 3))
+    assert len(kept.points) == len(kept.colors) == 9
+    with pytest.raises(GeometryError, match='No point of "Dots" has a finite radius above 0; correct'):
+        drop_incomplete_points(PointCloud(points, normals, np.full(10, radius)), "Dots")
+
+
+def test_points_without_a_normal_are_named():
+    points, radii = np.random.default_rng(0).random((2, 3)), np.ones(2)
+    for normal in (0.0, np.nan, 5.0):
+        with pytest.raises(GeometryError, match='No point of "Dots" has a normal; correct'):
+            drop_incomplete_points(PointCloud(points, np.full((2, 3), normal), radii), "Dots")
+    with pytest.raises(GeometryError, match='No point of "Dots" has both; correct its normals and radii'):
+        drop_incomplete_points(PointCloud(points, np.array([[0.0, 0.0, 1.0], [0.0] * 3]), np.array([0.0, 1.0])), "Dots")

@@ -264,3 +264,62 @@ def test_first_ctrl_c_cancels_at_next_step_and_second_immediately():
         line.show(Progress(0.6, "Clustering"))
     with pytest.raises(KeyboardInterrupt):
         line.request_cancel(signal.SIGINT, None)
+
+
+@pytest.mark.parametrize(
+    "flags",
+    [
+        ("--out", "würfel 立方体.obj"),
+        ("--out", "out.blend", "--report", "out.blend"),
+        ("--out", "out.blend", "--report", "würfel 立方体.obj"),
+        ("--out", "out.obj", "--report", "out.mtl"),
+    ],
+)
+def test_outputs_replace_neither_each_other_nor_the_input(cube, flags):
+    with pytest.raises(FileError, match="same file"):
+        main(cube, *(flag if flag.startswith("--") else cube.with_name(flag) for flag in flags), "--no-textures")
+    assert [path.name for path in cube.parent.iterdir()] == [cube.name] and cube.read_text(encoding="utf-8") == CUBE
+
+
+def test_a_scene_is_changed_in_place(cube):
+    scene_files.open_scene(cube)
+    path = cube.with_name("scene.blend")
+    scene_files.save_scene(path)
+    main(path, "--out", path, "--no-textures", "--levels", "1", "--error", "10%")
+    scene_files.open_scene(path)
+    assert len(cloud_levels()) == 1
+
+
+def test_names_in_a_scene_choose_no_paths_and_break_no_lines(cube):
+    scene_files.open_scene(cube)
+    bpy.data.objects[0].name = "../A/B\nnewmtl C"
+    path, out = cube.with_name("names.blend"), cube.with_name("o\nut.obj")
+    scene_files.save_scene(path)
+    main(path, "--out", out, "--error", "10%", "--levels", "2", "--samples", "1")
+    names = {item.name for item in cube.parent.iterdir()}
+    pictures = {name for name in names if name.endswith(".png")}
+    assert names == {cube.name, path.name, out.name, "o_ut.mtl"} | pictures and len(pictures) == 2
+    scene_files.open_scene(out)
+    assert len(bpy.data.objects) == 2
+    for item in bpy.data.objects:
+        nodes = item.data.materials[0].node_tree.nodes
+        assert all(node.image.size[0] for node in nodes if node.type == "TEX_IMAGE")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no file names that are not Unicode")
+def test_an_output_name_that_is_not_unicode(cube):
+    out = cube.with_name("\udcff.obj")
+    main(cube, "--out", out, "--error", "10%", "--levels", "1", "--no-textures")
+    assert out.exists() and cube.with_name("_.mtl").exists()
+
+
+def test_an_object_that_is_disabled_in_renders_is_named(cube):
+    scene_files.open_scene(cube)
+    bpy.data.objects[0].hide_render = True
+    path = cube.with_name("hidden.blend")
+    scene_files.save_scene(path)
+    with pytest.raises(GeometryError, match="disabled in renders"):
+        main(path, "--out", cube.with_name("out.blend"))
+    cube.with_name("empty.obj").write_text("")
+    with pytest.raises(GeometryError, match="no mesh"):
+        main(cube.with_name("empty.obj"), "--out", cube.with_name("out.blend"))

@@ -122,3 +122,35 @@ def test_points_become_discs_facing_outwards():
 def test_a_mesh_with_faces_is_not_a_point_cloud():
     with pytest.raises(GeometryError, match="has faces"):
         read_point_cloud(blender_scenes.box())
+
+
+@pytest.mark.parametrize("scale", [(1.0, 1.0, 0.0), (0.0, 1.0, 1.0), (1.0, 0.0, 0.0)])
+def test_normals_and_radii_of_flattened_points_are_estimated(scale):
+    mesh = bpy.data.meshes.new("Points")
+    mesh.from_pydata([(x, y, x * y) for x in range(8) for y in range(8)], [], [])
+    mesh.attributes.new("normal", "FLOAT_VECTOR", "POINT").data.foreach_set("vector", [0.0, 0.0, 1.0] * 64)
+    mesh.attributes.new("radius", "FLOAT", "POINT").data.foreach_set("value", [0.1] * 64)
+    item = bpy.data.objects.new("Points", mesh)
+    item.scale = scale
+    bpy.context.scene.collection.objects.link(item)
+    bpy.context.view_layer.update()
+    cloud = read_point_cloud(item).points
+    assert np.linalg.norm(cloud.normals, axis=1) == pytest.approx(np.ones(64)) and (cloud.radii > 0.0).all()
+
+
+def test_objects_in_excluded_collections_are_skipped_with_the_reason():
+    box, absent = blender_scenes.box("Box"), blender_scenes.box("Absent")
+    collection = bpy.data.collections.new("Off")
+    bpy.context.scene.collection.children.link(collection)
+    collection.objects.link(absent)
+    bpy.context.collection.objects.unlink(absent)
+    bpy.context.view_layer.layer_collection.children["Off"].exclude = True
+    assert blender_scenes.read_objects(box, absent).skipped == ["Absent (not in the view layer)"]
+
+
+def test_a_material_that_was_renamed_is_an_error():
+    source = blender_scenes.read_objects(blender_scenes.box("Box", blender_scenes.create_material("Clay")))
+    assert [material.name for material in source.materials] == ["Clay"]
+    source.materials[0].name = "Loam"
+    with pytest.raises(GeometryError, match='"Clay" was renamed or removed'):
+        _ = source.materials

@@ -103,3 +103,14 @@ def test_the_render_session_ends_with_its_scene(fails):
         if fails:
             raise ZeroDivisionError
     assert len(list(THREADS.iterdir())) <= before < during
+
+
+def test_a_file_saved_meanwhile_contains_nothing_of_the_render_scene(empty_scene, tmp_path):
+    kept = bpy.data.objects.new("Kept", None)
+    empty_scene.collection.objects.link(kept)
+    with render_scene.render_scene("Test") as work:
+        work.scene.collection.objects.link(kept)
+        work.add_object(work.own(bpy.data.lights.new("Test Sun", "SUN")))
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "meanwhile.blend"), copy=True, check_existing=False)
+    with bpy.data.libraries.load(str(tmp_path / "meanwhile.blend")) as (saved, _):
+        assert (saved.scenes, saved.objects, saved.lights, saved.cameras) == ([empty_scene.name], ["Kept"], [], [])

@@ -23,7 +23,7 @@ from lib import scene_files
 from lib.studio import bounding_sphere, open_studio
 
 BAKE = {"views_per_side": 4, "lights_per_side": 4, "samples": 4, "components": 8, "alpha_components": 8, "shadows_per_side": 8}
-# One worker process: to start a second one would take longer than its renders.
+# One worker process: starting a second one would take longer than its renders.
 QUICK_BAKE = {**BAKE, "views_per_side": 2, "lights_per_side": 2, "samples": 1, "executor": "serial"}
 
 

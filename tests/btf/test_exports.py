@@ -26,7 +26,7 @@ from farfield.addon.core.geometry.directions import bonn_directions
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.operators.btf import export_job
 from farfield.addon.operators.btf.export_job import prepare_export
-from farfield.addon.operators.long_work import run_job
+from farfield.addon.operators.job_run import run_job
 from fmf_reader import read_fmf
 from random_textures import decode_radiance, random_color_factors
 
@@ -215,6 +215,41 @@ def test_each_level_is_written_to_its_own_file(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["ball_Ball_Cloud_L0.btf", "ball_Ball_Cloud_L1.btf"]
     export(cloud, tmp_path / "ball.glb")
     assert (tmp_path / "ball.glb").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("change", [lambda materials: materials.clear(), lambda materials: materials.__setitem__(0, None)])
+def test_a_removed_relightable_material_can_be_restored_as_pbr(cloud, change):
+    (level,) = cloud.levels
+    change(level.data.materials)
+    assert bpy.ops.farfield.btf_link_suns() == bpy.ops.farfield.btf_restore_pbr() == {"FINISHED"}
+    assert level.data.materials[0].node_tree is not None and PBR_MATERIAL not in level
+
+
+def test_names_of_levels_do_not_choose_folders(tmp_path):
+    bpy.context.view_layer.objects.active = blender_scenes.ball()
+    bpy.ops.farfield.billboards_build(error=8.0, levels=2, samples=1)
+    cloud = clouds_in(bpy.context.scene)[0]
+    for level, name in zip(cloud.levels, ("../../escaped", f"{tmp_path}/absolute"), strict=True):
+        level.name = name
+        assign_random_textures(level)
+    folder = tmp_path / "jail" / "exports"
+    export(cloud, folder / "ball.btf", ExportSettings())
+    export(cloud, folder / "images", BAKED)
+    assert sorted(path.suffix for path in folder.iterdir()) == ["", ".btf", ".btf"] and len(list((folder / "images").iterdir())) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["jail"] and [path.name for path in folder.parent.iterdir()] == ["exports"]
+
+
+def test_objects_renamed_during_an_export_are_found(cloud, tmp_path):
+    job = prepare_export(cloud.levels, tmp_path / "cloud.glb", BAKED)
+    run_to_end(job.core_steps())
+    cloud.levels[0].name = "Another"
+    run_to_end(job.scene_steps(None))
+    assert (tmp_path / "cloud.glb").exists()
+    job = prepare_export(cloud.levels, tmp_path / "removed.glb", BAKED)
+    bpy.data.objects.remove(cloud.levels[0])
+    with pytest.raises(GeometryError, match="was removed while it was being exported"):
+        run_to_end(job.scene_steps(None))
+    assert [path.name for path in tmp_path.iterdir()] == ["cloud.glb"]
 
 
 def test_a_cancelled_export_leaves_no_files(cloud, tmp_path):

@@ -75,6 +75,12 @@ def test_local_pca(cloud_file):
         (("--codec", "lpca", "--clusters", "256", "--views-per-side", "16"), SettingsError, r"a lookup table of 46080 x \d+ pixels"),
         (("--components", "64", "--views-per-side", "32", "--lights-per-side", "32"), SettingsError, "Reduce one of them"),
         (("--directions", "sideways"), SystemExit, "2"),
+        (("--work", ""), SystemExit, "2"),
+        (("--report", "{folder}/in.blend"), FileError, "same file"),
+        (("--curve", "{folder}/c.png", "--report", "{folder}/c.png"), FileError, "same file"),
+        (("--export", "{folder}/a.glb", "--export", "{folder}/b/../a.glb"), FileError, "reads or writes already"),
+        (("--export", "{folder}/a.glb", "--report", "{folder}/a.glb"), FileError, "reads or writes already"),
+        (("--export", "{folder}/in.blend/images"), FileError, "not a folder"),
     ],
 )
 def test_invalid_arguments_are_rejected_before_the_bake(cloud_file, flags, error, message):

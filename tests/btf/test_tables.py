@@ -1,9 +1,12 @@
 """Sampled as the shader does, the lookup tables give the interpolated factors."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from farfield.addon.core.btf.factorization.factors import Factors
+from farfield.addon.core.btf.settings import MAX_IMAGE_SIDE, BtfSettings
 from farfield.addon.core.btf.tables import (
     LookupTables,
     ViewTable,
@@ -13,8 +16,10 @@ from farfield.addon.core.btf.tables import (
     unpack_scalar_basis,
     unpack_weights,
 )
+from farfield.addon.core.errors import SettingsError
 from farfield.addon.core.geometry.direction_grids import DirectionGrid
 from farfield.addon.core.geometry.directions import fibonacci_sphere
+from farfield.addon.core.settings import describe
 from random_textures import random_color_factors
 
 
@@ -102,3 +107,16 @@ def test_blocks_of_four_weights_are_above_each_other():
     np.testing.assert_array_equal(image[:2], weights[..., :4])
     np.testing.assert_array_equal(image[2:, :, :2], weights[..., 4:])
     assert (image[2:, :, 2:] == 0.0).all()
+
+
+def test_tables_of_silhouettes_and_shadows_cannot_exceed_the_size_limit():
+    """So the error about the table size names the settings of the color table only."""
+    largest = {description.name: description.maximum for description in describe(BtfSettings)}
+    names = ("views_per_side", "alpha_components", "shadows_per_side", "shadow_components")
+    settings = BtfSettings(lights_per_side=2, components=1, **{name: largest[name] for name in names})
+    settings.check_table_size()
+    for grid, components in ((settings.view_grid, settings.alpha_components), (settings.shadow_grid, settings.shadow_components)):
+        assert -(-components // 4) * (grid.size + 2) <= MAX_IMAGE_SIDE
+    with pytest.raises(SettingsError, match=r"1024 views, 1024 lights .* lookup table of 1156 x 18496 pixels") as raised:
+        replace(settings, lights_per_side=32, components=16, shadows_per_side=0).check_table_size()
+    assert raised.value.settings == ("views_per_side", "lights_per_side", "components")

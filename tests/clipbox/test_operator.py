@@ -21,7 +21,7 @@ from farfield.addon.operators.clipbox import following
 from farfield.addon.operators.clipbox import job as clipbox_job
 from farfield.addon.operators.clipbox.engines import cache
 from farfield.addon.operators.clipbox.following import Following, recenter
-from farfield.addon.operators.long_work import run_job
+from farfield.addon.operators.job_run import run_job
 from lib import command_line, environment
 from scene_terrain import SMALL, camera_at, create, geometry_bytes
 
@@ -196,6 +196,31 @@ def test_a_height_map_is_colored_by_its_ground_image(tmp_path):
     assert ground_group(terrain).outputs["Color"].is_linked
     with pytest.raises(RuntimeError, match="There is no image"):
         create(terrain="heights", **(files | {"source_color": str(tmp_path / "nowhere.png")}))
+
+
+def test_relative_paths_are_stored_so_that_they_stay_valid(tmp_path, monkeypatch):
+    camera_at(0.0, 0.0, 20.0)
+    monkeypatch.chdir(tmp_path)
+    np.save("map.npy", np.fromfunction(lambda y, x: 0.1 * x + 0.0 * y, (32, 64)))
+    assert create(terrain="heights", source="map.npy").settings.source == str(tmp_path / "map.npy")
+    with pytest.raises(RuntimeError, match=f'There is no file "{tmp_path / "nowhere.npy"}"'):
+        create(terrain="heights", source="nowhere.npy")
+    with pytest.raises(RuntimeError, match=r'"//map\.npy" is relative to the \.blend file, which was never saved'):
+        create(terrain="heights", source="//map.npy")
+    with pytest.raises(RuntimeError, match=r'"//map\.png" is relative to the \.blend file'):
+        create(terrain="heights", source="map.npy", source_color="//map.png")
+    assert create(terrain="cascades", source="//unused.npy").settings.source == "//unused.npy"
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    terrain = create(terrain="heights", source="//map.npy")
+    assert terrain.settings.source == "//map.npy"
+    recenter(terrain, np.array([30.0, 0.0, 20.0]))
+
+
+def test_a_ground_image_that_cannot_be_looked_up_is_a_sentence(tmp_path):
+    camera_at(0.0, 0.0, 20.0)
+    np.save(tmp_path / "map.npy", np.eye(32))
+    with pytest.raises(RuntimeError, match="in Source Color cannot be read: File name too long"):
+        create(terrain="heights", source=str(tmp_path / "map.npy"), source_color=str(tmp_path / ("a" * 300 + ".png")))
 
 
 def test_steep_ground_of_a_forest_is_green(tmp_path):

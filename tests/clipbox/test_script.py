@@ -150,3 +150,31 @@ def test_exit_codes(folder):
     assert (
         failure.returncode == 2 and failure.stderr.strip().count("\n") == 0 and "os" in failure.stderr and not (folder / "b.ply").exists()
     )
+
+
+def test_sources_stay_where_they_are_for_the_saved_scene(folder, monkeypatch):
+    np.save(folder / "dem.npy", np.zeros((8, 8)))
+    monkeypatch.chdir(folder)
+    run("--terrain", "heights", "--source", "dem.npy", "--at", "0,0,9", "--out", "ground.blend")
+    bpy.ops.wm.open_mainfile(filepath=str(folder / "ground.blend"))
+    [terrain] = terrain_objects.scene_terrains(bpy.context.scene)
+    assert terrain.settings.source == str(folder / "dem.npy")
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        (("--out", "ground.ply", "--report", "ground.ply"), "same file"),
+        (("--out", "ground.ply", "--report", "dem.npy", "--terrain", "heights", "--source", "dem.npy"), "same file"),
+        (("--out", "ground.ply", "--path", "path.csv", "--report", "path.csv"), "same file"),
+        (("--out", "ground.blend", "--terrain", "heights", "--source", "//dem.npy"), "relative to the .blend file"),
+        (("--out", "ground.blend", "--terrain", "heights", "--source", "dem.npy", "--source-color", "a" * 300), "too long"),
+    ],
+)
+def test_paths_are_checked_before_any_work(folder, monkeypatch, flags, message):
+    monkeypatch.chdir(folder)
+    np.save(folder / "dem.npy", np.zeros((8, 8)))
+    (folder / "path.csv").write_text("0,0,0\n")
+    with pytest.raises(FileError, match=message):
+        run(*flags)
+    assert {path.name for path in folder.iterdir()} == {"dem.npy", "path.csv"}

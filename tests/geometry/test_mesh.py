@@ -13,6 +13,7 @@ from farfield.addon.core.geometry.mesh import (
     connected_components,
     drop_degenerate,
     face_areas_and_normals,
+    fingerprint,
     longest_side,
     loose_components,
     solid_components,
@@ -116,6 +117,17 @@ class TestZeroArea:
         np.testing.assert_array_equal(mesh.triangles, good.triangles)
         np.testing.assert_array_equal(mesh.materials, kept)
 
+    @pytest.mark.parametrize("distance", [1e7, 1e12])
+    def test_small_faces_at_large_distances_stay(self, distance):
+        far = TriangleMesh(box().vertices + [distance, 0.0, 0.0], box().triangles)
+        both = concatenate([box(), far])
+        assert len(drop_degenerate(both)[1]) == len(both.triangles)
+
+    def test_a_height_from_rounding_does_not_count_as_area(self):
+        line = np.array([[0.1, 0.1, 0.1], [0.4, 0.4, 0.4], [0.7, 0.7, 0.7]]) + 1e6  # collinear before rounding
+        mixed = concatenate([box(), TriangleMesh(line, TRIANGLE)])
+        assert len(drop_degenerate(mixed)[1]) == len(box().triangles)
+
     def test_meshes_without_them_are_unchanged(self):
         mesh, kept = drop_degenerate(soup(30))
         assert len(kept) == len(mesh.triangles) == 30
@@ -197,3 +209,23 @@ class TestLooseComponents:
         both = concatenate([board, leaf_cards(50)])
         loose = loose_components(both.vertices, both.triangles, components_of(both))
         np.testing.assert_array_equal(loose, np.arange(len(both.triangles)) >= 2)
+
+
+class TestFingerprint:
+    """It tells whether a geometry was edited or moved."""
+
+    def test_it_changes_with_a_move_and_with_an_edit(self):
+        ball = sphere(4)
+        edited = ball.vertices.copy()
+        edited[3] += 1e-3
+        variants = [ball.vertices, ball.vertices + [0.01, 0.0, 0.0], ball.vertices + 5.0, edited]
+        assert len({fingerprint(vertices, ball.triangles) for vertices in variants}) == 4
+        assert fingerprint(ball.vertices, ball.triangles) == fingerprint(ball.vertices.copy(), ball.triangles)
+
+    @pytest.mark.filterwarnings("error::RuntimeWarning")
+    def test_far_from_the_origin(self):
+        side = 1e15  # some units of the last place of a coordinate of 1e30
+        points = 1e30 + side * sphere(2).vertices
+        edited = points.copy()
+        edited[0] += side
+        assert fingerprint(points, sphere(2).triangles) != fingerprint(edited, sphere(2).triangles)

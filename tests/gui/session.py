@@ -10,26 +10,28 @@ import shutil
 import subprocess
 import sys
 import time
-import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import addon_utils
 import bpy
 import numpy as np
 
-PACKAGE = "bl_ext.user_default.farfield"
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+
+from lib import window_session
+from lib.window_session import POLL_SECONDS, current_job
+from lib.window_session import module as module  # for the session_*.py files
+from lib.window_session import wait_for_job as wait_for_job
+
 FOLDER = Path(sys.argv[sys.argv.index("--") + 1])
 LEAVES = 600
-POLL_SECONDS = 0.1
 START_TIMEOUT_SECONDS = 20.0
-JOB_TIMEOUT_SECONDS = 120.0
 
 results: dict = {"error": None}
 
 
 def create_tree() -> bpy.types.Object:
-    """Create a trunk and leaf cards around a crown, as one object with two materials."""
+    """Create a trunk and leaf cards around a crown, as one object with two materials. It is selected and active."""
     random = np.random.default_rng(1)
     angles = np.arange(12) * 2.0 * np.pi / 12
     ring = np.column_stack([0.15 * np.cos(angles), 0.15 * np.sin(angles), np.zeros(12)])
@@ -53,6 +55,8 @@ def create_tree() -> bpy.types.Object:
         polygon.material_index = 1
     tree = bpy.data.objects.new("Tree", mesh)
     bpy.context.scene.collection.objects.link(tree)
+    bpy.context.view_layer.objects.active = tree
+    tree.select_set(True)
     return tree
 
 
@@ -61,11 +65,11 @@ class UserInput:
 
     def __init__(self) -> None:
         self.window = bpy.context.window_manager.windows[0]
-        self.area = next(area for area in self.window.screen.areas if area.type == "VIEW_3D")
+        self.area = window_session.viewport()
 
     def region(self, region_type: str) -> bpy.types.Region:
         """Return a region of the 3D Viewport."""
-        return next(region for region in self.area.regions if region.type == region_type)
+        return window_session.region(region_type)
 
     def move(self, x: int, y: int) -> None:
         """Move the mouse."""
@@ -149,62 +153,19 @@ def scene_state() -> dict:
     }
 
 
-def module(name: str):
-    """Return a module of the installed extension."""
-    return sys.modules[f"{PACKAGE}.{name}"]
-
-
-def current_job():
-    """Return the running job, None if there is none."""
-    return module("addon.operators.long_work").current_run()
-
-
 def open_panel_alone(tool: str, *sub_panels: str) -> None:
-    """Open the panel of `tool` with its `sub_panels` and close those of the other tools, so that it fits in the window.
-
-    The panels are those of the extension's registration: every panel module has a main panel that is named after it.
-    """
-    panel_modules = [item for item in module("addon.registration").MODULES if ".addon.panels." in item.__name__]
-    for item in reversed(panel_modules):
-        item.unregister()
-    for item in panel_modules:
-        name = item.__name__.rpartition(".")[2]
-        getattr(item, f"FARFIELD_PT_{name}").bl_options = set() if name == tool else {"DEFAULT_CLOSED"}
-        for sub_panel in sub_panels if name == tool else ():
-            getattr(item, f"FARFIELD_PT_{name}_{sub_panel}").bl_options = set()
-        item.register()
-
-
-def wait_for_job(until_fraction: float | None = None) -> Iterator[float | list[float]]:
-    """Wait until the job ends or its progress reaches `until_fraction`; return the fractions on the way."""
-    fractions, started = [], time.monotonic()
-    while current_job() is not None:
-        assert time.monotonic() - started < JOB_TIMEOUT_SECONDS, "the job does not end"
-        fractions.append(current_job().progress.fraction)
-        if until_fraction is not None and fractions[-1] >= until_fraction:
-            break
-        yield POLL_SECONDS
-    return fractions
+    """Open the panel of `tool` with its `sub_panels` and those that are open by default, and close those of the other tools."""
+    names = {f"FARFIELD_PT_{tool}_{sub_panel}" for sub_panel in sub_panels}
+    window_session.open_panel(tool, lambda cls: cls.__name__ in names or "DEFAULT_CLOSED" not in getattr(cls, "bl_options", set()))
 
 
 def start_session(session: Callable[[], Iterator[float]]) -> None:
     """Enable the extension and run `session`, which yields pauses in seconds. Then write the results and quit Blender."""
-    steps = session()
 
-    def advance() -> float | None:
-        finished = True
-        try:
-            pause = next(steps, None)
-            finished = pause is None
-            return pause
-        finally:
-            if sys.exc_info()[0] is not None:  # any error must reach the test, which waits outside
-                results["error"] = traceback.format_exc()
-                save_screenshot("error")
-            if finished:
-                (FOLDER / "results.json").write_text(json.dumps(results, indent=2), encoding="utf-8")
-                bpy.ops.wm.quit_blender()
+    def write_results(error: str | None) -> None:
+        results["error"] = error
+        if error:
+            save_screenshot("error")
+        (FOLDER / "results.json").write_text(json.dumps(results, indent=2), encoding="utf-8")
 
-    bpy.context.preferences.view.show_splash = False
-    addon_utils.enable(PACKAGE)
-    bpy.app.timers.register(advance, first_interval=3.0)
+    window_session.run_steps(session(), write_results)

@@ -1,4 +1,4 @@
-"""A session in a Blender window: builds a cloud, cancels one, cross-fades its levels, and undoes both."""
+"""A session in a Blender window: builds a cloud, cancels one, shows its original, cross-fades its levels, and undoes all."""
 
 import sys
 from collections.abc import Iterator
@@ -28,9 +28,7 @@ def session() -> Iterator[float]:
     """Run the session; yields pauses in seconds."""
     user = UserInput()
     bpy.data.objects.remove(bpy.data.objects["Cube"])
-    tree = create_tree()
-    bpy.context.view_layer.objects.active = tree
-    tree.select_set(True)
+    create_tree()
     bpy.ops.ed.undo_push(message="Grow Tree")
     open_panel_alone("billboards")
     yield from user.open_sidebar()
@@ -56,6 +54,14 @@ def session() -> Iterator[float]:
     save_screenshot("4-built")
     results["built"] = scene_state()
 
+    results["visible"] = {"built": visible_objects()}
+    x, y = yield from user.find_button("farfield.billboards_show")
+    user.press("LEFTMOUSE", x, y)
+    yield 1.0
+    results["visible"]["original"] = visible_objects()
+    yield from user.press_undo()
+    results["visible"]["undone"] = visible_objects()
+
     x, y = yield from user.find_button("farfield.billboards_crossfade")
     user.press("LEFTMOUSE", x, y)
     yield 3.0
@@ -67,6 +73,11 @@ def session() -> Iterator[float]:
     yield from user.press_undo()
     results["after_undo_of_build"] = scene_state()
     save_screenshot("6-undone")
+
+
+def visible_objects() -> list[str]:
+    """Return the names of the mesh objects that the viewport shows."""
+    return sorted(item.name for item in bpy.context.view_layer.objects if item.type == "MESH" and item.visible_get())
 
 
 def crossfading_objects() -> list[str]:

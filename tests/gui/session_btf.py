@@ -46,9 +46,7 @@ def session() -> Iterator[float]:
     """Run the session; yields pauses in seconds."""
     user = UserInput()
     bpy.data.objects.remove(bpy.data.objects["Cube"])
-    tree = create_tree()
-    bpy.context.view_layer.objects.active = tree
-    tree.select_set(True)
+    create_tree()
     bpy.ops.farfield.billboards_build(error=8.0, levels=1, samples=1)
     for name, value in SETTINGS.items():
         setattr(bpy.context.scene.farfield_btf, name, value)

@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not add
 
 from session import UserInput, current_job, module, open_panel_alone, results, save_screenshot, scene_state, start_session, wait_for_job
 
-BUTTON = "farfield.clipbox_create"
+BUTTON, FOLLOW = "farfield.clipbox_create", "farfield.clipbox_follow_view"
 
 
 def terrain_names() -> list[str]:
@@ -53,22 +53,29 @@ def session() -> Iterator[float]:
 
     results["active"] = bpy.context.view_layer.objects.active.name
     results["first_viewer"] = terrain.viewer.tolist()
-    x, y = yield from user.find_button("farfield.clipbox_follow_view")
+    x, y = yield from user.find_button(FOLLOW)
     user.press("LEFTMOUSE", x, y)
     yield 1.0
     following_module = module("addon.operators.clipbox.following")
     results["followings"] = len(following_module.running())
     (following,) = following_module.running()
+    bpy.ops.ed.undo_push(message="Nothing")
     for step in range(25):
         view.view_location = mathutils.Vector((4.0 * (step + 1), 2.0 * (step + 1), 20.0))
         yield 0.3
     while not following.is_settled(terrain.viewer_position(view.view_matrix.inverted())):
         yield 0.2
     save_screenshot("3-followed")
+    results["modal_operators"] = [operator.bl_idname for operator in user.window.modal_operators]
     results["moves"], results["longest_tick"] = following.moves, following.longest_tick
-    user.press("ESC", x, y)
+    yield from user.press_undo()  # also undoes the moves since then; following repeats them
+    while not following.is_settled(terrain.viewer_position(view.view_matrix.inverted())):
+        yield 0.2
+    results["moves_after_undo"] = following.moves
+    x, y = yield from user.find_button(FOLLOW)
+    user.press("LEFTMOUSE", x, y)
     yield 1.0
-    results["followings_after_esc"] = len(following_module.running())
+    results["followings_after_stop"] = len(following_module.running())
     results["last_viewer"] = terrain.viewer.tolist()
     position = terrain.viewer_position(view.view_matrix.inverted())
     results["distance_to_view"] = max(abs(a - b) for a, b in zip(position, terrain.viewer, strict=True))

@@ -1,7 +1,6 @@
 """Runs sessions in a Blender window with this checkout installed."""
 
 import json
-import shutil
 import signal
 import subprocess
 import tempfile
@@ -37,9 +36,7 @@ def _run(name: str, tmp_path_factory) -> tuple[Path, subprocess.CompletedProcess
     find_launcher()
     resources, output = tmp_path_factory.mktemp("blender"), tmp_path_factory.mktemp("results")
     blender_window.install(resources)
-    for file_name in (name, "session.py"):
-        shutil.copy(Path(__file__).with_name(file_name), resources)
-    log = blender_window.run(resources, resources / name, [output], size=WINDOW_SIZE, seconds=TIMEOUT_SECONDS)
+    log = blender_window.run(resources, Path(__file__).with_name(name), [output], size=WINDOW_SIZE, seconds=TIMEOUT_SECONDS)
     return output / "results.json", log
 
 

@@ -35,6 +35,12 @@ def test_the_finished_job_creates_a_cloud_with_levels(results):
     assert results["levels"] == ["Tree Cloud L0", "Tree Cloud L1", "Tree Cloud L2"]
 
 
+def test_one_undo_reverts_show_original(results):
+    assert "Tree" not in results["visible"]["built"] and "Tree Cloud L0" in results["visible"]["built"]
+    assert results["visible"]["original"] == ["Tree"]
+    assert results["visible"]["undone"] == results["visible"]["built"]
+
+
 def test_levels_and_source_crossfade_and_one_undo_reverts_it(results):
     assert results["crossfading"] == ["Tree Cloud L0", "Tree Cloud L1", "Tree Cloud L2", "Tree Cloud Tree"]
     assert results["after_undo_of_crossfade"]["objects"] == results["built"]["objects"]

@@ -27,9 +27,11 @@ def test_the_progress_increases_and_a_terrain_is_created(results):
     assert len(results["terrains"]) == 1 and results["active"] == results["terrains"][0]
 
 
-def test_it_follows_the_view_until_esc(results):
-    assert (results["followings"], results["followings_after_esc"]) == (1, 0)
-    assert results["moves"] > 1 and results["last_viewer"] != results["first_viewer"]
+def test_it_follows_the_view_until_the_button_is_pressed_again(results):
+    assert (results["followings"], results["followings_after_stop"]) == (1, 0)
+    assert results["modal_operators"] == [], "Blender would not save automatically"
+    assert results["moves_after_undo"] > results["moves"] > 1, "undo does not end it"
+    assert results["last_viewer"] != results["first_viewer"]
     assert results["distance_to_view"] < 8.0
 
 

@@ -28,7 +28,7 @@ def test_specs_of_schedulers():
 
 
 @pytest.mark.parametrize(
-    "text", ["", "threads", "processes:0", "processes:-2", "processes:two", "dask", "dask:", "dask:localhost", "serial:2"]
+    "text", ["", "threads", "processes:0", "processes:-2", "processes:two", "dask", "dask:", "dask:localhost", "dask:no://h:1", "serial:2"]
 )
 def test_other_specs_are_rejected(text):
     with pytest.raises(SettingsError, match="must be serial"):

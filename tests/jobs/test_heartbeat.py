@@ -5,6 +5,8 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import closing
+from pathlib import Path
 
 import pytest
 
@@ -33,7 +35,7 @@ def watch_event(path) -> threading.Event:
 
 
 def test_a_watch_ends_with_its_run(tmp_path):
-    with heartbeat.hold(tmp_path) as beat:
+    with closing(heartbeat.take_over(tmp_path)) as beat:
         event = watch_event(beat.path)
         assert not event.wait(3 * heartbeat.POLL_SECONDS)
     assert event.wait(30.0)
@@ -41,9 +43,9 @@ def test_a_watch_ends_with_its_run(tmp_path):
 
 
 def test_a_new_run_ends_the_previous_one(tmp_path):
-    with heartbeat.hold(tmp_path) as first:
+    with closing(heartbeat.take_over(tmp_path)) as first:
         event = watch_event(first.path)
-        with heartbeat.hold(tmp_path) as second:
+        with closing(heartbeat.take_over(tmp_path)) as second:
             assert event.wait(30.0)
             with pytest.raises(FileError, match="Another run has started"):
                 first.renew()
@@ -52,7 +54,7 @@ def test_a_new_run_ends_the_previous_one(tmp_path):
 
 def test_a_run_without_heartbeat_times_out(tmp_path, monkeypatch):
     monkeypatch.setattr(heartbeat, "TIMEOUT_SECONDS", 1.0)
-    with heartbeat.hold(tmp_path) as beat:
+    with closing(heartbeat.take_over(tmp_path)) as beat:
         event = watch_event(beat.path)
         for _ in range(8):
             beat.renew()
@@ -62,13 +64,13 @@ def test_a_run_without_heartbeat_times_out(tmp_path, monkeypatch):
 
 def test_an_invalid_folder_is_named(tmp_path):
     (tmp_path / "file").touch()
-    with pytest.raises(FileError, match="file"), heartbeat.hold(tmp_path / "file"):
+    with pytest.raises(FileError, match="file"), closing(heartbeat.take_over(tmp_path / "file")):
         pass
 
 
 @pytest.mark.skipif(os.name == "nt", reason="On Windows a process does not notice the death of its parent; the heartbeat times out instead")
 def test_a_worker_ends_with_its_parent_process(tmp_path):
-    with heartbeat.hold(tmp_path) as beat:
+    with closing(heartbeat.take_over(tmp_path)) as beat:
         ready = tmp_path / "ready"
         parent = "import subprocess, sys, time; print(subprocess.Popen(sys.argv[1:]).pid, flush=True); time.sleep(120)"
         command = [sys.executable, "-c", parent, sys.executable, "-c", CHILD, str(beat.path), str(ready)]
@@ -93,3 +95,43 @@ def _is_running(pid: int) -> bool:
         return False
     state = subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True, check=False).stdout
     return bool(state) and not state.startswith("Z")
+
+
+@pytest.mark.parametrize("attempt", range(8))
+def test_of_two_runs_that_start_at_the_same_time_one_continues(tmp_path, monkeypatch, attempt):
+    """Both look for earlier runs before one of them has created its file."""
+    barrier, touch, outcomes = threading.Barrier(2), Path.touch, []
+
+    def touch_together(path: Path) -> None:
+        barrier.wait(30.0)
+        touch(path)
+        barrier.wait(30.0)
+
+    def run() -> None:
+        try:
+            outcomes.append(heartbeat.take_over(tmp_path))
+        except FileError as error:
+            outcomes.append(error)
+
+    monkeypatch.setattr(Path, "touch", touch_together)
+    threads = [threading.Thread(target=run) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(30.0)
+    (held,) = (outcome for outcome in outcomes if isinstance(outcome, heartbeat.Heartbeat))
+    (error,) = (outcome for outcome in outcomes if isinstance(outcome, FileError))
+    assert "Another run has started" in str(error)
+    assert [held.path] == list(tmp_path.iterdir())
+    held.renew()
+
+
+def test_a_run_is_alive_while_it_touches_its_file(tmp_path):
+    assert not heartbeat.is_alive(tmp_path)
+    with closing(heartbeat.take_over(tmp_path)) as held:
+        assert heartbeat.is_alive(tmp_path)
+        long_ago = time.time() - 2.0 * heartbeat.TIMEOUT_SECONDS
+        os.utime(held.path, (long_ago, long_ago))
+        assert not heartbeat.is_alive(tmp_path)
+        held.renew()
+        assert heartbeat.is_alive(tmp_path)

@@ -7,7 +7,7 @@ import pytest
 
 from farfield.addon.core.errors import Cancelled, GeometryError
 from farfield.addon.core.jobs.progress import Progress, run_to_end
-from farfield.addon.operators import long_work
+from farfield.addon.operators import job_run
 
 MAIN = threading.main_thread()
 
@@ -33,7 +33,7 @@ class Job:
         self.threads.append(threading.current_thread())
         try:
             for step in range(core_result):
-                time.sleep(long_work.TICK)
+                time.sleep(job_run.TICK)
                 yield Progress(step / core_result, "scene")
             if self.failing == "scene":
                 raise GeometryError("Broken scene.")
@@ -56,7 +56,7 @@ def advance_until(run, condition, seconds=20.0):
 
 def test_halves_run_in_their_threads_and_progress_never_decreases():
     job = Job()
-    run = long_work.Run(job, "Count")
+    run = job_run.Run(job, "Count")
     fractions = advance_until(run, lambda: run.message is not None)
     assert run.message == "Made 4."
     assert job.threads[0] is not MAIN and job.threads[1] is MAIN
@@ -64,15 +64,15 @@ def test_halves_run_in_their_threads_and_progress_never_decreases():
 
 
 def test_blocking_execution_returns_the_same_message():
-    assert run_to_end(long_work.run_job(Job())) == "Made 4."
+    assert run_to_end(job_run.run_job(Job())) == "Made 4."
 
 
 def test_cancelling_in_the_core_skips_the_scene():
     job = Job(steps=100_000)
-    run = long_work.Run(job, "Count")
+    run = job_run.Run(job, "Count")
     advance_until(run, lambda: run.progress.fraction > 0.0)
     run.cancel()
-    assert run.cancel_requested and "cancelling" in long_work.status_text(run)
+    assert run.cancel_requested and "cancelling" in job_run.status_text(run)
     with pytest.raises(Cancelled):
         advance_until(run, lambda: False)
     assert len(job.threads) == 1
@@ -80,7 +80,7 @@ def test_cancelling_in_the_core_skips_the_scene():
 
 def test_cancelling_in_the_scene_closes_its_steps():
     job = Job()
-    run = long_work.Run(job, "Count")
+    run = job_run.Run(job, "Count")
     advance_until(run, lambda: run.uses_scene)
     run.cancel()
     with pytest.raises(Cancelled):
@@ -91,14 +91,14 @@ def test_cancelling_in_the_scene_closes_its_steps():
 
 @pytest.mark.parametrize("half", ["core", "scene"])
 def test_errors_of_both_halves_are_raised(half):
-    run = long_work.Run(Job(failing=half), "Count")
+    run = job_run.Run(Job(failing=half), "Count")
     with pytest.raises(GeometryError, match=f"Broken {half}"):
         advance_until(run, lambda: False)
 
 
 def test_close_ends_a_job_at_any_time():
     job = Job(steps=100_000)
-    run = long_work.Run(job, "Count")
+    run = job_run.Run(job, "Count")
     advance_until(run, lambda: run.progress.fraction > 0.0)
     run.close()
     with pytest.raises(Cancelled):
@@ -107,4 +107,4 @@ def test_close_ends_a_job_at_any_time():
 
 @pytest.mark.parametrize(("seconds", "text"), [(0.2, "1 s"), (59.0, "59 s"), (61.0, "1 min 1 s"), (7260.0, "2 h 1 min")])
 def test_durations_are_formatted_with_two_units(seconds, text):
-    assert long_work.format_duration(seconds) == text
+    assert job_run.format_duration(seconds) == text

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from farfield.addon.core.errors import FarfieldError
+from farfield.addon.core.errors import FarfieldError, FileError
 from farfield.addon.core.jobs.subprocess_pool import open_subprocess_pool, wait_for_exit
 
 
@@ -67,6 +67,12 @@ def test_temporary_files_of_a_command_are_deleted():
     assert not folder.exists() and not folder.parent.exists()
 
 
+def test_a_missing_temporary_folder_is_one_sentence(monkeypatch, tmp_path):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
+    with pytest.raises(FileError, match="A temporary folder cannot be created: No such file or directory"), open_subprocess_pool("serial"):
+        pass
+
+
 def test_dask_runs_commands_without_farfield(scheduler):
     scheduler.start_workers(2)
     with open_subprocess_pool(f"dask:{scheduler.address}") as pool:
@@ -83,5 +89,5 @@ def test_a_lost_scheduler_is_reported(scheduler):
         pending = pool.submit(python("import time; time.sleep(20)"))
         time.sleep(0.5)
         scheduler.close()
-        with pytest.raises(FarfieldError, match="scheduler has gone"):
+        with pytest.raises(FarfieldError, match="scheduler stopped"):
             wait_for_exit(pending)

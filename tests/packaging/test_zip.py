@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import stat
 import subprocess
 import sys
 import tomllib
@@ -115,6 +116,12 @@ def test_installed_extension_builds_a_cloud_with_its_own_wheels(results, resourc
 
 def test_workers_start_from_the_installed_extension(results):
     assert results["baked"] == ["Cube.001 Cloud L0 BTF"]
+
+
+def test_finished_views_lie_in_the_folder_that_blender_gives_to_the_extension(resources, results):
+    (folder,) = (resources / "extensions" / ".user").rglob("farfield/btf")
+    assert not any(folder.iterdir()), "the bake has ended"
+    assert os.name == "nt" or stat.S_IMODE(folder.stat().st_mode) == 0o700
 
 
 def test_a_damaged_wheel_in_the_cache_is_not_used(tmp_path, monkeypatch):

@@ -16,7 +16,7 @@ from farfield.addon.bridge.btf.materials import AMBIENT, SUNS, sun_color_propert
 from farfield.addon.bridge.render_scene import render_scene
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.operators.long_work import run_job
+from farfield.addon.operators.job_run import run_job
 from lib import demo_forest, scene_files
 from lib.demo_relighting import copy_level_as_cloud
 from lib.studio import bounding_sphere, look_at_matrix

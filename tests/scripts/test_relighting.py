@@ -12,7 +12,7 @@ from bridge.bakes import build_cloud, prepare_job  # noqa: E402
 from farfield.addon.bridge.btf.clouds import link_suns  # noqa: E402
 from farfield.addon.bridge.btf.materials import sun_color_property  # noqa: E402
 from farfield.addon.core.jobs.progress import run_to_end  # noqa: E402
-from farfield.addon.operators.long_work import run_job  # noqa: E402
+from farfield.addon.operators.job_run import run_job  # noqa: E402
 from lib.flip_metric import mean_flip  # noqa: E402
 from lib.relighting import Candidate, compare_relighting, copy_with_pbr_material, crop_and_encode, held_out_pairs, score_renders  # noqa: E402
 

@@ -302,3 +302,100 @@ def test_the_stretch_image_is_saved(tmp_path):
         bpy.ops.farfield.unwrap_stretch_image(filepath=str(path / "a.png"), resolution=128)
     assert [image.name for image in bpy.data.images] == [path.name]
     save_stretch_image(item, path, 64)
+
+
+LINE = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (2.0, 0.0, 0.0)]  # of a triangle without area
+
+
+def test_an_object_without_area_is_named_and_the_others_are_unwrapped(capfd):
+    line, flat, item = add_mesh("Line", LINE, [(0, 1, 2)]), add_mesh("Dot", [(1.0, 1.0, 1.0)] * 3, [(0, 1, 2)]), add_sphere()
+    for other in (line, flat):
+        other.select_set(True)
+    assert unwrap() == {"FINISHED"}
+    assert_is_valid(item)
+    assert not line.data.uv_layers and not flat.data.uv_layers
+    output = capfd.readouterr().out
+    assert 'Every face of "Line" has zero area' in output and 'All vertices of "Dot" are at the same position' in output
+
+
+def test_an_object_without_area_alone_is_an_error():
+    add_mesh("Line", LINE, [(0, 1, 2)])
+    assert 'Every face of "Line" has zero area; choose an object with a surface.' in unwrap_error()
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("scale", [math.nan, math.inf, 0.0])
+def test_a_broken_scale_is_named_and_the_others_are_unwrapped(scale, capfd):
+    broken, item = add_sphere(), add_sphere()
+    broken.name, broken.scale.x = "Broken", scale
+    if scale == 0.0:
+        broken.scale = (0.0, 0.0, 0.0)
+    bpy.context.view_layer.update()
+    broken.select_set(True)
+    assert unwrap() == {"FINISHED"}
+    assert_is_valid(item)
+    output = capfd.readouterr()
+    assert '"Broken"' in output.out and not output.err
+
+
+def test_objects_that_are_not_in_the_view_layer_are_named():
+    from farfield.addon.core.errors import GeometryError
+    from farfield.addon.core.unwrap.settings import UnwrapSettings
+    from farfield.addon.operators.unwrap.job import prepare
+
+    item = add_sphere()
+    collection = bpy.data.collections.new("Off")
+    bpy.context.scene.collection.children.link(collection)
+    bpy.context.collection.objects.unlink(item)
+    collection.objects.link(item)
+    bpy.context.view_layer.layer_collection.children["Off"].exclude = True
+    bpy.context.view_layer.update()
+    with pytest.raises(GeometryError, match="excluded from the view layer"):
+        prepare(bpy.context, [item], UnwrapSettings())
+
+
+def test_an_attribute_named_like_the_stretch_is_kept():
+    item = add_sphere()
+    item.data.attributes.new(uv_maps.STRETCH_ATTRIBUTE, "FLOAT", "POINT")
+    assert uv_maps.STRETCH_ATTRIBUTE in unwrap_error()
+    assert not item.data.uv_layers
+
+
+class TestChangesWhileUnwrapping:
+    """The user changes meshes while UVs are computed."""
+
+    @staticmethod
+    def finish_after(change):
+        """Unwrap the selected objects and call `change` before the UV maps are written."""
+        from farfield.addon.core.unwrap.settings import UnwrapSettings
+        from farfield.addon.operators.unwrap.job import prepare
+
+        job = prepare(bpy.context, bpy.context.selected_objects, UnwrapSettings())
+        results = run_to_end(job.core_steps())
+        change()
+        return run_to_end(job.scene_steps(results))
+
+    def test_a_renamed_mesh_is_written(self):
+        item = add_sphere()
+
+        def change():
+            item.data.name = item.name = "Other"
+
+        self.finish_after(change)
+        assert_is_valid(item)
+
+    @pytest.mark.parametrize("change", ["fill", "remove", "edit", "take_name"])
+    def test_no_mesh_is_written_when_one_cannot_be(self, change):
+        from farfield.addon.core.errors import GeometryError
+
+        first, second = add_sphere(), add_sphere(location=(5.0, 0.0, 0.0))
+        first.select_set(True)
+        changes = {
+            "fill": lambda: [second.data.uv_layers.new(name=f"Map {index}") for index in range(8)],
+            "remove": lambda: bpy.data.objects.remove(second) or bpy.data.meshes.remove(bpy.data.meshes[-1]),
+            "edit": lambda: second.data.clear_geometry(),
+            "take_name": lambda: second.data.attributes.new("Unwrap", "FLOAT", "POINT"),
+        }
+        with pytest.raises(GeometryError, match="while it was being unwrapped"):
+            self.finish_after(changes[change])
+        assert not first.data.uv_layers and uv_maps.STRETCH_ATTRIBUTE not in first.data.attributes

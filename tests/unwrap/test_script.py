@@ -102,3 +102,30 @@ def test_the_exit_code_of_invalid_input(tmp_path):
     )
     assert result.returncode == 2
     assert b"none.obj" in result.stderr
+
+
+@pytest.mark.parametrize(
+    "flags",
+    [
+        ("--out", "tête.obj"),
+        ("--out", "out.blend", "--image", "z.png", "--report", "z.png"),
+        ("--out", "out.blend", "--report", "tête.obj"),
+        ("--out", "out.blend", "--report", "out.blend"),
+    ],
+)
+def test_outputs_replace_neither_each_other_nor_the_input(head, flags):
+    before = head.read_bytes()
+    with pytest.raises(FileError, match="same file"):
+        run(head, *(flag if flag.startswith("--") else head.with_name(flag) for flag in flags))
+    assert [path.name for path in head.parent.iterdir()] == [head.name] and head.read_bytes() == before
+
+
+def test_files_without_a_visible_mesh(head):
+    head.with_name("empty.obj").write_text("")
+    with pytest.raises(GeometryError, match="no mesh"):
+        run(head.with_name("empty.obj"), "--out", head.with_name("out.blend"))
+    unwrap.scene_files.open_scene(head)
+    bpy.data.objects[0].hide_render = True
+    unwrap.scene_files.save_scene(head.with_name("hidden.blend"))
+    with pytest.raises(GeometryError, match="disabled in renders"):
+        run(head.with_name("hidden.blend"), "--out", head.with_name("out.blend"))

@@ -1,7 +1,7 @@
 """The placement of a level's quads in the plane of its atlas, where their textures are captured.
 
 In the atlas plane one atlas is `texel * width` by `texel * height` large and centered on the origin. A quad keeps its size; its u, v and
-normal lie along x, y and z. Lengths, and with them bumps, are the same as in the scene.
+normal lie along x, y and z. Lengths, and thus the heights of bumps, are the same as in the scene.
 """
 
 from dataclasses import dataclass

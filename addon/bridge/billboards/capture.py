@@ -17,7 +17,7 @@ from ..cycles_renders import prepare_channel_render
 from ..evaluated_mesh import MaterialKey
 from ..images import check_images
 from ..material_channels import CHANNELS, CaptureMaterial, build_capture_material
-from ..meshes import Source
+from ..meshes import Source, find_material
 from ..render_scene import RenderScene, render_scene
 from ..scene_space_nodes import required_attributes
 from .atlas_meshes import compute_atlas_positions, compute_cell_coordinates, create_atlas_mesh, find_drawn_triangles
@@ -92,7 +92,7 @@ def _add_meshes(work: RenderScene, source: Source, level: Level) -> tuple[list[C
         keys = [(material, color_attribute, clip) for material in drawn.mesh.materials]
         for key in keys:
             if key not in copies:
-                material = None if key[0] is None else bpy.data.materials[key[0]]
+                material = None if key[0] is None else find_material(key[0])
                 copies[key] = build_capture_material(material, color_attribute, level.error / unit, clip, work)
         required = set().union(*(required_attributes(copies[key].material.node_tree) for key in keys))
         mesh = work.own(create_atlas_mesh("Farfield Atlas", drawn, world, flat / unit, cell_coordinates, placement, required))

@@ -9,11 +9,12 @@ from ...core.billboards.cloud import Cloud, Level
 from ...core.geometry.cameras import Camera
 from ..cameras import read_scene_camera
 from ..images import packed_bytes
-from ..mesh_arrays import write_attribute, write_geometry
+from ..mesh_arrays import read_positions, write_attribute, write_geometry
 from ..meshes import Source
 from .atlas_placement import compute_placement, compute_uvs
 from .cloud_materials import JOINED_ATTRIBUTE, SOLID_ATTRIBUTE, create_gray_material
 from .level_maps import LevelTextures, PbrMaps
+from .level_objects import CENTER
 from .map_images import create_textured_material
 from .quad_normals import compute_corner_normals
 
@@ -32,7 +33,7 @@ def create_cloud(
     The objects are located at the source's origin, without rotation or scale. Their custom properties are farfield_kind ("cloud"),
     farfield_level, farfield_error (a length), farfield_switch_distance (for the active camera of the first scene that contains the parent,
     otherwise for Blender's default camera; inf for an orthographic camera that shows the error), farfield_quads, farfield_texels,
-    farfield_atlas and farfield_texture_bytes. Without `textures` the material is gray.
+    farfield_atlas, farfield_center and farfield_texture_bytes. Without `textures` the material is gray.
     """
     collection = bpy.data.collections.new(f"{source.name} Cloud")
     camera = _find_camera(collection_parent)
@@ -45,6 +46,7 @@ def create_cloud(
         level_object.location = source.origin
         level_object.data.materials.append(material)
         _write_properties(level_object, index, level, camera, material)
+        level_object[CENTER] = (read_positions(mesh).astype(np.float64).mean(axis=0) + source.origin).tolist()
         _write_drawn_primitives(level_object.data, level)
         level_object.hide_viewport = level_object.hide_render = index > 0
         collection.objects.link(level_object)

@@ -6,6 +6,7 @@ import bpy
 import numpy as np
 
 from ...compat import enable_nodes
+from ...core.files.filenames import safe_filename, unique_filenames
 from ...core.imaging.images import dilate
 from ..images import create_image, read_pixels
 from ..mesh_arrays import read_positions, read_uvs, read_values
@@ -22,20 +23,26 @@ def write_obj(levels: list[bpy.types.Object], path: Path) -> None:
     Raises:
         OSError: a file cannot be written.
     """
-    shapes, materials = [f"mtllib {path.stem}.mtl"], []
+    mtl = material_path(path)
+    shapes, materials = [f"mtllib {mtl.name}"], []
     first_vertex = 1  # vertices are numbered from 1 through the whole file
-    for level in levels:
-        name = level.name.replace(" ", "_")
+    names = unique_filenames([level.name.replace(" ", "_") for level in levels])  # also one word each, without line breaks
+    for level, name in zip(levels, names, strict=True):
         materials += [f"newmtl {name}", "Kd 1 1 1", "Ks 0 0 0", "illum 1"]
         image = front_color_image(level)
         if image is not None:
-            image_name = f"{path.stem}_{name}.png"
+            image_name = f"{mtl.stem}_{name}.png"
             path.with_name(image_name).write_bytes(image.packed_file.data)
             materials += [f"map_Kd {image_name}", f"map_d {image_name}"]
         shapes += [f"o {name}", *_format_shape(level, name, first_vertex)]
         first_vertex += len(level.data.vertices)
-    path.with_suffix(".mtl").write_text("\n".join(materials) + "\n", encoding="utf-8")
+    mtl.write_text("\n".join(materials) + "\n", encoding="utf-8")
     path.write_text("\n".join(shapes) + "\n", encoding="utf-8")
+
+
+def material_path(path: Path) -> Path:
+    """Return the path of the `.mtl` file of an `.obj` file."""
+    return path.with_name(f"{safe_filename(path.stem)}.mtl")
 
 
 def write_glb(levels: list[bpy.types.Object], path: Path) -> None:

@@ -1,6 +1,7 @@
 """Level objects of a cloud: their quads, texels and the material with their PBR maps."""
 
 import bpy
+import idprop
 import mathutils
 import numpy as np
 
@@ -9,19 +10,25 @@ from ..images import read_pixels
 from ..mesh_arrays import read_attribute, read_positions
 from .cloud_materials import FRONT_COLOR
 
+CENTER = "farfield_center"  # custom property of a level object: the mean of its vertices in world space when the cloud was built
 PBR_MATERIAL = "farfield_pbr_material"  # custom property of a level object: the name of the material with the PBR maps
 
 
-def read_level_texels(level_object: bpy.types.Object) -> Texels:
-    """Return the texels on the quads of a level object, in world space."""
-    return texels_under_quads(read_level_quads(level_object), tuple(level_object["farfield_atlas"]))
+def read_level_texels(level_object: bpy.types.Object, center: np.ndarray | None = None) -> Texels:
+    """Return the texels on the quads of a level object, in world space. center: see `read_level_quads`."""
+    return texels_under_quads(read_level_quads(level_object, center), tuple(level_object["farfield_atlas"]))
 
 
-def read_level_quads(level_object: bpy.types.Object) -> QuadPolygons:
-    """Return the polygons of a level object, in world space. Its object is expected to have a location only, no rotation and no scale."""
+def read_level_quads(level_object: bpy.types.Object, center: np.ndarray | None = None) -> QuadPolygons:
+    """Return the polygons of a level object, in world space, without the rotation and scale of the object.
+
+    center (3,): move the mean of the vertices to this position, instead of the object's origin to its location.
+    """
     mesh = level_object.data
     uvs = read_attribute(mesh.attributes["UVMap"])
-    world = read_positions(mesh).astype(np.float64) + np.array(level_world_matrix(level_object).translation, np.float64)
+    local = read_positions(mesh).astype(np.float64)
+    offset = np.array(level_world_matrix(level_object).translation, np.float64) if center is None else center - local.mean(axis=0)
+    world = local + offset
     size = np.array(level_object["farfield_atlas"], np.float64)
     corners, coordinates = [], []
     for polygon in mesh.polygons:
@@ -29,6 +36,17 @@ def read_level_quads(level_object: bpy.types.Object) -> QuadPolygons:
         corners.append(world[list(polygon.vertices)])
         coordinates.append(uvs[loops] * size)
     return QuadPolygons(corners, coordinates)
+
+
+def built_center(level_object: bpy.types.Object, source_origin: np.ndarray) -> np.ndarray:
+    """Return the mean (3,) of the vertices of a level in world space when the cloud was built, wherever the level is now.
+
+    source_origin (3,): that of the source, at which levels are created; older files do not store the center.
+    """
+    stored = level_object.get(CENTER)
+    if isinstance(stored, idprop.types.IDPropertyArray) and len(stored) == 3 and stored.typecode in "fdi":
+        return np.array(stored, np.float64)
+    return read_positions(level_object.data).astype(np.float64).mean(axis=0) + source_origin
 
 
 def level_world_matrix(level_object: bpy.types.Object) -> mathutils.Matrix:
@@ -45,8 +63,8 @@ def read_pbr_alpha(level_object: bpy.types.Object, texels: Texels) -> np.ndarray
 
 
 def pbr_material(level_object: bpy.types.Object) -> bpy.types.Material | None:
-    """The material with the PBR maps of a level, also while the level has its relightable material."""
-    return bpy.data.materials.get(level_object.get(PBR_MATERIAL, "")) or level_object.data.materials[0]
+    """The material with the PBR maps of a level, also while the level has its relightable material; None if its slot was removed."""
+    return bpy.data.materials.get(str(level_object.get(PBR_MATERIAL, ""))) or next(iter(level_object.data.materials), None)
 
 
 def pbr_image(level_object: bpy.types.Object, label: str) -> bpy.types.Image | None:

@@ -44,7 +44,7 @@ SCENE_PATHS = {
 def add_crossfade(item: bpy.types.Object, start: float, end: float, fade_range: float) -> None:
     """Let `item` show where a pixel of the active camera is larger than `start` and at most `end`, in units of the object.
 
-    It fades in from `start` to (1 + `fade_range`) * `start`, and likewise out from `end` on.
+    It fades in from `start` to (1 + `fade_range`) * `start`, and fades out from `end` on in the same way.
     """
     item[CROSSFADE] = [float(start), float(end), max(float(fade_range), MIN_RANGE)]
     item[CAMERA_POSITION] = [0.0, 0.0, 0.0]

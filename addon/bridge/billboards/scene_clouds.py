@@ -1,16 +1,19 @@
 """Billboard clouds in a scene, found by their custom properties."""
 
-import json
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import bpy
 import numpy as np
 
 from ...core.geometry.cameras import Camera, choose_level, distance_to_box
+from .. import meshes
 from . import clouds, lod_crossfade, source_objects, source_proxies, transparent_bounces
+from .cloud_sources import SourceIndex, find_sources
 from .level_objects import level_world_matrix, pbr_material
 
-SOURCES = "farfield_sources"  # custom property of a cloud's collection: names, so that a linked cloud does not also link its sources
+LEVEL_NUMBERS = ("farfield_level", "farfield_error", "farfield_quads", "farfield_texels")  # without them an object is no level
 
 
 @dataclass(frozen=True)
@@ -19,6 +22,19 @@ class SceneCloud:
 
     collection: bpy.types.Collection
     levels: list[bpy.types.Object]
+    index: SourceIndex = field(default_factory=SourceIndex)
+
+    @property
+    def is_editable(self) -> bool:
+        """Whether the cloud can be changed: not if it is linked from a library."""
+        return self.collection.is_editable and all(level.is_editable for level in self.levels)
+
+    @property
+    def can_crossfade(self) -> bool:
+        """Whether a cross-fade can be added: it needs a local cloud, because a library override keeps neither new objects nor nodes."""
+        materials = [material for level in self.levels for material in level.data.materials if material is not None]
+        is_local = self.collection.override_library is None and all(level.override_library is None for level in self.levels)
+        return self.is_editable and is_local and all(material.is_editable for material in materials)
 
     @property
     def errors(self) -> list[float]:
@@ -27,13 +43,26 @@ class SceneCloud:
 
     @property
     def source_names(self) -> list[str]:
-        """The names of the objects that the cloud was built from."""
-        return json.loads(self.collection.get(SOURCES, "[]"))
+        """The names of the objects that the cloud was built from: current ones, and the stored names of those that no longer exist."""
+        return [name if source is None else source.name for name, source in find_sources(self.collection, self.index)]
 
     @property
     def sources(self) -> list[bpy.types.Object]:
-        """The objects that the cloud was built from, as far as they still exist under their names."""
-        return [bpy.data.objects[name] for name in self.source_names if name in bpy.data.objects]
+        """The objects that the cloud was built from, as far as they still exist, also under other names."""
+        return [source for _, source in find_sources(self.collection, self.index) if source is not None]
+
+    @property
+    def missing_source_names(self) -> list[str]:
+        """The stored names of the source objects that no longer exist."""
+        return [name for name, source in find_sources(self.collection, self.index) if source is None]
+
+    def sources_in(self, view_layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
+        """Return the source objects in `view_layer`; others cannot be shown there, because their collection is excluded."""
+        return [source for source in self.sources if meshes.is_in_view_layer(source, view_layer)]
+
+    def is_in(self, view_layer: bpy.types.ViewLayer) -> bool:
+        """Return whether a level is in `view_layer`."""
+        return any(meshes.is_in_view_layer(level, view_layer) for level in self.levels)
 
     @property
     def editable_sources(self) -> list[bpy.types.Object]:
@@ -57,9 +86,10 @@ class SceneCloud:
 
     def texture_bytes(self, level: int) -> int:
         """Return the uncompressed size of the textures of one level."""
-        tree = self.levels[level].data.materials[0].node_tree
-        images = [node.image for node in tree.nodes if node.type == "TEX_IMAGE"] if tree else []
-        return sum(image.size[0] * image.size[1] * 4 for image in images)
+        material = next(iter(self.levels[level].data.materials), None)
+        nodes = material.node_tree.nodes if material is not None and material.node_tree is not None else []
+        images = [node.image for node in nodes if node.type == "TEX_IMAGE"]
+        return sum(image.size[0] * image.size[1] * 4 for image in images if image is not None)
 
     def distance(self, position: np.ndarray) -> float:
         """Return the distance from `position` (3,) in world space to the bounding box of the cloud."""
@@ -71,18 +101,20 @@ class SceneCloud:
     def add_crossfade(self, context: bpy.types.Context, fade_range: float) -> None:
         """Cross-fade the source and all levels for the active camera, over `fade_range`, a fraction of the switch distance.
 
-        Each level begins to show where its error is one pixel. Proxies of the source objects fade; the objects themselves are hidden.
+        Each level begins to show where its error is one pixel; without a source that can be read in the view layer, the finest level shows
+        from the camera on. Proxies of the source objects fade; the objects themselves are hidden.
         """
         self.remove_crossfade()
-        sources, errors = self.sources, [*self.errors, lod_crossfade.MAX_PIXEL]
+        sources, errors = self.sources_in(context.view_layer), [*self.errors, lod_crossfade.MAX_PIXEL]
         if sources:
             with source_objects.temporarily_visible(context, sources) as depsgraph:
                 source_proxies.add_source_proxies(sources, self.collection, depsgraph)
-        for item in source_proxies.find_source_proxies(self.collection):
+        proxies = source_proxies.find_source_proxies(self.collection)
+        for item in proxies:
             scale = np.linalg.norm(np.array(item.matrix_basis)[:3, :3]) / 3.0**0.5
             lod_crossfade.add_crossfade(item, lod_crossfade.MIN_PIXEL, errors[0] / max(scale, 1e-12), fade_range)
         for index, level in enumerate(self.levels):
-            start = errors[index] if sources or index else lod_crossfade.MIN_PIXEL
+            start = errors[index] if proxies or index else lod_crossfade.MIN_PIXEL
             lod_crossfade.add_crossfade(level, start, errors[index + 1], fade_range)
             _set_hidden(level, False)
         bounces = transparent_bounces.estimate_transparent_bounces(self.levels, all_visible=True)
@@ -94,18 +126,18 @@ class SceneCloud:
         """Let every level show at any distance, and remove the proxies of the source. The visibility of objects stays as it is."""
         source_proxies.remove_source_proxies(self.collection)
         for level in self.levels:
-            lod_crossfade.remove_crossfade(level, [*level.data.materials, pbr_material(level)])
+            materials = [material for material in (*level.data.materials, pbr_material(level)) if material is not None]
+            lod_crossfade.remove_crossfade(level, [material for material in materials if material.is_editable])
 
-    def show_level_for(self, camera: Camera) -> int | None:
+    def show_level_for(self, camera: Camera, view_layer: bpy.types.ViewLayer) -> int | None:
         """Show the level that suits `camera` and hide the others; show the sources if all levels are too coarse.
 
         Returns the index of the level, or None for the sources.
         """
         self.remove_crossfade()
         shown_level = choose_level(self.errors, self.distance(camera.position), camera)
-        sources = self.sources
-        if shown_level is None and not sources:
-            shown_level = 0  # the sources no longer exist: the finest level is the best substitute
+        if shown_level is None and not self.sources_in(view_layer):
+            shown_level = 0  # the sources cannot be shown: the finest level is the best substitute
         for index, level in enumerate(self.levels):
             _set_hidden(level, index != shown_level)
         self._set_collection_hidden(False)
@@ -118,14 +150,19 @@ class SceneCloud:
         for source in self.editable_sources:
             _set_hidden(source, True)
 
-    def show_sources(self) -> None:
-        """Show the editable source objects and hide the cloud.
-
-        This hides the collection of the cloud, so that `show_cloud` shows the same level, or the same cross-fade, again.
-        """
-        self._set_collection_hidden(True)
+    def unhide_sources(self) -> None:
+        """Show the editable source objects."""
         for source in self.editable_sources:
             _set_hidden(source, False)
+
+    def hide_cloud(self) -> None:
+        """Hide the collection of the cloud, so that `show_cloud` shows the same level, or the same cross-fade, again."""
+        self._set_collection_hidden(True)
+
+    def show_sources(self) -> None:
+        """Show the editable source objects and hide the cloud."""
+        self.hide_cloud()
+        self.unhide_sources()
 
     def show_cloud(self) -> None:
         """Show the cloud, at its finest level if no level was visible, and hide the editable source objects."""
@@ -139,24 +176,25 @@ class SceneCloud:
         context.view_layer.update()
         active = context.view_layer.objects.active
         candidates = [*self.levels, *self.sources]
-        visible = [item for item in candidates if item.visible_get()]
+        visible = [item for item in candidates if meshes.is_in_view_layer(item, context.view_layer) and item.visible_get()]
         if active in candidates and active not in visible and visible:
-            context.view_layer.objects.active = visible[0]
-            visible[0].select_set(True)
+            _activate(visible[0], context.view_layer)
+
+    def activate(self, context: bpy.types.Context) -> None:
+        """Make the finest level active, if it is in the view layer."""
+        context.view_layer.update()
+        if meshes.is_in_view_layer(self.levels[0], context.view_layer):
+            _activate(self.levels[0], context.view_layer)
 
     def _set_collection_hidden(self, hidden: bool) -> None:
         if self.collection.is_editable:
             self.collection.hide_viewport = self.collection.hide_render = hidden
 
 
-def store_source_names(collection: bpy.types.Collection, names: list[str]) -> None:
-    """Store the names of the objects that the cloud in `collection` was built from."""
-    collection[SOURCES] = json.dumps(names)
-
-
 def clouds_in(scene: bpy.types.Scene) -> list[SceneCloud]:
     """Return all clouds whose collections are in `scene`, at any depth."""
-    scene_clouds = [read_cloud(collection) for collection in scene.collection.children_recursive]
+    index = SourceIndex()
+    scene_clouds = [read_cloud(collection, index) for collection in scene.collection.children_recursive]
     return [cloud for cloud in scene_clouds if cloud is not None]
 
 
@@ -168,10 +206,29 @@ def find_cloud(scene: bpy.types.Scene, item: bpy.types.Object | None) -> SceneCl
     return matches[-1] if matches else None
 
 
-def read_cloud(collection: bpy.types.Collection) -> SceneCloud | None:
-    """Return the cloud in `collection`, or None if it contains none."""
-    levels = [item for item in collection.objects if item.get(clouds.KIND) == clouds.CLOUD]
-    return SceneCloud(collection, sorted(levels, key=lambda item: item["farfield_level"])) if levels else None
+def clouds_of_levels(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> list[SceneCloud]:
+    """Return the clouds of those of `objects` that are levels, each once."""
+    selected = set(objects)
+    return [cloud for cloud in clouds_in(scene) if not selected.isdisjoint(cloud.levels)]
+
+
+def read_cloud(collection: bpy.types.Collection, index: SourceIndex | None = None) -> SceneCloud | None:
+    """Return the cloud in `collection`, or None if it contains none. Clouds that are read at once share an `index` of source objects."""
+    levels = sorted((item for item in collection.objects if _is_level(item)), key=lambda item: item["farfield_level"])
+    return SceneCloud(collection, levels, index or SourceIndex()) if levels else None
+
+
+def _is_level(item: bpy.types.Object) -> bool:
+    """Return whether `item` is a level with all its figures; custom properties can be deleted or come from elsewhere."""
+    if item.get(clouds.KIND) != clouds.CLOUD or item.type != "MESH":
+        return False
+    numbers = [item.get(name) for name in LEVEL_NUMBERS]
+    return all(isinstance(number, int | float) and math.isfinite(number) for number in numbers) and item["farfield_error"] > 0.0
+
+
+def _activate(item: bpy.types.Object, view_layer: bpy.types.ViewLayer) -> None:
+    view_layer.objects.active = item
+    item.select_set(True, view_layer=view_layer)
 
 
 def _set_hidden(item: bpy.types.Object, hidden: bool) -> None:

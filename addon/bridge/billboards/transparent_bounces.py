@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import bpy
 import numpy as np
 
+from ...core.arrays import TINY
 from ..mesh_arrays import read_positions
 
 MIN_BOUNCES, MAX_BOUNCES = 32.0, 1024.0  # the maximum is that of Cycles
@@ -19,9 +20,11 @@ def estimate_transparent_bounces(levels: Sequence[bpy.types.Object], all_visible
     """
     bounces = []
     for level in levels:
+        if len(level.data.polygons) == 0:  # somebody has deleted the quads
+            continue
         longest_side = float(np.ptp(read_positions(level.data), axis=0).max())
-        bounces.append(4.0 * sum(polygon.area for polygon in level.data.polygons) / (0.25 * math.pi * longest_side**2))
-    return int(min(max(MIN_BOUNCES, sum(bounces) if all_visible else max(bounces)), MAX_BOUNCES))
+        bounces.append(4.0 * sum(polygon.area for polygon in level.data.polygons) / max(0.25 * math.pi * longest_side**2, TINY))
+    return int(min(max(MIN_BOUNCES, sum(bounces) if all_visible else max(bounces, default=0.0)), MAX_BOUNCES))
 
 
 def ensure_transparent_bounces(scene: bpy.types.Scene, bounces: int) -> None:

@@ -158,14 +158,17 @@ def raise_transparent_bounces(collection: bpy.types.Collection, stacked_quads: i
 
 
 def restore_pbr_material(level_object: bpy.types.Object) -> None:
-    """Give a level its PBR material back. Remove the relightable material and its drivers."""
+    """Give a level its PBR material back, also if its material slot was removed. Remove the relightable material and its drivers."""
     link_suns(level_object, (), (0.0, 0.0, 0.0))
-    relightable_material = level_object.data.materials[0]
-    pbr_material = bpy.data.materials.get(level_object[PBR_MATERIAL])
-    level_object.data.materials[0] = pbr_material
+    relightable_material = next(iter(level_object.data.materials), None)
+    pbr_material = bpy.data.materials.get(str(level_object[PBR_MATERIAL]))
+    if len(level_object.data.materials):
+        level_object.data.materials[0] = pbr_material
+    else:
+        level_object.data.materials.append(pbr_material)
     sun_properties = (name(index) for index in range(SUNS) for name in (sun_direction_property, sun_color_property))
     for name in (AMBIENT, PBR_MATERIAL, *sun_properties):
-        del level_object[name]
+        level_object.pop(name, None)
     if pbr_material is not None:
         pbr_material.use_fake_user = False
     apply_to_materials(level_object)
@@ -187,11 +190,13 @@ def link_suns(level_object: bpy.types.Object, suns: Sequence[bpy.types.Object], 
             color = {"color": f"data.color[{axis}]", "strength": "data.energy"}
             add_object_driver(level_object, sun_color_property(index), axis, "color * strength", suns[index], color)
     level_object[AMBIENT] = [float(value) for value in ambient]
-    _mute_unused_suns(level_object.data.materials[0], len(suns))
+    _mute_unused_suns(next(iter(level_object.data.materials), None), len(suns))
 
 
-def _mute_unused_suns(material: bpy.types.Material, used_count: int) -> None:
+def _mute_unused_suns(material: bpy.types.Material | None, used_count: int) -> None:
     """Mute the nodes that decode Suns from index `used_count` on: renderers would evaluate them although their light is black."""
+    if material is None or material.node_tree is None:
+        return
     unused = {label for index in range(used_count, SUNS) for label in sun_node_labels(index)}
     for node in material.node_tree.nodes:
         if node.type == "GROUP" and node.label:

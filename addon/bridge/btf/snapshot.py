@@ -1,6 +1,8 @@
 """Snapshot of a bake for worker processes: source objects in a .blend file, levels as arrays, settings, and the scene's frame."""
 
+import errno
 import json
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -12,6 +14,8 @@ import numpy as np
 from ...core.btf.capture.capture_spec import LevelCaptureSpec, load_capture_spec
 from ...core.btf.settings import BtfSettings
 from ...core.errors import FileError, GeometryError
+from ...core.files.complete_files import is_complete_blend
+from ...core.files.file_access import error_reason
 from ..billboards.source_objects import read_source_objects
 from ..images import find_images, read_pixels
 from ..meshes import Source
@@ -59,7 +63,6 @@ def write_snapshot(
         "levels": len(specs),
         "frame": scene.frame_current,
         "properties": {name: _read_properties(owner, names) for name, owner, names in _property_owners(scene)},
-        "auto_run_scripts": bpy.context.preferences.filepaths.use_scripts_auto_execute,
         "images": {},
     }
     try:
@@ -67,25 +70,29 @@ def write_snapshot(
             metadata["images"][image.name] = f"image-{index}.npy"
             np.save(folder / f"image-{index}.npy", read_pixels(image), allow_pickle=False)
         metadata["collection"] = _write_blend(folder / BLEND_FILE, objects)
+        if not is_complete_blend(folder / BLEND_FILE):  # Blender does not always notice a full disk
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         for index, spec in enumerate(specs):
             spec.save(_spec_path(folder, index))
         (folder / METADATA_FILE).write_text(json.dumps(metadata), encoding="utf-8")
     except (OSError, RuntimeError) as error:
-        raise FileError(f'The snapshot for the workers cannot be written to "{folder}": {error}. Free some space there.') from error
+        raise FileError(f'The snapshot for the workers cannot be written to "{folder}": {_reason(error)}.') from error
 
 
-def open_snapshot(folder: Path) -> Snapshot:
+def open_snapshot(folder: Path, *, run_drivers: bool) -> Snapshot:
     """Open the snapshot in `folder`. It replaces the file that is open in this Blender.
+
+    run_drivers: whether its drivers may run any Python. The folder does not tell: others may have written to it.
 
     Raises:
         FileError: if it cannot be read.
         GeometryError: if the source objects evaluate to other geometry here than where the snapshot was written.
     """
     bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.context.preferences.filepaths.use_scripts_auto_execute = run_drivers
     scene = bpy.context.scene
     try:
         metadata = json.loads((folder / METADATA_FILE).read_text(encoding="utf-8"))
-        bpy.context.preferences.filepaths.use_scripts_auto_execute = metadata["auto_run_scripts"]
         for name, owner, _ in _property_owners(scene):
             for key, value in metadata["properties"][name].items():
                 setattr(owner, key, value)
@@ -98,9 +105,12 @@ def open_snapshot(folder: Path) -> Snapshot:
             bpy.data.images[name].pixels.foreach_set(np.load(folder / file, allow_pickle=False).ravel())
         specs = [load_capture_spec(_spec_path(folder, index)) for index in range(metadata["levels"])]
     except (OSError, AttributeError, KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise FileError(f'The snapshot in "{folder}" cannot be read: {error}. Start the bake again; finished views are reused.') from error
+        raise FileError(
+            f'The snapshot in "{folder}" cannot be read: {_reason(error)}. Start the bake again; finished views are reused.'
+        ) from error
     for item in objects:
         scene.collection.objects.link(item)
+    bpy.context.view_layer.update()
     source = read_source_objects(bpy.context, objects)
     if source.fingerprint != metadata["fingerprint"]:
         raise GeometryError(
@@ -120,6 +130,14 @@ def _write_blend(path: Path, objects: Sequence[bpy.types.Object]) -> str:
         return collection.name
     finally:
         bpy.data.collections.remove(collection)
+
+
+def _reason(error: Exception) -> str:
+    """Return the reason of an error on one line. Messages of Blender have several lines."""
+    if isinstance(error, OSError):
+        return error_reason(error)
+    lines = str(error).strip().splitlines() or [type(error).__name__]
+    return lines[-1].removeprefix("Error: ").rstrip(". ")
 
 
 def _spec_path(folder: Path, index: int) -> Path:

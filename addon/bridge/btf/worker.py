@@ -19,12 +19,17 @@ from ...core.geometry.cameras import OrthographicView
 from ..meshes import Source
 from ..worker_processes import exit_when_run_ends, worker_command
 from . import capture
-from .snapshot import open_snapshot, store_folder
+from .snapshot import Snapshot, open_snapshot, store_folder
 
 
-def shard_command(folder: Path, shard: Shard) -> list[str]:
-    """Return the command line that captures a shard of the bake whose snapshot is in `folder`."""
-    arguments = ["--folder", str(folder), "--heartbeat", str(shard.heartbeat_file)]
+def shard_command(folder: Path, snapshot_folder: Path, shard: Shard, *, run_drivers: bool) -> list[str]:
+    """Return the command line that captures a shard of the bake in `folder`.
+
+    run_drivers: whether drivers in the snapshot may run any Python.
+    """
+    arguments = ["--folder", str(folder), "--snapshot", str(snapshot_folder), "--heartbeat", str(shard.heartbeat_file)]
+    if run_drivers:
+        arguments.append("--run-drivers")
     arguments += ["--workers-per-machine", str(shard.workers_per_machine), "--views", *map(str, shard.views)]
     return worker_command("addon.bridge.btf.worker", arguments)
 
@@ -33,26 +38,28 @@ def main(arguments: list[str]) -> int:
     """Capture the views given by the arguments; return the exit code."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--folder", type=Path, required=True)
+    parser.add_argument("--snapshot", type=Path, required=True)
+    parser.add_argument("--run-drivers", action="store_true")
     parser.add_argument("--heartbeat", type=Path, required=True)
     parser.add_argument("--workers-per-machine", type=int, required=True)
     parser.add_argument("--views", type=int, nargs="+", required=True)
     options = parser.parse_args(arguments)
     exit_when_run_ends(options.heartbeat)
     try:
-        capture_views(options.folder, options.views, threads=max(1, (os.cpu_count() or 1) // options.workers_per_machine))
+        snapshot = open_snapshot(options.snapshot, run_drivers=options.run_drivers)
+        capture_views(snapshot, options.folder, options.views, threads=max(1, (os.cpu_count() or 1) // options.workers_per_machine))
     except FarfieldError as error:
         print(encode_error(error), file=sys.stderr, flush=True)
         return EXIT_ERROR
     return 0
 
 
-def capture_views(folder: Path, views: list[int], threads: int) -> None:
+def capture_views(snapshot: Snapshot, folder: Path, views: list[int], threads: int) -> None:
     """Capture those of the `views` that the stores in `folder` do not contain yet, for every level.
 
     Raises:
-        FarfieldError: if the snapshot cannot be opened, Cycles cannot render it, or the disk is full.
+        FarfieldError: if Cycles cannot render the snapshot, or the disk is full.
     """
-    snapshot = open_snapshot(folder)
     source, settings = snapshot.source, snapshot.settings
     jobs: list[_ViewJob] = []
     for level, spec in enumerate(snapshot.specs):

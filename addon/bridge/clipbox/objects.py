@@ -27,15 +27,27 @@ TERRAIN_NAME, CONVERTED_NAME = "Clip-Box Terrain", "Terrain Mesh"
 
 @dataclass(frozen=True)
 class SceneTerrain:
-    """A terrain in the scene, identified by the name of its root: references to objects must not be kept while the user works."""
+    """A terrain in the scene. References to objects must not be kept while the user works, so it is identified by the name of its root.
+
+    library_path: the file that it is linked from, None for a terrain of this file. Both can have terrains of the same name.
+    """
 
     name: str
+    library_path: str | None = None
 
     @property
     def root(self) -> bpy.types.Object | None:
         """The Empty at the root, None if it was removed or renamed."""
-        item = bpy.data.objects.get(self.name)
+        item = bpy.data.objects.get((self.name, self.library_path))
         return item if item is not None and SETTINGS_KEY in item else None
+
+    @property
+    def read_only_reason(self) -> str:
+        """Why its blocks cannot be changed, an empty string if they can."""
+        if _is_local(self.root):
+            return ""
+        kind = "linked from another file" if self.root.override_library is None else "a library override"
+        return f'The terrain "{self.name}" is {kind}; make it local (Object > Relations > Make Local > All)'
 
     @property
     def settings(self) -> ClipboxSettings:
@@ -46,18 +58,37 @@ class SceneTerrain:
         """
         try:
             return ClipboxSettings(**json.loads(self.root[SETTINGS_KEY]))
-        except (TypeError, ValueError) as error:
+        except SettingsError as error:
+            raise SettingsError(f'The settings of the terrain "{self.name}" are invalid: {error} Create the terrain again.') from error
+        except (ArithmeticError, RecursionError, TypeError, ValueError) as error:
             raise SettingsError(f'The settings of the terrain "{self.name}" cannot be read: {error}. Create the terrain again.') from error
 
     @property
     def origin(self) -> np.ndarray:
-        """Terrain position (3,) float64, scene units, at the root."""
-        return np.array(self.root[ORIGIN_KEY], np.float64)
+        """Terrain position (3,) float64, scene units, at the root.
+
+        Raises:
+            SettingsError: the custom property is missing or has another type.
+        """
+        return self._read_position(ORIGIN_KEY)
 
     @property
     def viewer(self) -> np.ndarray:
-        """Terrain position (3,) float64 of the viewer around whom the boxes lie."""
-        return np.array(self.root[VIEWER_KEY], np.float64)
+        """Terrain position (3,) float64 of the viewer around whom the boxes lie.
+
+        Raises:
+            SettingsError: the custom property is missing or has another type.
+        """
+        return self._read_position(VIEWER_KEY)
+
+    def _read_position(self, key: str) -> np.ndarray:
+        try:
+            position = np.array(self.root[key], np.float64)
+        except (KeyError, TypeError, ValueError):
+            position = np.empty(0)
+        if position.shape != (3,) or not np.isfinite(position).all():
+            raise SettingsError(f'The custom property "{key}" of the terrain "{self.name}" is invalid; create the terrain again.')
+        return position
 
     def viewer_position(self, matrix: mathutils.Matrix) -> np.ndarray:
         """Return the terrain position (3,) float64 of a viewer with the given matrix in world space."""
@@ -66,7 +97,7 @@ class SceneTerrain:
 
     def blocks(self) -> dict[str, bpy.types.Object]:
         """Return its block objects by `block_name`."""
-        return {child[BLOCK_KEY]: child for child in self.root.children if BLOCK_KEY in child}
+        return {str(child[BLOCK_KEY]): child for child in self.root.children if BLOCK_KEY in child and child.type == "MESH"}
 
     @property
     def material(self) -> bpy.types.Material | None:
@@ -78,17 +109,26 @@ class SceneTerrain:
 
 
 def scene_terrains(scene: bpy.types.Scene) -> list[SceneTerrain]:
-    """Return all terrains of a scene."""
-    return [SceneTerrain(item.name) for item in scene.objects if SETTINGS_KEY in item]
+    """Return all terrains of a scene, linked ones included."""
+    return [_terrain_of_root(item) for item in scene.objects if SETTINGS_KEY in item]
 
 
 def terrain_of_object(item: bpy.types.Object | None) -> SceneTerrain | None:
     """Return the terrain that an object is the root or a block of."""
     while item is not None:
         if SETTINGS_KEY in item:
-            return SceneTerrain(item.name)
+            return _terrain_of_root(item)
         item = item.parent
     return None
+
+
+def _terrain_of_root(root: bpy.types.Object) -> SceneTerrain:
+    return SceneTerrain(root.name, root.library.filepath if root.library is not None else None)
+
+
+def _is_local(data_block: bpy.types.ID) -> bool:
+    """Return whether a data-block belongs to this file. Changes to others crash Blender, or are lost when the file is opened again."""
+    return data_block.is_editable and data_block.override_library is None
 
 
 def create_root(scene: bpy.types.Scene, settings: ClipboxSettings, viewer: np.ndarray, origin: np.ndarray) -> SceneTerrain:
@@ -133,11 +173,11 @@ class PendingMeshes:
         self.names: dict[BlockKey, str] = {}
         self._origin = origin
         self._is_flat = settings.surface == "blocky" and not settings.smoothing
-        self._spare = [mesh.name for mesh in bpy.data.meshes if mesh.users == 0 and SPARE_KEY in mesh]
+        self._spare = [mesh.name for mesh in bpy.data.meshes if mesh.users == 0 and SPARE_KEY in mesh and _is_local(mesh)]
 
     def fill(self, key: BlockKey, block: BlockMesh) -> None:
         """Fill a mesh with the surface of a block."""
-        mesh = bpy.data.meshes.get(self._spare.pop()) if self._spare else None
+        mesh = bpy.data.meshes.get((self._spare.pop(), None)) if self._spare else None
         mesh = mesh or bpy.data.meshes.new("Clip-Box")
         mesh[SPARE_KEY] = True
         fill_mesh(mesh, block.vertices - self._origin, None if self._is_flat else block.normals, block.triangles)
@@ -159,29 +199,36 @@ def show_meshes(terrain: SceneTerrain, mesh_names: dict[BlockKey, str], update: 
     shown = {block_name(key) for key in mesh_names}
     removed = [name for name in blocks if name not in shown] if update.is_complete else [block_name(key) for key in update.removed]
     for key, mesh_name in mesh_names.items():
-        mesh, name = bpy.data.meshes[mesh_name], block_name(key)
+        mesh, name = bpy.data.meshes[mesh_name, None], block_name(key)
         del mesh[SPARE_KEY]
         if mesh.materials:
             mesh.materials[0] = material
         else:
             mesh.materials.append(material)
         if name in blocks:
-            blocks[name].data[SPARE_KEY] = True
+            _mark_spare(blocks[name].data)
             blocks[name].data = mesh
         else:
             _add_block(root, name, mesh)
     for name in removed:
         if name in blocks:
-            blocks[name].data[SPARE_KEY] = True
+            _mark_spare(blocks[name].data)
             bpy.data.objects.remove(blocks[name])
     root[VIEWER_KEY] = update.viewer.tolist()
+
+
+def _mark_spare(mesh: bpy.types.Mesh) -> None:
+    """Let the next change fill a mesh that is shown no more. Linked meshes are left alone."""
+    if _is_local(mesh):
+        mesh[SPARE_KEY] = True
 
 
 def _add_block(root: bpy.types.Object, name: str, mesh: bpy.types.Mesh) -> None:
     block = bpy.data.objects.new(f"{root.name} {name}", mesh)
     block[BLOCK_KEY] = name
     block.parent = root
-    for collection in root.users_collection:
+    collections = [collection for collection in root.users_collection if _is_local(collection)]
+    for collection in collections or [scene.collection for scene in root.users_scene]:
         collection.objects.link(block)
 
 
@@ -216,7 +263,7 @@ def remove(terrain: SceneTerrain) -> None:
     collections, blocks = root.users_collection, list(terrain.blocks().values())
     meshes = [block.data for block in blocks]
     bpy.data.batch_remove([*blocks, root])
-    bpy.data.batch_remove([mesh for mesh in meshes if mesh.users == 0])
+    bpy.data.batch_remove([mesh for mesh in meshes if mesh.users == 0 and _is_local(mesh)])
     for collection in collections:
         if not collection.all_objects and not collection.children and collection in bpy.data.collections.values():
             bpy.data.collections.remove(collection)

@@ -6,6 +6,8 @@ import bpy
 import numpy as np
 
 from ...core.errors import FileError, GeometryError
+from ...core.files.complete_files import is_complete_png
+from ...core.files.file_access import error_reason
 from ...core.unwrap.stretch_colors import draw_stretch_image
 from ..images import create_image
 from .uv_maps import read_uv_stretch
@@ -15,7 +17,8 @@ def save_stretch_image(item: bpy.types.Object, path: Path, resolution: int) -> N
     """Write a PNG of the active UV map of an object's mesh, with `resolution` pixels per side.
 
     Raises:
-        GeometryError: the mesh has not been unwrapped, or is in Edit Mode. FileError: the file cannot be written.
+        GeometryError: the mesh has not been unwrapped, or is in Edit Mode.
+        FileError: the file cannot be written.
     """
     uv_stretch = read_uv_stretch(item.data)
     if uv_stretch is None:
@@ -25,7 +28,12 @@ def save_stretch_image(item: bpy.types.Object, path: Path, resolution: int) -> N
     try:
         image.filepath_raw, image.file_format = str(path), "PNG"
         image.save()
-    except RuntimeError:  # raised by Blender
-        raise FileError(f'Cannot write "{path}"; choose another folder.') from None
+        if not is_complete_png(path):  # Blender reports no failed write
+            raise FileError(f'Cannot write "{path}": the image is truncated, because the disk or your quota is full; free some space.')
+    except RuntimeError as error:  # raised by Blender
+        reason = " ".join(str(error).removeprefix("Error: ").split()).rstrip(".")
+        raise FileError(f'Cannot write "{path}": {reason}.') from error
+    except OSError as error:
+        raise FileError(f'Cannot write "{path}": {error_reason(error)}.') from error
     finally:
         bpy.data.images.remove(image)

@@ -8,6 +8,8 @@ import numpy as np
 from ...core.errors import GeometryError
 from ...core.geometry.mesh import TriangleMesh
 from ..mesh_arrays import read_attribute, read_loop_triangles, read_loop_vertices, read_positions, read_uvs, read_values, write_uvs
+from ..meshes import is_in_view_layer
+from ..session_ids import find_by_uid
 
 STRETCH_ATTRIBUTE = "farfield_stretch"  # face attribute: maximum stretch of the triangles of a polygon
 PIN_PREFIX = ".pn."  # of the attribute with the pinned corners of a UV map, before its name
@@ -19,13 +21,13 @@ MAX_UV_MAPS = 8  # per mesh
 class UvTarget:
     """A mesh, or some polygons of it, to unwrap. Holds no pointers into Blender.
 
-    mesh_name: in bpy.data.meshes. object_name: of the object. mesh: in world space, wound as in Blender. other_triangles (R, 3): of
-    polygons that are not unwrapped. loops (T, 3), polygon_ids (T,): of the triangles of `mesh`. seams (S, 2): vertices. normal_sign: -1
-    where the object's matrix mirrors, so that normals of `mesh` point inwards, else 1. group_weights (V,): weights of the vertex group, 0
-    without one.
+    mesh_uid: session UID of the mesh, which stays when it is renamed. object_name: of the object. mesh: in world space, wound as in
+    Blender. other_triangles (R, 3): of polygons that are not unwrapped. loops (T, 3), polygon_ids (T,): of the triangles of `mesh`. seams
+    (S, 2): vertices. normal_sign: -1 where the object's matrix mirrors, so that normals of `mesh` point inwards, else 1. group_weights
+    (V,): weights of the vertex group, 0 without one.
     """
 
-    mesh_name: str
+    mesh_uid: int
     object_name: str
     mesh: TriangleMesh
     other_triangles: np.ndarray
@@ -56,16 +58,18 @@ def read_uv_target(item: bpy.types.Object, vertex_group: str | None) -> UvTarget
     if not is_selected.any():
         raise GeometryError(f'"{item.name}" has no {"selected " if is_editing else ""}faces to unwrap; select some.')
     matrix = np.array(item.matrix_world, np.float64)
-    positions = read_positions(mesh).astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+    with np.errstate(invalid="ignore"):  # a later check reports coordinates that are not finite
+        positions = read_positions(mesh).astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+        is_mirrored = np.linalg.det(matrix[:3, :3]) < 0.0
     return UvTarget(
-        mesh_name=mesh.name,
+        mesh_uid=mesh.session_uid,
         object_name=item.name,
         mesh=TriangleMesh(positions, loop_vertices[loops[is_selected]]),
         other_triangles=loop_vertices[loops[~is_selected]],
         loops=loops[is_selected],
         polygon_ids=polygons[is_selected],
         seams=_read_seams(mesh),
-        normal_sign=-1.0 if np.linalg.det(matrix[:3, :3]) < 0.0 else 1.0,
+        normal_sign=-1.0 if is_mirrored else 1.0,
         group_weights=np.zeros(len(mesh.vertices)) if vertex_group is None else _read_vertex_group(item, vertex_group),
     )
 
@@ -77,8 +81,16 @@ def skip_reason(item: bpy.types.Object, uv_map: str) -> str:
     mesh = item.data
     if not mesh.is_editable:
         return "its mesh is linked from a library; make it local"
-    if len(mesh.polygons) == 0:
-        return "no faces"
+    if not is_in_view_layer(item, bpy.context.view_layer):
+        return "its collection is excluded from the view layer"
+    return "no faces" if len(mesh.polygons) == 0 else _write_obstacle(mesh, uv_map)
+
+
+def _write_obstacle(mesh: bpy.types.Mesh, uv_map: str) -> str:
+    """Return why no UV map of this name can be written into a local mesh with faces, or an empty string."""
+    stretch = mesh.attributes.get(STRETCH_ATTRIBUTE)
+    if stretch is not None and (stretch.domain, stretch.data_type) != ("FACE", "FLOAT"):
+        return f'another attribute is named "{STRETCH_ATTRIBUTE}"; rename it'
     layer = mesh.uv_layers.get(uv_map)
     if layer is None:
         if uv_map in mesh.attributes:
@@ -88,15 +100,28 @@ def skip_reason(item: bpy.types.Object, uv_map: str) -> str:
     return f'its UV map "{uv_map}" has pinned vertices; unpin them' if pins is not None and any(pin.value for pin in pins.data) else ""
 
 
+def find_mesh(target: UvTarget, uv_map: str) -> bpy.types.Mesh:
+    """Return the mesh of `target`, also if it was renamed, so that a UV map of this name can be written into it.
+
+    Raises:
+        GeometryError: the mesh was removed or edited since it was read, or cannot hold the UV map any more.
+    """
+    mesh = find_by_uid(bpy.data.meshes, target.mesh_uid)
+    if mesh is None or len(mesh.loops) <= int(target.loops.max()) or len(mesh.polygons) <= int(target.polygon_ids.max()):
+        raise GeometryError(f'The mesh of "{target.object_name}" was removed or edited while it was being unwrapped; unwrap it again.')
+    obstacle = _write_obstacle(mesh, uv_map)
+    if obstacle:
+        raise GeometryError(f'"{target.object_name}" was changed while it was being unwrapped: {obstacle}.')
+    return mesh
+
+
 def write_uv_map(target: UvTarget, corner_uvs: np.ndarray, stretches: np.ndarray, uv_map: str, metrics: dict[str, float]) -> None:
     """Write the UV map `corner_uvs` (T, 3, 2), its stretch (T,) as an attribute and its metrics into the mesh, and make the map active.
 
     Raises:
-        GeometryError: the mesh was removed, or edited since it was read.
+        GeometryError: see `find_mesh`.
     """
-    mesh = bpy.data.meshes.get(target.mesh_name)
-    if mesh is None or len(mesh.loops) <= int(target.loops.max()) or len(mesh.polygons) <= int(target.polygon_ids.max()):
-        raise GeometryError(f'The mesh of "{target.object_name}" was removed or edited while it was being unwrapped; unwrap it again.')
+    mesh = find_mesh(target, uv_map)
     layer = mesh.uv_layers.get(uv_map) or mesh.uv_layers.new(name=uv_map, do_init=False)
     mesh.uv_layers.active = layer
     uvs = read_uvs(layer)

@@ -45,8 +45,9 @@ class StretchOverlay:
         while self._handlers:
             space, handler = self._handlers.pop()
             space.draw_handler_remove(handler, "WINDOW")
-        bpy.app.handlers.depsgraph_update_post.remove(_clear_cache)
-        bpy.app.handlers.load_pre.remove(_clear_cache)
+        for handlers in (bpy.app.handlers.depsgraph_update_post, bpy.app.handlers.load_pre):
+            if _clear_cache in handlers:  # another add-on may have cleared the list
+                handlers.remove(_clear_cache)
 
     def clear_cache(self) -> None:
         """Forget the batches of all meshes."""

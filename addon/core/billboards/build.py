@@ -2,18 +2,17 @@
 
 import numpy as np
 
-from ..errors import GeometryError, SettingsError
-from ..geometry.mesh import PointCloud, TriangleMesh, check_points, drop_degenerate, longest_side
+from ..errors import SettingsError
+from ..geometry.mesh import PointCloud, TriangleMesh, drop_degenerate, longest_side
 from ..jobs.progress import Progress, StageClock, Steps, subprogress
 from .budget import cover_within_budget, read_budget
 from .cloud import Cloud, Level, Quads
 from .components import find_components
 from .levels import LevelBuilder
-from .primitives import Primitives, from_mesh, from_points
+from .primitives import Primitives, drop_incomplete_points, from_mesh, from_points
 from .settings import BillboardSettings
 
 PACKING_START = 0.95  # fraction of the progress bar; the rest is for packing the atlas
-MAX_NORMAL_LENGTH_ERROR = 1e-3  # of a point's normal; others count as missing
 
 
 def build_cloud(source: TriangleMesh | PointCloud, settings: BillboardSettings, name: str = "mesh") -> Steps[Cloud]:
@@ -52,13 +51,8 @@ def prepare_primitives(source: TriangleMesh | PointCloud, settings: BillboardSet
     if isinstance(source, PointCloud):
         if settings.method == "decimate":
             raise SettingsError(f'"{name}" is a point cloud, which cannot be decimated; set Method to clusters or hough.', ("method",))
-        check_points(source.points, name)
-        has_normal = np.abs(np.linalg.norm(source.normals, axis=1) - 1.0) < MAX_NORMAL_LENGTH_ERROR
-        kept = np.flatnonzero((source.radii > 0.0) & has_normal)
-        if len(kept) == 0:
-            raise GeometryError(f'No point of "{name}" has a radius and a normal; estimate them first.')
-        colors = None if source.colors is None else source.colors[kept]
-        return from_points(PointCloud(source.points[kept], source.normals[kept], source.radii[kept], colors)), kept, len(source.points)
+        points, kept = drop_incomplete_points(source, name)
+        return from_points(points), kept, len(source.points)
     mesh, kept = drop_degenerate(source, name)
     return from_mesh(mesh), kept, len(source.triangles)
 

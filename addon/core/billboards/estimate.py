@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..geometry.frames import frame_from_normal
-from ..geometry.mesh import PointCloud, TriangleMesh, check_points, drop_degenerate, face_areas_and_normals, longest_side
+from ..geometry.mesh import PointCloud, TriangleMesh, drop_degenerate, face_areas_and_normals, longest_side
 from ..settings import describe
-from .primitives import Primitives
+from .primitives import Primitives, drop_incomplete_points
 from .settings import BillboardSettings
 
 SEED_COUNT = 64  # faces whose clusters are guessed
@@ -81,8 +81,8 @@ def sample_geometry(geometry: TriangleMesh | PointCloud, name: str) -> SurfaceSa
         GeometryError: `geometry` is unusable; the message contains `name`.
     """
     if isinstance(geometry, PointCloud):
-        check_points(geometry.points, name)
-        centers, normals, areas = geometry.points, geometry.normals, np.pi * geometry.radii**2
+        cloud, _ = drop_incomplete_points(geometry, name)
+        centers, normals, areas = cloud.points, cloud.normals, np.pi * cloud.radii**2
         return _sample(centers[:, None], normals, areas, longest_side(centers))
     mesh, _ = drop_degenerate(geometry, name)
     corners = mesh.corners

@@ -5,10 +5,12 @@ from functools import cached_property
 
 import numpy as np
 
+from ..errors import GeometryError
 from ..geometry.frames import frames_from_normals
-from ..geometry.mesh import PointCloud, TriangleMesh, face_areas_and_normals
+from ..geometry.mesh import PointCloud, TriangleMesh, check_points, face_areas_and_normals
 from ..geometry.proximity import neighbor_pairs
 
+MAX_NORMAL_LENGTH_ERROR = 1e-3  # of a point's normal; others count as missing
 NEIGHBOR_COUNT = 50  # n of section 4.3.1
 TRIANGLE_COVARIANCE_SCALE = 1.0 / 4.0  # covariance of a triangle's area over the mean covariance of its corners
 SQUARE_COVARIANCE_SCALE = 1.0 / 3.0  # the same for a square
@@ -55,6 +57,24 @@ def from_mesh(mesh: TriangleMesh) -> Primitives:
     """Return the triangles of a mesh without zero-area triangles (see `drop_degenerate`)."""
     areas, normals = face_areas_and_normals(mesh.corners)
     return Primitives(mesh.vertices, mesh.triangles, areas, normals)
+
+
+def drop_incomplete_points(cloud: PointCloud, name: str) -> tuple[PointCloud, np.ndarray]:
+    """Return the points that have a radius above 0 and a unit normal, and their indices (K,).
+
+    Raises:
+        GeometryError: the cloud is empty or not finite, or no point is complete; the message contains `name`.
+    """
+    check_points(cloud.points, name)
+    has_radius = np.isfinite(cloud.radii) & (cloud.radii > 0.0)
+    has_normal = np.abs(np.linalg.norm(cloud.normals, axis=1) - 1.0) < MAX_NORMAL_LENGTH_ERROR
+    kept = np.flatnonzero(has_radius & has_normal)
+    if len(kept) == 0:
+        missing = "a normal" if has_radius.any() and not has_normal.any() else "a finite radius above 0"
+        missing = "both" if has_radius.any() and has_normal.any() else missing
+        raise GeometryError(f'No point of "{name}" has {missing}; correct its normals and radii, or remove them to have them estimated.')
+    colors = None if cloud.colors is None else cloud.colors[kept]
+    return PointCloud(cloud.points[kept], cloud.normals[kept], cloud.radii[kept], colors), kept
 
 
 def from_points(cloud: PointCloud) -> Primitives:

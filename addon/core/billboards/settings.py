@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 from ..settings import Choice, Settings, Unit, setting
 
@@ -29,8 +30,22 @@ class CrossfadeSettings(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class BuildOptions(Settings):
+    """Settings of a build that concern the selected objects, not their clouds."""
+
+    has_flags: ClassVar[bool] = False
+
+    combine_selected: bool = setting(False, "Build one cloud from all selected objects instead of one per object")
+    keep_source_visible: bool = setting(
+        False,
+        "Keep the original visible after the build. When off, it is hidden in the viewport and in renders",
+        label="Keep Original Visible",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class BillboardSettings(Settings):
-    """Settings of the tool `billboards`. Fractions are of the longest bounding-box side unless the help names another whole."""
+    """Settings of the tool `billboards`. Fractions are of the longest bounding-box side unless the help says otherwise."""
 
     method: str = setting("clusters", "Method that finds the planes of the quads", choices=METHODS)
     error: float = setting(

@@ -2,9 +2,9 @@
 
 After Brucks, "Octahedral Impostors" (2018). The renders ("frames") are at the vertices of a grid over the octahedral map of all directions,
 or over the hemi-octahedral map of those above the horizon, so the edge midpoints and corners of the map have frames too. On the full map, a
-boundary vertex and its mirror image are the same direction, and all four corners point straight down; each has its own frame all the same,
-as usual. Every grid cell is split into two triangles along the diagonal parallel to the fold of its quadrant, which makes them nearly
-equilateral on the sphere. A direction uses the three frames of its triangle with barycentric weights.
+boundary vertex and its mirror image are the same direction, and all four corners point straight down; each of them still has its own
+frame, as usual. Every grid cell is split into two triangles along the diagonal parallel to the fold of its quadrant, which makes them
+nearly equilateral on the sphere. A direction uses the three frames of its triangle with barycentric weights.
 """
 
 from dataclasses import dataclass

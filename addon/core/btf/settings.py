@@ -170,15 +170,17 @@ class BtfSettings(Settings):
         return float(self.light_grid.solid_angles.mean())
 
     def check_table_size(self) -> None:
-        """Raise SettingsError when a lookup table would exceed the size limit of images."""
-        shadow_height = 0 if self.shadow_grid is None else -(-self.shadow_components // 4) * (self.shadow_grid.size + 2)
+        """Raise SettingsError when the lookup table of the colors would exceed the size limit of images.
+
+        Those of silhouettes and shadows cannot: their settings have limits, and they do not grow with the lights.
+        """
         tile = (self.view_grid.size + 2) * (self.light_grid.size + 2)
         is_local = self.codec == "lpca"
         width, height = tile * (self.clusters if is_local else 1), tile * (self.cluster_components if is_local else self.components)
-        if max(width, height, shadow_height) > MAX_IMAGE_SIDE:
+        if max(width, height) > MAX_IMAGE_SIDE:
             counts = ("clusters", "cluster_components") if is_local else ("components",)
             raise SettingsError(
                 f"{self.view_count} views, {self.light_count} lights and this number of components need a lookup table of {width} x "
-                f"{max(height, shadow_height)} pixels; the limit is {MAX_IMAGE_SIDE}. Reduce one of them.",
+                f"{height} pixels; the limit is {MAX_IMAGE_SIDE}. Reduce one of them.",
                 ("views_per_side", "lights_per_side", *counts),
             )

@@ -6,7 +6,7 @@ from queue import SimpleQueue
 
 import numpy as np
 
-from ..errors import GeometryError
+from ..errors import GeometryError, SettingsError
 from ..jobs.chunks import map_ordered, slices
 from ..jobs.progress import Progress, StageClock, Steps, subprogress
 from .blocks import BlockIndex, BlockMesh, compute_signatures, extract_blocks
@@ -21,6 +21,7 @@ MAX_BATCH_BLOCKS = 32  # blocks that are processed at once
 VOXELS_FRACTION = 0.5  # of the progress bar
 MAX_COORDINATE = 2.0**46  # voxels from the origin; beyond it double precision does not resolve voxels well
 NO_SURFACE = "The boxes contain no surface. Move closer to the ground, or increase Boxes or Voxel Size."
+OUT_OF_MEMORY = "The boxes need more memory than is available; reduce Resolution or Boxes."
 
 BlockKey = tuple[int, BlockIndex]  # level and index
 
@@ -67,9 +68,15 @@ class TerrainEngine:
         """Center the boxes on a viewer at (3,) float64 scene units. If it is cancelled or fails, the reported state stays valid.
 
         Raises:
-            GeometryError: the position is invalid, or the density function fails.
+            GeometryError: the position is invalid, or the density function fails. SettingsError: there is too little memory.
         """
         check_viewer(viewer, self.settings.voxel_size)
+        try:
+            return (yield from self._move(viewer))
+        except MemoryError:
+            raise SettingsError(OUT_OF_MEMORY, ("resolution", "boxes")) from None
+
+    def _move(self, viewer: np.ndarray) -> Steps[Update]:
         self.finished_blocks = SimpleQueue()
         with self.clock.stage("voxels"):
             yield from subprogress(self.boxes.move(viewer), 0.0, VOXELS_FRACTION)

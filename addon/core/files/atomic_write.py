@@ -1,78 +1,130 @@
-"""Atomic output: files and folders that appear completely or not at all."""
+"""Atomic output: files and folders that appear completely or not at all, also when the disk is full or the power fails."""
 
+import errno
+import os
 import shutil
-import tempfile
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ..errors import FileError
+from .file_access import check_writable, check_writable_folder, convert_os_errors, resolve_links
+from .temporary_folders import temporary_folder
 
 TEMPORARY_SUFFIX = ".part"
+SYNC_IS_UNSUPPORTED = frozenset((errno.EINVAL, errno.ENOTSUP, errno.ENOSYS, errno.EBADF))  # by some network file systems
+FOLDER_IS_UNREADABLE = frozenset((errno.EACCES, errno.EPERM))  # it may be writable all the same
 
 
 @contextmanager
 def atomic_write(target: Path) -> Iterator[Path]:
     """Yield a temporary path to write instead of `target`, a file or a folder.
 
-    When the block ends without an exception, the temporary file or folder is moved to `target`; otherwise it is deleted.
+    When the block ends without an exception, the temporary file or folder is written to the disk and moved to `target`; otherwise it is
+    deleted. If `target` is a symbolic link, the file that it refers to is replaced.
 
     Raises:
-        FileError: a file cannot be written, or `target` is a folder that is not empty.
+        FileError: a file cannot be written, or `target` is a folder that is not empty, a read-only file, a device or a pipe.
     """
-    temporary = None
-    try:
-        check_empty(target)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=".farfield-", dir=target.parent))
-        yield temporary / target.name
-        if target.is_dir():
-            target.rmdir()  # not every system replaces an existing folder
-        (temporary / target.name).replace(target)
-    except OSError as error:
-        raise FileError(f'Cannot write "{target}": {error.strerror or error}.') from error
-    finally:
-        if temporary is not None:
-            shutil.rmtree(temporary, ignore_errors=True)
+    with convert_os_errors(f'Cannot write "{target}"'):
+        _check_target(target, target.is_dir())
+        destination = resolve_links(target)
+        destination.parent.mkdir(parents=True, exist_ok=True)
+        with temporary_folder(destination.parent) as folder:
+            yield folder / target.name
+            replace_durably(folder / target.name, destination)
 
 
 @contextmanager
 def atomic_folder(folder: Path) -> Iterator[Path]:
-    """Yield a temporary folder inside `folder`. When the block ends without an exception, its files are moved into `folder`.
+    """Yield a temporary folder inside `folder`. When the block ends without an exception, its files are written to the disk and moved into
+    `folder`, where they replace files of the same names.
 
     Raises:
         FileError: a file cannot be written; `folder` then has no new files.
     """
-    temporary = None
-    try:
+    with convert_os_errors(f'Cannot write in "{folder}"'):
         folder.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=".farfield-", dir=folder))
-        yield temporary
-        for path in sorted(temporary.iterdir()):
-            path.replace(folder / path.name)
-    except OSError as error:
-        raise FileError(f'Cannot write in "{folder}": {error.strerror or error}.') from error
-    finally:
-        if temporary is not None:
-            shutil.rmtree(temporary, ignore_errors=True)
+        with temporary_folder(folder) as temporary:
+            yield temporary
+            paths = sorted(temporary.iterdir())
+            for path in paths:
+                sync(path)
+                _check_target(folder / path.name, path.is_dir())
+            for path in paths:
+                _move(path, folder / path.name)
+            _sync_folder(folder)
 
 
 def write_bytes_atomically(path: Path, content: bytes) -> None:
-    """Write `content` to a temporary file beside `path` and rename it. Raises OSError.
+    """Write `content` to a temporary file beside `path`, then to the disk, and rename it. Raises OSError.
 
     The temporary file has the suffix TEMPORARY_SUFFIX; a killed process leaves it behind.
     """
     temporary = path.with_suffix(f".{uuid.uuid4().hex}{TEMPORARY_SUFFIX}")
     try:
         temporary.write_bytes(content)
-        temporary.replace(path)
+        replace_durably(temporary, path)
     except OSError:
         temporary.unlink(missing_ok=True)
         raise
 
 
-def check_empty(target: Path) -> None:
-    """Raise FileError when `target` is a folder that is not empty."""
-    if target.is_dir() and any(target.iterdir()):
-        raise FileError(f'The folder "{target}" is not empty; choose another one or empty it.')
+def replace_durably(source: Path, target: Path) -> None:
+    """Move `source`, a file or a folder, to `target` in the same file system, replacing a file or an empty folder. Raises OSError.
+
+    `source` is on the disk before it replaces anything: after a power failure `target` is either what it was or complete.
+    """
+    sync(source)
+    if target.is_dir():
+        target.rmdir()  # not every system replaces an existing folder
+    source.replace(target)
+    _sync_folder(target.parent)
+
+
+def sync(path: Path) -> None:
+    """Write the file `path`, or the folder `path` with all its files, from the system's cache to the disk. Raises OSError."""
+    if path.is_dir():
+        for child in path.iterdir():
+            sync(child)
+        _sync_folder(path)
+    else:
+        _sync(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY, SYNC_IS_UNSUPPORTED)
+
+
+def _check_target(target: Path, is_folder: bool) -> None:
+    """Raise FileError unless `target` can be replaced by a folder or a file."""
+    if is_folder:
+        check_writable_folder(target)
+    else:
+        check_writable(target)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Write the names of the files in `folder` to the disk; Windows does it without being asked."""
+    if os.name != "nt":
+        _sync(folder, os.O_RDONLY, SYNC_IS_UNSUPPORTED | FOLDER_IS_UNREADABLE)
+
+
+def _sync(path: Path, flags: int, ignored_errors: frozenset[int]) -> None:
+    try:
+        descriptor = os.open(path, flags)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+    except OSError as error:
+        if error.errno not in ignored_errors:
+            raise
+
+
+def _move(source: Path, target: Path) -> None:
+    """Move a file that is on the disk to `target`, or to the file that the link `target` refers to."""
+    destination = resolve_links(target)
+    try:
+        source.replace(destination)
+    except OSError as error:
+        if error.errno != errno.EXDEV:
+            raise
+        with atomic_write(destination) as temporary:  # the link leads to another disk
+            shutil.copyfile(source, temporary)

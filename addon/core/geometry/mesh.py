@@ -8,10 +8,11 @@ from scipy.sparse import coo_matrix, csgraph
 
 from ..errors import GeometryError
 
-ZERO_AREA = 1e-14  # of the squared longest side: below, a triangle's direction is lost in double precision
+MIN_HEIGHT = 2e-14  # of a triangle relative to its longest edge: below, its direction is lost in double precision
+COORDINATE_ROUNDING = 2e-15  # of the largest coordinate: a lower triangle owes its height to rounding
 
 MAX_SOLID_BOUNDARY = 0.5  # boundary length of a solid relative to the square root of its area
-MAX_LOOSE_AREA = 0.05  # of the whole: a component with more is no leaf
+MAX_LOOSE_AREA = 0.05  # of the whole: a component with more is not a leaf
 MAX_LOOSE_TRIANGLES = 32
 MAX_LOOSE_SIDE = 0.05  # of the longest side of the whole
 MIN_VOLUME = 1e-3  # of area**1.5 (a ball has 0.094): anything flatter is a folded sheet
@@ -57,6 +58,16 @@ def face_areas_and_normals(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return 0.5 * lengths, normals / np.where(lengths > 0.0, lengths, 1.0)[:, None]
 
 
+def has_area(corners: np.ndarray) -> np.ndarray:
+    """Return whether each of the finite triangles `corners` (T, 3, 3) has an area, (T,) bool.
+
+    Only its own size counts, so that small triangles far from each other keep theirs.
+    """
+    longest_edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1)
+    min_heights = np.maximum(MIN_HEIGHT * longest_edges, COORDINATE_ROUNDING * np.abs(corners).max(axis=(1, 2)))
+    return np.linalg.norm(scaled_normals(corners), axis=1) > min_heights * longest_edges
+
+
 def longest_side(points: np.ndarray) -> float:
     """Return the longest side of the axis-aligned bounding box of `points` (N, 3), in their unit."""
     return float(np.ptp(points, axis=0).max())
@@ -84,8 +95,7 @@ def drop_degenerate(mesh: TriangleMesh, name: str = "mesh") -> tuple[TriangleMes
     is_used = np.zeros(len(mesh.vertices), bool)
     is_used[mesh.triangles] = True
     check_points(mesh.vertices[is_used], name)
-    areas, _ = face_areas_and_normals(mesh.corners)
-    kept = np.flatnonzero(areas > ZERO_AREA * longest_side(mesh.vertices[is_used]) ** 2)
+    kept = np.flatnonzero(has_area(mesh.corners))
     if len(kept) == 0:
         raise GeometryError(f'Every face of "{name}" has zero area; choose an object with a surface.')
     materials = None if mesh.materials is None else mesh.materials[kept]
@@ -163,5 +173,6 @@ def loose_components(points: np.ndarray, triangles: np.ndarray, components: np.n
 def fingerprint(points: np.ndarray, corners: np.ndarray) -> str:
     """Return a digest of a geometry: points (V, 3) to a ten-thousandth of the longest side, and their connectivity (any integers)."""
     side = longest_side(points) or 1.0
-    rounded = np.rint(points * (1e4 / side)).astype(np.int64)
-    return hashlib.sha256(rounded.tobytes() + np.ascontiguousarray(corners, np.int64).tobytes()).hexdigest()
+    center = np.rint(0.5 * (points.min(axis=0) + points.max(axis=0)) * (1e4 / side))  # too large for an integer far from the origin
+    relative = np.rint(points * (1e4 / side) - center).astype(np.int64)
+    return hashlib.sha256(center.tobytes() + relative.tobytes() + np.ascontiguousarray(corners, np.int64).tobytes()).hexdigest()

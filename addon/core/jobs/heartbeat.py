@@ -1,19 +1,21 @@
 """A heartbeat file that shows that a run is alive. Its workers, on any machine, watch the file and exit when the run ends.
 
 A run touches its file regularly, deletes it at the end, and deletes the files of earlier runs in the same folder. So no worker outlives a
-run that was cancelled, killed or replaced for long, not even on another machine that shares nothing but the folder.
+run that was cancelled, killed or replaced for long, not even on another machine that shares nothing but the folder. Of several runs
+that start in a folder at the same time, no two continue.
 """
 
 import os
 import threading
 import time
 import uuid
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import FileError
+from ..files.file_access import convert_os_errors
 
 FILE_SUFFIX = ".heartbeat"
 POLL_SECONDS = 0.25  # between two checks of the file
@@ -35,31 +37,40 @@ class Heartbeat:
         try:
             os.utime(self.path)
         except FileNotFoundError:
-            raise FileError(f'Another run has started in "{self.path.parent}", so this one stops; let one of them finish.') from None
+            raise _other_run_error(self.path.parent) from None
         except OSError:
-            return  # a network drive with a hiccup: the next call tries again
+            return  # a network drive may fail briefly: the next call tries again
+
+    def close(self) -> None:
+        """Delete the file: the run has ended."""
+        with suppress(OSError):
+            self.path.unlink(missing_ok=True)
 
 
-@contextmanager
-def hold(folder: Path) -> Iterator[Heartbeat]:
-    """Keep a heartbeat file in `folder` during the block, and delete those of earlier runs.
+def take_over(folder: Path) -> Heartbeat:
+    """Start a run in `folder`: create its heartbeat file and delete those of earlier runs.
 
     Raises:
-        FileError: the folder is not writable.
+        FileError: the folder is not writable, or another run starts there at the same time.
     """
     path = folder / f"{uuid.uuid4().hex}{FILE_SUFFIX}"
-    try:
-        for earlier in folder.glob(f"*{FILE_SUFFIX}"):
-            earlier.unlink(missing_ok=True)
+    with convert_os_errors(f'Cannot write in the folder "{folder}"'):
+        _delete_others(path)
         path.touch()
-    except OSError as error:
-        raise FileError(
-            f'The folder "{folder}" cannot be written: {error.strerror}. Free some space there or choose another one.'
-        ) from error
-    try:
-        yield Heartbeat(path)
-    finally:
-        path.unlink(missing_ok=True)
+        if min(folder.glob(f"*{FILE_SUFFIX}"), default=path) != path:  # created at the same time
+            path.unlink(missing_ok=True)
+            raise _other_run_error(folder)
+        _delete_others(path)
+    return Heartbeat(path)
+
+
+def is_alive(folder: Path) -> bool:
+    """Whether a run in `folder` has touched its heartbeat file recently. Only for folders of this machine, whose clock it compares."""
+    touches = []
+    for path in folder.glob(f"*{FILE_SUFFIX}"):
+        with suppress(OSError):
+            touches.append(path.stat().st_mtime)
+    return time.time() - max(touches, default=0.0) < TIMEOUT_SECONDS
 
 
 def watch(path: Path, on_end: Callable[[], None]) -> None:
@@ -82,3 +93,14 @@ def _watch(path: Path, parent: int, on_end: Callable[[], None]) -> None:
             break
         time.sleep(POLL_SECONDS)
     on_end()
+
+
+def _delete_others(path: Path) -> None:
+    """Delete the heartbeat files of all runs in the folder of `path`, except `path`. Raises OSError."""
+    for other in path.parent.glob(f"*{FILE_SUFFIX}"):
+        if other != path:
+            other.unlink(missing_ok=True)
+
+
+def _other_run_error(folder: Path) -> FileError:
+    return FileError(f'Another run has started in "{folder}", so this one stops; let one of them finish.')

@@ -2,14 +2,15 @@
 
 import os
 import subprocess
-import tempfile
 import threading
 from collections.abc import Iterator
 from concurrent.futures import CancelledError, Future
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 
 from ..errors import Cancelled, FarfieldError
+from ..files.file_access import convert_os_errors
+from ..files.temporary_folders import temporary_folder
 from .executors import OpenExecutor, open_executor
 
 NO_WINDOW = getattr(subprocess, "CREATE_NO_WINDOW", 0)  # Windows would open a console for each process
@@ -72,12 +73,12 @@ def open_subprocess_pool(executor_spec: str) -> Iterator[SubprocessPool]:
 
     Raises:
         SettingsError, FarfieldError: see `executors.open_executor`.
+        FileError: the temporary folder cannot be created.
     """
-    with (
-        tempfile.TemporaryDirectory(prefix="farfield-", ignore_cleanup_errors=True) as folder,
-        open_executor(executor_spec) as executor,
-    ):
-        pool = SubprocessPool(executor, folder)
+    with ExitStack() as stack:
+        with convert_os_errors("A temporary folder cannot be created"):
+            folder = stack.enter_context(temporary_folder())
+        pool = SubprocessPool(stack.enter_context(open_executor(executor_spec)), str(folder))
         try:
             yield pool
         finally:
@@ -88,12 +89,12 @@ def wait_for_exit(future: "Future[subprocess.CompletedProcess]") -> tuple[int, s
     """Wait for a command; return its exit code, negative for the signal that killed it, and its output on stderr.
 
     Raises:
-        FarfieldError: the command cannot be started, or the Dask scheduler is gone.
+        FarfieldError: the command cannot be started, or the Dask scheduler no longer answers.
     """
     try:
         process = future.result()
     except CancelledError:
-        raise FarfieldError("The Dask scheduler has gone or has dropped this work; start it again and resume.") from None
+        raise FarfieldError("The Dask scheduler stopped or dropped this work; restart it and resume.") from None
     except OSError as error:
         raise FarfieldError(f"A worker process cannot be started where the work runs: {error}.") from error
     return process.returncode, process.stderr.decode("utf-8", errors="replace")

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..errors import GeometryError
 from ..geometry.geometry_2d import signed_areas
-from ..geometry.mesh import TriangleMesh, check_points, face_areas_and_normals
+from ..geometry.mesh import TriangleMesh, check_points, face_areas_and_normals, has_area
 from ..jobs.progress import Progress, Steps, subprogress
 from .cutting.atlas_seams import find_atlas_seams
 from .cutting.chart import Chart
@@ -47,10 +47,10 @@ def unwrap(
         importance: (T,) 0 to 1.
 
     Raises:
-        GeometryError: the mesh is empty, not finite, or has a part that cannot be parameterized.
+        GeometryError: see `check_surface`; or a part cannot be parameterized.
     """
     seconds, started = {}, time.perf_counter()
-    _check(mesh, name)
+    check_surface(mesh, name)
     yield Progress(0.0, "Cutting")
     if settings.islands == "atlas":
         seams = np.concatenate([np.reshape(seams, (-1, 2)), find_atlas_seams(mesh, polygon_ids)])
@@ -74,10 +74,13 @@ def unwrap(
     return UnwrapResult(corner_uvs, stretches, metrics, len(charts), seconds)
 
 
-def _check(mesh: TriangleMesh, name: str) -> None:
+def check_surface(mesh: TriangleMesh, name: str) -> None:
+    """Raise GeometryError when `mesh`, of the object `name`, has no faces, is not finite, or has no face with an area."""
     if len(mesh.triangles) == 0:
-        raise GeometryError(f'"{name}" has no faces to unwrap.')
+        raise GeometryError(f'"{name}" has no faces to unwrap; choose an object with faces.')
     check_points(mesh.vertices[np.unique(mesh.triangles)], name)
+    if not has_area(mesh.corners).any():
+        raise GeometryError(f'Every face of "{name}" has zero area; choose an object with a surface.')
 
 
 def _parameterize_charts(charts: list[CutChart], settings: UnwrapSettings) -> Steps[list[np.ndarray]]:

@@ -4,11 +4,13 @@ from dataclasses import dataclass
 
 import bpy
 
+from ...bridge.billboards import clouds
+from ...bridge.billboards.scene_clouds import clouds_of_levels
 from ...core.billboards.estimate import LevelEstimate, SurfaceSample, estimate_levels, sample_geometry
 from ...core.billboards.settings import BillboardSettings
 from ...core.errors import FarfieldError
 from .. import long_work
-from .job import read_sources
+from .sources import read_sources
 
 MAX_AUTOMATIC_FACES = 200_000  # larger selections are estimated only on request: reading them would block the interface too long
 DELAY = 0.3  # seconds without a change before an automatic estimate starts
@@ -16,9 +18,11 @@ DELAY = 0.3  # seconds without a change before an automatic estimate starts
 
 @dataclass(frozen=True)
 class EstimateKey:
-    """The input of an estimate. objects: name, number of vertices, number of faces and matrix of each selected object."""
+    """The input of an estimate. objects: name, number of vertices, number of faces and matrix of each selected object, and of the originals
+    of selected clouds. selected_count: number of selected objects, which come first."""
 
     objects: tuple[tuple, ...]
+    selected_count: int
     combine_selected: bool
     settings: BillboardSettings
 
@@ -64,11 +68,11 @@ class EstimateCache:
         """
         samples_key = (key.objects, key.combine_selected)
         if self._samples is None or self._samples[0] != samples_key:
-            objects = [bpy.data.objects[item[0]] for item in key.objects]
-            sources, _ = read_sources(objects, context.evaluated_depsgraph_get(), key.combine_selected)
+            objects = [bpy.data.objects[item[0]] for item in key.objects[: key.selected_count]]
+            sources, _ = read_sources(context, objects, key.combine_selected)
             self._samples = samples_key, [sample_geometry(source.geometry, source.name) for source in sources]
-        clouds = [estimate_levels(sample, key.settings) for sample in self._samples[1]]
-        self._result = key, EstimateResult([_sum(levels) for levels in zip(*clouds, strict=True)])
+        per_cloud = [estimate_levels(sample, key.settings) for sample in self._samples[1]]
+        self._result = key, EstimateResult([_sum(levels) for levels in zip(*per_cloud, strict=True)])
         return self._result[1]
 
     def clear(self) -> None:
@@ -103,10 +107,13 @@ cache = EstimateCache()
 
 def estimate_key(context: bpy.types.Context, settings: BillboardSettings) -> EstimateKey:
     """Return the key of the current selection and settings. Cheap enough for every redraw."""
+    selected = context.selected_objects
+    has_levels = any(clouds.KIND in item for item in selected)
+    originals = [source for cloud in clouds_of_levels(context.scene, selected) for source in cloud.sources] if has_levels else []
     objects = tuple(
-        (item.name, *_counts(item), *(round(value, 6) for row in item.matrix_world for value in row)) for item in context.selected_objects
+        (item.name, *_counts(item), *(round(value, 6) for row in item.matrix_world for value in row)) for item in (*selected, *originals)
     )
-    return EstimateKey(objects, context.scene.farfield_billboards.combine_selected, settings)
+    return EstimateKey(objects, len(selected), context.scene.farfield_billboards.combine_selected, settings)
 
 
 def _all_exist(objects: tuple[tuple, ...]) -> bool:

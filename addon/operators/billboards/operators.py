@@ -1,15 +1,19 @@
 """Operators of the tool `billboards`: build clouds, estimate them, show clouds or sources, select levels for the camera, cross-fade."""
 
+from collections.abc import Callable
+
 import bpy
 
 from ...bridge import cameras
 from ...bridge.billboards import clouds
-from ...bridge.billboards.scene_clouds import SceneCloud, clouds_in, find_cloud
-from ...core.billboards.settings import BillboardSettings, CrossfadeSettings
-from ...core.errors import FarfieldError
-from .. import long_work, properties
+from ...bridge.billboards.scene_clouds import SceneCloud, clouds_in, clouds_of_levels, find_cloud
+from ...core.billboards.settings import BillboardSettings, BuildOptions, CrossfadeSettings
+from .. import long_work, properties, start_job
+from ..error_reports import reports_errors
 from .estimates import cache, estimate_key
-from .job import BillboardJob, BuildOptions, linked_sources_message, may_have_surface, prepare_job
+from .job import BillboardJob, prepare_job
+from .messages import describe_exceptions, missing_original_message, quote_names
+from .sources import may_have_surface
 
 SHOW_ITEMS = [
     ("TOGGLE", "Toggle", "Show the cloud if its original is visible, otherwise the original"),
@@ -28,30 +32,23 @@ class FARFIELD_PG_billboards(bpy.types.PropertyGroup):
     }
 
 
-class FARFIELD_OT_billboards_build(long_work.LongWork, bpy.types.Operator):
-    """Create a billboard cloud with several levels of detail for each selected object"""
+class FARFIELD_OT_billboards_build(start_job.StartJob, bpy.types.Operator):
+    """Create a billboard cloud with several levels of detail for each selected object, or build a selected cloud again from its original"""
 
     bl_idname = "farfield.billboards_build"
     bl_label = "Build Billboard Cloud"
     bl_options = {"REGISTER", "UNDO"}
-    # SKIP_SAVE: properties that the caller does not set come from the panel, not from the previous call
-    __annotations__ = {
-        name: annotation
-        for settings_type in (BillboardSettings, BuildOptions)
-        for name, annotation in properties.build_annotations(settings_type, {"SKIP_SAVE"}).items()
-    }
+    settings_types, panel_property = (BillboardSettings, BuildOptions), "farfield_billboards"
+    __annotations__ = start_job.setting_properties(*settings_types)
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Return whether the selection can be built and no job is running."""
-        return long_work.poll_with_reason(cls, disabled_reason(context))
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
+        """Return why nothing can be built now, or an empty string."""
+        return disabled_reason(context)
 
     def prepare(self, context: bpy.types.Context) -> BillboardJob:
-        """Read the selected objects."""
-        for settings_type in (BillboardSettings, BuildOptions):
-            properties.fill_unset(settings_type, self, context.scene.farfield_billboards)
-        settings, options = properties.read(BillboardSettings, self), properties.read(BuildOptions, self)
-        return prepare_job(context, context.selected_objects, settings, options)
+        """Read the selected objects, and the originals of selected clouds."""
+        return prepare_job(context, context.selected_objects, *self.read_settings(context))
 
 
 class FARFIELD_OT_billboards_estimate(bpy.types.Operator):
@@ -66,14 +63,11 @@ class FARFIELD_OT_billboards_estimate(bpy.types.Operator):
         """Return whether the selection can be estimated."""
         return long_work.poll_with_reason(cls, disabled_reason(context))
 
+    @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Compute the estimate and store it for the panel."""
-        try:
-            settings = properties.read(BillboardSettings, context.scene.farfield_billboards)
-            result = cache.compute(context, estimate_key(context, settings))
-        except FarfieldError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        settings = properties.read(BillboardSettings, context.scene.farfield_billboards)
+        result = cache.compute(context, estimate_key(context, settings))
         levels = [f"{level.quads:,} quads, {level.texels:,} texels, {level.bytes / 1e6:.1f} MB" for level in result.levels]
         self.report({"INFO"}, f"About {'; '.join(levels)}.")
         return {"FINISHED"}
@@ -90,26 +84,30 @@ class FARFIELD_OT_billboards_show(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Return whether a selected object belongs to a cloud."""
-        return long_work.poll_with_reason(cls, "" if selected_clouds(context) else "Select a billboard cloud or its original")
+        """Return whether a selected object belongs to a cloud that can be changed."""
+        scene_clouds = selected_clouds(context)
+        reason = "" if scene_clouds else "Select a billboard cloud or its original"
+        if scene_clouds and not any(cloud.is_editable for cloud in scene_clouds):
+            reason = "The cloud is linked from a library; make it local first"
+        return long_work.poll_with_reason(cls, reason)
 
+    @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Change the visibility of all clouds of selected objects; the first cloud decides what toggling shows."""
-        scene_clouds = selected_clouds(context)
-        missing = [cloud for cloud in scene_clouds if not cloud.sources]
+        view_layer = context.view_layer
+        scene_clouds, refused = _split(selected_clouds(context), lambda cloud: cloud.is_editable)
         show_cloud = self.show == "CLOUD" or (self.show == "TOGGLE" and scene_clouds[0].shows_sources)
-        changed = scene_clouds if show_cloud else [cloud for cloud in scene_clouds if cloud.sources]
+        can_show = [cloud.is_in(view_layer) if show_cloud else bool(cloud.sources_in(view_layer)) for cloud in scene_clouds]
+        changed = [cloud for cloud, can_be_shown in zip(scene_clouds, can_show, strict=True) if can_be_shown]
         for cloud in changed:
             if show_cloud:
                 cloud.show_cloud()
             else:
                 cloud.show_sources()
             cloud.activate_visible(context)
-        linked = [name for cloud in changed for name in cloud.linked_source_names]
-        message = f"Showing the {'cloud' if show_cloud else 'original'} of {_quote_names(changed)}." if changed else "Nothing changed."
-        message += f" {linked_sources_message(linked)}" if linked else ""
-        message += f" Without source objects: {_quote_names(missing)}." if missing else ""
-        self.report({"WARNING" if linked or missing else "INFO"}, message)
+        exceptions = describe_exceptions(scene_clouds, refused, view_layer)
+        message = f"Showing the {'cloud' if show_cloud else 'original'} of {quote_names(changed)}." if changed else "Nothing changed."
+        self.report({"WARNING" if exceptions else "INFO"}, f"{message} {exceptions}".strip())
         return {"FINISHED" if changed else "CANCELLED"}
 
 
@@ -127,21 +125,19 @@ class FARFIELD_OT_billboards_crossfade(bpy.types.Operator):
         """Return whether there are a camera and a cloud."""
         return long_work.poll_with_reason(cls, _camera_disabled_reason(context))
 
+    @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Add a cross-fade to every cloud of the scene."""
         properties.fill_unset(CrossfadeSettings, self, context.scene.farfield_billboards)
         fade_range = properties.read(CrossfadeSettings, self).fade_range
-        scene_clouds = clouds_in(context.scene)
+        scene_clouds, refused = _split(clouds_in(context.scene), lambda cloud: cloud.can_crossfade)
         for cloud in scene_clouds:
             cloud.add_crossfade(context, fade_range)
             cloud.activate_visible(context)
-        linked = [name for cloud in scene_clouds for name in cloud.linked_source_names]
-        message = f"Cross-fading for the active camera: {_quote_names(scene_clouds)}."
-        missing = [cloud for cloud in scene_clouds if not cloud.sources]
-        message += f" Without source objects: {_quote_names(missing)}." if missing else ""
-        message += f" {linked_sources_message(linked)}" if linked else ""
-        self.report({"WARNING" if linked else "INFO"}, message)
-        return {"FINISHED"}
+        exceptions = describe_exceptions(scene_clouds, refused, context.view_layer)
+        message = f"Cross-fading for the active camera: {quote_names(scene_clouds)}." if scene_clouds else "Nothing changed."
+        self.report({"WARNING" if exceptions else "INFO"}, f"{message} {exceptions}".strip())
+        return {"FINISHED" if scene_clouds else "CANCELLED"}
 
 
 class FARFIELD_OT_billboards_show_level(bpy.types.Operator):
@@ -157,19 +153,21 @@ class FARFIELD_OT_billboards_show_level(bpy.types.Operator):
         """Return whether there are a camera and a cloud."""
         return long_work.poll_with_reason(cls, _camera_disabled_reason(context))
 
+    @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Show one level of every cloud of the scene and hide the others."""
         context.view_layer.update()
         camera = cameras.read_scene_camera(context.scene)
-        shown, linked = [], []
-        for cloud in clouds_in(context.scene):
-            level = cloud.show_level_for(camera)
+        scene_clouds, refused = _split(clouds_in(context.scene), lambda cloud: cloud.is_editable)
+        shown = []
+        for cloud in scene_clouds:
+            level = cloud.show_level_for(camera, context.view_layer)
             cloud.activate_visible(context)
-            linked += cloud.linked_source_names
             shown.append(f'"{cloud.collection.name}" {"original" if level is None else f"level {level}"}')
-        message = f"Shown: {', '.join(shown)}." + (f" {linked_sources_message(linked)}" if linked else "")
-        self.report({"WARNING" if linked else "INFO"}, message)
-        return {"FINISHED"}
+        exceptions = describe_exceptions(scene_clouds, refused, context.view_layer)
+        message = f"Shown: {', '.join(shown)}." if shown else "Nothing changed."
+        self.report({"WARNING" if exceptions else "INFO"}, f"{message} {exceptions}".strip())
+        return {"FINISHED" if shown else "CANCELLED"}
 
 
 def selected_clouds(context: bpy.types.Context) -> list[SceneCloud]:
@@ -185,9 +183,14 @@ def disabled_reason(context: bpy.types.Context) -> str:
     candidates = [item for item in context.selected_objects if may_have_surface(item)]
     if not candidates:
         return "Select an object with a surface"
-    if all(clouds.KIND in item for item in candidates):
-        return "Select an object, not its cloud"
-    return ""
+    if not context.scene.is_editable:
+        return "The scene is linked from a library"
+    if any(clouds.KIND not in item for item in candidates):
+        return ""
+    scene_clouds = clouds_of_levels(context.scene, candidates)
+    if any(cloud.sources and not cloud.missing_source_names for cloud in scene_clouds):
+        return ""
+    return f"Select an object: of this cloud {missing_original_message(scene_clouds[0])}" if scene_clouds else "Select an object"
 
 
 def _camera_disabled_reason(context: bpy.types.Context) -> str:
@@ -197,8 +200,9 @@ def _camera_disabled_reason(context: bpy.types.Context) -> str:
     return "" if clouds_in(context.scene) else "The scene has no billboard cloud"
 
 
-def _quote_names(scene_clouds: list[SceneCloud]) -> str:
-    return ", ".join(f'"{cloud.collection.name}"' for cloud in scene_clouds)
+def _split(scene_clouds: list[SceneCloud], accepts: Callable[[SceneCloud], bool]) -> tuple[list[SceneCloud], list[SceneCloud]]:
+    """Return the clouds that `accepts` accepts, and the others."""
+    return [cloud for cloud in scene_clouds if accepts(cloud)], [cloud for cloud in scene_clouds if not accepts(cloud)]
 
 
 CLASSES = (

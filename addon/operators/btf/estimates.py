@@ -1,7 +1,6 @@
 """Estimated cost of a bake, and the progress of a cancelled one. Cheap enough for every redraw of the panel."""
 
 import hashlib
-import tempfile
 from pathlib import Path
 
 import bpy
@@ -15,7 +14,8 @@ from ...core.billboards.texels import Texels
 from ...core.btf.capture.shards import ShardStore
 from ...core.btf.estimate import BakeEstimate, LevelExtent, estimate_bake, image_resolution
 from ...core.btf.settings import BtfSettings
-from ...core.errors import SettingsError
+from ...core.errors import FileError, SettingsError
+from ...core.files.user_folders import user_cache_folder
 from ...core.jobs.executors import parse_executor
 
 
@@ -73,16 +73,34 @@ class EstimateCache:
 cache = EstimateCache()
 
 
+def cache_folder() -> Path:
+    """Return the folder of the user for finished views of all bakes: that of the extension, or in a checkout the user's cache.
+
+    Raises:
+        FileError: the user has no folder for caches.
+    """
+    package = __package__.partition(".addon.")[0]
+    is_extension = package.startswith("bl_ext.")
+    return (Path(bpy.utils.extension_path_user(package)) if is_extension else user_cache_folder()) / "btf"
+
+
 def capture_folder(cloud: SceneCloud, settings: BtfSettings) -> Path:
-    """Return the folder for finished views of a bake until it ends. It is unique per cloud and per set of renders."""
+    """Return the folder for finished views of a bake until it ends. It is unique per cloud and per set of renders.
+
+    Raises:
+        FileError: the user has no folder for caches.
+    """
     errors = " ".join(f"{error:.9g}" for error in cloud.errors)
     key = f"{cloud.collection.get(clouds.FINGERPRINT, '')} {errors} {settings.capture_fingerprint}"
-    return Path(tempfile.gettempdir()) / f"farfield-btf-{hashlib.sha256(key.encode()).hexdigest()[:16]}"
+    return cache_folder() / hashlib.sha256(key.encode()).hexdigest()[:16]
 
 
 def count_finished_views(cloud: SceneCloud, settings: BtfSettings) -> int:
     """Return the number of views of all levels that a cancelled bake has finished."""
-    folder = capture_folder(cloud, settings)
+    try:
+        folder = capture_folder(cloud, settings)
+    except FileError:
+        return 0  # a bake reports it
     if not folder.is_dir():
         return 0
     stores = [ShardStore(store_folder(folder, index)) for index in range(len(cloud.levels))]

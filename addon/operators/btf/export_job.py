@@ -12,11 +12,14 @@ from ...bridge.billboards.scene_clouds import find_cloud
 from ...bridge.btf.decode import is_upper_hemisphere, read_relightable_texture
 from ...bridge.btf.image_export import write_images
 from ...bridge.btf.octahedral.exports import write_octahedral_atlas
+from ...bridge.session_ids import find_by_uid
 from ...core.btf.decoding import RelightableTexture
 from ...core.btf.formats.fmf import write_fmf
 from ...core.btf.settings import ExportSettings
 from ...core.errors import FileError, GeometryError
-from ...core.files.atomic_write import atomic_write, check_empty
+from ...core.files.atomic_write import atomic_write
+from ...core.files.file_access import check_writable, check_writable_folder
+from ...core.files.filenames import unique_filenames
 from ...core.geometry.directions import bonn_directions
 from ...core.jobs.progress import Progress, Steps, subprogress
 
@@ -43,17 +46,17 @@ class ExportItem:
 class BtfExportJob:
     """Writes levels to `target`, whose suffix selects the format; see `prepare_export`.
 
-    level_names: of the level objects. source_names: of the source objects. upper_hemisphere: whether only directions above the horizon
-    were baked.
+    level_uids, source_uids: session UIDs of the level objects and of the source objects, since the user may rename them. upper_hemisphere:
+    whether only directions above the horizon were baked.
     """
 
     core_fraction = 0.5
 
-    level_names: list[str]
+    level_uids: list[int]
     target: Path
     settings: ExportSettings
     items: list[ExportItem]
-    source_names: list[str]
+    source_uids: list[int]
     upper_hemisphere: bool
 
     def core_steps(self) -> Steps[None]:
@@ -72,17 +75,17 @@ class BtfExportJob:
                 yield from subprogress(steps, index / len(self.items), (index + 1) / len(self.items))
 
     def scene_steps(self, _core_result: None) -> Steps[str]:
-        """Write the formats that need Blender. Raises as `core_steps`."""
+        """Write the formats that need Blender. Raises as `core_steps`, and GeometryError if an object was removed."""
         yield Progress(0.0, f"Writing {self.target.name}")
         suffix = self.target.suffix.lower()
         try:
             if suffix == GLB:
                 with atomic_write(self.target) as temporary:
                     temporary.parent.mkdir(exist_ok=True)
-                    write_glb([bpy.data.objects[name] for name in self.level_names], temporary)
+                    write_glb(_find_objects(self.level_uids), temporary)
             elif suffix == OCTAHEDRAL_FOLDER:
                 with atomic_write(self.target) as temporary:
-                    sources = [bpy.data.objects[name] for name in self.source_names]
+                    sources = _find_objects(self.source_uids)
                     yield from write_octahedral_atlas(sources, temporary, upper=self.upper_hemisphere)
             elif suffix == IMAGE_FOLDER:
                 yield from self._write_image_folders()
@@ -115,33 +118,44 @@ def prepare_export(levels: list[bpy.types.Object], target: Path, settings: Expor
     suffix = target.suffix.lower()
     textures = [read_relightable_texture(level) for level in levels] if suffix in {FMF, IMAGE_FOLDER} else []
     items = []
-    for level, texture in zip(levels, textures, strict=bool(textures)):
-        texel_size = read_level_texels(level).texel_size
-        items.append(ExportItem(level.name, _level_target(target, level, len(levels)), texture, 0.001 / texel_size))
+    for level, path, texture in zip(levels, _level_targets(target, levels), textures, strict=False):
+        items.append(ExportItem(level.name, path, texture, 0.001 / read_level_texels(level).texel_size))
     is_octahedral = suffix == OCTAHEDRAL_FOLDER
-    source_names = _existing_source_names(levels[0]) if is_octahedral else []
-    level_names = [level.name for level in levels]
-    return BtfExportJob(level_names, target, settings, items, source_names, is_octahedral and is_upper_hemisphere(levels[0]))
+    sources = _existing_sources(levels[0]) if is_octahedral else []
+    level_uids, source_uids = ([item.session_uid for item in objects] for objects in (levels, sources))
+    return BtfExportJob(level_uids, target, settings, items, source_uids, is_octahedral and is_upper_hemisphere(levels[0]))
 
 
-def _existing_source_names(level: bpy.types.Object) -> list[str]:
+def _find_objects(session_uids: list[int]) -> list[bpy.types.Object]:
+    """Return the objects with these session UIDs. Raises GeometryError if one was removed."""
+    found = [find_by_uid(bpy.data.objects, uid) for uid in session_uids]
+    if None in found:
+        raise GeometryError("An object of the cloud was removed while it was being exported; export it again.")
+    return found
+
+
+def _existing_sources(level: bpy.types.Object) -> list[bpy.types.Object]:
     cloud = find_cloud(bpy.context.scene, level)
-    if cloud is None or not cloud.sources or len(cloud.sources) < len(cloud.source_names):
+    sources = [] if cloud is None else cloud.sources
+    if not sources or cloud.missing_source_names:
         raise GeometryError(f'Source objects of "{level.name}" are missing. An octahedral atlas is rendered from them; restore them.')
-    return cloud.source_names
+    return sources
 
 
 def check_target(target: Path) -> None:
-    """Raise FileError if the suffix of `target` is not in FORMATS, or if it is a folder that is not empty."""
+    """Raise FileError if the suffix of `target` is not in FORMATS, or if the file or folder cannot be written or is not empty."""
     if target.suffix.lower() not in FORMATS:
         suffixes = ", ".join(f"{suffix} ({text})" if suffix else f"no suffix ({text})" for suffix, text in FORMATS.items())
         raise FileError(f'Relightable textures cannot be written as "{target.name}"; it must have one of these suffixes: {suffixes}.')
-    check_empty(target)
+    if target.suffix.lower() in (OCTAHEDRAL_FOLDER, IMAGE_FOLDER):
+        check_writable_folder(target)
+    else:
+        check_writable(target)
 
 
-def _level_target(target: Path, level: bpy.types.Object, level_count: int) -> Path:
-    """Return the target of one of `level_count` levels."""
-    if level_count == 1:
-        return target
-    name = level.name.replace(" ", "_")
-    return target / name if target.suffix == IMAGE_FOLDER else target.with_name(f"{target.stem}_{name}{target.suffix}")
+def _level_targets(target: Path, levels: list[bpy.types.Object]) -> list[Path]:
+    """Return the target of each level. Their names do not choose folders."""
+    if len(levels) == 1:
+        return [target]
+    names = unique_filenames([level.name.replace(" ", "_") for level in levels])
+    return [target / name if target.suffix == IMAGE_FOLDER else target.with_name(f"{target.stem}_{name}{target.suffix}") for name in names]

@@ -6,6 +6,7 @@ import bpy
 
 from ...core.btf.settings import ExportSettings
 from .. import long_work, properties
+from ..error_reports import reports_errors
 from .export_job import FMF, FORMATS, BtfExportJob, prepare_export
 from .operators import active_cloud, not_baked_reason
 
@@ -24,7 +25,6 @@ class FARFIELD_OT_btf_export(long_work.LongWork, bpy.types.Operator):
         ),
         "filter_glob": bpy.props.StringProperty(default=";".join(f"*{suffix}" for suffix in FORMATS if suffix), options={"HIDDEN"}),
     } | properties.build_annotations(ExportSettings, set())
-    _timer = None
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -36,6 +36,7 @@ class FARFIELD_OT_btf_export(long_work.LongWork, bpy.types.Operator):
         settings = properties.read(ExportSettings, self)
         return prepare_export(active_cloud(context).levels, Path(bpy.path.abspath(self.filepath)), settings)
 
+    @reports_errors
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Open the file browser; if a file is given, start the job."""
         if self.filepath:
@@ -45,6 +46,7 @@ class FARFIELD_OT_btf_export(long_work.LongWork, bpy.types.Operator):
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
+    @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Run to the end. After the file browser, invoke the operator again with the file, so that the interface does not freeze."""
         if context.window is None or not self.options.is_invoke:
@@ -55,11 +57,6 @@ class FARFIELD_OT_btf_export(long_work.LongWork, bpy.types.Operator):
             self.report({"ERROR"}, str(error).strip().removeprefix("Error: "))
             return {"CANCELLED"}
         return {"FINISHED"}
-
-    def cancel(self, context: bpy.types.Context) -> None:
-        """Clean up when the window closes. Without a timer, the file browser was cancelled and there is nothing to do."""
-        if self._timer is not None:
-            super().cancel(context)
 
 
 def disabled_reason(context: bpy.types.Context) -> str:

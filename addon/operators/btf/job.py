@@ -2,6 +2,7 @@
 
 import shutil
 import tempfile
+from contextlib import closing
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,23 +12,31 @@ import numpy as np
 
 from ...bridge import images, meshes
 from ...bridge.billboards import clouds
-from ...bridge.billboards.level_objects import read_level_quads, read_level_texels, read_pbr_alpha
+from ...bridge.billboards.level_objects import built_center, read_level_quads, read_level_texels, read_pbr_alpha
 from ...bridge.billboards.scene_clouds import SceneCloud, read_cloud
 from ...bridge.billboards.source_objects import read_source_objects
 from ...bridge.btf import capture as btf_capture
 from ...bridge.btf import clouds as btf_clouds
 from ...bridge.btf import snapshot as btf_snapshot
 from ...bridge.btf import worker as btf_worker
+from ...bridge.btf.driver_permission import may_run_python_drivers
+from ...bridge.btf.level_checks import check_editable, check_level, is_unchanged
+from ...bridge.session_ids import find_by_uid
 from ...core.billboards.texels import QuadPolygons, Texels
+from ...core.btf.capture.capture_run import CaptureRun
 from ...core.btf.capture.capture_spec import LevelCaptureSpec
-from ...core.btf.capture.dispatch import render_missing_views
+from ...core.btf.capture.dispatch import Shard, render_missing_views
+from ...core.btf.capture.shard_layout import ShardLayout
 from ...core.btf.capture.shards import ShardStore
 from ...core.btf.compression import CompressedTextures, LevelCompressor
 from ...core.btf.refinement.training import training_views
 from ...core.btf.reflectance.lobes import TexelSurface
 from ...core.btf.settings import BtfSettings
-from ...core.errors import FileError, GeometryError
+from ...core.errors import FarfieldError, FileError, GeometryError
+from ...core.files.temporary_folders import folder_prefix
+from ...core.files.user_folders import open_private_folder
 from ...core.geometry.cameras import OrthographicView
+from ...core.jobs import heartbeat
 from ...core.jobs.executors import parse_executor
 from ...core.jobs.progress import StageClock, Steps, subprogress
 from . import estimates
@@ -65,17 +74,21 @@ class BakedLevel:
 class BakeJob:
     """Bakes all levels of one cloud. `figures` describes each of them when the job is finished.
 
-    folder: for finished views. keep_finished_views: whether they stay when the job is finished; when it is cancelled they always stay.
-    temporary_folder: deletes the folder together with the job.
+    collection: its name; collection_uid: its session UID, since the user may rename it. folder: for finished views. run: the run that
+    writes there. run_drivers: whether drivers in the source may run any Python. keep_finished_views: whether views stay when the job is
+    finished; when it is cancelled they always stay. temporary_folder: deletes the folder together with the job.
     """
 
     core_fraction = 0.98
 
     collection: str
+    collection_uid: int
     fingerprint: str
     settings: BtfSettings
     levels: list[LevelBake]
     folder: Path
+    run: CaptureRun
+    run_drivers: bool
     keep_finished_views: bool
     temporary_folder: tempfile.TemporaryDirectory | None
     figures: list[dict[str, Any]] = field(default_factory=list)
@@ -88,18 +101,14 @@ class BakeJob:
         Raises:
             FarfieldError: if the executor does not exist or workers fail; see `render_missing_views`.
         """
-        view_count = len(self.settings.view_grid)
-        stores = [level.store for level in self.levels]
-        with self.clock.stage("capture"):
-            steps = render_missing_views(
-                self.folder, stores, view_count, self.settings.executor, lambda shard: btf_worker.shard_command(self.folder, shard)
-            )
-            self._rendered_count = yield from subprogress(steps, 0.0, CAPTURE_FRACTION)
-        baked = []
-        for index in range(len(self.levels)):
-            span = (CAPTURE_FRACTION + (1.0 - CAPTURE_FRACTION) * i / len(self.levels) for i in (index, index + 1))
-            baked.append((yield from subprogress(self._compress(index), *span)))
-        return baked
+        with closing(self.run):
+            with self.clock.stage("capture"):
+                self._rendered_count = yield from subprogress(self._capture(), 0.0, CAPTURE_FRACTION)
+            baked = []
+            for index in range(len(self.levels)):
+                span = (CAPTURE_FRACTION + (1.0 - CAPTURE_FRACTION) * i / len(self.levels) for i in (index, index + 1))
+                baked.append((yield from subprogress(self._renewing(self._compress(index)), *span)))
+            return baked
 
     def scene_steps(self, core_result: list[BakedLevel]) -> Steps[str]:
         """Assign the relightable materials of all levels.
@@ -117,21 +126,41 @@ class BakeJob:
             btf_clouds.raise_transparent_bounces(cloud.collection, max(baked.max_depth_complexity for baked in core_result))
         if self.temporary_folder is not None:
             self.temporary_folder.cleanup()
-        elif not self.keep_finished_views:
+        elif not self.keep_finished_views and not heartbeat.is_alive(self.folder):  # another Blender may have started the same bake
             shutil.rmtree(self.folder, ignore_errors=True)
         return f'Baked "{self.collection}": {sum(figure["renders"] for figure in self.figures):,} renders.'
 
+    def _capture(self) -> Steps[int]:
+        """Let worker processes capture missing views; return their number."""
+        stores = [level.store for level in self.levels]
+        return render_missing_views(self.run.heartbeat, stores, len(self.settings.view_grid), self.settings.executor, self._shard_command)
+
+    def _shard_command(self, shard: Shard) -> list[str]:
+        return btf_worker.shard_command(self.folder, self.run.snapshot_folder, shard, run_drivers=self.run_drivers)
+
+    def _renewing(self, steps: Steps[BakedLevel]) -> Steps[BakedLevel]:
+        """Run `steps` and touch the heartbeat file at each: the finished views are still in use. Raises FileError if another run starts."""
+        with closing(steps):
+            try:
+                while True:
+                    step = next(steps)
+                    self.run.heartbeat.renew()
+                    yield step
+            except StopIteration as end:
+                return end.value
+
     def _find_cloud(self) -> SceneCloud:
         """Return the cloud, which the user may have changed during the renders."""
-        collection = bpy.data.collections.get(self.collection)
+        collection = find_by_uid(bpy.data.collections, self.collection_uid) or bpy.data.collections.get(self.collection)
         cloud = read_cloud(collection) if collection is not None else None
         if cloud is None:
             raise GeometryError(f'The cloud "{self.collection}" was removed while it was being baked; build and bake it again.')
-        texel_counts = [len(read_level_texels(level_object)) for level_object in cloud.levels]
-        if cloud.collection.get(clouds.FINGERPRINT) != self.fingerprint or texel_counts != [
-            len(level.spec.texels) for level in self.levels
-        ]:
+        if cloud.collection.get(clouds.FINGERPRINT) != self.fingerprint or len(cloud.levels) != len(self.levels):
             raise GeometryError(f'The cloud "{self.collection}" was rebuilt while it was being baked; bake it again.')
+        check_editable(cloud)
+        for level_object, level in zip(cloud.levels, self.levels, strict=True):
+            if not is_unchanged(level_object, level.quads, level.surface is not None):
+                raise GeometryError(f'The level "{level_object.name}" was changed while it was being baked; undo that and bake again.')
         return cloud
 
     def _compress(self, index: int) -> Steps[BakedLevel]:
@@ -180,10 +209,10 @@ def prepare_bake(
     """
     settings.check_table_size()
     parse_executor(settings.executor)
+    check_editable(cloud)
     name = cloud.collection.name
-    source_objects = cloud.sources
-    if not source_objects or len(source_objects) < len(cloud.source_names):
-        missing = sorted(set(cloud.source_names) - {item.name for item in source_objects})
+    source_objects, missing = cloud.sources, cloud.missing_source_names
+    if missing or not source_objects:
         raise GeometryError(f'Source objects of "{name}" are missing: {", ".join(missing)}. Restore them or rebuild the cloud.')
     if clouds.DRAWN not in cloud.levels[0].data or clouds.FINGERPRINT not in cloud.collection:
         raise GeometryError(f'"{name}" was built by an older version of Farfield; rebuild the cloud.')
@@ -191,26 +220,48 @@ def prepare_bake(
     if source.fingerprint != cloud.collection[clouds.FINGERPRINT]:
         raise GeometryError(f'The source objects of "{name}" were edited or moved after the cloud was built; rebuild the cloud.')
     images.check_images(source)
+    for level_object in cloud.levels:
+        check_level(level_object, source)
     temporary_folder = _create_temporary_folder() if work_folder is None else None
     folder = work_folder if temporary_folder is None else Path(temporary_folder.name)
+    open_private_folder(folder)
     levels = [_read_level(level_object, source, settings, folder, index) for index, level_object in enumerate(cloud.levels)]
     for level in levels:
         level.store.open(f"{source.fingerprint} {settings.capture_fingerprint} {len(level.spec.texels)} {level.spec.error:.9g}")
-    btf_snapshot.write_snapshot(folder, context.scene, source_objects, source, [level.spec for level in levels], settings)
-    return BakeJob(name, source.fingerprint, settings, levels, folder, keep_finished_views, temporary_folder)
+    run = CaptureRun(folder)  # from here on, no other run writes to the folder
+    try:
+        btf_snapshot.write_snapshot(run.snapshot_folder, context.scene, source_objects, source, [level.spec for level in levels], settings)
+    except FarfieldError:
+        with closing(run):
+            run.heartbeat.renew()  # the error may be that another run has taken over
+        raise
+    return BakeJob(
+        collection=name,
+        collection_uid=cloud.collection.session_uid,
+        fingerprint=source.fingerprint,
+        settings=settings,
+        levels=levels,
+        folder=folder,
+        run=run,
+        run_drivers=may_run_python_drivers(),
+        keep_finished_views=keep_finished_views,
+        temporary_folder=temporary_folder,
+    )
 
 
 def _read_level(level_object: bpy.types.Object, source: meshes.Source, settings: BtfSettings, folder: Path, index: int) -> LevelBake:
-    texels = read_level_texels(level_object)
-    quads, views = read_level_quads(level_object), btf_capture.build_views(source, settings.view_grid, texels.texel_size)
+    center = built_center(level_object, source.origin)
+    texels, quads = read_level_texels(level_object, center), read_level_quads(level_object, center)
+    views = btf_capture.build_views(source, settings.view_grid, texels.texel_size)
     spec = LevelCaptureSpec(texels, *clouds.read_drawn_primitives(level_object.data), float(level_object["farfield_error"]))
-    store = ShardStore(btf_snapshot.store_folder(folder, index))
+    layout = ShardLayout(len(texels), settings.light_count, views[0].resolution, settings.view_count, settings.shadow_count)
+    store = ShardStore(btf_snapshot.store_folder(folder, index), layout)
     pbr_alpha, surface = read_pbr_alpha(level_object, texels), btf_clouds.read_texel_surface(level_object, texels)
     return LevelBake(spec, quads, views, pbr_alpha, surface, store)
 
 
 def _create_temporary_folder() -> tempfile.TemporaryDirectory:
     try:
-        return tempfile.TemporaryDirectory(prefix="farfield-btf-", ignore_cleanup_errors=True)
+        return tempfile.TemporaryDirectory(prefix=folder_prefix(), ignore_cleanup_errors=True)
     except OSError as error:
         raise FileError(f"No temporary folder can be created ({error.strerror}); free some space on that disk.") from error

@@ -5,9 +5,13 @@ import bpy
 from ...bridge.billboards.level_objects import PBR_MATERIAL
 from ...bridge.billboards.scene_clouds import SceneCloud, find_cloud
 from ...bridge.btf import clouds as btf_clouds
+from ...bridge.btf.level_checks import is_editable
 from ...bridge.btf.materials import SUNS
+from ...core.btf.capture.capture_run import remove_expired
 from ...core.btf.settings import BtfSettings
-from .. import long_work, properties
+from ...core.files.user_folders import open_private_folder
+from .. import long_work, properties, start_job
+from ..error_reports import reports_errors
 from . import estimates
 from .job import BakeJob, prepare_bake
 
@@ -40,34 +44,37 @@ class FARFIELD_PG_btf(bpy.types.PropertyGroup):
     )
 
 
-class FARFIELD_OT_btf_bake(long_work.LongWork, bpy.types.Operator):
+class FARFIELD_OT_btf_bake(start_job.StartJob, bpy.types.Operator):
     """Bake textures that change with the view and light direction for the active billboard cloud, with Cycles"""
 
     bl_idname = "farfield.btf_bake"
     bl_label = "Bake Relightable Textures"
     bl_options = {"REGISTER", "UNDO"}
-    __annotations__ = properties.build_annotations(BtfSettings, {"SKIP_SAVE"})
+    settings_types, panel_property = (BtfSettings,), "farfield_btf"
+    __annotations__ = start_job.setting_properties(*settings_types)
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether there is an active cloud and no other job runs."""
-        return long_work.poll_with_reason(cls, disabled_reason(context))
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
+        """Return why nothing can be baked now, or an empty string."""
+        return disabled_reason(context)
 
     def prepare(self, context: bpy.types.Context) -> BakeJob:
-        """Read the source objects of the active cloud. Finished views are stored in a temporary folder, so a cancelled bake can resume."""
-        properties.fill_unset(BtfSettings, self, context.scene.farfield_btf)
-        settings = properties.read(BtfSettings, self)
+        """Read the source objects of the active cloud. Finished views are kept in a folder of the user until it ends."""
+        (settings,) = self.read_settings(context)
         cloud = active_cloud(context)
+        cache = estimates.cache_folder()
+        open_private_folder(cache)
+        remove_expired(cache)
         return prepare_bake(context, cloud, settings, estimates.capture_folder(cloud, settings), keep_finished_views=False)
 
 
 class RequiresBakedCloud:
-    """Mixin of operators that need relightable textures."""
+    """Mixin of operators that change relightable textures."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether the active cloud has relightable textures."""
-        return long_work.poll_with_reason(cls, not_baked_reason(context))
+        """Whether the active cloud has relightable textures that can be changed."""
+        return long_work.poll_with_reason(cls, not_baked_reason(context) or linked_reason(context))
 
 
 class FARFIELD_OT_btf_link_suns(RequiresBakedCloud, bpy.types.Operator):
@@ -77,6 +84,7 @@ class FARFIELD_OT_btf_link_suns(RequiresBakedCloud, bpy.types.Operator):
     bl_label = "Link Sun Lights to Cloud"
     bl_options = {"REGISTER", "UNDO"}
 
+    @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Replace the drivers of all levels."""
         group = context.scene.farfield_btf
@@ -94,6 +102,7 @@ class FARFIELD_OT_btf_restore_pbr(RequiresBakedCloud, bpy.types.Operator):
     bl_label = "Restore PBR Materials"
     bl_options = {"REGISTER", "UNDO"}
 
+    @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Restore the PBR materials of all levels."""
         for level in active_cloud(context).levels:
@@ -113,7 +122,13 @@ def is_baked(cloud: SceneCloud | None) -> bool:
 
 def disabled_reason(context: bpy.types.Context) -> str:
     """Return why nothing can be baked now, or an empty string."""
-    return long_work.running_job_message() or ("" if active_cloud(context) is not None else "Select a billboard cloud or its source")
+    no_cloud = "" if active_cloud(context) is not None else "Select a billboard cloud or its original"
+    return long_work.running_job_message() or no_cloud or linked_reason(context)
+
+
+def linked_reason(context: bpy.types.Context) -> str:
+    """Return why the materials of the active cloud cannot be changed, or an empty string."""
+    return "" if is_editable(active_cloud(context)) else "The cloud is linked from another file; make it local first"
 
 
 def not_baked_reason(context: bpy.types.Context) -> str:

@@ -10,9 +10,9 @@ from ...bridge.clipbox.objects import SceneTerrain, terrain_of_object
 from ...core.clipbox.engine import TerrainEngine
 from ...core.clipbox.settings import ConvertSettings
 from ...core.clipbox.to_mesh import ConvertedMesh, convert_to_meshes
-from ...core.errors import GeometryError
+from ...core.errors import GeometryError, SettingsError
 from ...core.jobs.progress import Progress, Steps
-from .. import long_work, properties
+from .. import properties, start_job
 from . import engines, operators
 
 
@@ -50,32 +50,35 @@ class ConvertJob:
         return f'Converted "{self.terrain.name}" to {meshes} with {triangles:,} triangles.'
 
 
-class FARFIELD_OT_clipbox_convert_to_mesh(long_work.LongWork, bpy.types.Operator):
+class FARFIELD_OT_clipbox_convert_to_mesh(start_job.StartJob, bpy.types.Operator):
     """Convert the active terrain to regular mesh objects that do not need Farfield"""
 
     bl_idname = "farfield.clipbox_convert_to_mesh"
     bl_label = "Convert Terrain to Mesh"
     bl_options = {"REGISTER", "UNDO"}
-    __annotations__ = properties.build_annotations(ConvertSettings, {"SKIP_SAVE"})
+    settings_types, panel_property = (ConvertSettings,), "farfield_clipbox_convert"
+    __annotations__ = start_job.setting_properties(*settings_types)
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Return whether a terrain is active and nothing else runs."""
-        return long_work.poll_with_reason(cls, operators.disabled_reason(context) or operators.disabled_reason_of_active(context))
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
+        """Return why no terrain can be converted now, or an empty string."""
+        has_terrain = terrain_of_object(context.active_object) is not None
+        return operators.disabled_reason(context) or ("" if has_terrain else operators.disabled_reason_of_active(context))
 
     def prepare(self, context: bpy.types.Context) -> ConvertJob:
         """Prepare the conversion of the active terrain."""
-        properties.fill_unset(ConvertSettings, self, context.scene.farfield_clipbox_convert)
-        return prepare(terrain_of_object(context.active_object), properties.read(ConvertSettings, self))
+        return prepare(terrain_of_object(context.active_object), *self.read_settings(context))
 
 
 def prepare(terrain: SceneTerrain, settings: ConvertSettings) -> ConvertJob:
     """Return the job that converts a terrain in its current position.
 
     Raises:
-        SettingsError, FileError: the terrain's settings, formula or source file cannot be read.
+        SettingsError, FileError: the terrain's settings, formula or source file cannot be read, or it is linked and is to be removed.
     """
-    engine = engines.create_engine(terrain.settings, settings.closed)
+    if terrain.read_only_reason and not settings.keep_terrain:
+        raise SettingsError(f"{terrain.read_only_reason}, or enable Keep Terrain.", ("keep_terrain",))
+    engine = engines.create_engine(terrain.settings, settings.closed, terrain.root.library)
     return ConvertJob(terrain, engine, terrain.viewer, settings)
 
 

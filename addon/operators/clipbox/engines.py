@@ -5,7 +5,7 @@ from dataclasses import replace
 import bpy
 
 from ...bridge.clipbox.objects import SceneTerrain
-from ...bridge.clipbox.sources import READERS
+from ...bridge.clipbox.sources import READERS, absolute_path
 from ...core.clipbox.engine import TerrainEngine
 from ...core.clipbox.settings import ClipboxSettings
 
@@ -26,7 +26,7 @@ class EngineCache:
         Raises:
             SettingsError, FileError: the settings, the formula or the source file cannot be read.
         """
-        settings = _with_absolute_paths(terrain.settings)
+        settings = resolve_paths(terrain.settings)
         engine = self._engines.get(terrain.root.session_uid)
         if engine is None or engine.settings != settings:
             engine = TerrainEngine(settings, READERS)
@@ -41,7 +41,7 @@ class EngineCache:
     def evict_missing(self) -> None:
         """Remove the engines of terrains that no longer exist."""
         for uid, name in list(self._names.items()):
-            root = bpy.data.objects.get(name)
+            root = bpy.data.objects.get((name, None))
             if root is None or root.session_uid != uid:  # deleted or renamed
                 root = next((item for item in bpy.data.objects if item.session_uid == uid), None)
             if root is None or not root.users_scene:
@@ -63,15 +63,17 @@ class EngineCache:
 cache = EngineCache()
 
 
-def create_engine(settings: ClipboxSettings, closed: bool = False) -> TerrainEngine:
+def create_engine(settings: ClipboxSettings, closed: bool = False, library: bpy.types.Library | None = None) -> TerrainEngine:
     """Create an engine for a new terrain; `closed` adds walls at the boundary of the outermost box.
+
+    library: the file that the settings are linked from, None for this file.
 
     Raises:
         SettingsError, FileError: the formula or the source file cannot be read.
     """
-    return TerrainEngine(_with_absolute_paths(settings), READERS, closed)
+    return TerrainEngine(resolve_paths(settings, library), READERS, closed)
 
 
-def _with_absolute_paths(settings: ClipboxSettings) -> ClipboxSettings:
-    """Resolve a source path that is relative to the .blend file ("//")."""
-    return replace(settings, source=bpy.path.abspath(settings.source)) if settings.source else settings
+def resolve_paths(settings: ClipboxSettings, library: bpy.types.Library | None = None) -> ClipboxSettings:
+    """Return settings whose source path does not depend on the .blend file ("//") or on the current folder."""
+    return replace(settings, source=absolute_path(settings.source, library)) if settings.source else settings

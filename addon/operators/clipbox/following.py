@@ -1,17 +1,14 @@
 """Terrains that follow a viewer: a thread computes the changes, and the main thread shows them, a few milliseconds at a time."""
 
-import sys
 import time
 from queue import Empty
-from typing import Any
 
-import bpy
 import numpy as np
 
 from ...bridge.clipbox import objects as terrain_objects
 from ...bridge.clipbox.objects import PendingMeshes, SceneTerrain
 from ...core.clipbox.engine import TerrainEngine, Update
-from ...core.errors import FarfieldError
+from ...core.errors import GeometryError
 from ...core.jobs.background_thread import BackgroundThread
 from ...core.jobs.progress import run_to_end
 from . import engines
@@ -26,6 +23,12 @@ class Following:
     """
 
     def __init__(self, terrain: SceneTerrain) -> None:
+        """Start to follow.
+
+        Raises:
+            FarfieldError: the terrain is linked, or its settings or source file cannot be read.
+        """
+        _check_editable(terrain)
         self.terrain = terrain
         self.moves = 0
         self.longest_tick = 0.0
@@ -102,7 +105,12 @@ def close_all() -> None:
 
 
 def recenter(terrain: SceneTerrain, viewer: np.ndarray) -> None:
-    """Center a terrain on `viewer` (3,), a terrain position, and wait for the result. Does nothing where it is already centered."""
+    """Center a terrain on `viewer` (3,), a terrain position, and wait for the result. Does nothing where it is already centered.
+
+    Raises:
+        FarfieldError: the terrain is linked, its settings or source file cannot be read, or its density function failed.
+    """
+    _check_editable(terrain)
     if TerrainEngine.has_same_layout(terrain.settings, terrain.viewer, viewer):
         return
     for following in running():
@@ -114,69 +122,6 @@ def recenter(terrain: SceneTerrain, viewer: np.ndarray) -> None:
     terrain_objects.show_meshes(terrain, mesh_names, update, terrain.material)
 
 
-@bpy.app.handlers.persistent
-def follow_active_camera(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
-    """Recenter the terrains that follow the active camera in a new frame, also while an animation renders."""
-    if scene.camera is None:
-        return
-    camera = scene.camera if depsgraph is None else scene.camera.evaluated_get(depsgraph)
-    for terrain in terrain_objects.scene_terrains(scene):
-        if terrain.root.farfield_clipbox_follow_camera:
-            try:
-                recenter(terrain, terrain.viewer_position(camera.matrix_world))
-            except FarfieldError as error:
-                print(error, file=sys.stderr)
-
-
-@bpy.app.handlers.persistent
-def _after_undo(*_: Any) -> None:
-    """After undo and redo it is unknown which blocks are shown."""
-    for following in running():
-        following.pause()
-    engines.cache.invalidate()
-
-
-@bpy.app.handlers.persistent
-def _after_change(*_: Any) -> None:
-    """Objects may have been deleted or renamed."""
-    engines.cache.evict_missing()
-
-
-@bpy.app.handlers.persistent
-def _before_load(*_: Any) -> None:
-    """Another file is about to be opened."""
-    close_all()
-    engines.cache.clear()
-
-
-def _lock_interface(_item: bpy.types.Object, context: bpy.types.Context) -> None:
-    """Meshes that change while frames render must not be drawn meanwhile."""
-    context.scene.render.use_lock_interface = True
-
-
-HANDLERS: tuple[tuple[str, Any], ...] = (
-    ("frame_change_post", follow_active_camera),
-    ("undo_post", _after_undo),
-    ("redo_post", _after_undo),
-    ("depsgraph_update_post", _after_change),
-    ("load_pre", _before_load),
-)
-
-
-def register() -> None:
-    """Register the property *Follow Active Camera* and the handlers."""
-    bpy.types.Object.farfield_clipbox_follow_camera = bpy.props.BoolProperty(
-        name="Follow Active Camera",
-        description="Center this terrain on the active camera in every frame, also while an animation renders",
-        update=_lock_interface,
-    )
-    for name, handler in HANDLERS:
-        getattr(bpy.app.handlers, name).append(handler)
-
-
-def unregister() -> None:
-    """Close all followings and unregister the handlers and the property."""
-    _before_load()
-    for name, handler in HANDLERS:
-        getattr(bpy.app.handlers, name).remove(handler)
-    del bpy.types.Object.farfield_clipbox_follow_camera
+def _check_editable(terrain: SceneTerrain) -> None:
+    if terrain.read_only_reason:
+        raise GeometryError(f"{terrain.read_only_reason}.")

@@ -1,6 +1,6 @@
 """The job behind *Create* and *Update*, and behind the script."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import bpy
@@ -9,7 +9,9 @@ import numpy as np
 from ...bridge.clipbox import objects as terrain_objects
 from ...bridge.clipbox.materials import GroundImage, create_terrain_material
 from ...bridge.clipbox.objects import SceneTerrain
+from ...bridge.clipbox.sources import absolute_path
 from ...core.clipbox.engine import NO_SURFACE, TerrainEngine, Update, check_viewer
+from ...core.clipbox.files.readers import BLEND_PREFIX, check_path
 from ...core.clipbox.layout import choose_origin
 from ...core.clipbox.settings import ClipboxSettings
 from ...core.errors import FileError, GeometryError
@@ -71,20 +73,31 @@ def prepare(settings: ClipboxSettings, viewer: np.ndarray, terrain: SceneTerrain
         SettingsError, FileError, GeometryError: the formula, a file or the position is invalid.
     """
     check_viewer(viewer, settings.voxel_size)
-    find_ground_image(settings, np.zeros(3))  # before any work is spent
-    return TerrainJob(engines.create_engine(settings), settings, np.array(viewer, np.float64), terrain)
+    find_ground_image(settings, np.zeros(3))  # before any computation
+    return TerrainJob(engines.create_engine(settings), keep_blend_paths(settings), np.array(viewer, np.float64), terrain)
+
+
+def keep_blend_paths(settings: ClipboxSettings) -> ClipboxSettings:
+    """Return settings to store in a file: paths relative to the .blend file stay as they are, others become absolute."""
+    paths = {name: getattr(settings, name) for name in ("source", "source_color")}
+    return replace(settings, **{name: absolute_path(path) for name, path in paths.items() if path and not path.startswith(BLEND_PREFIX)})
 
 
 def find_ground_image(settings: ClipboxSettings, origin: np.ndarray) -> GroundImage | None:
     """Return the image that colors a height map, None if there is none.
 
     Raises:
-        FileError: the file is missing.
+        FileError: the file is missing or cannot be read, or its path is relative to a .blend file that was never saved.
     """
     if settings.terrain != "heights" or not settings.source_color:
         return None
-    path = Path(bpy.path.abspath(settings.source_color))
-    if not path.is_file():
+    path = Path(absolute_path(settings.source_color))
+    check_path(str(path))
+    try:
+        is_file = path.is_file()
+    except OSError as error:
+        raise FileError(f'The image "{path}" in Source Color cannot be read: {error.strerror or error}.') from error
+    if not is_file:
         raise FileError(f'There is no image "{path}"; check the path in Source Color.')
     return GroundImage(path, settings.source_size * settings.scale, origin)
 

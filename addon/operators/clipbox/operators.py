@@ -6,13 +6,11 @@ import numpy as np
 
 from ...bridge.clipbox.objects import terrain_of_object
 from ...core.clipbox.settings import ClipboxSettings
-from ...core.errors import FarfieldError
-from .. import long_work, properties
-from . import following
-from .following import MAX_TICK_SECONDS, Following
+from .. import long_work, properties, start_job
+from ..error_reports import reports_errors
+from . import following, handlers, view_following
+from .following import MAX_TICK_SECONDS
 from .job import TerrainJob, prepare
-
-TICK = 1.0 / 60.0  # seconds between two timer events
 
 
 class FARFIELD_PG_clipbox(bpy.types.PropertyGroup):
@@ -21,52 +19,51 @@ class FARFIELD_PG_clipbox(bpy.types.PropertyGroup):
     __annotations__ = properties.build_annotations(ClipboxSettings, set())
 
 
-class FARFIELD_OT_clipbox_create(long_work.LongWork, bpy.types.Operator):
+class FARFIELD_OT_clipbox_create(start_job.StartJob, bpy.types.Operator):
     """Create a terrain in nested boxes around the current view, or around the active camera if the view looks through it"""
 
     bl_idname = "farfield.clipbox_create"
     bl_label = "Create Clip-Box Terrain"
     bl_options = {"REGISTER", "UNDO"}
-    # SKIP_SAVE: properties that the caller leaves unset come from the panel, not from the last call
-    __annotations__ = properties.build_annotations(ClipboxSettings, {"SKIP_SAVE"})
+    settings_types, panel_property = (ClipboxSettings,), "farfield_clipbox"
+    __annotations__ = start_job.setting_properties(*settings_types)
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Return whether nothing else runs."""
-        return long_work.poll_with_reason(cls, disabled_reason(context))
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
+        """Return why no terrain can be created now, or an empty string."""
+        return disabled_reason(context)
 
     def prepare(self, context: bpy.types.Context) -> TerrainJob:
         """Read the settings and the viewer position."""
-        properties.fill_unset(ClipboxSettings, self, context.scene.farfield_clipbox)
-        return prepare(properties.read(ClipboxSettings, self), viewer_position(context))
+        return prepare(*self.read_settings(context), viewer_position(context))
 
 
-class FARFIELD_OT_clipbox_update(long_work.LongWork, bpy.types.Operator):
+class FARFIELD_OT_clipbox_update(start_job.StartJob, bpy.types.Operator):
     """Rebuild the active terrain with the current settings"""
 
     bl_idname = "farfield.clipbox_update"
     bl_label = "Update Terrain"
     bl_options = {"REGISTER", "UNDO"}
-    __annotations__ = properties.build_annotations(ClipboxSettings, {"SKIP_SAVE"})
+    settings_types, panel_property = (ClipboxSettings,), "farfield_clipbox"
+    __annotations__ = start_job.setting_properties(*settings_types)
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Return whether a terrain is active and nothing else runs."""
-        return long_work.poll_with_reason(cls, disabled_reason(context) or disabled_reason_of_active(context))
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
+        """Return why no terrain can be updated now, or an empty string."""
+        return disabled_reason(context) or disabled_reason_of_active(context)
 
     def prepare(self, context: bpy.types.Context) -> TerrainJob:
         """Read the settings and the active terrain."""
-        properties.fill_unset(ClipboxSettings, self, context.scene.farfield_clipbox)
         terrain = terrain_of_object(context.active_object)
-        return prepare(properties.read(ClipboxSettings, self), terrain.viewer, terrain)
+        return prepare(*self.read_settings(context), terrain.viewer, terrain)
 
 
 class FARFIELD_OT_clipbox_follow_view(bpy.types.Operator):
-    """Keep the active terrain centered on this view, or on the active camera if the view looks through it, until Esc is pressed"""
+    """Keep the active terrain centered on this view, or on the active camera if the view looks through it. Press again to stop"""
 
     bl_idname = "farfield.clipbox_follow_view"
     bl_label = "Follow View with Terrain"
-    bl_options = {"REGISTER", "UNDO"}
+    bl_options = {"REGISTER"}
     budget: bpy.props.FloatProperty(
         name="Budget",
         description="Maximum time per update on Blender's main thread, in milliseconds",
@@ -77,93 +74,58 @@ class FARFIELD_OT_clipbox_follow_view(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Return whether a terrain is active and nothing else runs."""
+        """Return whether a terrain follows the view, or a terrain that can is active and nothing else runs."""
+        if view_following.current.terrain is not None:
+            return True
         return long_work.poll_with_reason(cls, disabled_reason(context) or disabled_reason_of_active(context))
 
+    @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Without a window: recenter the terrain once."""
-        terrain = terrain_of_object(context.active_object)
-        try:
-            following.recenter(terrain, terrain.viewer_position(viewer_matrix(context)))
-        except FarfieldError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        terrain = view_following.current.terrain or terrain_of_object(context.active_object)
+        following.recenter(terrain, terrain.viewer_position(context_viewer_matrix(context)))
         return {"FINISHED"}
 
+    @reports_errors
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Start following."""
+        """Start following, or stop. Everything that was shown until then is one undo step."""
         if context.window is None:
             return self.execute(context)
-        self._following = Following(terrain_of_object(context.active_object))
-        self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
-        context.window_manager.modal_handler_add(self)
-        context.workspace.status_text_set(f'"{self._following.terrain.name}" is following the view (Esc to stop)')
-        return {"RUNNING_MODAL"}
-
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Continue with every timer event. All other events pass through, except Esc."""
-        if event.type == "ESC" and event.value == "PRESS":
-            self._clean_up(context)
-            return {"FINISHED"}
-        if event.type != "TIMER":
-            return {"PASS_THROUGH"}
-        terrain = self._following.terrain
-        if terrain.root is None or self._following not in following.running():
-            self._clean_up(context)
-            return {"FINISHED"}
-        try:
-            was_shown = self._following.tick(terrain.viewer_position(viewer_matrix(context)), self.budget / 1000.0)
-        except FarfieldError as error:
-            self._clean_up(context)
-            self.report({"ERROR"}, str(error))
-            return {"FINISHED"}
-        if was_shown:
-            long_work.redraw_sidebars(context.window_manager)
-        return {"PASS_THROUGH"}
-
-    def cancel(self, context: bpy.types.Context) -> None:
-        """Stop when the window closes or Blender quits."""
-        self._clean_up(context)
-
-    def _clean_up(self, context: bpy.types.Context) -> None:
-        if self._timer is not None:
-            context.window_manager.event_timer_remove(self._timer)
-            self._timer = None
-        if context.workspace is not None:
-            context.workspace.status_text_set(None)
-        self._following.close()
+        if view_following.current.terrain is None:
+            view_following.current.start(terrain_of_object(context.active_object), context.area, self.budget / 1000.0)
+        elif view_following.current.stop():
+            bpy.ops.ed.undo_push(message=self.bl_label)
+        long_work.redraw_sidebars(context.window_manager)
+        return {"FINISHED"}
 
 
 def disabled_reason(context: bpy.types.Context) -> str:
     """Return why no terrain can be created now, or an empty string."""
     if context.mode != "OBJECT":
         return "Switch to Object Mode"
+    if not context.scene.is_editable:
+        return "The scene is linked from another file"
     is_following = bool(following.running())
-    return long_work.running_job_message() or ("A terrain is following the view; press Esc to stop it" if is_following else "")
+    return long_work.running_job_message() or ("A terrain is following the view; press Stop Following first" if is_following else "")
 
 
 def disabled_reason_of_active(context: bpy.types.Context) -> str:
-    """Return why the active object is not a terrain, or an empty string."""
-    return "" if terrain_of_object(context.active_object) is not None else "Select a clip-box terrain"
+    """Return why the active object is not a terrain that can be changed, or an empty string."""
+    terrain = terrain_of_object(context.active_object)
+    return "Select a clip-box terrain" if terrain is None else terrain.read_only_reason
 
 
-def viewer_matrix(context: bpy.types.Context) -> mathutils.Matrix:
-    """Return the matrix of the viewer in world space.
-
-    The viewer is the 3D Viewport under the pointer, or the first one. Without a viewport, or if it looks through the active camera, the
-    viewer is that camera. Without a camera it is the 3D cursor.
-    """
+def context_viewer_matrix(context: bpy.types.Context) -> mathutils.Matrix:
+    """Return the matrix in world space of the viewer: the 3D Viewport under the pointer, or the first one; see `viewer_matrix`."""
     region = context.region_data
     if region is None and context.screen is not None and not bpy.app.background:
         region = next((area.spaces.active.region_3d for area in context.screen.areas if area.type == "VIEW_3D"), None)
-    if context.scene.camera is not None and (region is None or region.view_perspective == "CAMERA"):
-        return context.scene.camera.matrix_world
-    return region.view_matrix.inverted() if region is not None else context.scene.cursor.matrix
+    return view_following.viewer_matrix(context.scene, region)
 
 
 def viewer_position(context: bpy.types.Context) -> np.ndarray:
     """Return the position (3,) float64 of the viewer in world space."""
-    return np.array(viewer_matrix(context).translation, np.float64)
+    return np.array(context_viewer_matrix(context).translation, np.float64)
 
 
 CLASSES = (FARFIELD_PG_clipbox, FARFIELD_OT_clipbox_create, FARFIELD_OT_clipbox_update, FARFIELD_OT_clipbox_follow_view)
@@ -174,11 +136,11 @@ def register() -> None:
     """Register the classes and handlers, and add the settings to scenes."""
     register_classes()
     bpy.types.Scene.farfield_clipbox = bpy.props.PointerProperty(type=FARFIELD_PG_clipbox)
-    following.register()
+    handlers.register()
 
 
 def unregister() -> None:
     """Unregister the handlers and classes, and remove the settings from scenes."""
-    following.unregister()
+    handlers.unregister()
     del bpy.types.Scene.farfield_clipbox
     unregister_classes()

@@ -15,7 +15,7 @@ from ...core.geometry.mesh import TriangleMesh, face_areas_and_normals
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.unwrap import importance
 from ...core.unwrap.settings import UnwrapSettings
-from ...core.unwrap.unwrapping import UnwrapResult, unwrap
+from ...core.unwrap.unwrapping import UnwrapResult, check_surface, unwrap
 from ...core.unwrap.visibility import visible_pixel_areas
 
 
@@ -48,13 +48,15 @@ class UnwrapJob:
         """Write all UV maps at once.
 
         Raises:
-            GeometryError: a mesh was removed or edited in the meantime.
+            GeometryError: a mesh was removed or edited in the meantime; no UV map was written.
         """
         yield Progress(0.0, "Writing UV maps")
         is_editing = bpy.context.mode == "EDIT_MESH"
         if is_editing:
             bpy.ops.object.mode_set(mode="OBJECT")  # mesh data can only be written outside of Edit Mode
         try:
+            for target in self.targets:
+                uv_maps.find_mesh(target, self.settings.uv_map)
             for target, result in zip(self.targets, core_result, strict=True):
                 stretches = result.stretches.max_stretch
                 uv_maps.write_uv_map(target, result.corner_uvs, stretches, self.settings.uv_map, asdict(result.metrics))
@@ -113,13 +115,17 @@ def prepare(context: bpy.types.Context, objects: Sequence[bpy.types.Object], set
         elif item.data not in meshes:
             meshes.add(item.data)
             try:
-                targets.append(uv_maps.read_uv_target(item, settings.vertex_group if settings.importance == "vertex_group" else None))
+                target = uv_maps.read_uv_target(item, settings.vertex_group if settings.importance == "vertex_group" else None)
+                check_surface(target.mesh, item.name)
+                targets.append(target)
             except GeometryError as error:
                 errors.append(error)
     if not targets:
-        if errors:
+        if len(errors) == 1 and not skipped:
             raise errors[0]
-        raise GeometryError(f"Nothing to unwrap: {'; '.join(skipped) or 'no object is selected'}. Select a local mesh object.")
+        reasons = "; ".join([*skipped, *_reasons(errors)])
+        raise GeometryError(f"Nothing to unwrap: {reasons or 'no object is selected'}. Select a local mesh object.")
+    skipped += _reasons(errors)
     return UnwrapJob(targets, cameras, _read_occluders(context) if cameras else [], settings, skipped)
 
 
@@ -140,6 +146,10 @@ def _read_occluders(context: bpy.types.Context) -> list[SourceInstance]:
     """Return all surfaces that are visible in renders."""
     visible = [item for item in context.view_layer.objects if item.visible_get() and not item.hide_render]
     return read_instances(visible, context.evaluated_depsgraph_get())
+
+
+def _reasons(errors: list[GeometryError]) -> list[str]:
+    return [str(error).removesuffix(".") for error in errors]
 
 
 def _format_islands(count: int) -> str:

@@ -8,9 +8,9 @@ from mathutils import Vector
 from ...bridge.unwrap import uv_maps
 from ...bridge.unwrap.stretch_images import save_stretch_image
 from ...bridge.unwrap.uv_overlay import overlay
-from ...core.errors import FarfieldError
 from ...core.unwrap.settings import UnwrapSettings
-from .. import long_work, properties
+from .. import long_work, properties, start_job
+from ..error_reports import reports_errors
 from .job import UnwrapJob, prepare
 
 
@@ -20,24 +20,23 @@ class FARFIELD_PG_unwrap(bpy.types.PropertyGroup):
     __annotations__ = properties.build_annotations(UnwrapSettings, set())
 
 
-class FARFIELD_OT_unwrap(long_work.LongWork, bpy.types.Operator):
+class FARFIELD_OT_unwrap(start_job.StartJob, bpy.types.Operator):
     """Create low-stretch UV maps for the selected meshes, or for the selected faces in Edit Mode, with more texels in important areas"""
 
     bl_idname = "farfield.unwrap"
     bl_label = "Unwrap with Low Stretch"
     bl_options = {"REGISTER", "UNDO"}
-    # SKIP_SAVE: settings that the caller omits come from the panel, not from the last call
-    __annotations__ = properties.build_annotations(UnwrapSettings, {"SKIP_SAVE"})
+    settings_types, panel_property = (UnwrapSettings,), "farfield_unwrap"
+    __annotations__ = start_job.setting_properties(*settings_types)
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Return whether there is a mesh to unwrap and no job is running."""
-        return long_work.poll_with_reason(cls, disabled_reason(context))
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
+        """Return why nothing can be unwrapped now, or an empty string."""
+        return disabled_reason(context)
 
     def prepare(self, context: bpy.types.Context) -> UnwrapJob:
         """Read the selected meshes."""
-        properties.fill_unset(UnwrapSettings, self, context.scene.farfield_unwrap)
-        return prepare(context, target_objects(context), properties.read(UnwrapSettings, self))
+        return prepare(context, target_objects(context), *self.read_settings(context))
 
 
 class FARFIELD_OT_unwrap_direction(bpy.types.Operator):
@@ -52,6 +51,7 @@ class FARFIELD_OT_unwrap_direction(bpy.types.Operator):
         """Return whether the operator is called from a 3D Viewport."""
         return long_work.poll_with_reason(cls, "" if context.region_data is not None else "Only available in a 3D Viewport")
 
+    @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Set the direction from the surface to the viewer."""
         context.scene.farfield_unwrap.direction = context.region_data.view_rotation @ Vector((0.0, 0.0, 1.0))
@@ -65,6 +65,7 @@ class FARFIELD_OT_unwrap_overlay(bpy.types.Operator):
     bl_label = "Show UV Stretch"
     bl_options = {"REGISTER"}
 
+    @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Show or hide the overlay."""
         if overlay.is_shown:
@@ -94,20 +95,18 @@ class FARFIELD_OT_unwrap_stretch_image(bpy.types.Operator):
         """Return whether the active object has been unwrapped."""
         return long_work.poll_with_reason(cls, "" if is_unwrapped(context.active_object) else "Unwrap a mesh first")
 
+    @reports_errors
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Open the file browser."""
         self.filepath = f"{context.active_object.name} stretch.png"
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
+    @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Draw the image and write it."""
         path = Path(bpy.path.abspath(self.filepath)).with_suffix(".png")
-        try:
-            save_stretch_image(context.active_object, path, self.resolution)
-        except FarfieldError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        save_stretch_image(context.active_object, path, self.resolution)
         self.report({"INFO"}, f'Saved "{path}".')
         return {"FINISHED"}
 

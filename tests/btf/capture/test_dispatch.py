@@ -3,6 +3,7 @@
 import os
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -55,6 +56,8 @@ VIEWS = 6
 CRASH_ONCE = "if view == 3 and not os.path.exists(folder + '/crashed'): open(folder + '/crashed', 'w'); os.kill(os.getpid(), 9)"
 CRASH = "if view == 3: os.kill(os.getpid(), 9)"
 FAIL = "if view == 3: print(encode_error(FileError('Kein Platz für „Ansicht 3“.')), file=sys.stderr); sys.exit(EXIT_ERROR)"
+RAISE = "if view == 3: raise ZeroDivisionError('Null ist null.')"
+EXHAUST = "if view == 3: raise MemoryError"
 HANG = "if view == 3: open(folder + '/hangs', 'w'); time.sleep(600)"
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="the workers here kill themselves with a signal")
@@ -73,7 +76,8 @@ class Bake:
         def command(shard):
             return [sys.executable, "-c", WORKER, str(self.folder), str(shard.heartbeat_file), fault, *map(str, shard.views)]
 
-        return render_missing_views(self.folder, self.stores, VIEWS, executor_spec, command)
+        with closing(heartbeat.take_over(self.folder)) as held:
+            return (yield from render_missing_views(held, self.stores, VIEWS, executor_spec, command))
 
     def log(self, keyword: str) -> list[str]:
         """Return the log lines that start with `keyword`, without it."""
@@ -159,6 +163,19 @@ def test_the_error_message_of_a_worker_is_passed_on_unchanged(bake):
         run_to_end(bake.steps("serial", FAIL))
     assert str(raised.value) == "Kein Platz für „Ansicht 3“."
     assert bake.stores[0].exists(0)
+
+
+@pytest.mark.parametrize(
+    ("fault", "error", "message"),
+    [(RAISE, RuntimeError, "in a worker process, ZeroDivisionError: Null ist null"), (EXHAUST, FarfieldError, "ran out of memory")],
+)
+def test_an_exception_in_a_worker_is_passed_on_without_a_retry(bake, fault, error, message):
+    """A log of defects contains the notes of an exception, and so the traceback of the worker."""
+    with pytest.raises(error, match=message) as raised:
+        run_to_end(bake.steps("serial", fault))
+    assert error is FarfieldError or "Traceback" in "".join(raised.value.__notes__)
+    assert len(bake.log("start")) == 1
+    assert [bake.stores[0].exists(view) for view in range(VIEWS)] == [True] * 3 + [False] * 3
 
 
 def test_cancelling_ends_the_workers_and_keeps_finished_views(bake, undisturbed):

@@ -88,7 +88,7 @@ def test_a_view_without_a_cluster_takes_its_basis_from_the_global_factors():
     assert np.abs(reconstruction[labels == 1]).max() < 3.0 * np.abs(values).max()
 
 
-def test_surplus_clusters_do_no_harm():
+def test_more_clusters_than_needed_are_allowed():
     values, _ = clustered_values(clusters=1, rank=1)
     factors = fit(sample_views(values, 1.0), 8, 1)
     assert np.isfinite(factors.weights).all() and np.isfinite(factors.basis).all()

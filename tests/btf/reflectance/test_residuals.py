@@ -44,7 +44,7 @@ def test_residuals_are_the_difference_to_the_lobes_over_chromaticity(tmp_path):
     assert not list(tmp_path.glob("residuals-*")) and store.is_valid(3)
 
 
-def test_residuals_are_clamped_to_the_brightness_of_paper(tmp_path):
+def test_residuals_are_clamped_under_lobes(tmp_path):
     lobes = random_lobes(COUNT)
     view = run_to_end(write_residuals(write_store(tmp_path, lobes, 7.0), CHROMATICITY, lobes, VIEWS, SUNS))[1]
     rows, values = view.read()

@@ -21,7 +21,7 @@ from ...mesh_arrays import write_positions
 from .materials import FACING, QUAD_NORMAL, QUAD_NORMALS, RIGHT, SHELL_RADIUS, quad_material, shell_material
 from .ray_groups import FrameImages, build_ray_groups
 
-BOUNDARY_VERTICES = 32  # of a quad: it looks round to the viewer and therefore fits into the shell
+BOUNDARY_VERTICES = 32  # of a quad: it appears round to the viewer and therefore fits into the shell
 QUAD_RADIUS = 1.02  # as seen by the viewer, in half sides of a frame
 SHELL_SUBDIVISIONS = 3
 DEFAULT_BIAS = 1.0  # pixels of a frame: a surface that is closer in front of a point does not shade it

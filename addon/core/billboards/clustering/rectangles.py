@@ -1,4 +1,4 @@
-"""Rectangles in a plane: the smallest one around points, and the crop of one that is worth its area.
+"""Rectangles in a plane: the smallest one around points, and the crop with the most covered area per cost.
 
 A rectangle is an array (4,) u_min, u_max, v_min, v_max.
 """

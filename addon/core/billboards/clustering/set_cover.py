@@ -1,4 +1,4 @@
-"""Greedy weighted set cover with rectangles, and the removal of what they cover in excess."""
+"""Greedy weighted set cover with rectangles, then shrinking rectangles and removing redundant ones."""
 
 import heapq
 from dataclasses import replace

@@ -1,6 +1,5 @@
 """Specification of the capture of one level, and the file that passes it to worker processes."""
 
-import zipfile
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -9,7 +8,10 @@ import numpy as np
 
 from ...billboards.texels import Texels
 from ...errors import FileError
+from .array_archives import READ_ERRORS, read_archive, write_archive
 from .observations import QuadFaceTable
+
+ARRAYS = ("texture_size", "pixels", "quad_indices", "positions", "steps", "shown_face_offsets", "shown_faces", "error")  # of the file
 
 
 @dataclass(frozen=True)
@@ -34,23 +36,12 @@ class LevelCaptureSpec:
         """Write the specification to `path`, a .npz file.
 
         Raises:
-            FileError: the file cannot be written.
+            OSError: the file cannot be written.
         """
         texels = self.texels
-        arrays = {
-            "texture_size": np.array(texels.texture_size),
-            "pixels": texels.pixels,
-            "quad_indices": texels.quad_indices,
-            "positions": texels.positions,
-            "steps": texels.steps,
-            "shown_face_offsets": self.shown_face_offsets,
-            "shown_faces": self.shown_faces,
-            "error": np.array(self.error),
-        }
-        try:
-            np.savez(path, **arrays)
-        except OSError as error:
-            raise FileError(f'The snapshot "{path}" cannot be written: {error}. Free disk space there and start the bake again.') from error
+        texel_arrays = texels.pixels, texels.quad_indices, texels.positions, texels.steps
+        arrays = np.array(texels.texture_size), *texel_arrays, self.shown_face_offsets, self.shown_faces, np.array(self.error)
+        path.write_bytes(write_archive(dict(zip(ARRAYS, arrays, strict=True))))
 
 
 def load_capture_spec(path: Path) -> LevelCaptureSpec:
@@ -60,9 +51,9 @@ def load_capture_spec(path: Path) -> LevelCaptureSpec:
         FileError: the file is missing or damaged.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            width, height = file["texture_size"].tolist()
-            texels = Texels((width, height), *(file[name] for name in ("pixels", "quad_indices", "positions", "steps")))
-            return LevelCaptureSpec(texels, file["shown_face_offsets"], file["shown_faces"], float(file["error"]))
-    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
+        with path.open("rb") as stream:
+            texture_size, *texel_arrays, offsets, faces, error_length = read_archive(stream, *ARRAYS)
+        width, height = texture_size.tolist()
+        return LevelCaptureSpec(Texels((width, height), *texel_arrays), offsets, faces, float(error_length))
+    except (*READ_ERRORS, TypeError) as error:
         raise FileError(f'The snapshot "{path}" cannot be read: {error}. Start the bake again; finished views are reused.') from error

@@ -15,7 +15,7 @@ from ...jobs.subprocess_pool import open_subprocess_pool, wait_for_exit
 from .shards import ShardStore
 
 POLL_SECONDS = 0.1  # between two progress updates
-EXIT_ERROR = 2  # exit code of a worker that has printed an error message
+EXIT_EXCEPTION, EXIT_ERROR = 1, 2  # exit codes of a worker after any exception, and after it has printed an error message
 ERROR_KEY = "farfield_error"  # key of the JSON line on stderr with that message
 MAX_SHARD_VIEWS = 64  # per worker process: Blender's memory grows slowly with the number of renders
 CHECK_FRACTION = 0.02  # of the progress bar
@@ -36,49 +36,52 @@ def encode_error(error: FarfieldError) -> str:
 
 
 def render_missing_views(
-    folder: Path, stores: Sequence[ShardStore], view_count: int, executor_spec: str, command: Callable[[Shard], list[str]]
+    held: heartbeat.Heartbeat, stores: Sequence[ShardStore], view_count: int, executor_spec: str, command: Callable[[Shard], list[str]]
 ) -> Steps[int]:
-    """Have worker processes render all views that are missing in any of the `stores` below `folder`; return their number.
+    """Have worker processes render all views that are missing in any of the `stores`; return their number.
 
-    executor_spec: see `executors.parse_executor`. command: returns the command line that renders a shard for all stores; it must skip
-    finished views. Closing this generator ends the workers; finished views are kept.
+    held: of the run, which must own the folders of all stores. executor_spec: see `executors.parse_executor`. command: returns the command
+    line that renders a shard for all stores; it must skip finished views. Closing this generator ends the workers; finished views are kept.
 
     Raises:
         SettingsError: the executor spec is invalid.
-        FarfieldError: a worker reports an error, or crashes twice at the same views.
-        FileError: the folder cannot be written, or another run takes it over.
+        FarfieldError: a worker reports an error, runs out of memory, or crashes twice at the same views.
+        RuntimeError: a worker fails with another exception. A second worker would fail in the same way.
+        FileError: a folder cannot be written, or another run takes it over.
     """
-    with heartbeat.hold(folder) as held:  # from here on, no other run writes to the folder
-        missing = []
-        for store in stores:
-            store.remove_temporary_files()
-        for view in range(view_count):
-            yield Progress(CHECK_FRACTION * view / view_count, "Looking for finished views")
-            is_valid = [store.validate_or_remove(view) for store in stores]  # a list: every damaged file is removed
-            if not all(is_valid):
-                missing.append(view)
-        if not missing:
-            return 0
-        count_before = _count_finished(stores, view_count)
-        with open_subprocess_pool(executor_spec) as pool:
-            shards = [Shard(views, held.path, pool.executor.workers_per_machine) for views in split_views(missing, pool.executor.slots)]
-            pending = {pool.submit(command(shard)): (shard, False) for shard in shards}
-            while pending:
-                held.renew()
-                finished = _count_finished(stores, view_count)
-                fraction = (finished - count_before) / (view_count * len(stores) - count_before)
-                yield Progress(CHECK_FRACTION + (1.0 - CHECK_FRACTION) * fraction, f"View {finished} of {view_count * len(stores)}")
-                for future in wait(pending, POLL_SECONDS, FIRST_COMPLETED).done:
-                    shard, is_retry = pending.pop(future)
-                    code, error_output = wait_for_exit(future)
-                    held.renew()  # first: workers also exit when another run has taken over
-                    remaining = [view for view in shard.views if not all(store.exists(view) for store in stores)]
-                    if code == EXIT_ERROR or (remaining and is_retry):
-                        raise FarfieldError(_failure_message(code, error_output))
-                    if remaining:
-                        retry = Shard(remaining, shard.heartbeat_file, shard.workers_per_machine)
-                        pending[pool.submit(command(retry))] = retry, True
-        return _count_finished(stores, view_count) - count_before
+    missing = []
+    for store in stores:
+        store.remove_temporary_files()
+    for view in range(view_count):
+        held.renew()
+        yield Progress(CHECK_FRACTION * view / view_count, "Looking for finished views")
+        is_valid = [store.validate_or_remove(view) for store in stores]  # a list: every damaged file is removed
+        if not all(is_valid):
+            missing.append(view)
+    if not missing:
+        return 0
+    count_before = _count_finished(stores, view_count)
+    with open_subprocess_pool(executor_spec) as pool:
+        shards = [Shard(views, held.path, pool.executor.workers_per_machine) for views in split_views(missing, pool.executor.slots)]
+        pending = {pool.submit(command(shard)): (shard, False) for shard in shards}
+        while pending:
+            held.renew()
+            finished = _count_finished(stores, view_count)
+            fraction = (finished - count_before) / (view_count * len(stores) - count_before)
+            yield Progress(CHECK_FRACTION + (1.0 - CHECK_FRACTION) * fraction, f"View {finished} of {view_count * len(stores)}")
+            for future in wait(pending, POLL_SECONDS, FIRST_COMPLETED).done:
+                shard, is_retry = pending.pop(future)
+                code, error_output = wait_for_exit(future)
+                held.renew()  # first: workers also exit when another run has taken over
+                remaining = [view for view in shard.views if not all(store.exists(view) for store in stores)]
+                if remaining and code == EXIT_EXCEPTION:
+                    raise _worker_exception(error_output)
+                if code == EXIT_ERROR or (remaining and is_retry):
+                    raise FarfieldError(_failure_message(code, error_output))
+                if remaining:
+                    retry = Shard(remaining, shard.heartbeat_file, shard.workers_per_machine)
+                    pending[pool.submit(command(retry))] = retry, True
+    return _count_finished(stores, view_count) - count_before
 
 
 def split_views(missing: Sequence[int], slots: int) -> list[list[int]]:
@@ -105,3 +108,14 @@ def _failure_message(code: int, error_output: str) -> str:
         f"A worker process crashed twice at the same views ({reason}{last_output}), perhaps because memory ran out. "
         "Finished views are kept; resume with fewer processes."
     )
+
+
+def _worker_exception(error_output: str) -> Exception:
+    """Return the exception with which a worker has failed; its traceback becomes a note for the log of defects."""
+    lines = [line.strip() for line in error_output.splitlines() if line.strip()]
+    last_output = lines[-1] if lines else "no output"
+    if last_output.partition(":")[0].endswith("MemoryError"):
+        return FarfieldError("A worker process ran out of memory; finished views are kept, so resume with fewer processes.")
+    error = RuntimeError(f"in a worker process, {last_output}")
+    error.add_note(error_output)
+    return error

@@ -7,6 +7,8 @@ import numpy as np
 from ...geometry.direction_grids import DirectionGrid
 from .observations import ViewRender
 
+LOW_ORDER_LIGHTS = 5  # the constant and the three linear spherical harmonics of the suns, and the dome
+
 
 @dataclass(frozen=True)
 class ReferenceImage:
@@ -21,7 +23,7 @@ def low_order_lights(grid: DirectionGrid) -> np.ndarray:
 
     The columns are the constant and the three linear spherical harmonics of the suns (negative weights subtract), and the dome.
     """
-    lights = np.zeros((len(grid) + 1, 5), np.float32)
+    lights = np.zeros((len(grid) + 1, LOW_ORDER_LIGHTS), np.float32)
     lights[:-1, :4] = grid.solid_angles[:, None] * np.column_stack([np.ones(len(grid)), grid.directions])
     lights[-1, 4] = 1.0
     return lights

@@ -2,7 +2,7 @@
 
 import hashlib
 import io
-import zipfile
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +10,8 @@ import numpy as np
 
 from ...errors import FileError
 from ...files.atomic_write import write_bytes_atomically
+from ...files.file_access import error_reason
+from .array_archives import READ_ERRORS, read_archive, write_archive
 
 DIGEST_BYTES = hashlib.sha256().digest_size
 
@@ -31,10 +33,7 @@ class ViewFiles:
         Raises:
             FileError: the file cannot be written.
         """
-        buffer = io.BytesIO()
-        save = np.savez_compressed if compressed else np.savez
-        save(buffer, **arrays)
-        content = buffer.getvalue()
+        content = write_archive(arrays, compressed=compressed)
         write_view_file(self.path(view), hashlib.sha256(content).digest() + content)
 
     def read(self, view: int, *names: str) -> list[np.ndarray]:
@@ -45,27 +44,38 @@ class ViewFiles:
         """
         path = self.path(view)
         try:
-            with zipfile.ZipFile(path) as archive:  # finds its members despite the digest in front
-                return [_read_array(archive, name) for name in names]
-        except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
-            raise FileError(f'"{path}" cannot be read: {error}. Start the bake again; finished views are reused.') from error
+            with path.open("rb") as stream:
+                return read_archive(stream, *names)
+        except READ_ERRORS as error:
+            reason = error_reason(error) if isinstance(error, OSError) else error
+            raise FileError(f'"{path}" cannot be read: {reason}. Start the bake again; finished views are reused.') from error
 
-    def is_valid(self, view: int) -> bool:
-        """Whether the file of `view` exists and matches its checksum."""
+    def read_valid(self, view: int, *names: str) -> list[np.ndarray] | None:
+        """Return the arrays called `names` of `view`, or None unless the file exists, matches its checksum and contains them."""
         try:
             content = self.path(view).read_bytes()
-        except OSError:
-            return False
-        return hashlib.sha256(content[DIGEST_BYTES:]).digest() == content[:DIGEST_BYTES]
+            if hashlib.sha256(content[DIGEST_BYTES:]).digest() != content[:DIGEST_BYTES]:
+                return None
+            return read_archive(io.BytesIO(content), *names)
+        except READ_ERRORS:
+            return None
 
     def remove(self, view: int) -> None:
-        """Delete the file of `view` if it exists."""
-        self.path(view).unlink(missing_ok=True)
+        """Delete the file of `view` if it exists.
+
+        Raises:
+            FileError: it cannot be deleted.
+        """
+        try:
+            self.path(view).unlink(missing_ok=True)
+        except OSError as error:
+            raise FileError(f'"{self.path(view)}" cannot be deleted: {error_reason(error)}; remove it and start the bake again.') from error
 
     def remove_all(self) -> None:
-        """Delete the files of all views."""
+        """Delete the files of all views, as far as they can be deleted."""
         for path in self.folder.glob(f"{self.name}-*.shard"):
-            path.unlink(missing_ok=True)
+            with suppress(OSError):
+                path.unlink()
 
 
 def write_view_file(path: Path, content: bytes) -> None:
@@ -77,7 +87,7 @@ def write_view_file(path: Path, content: bytes) -> None:
     try:
         write_bytes_atomically(path, content)
     except OSError as error:
-        raise FileError(f'A finished view cannot be saved in "{path.parent}": {error}. Free disk space there and resume.') from error
+        raise FileError(f'Finished views are kept, but this one cannot be saved as "{path}": {error_reason(error)}.') from error
 
 
 def to_half(values: np.ndarray) -> np.ndarray:
@@ -89,8 +99,3 @@ def to_half(values: np.ndarray) -> np.ndarray:
 def to_bytes(fractions: np.ndarray) -> np.ndarray:
     """Return `fractions` in 0..1 as uint8 in 0..255."""
     return np.rint(255.0 * np.clip(fractions, 0.0, 1.0)).astype(np.uint8)
-
-
-def _read_array(archive: zipfile.ZipFile, name: str) -> np.ndarray:
-    with archive.open(f"{name}.npy") as member:
-        return np.lib.format.read_array(member, allow_pickle=False)

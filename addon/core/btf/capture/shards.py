@@ -1,6 +1,7 @@
 """Finished views on disk, one file per view, from which an interrupted bake resumes."""
 
 import json
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -10,10 +11,12 @@ import numpy as np
 
 from ...errors import FileError
 from ...files.atomic_write import TEMPORARY_SUFFIX, write_bytes_atomically
+from ...files.file_access import convert_os_errors
 from .face_id_files import FaceIdFiles
 from .observations import Observation
 from .reference_images import ReferenceImage
 from .shard_files import ViewFiles, to_bytes, to_half, write_view_file
+from .shard_layout import ARRAYS, ShardLayout
 
 JOB_FILE = "job.json"
 FORMAT_VERSION = 6  # of the files; a folder written with another version belongs to another bake
@@ -21,9 +24,10 @@ FORMAT_VERSION = 6  # of the files; a folder written with another version belong
 
 @dataclass(frozen=True)
 class ShardStore:
-    """The finished views of one level of a bake in `folder`."""
+    """The finished views of one level of a bake in `folder`. Views that do not match the `layout`, if it is known, count as damaged."""
 
     folder: Path
+    layout: ShardLayout | None = None
 
     @property
     def face_ids(self) -> FaceIdFiles:
@@ -36,15 +40,13 @@ class ShardStore:
         Raises:
             FileError: the folder belongs to another bake or cannot be written.
         """
-        job_path, fingerprint = self.folder / JOB_FILE, f"{fingerprint} format={FORMAT_VERSION}"
-        try:
+        job_path, content = self.folder / JOB_FILE, json.dumps({"fingerprint": f"{fingerprint} format={FORMAT_VERSION}"}).encode()
+        with convert_os_errors(f'The work folder "{self.folder}" cannot be used'):
             self.folder.mkdir(parents=True, exist_ok=True)
             if not job_path.exists():
-                write_bytes_atomically(job_path, json.dumps({"fingerprint": fingerprint}).encode())
-            stored_fingerprint = json.loads(job_path.read_text(encoding="utf-8")).get("fingerprint")
-        except (OSError, ValueError) as error:
-            raise FileError(f'The work folder "{self.folder}" cannot be used: {error}. Choose another one.') from error
-        if stored_fingerprint != fingerprint:
+                write_bytes_atomically(job_path, content)
+            is_same = job_path.stat().st_size == len(content) and job_path.read_bytes() == content
+        if not is_same:
             raise FileError(
                 f'The work folder "{self.folder}" contains a bake of another cloud or with other settings; choose another one or empty it.'
             )
@@ -56,10 +58,15 @@ class ShardStore:
     def remove_temporary_files(self) -> None:
         """Delete the unfinished files of dead processes. No process may be writing to the folder."""
         for path in self.folder.glob(f"*{TEMPORARY_SUFFIX}"):
-            path.unlink(missing_ok=True)
+            with suppress(OSError):
+                path.unlink()
 
     def validate_or_remove(self, view: int) -> bool:
-        """Return whether a view is finished and undamaged. A damaged file is deleted, so that `exists` agrees from then on."""
+        """Return whether a view is finished and undamaged. A damaged file is deleted, so that `exists` agrees from then on.
+
+        Raises:
+            FileError: it cannot be deleted.
+        """
         is_valid = self.is_valid(view)
         if not is_valid:
             self._files.remove(view)
@@ -67,11 +74,14 @@ class ShardStore:
 
     def exists(self, view: int) -> bool:
         """Whether a view is finished; its file may be damaged, see `is_valid`."""
-        return self.path(view).exists()
+        return self.path(view).is_file()
 
     def is_valid(self, view: int) -> bool:
-        """Whether a view is finished and undamaged."""
-        return self._files.is_valid(view)
+        """Whether a view is finished and undamaged: its checksum is right, and its arrays match the layout if it is known."""
+        if self.layout is None:
+            return self._files.read_valid(view) is not None
+        arrays = self._files.read_valid(view, *ARRAYS)
+        return arrays is not None and self.layout.matches(view, arrays)
 
     def write(
         self, view: int, observation: Observation, reference: ReferenceImage, visibility: Sequence[np.ndarray], render_seconds: float
@@ -94,7 +104,7 @@ class ShardStore:
             "emission": to_half(np.zeros((0, 3)) if observation.emission is None else observation.emission),
             "reference_colors": to_half(reference.colors),
             "reference_coverage": to_bytes(reference.coverage),
-            "visibility": np.array(visibility, np.uint8),
+            "visibility": np.array(visibility, np.uint8).reshape(len(visibility), len(observation.known)),
         }
         write_view_file(self._timing_path(view), json.dumps({"render_seconds": render_seconds}).encode())
         self._files.write(view, arrays)
@@ -130,8 +140,9 @@ class ShardStore:
         """Return the Cycles render time of all finished views, those of earlier runs included, as far as it is known."""
         total = 0.0
         for path in (self._timing_path(view) for view in range(view_count) if self.exists(view)):
-            with suppress(OSError, KeyError, TypeError, ValueError):  # a missing time is no reason to fail
-                total += float(json.loads(path.read_bytes())["render_seconds"])
+            with suppress(OSError, KeyError, TypeError, ValueError, RecursionError):  # a missing time is not an error
+                seconds = float(json.loads(path.read_bytes())["render_seconds"])
+                total += seconds if math.isfinite(seconds) else 0.0
         return total
 
     def total_bytes(self, view_count: int) -> int:

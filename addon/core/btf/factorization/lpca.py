@@ -1,7 +1,7 @@
 """Local PCA: clusters of texels with a set of components each (Mueller, Meseth, Klein 2003; section 5.2 of the paper).
 
 A texel belongs to the cluster whose components reconstruct it best, but few texels are known from every view. So all texels are first
-factorized together, with more components than a cluster will have. Those weights stand for the complete rows, unknown entries included, and
+factorized together, with more components than a cluster will have. These weights represent the complete rows, unknown entries included, and
 are clustered. Then each cluster is factorized from the captured values as a matrix of its own.
 """
 

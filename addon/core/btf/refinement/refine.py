@@ -3,7 +3,7 @@
 The alpha of each texel is correct by itself, but not after compositing: two quads that each cover half of a pixel, one behind the other,
 cover three quarters of it. So the weights of alpha are fitted again, through the alpha compositing of the quads, to reference images of the
 source from the baked views: its coverage, and its colors under low-order lights. Colors are not refined: fitted to the few noisy views that
-show a texel, they get worse for all other views and lights (docs/btf.md has the figures).
+show a texel, they get worse for all other views and lights, see docs/results/btf.md.
 
 The texels along a ray change together, dozens of them in a tree crown, so independent steps would overshoot and oscillate. The method is
 preconditioned nonlinear conjugate gradients (Polak-Ribiere with restarts), with step lengths from the Gauss-Newton curvature along the
@@ -84,7 +84,7 @@ def refine_alpha(sources: Sequence[TrainingViewSource], alpha: Factors, pbr_alph
 def _polak_ribiere(
     gradient: np.ndarray, preconditioned_gradient: np.ndarray, previous: tuple[np.ndarray, np.ndarray] | None, direction: np.ndarray
 ) -> np.ndarray:
-    """Return the next descent direction (N, K), conjugate to the last `direction`; steepest descent where that is no descent direction.
+    """Return the next descent direction (N, K), conjugate to the last `direction`; steepest descent where that is not a descent direction.
 
     previous: gradient and preconditioned gradient of the last iteration.
     """

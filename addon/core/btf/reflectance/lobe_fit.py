@@ -12,7 +12,7 @@ from ..factorization.als import ViewData, split_lights
 from .disc_lights import DiscLights
 from .lobes import CHUNK_TEXELS, DIFFUSE, GRAZING, SPECULAR, Lobes, TexelSurface, lobe_responses
 
-SUN_OFFSET, DOME_OFFSET = 3, 4  # coefficients that take up radiance which is in no lobe, under suns and under the dome; they are dropped
+SUN_OFFSET, DOME_OFFSET = 3, 4  # coefficients of radiance that no lobe explains, under suns and under the dome; they are dropped
 MAX_COEFFICIENTS = np.array([1.0, 1.0, 1.0, 10.0, 10.0])
 MAX_RADIANCE = 1.0  # captured radiance is clamped to it
 QUAD_PRIOR, LEVEL_PRIOR = 0.1, 1.0  # weight of the quad for its texels, and of the level for its quads, relative to a mean texel

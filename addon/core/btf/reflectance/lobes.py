@@ -15,7 +15,7 @@ from .shadows import Shadows
 
 MIN_ROUGHNESS = 0.05
 MIN_COSINE = 1e-3  # between normal and view
-MIN_FRESNEL_COSINE = 0.2  # the Fresnel term is constant below: there, quads show what a smooth surface would turn away
+MIN_FRESNEL_COSINE = 0.2  # the Fresnel term is constant below: a quad shows texels that a smooth surface would hide
 DIFFUSE, SPECULAR, GRAZING = range(3)  # coefficients of the model
 LOBE_COUNT = 3
 ALL = slice(None)

@@ -16,7 +16,7 @@ from .disc_lights import DiscLights
 from .lobes import Lobes
 
 MAX_RESIDUAL, MAX_DOME_RESIDUAL = 0.5 / np.pi, 1.0  # radiance under a sun and under the dome; larger residuals are misplaced highlights
-MIN_RESIDUAL, MIN_DOME_RESIDUAL = -1.0 / np.pi, -1.0  # those of a white surface in shadow
+MIN_RESIDUAL, MIN_DOME_RESIDUAL = -1.0 / np.pi, -1.0  # a white surface that is in shadow, but not for the lobes
 
 
 @dataclass(frozen=True)
@@ -61,8 +61,8 @@ def write_residuals(
 ) -> Steps[list[ResidualView]]:
     """Write the residuals of all `views` in `store`: radiance minus that of `lobes`, divided by `chromaticity` (N, 3).
 
-    Residuals under `lobes` are clamped to the brightness of paper. Larger values are highlights at another place than their lobe; they are
-    the largest of all and would use up the components.
+    Residuals under `lobes` are clamped to MIN_RESIDUAL..MAX_RESIDUAL. Larger values are highlights that their lobe shows elsewhere; they
+    are the largest of all and would use up the components.
     """
     files = ResidualFiles(store.folder)
 

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FileError, SettingsError
-from .file_data import FileData, HeightMap, Voxels, check_size, to_native_byte_order
+from .file_data import HEIGHT_BYTES, FileData, HeightMap, Voxels, check_size, to_native_byte_order
 from .nifti import read_nifti
 from .tiffs import read_tiff
 
 Readers = Mapping[str, Callable[[Path], FileData]]  # by lower-case extension
 
+BLEND_PREFIX = "//"  # of paths relative to the folder of the .blend file
 RAW_NAME = re.compile(r"(?:^|_)(\d+)x(\d+)x(\d+)_(u?int(?:8|16|32)|float(?:32|64))$")
 NUMPY_ERRORS = (EOFError, OverflowError, SyntaxError, TypeError, ValueError, tokenize.TokenError)
 
@@ -35,7 +36,7 @@ def read_array(path: Path) -> FileData:
         raise FileError(f'"{path}" cannot be read as a NumPy array: it is truncated, damaged or not an array of numbers.') from error
     if mapped.ndim not in (2, 3):
         raise FileError(f'"{path}" contains an array with {mapped.ndim} axes; heights have 2, voxels 3.')
-    check_size(path, mapped.size, mapped.dtype.itemsize)
+    check_size(path, mapped.size, max(mapped.dtype.itemsize, HEIGHT_BYTES if mapped.dtype.kind == "f" else 1))
     values = to_native_byte_order(path, np.array(mapped))
     return Voxels(values) if values.ndim == 3 else HeightMap(values[::-1], (1.0, 1.0))
 
@@ -74,11 +75,18 @@ def read_source(terrain: str, source: str, readers: Readers) -> FileData:
 
     Raises:
         SettingsError: `source` is empty.
-        FileError: the file cannot be read.
+        FileError: the file cannot be read, or its path is relative to a .blend file that was never saved.
     """
     if not source:
         raise SettingsError(f'The terrain "{terrain}" needs a file; set Source File.', ("source",))
+    check_path(source)
     return read_file(Path(source), readers)
+
+
+def check_path(path: str) -> None:
+    """Raise FileError when a path is still relative to the .blend file, because that was never saved."""
+    if path.startswith(BLEND_PREFIX):
+        raise FileError(f'"{path}" is relative to the .blend file, which was never saved; save it, or use an absolute path.')
 
 
 def read_file(path: Path, readers: Readers = READERS) -> FileData:

@@ -1,5 +1,6 @@
 """Heights from TIFF files with or without GeoTIFF tags (OGC 19-008r4; tag 42113 is GDAL's own)."""
 
+import logging
 import math
 import struct
 import zlib
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...errors import FileError
-from .file_data import HeightMap, are_valid_sizes, check_size, to_native_byte_order
+from .file_data import HEIGHT_BYTES, HeightMap, are_valid_sizes, check_size, to_native_byte_order
 
 if TYPE_CHECKING:
     from tifffile import TiffPage
@@ -30,6 +31,8 @@ TIFFFILE_ERRORS = (  # raised by tifffile and by decompression for damaged files
     *(LZMAError, struct.error, zlib.error),
 )
 
+logging.getLogger("tifffile").addHandler(logging.NullHandler())  # its remarks on damaged files do not go to stderr: an error names the file
+
 
 def read_tiff(path: Path) -> HeightMap:
     """Read the first image of a TIFF file.
@@ -38,7 +41,7 @@ def read_tiff(path: Path) -> HeightMap:
     other samples are elevations, in meters unless a tag gives a unit. A pixel without a scale is as wide as one unit of height.
 
     Raises:
-        FileError: it is no TIFF file, is truncated, or has an unsupported compression.
+        FileError: it is not a TIFF file, is truncated, or has an unsupported compression.
     """
     try:
         import tifffile  # imported here so that the core needs only NumPy and SciPy
@@ -47,7 +50,7 @@ def read_tiff(path: Path) -> HeightMap:
             f'"{path}" needs the Python package tifffile, which is missing; install the Farfield extension, which includes it.'
         ) from None
     try:
-        with tifffile.TiffFile(path) as file:
+        with np.errstate(all="ignore"), tifffile.TiffFile(path) as file:  # of damaged floats, which become missing heights
             page = file.pages.first
             _check_page(path, page, path.stat().st_size)
             samples = to_native_byte_order(path, page.asarray(maxworkers=1))
@@ -60,6 +63,7 @@ def read_tiff(path: Path) -> HeightMap:
 
 def _check_page(path: Path, page: "TiffPage", file_size: int) -> None:
     check_size(path, page.size, page.dtype.itemsize if page.dtype is not None else 1)
+    check_size(path, page.imagelength * page.imagewidth, HEIGHT_BYTES)
     ends = [offset + count for offset, count in zip(page.dataoffsets, page.databytecounts, strict=False)]
     if not ends or max(ends) > file_size or len(ends) < math.prod(page.chunked):
         raise FileError(f'"{path}" is truncated; copy the file again.')
@@ -70,7 +74,9 @@ def _to_height_map(path: Path, page: "TiffPage", samples: np.ndarray) -> HeightM
     is_map = any(page.tags.get(tag) is not None for tag in (PIXEL_SCALE, TRANSFORMATION, GEO_KEYS, NO_DATA))
     if samples.dtype.kind in "bu" and not is_map:
         white = 1.0 if samples.dtype == bool else float(np.iinfo(samples.dtype).max)
-        return HeightMap((image / np.float32(white)).astype(np.float32)[::-1])
+        gray = np.empty(image.shape, np.float32)
+        np.divide(image, np.float32(white), out=gray, casting="same_kind")
+        return HeightMap(gray[::-1])
     no_data = page.tags.get(NO_DATA)
     return HeightMap(image[::-1], _pixel_size(page, image.shape), None if no_data is None else _parse_number(no_data.value))
 

@@ -3,6 +3,7 @@
 import ast
 import operator
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,7 +11,6 @@ from ...errors import SettingsError
 
 MAX_LENGTH = 2000  # characters; longer formulas could nest deeper than Python's stack allows
 Value = np.ndarray | float
-Expression = Callable[[dict[str, Value]], Value]  # evaluated with the values of the variables
 
 OPERATORS = {
     ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: np.divide, ast.FloorDiv: np.floor_divide,
@@ -33,6 +33,17 @@ FUNCTIONS: dict[str, tuple[int, Callable[..., Value]]] = {
 VARIABLES = ("x", "y", "z")
 CONSTANTS = {"pi": np.pi, "e": np.e, "tau": 2.0 * np.pi}
 MAX_INTEGER = 2.0**62
+
+
+@dataclass(frozen=True)
+class Expression:
+    """A part of a formula.
+
+    evaluate: computes it from the values of the variables. arrays: maximum number of arrays of the full size that exist at once meanwhile.
+    """
+
+    evaluate: Callable[[dict[str, Value]], Value]
+    arrays: int = 0
 
 
 class Formula:
@@ -60,7 +71,7 @@ class Formula:
     def __call__(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> Value:
         """Evaluate at coordinates in scene units. Undefined values are NaN or infinite."""
         with np.errstate(all="ignore"):
-            return self._expression({"x": x, "y": y, "z": z})
+            return self._expression.evaluate({"x": x, "y": y, "z": z})
 
 
 def _compile(node: ast.expr) -> Expression:
@@ -69,7 +80,7 @@ def _compile(node: ast.expr) -> Expression:
             number = float(node.value)
         except OverflowError:
             raise SettingsError("The formula contains a number that is too large.", ("formula",)) from None
-        return lambda _variables: number
+        return Expression(lambda _variables: number)
     if isinstance(node, ast.Name):
         return _compile_name(node.id)
     if isinstance(node, ast.UnaryOp) and type(node.op) in OPERATORS:
@@ -82,8 +93,8 @@ def _compile(node: ast.expr) -> Expression:
         return _compile_call(np.where, [node.test, node.body, node.orelse])
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in FUNCTIONS and not node.keywords:
         argument_count, function = FUNCTIONS[node.func.id]
-        if len(node.args) == argument_count and not any(isinstance(argument, ast.Starred) for argument in node.args):
-            return _compile_call(function, node.args)
+        if len(node.args) == argument_count:
+            return _compile_call(function, node.args)  # refuses starred arguments
         arguments = f"{argument_count} argument{'' if argument_count == 1 else 's'}"
         raise SettingsError(f'The function "{node.func.id}" of the formula takes {arguments}, not {len(node.args)}.', ("formula",))
     raise SettingsError(f'"{_abbreviate(ast.unparse(node))}" is not allowed in the formula; allowed are {_allowed_terms()}.', ("formula",))
@@ -92,15 +103,28 @@ def _compile(node: ast.expr) -> Expression:
 def _compile_name(name: str) -> Expression:
     if name in CONSTANTS:
         number = CONSTANTS[name]
-        return lambda _variables: number
+        return Expression(lambda _variables: number)
     if name in VARIABLES:
-        return lambda variables: variables[name]
+        return Expression(lambda variables: variables[name])
     raise SettingsError(f'"{_abbreviate(name)}" is unknown in the formula; allowed are {_allowed_terms()}.', ("formula",))
 
 
 def _compile_call(function: Callable[..., Value], nodes: list[ast.expr]) -> Expression:
-    arguments = [_compile(node) for node in nodes]
-    return lambda variables: _booleans_to_numbers(function(*(argument(variables) for argument in arguments)))
+    """Compile a function of operands. The operand that needs the most memory is evaluated first, while no other one is stored.
+
+    This is the order of Sethi and Ullman (1970): N operators need at most about log2(N) arrays.
+    """
+    operands = [_compile(node) for node in nodes]
+    order = sorted(range(len(operands)), key=lambda index: -operands[index].arrays)
+    arrays = max(operands[index].arrays + rank for rank, index in enumerate(order))
+
+    def evaluate(variables: dict[str, Value]) -> Value:
+        values: list[Value] = [0.0] * len(operands)
+        for index in order:
+            values[index] = operands[index].evaluate(variables)
+        return _booleans_to_numbers(function(*values))
+
+    return Expression(evaluate, max(arrays, 1))
 
 
 def _booleans_to_numbers(value: Value) -> Value:

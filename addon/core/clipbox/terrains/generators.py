@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...errors import GeometryError
+from ...errors import FileError, GeometryError
 from ...settings import Choice
 from ..files.readers import READERS, Readers
 from ..meshing.repair import MARGIN, repair_voxels
@@ -86,7 +86,10 @@ def build_sampler(source: TerrainSource, readers: Readers = READERS) -> Sampler:
         SettingsError, FileError: its formula or its source file cannot be read.
     """
     generator = next(generator for generator in GENERATORS if generator.name == source.terrain)
-    return Sampler(generator.name, generator.build(source, readers))
+    try:
+        return Sampler(generator.name, generator.build(source, readers))
+    except MemoryError:
+        raise FileError(f'"{source.source}" needs more memory than is available; reduce its size.') from None
 
 
 def build_cascades(source: TerrainSource, _readers: Readers) -> DensityFunction:

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FileError
-from ..files.file_data import HeightMap, check_size, is_valid
+from ...jobs.chunks import slices
+from ..files.file_data import CHUNK_SAMPLES, HEIGHT_BYTES, HeightMap, check_size, is_valid
 from ..files.readers import Readers, read_source
 from .grids import DensityFunction, Grid
 from .pyramids import build_pyramid, interpolate_axis, locate_samples, pyramid_level
@@ -30,6 +31,7 @@ def build_heights(source: TerrainSource, readers: Readers) -> DensityFunction:
     if not isinstance(height_map, HeightMap):
         raise FileError(f'"{source.source}" contains voxels, not heights; use the terrain "volume" for it.')
     ground, (width, depth) = _scale_to_scene(height_map, source)
+    del height_map  # a map may fill half of the memory
     levels = build_pyramid(ground, None)
     columns, rows = ground.shape
 
@@ -49,28 +51,30 @@ def build_heights(source: TerrainSource, readers: Readers) -> DensityFunction:
 def _scale_to_scene(height_map: HeightMap, source: TerrainSource) -> tuple[np.ndarray, tuple[float, float]]:
     """Return heights (W, H) float32 indexed by x and y, and the width and depth of a pixel, all in scene units."""
     values, size = height_map.heights.T, source.source_size * source.scale
-    check_size(Path(source.source), values.size, 4)
+    check_size(Path(source.source), values.size, HEIGHT_BYTES)
     width, depth = height_map.pixel_size or (1.0, 1.0)
     unit = size / max(values.shape[0] * width, values.shape[1] * depth)
-    missing = _find_missing(height_map).T
-    if missing.all():
+    columns = slices(len(values), max(1, CHUNK_SAMPLES // values.shape[1]))
+    smallest = [float(known.min()) for chunk in columns if (known := values[chunk][~_find_missing(values[chunk], height_map.no_data)]).size]
+    if not smallest:
         raise FileError(f'"{source.source}" contains no valid height.')
-    lowest = float(values[~missing].min())
+    lowest = min(smallest)
     base, factor = (0.0, source.source_height * source.scale) if height_map.pixel_size is None else (lowest, unit)
     ground = np.empty(values.shape, np.float32)
-    with np.errstate(over="ignore", invalid="ignore"):  # of missing heights, which are replaced below
-        np.subtract(values, base, out=ground, dtype=np.float64, casting="same_kind")
-        ground *= np.float32(factor)
-    ground[missing] = (lowest - base) * factor
+    for chunk in columns:
+        heights = ground[chunk]
+        with np.errstate(over="ignore", invalid="ignore"):  # of missing heights, which are replaced below
+            np.subtract(values[chunk], base, out=heights, dtype=np.float64, casting="same_kind")
+            heights *= np.float32(factor)
+        heights[_find_missing(values[chunk], height_map.no_data)] = (lowest - base) * factor
     return ground, (width * unit, depth * unit)
 
 
-def _find_missing(height_map: HeightMap) -> np.ndarray:
-    """Return a mask (H, W) of the pixels without a valid height."""
-    values = height_map.heights
+def _find_missing(values: np.ndarray, no_data: float | None) -> np.ndarray:
+    """Return a mask of the `values` that are no valid heights."""
     missing = ~is_valid(values)
-    if height_map.no_data is not None:
-        missing |= values == height_map.no_data
+    if no_data is not None:
+        missing |= values == no_data
     if values.dtype == np.int16:
         missing |= values == NO_DATA_INT16
     return missing

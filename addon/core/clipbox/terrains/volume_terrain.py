@@ -11,7 +11,8 @@ from functools import cached_property
 import numpy as np
 
 from ...errors import FileError
-from ..files.file_data import Voxels, is_valid
+from ...jobs.chunks import slices
+from ..files.file_data import CHUNK_SAMPLES, Voxels, is_valid, min_max_valid
 from ..files.readers import Readers, read_source
 from .grids import DensityFunction
 from .pyramids import AxisSamples, build_pyramid, interpolate_axis, locate_samples, pyramid_level
@@ -108,25 +109,39 @@ def read_voxel_model(source: TerrainSource, readers: Readers) -> VoxelModel:
     voxels = read_source(source.terrain, source.source, readers)
     if not isinstance(voxels, Voxels):
         raise FileError(f'"{source.source}" contains heights, not voxels; use the terrain "heights" for it.')
-    values = np.ascontiguousarray(voxels.values)
-    if values.dtype.kind == "f" and not (valid := is_valid(values)).all():
-        if not valid.any():
-            raise FileError(f'"{source.source}" contains no valid number.')
-        values = np.where(valid, values, values[valid].min())
-    smallest, largest = float(values.min()), float(values.max())
-    outside = voxels.outside if voxels.outside is not None else 0.0 if values.dtype == bool else smallest
+    spacing, outside, values = np.array(voxels.spacing), voxels.outside, np.ascontiguousarray(voxels.values)
+    del voxels  # a model may fill half of the memory
+    value_range = min_max_valid(values)
+    if value_range is None:
+        raise FileError(f'"{source.source}" contains no valid number.')
+    smallest, largest = value_range
+    if outside is None:
+        outside = 0.0 if values.dtype == bool else smallest
     low, high = (0.0, 1.0) if values.dtype == bool else (min(smallest, outside), max(largest, outside))
     threshold = low + (high - low) / 2.0
     if largest - threshold < MIN_VALUE_RANGE:
         raise FileError(f'"{source.source}" has the same value everywhere, {smallest:g}; it contains no surface.')
-    if values.dtype.itemsize > 2:  # subtract the threshold before values are rounded to single precision
-        differences = np.empty(values.shape, np.float32)
-        np.subtract(values, threshold, out=differences, dtype=np.float64, casting="same_kind")
-        values, outside, threshold = differences, outside - threshold, 0.0
-    spacing = np.array(voxels.spacing)
+    if values.dtype.itemsize > 2 or values.dtype.kind == "f":
+        values, outside, threshold = _subtract_threshold(values, smallest, threshold), outside - threshold, 0.0
     voxel_sizes = spacing * (source.source_size * source.scale / (spacing * values.shape).max())
     distance_per_value = AXIS_GRADIENT_FRACTION / _mean_axis_gradient(values, voxel_sizes, threshold, high - low)
     return VoxelModel(build_pyramid(values, outside), voxel_sizes, threshold, outside, distance_per_value)
+
+
+def _subtract_threshold(values: np.ndarray, smallest: float, threshold: float) -> np.ndarray:
+    """Return `values` (X, Y, Z) minus `threshold` in single precision, subtracted before they are rounded. Overwrites single precision.
+
+    Invalid numbers are replaced by the `smallest` valid one.
+    """
+    differences = values if values.dtype == np.float32 and values.flags.writeable else np.empty(values.shape, np.float32)
+    flat, target = values.reshape(-1), differences.reshape(-1)
+    for chunk in slices(flat.size, CHUNK_SAMPLES):
+        numbers = flat[chunk].astype(np.float64)
+        if values.dtype.kind == "f":
+            numbers[~is_valid(flat[chunk])] = smallest
+        numbers -= threshold
+        target[chunk] = numbers
+    return differences
 
 
 def _maximum_projections(values: np.ndarray) -> np.ndarray:

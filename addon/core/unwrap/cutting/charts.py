@@ -1,4 +1,4 @@
-"""Cuts a surface into charts, disks possibly with holes, along its seams and where no plane could hold it."""
+"""Cuts a surface into charts, disks possibly with holes, along its seams and where it cannot be flattened."""
 
 from dataclasses import dataclass
 

@@ -103,7 +103,7 @@ class _ShortestPaths:
     def connect_loops(self, boundary: np.ndarray, loops: list[np.ndarray]) -> np.ndarray:
         """Return paths that connect `loops` to the `boundary`."""
         cut = np.zeros(len(self._edges.ends), bool)
-        graph = self._graph(np.where(self._edges.face_counts == 1, 1e-9 * self._costs, self._costs))  # following the boundary is no cut
+        graph = self._graph(np.where(self._edges.face_counts == 1, 1e-9 * self._costs, self._costs))  # following the boundary cuts nothing
         for loop in loops:
             self._add_path(cut, graph, np.union1d(boundary, self._edges.ends[cut].ravel()), int(loop[0]))
         return cut & (self._edges.face_counts == 2)

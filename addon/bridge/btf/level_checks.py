@@ -1,0 +1,157 @@
+"""Checks of a cloud's levels before a bake: files come from anyone, and meshes can be edited."""
+
+import math
+from numbers import Real
+
+import bpy
+import numpy as np
+
+from ...core.billboards.texels import QuadPolygons
+from ...core.btf.settings import MAX_IMAGE_SIDE
+from ...core.errors import GeometryError
+from ..billboards import clouds
+from ..billboards.cloud_materials import FRONT_COLOR, FRONT_NORMAL, FRONT_ROUGHNESS_METALLIC_DEPTH
+from ..billboards.level_objects import built_center, pbr_image, read_level_quads
+from ..billboards.scene_clouds import SceneCloud
+from ..meshes import Source
+
+PBR_LABELS = (FRONT_COLOR, FRONT_NORMAL, FRONT_ROUGHNESS_METALLIC_DEPTH)
+MAX_UV_EXCESS = 1e-3  # beyond 0..1
+MAX_RESIDUAL = 0.1  # of the corners of a quad from an affine map of the texture, over the level's error; about 0 in a new cloud
+MAX_TEXEL_SHARING = 4.0  # texels of all quads over those of the atlas; about 1 when quads do not overlap
+MAX_PLANE_DISTANCE = 1.5  # of a vertex to the plane of a quad that shows it, over the level's error; at most 1 in a new cloud
+
+
+def is_editable(cloud: SceneCloud) -> bool:
+    """Whether materials of a cloud can be changed: not in data that is linked from another file, also if its objects have overrides."""
+    return cloud.is_editable and all(level.data is None or level.data.is_editable for level in cloud.levels)
+
+
+def check_editable(cloud: SceneCloud) -> None:
+    """Raise GeometryError if materials of a cloud cannot be changed."""
+    if not is_editable(cloud):
+        name = cloud.collection.name
+        raise GeometryError(f'"{name}" is linked from another file, which keeps its materials; make the cloud and its meshes local first.')
+
+
+def check_level(level_object: bpy.types.Object, source: Source) -> None:
+    """Check that a level is as it was built from `source`.
+
+    Raises:
+        GeometryError: a number, UV map or material was changed so that it cannot be baked, or the quads no longer lie on the source.
+    """
+    problem = (
+        _numbers_problem(level_object)
+        or _mesh_problem(level_object.data)
+        or _drawn_problem(level_object.data, _primitive_count(source))
+        or _atlas_problem(level_object)
+    )
+    if not problem:
+        quads = read_level_quads(level_object, built_center(level_object, source.origin))
+        problem = _quads_problem(quads, level_object) or _distance_problem(quads, level_object, source)
+    if problem:
+        raise GeometryError(f'The level "{level_object.name}" was changed after the cloud was built: {problem}. Rebuild the cloud.')
+
+
+def is_unchanged(level_object: bpy.types.Object, quads: QuadPolygons, has_surface: bool) -> bool:
+    """Whether a level still has the `quads`, up to a translation, and a material slot, and PBR maps if `has_surface`."""
+    if _numbers_problem(level_object) or _mesh_problem(level_object.data):
+        return False
+    if has_surface and None in [pbr_image(level_object, label) for label in PBR_LABELS]:
+        return False
+    current = read_level_quads(level_object, np.concatenate(quads.corners).mean(axis=0))
+    pairs = [*zip(current.corners, quads.corners, strict=False), *zip(current.texel_coordinates, quads.texel_coordinates, strict=False)]
+    is_same = all(first.shape == second.shape and np.allclose(first, second, rtol=1e-5, atol=1e-5) for first, second in pairs)
+    return is_same and len(current.corners) == len(quads.corners)
+
+
+def _numbers_problem(level_object: bpy.types.Object) -> str:
+    error, atlas = level_object.get("farfield_error"), level_object.get("farfield_atlas")
+    if not isinstance(error, Real) or not math.isfinite(error) or error <= 0.0:
+        return "its error is not a positive number"
+    sides = list(atlas) if hasattr(atlas, "__len__") and not isinstance(atlas, str) else []
+    if len(sides) != 2 or not all(isinstance(side, int) and 1 <= side <= MAX_IMAGE_SIDE for side in sides):
+        return f"the size of its atlas is not two numbers up to {MAX_IMAGE_SIDE}"
+    return ""
+
+
+def _mesh_problem(mesh: bpy.types.ID | None) -> str:
+    if not isinstance(mesh, bpy.types.Mesh) or not len(mesh.polygons):
+        return "it has no quads"
+    uv_map = mesh.attributes.get("UVMap")
+    if uv_map is None or uv_map.domain != "CORNER" or uv_map.data_type != "FLOAT2":
+        return 'it has no UV map "UVMap"'
+    if not len(mesh.materials):
+        return "its material slot was removed"
+    return ""
+
+
+def _drawn_problem(mesh: bpy.types.Mesh, primitive_count: int) -> str:
+    """Check the primitives that the quads show, see `cloud.Quads`."""
+    problem = "it does not tell which faces of the source its quads show"
+    try:
+        offsets, drawn = clouds.read_drawn_primitives(mesh)
+    except (KeyError, TypeError, ValueError, OverflowError):
+        return problem
+    if offsets.shape != (len(mesh.polygons) + 1,) or drawn.ndim != 1 or not len(drawn):
+        return problem
+    if offsets[0] != 0 or offsets[-1] != len(drawn) or (np.diff(offsets) < 0).any():
+        return problem
+    return problem if drawn.min() < 0 or drawn.max() >= primitive_count else ""
+
+
+def _atlas_problem(level_object: bpy.types.Object) -> str:
+    size = tuple(level_object["farfield_atlas"])
+    images = (pbr_image(level_object, label) for label in PBR_LABELS)
+    if any(tuple(image.size) != size for image in images if image is not None):
+        return "its images have another size than its atlas"
+    return ""
+
+
+def _quads_problem(quads: QuadPolygons, level_object: bpy.types.Object) -> str:
+    """Check the corners of the quads in the scene and in the atlas."""
+    width, height = level_object["farfield_atlas"]
+    if not all(np.isfinite(corners).all() for corners in quads.corners):
+        return "its vertices are not finite"
+    uvs = np.concatenate(quads.texel_coordinates) / (width, height)
+    if not (np.abs(uvs - 0.5) <= 0.5 + MAX_UV_EXCESS).all():
+        return "its UV map leaves the atlas"
+    texel_count = sum(np.prod(np.ptp(coordinates, axis=0) + 2.0) for coordinates in quads.texel_coordinates)
+    if texel_count > MAX_TEXEL_SHARING * width * height:
+        return "its quads overlap in the UV map"
+    pairs = zip(quads.corners, quads.texel_coordinates, strict=True)
+    if any(_affine_residual(*pair) > MAX_RESIDUAL * level_object["farfield_error"] for pair in pairs):
+        return "its vertices were edited"
+    return ""
+
+
+def _distance_problem(quads: QuadPolygons, level_object: bpy.types.Object, source: Source) -> str:
+    """Check that the vertices that quads show are close to their planes."""
+    offsets, drawn = clouds.read_drawn_primitives(level_object.data)
+    centers = np.array([corners.mean(axis=0) for corners in quads.corners])
+    normals = np.array([_normal(corners) for corners in quads.corners])
+    quad_of_drawn = np.repeat(np.arange(len(centers)), np.diff(offsets))
+    vertices = source.points.points[drawn][:, None] if source.mesh is None else source.mesh.vertices[source.mesh.triangles[drawn]]
+    distances = np.einsum("dki,di->dk", vertices - centers[quad_of_drawn, None], normals[quad_of_drawn])
+    if np.abs(distances).max() > MAX_PLANE_DISTANCE * level_object["farfield_error"]:
+        return "its quads are not on the source"
+    return ""
+
+
+def _affine_residual(corners: np.ndarray, texel_coordinates: np.ndarray) -> float:
+    """Return the distance that remains between `corners` (C, 3) and the best affine map of `texel_coordinates` (C, 2) to them."""
+    design = np.column_stack([texel_coordinates, np.ones(len(texel_coordinates))])
+    affine, *_ = np.linalg.lstsq(design, corners, rcond=None)
+    return float(np.abs(design @ affine - corners).max())
+
+
+def _normal(corners: np.ndarray) -> np.ndarray:
+    """Return the unit normal (3,) of a planar polygon (C, 3), by Newell's method; 0 if it has no area."""
+    centered = corners - corners.mean(axis=0)
+    normal = np.cross(centered, np.roll(centered, -1, axis=0)).sum(axis=0)
+    length = np.linalg.norm(normal)
+    return normal / length if length > 0.0 else normal
+
+
+def _primitive_count(source: Source) -> int:
+    return len(source.points.points) if source.mesh is None else len(source.mesh.triangles)

@@ -1,0 +1,65 @@
+"""One run of a bake in its work folder: the snapshot for its workers and its heartbeat end with it, its finished views stay."""
+
+import shutil
+import time
+import weakref
+from contextlib import suppress
+from pathlib import Path
+
+from ...files.file_access import convert_os_errors
+from ...files.user_folders import open_private_folder
+from ...jobs import heartbeat
+
+SNAPSHOT_SUFFIX = ".snapshot"
+MAX_AGE_DAYS = 30.0  # of the finished views of a bake that was cancelled
+SECONDS_PER_DAY = 86400.0
+
+
+class CaptureRun:
+    """The run that writes to `folder`. From its creation until `close`, no other run does.
+
+    snapshot_folder: a folder of this run for its snapshot, that only this user can read. It and the heartbeat file are deleted by `close`,
+    when the object is deleted, or at the end of the process.
+
+    Raises:
+        FileError: the folder cannot be written, or another run starts there at the same time.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.heartbeat = heartbeat.take_over(folder)
+        self.snapshot_folder = self.heartbeat.path.with_suffix(SNAPSHOT_SUFFIX)
+        self._finalizer = weakref.finalize(self, _end_run, self.heartbeat, self.snapshot_folder)
+        _delete_snapshots(folder)
+        with convert_os_errors(f'Cannot write in the folder "{folder}"'):
+            open_private_folder(self.snapshot_folder)
+
+    def close(self) -> None:
+        """End the run."""
+        self._finalizer()
+
+
+def remove_expired(cache: Path) -> None:
+    """Delete the work folders in `cache` that no run has used for MAX_AGE_DAYS, and the snapshots of runs that were killed.
+
+    Folders of current runs are untouched, and so are those that cannot be deleted.
+    """
+    with suppress(OSError):
+        for folder in cache.iterdir():
+            if folder.is_symlink() or not folder.is_dir() or heartbeat.is_alive(folder):
+                continue
+            times = [folder.stat().st_mtime, *(child.stat().st_mtime for child in folder.iterdir())]
+            if time.time() - max(times) > MAX_AGE_DAYS * SECONDS_PER_DAY:
+                shutil.rmtree(folder, ignore_errors=True)
+            else:
+                _delete_snapshots(folder)
+
+
+def _end_run(held: heartbeat.Heartbeat, snapshot_folder: Path) -> None:
+    shutil.rmtree(snapshot_folder, ignore_errors=True)
+    held.close()
+
+
+def _delete_snapshots(folder: Path) -> None:
+    """Delete the snapshots of earlier runs."""
+    for path in folder.glob(f"*{SNAPSHOT_SUFFIX}"):
+        shutil.rmtree(path, ignore_errors=True)

@@ -1,0 +1,97 @@
+"""The source geometry of clouds, read from selected objects. A selected cloud represents its original, which is built again."""
+
+from collections.abc import Iterable, Sequence
+
+import bpy
+
+from ...bridge import meshes
+from ...bridge.billboards import clouds
+from ...bridge.billboards.scene_clouds import SceneCloud, clouds_of_levels
+from ...bridge.billboards.source_objects import read_source_objects, temporarily_visible
+from ...core.errors import GeometryError
+from .messages import missing_original_message
+
+
+def read_sources(context: bpy.types.Context, objects: Sequence[bpy.types.Object], combine: bool) -> tuple[list[meshes.Source], list[str]]:
+    """Read the sources of clouds from `objects`. Returns them and the skipped objects: names with reasons.
+
+    A mesh with only vertices is a point cloud, which is always a source of its own, also with `combine`. The levels of a cloud represent
+    the objects that it was built from, which may be hidden; they become one source.
+
+    Raises:
+        GeometryError: there is no source.
+    """
+    ordinary = [item for item in objects if clouds.KIND not in item]
+    rebuilt, skipped, selected_clouds = [], [], clouds_of_levels(context.scene, objects)
+    for cloud in selected_clouds:
+        if cloud.missing_source_names or not cloud.sources:
+            skipped.append(f"{cloud.collection.name} ({missing_original_message(cloud)})")
+        elif not set(cloud.sources) <= set(ordinary):
+            rebuilt.append(cloud)
+    levels = {level for cloud in selected_clouds for level in cloud.levels}
+    skipped += [f"{item.name} (made by Farfield)" for item in objects if clouds.KIND in item and item not in levels]
+    if combine:
+        originals = [source for cloud in rebuilt for source in cloud.sources]
+        with temporarily_visible(context, originals) as depsgraph:
+            return _read_selected(_unique([*ordinary, *originals]), depsgraph, True, skipped), skipped
+    sources = _read_clouds(context, rebuilt, skipped)
+    if ordinary or not sources:
+        try:
+            sources = _read_selected(ordinary, context.evaluated_depsgraph_get(), False, skipped) + sources
+        except GeometryError as error:
+            if not sources:
+                raise
+            skipped.append(str(error).removesuffix("."))
+    return sources, skipped
+
+
+def may_have_surface(item: bpy.types.Object) -> bool:
+    """Return whether the type of `item` can have faces or points: a mesh, a curve and the like, or a collection instance."""
+    return item.type in meshes.SURFACE_TYPES or (item.type == "EMPTY" and item.instance_type == "COLLECTION")
+
+
+def is_point_cloud(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
+    """Return whether the evaluated `item` is a mesh with only vertices."""
+    if item.type != "MESH" or item.mode == "EDIT":
+        return False
+    mesh = item.evaluated_get(depsgraph).data
+    return len(mesh.vertices) > 0 and len(mesh.edges) == 0 and len(mesh.polygons) == 0
+
+
+def _read_clouds(context: bpy.types.Context, rebuilt: Iterable[SceneCloud], skipped: list[str]) -> list[meshes.Source]:
+    """Return the source of each of the clouds `rebuilt`; add those that cannot be read to `skipped`."""
+    sources = []
+    for cloud in rebuilt:
+        try:
+            sources.append(read_source_objects(context, cloud.sources))
+        except GeometryError as error:
+            skipped.append(f"{cloud.collection.name} ({str(error).removesuffix('.')})")
+    return sources
+
+
+def _read_selected(
+    objects: Sequence[bpy.types.Object], depsgraph: bpy.types.Depsgraph, combine: bool, skipped: list[str]
+) -> list[meshes.Source]:
+    """Return the sources of `objects`, which are not clouds; add those without a surface to `skipped`."""
+    point_clouds = [item for item in objects if is_point_cloud(item, depsgraph)]
+    sources = [meshes.read_point_cloud(item) for item in point_clouds]
+    surfaces = [item for item in objects if item not in point_clouds]
+    return sources + _read_surfaces(surfaces, depsgraph, combine, skipped) if surfaces or not sources else sources
+
+
+def _read_surfaces(
+    objects: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph, combine: bool, skipped: list[str]
+) -> list[meshes.Source]:
+    """Return one source of all `objects`, or one per object with faces; add the other objects to `skipped`."""
+    if not objects:
+        raise GeometryError(f"Nothing to build a cloud from: {'; '.join(skipped) or 'no object is selected'}. Select an object with faces.")
+    combined = meshes.read_source(objects, depsgraph)
+    skipped += combined.skipped
+    names = {instance.name for instance in combined.instances}
+    if combine or len(names) == 1:
+        return [combined]
+    return [meshes.read_source([item], depsgraph) for item in objects if item.name in names]
+
+
+def _unique(objects: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:
+    return list(dict.fromkeys(objects))

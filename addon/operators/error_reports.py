@@ -1,0 +1,52 @@
+"""How operators, timers and handlers report errors: one sentence, and the traceback of a defect in a log."""
+
+import functools
+from collections.abc import Callable
+
+import bpy
+
+from ..compat import blender_version
+from ..core.errors import Cancelled, FarfieldError
+from ..core.files.defect_log import defect_message, write_defect_log
+
+
+def describe_error(error: Exception, title: str) -> str:
+    """Return one sentence about `error`, which is being handled. A defect is written to a log, which the sentence names.
+
+    title: what failed.
+    """
+    if isinstance(error, FarfieldError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return f"{title} needs more memory than is free; close other programs or choose smaller settings."
+    return defect_message(title, error, write_defect_log(title, error, (f"Blender {blender_version()}",)))
+
+
+def report_error(operator: bpy.types.Operator, error: Exception, title: str = "") -> set[str]:
+    """Report `error`, which is being handled, to the user and return the result of the operator.
+
+    title: what failed; by default the label of the operator.
+    """
+    operator.report({"INFO" if isinstance(error, Cancelled) else "ERROR"}, describe_error(error, title or operator.bl_label))
+    return {"CANCELLED"}
+
+
+def reports_errors(method: Callable[..., set[str]]) -> Callable[..., set[str]]:
+    """Decorate `execute`, `invoke` or `modal` of an operator: its errors are reported, and the operator is cancelled."""
+    if method.__code__.co_argcount == 2:  # Blender counts the arguments of the method that it calls
+
+        def run(self: bpy.types.Operator, context: bpy.types.Context) -> set[str]:
+            try:
+                return method(self, context)
+            except Exception as error:  # noqa: BLE001 the last resort, see CONTRIBUTING.md
+                return report_error(self, error)
+
+    else:
+
+        def run(self: bpy.types.Operator, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+            try:
+                return method(self, context, event)
+            except Exception as error:  # noqa: BLE001
+                return report_error(self, error)
+
+    return functools.wraps(method)(run)

@@ -1,0 +1,98 @@
+"""Files that Blender reads for scripts: broken ones are one sentence, never a crash."""
+
+import struct
+
+import bpy
+import pytest
+
+from farfield.addon.core.errors import FileError, GeometryError
+from lib import scene_files
+from lib.ply_header import check_ply_header
+
+pytestmark = pytest.mark.usefixtures("empty_scene")
+VERTEX = "property float x\nproperty float y\nproperty float z\n"
+
+
+def ply(path, counts, content, file_format="binary_little_endian"):
+    """Write a .ply with these elements and contents."""
+    header = f"ply\nformat {file_format} 1.0\n{counts}end_header\n"
+    path.write_bytes(header.encode() + content)
+    return path
+
+
+@pytest.mark.parametrize(
+    "counts",
+    [
+        f"element vertex 4000000000\n{VERTEX}",
+        f"element vertex 2000000000\n{VERTEX}",
+        f"element vertex {'9' * 5000}\n{VERTEX}",
+        f"element vertex -1\n{VERTEX}",
+        f"element vertex many\n{VERTEX}",
+        f"element vertex\n{VERTEX}",
+        f"element vertex 1\n{VERTEX}element face 1000000\nproperty list uchar int vertex_indices\n",
+        "element vertex 1\nproperty quaternion x\n",
+        "property float x\n",
+        "element vertex 2000000000\n",
+    ],
+)
+@pytest.mark.parametrize("file_format", ["ascii", "binary_little_endian", "binary_big_endian"])
+def test_absurd_ply_headers(counts, file_format, tmp_path):
+    path = ply(tmp_path / "a.ply", counts, b"0 0 0\n", file_format)
+    with pytest.raises(FileError) as caught:
+        scene_files.open_scene(path)
+    message = str(caught.value)
+    assert "header" in message and message.endswith(".") and "\n" not in message and len(message) < 400
+
+
+@pytest.mark.parametrize("content", [b"", b"ply\n", b"no ply\nend_header\n", b"ply\nformat ascii 1.0\n"])
+def test_files_without_a_ply_header(content, tmp_path):
+    (tmp_path / "a.ply").write_bytes(content)
+    with pytest.raises(FileError, match="no PLY header"):
+        check_ply_header(tmp_path / "a.ply")
+
+
+def test_valid_headers_are_read(tmp_path):
+    counts = f"comment made by hand\nelement vertex 3\n{VERTEX}element face 1\nproperty list uchar int vertex_indices\n"
+    corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+    contents = {
+        "ascii": b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2",
+        "binary_little_endian": b"".join(struct.pack("<3f", *corner) for corner in corners) + struct.pack("<B3i", 3, 0, 1, 2),
+    }
+    for file_format, content in contents.items():
+        scene_files.open_scene(ply(tmp_path / "a.ply", counts, content, file_format))
+        (item,) = bpy.data.objects
+        assert len(item.data.polygons) == 1
+    with pytest.raises(FileError, match="truncated"):
+        scene_files.open_scene(ply(tmp_path / "a.ply", counts, contents["binary_little_endian"][:30]))
+
+
+def test_input_that_is_not_a_file(tmp_path):
+    with pytest.raises(FileError, match="is a folder"):
+        scene_files.open_scene(tmp_path)
+    with pytest.raises(FileError, match="shorter name"):
+        scene_files.open_scene(tmp_path / ("a" * 300 + ".obj"))
+
+
+def test_importers_print_nothing_but_the_sentence(tmp_path, capfd):
+    for name, content in (("a.usda", b"#usda 1.0\ndef {"), ("a.usd", b"no usd"), ("a.glb", b"no glb"), ("a.blend", b"no blend")):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(FileError) as caught:
+            scene_files.open_scene(tmp_path / name)
+        assert str(caught.value).endswith(".") and "\n" not in str(caught.value)
+    assert capfd.readouterr().err == ""
+
+
+def test_files_without_anything_to_render(tmp_path):
+    with pytest.raises(GeometryError, match="no mesh"):
+        scene_files.objects_in_renders([], tmp_path / "a.obj")
+    bpy.ops.mesh.primitive_cube_add()
+    cube = bpy.context.object
+    assert scene_files.objects_in_renders([cube], tmp_path) == [cube]
+    cube.hide_render = True
+    with pytest.raises(GeometryError, match=r"disabled in renders \(Cube\)"):
+        scene_files.objects_in_renders([cube], tmp_path)
+
+
+def test_a_saved_scene_adds_no_library(tmp_path):
+    scene_files.save_scene(tmp_path / "a.blend")
+    assert not bpy.data.libraries and not bpy.data.filepath
