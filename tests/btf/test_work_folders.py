@@ -223,3 +223,10 @@ def test_damaged_finished_views_are_captured_again(cloud, tmp_path):
     path.write_bytes(hashlib.sha256(content).digest() + content)
     run_to_end(job.core_steps())
     assert path.read_bytes() == undamaged and job._rendered_count == 1
+
+
+def test_a_scheduler_on_another_machine_needs_online_access(cloud):
+    assert not bpy.app.online_access
+    with pytest.raises(RuntimeError, match="Allow Online Access"):
+        bpy.ops.farfield.btf_bake(**SMALL, executor="dask:tcp://farm.example:8786")
+    assert not (estimates.user_cache_folder()).exists(), "refused before anything is written"

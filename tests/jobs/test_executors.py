@@ -28,6 +28,22 @@ def test_specs_of_schedulers():
 
 
 @pytest.mark.parametrize(
+    ("text", "uses_network"),
+    [
+        ("serial", False),
+        ("processes:3", False),
+        ("dask:tcp://localhost:8786", False),
+        ("dask:tcp://127.0.0.1:8786", False),
+        ("dask:tls://[::1]:8786", False),
+        ("dask:tcp://10.0.0.5:8786", True),
+        ("dask:tcp://farm.example:8786", True),
+    ],
+)
+def test_schedulers_on_other_machines_use_the_network(text, uses_network):
+    assert executors.parse_executor(text).uses_network == uses_network
+
+
+@pytest.mark.parametrize(
     "text", ["", "threads", "processes:0", "processes:-2", "processes:two", "dask", "dask:", "dask:localhost", "dask:no://h:1", "serial:2"]
 )
 def test_other_specs_are_rejected(text):

@@ -1,5 +1,6 @@
 """Executors for work that spreads over processes and machines. Equal input gives equal bytes, serial or distributed."""
 
+import ipaddress
 import os
 import re
 from collections import Counter
@@ -8,6 +9,7 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
+from urllib.parse import urlsplit
 
 from ..errors import FarfieldError, SettingsError
 
@@ -37,6 +39,17 @@ class ExecutorSpec:
 
     processes: int
     scheduler: str | None
+
+    @property
+    def uses_network(self) -> bool:
+        """Whether the scheduler may be on another machine."""
+        if self.scheduler is None:
+            return False
+        host = urlsplit(self.scheduler).hostname or ""
+        try:
+            return not ipaddress.ip_address(host).is_loopback
+        except ValueError:
+            return host != "localhost"
 
 
 def parse_executor(text: str) -> ExecutorSpec:
