@@ -29,13 +29,15 @@ def open_scene(path: Path) -> None:
     """Replace the scene by the contents of `path`: open a `.blend` file, import other formats into an empty scene.
 
     Raises:
-        FileError: the file does not exist, its extension is unknown, or Blender cannot read it.
+        FileError: the file does not exist or is empty, its extension is unknown, or Blender cannot read it.
     """
     check_readable(path)
     importers = _importers()
     extension = path.suffix.lower()
     if extension != ".blend" and extension not in importers:
         raise FileError(f'"{path.name}" has the extension "{extension}"; Farfield reads .blend {" ".join(importers)}.')
+    if path.stat().st_size == 0:  # Blender 5.2 fails to map it into memory
+        raise FileError(f'"{path}" is empty; export it again.')
     if extension == ".ply":
         check_ply_header(path)
     try:

@@ -320,6 +320,9 @@ def test_an_object_that_is_disabled_in_renders_is_named(cube):
     scene_files.save_scene(path)
     with pytest.raises(GeometryError, match="disabled in renders"):
         main(path, "--out", cube.with_name("out.blend"))
-    cube.with_name("empty.obj").write_text("")
+    cube.with_name("empty.obj").write_text("# nothing\n")
     with pytest.raises(GeometryError, match="no mesh"):
+        main(cube.with_name("empty.obj"), "--out", cube.with_name("out.blend"))
+    cube.with_name("empty.obj").write_text("")
+    with pytest.raises(FileError, match="is empty"):
         main(cube.with_name("empty.obj"), "--out", cube.with_name("out.blend"))

@@ -121,7 +121,7 @@ def test_outputs_replace_neither_each_other_nor_the_input(head, flags):
 
 
 def test_files_without_a_visible_mesh(head):
-    head.with_name("empty.obj").write_text("")
+    head.with_name("empty.obj").write_text("# nothing\n")
     with pytest.raises(GeometryError, match="no mesh"):
         run(head.with_name("empty.obj"), "--out", head.with_name("out.blend"))
     unwrap.scene_files.open_scene(head)

@@ -9,8 +9,8 @@ from ...bridge.btf.level_checks import is_editable
 from ...bridge.btf.materials import SUNS
 from ...core.btf.capture.capture_run import remove_expired
 from ...core.btf.settings import BtfSettings
-from ...core.files.user_folders import open_private_folder
 from ...core.errors import SettingsError
+from ...core.files.user_folders import open_private_folder
 from ...core.jobs.executors import parse_executor
 from .. import long_work, properties, start_job
 from ..error_reports import reports_errors
@@ -64,8 +64,10 @@ class FARFIELD_OT_btf_bake(start_job.StartJob, bpy.types.Operator):
         """Read the source objects of the active cloud. Finished views are kept in a folder of the user until it ends."""
         (settings,) = self.read_settings(context)
         if parse_executor(settings.executor).uses_network and not bpy.app.online_access:
-            message = f'Executor "{settings.executor}" uses the network; enable Allow Online Access in the preferences, or choose processes.'
-            raise SettingsError(message, ("executor",))
+            raise SettingsError(
+                f'Executor "{settings.executor}" uses the network; enable Allow Online Access in the preferences or choose processes.',
+                ("executor",),
+            )
         cloud = active_cloud(context)
         cache = estimates.cache_folder()
         open_private_folder(cache)
