@@ -1,0 +1,145 @@
+"""What a campaign checks: exit codes, messages of one line, outputs that are complete or untouched, nothing left behind."""
+
+import glob
+import hashlib
+import json
+import re
+import stat
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+from farfield.addon.core.files.complete_files import is_complete_blend, is_complete_png
+
+OLD_CONTENT = b"the old content"
+SKIPPED = "Skipped: "
+TEMPORARY_NAME = re.compile(r"\.?farfield-|.*\.part$")
+BLENDER_FOLDER = re.compile(r"blender_")  # Blender's own temporary folder, which lives as long as the process
+VARYING = re.compile(r"\"[^\"]*\"|'[^']*'|\d+")
+
+State = dict[str, tuple[str, str]]  # relative path: kind, digest
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A promise that was broken. kind: a few words that are equal for equal problems."""
+
+    kind: str
+    text: str
+
+    @property
+    def signature(self) -> str:
+        """The problem without names and numbers: equal for findings that are probably the same."""
+        return f"{self.kind}: {VARYING.sub('#', self.text.strip().splitlines()[-1] if self.text.strip() else '')[:200]}"
+
+
+def read_state(folder: Path) -> State:
+    """Return the kind and digest of everything below `folder`."""
+    state: State = {}
+    for path in sorted(folder.rglob("*")):
+        mode = path.lstat().st_mode
+        if stat.S_ISLNK(mode):
+            state[str(path.relative_to(folder))] = ("link", str(path.readlink()))
+        elif stat.S_ISREG(mode):
+            state[str(path.relative_to(folder))] = ("file", hashlib.sha256(path.read_bytes()).hexdigest())
+        else:
+            state[str(path.relative_to(folder))] = ("folder" if stat.S_ISDIR(mode) else "other", "")
+    return state
+
+
+def check_messages(code: int, stdout: str, stderr: str, interrupted: bool) -> list[Problem]:
+    """Check the exit code and what a script printed."""
+    lines = [line for line in stderr.splitlines() if line.strip() and not line.startswith(SKIPPED)]
+    problems = []
+    if "Traceback" in stderr:
+        problems.append(Problem("traceback", stderr))
+    elif code == 1 or "defect of Farfield" in stderr:
+        problems.append(Problem("defect", stderr))
+    elif code not in (0, 2) and not (code == 130 and interrupted):
+        problems.append(Problem(f"exit code {code}", stderr))
+    elif len(lines) != (0 if code == 0 else 1):
+        problems.append(Problem(f"{len(lines)} lines on stderr with exit code {code}", stderr))
+    if code == 0 and len(stdout.splitlines()) > 1 and not stdout.startswith("usage:"):
+        problems.append(Problem("more than a result on stdout", stdout))
+    return problems
+
+
+def check_files(code: int, before: State, after: State, outputs: list[str], ignored: str | None) -> list[Problem]:
+    """Compare the folder of a case before and after the run. `ignored` is the relative path of a folder that may change."""
+
+    def is_ignored(name: str) -> bool:
+        return ignored is not None and (name == ignored or name.startswith(ignored + "/"))
+
+    problems = [
+        Problem("left behind", name)
+        for name in after
+        if name not in before and TEMPORARY_NAME.match(Path(name).name) and not is_ignored(name)
+    ]
+    if code == 0:
+        kept = {name for output in outputs for name in (output, str(Path(output).parent))}
+        problems += [
+            Problem("input changed", name)
+            for name in before
+            if after.get(name) != before[name] and name not in kept and not _is_beside(name, outputs)
+        ]
+        return problems
+    for name in sorted(set(before) | set(after)):
+        if before.get(name) == after.get(name) or is_ignored(name) or TEMPORARY_NAME.match(Path(name).name):
+            continue
+        kind = (
+            "removed" if name not in after else "changed" if name in before else "new folder" if after[name][0] == "folder" else "new file"
+        )
+        problems.append(Problem(f"{kind} although the exit code is {code}", name))
+    return problems
+
+
+def check_output(path: Path) -> list[Problem]:
+    """Check that a file or folder exists and is complete, as far as its format tells."""
+    if not path.exists():  # the levels of a cloud have files of their own
+        parts = sorted(path.parent.glob(f"{glob.escape(path.stem)}_*{glob.escape(path.suffix)}")) if path.parent.is_dir() else []
+        return [problem for part in parts for problem in check_output(part)] if parts else [Problem("output missing", path.name)]
+    if path.is_dir():
+        return [problem for child in path.iterdir() for problem in check_output(child)]
+    return [] if _is_complete(path) else [Problem("output not complete", path.name)]
+
+
+def check_leftovers(folder: Path) -> list[Problem]:
+    """Check that nothing but Blender's own folder is in a temporary folder."""
+    return [Problem("left in the temporary folder", path.name) for path in folder.iterdir() if not BLENDER_FOLDER.match(path.name)]
+
+
+def _is_beside(name: str, outputs: list[str]) -> bool:
+    """Whether a file belongs to an output: the materials and images of an .obj, for instance."""
+    return any(Path(name).parent == Path(output).parent and Path(name).name.startswith(Path(output).stem) for output in outputs)
+
+
+def _is_complete(path: Path) -> bool:
+    suffix, content = path.suffix.lower(), path.read_bytes()
+    if content == OLD_CONTENT:
+        return False
+    if suffix == ".blend":
+        return is_complete_blend(path)
+    if suffix == ".png":
+        return is_complete_png(path)
+    if suffix == ".json":
+        return _is_json(content)
+    if suffix == ".glb":
+        return len(content) >= 12 and struct.unpack_from("<I", content, 8)[0] == len(content)
+    if suffix == ".ply":
+        return _is_complete_ply(content)
+    return bool(content) and (suffix != ".obj" or content.endswith(b"\n"))
+
+
+def _is_json(content: bytes) -> bool:
+    try:
+        json.loads(content)
+    except ValueError:
+        return False
+    return True
+
+
+def _is_complete_ply(content: bytes) -> bool:
+    """Whether a .ply file of scripts/clipbox.py has all vertices (36 bytes) and triangles (13 bytes)."""
+    header, end, data = content.partition(b"end_header\n")
+    counts = [int(line.split()[2]) for line in header.splitlines() if line.startswith(b"element")]
+    return bool(end) and len(counts) == 2 and len(data) == 36 * counts[0] + 13 * counts[1]

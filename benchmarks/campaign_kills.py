@@ -1,0 +1,144 @@
+"""Runs that are killed at random moments: what stood before stands or the new file is complete, and the next run removes what is left."""
+
+import shutil
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import campaign_checks
+import campaign_runs
+from campaign_checks import OLD_CONTENT, TEMPORARY_NAME
+from campaign_runs import BAKE_FLAGS, BUILD_FLAGS, POLL_SECONDS, TERRAIN_FLAGS, Campaign, RunningProcess, script
+
+ORPHAN_SECONDS = 15.0  # workers must notice within this time that their run has died
+KILLS_PER_RUN = 5  # then a complete run in the same folder must remove what is left
+MIN_FRACTION = 0.2  # of a run's time: before, it loads Blender
+WRITING_FRACTION = 0.75  # of a run's time: half of the kills come later, when files are written
+
+
+@dataclass
+class KilledJob:
+    """A job that is killed again and again in its own folder. seconds: how long it takes undisturbed."""
+
+    name: str
+    command: list[str]
+    outputs: list[Path]
+    folder: Path
+    seconds: float = 0.0
+    kills: int = 0
+    counts: dict[str, int] = field(default_factory=lambda: {"kills": 0, "old": 0, "new": 0, "finished before": 0, "complete runs": 0})
+
+
+def measure_kills(campaign: Campaign, figures: dict[str, Any], kills: int) -> None:
+    """Kill `kills` runs of builds, bakes, exports and terrains at random moments, and fill `figures` on the way: what was found, by job."""
+    source = campaign.sandbox / "kill input"
+    cloud = campaign_runs.create_cloud(campaign, source)
+    jobs = _create_jobs(campaign, source, cloud)
+    figures.update({job.name: job.counts for job in jobs})
+    for job in jobs:
+        _run_completely(campaign, job)
+    random = Random(f"kill {campaign.seed}")
+    for _ in range(kills):
+        job = random.choice(jobs)
+        fraction = random.uniform(random.choice((MIN_FRACTION, WRITING_FRACTION)), 1.05)
+        _kill(campaign, job, fraction * job.seconds)
+        if job.counts["kills"] % KILLS_PER_RUN == 0:
+            _run_completely(campaign, job)
+
+
+def _create_jobs(campaign: Campaign, source: Path, cloud: Path) -> list[KilledJob]:
+    root, cube = campaign.sandbox / "killed", source / "cube.obj"
+    work = source / "work"
+    campaign_runs.run_successfully(
+        campaign, "preparing", script("btf", cloud, "--out", source / "baked.blend", "--work", work, *BAKE_FLAGS)
+    )
+
+    def job(name: str, tool: str, arguments: list[Any], outputs: dict[str, str]) -> KilledJob:
+        folder = root / name
+        folder.mkdir(parents=True)
+        paths = {flag: folder / output for flag, output in outputs.items()}
+        flags = [text for flag, path in paths.items() for text in (flag, str(path))]
+        return KilledJob(name, script(tool, *arguments, *flags), list(paths.values()), folder)
+
+    return [
+        job("build", "billboards", [cube, *BUILD_FLAGS], {"--out": "out.blend", "--report": "report.json"}),
+        job("build as .obj", "billboards", [cube, *BUILD_FLAGS], {"--out": "out.obj"}),
+        job("bake", "btf", [cloud, *BAKE_FLAGS], {"--out": "out.blend", "--curve": "curve.png"}),
+        job("bake with --work", "btf", [cloud, *BAKE_FLAGS, "--work", root / "bake with --work" / "work"], {"--out": "out.blend"}),
+        job("export", "btf", [cloud, *BAKE_FLAGS, "--work", work], {"--out": "out.blend", "--export": "images"}),
+        job("unwrap", "unwrap", [cube], {"--out": "out.glb", "--image": "image.png"}),
+        job("terrain", "clipbox", [*TERRAIN_FLAGS], {"--out": "out.blend"}),
+        job("terrain as .ply", "clipbox", [*TERRAIN_FLAGS], {"--out": "out.ply", "--report": "report.json"}),
+    ]
+
+
+def _kill(campaign: Campaign, job: KilledJob, delay: float) -> None:
+    """Start a run, kill its process after `delay` seconds, and check the outputs and the workers."""
+    for path in job.outputs:
+        shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+        if path.suffix:  # others are folders
+            path.write_bytes(OLD_CONTENT)
+    with campaign.start(job.command, _variables(campaign, job)) as process:
+        end = time.monotonic() + delay
+        while process.poll() is None and time.monotonic() < end:
+            campaign.check(f"kill, {job.name}")
+            time.sleep(POLL_SECONDS)
+        job.counts["kills"] += 1
+        job.counts["finished before"] += process.poll() is not None
+        process.process.kill()
+        process.process.wait()
+        _wait_for_workers(campaign, job, process, delay)
+    for path in job.outputs:
+        if (path.read_bytes() == OLD_CONTENT) if path.is_file() else not (path.exists() or path.suffix):
+            job.counts["old"] += 1
+            continue
+        for problem in campaign_checks.check_output(path):
+            campaign.add_finding(f"kill, {job.name}, after {delay:.2f} s", f"{problem.kind}: {problem.text}", job.command)
+        job.counts["new"] += 1
+
+
+def _wait_for_workers(campaign: Campaign, job: KilledJob, process: RunningProcess, delay: float) -> None:
+    end = time.monotonic() + ORPHAN_SECONDS
+    while process.living_members():
+        if time.monotonic() > end:
+            campaign.add_finding(
+                f"kill, {job.name}, after {delay:.2f} s", f"workers live {ORPHAN_SECONDS:g} s longer than their run", job.command
+            )
+            return
+        time.sleep(POLL_SECONDS)
+
+
+def _run_completely(campaign: Campaign, job: KilledJob) -> None:
+    """Run the job undisturbed: it must succeed and remove what the killed runs have left."""
+    for path in job.outputs:
+        if path.is_dir() and not all(TEMPORARY_NAME.match(child.name) for child in path.iterdir()):
+            shutil.rmtree(path)  # a complete folder, which no run replaces
+    start = time.monotonic()
+    outcome = campaign.run(f"kill, {job.name}", job.command, _variables(campaign, job))
+    job.seconds = time.monotonic() - start
+    job.counts["complete runs"] += 1
+    if outcome.code != 0:
+        campaign.add_finding(f"next run, {job.name}", f"exit code {outcome.code}: {outcome.stderr}", job.command)
+    for path in job.outputs:
+        for problem in campaign_checks.check_output(path):
+            campaign.add_finding(f"next run, {job.name}", f"{problem.kind}: {problem.text}", job.command)
+    left = [str(path.relative_to(campaign.sandbox)) for path in _leftovers(job)]
+    if left:
+        campaign.add_finding(f"next run, {job.name}", f"does not remove {', '.join(left)}", job.command)
+    for path in list(_leftovers(job)):
+        shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink()
+
+
+def _variables(campaign: Campaign, job: KilledJob) -> dict[str, str]:
+    """Return environment variables with a temporary folder of this job's own: runs of other tools need not remove what it leaves."""
+    folder = job.folder / "tmp"
+    folder.mkdir(exist_ok=True)
+    return campaign.variables(TMPDIR=str(folder), TMP=str(folder), TEMP=str(folder))
+
+
+def _leftovers(job: KilledJob) -> Iterator[Path]:
+    """Yield what runs left beside the outputs of a job and in its temporary folder, except for Blender's own folders."""
+    yield from (path for path in job.folder.rglob("*") if TEMPORARY_NAME.match(path.name) and path.exists())

@@ -1,0 +1,172 @@
+# ruff: noqa: ARG001 - functions that are chosen at random have the same arguments
+"""Random sequences of Farfield's operators and of what users do between them, on random scenes."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import bpy
+import campaign_actions
+import campaign_scenes
+from campaign_checks import Problem
+from campaign_inputs import Samples
+from campaign_values import random_properties
+
+import random_inputs
+from farfield.addon.core.billboards.settings import BillboardSettings, CrossfadeSettings
+from farfield.addon.core.btf.settings import BtfSettings, ExportSettings
+from farfield.addon.core.clipbox.settings import ClipboxSettings, ConvertSettings
+from farfield.addon.core.unwrap.settings import UnwrapSettings
+from lib import environment
+
+COUNTED = ("cameras", "collections", "images", "materials", "meshes", "node_groups", "objects", "scenes")
+DISABLED = "poll() failed"  # an operator that is not available in this context
+UNCOUNTED_IMAGES = ("Render Result", "Viewer Node")
+
+
+@dataclass
+class OperatorCase:
+    """What was done, and the promises that were broken."""
+
+    tool: str
+    record: Callable[[str], None]
+    steps: list[str] = field(default_factory=list)
+    problems: list[Problem] = field(default_factory=list)
+    finished: int = 0
+    refused: int = 0
+
+    def add_step(self, step: str) -> None:
+        """Remember a step that is about to be taken."""
+        self.steps.append(step)
+        self.record(step)
+
+
+def run_case(random: Random, tool: str, folder: Path, samples: Samples, record: Callable[[str], None]) -> OperatorCase:
+    """Call operators of `tool` on a random scene in random order. `record` is called with each step before it is taken."""
+    farfield = environment.import_farfield()
+    farfield.register()
+    case = OperatorCase(tool, record)
+    try:
+        _open_scene(random, tool, folder, samples)
+        for _ in range(random.randint(2, 6)):
+            for _ in range(random.choice((0, 0, 1, 2))):
+                campaign_actions.change_scene(random, folder, case.add_step)
+            name, build_properties = random.choice(OPERATORS[tool])
+            _call(case, name, build_properties(random, folder))
+    finally:
+        farfield.unregister()
+    return case
+
+
+def _open_scene(random: Random, tool: str, folder: Path, samples: Samples) -> None:
+    choice = random.random()
+    if tool == "btf" and choice < 0.8:
+        bpy.ops.wm.open_mainfile(filepath=str(samples.baked_file() if choice < 0.5 else samples.cloud_file()), load_ui=False)
+        campaign_scenes.select_some(random)
+    elif tool == "billboards" and choice < 0.4:
+        bpy.ops.wm.open_mainfile(filepath=str(samples.cloud_file()), load_ui=False)
+        campaign_scenes.select_some(random)
+    else:
+        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+        campaign_scenes.build_scene(random, folder)
+    bpy.ops.ed.undo_push(message="Start")
+
+
+def _call(case: OperatorCase, name: str, properties: dict[str, Any]) -> None:
+    """Call one operator. It finishes, is not available, or reports one sentence and leaves the scene as it was."""
+    case.add_step(f"{name}({', '.join(f'{key}={value!r}' for key, value in properties.items())})")
+    before = _count_data()
+    message = ""
+    try:
+        result = getattr(bpy.ops.farfield, name)(**properties)
+    except RuntimeError as error:  # how Blender tells scripts of a reported error
+        result, message = {"CANCELLED"}, str(error)
+    if result == {"FINISHED"}:
+        case.finished += 1
+        return
+    case.refused += 1
+    if DISABLED in message:
+        return
+    lines = [line for line in message.splitlines() if line.strip()]
+    if "Traceback" in message:
+        case.problems.append(Problem(f"traceback in {name}", message))
+    elif "defect of Farfield" in message:
+        case.problems.append(Problem(f"defect in {name}", message))
+    elif message and len(lines) != 1:
+        case.problems.append(Problem(f"{len(lines)} lines reported by {name}", message))
+    changed = {kind: (count, _count_data()[kind]) for kind, count in before.items() if count != _count_data()[kind]}
+    if changed:
+        case.problems.append(Problem(f"refused {name} changed the scene", f"{message.strip()} {changed}"))
+
+
+def _count_data() -> dict[str, int]:
+    counts = {kind: len(getattr(bpy.data, kind)) for kind in COUNTED}
+    counts["images"] -= sum(image.name in UNCOUNTED_IMAGES for image in bpy.data.images)
+    return counts
+
+
+def _build(random: Random, folder: Path) -> dict[str, Any]:
+    flags = {name: random.random() < 0.5 for name in ("combine_selected", "keep_source_visible")}
+    return random_properties(random, BillboardSettings, tool="billboards") | flags
+
+
+def _show(random: Random, folder: Path) -> dict[str, Any]:
+    return {"show": random.choice(("TOGGLE", "SOURCE", "CLOUD"))}
+
+
+def _crossfade(random: Random, folder: Path) -> dict[str, Any]:
+    return random_properties(random, CrossfadeSettings, tool="billboards")
+
+
+def _bake(random: Random, folder: Path) -> dict[str, Any]:
+    return random_properties(random, BtfSettings, tool="btf")
+
+
+def _export(random: Random, folder: Path) -> dict[str, Any]:
+    name = random.choice(("out.glb", "out.btf", "out.octahedral", "images", "missing/out.btf", "", "line\nbreak.btf"))
+    return random_properties(random, ExportSettings, tool="btf") | {"filepath": str(folder / name) if name else ""}
+
+
+def _unwrap(random: Random, folder: Path) -> dict[str, Any]:
+    return random_properties(random, UnwrapSettings, tool="unwrap")
+
+
+def _stretch_image(random: Random, folder: Path) -> dict[str, Any]:
+    return {"filepath": str(folder / random.choice(("image.png", "missing/image", "image.jpg"))), "resolution": 64}
+
+
+def _terrain(random: Random, folder: Path) -> dict[str, Any]:
+    return random_properties(random, ClipboxSettings, tool="clipbox") | (
+        {"terrain": "formula", "formula": random_inputs.random_formula(random).replace("\0", "")} if random.random() < 0.3 else {}
+    )
+
+
+def _convert(random: Random, folder: Path) -> dict[str, Any]:
+    return random_properties(random, ConvertSettings, tool="clipbox")
+
+
+def _none(random: Random, folder: Path) -> dict[str, Any]:
+    return {}
+
+
+Operators = tuple[tuple[str, Callable[[Random, Path], dict[str, Any]]], ...]
+OPERATORS: dict[str, Operators] = {
+    "billboards": (
+        ("billboards_build", _build), ("billboards_build", _build), ("billboards_estimate", _none), ("billboards_show", _show),
+        ("billboards_crossfade", _crossfade), ("billboards_show_level", _none),
+    ),
+    "btf": (
+        ("btf_bake", _bake), ("btf_link_suns", _none), ("btf_link_suns", _none), ("btf_restore_pbr", _none), ("btf_export", _export),
+        ("billboards_show", _show), ("billboards_crossfade", _crossfade),
+    ),
+    "unwrap": (
+        ("unwrap", _unwrap), ("unwrap", _unwrap), ("unwrap_direction", _none), ("unwrap_overlay", _none),
+        ("unwrap_stretch_image", _stretch_image),
+    ),
+    "clipbox": (
+        ("clipbox_create", _terrain), ("clipbox_create", _terrain), ("clipbox_update", _terrain), ("clipbox_follow_view", _none),
+        ("clipbox_convert_to_mesh", _convert),
+    ),
+}  # fmt: skip
