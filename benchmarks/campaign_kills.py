@@ -78,7 +78,7 @@ def _create_jobs(campaign: Campaign, source: Path, cloud: Path) -> list[KilledJo
 def _kill(campaign: Campaign, job: KilledJob, delay: float) -> None:
     """Start a run, kill its process after `delay` seconds, and check the outputs and the workers."""
     for path in job.outputs:
-        shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+        _remove_complete_folder(path)
         if path.suffix:  # others are folders
             path.write_bytes(OLD_CONTENT)
     with campaign.start(job.command, _variables(campaign, job)) as process:
@@ -92,7 +92,7 @@ def _kill(campaign: Campaign, job: KilledJob, delay: float) -> None:
         process.process.wait()
         _wait_for_workers(campaign, job, process, delay)
     for path in job.outputs:
-        if (path.read_bytes() == OLD_CONTENT) if path.is_file() else not (path.exists() or path.suffix):
+        if (path.read_bytes() == OLD_CONTENT) if path.is_file() else not path.suffix and _is_empty(path):
             job.counts["old"] += 1
             continue
         for problem in campaign_checks.check_output(path):
@@ -114,8 +114,7 @@ def _wait_for_workers(campaign: Campaign, job: KilledJob, process: RunningProces
 def _run_completely(campaign: Campaign, job: KilledJob) -> None:
     """Run the job undisturbed: it must succeed and remove what the killed runs have left."""
     for path in job.outputs:
-        if path.is_dir() and not all(TEMPORARY_NAME.match(child.name) for child in path.iterdir()):
-            shutil.rmtree(path)  # a complete folder, which no run replaces
+        _remove_complete_folder(path)
     start = time.monotonic()
     outcome = campaign.run(f"kill, {job.name}", job.command, _variables(campaign, job))
     job.seconds = time.monotonic() - start
@@ -130,6 +129,17 @@ def _run_completely(campaign: Campaign, job: KilledJob) -> None:
         campaign.add_finding(f"next run, {job.name}", f"does not remove {', '.join(left)}", job.command)
     for path in list(_leftovers(job)):
         shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink()
+
+
+def _remove_complete_folder(path: Path) -> None:
+    """Remove a folder that a run has written, because no run replaces it; what killed runs have left in it stays."""
+    if path.is_dir() and not _is_empty(path):
+        shutil.rmtree(path)
+
+
+def _is_empty(folder: Path) -> bool:
+    """Whether a folder does not exist, or holds nothing but what killed runs have left."""
+    return not folder.exists() or all(TEMPORARY_NAME.match(child.name) for child in folder.iterdir())
 
 
 def _variables(campaign: Campaign, job: KilledJob) -> dict[str, str]:

@@ -35,10 +35,12 @@ from campaign_checks import Problem
 from campaign_commands import CommandCase
 from campaign_inputs import Samples
 
+import random_inputs
 from lib import command_line
 
 OPERATORS_FRACTION = 0.3
 MAX_TEXT = 3000
+ROOT_FOLDER = Path(random_inputs.ABSOLUTE_NAME).parent
 
 
 @dataclass(frozen=True)
@@ -84,7 +86,7 @@ def run_case(specification: Specification, index: int, samples: Samples, record:
     folder.mkdir(parents=True)
     os.chdir(folder)
     os.environ["PWD"] = str(folder)  # Blender prefers it to the working directory
-    start = time.monotonic()
+    start, had_root_folder = time.monotonic(), ROOT_FOLDER.exists()
     try:
         if random.random() < OPERATORS_FRACTION:
             result = _run_operators(random, specification, folder, samples, record)
@@ -95,9 +97,8 @@ def run_case(specification: Specification, index: int, samples: Samples, record:
     problems = list(result["problems"])
     escaped = [path for path in (jail, jail.parent, jail.parent.parent) if len(list(path.iterdir())) > 1]
     problems += [("wrote outside its folder", str(sorted(child.name for child in path.iterdir()))) for path in escaped]
-    if Path("/elsewhere").exists():
-        problems.append(("wrote outside its folder", "/elsewhere"))
-        shutil.rmtree("/elsewhere", ignore_errors=True)
+    if ROOT_FOLDER.exists() and not had_root_folder:
+        problems.append(("wrote outside its folder", str(ROOT_FOLDER)))
     if problems and specification.keep:
         with suppress(OSError):
             shutil.copytree(folder, specification.sandbox / "kept" / folder.name, symlinks=True, dirs_exist_ok=True)

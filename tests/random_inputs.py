@@ -11,8 +11,9 @@ from random import Random
 from farfield.addon.core.settings import Description, Unit
 
 PLAIN_NAMES = ("Cube", "Tree", "Rock.001", "House", "Ball")
+ABSOLUTE_NAME = "/farfield-campaign/x"  # no data-block may choose where files go
 ODD_NAMES = (
-    " ", ".", "..", ".hidden", "A/B", "../../escaped", "/elsewhere/x", "a\\b", "line\nbreak", "tab\tname", "\x7f", "x" * 63, "é",
+    " ", ".", "..", ".hidden", "A/B", "../../escaped", ABSOLUTE_NAME, "a\\b", "line\nbreak", "tab\tname", "\x7f", "x" * 63, "é",
     "e\u0301",
     "立方体", "名" * 21, "🌲", "\u202egnp.exe", "CON", "nul.txt", "a:b*?", 'a"b', "-flag", "%s{0}", "$HOME", "Cube ", "cube", "CUBE",
     "0", "nan",

@@ -14,14 +14,14 @@ from lib import environment
 LAUNCHER = environment.ROOT.parent / "shared" / "tools" / "blender-gui"
 PACKAGE = "bl_ext.user_default.farfield"  # the installed extension
 CACHE_VARIABLE = "XDG_CACHE_HOME"  # the launcher keeps Blender there
-_CACHE = os.environ.get(CACHE_VARIABLE)  # tests change the variable later
+_CACHE = os.environ.setdefault("FARFIELD_LAUNCHER_CACHE", os.environ.get(CACHE_VARIABLE, ""))  # tests and their processes change it later
 
 
 def unavailable_reason() -> str:
     """Return why no window can be opened on this machine, or an empty string."""
     if not LAUNCHER.exists():
         return "there is no ../shared/tools/blender-gui to open a window with"
-    folder = Path(subprocess.run([LAUNCHER, "path"], env=_launcher_variables(), capture_output=True, text=True, check=True).stdout.strip())
+    folder = Path(subprocess.run([LAUNCHER, "path"], env=launcher_variables(), capture_output=True, text=True, check=True).stdout.strip())
     return "" if folder.exists() else "run `../shared/tools/blender-gui setup` once"
 
 
@@ -48,7 +48,7 @@ def run(
     return subprocess.run(
         [*command, "--python", script, "--", *arguments],
         cwd=environment.ROOT,
-        env=_launcher_variables() | {"BLENDER_USER_RESOURCES": str(resources)},
+        env=launcher_variables() | {"BLENDER_USER_RESOURCES": str(resources)},
         capture_output=True,
         text=True,
         errors="replace",
@@ -56,7 +56,7 @@ def run(
     )
 
 
-def _launcher_variables() -> dict[str, str]:
+def launcher_variables() -> dict[str, str]:
     """Return the environment of the launcher: that of this process, with the cache folder that it started with."""
     variables = {name: value for name, value in os.environ.items() if name != CACHE_VARIABLE}
-    return variables if _CACHE is None else variables | {CACHE_VARIABLE: _CACHE}
+    return variables | {CACHE_VARIABLE: _CACHE} if _CACHE else variables

@@ -9,7 +9,7 @@ import bpy
 import pytest
 
 from gui.blender_program import find_launcher
-from lib import environment
+from lib import blender_window, environment
 
 pytestmark = [pytest.mark.gui, pytest.mark.usefixtures("empty_scene")]
 SCRIPT = environment.ROOT / "scripts" / "billboards.py"
@@ -19,7 +19,8 @@ FLAGS = ["--error", "5%", "--levels", "2", "--samples", "1"]
 def run_in_blender(*arguments):
     """Run the script with `blender --background --python`."""
     command = [find_launcher(), "headless", "-t", "300", "--", "--factory-startup", "--python", SCRIPT, "--", *arguments]
-    return subprocess.run(command, cwd=environment.ROOT, capture_output=True, text=True, errors="replace", check=False)
+    variables = blender_window.launcher_variables()
+    return subprocess.run(command, cwd=environment.ROOT, env=variables, capture_output=True, text=True, errors="replace", check=False)
 
 
 def run_with_pip_bpy(*arguments):
