@@ -2,6 +2,7 @@
 
 import json
 import sys
+from pathlib import Path
 
 import bpy
 
@@ -23,6 +24,11 @@ def sidebar_tabs(names: list[str]) -> set[str]:
     return {getattr(bpy.types, name).bl_category for name in names if "_PT_" in name}
 
 
+def wheel_folders() -> list[str]:
+    """Return the names of what Blender has unpacked from the wheels of extensions."""
+    return sorted(path.name for path in Path(bpy.utils.user_resource("EXTENSIONS")).glob(".local/lib/python*/site-packages/*"))
+
+
 def main() -> None:
     """Unpack the wheels; unless that is all that is requested, enable and disable the extension twice, and build and bake a cloud."""
     import addon_utils  # only available after bpy has been imported
@@ -38,10 +44,12 @@ def main() -> None:
         if index == 1:
             bpy.ops.mesh.primitive_cube_add()
             bpy.ops.farfield.billboards_build(error=10.0, samples=1, levels=1)
+            results["wheel_folders"] = [wheel_folders()]
             results["clouds"] = sum(item.get("farfield_kind") == "cloud" for item in bpy.data.objects)
             bpy.ops.farfield.btf_bake(
                 views_per_side=2, lights_per_side=2, samples=1, components=1, alpha_components=1, shadows_per_side=4, executor="processes:2"
             )
+            results["wheel_folders"].append(wheel_folders())
             results["baked"] = [item.data.materials[0].name for item in bpy.data.objects if item.get("farfield_kind") == "cloud"]
         addon_utils.disable(MODULE, default_set=True, handle_error=raise_error)
         results["disabled"].append(registered_classes())

@@ -118,6 +118,11 @@ def test_workers_start_from_the_installed_extension(results):
     assert results["baked"] == ["Cube.001 Cloud L0 BTF"]
 
 
+def test_workers_leave_the_wheels_of_the_running_blender_alone(results):
+    before, after = results["wheel_folders"]
+    assert "scipy" in before and after == before
+
+
 def test_finished_views_lie_in_the_folder_that_blender_gives_to_the_extension(resources, results):
     (folder,) = (resources / "extensions" / ".user").rglob("farfield/btf")
     assert not any(folder.iterdir()), "the bake has ended"

@@ -88,7 +88,8 @@ def open_snapshot(folder: Path, *, run_drivers: bool) -> Snapshot:
         FileError: if it cannot be read.
         GeometryError: if the source objects evaluate to other geometry here than where the snapshot was written.
     """
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    # Not read_factory_settings: it deletes the wheels of all extensions that the factory preferences do not enable, which are in use.
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     bpy.context.preferences.filepaths.use_scripts_auto_execute = run_drivers
     scene = bpy.context.scene
     try:
