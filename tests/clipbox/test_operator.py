@@ -272,8 +272,8 @@ class TestEngineCache:
         camera_at(0.0, 0.0, 20.0)
         data = (bpy.data.objects, bpy.data.collections, bpy.data.meshes)
         counts = [len(collection) for collection in data]
-        for index in range(50):
-            terrain = create(boxes=2, resolution=64, seed=index)
+        for index in range(30):
+            terrain = create(boxes=2, resolution=32, seed=index)
             assert len(cache) == 1
             follow(terrain, (20.0, 0.0, 20.0))
             terrain_objects.remove(terrain)

@@ -64,16 +64,11 @@ def run(tmp_path):
 
 
 def test_a_file_that_crashed_once_runs_again_in_a_new_process(run):
-    done, log = run(1)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "BLENDER CRASHED in" in done.stdout and "3 tests without a result are run again" in done.stdout
-    assert log == ["before", "before", "crashes", "after"]
-
-
-def test_files_with_a_result_do_not_run_again(run):
     done, log = run(1, test_a=PASSES)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert log.count("passes") == 1
+    assert "BLENDER CRASHED in" in done.stdout and "3 tests without a result are run again" in done.stdout
+    assert [name for name in log if name != "passes"] == ["before", "before", "crashes", "after"]
+    assert log.count("passes") == 1, "files with a result do not run again"
 
 
 def test_two_crashes_fail(run):
@@ -88,13 +83,8 @@ def test_a_failure_before_the_crash_is_not_forgotten(run):
     assert "Before the crash these tests failed" in done.stdout and "test_a.py::test_fails" in done.stdout
 
 
-def test_without_a_crash_nothing_runs_twice(run):
-    done, log = run(0)
+def test_without_a_crash_nothing_runs_twice_and_all_runs_in_the_checkout(run):
+    text = f"import pathlib\ndef test_folder():\n    assert pathlib.Path.cwd() == pathlib.Path({str(environment.ROOT)!r})\n"
+    done, log = run(0, test_folder=text)
     assert done.returncode == 0, done.stdout + done.stderr
     assert log == ["before", "crashes", "after"] and "CRASHED" not in done.stdout
-
-
-def test_the_tests_run_in_the_checkout(run):
-    text = f"import pathlib\ndef test_folder():\n    assert pathlib.Path.cwd() == pathlib.Path({str(environment.ROOT)!r})\n"
-    done, _ = run(0, test_folder=text)
-    assert done.returncode == 0, done.stdout + done.stderr

@@ -1,10 +1,12 @@
 """Work on many rows in chunks, on all CPU cores. The results do not depend on the number of cores."""
 
 import os
+import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import lru_cache
 from threading import Lock
 from typing import Any, TypeVar
 
@@ -59,6 +61,12 @@ def map_ordered(function: Callable[[Item], Result], items: Iterable[Item]) -> It
             threads.shutdown(wait=True, cancel_futures=True)
 
 
+@lru_cache(maxsize=1)
+def _thread_pools(loaded_module_count: int) -> Any:
+    """Return the thread pools of the loaded libraries. Finding them takes 2 ms; more of them come only with modules that are loaded later."""
+    return ThreadpoolController()
+
+
 class BlasThreadLimit:
     """Limits the matrix products of NumPy to one thread while at least one user asks for it."""
 
@@ -74,7 +82,7 @@ class BlasThreadLimit:
             return
         with self._lock:
             if self._users == 0:
-                self._limit = ThreadpoolController().select(user_api="blas").limit(limits=1)
+                self._limit = _thread_pools(len(sys.modules)).select(user_api="blas").limit(limits=1)
             self._users += 1
         try:
             yield

@@ -78,7 +78,7 @@ def test_flat_sheet_becomes_few_triangles():
 @pytest.mark.parametrize("unit", [1e-4, 1e4])
 def test_triangles_of_sphere_follow_from_curvature(unit):
     """A triangle on both sides of a sphere may have edges of sqrt(12 r e), so an area of 4 pi r^2 needs about 2.4 r / e triangles."""
-    vertices, triangles = sphere(8)
+    vertices, triangles = sphere(7)
     error = 0.12
     decimated = run_to_end(decimate_to_error(unit * vertices, triangles, unit * error, BOUND))
     check_bounds(decimated, unit * vertices, triangles, unit * error)
