@@ -1,7 +1,7 @@
 """Bake relightable textures for the billboard clouds of a file: `python3 scripts/btf.py CLOUD.blend --out OUT.blend [flags]`.
 
 CLOUD.blend contains source objects and their cloud, as written by scripts/billboards.py. In OUT.blend the cloud looks like the source under
-the Sun light --sun and the uniform lighting of the World, from all directions, with drivers and shader nodes only.
+all lights and from all directions; with --model emission under the Sun light --sun and uniform lighting of the World.
 `blender --background --python scripts/btf.py -- CLOUD.blend --out OUT.blend` does the same.
 """
 
@@ -22,7 +22,7 @@ import numpy as np
 from farfield.addon.bridge.billboards.scene_clouds import clouds_in
 from farfield.addon.bridge.btf.clouds import link_suns
 from farfield.addon.core.btf.settings import BtfSettings, ExportSettings
-from farfield.addon.core.errors import FileError, GeometryError
+from farfield.addon.core.errors import FileError, GeometryError, SettingsError
 from farfield.addon.core.files.file_access import is_same_file
 from farfield.addon.core.files.filenames import unique_filenames
 from farfield.addon.core.files.user_folders import check_owner
@@ -46,7 +46,9 @@ def build_parser() -> command_line.Parser:
         "--work", type=command_line.parse_path, help="folder for finished views, so that a cancelled bake can resume (default: none)"
     )
     parser.add_argument(
-        "--sun", default="Sun", help="name of the Sun light that lights the result; created if it is missing (default: Sun)"
+        "--sun",
+        default="Sun",
+        help="with --model emission, name of the Sun light that lights the result; created if it is missing (default: Sun)",
     )
     parser.add_argument("--report", type=command_line.parse_path, help="write a report of the run to this JSON file")
     parser.add_argument("--curve", type=command_line.parse_path, help="write a chart of the PSNR by number of components to this PNG file")
@@ -73,20 +75,22 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
         raise FileError(f'--out is "{options.out}"; it must end in .blend.')
     export_paths = [path.absolute() for path in options.export]
     check_outputs({"--out": out, "--curve": options.curve}, {"the input": options.input}, options.report)
+    check_model(settings, options.curve, export_paths)
     check_exports(export_paths, [out, options.curve, options.report, options.input])
     clock = StageClock()
     with clock.stage("read"):
         scene_files.open_scene(options.input.absolute())
-        sun = find_or_create_sun(options.sun)
+        sun = find_or_create_sun(options.sun) if settings.bakes_emission else None
         jobs = prepare_jobs(settings, None if options.work is None else options.work.absolute())
     summaries = [
         run_to_end(subprogress(run_job(job), index / len(jobs), (index + 1) / len(jobs)), line.show) for index, job in enumerate(jobs)
     ]
     line.clear()
     with clock.stage("write"):
-        for cloud in clouds_in(bpy.context.scene):
-            for level in cloud.levels:
-                link_suns(level, [sun], world_color())
+        if sun is not None:
+            for cloud in clouds_in(bpy.context.scene):
+                for level in cloud.levels:
+                    link_suns(level, [sun], world_color())
         scene_files.save_scene(out)
     with clock.stage("export"):
         levels = [level for cloud in clouds_in(bpy.context.scene) for level in cloud.levels]
@@ -99,6 +103,16 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     if options.report is not None:
         command_line.write_report(options.report.absolute(), build_report(jobs, clock))
     return " ".join(summaries)
+
+
+def check_model(settings: BtfSettings, curve: Path | None, exports: list[Path]) -> None:
+    """Raise SettingsError if the model of the bake has nothing to draw or to export."""
+    if settings.bakes_emission:
+        return
+    radiance_exports = [path for path in exports if path.suffix.lower() in export_job.RADIANCE_SUFFIXES]
+    needing = "--curve" if curve is not None else f'--export "{radiance_exports[0].name}"' if radiance_exports else ""
+    if needing:
+        raise SettingsError(f"{needing} needs baked lighting; add --model emission.", ("model",))
 
 
 def check_exports(paths: list[Path], others: list[Path | None]) -> None:

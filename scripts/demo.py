@@ -68,7 +68,7 @@ FULL = DemoPreset(
     compared_levels=LEVEL_COUNT,
     relighting=RelightingPreset(
         level=2,
-        bake=BtfSettings(views_per_side=6, lights_per_side=5, components=12, alpha_components=12, samples=4),
+        bake=BtfSettings(views_per_side=6),
         pairs=6,
         samples=32,
         frames=12,
@@ -86,9 +86,7 @@ QUICK = DemoPreset(
     compared_levels=1,
     relighting=RelightingPreset(
         level=1,
-        bake=BtfSettings(
-            views_per_side=3, lights_per_side=3, components=4, alpha_components=4, shadows_per_side=8, shadow_components=8, samples=2
-        ),
+        bake=BtfSettings(views_per_side=3, alpha_components=4, samples=2),
         pairs=2,
         samples=8,
         frames=6,

@@ -4,7 +4,7 @@ import bpy
 
 from ..bridge.billboards.scene_clouds import SceneCloud
 from ..bridge.btf.materials import SUNS
-from ..core.btf.settings import BtfSettings
+from ..core.btf.settings import EMISSION, BtfSettings
 from ..core.settings import describe
 from ..operators import job_run, long_work, properties
 from ..operators.btf import estimates
@@ -16,6 +16,7 @@ from ..operators.btf.operators import (
     active_cloud,
     disabled_reason,
     is_baked,
+    shows_linked_suns,
     sun_pointer_name,
 )
 from .sidebar import (
@@ -29,6 +30,8 @@ from .sidebar import (
     settings_column,
 )
 
+EMISSION_SETTINGS = {"lights_per_side", "codec", "components", "clusters", "cluster_components", "blend_texels"}
+EMISSION_SETTINGS |= {"shadows_per_side", "shadow_components"}
 CODEC_OF_SETTING = {"components": "pca", "clusters": "lpca", "cluster_components": "lpca", "blend_texels": "lpca"}
 
 
@@ -66,7 +69,9 @@ class SubPanel(SettingsSubPanel):
 
     @staticmethod
     def is_used(name: str, group: bpy.types.PropertyGroup) -> bool:
-        """Return whether the setting applies to the selected codec."""
+        """Return whether the setting applies to the selected model and codec."""
+        if name in EMISSION_SETTINGS and group.model != EMISSION:
+            return False
         return CODEC_OF_SETTING.get(name, group.codec) == group.codec
 
 
@@ -113,10 +118,13 @@ class FARFIELD_PT_btf_lighting(SidebarPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the Sun lights, the ambient color, and the buttons."""
         group, column = context.scene.farfield_btf, settings_column(self.layout)
-        for index in range(SUNS):
-            column.prop(group, sun_pointer_name(index))
-        column.prop(group, "ambient")
-        column.operator(FARFIELD_OT_btf_link_suns.bl_idname, text="Link Sun Lights")
+        if shows_linked_suns(active_cloud(context)):
+            for index in range(SUNS):
+                column.prop(group, sun_pointer_name(index))
+            column.prop(group, "ambient")
+            column.operator(FARFIELD_OT_btf_link_suns.bl_idname, text="Link Sun Lights")
+        else:
+            draw_message(column, "Lit by all lights of the scene", "LIGHT")
         column.operator(FARFIELD_OT_btf_restore_pbr.bl_idname)
         column.operator(FARFIELD_OT_btf_export.bl_idname, text="Export", icon="EXPORT")
 

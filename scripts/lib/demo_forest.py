@@ -1,7 +1,7 @@
-"""A forest of one relightable cloud in a separate file that renders without Farfield: three times of day in three keyframes.
+"""A forest of one relightable cloud in a separate file that renders without Farfield: four times of day in four keyframes.
 
-The trees are instances of the cloud's collection. All instances share the drivers of the instanced object; each one converts the light
-directions to its local space.
+The trees are instances of the cloud's collection. They are lit by the Sun light and the World, and shade each other and the ground. With
+the model *emission* all instances share the drivers of the instanced object; each one converts the light directions to its local space.
 """
 
 import subprocess
@@ -20,7 +20,7 @@ environment.import_farfield()
 
 from farfield.addon.bridge.billboards.level_objects import pbr_material
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud
-from farfield.addon.bridge.btf.clouds import link_suns
+from farfield.addon.bridge.btf.clouds import link_suns, needs_linked_suns
 from farfield.addon.bridge.btf.materials import AMBIENT
 from farfield.addon.bridge.images import read_pixels
 from farfield.addon.compat import enable_nodes, set_file_format
@@ -60,6 +60,7 @@ DAY = (
     Hour("morning", (0.90, 0.25, 0.26), (1.0, 0.66, 0.38), 6.0, (0.30, 0.36, 0.48)),
     Hour("noon", (0.25, -0.45, 1.10), (1.0, 0.97, 0.92), 3.6, (0.40, 0.56, 0.82)),
     Hour("evening", (-0.92, -0.10, 0.19), (1.0, 0.45, 0.18), 6.0, (0.26, 0.20, 0.30)),
+    Hour("overcast", (-0.92, -0.10, 0.19), (1.0, 0.45, 0.18), 0.0, (0.72, 0.78, 0.85)),
 )
 
 
@@ -83,7 +84,8 @@ def write_forest(cloud: SceneCloud, path: Path, width: int, samples: int) -> Non
     plant(collection, base, tree_width)
     _add_ground(scene, base, tree_width)
     sun = _add_sun(scene)
-    link_suns(level, [sun], DAY[0].sky_radiance)
+    if needs_linked_suns(level):
+        link_suns(level, [sun], DAY[0].sky_radiance)
     _keyframe_day(scene, level, sun)
     _set_up_camera(scene, camera_position)
     _set_up_render(scene, width, samples)
@@ -145,7 +147,7 @@ def render_day(path: Path) -> Steps[np.ndarray]:
             last = (errors.strip().splitlines() or [f"exit code {process.returncode}"])[-1]
             raise FileError(f'The forest in "{path}" was not rendered: {last}. Open the file in Blender and render it there.')
         cells = [_read_image(image) for image in images]
-    title = f"{TREE_COUNT:,} instances of one relightable cloud at three times of day, rendered without Farfield"
+    title = f"{TREE_COUNT:,} instances of one relightable cloud at four times of day, rendered without Farfield"
     return draw_contact_sheet(title, [cells], [""], [[hour.name] for hour in DAY])
 
 
@@ -175,7 +177,8 @@ def _isolate_collection(cloud: SceneCloud) -> bpy.types.Collection:
     with temporary_folder() as folder:
         path = str(folder / "cloud.blend")
         names = cloud.collection.name, pbr.name
-        link_suns(cloud.levels[0], (), (0.0, 0.0, 0.0))
+        if needs_linked_suns(cloud.levels[0]):
+            link_suns(cloud.levels[0], (), (0.0, 0.0, 0.0))
         try:
             bpy.data.libraries.write(path, {cloud.collection, pbr}, fake_user=True)
             bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
@@ -228,12 +231,13 @@ def _keyframe_day(scene: bpy.types.Scene, level: bpy.types.Object, sun: bpy.type
         rotation = mathutils.Vector(hour.sun_direction).to_track_quat("Z", "Y").to_euler("XYZ", rotation)
         sun.rotation_euler, sun.data.color, sun.data.energy = rotation, hour.color, hour.strength
         sky.default_value = (*hour.sky_radiance, 1.0)
-        level[AMBIENT] = list(hour.sky_radiance)
         sun.keyframe_insert("rotation_euler", frame=frame)
         sun.data.keyframe_insert("color", frame=frame)
         sun.data.keyframe_insert("energy", frame=frame)
         sky.keyframe_insert("default_value", frame=frame)
-        level.keyframe_insert(f'["{AMBIENT}"]', frame=frame)
+        if needs_linked_suns(level):
+            level[AMBIENT] = list(hour.sky_radiance)
+            level.keyframe_insert(f'["{AMBIENT}"]', frame=frame)
     scene.frame_start, scene.frame_end = frame_of_hour(0), frame_of_hour(len(DAY) - 1)
     scene.frame_set(scene.frame_start)
 

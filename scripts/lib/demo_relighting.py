@@ -22,6 +22,7 @@ from lib.relighting import Candidate, RelightingComparison, compare_relighting, 
 
 BAKE_END, IMPOSTOR_END = 0.7, 0.85  # fractions of the progress
 MAX_SHEET_COLUMNS = 6
+PBR_TEXEL_BYTES = 20  # of the maps of both sides, which the impostor has as well
 
 
 @dataclass(frozen=True)
@@ -59,10 +60,8 @@ class RelitCloud:
         return {
             "level": self.level_index,
             "views": settings.view_count,
-            "lights": settings.light_count,
             **{name: getattr(settings, name) for name in ("upper_hemisphere", "samples")},
             **{name: bake[name] for name in ("renders", "texels", "bare_render_seconds", "raw_bytes", "compressed_bytes")},
-            "fit": bake["component_errors"][-1],
             "pairs": len(self.comparison.views),
             "scores": self.comparison.mean_scores(),
         }
@@ -86,7 +85,7 @@ def bake_and_compare(cloud: SceneCloud, preset: RelightingPreset) -> Steps[Relit
     relightable = copy_level_as_cloud(cloud, preset.level)
     job = prepare_bake(bpy.context, relightable, preset.bake, None, keep_finished_views=False)
     yield from subprogress(run_job(job), 0.0, BAKE_END)
-    max_bytes = job.figures[0]["compressed_bytes"]
+    max_bytes = job.figures[0]["compressed_bytes"] + PBR_TEXEL_BYTES * job.figures[0]["texels"]
     upper_hemisphere = preset.bake.upper_hemisphere
     steps = build_octahedral_impostor(cloud.sources, max_bytes, preset.frame_samples, preset.frames, upper_hemisphere)
     impostor = yield from subprogress(steps, BAKE_END, IMPOSTOR_END)

@@ -39,12 +39,9 @@ def _views(index: int, comparison: dict[str, Any]) -> list[str]:
 
 def _relighting(report: dict[str, Any]) -> list[str]:
     hemisphere = "above the horizon" if report["upper_hemisphere"] else "in all directions"
-    ratio = report["raw_bytes"] / report["compressed_bytes"]
     summary = (
-        f"Level {report['level']} with textures baked for {report['views']} views and {report['lights']} lights plus uniform lighting, "
-        f"{hemisphere}: {report['renders']:,} renders of {report['samples']} samples, {report['bare_render_seconds']:.1f} s in Cycles. "
-        f"{report['raw_bytes'] / 1e6:,.1f} MB compressed to {report['compressed_bytes'] / 1e6:,.2f} MB, {ratio:,.0f} to 1; "
-        f"{report['fit']['components']} components, {report['fit']['psnr']:.1f} dB, with render noise counted as error."
+        f"Level {report['level']} with silhouettes baked for {report['views']} views {hemisphere}: {report['renders']:,} renders, "
+        f"{report['bare_render_seconds']:.1f} s in Cycles. {report['compressed_bytes'] / 1e6:,.2f} MB in addition to the PBR maps."
     )
     rows = [
         "## Relightable",
@@ -53,7 +50,7 @@ def _relighting(report: dict[str, Any]) -> list[str]:
         "",
         summary,
         "",
-        f"Mean of {report['pairs']} held-out pairs of view and Sun direction; the impostor has as many bytes as the relightable textures:",
+        f"Mean of {report['pairs']} held-out pairs of view and Sun direction; the impostor has as many bytes as the relightable cloud:",
         "",
         "| | PSNR | SSIM | silhouette IoU |",
         "|---|---|---|---|",

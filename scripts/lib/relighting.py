@@ -12,13 +12,14 @@ from lib import environment
 environment.import_farfield()
 
 from farfield.addon.bridge.billboards.level_objects import pbr_material
-from farfield.addon.bridge.btf.clouds import link_suns
+from farfield.addon.bridge.btf.clouds import link_suns, needs_linked_suns
 from farfield.addon.core.geometry.directions import held_out_views
 from farfield.addon.core.imaging import metrics
 from farfield.addon.core.jobs.progress import Progress, Steps
 from lib.comparison import CELL_PIXELS, MARGIN_PIXELS
 from lib.contact_sheet import draw_contact_sheet, enlarge
 from lib.studio import SKY_RADIANCE, Studio, bounding_sphere, open_studio
+from lib.studio_lights import StudioLight
 
 SCORE_NAMES = ("psnr", "ssim", "alpha_iou")
 
@@ -87,11 +88,13 @@ def compare_relighting(
     pairs: tuple[np.ndarray, np.ndarray],
     samples: int,
     reference_samples: int | None = None,
+    light: str = "sun",
 ) -> Steps[RelightingComparison]:
     """Render the sources, the relightable `level` and the `others` for every pair of view and Sun direction; each step is one render.
 
-    Renders take `samples` per pixel; `reference_samples`, if given, for the sources, so that their noise does not count.
-    Relightable materials are not linked to any Sun light when this ends; link the user's lights again.
+    light: one of LIGHT_KINDS, in the directions of the Suns. Renders take `samples` per pixel; `reference_samples`, if given, for the
+    sources, so that their noise does not count. Relightable materials are not linked to any Sun light when this ends; link the user's
+    lights again.
     """
     candidates = [Candidate("source", list(sources)), Candidate("relightable", [level], relightable=True), *others]
     relightable = [item for candidate in candidates if candidate.relightable for item in candidate.objects]
@@ -100,14 +103,15 @@ def compare_relighting(
     views, suns = pairs
     renders = np.empty((len(candidates), len(views), size, size, 4), np.float32)
     with open_studio([item for candidate in candidates for item in candidate.objects], samples) as studio:
-        for item in relightable:
-            link_suns(item, [studio.sun], [SKY_RADIANCE] * 3)
+        studio_light = StudioLight(studio.work, studio, light)
+        for item in filter(needs_linked_suns, relightable):
+            link_suns(item, [studio.sun] if light == "sun" else [], [SKY_RADIANCE] * 3)
         for index, candidate in enumerate(candidates):
             studio.set_samples(samples if index or reference_samples is None else reference_samples)
             for pair, (view, sun) in enumerate(zip(views, suns, strict=True)):
                 yield Progress((index + pair / len(views)) / len(candidates), f"Rendering: {candidate.name}, {pair + 1} of {len(views)}")
-                renders[index, pair] = _render_candidate(studio, candidate, view, sun, center, pixel_size, size)
-        for item in relightable:
+                renders[index, pair] = _render_candidate(studio, studio_light, candidate, view, sun, (center, radius), pixel_size, size)
+        for item in filter(needs_linked_suns, relightable):
             link_suns(item, [], [0.0] * 3)
     return RelightingComparison(views, suns, [candidate.name for candidate in candidates], renders, pixel_size)
 
@@ -138,8 +142,15 @@ def draw_relighting_sheet(title: str, comparison: RelightingComparison, columns:
 
 
 def _render_candidate(
-    studio: Studio, candidate: Candidate, view: np.ndarray, sun: np.ndarray, center: np.ndarray, pixel_size: float, size: int
+    studio: Studio,
+    light: StudioLight,
+    candidate: Candidate,
+    view: np.ndarray,
+    sun: np.ndarray,
+    sphere: tuple[np.ndarray, float],
+    pixel_size: float,
+    size: int,
 ) -> np.ndarray:
-    studio.set_sun_direction(sun)
+    light.aim(sun, *sphere)
     candidate.face_viewer(view)
-    return studio.render(candidate.objects, view, center, pixel_size, size)
+    return studio.render(candidate.objects, view, sphere[0], pixel_size, size)

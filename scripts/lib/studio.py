@@ -24,10 +24,10 @@ MAX_TRANSPARENT_BOUNCES = 256  # transparent surfaces that a ray may pass
 
 
 class Studio:
-    """Renders selected objects under one light. Created by `open_studio`. sun: the Sun light."""
+    """Renders selected objects under one light. Created by `open_studio`. work: its scene. sun: the Sun light."""
 
     def __init__(self, work: RenderScene, objects: Sequence[bpy.types.Object]) -> None:
-        self._work = work
+        self.work = work
         self._objects = list(objects)
         self.sun = _add_sun(work)
 
@@ -37,12 +37,12 @@ class Studio:
 
     def set_samples(self, samples: int) -> None:
         """Set the samples per pixel of later renders."""
-        scene = self._work.scene
+        scene = self.work.scene
         scene.cycles.samples = scene.eevee.taa_render_samples = samples
 
     def set_engine(self, engine: str) -> None:
         """Set the render engine of later renders; the default is Cycles."""
-        self._work.scene.render.engine = engine
+        self.work.scene.render.engine = engine
 
     def render(
         self, visible: Sequence[bpy.types.Object], direction: np.ndarray, center: np.ndarray, pixel_size: float, size: int
@@ -55,12 +55,12 @@ class Studio:
         for item in self._objects:
             item.hide_render = item not in visible
         extent = pixel_size * size
-        camera, render = self._work.camera, self._work.scene.render
+        camera, render = self.work.camera, self.work.scene.render
         camera.data.ortho_scale = extent
         camera.data.clip_start, camera.data.clip_end = 0.01 * extent, 10.0 * extent
         camera.matrix_world = look_at_matrix(direction, center + 5.0 * extent * direction)
         render.resolution_x = render.resolution_y = size
-        return self._work.render()
+        return self.work.render()
 
 
 @contextmanager

@@ -11,7 +11,15 @@ from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
 from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.operators.btf.job import BakeJob, prepare_bake
 
-SMALL = {"views_per_side": 2, "lights_per_side": 2, "samples": 1, "components": 2, "alpha_components": 2, "shadows_per_side": 4}
+SMALL = {
+    "model": "emission",
+    "views_per_side": 2,
+    "lights_per_side": 2,
+    "samples": 1,
+    "components": 2,
+    "alpha_components": 2,
+    "shadows_per_side": 4,
+}
 
 
 def build_small_cloud() -> SceneCloud:

@@ -22,7 +22,15 @@ from farfield.addon.operators.btf.estimates import EstimateCache
 from lib import scene_files
 from lib.studio import bounding_sphere, open_studio
 
-BAKE = {"views_per_side": 4, "lights_per_side": 4, "samples": 4, "components": 8, "alpha_components": 8, "shadows_per_side": 8}
+BAKE = {
+    "model": "emission",
+    "views_per_side": 4,
+    "lights_per_side": 4,
+    "samples": 4,
+    "components": 8,
+    "alpha_components": 8,
+    "shadows_per_side": 8,
+}
 # One worker process: starting a second one would take longer than its renders.
 QUICK_BAKE = {**BAKE, "views_per_side": 2, "lights_per_side": 2, "samples": 1, "executor": "serial"}
 
@@ -74,7 +82,7 @@ def render_source_and_cloud(cloud, sun, direction) -> tuple[np.ndarray, np.ndarr
     center, radius = bounding_sphere(sources)
     pixel_size = cloud.errors[0]
     with open_studio([*sources, level], 32) as studio:
-        work = studio._work
+        work = studio.work
         work.scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.0
         for item in list(work.scene.collection.objects):
             if item.type == "LIGHT":

@@ -11,7 +11,7 @@ from farfield.addon.core.btf.reflectance.lobes import Lobes, TexelSurface
 from farfield.addon.core.btf.reflectance.shadows import Shadows
 from farfield.addon.core.btf.settings import BtfSettings
 
-SETTINGS = BtfSettings(views_per_side=3, lights_per_side=4, components=5, alpha_components=3, refine=False)
+SETTINGS = BtfSettings(model="emission", views_per_side=3, lights_per_side=4, components=5, alpha_components=3, refine=False)
 LEVEL = LevelExtent(texels=1000, resolution=40)
 
 
@@ -37,6 +37,21 @@ def test_sizes_are_those_of_the_arrays():
 )
 def test_more_work_takes_longer(changes):
     assert estimate_bake([LEVEL], replace(SETTINGS, **changes), 1).seconds > estimate_bake([LEVEL], SETTINGS, 1).seconds
+
+
+@pytest.mark.parametrize("changes", [{"views_per_side": 4}, {"samples": 8}, {"refine": True}], ids=lambda changes: next(iter(changes)))
+def test_more_work_takes_longer_without_lights_too(changes):
+    settings = replace(SETTINGS, model="surface")
+    assert estimate_bake([LEVEL], replace(settings, **changes), 1).seconds > estimate_bake([LEVEL], settings, 1).seconds
+
+
+def test_without_lights_a_bake_is_views_only():
+    settings = replace(SETTINGS, model="surface")
+    estimated, emission = (estimate_bake([LEVEL], values, 1) for values in (settings, SETTINGS))
+    assert estimated.renders == 2 * settings.view_count
+    assert estimated.final_bytes == 2 * (3 * 1000 + 3 * settings.view_count)
+    assert estimated.seconds < emission.seconds
+    assert estimated == estimate_bake([LEVEL], replace(settings, lights_per_side=8, components=40, shadows_per_side=30), 1)
 
 
 def test_time_depends_on_levels_workers_and_pace():

@@ -15,7 +15,21 @@ from farfield.addon.core.errors import FileError, SettingsError
 from fmf_reader import read_fmf
 from lib import command_line, scene_files
 
-QUICK = ("--views-per-side", "2", "--lights-per-side", "2", "--samples", "1", "--shadows-per-side", "4", "--executor", "serial")
+EMISSION = ("--model", "emission")
+QUICK = (
+    "--model",
+    "emission",
+    "--views-per-side",
+    "2",
+    "--lights-per-side",
+    "2",
+    "--samples",
+    "1",
+    "--shadows-per-side",
+    "4",
+    "--executor",
+    "serial",
+)
 
 
 @pytest.fixture(scope="module")
@@ -71,16 +85,22 @@ def test_local_pca(cloud_file):
     ("flags", "error", "message"),
     [
         (("--export", "{folder}/cloud.obj"), FileError, "must have one of these suffixes"),
-        (("--export", "{folder}"), FileError, "is not empty"),
-        (("--codec", "lpca", "--clusters", "256", "--views-per-side", "16"), SettingsError, r"a lookup table of 46080 x \d+ pixels"),
-        (("--components", "64", "--views-per-side", "32", "--lights-per-side", "32"), SettingsError, "Reduce one of them"),
+        ((*EMISSION, "--export", "{folder}"), FileError, "is not empty"),
+        (
+            (*EMISSION, "--codec", "lpca", "--clusters", "256", "--views-per-side", "16"),
+            SettingsError,
+            r"a lookup table of 46080 x \d+ pixels",
+        ),
+        ((*EMISSION, "--components", "64", "--views-per-side", "32", "--lights-per-side", "32"), SettingsError, "Reduce one of them"),
+        (("--export", "{folder}/cloud.btf"), SettingsError, "add --model emission"),
+        (("--curve", "{folder}/c.png"), SettingsError, "add --model emission"),
         (("--directions", "sideways"), SystemExit, "2"),
         (("--work", ""), SystemExit, "2"),
         (("--report", "{folder}/in.blend"), FileError, "same file"),
         (("--curve", "{folder}/c.png", "--report", "{folder}/c.png"), FileError, "same file"),
         (("--export", "{folder}/a.glb", "--export", "{folder}/b/../a.glb"), FileError, "reads or writes already"),
         (("--export", "{folder}/a.glb", "--report", "{folder}/a.glb"), FileError, "reads or writes already"),
-        (("--export", "{folder}/in.blend/images"), FileError, "not a folder"),
+        ((*EMISSION, "--export", "{folder}/in.blend/images"), FileError, "not a folder"),
     ],
 )
 def test_invalid_arguments_are_rejected_before_the_bake(cloud_file, flags, error, message):

@@ -113,7 +113,7 @@ def test_tables_of_silhouettes_and_shadows_cannot_exceed_the_size_limit():
     """So the error about the table size names the settings of the color table only."""
     largest = {description.name: description.maximum for description in describe(BtfSettings)}
     names = ("views_per_side", "alpha_components", "shadows_per_side", "shadow_components")
-    settings = BtfSettings(lights_per_side=2, components=1, **{name: largest[name] for name in names})
+    settings = BtfSettings(model="emission", lights_per_side=2, components=1, **{name: largest[name] for name in names})
     settings.check_table_size()
     for grid, components in ((settings.view_grid, settings.alpha_components), (settings.shadow_grid, settings.shadow_components)):
         assert -(-components // 4) * (grid.size + 2) <= MAX_IMAGE_SIDE

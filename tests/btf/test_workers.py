@@ -29,6 +29,8 @@ from lib import environment
 
 SCRIPT = environment.ROOT / "scripts" / "btf.py"
 SETTINGS = [
+    "--model",
+    "emission",
     "--views-per-side",
     "2",
     "--lights-per-side",

@@ -17,11 +17,13 @@ from lib import command_line, environment
 
 pytest.importorskip("bpy")
 CHILD = """
-import sys, time
+import json, sys, time
 from pathlib import Path
 sys.path.insert(0, sys.argv.pop(1))
 from lib import environment
+environment.ensure()
 environment.import_farfield()
+from farfield.addon.core.errors import FileError
 from farfield.addon.core.files.temporary_folders import temporary_folder
 from farfield.addon.core.jobs.progress import Progress
 from lib import command_line
@@ -33,6 +35,13 @@ def main(arguments, line):
     given = parser.parse_args(arguments)
     if given.what == "defect":
         return {}["first\\nsecond"]
+    if given.what == "names":
+        command_line.print_message("Skipped: line\\nbreak \\udcff (no faces).")
+        return '"line\\nbreak \\udcff": 2 quads.'
+    if given.what == "json":
+        return json.dumps({"name": "line\\nbreak"}, indent=1)
+    if given.what == "input":
+        raise FileError('"line\\nbreak" is empty.')
     if given.what == "memory":
         raise MemoryError
     if given.what == "report":
@@ -75,6 +84,36 @@ def test_a_defect_is_one_sentence_with_a_private_log():
     assert "Traceback" in run("defect", "--verbose").stderr
 
 
+def test_names_do_not_break_lines():
+    outcome = run("names")
+    assert (outcome.stdout, outcome.stderr) == ('"line break \ufffd": 2 quads.\n', "Skipped: line break \ufffd (no faces).\n")
+    assert run("json").stdout == '{\n "name": "line\\nbreak"\n}\n'
+    outcome = run("input")
+    assert (outcome.returncode, outcome.stderr) == (2, '"line break" is empty.\n')
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has neither")
+@pytest.mark.parametrize("flags", [[], ["--verbose"], ["--help"]])
+def test_nobody_reads_the_result(flags):
+    reader, writer = os.pipe()
+    os.close(reader)
+    outcome = subprocess.run(command("x", *flags), stdout=writer, stderr=subprocess.PIPE, text=True, check=False, env=variables())
+    os.close(writer)
+    assert (outcome.returncode, outcome.stderr) == (0, "")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has neither")
+def test_standard_output_that_is_closed_or_full():
+    options = {"stderr": subprocess.PIPE, "text": True, "check": False, "env": variables()}
+    outcome = subprocess.run(["sh", "-c", 'exec "$@" >&-', "sh", *command("x")], **options)
+    assert (outcome.returncode, outcome.stderr) == (0, "")
+    if Path("/dev/full").is_char_device():
+        with Path("/dev/full").open("w") as full:
+            outcome = subprocess.run(command("x"), stdout=full, **options)
+        assert outcome.returncode == 2 and "Cannot write to the standard output: No space left" in outcome.stderr
+        assert outcome.stderr.count("\n") == 1
+
+
 def test_too_little_memory_is_invalid_input():
     outcome = run("memory")
     assert outcome.returncode == 2 and "memory" in outcome.stderr and outcome.stderr.strip().count("\n") == 0
@@ -88,7 +127,12 @@ def test_signals_cancel_and_clean_up(number, tmp_path):
         folder.mkdir()
     place_of_folders = dict.fromkeys(("TMPDIR", "TMP", "TEMP"), str(temporary))
     options = {"stderr": subprocess.PIPE, "text": True, "env": variables() | place_of_folders}
-    with subprocess.Popen(command("wait", "--path", place), **options) as process:
+    inherited = signal.signal(number, signal.SIG_DFL)  # scripts ignore signals that they are started to ignore, as under nohup
+    try:
+        process = subprocess.Popen(command("wait", "--path", place), **options)
+    finally:
+        signal.signal(number, inherited)
+    with process:
         assert process.stderr.readline() == "ready\n"
         assert len(list(place.iterdir())) == 1 and list(temporary.glob("farfield-*"))
         process.send_signal(number)
@@ -132,7 +176,15 @@ class TestReport:
             assert Path("/dev/full").is_char_device()
 
 
-@pytest.mark.parametrize(("arguments", "message"), [(["x", "--path", ""], "the path is empty"), (["a\udcff"], "not valid UTF-8")])
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["x", "--path", ""], "the path is empty"),
+        (["a\udcff"], "not valid UTF-8"),
+        (["x", "--path", "\udcff.stl"], 'the path "\ufffd.stl" is not valid UTF-8'),
+        (["x", "line\nbreak"], "unrecognized arguments: line break"),
+    ],
+)
 def test_arguments_that_mean_nothing(arguments, message, capsys):
     parser = command_line.Parser("x.py", "")
     parser.add_argument("what")

@@ -26,7 +26,7 @@ def test_the_demo_writes_scenes_sheets_and_report(extension, tmp_path, monkeypat
     import demo
     from lib import command_line
 
-    bake = replace(demo.QUICK.relighting.bake, views_per_side=2, lights_per_side=2, executor="serial")
+    bake = replace(demo.QUICK.relighting.bake, views_per_side=2, executor="serial")
     relighting = replace(demo.QUICK.relighting, bake=bake, frames=3)
     preset = replace(demo.QUICK, samples=2, forest_width=64, forest_samples=1, relighting=relighting)
     monkeypatch.setattr(demo, "QUICK", preset)
@@ -45,7 +45,7 @@ def test_the_demo_writes_scenes_sheets_and_report(extension, tmp_path, monkeypat
     assert len(comparison["views"]) == 6
     assert comparison["mean_alpha_iou"] > 0.95
     relighting = report["relighting"]
-    assert relighting["renders"] == relighting["views"] * (relighting["lights"] + 1)
+    assert relighting["renders"] == 2 * relighting["views"]
     assert not relighting["upper_hemisphere"], "the mesh of a user may be visible from below"
     assert set(relighting["scores"]) == {"relightable", "PBR maps", "octahedral impostor"}
     assert relighting["scores"]["relightable"]["alpha_iou"] > 0.8
@@ -82,22 +82,20 @@ def test_the_page_describes_bake_and_comparison():
     relighting = {
         "level": 1,
         "views": 36,
-        "lights": 16,
         "upper_hemisphere": True,
         "samples": 4,
         "renders": 612,
         "bare_render_seconds": 61.5,
         "raw_bytes": 400_000_000,
         "compressed_bytes": 2_000_000,
-        "fit": {"components": 8, "rms": 0.01, "psnr": 24.5},
         "pairs": 8,
         "scores": scores,
         "seconds": {"capture": 33.0},
     }
     forest = {"trees": 1000, "hours": ["morning", "noon", "evening"]}
     page = to_markdown("A tree", {"levels": [], "seconds": {}, "peak_memory_mb": 1.0, "relighting": relighting, "forest": forest})
-    assert "36 views and 16 lights plus uniform lighting, above the horizon: 612 renders" in page
-    assert "400.0 MB compressed to 2.00 MB, 200 to 1" in page
+    assert "36 views above the horizon: 612 renders" in page
+    assert "2.00 MB in addition to the PBR maps" in page
     assert "| relightable | 27.2 | 0.910 | 0.880 |" in page and "| PBR maps | 24.0 |" in page
     assert "](relighting.png)" in page and "](forest.png)" in page
     assert "1,000 instances in forest.blend, animated from morning to evening" in page

@@ -14,6 +14,7 @@ JOINED_ATTRIBUTE = "farfield_joined"  # per face: 1 if the quad shows part of a 
 SOLID_ATTRIBUTE = "farfield_solid"  # per face: 1 if no camera sees the back, because it is the inside of a solid
 COLOR, NORMAL, ROUGHNESS_METALLIC_DEPTH = MAPS = ("Color", "Normal", "Roughness Metallic Depth")
 SIDES = ("Front", "Back")
+SHADOWLESS_DISTANCE = "Shadowless Distance"  # input of the group
 FRONT_COLOR = "Front color"  # label of the node with the color and alpha of the fronts
 FRONT_NORMAL = "Front normal"  # label of the node with their normals in object space, encoded as colors
 FRONT_ROUGHNESS_METALLIC_DEPTH = "Front roughness metallic depth"  # label of the node with their roughness, metallic and depth
@@ -31,17 +32,31 @@ def create_cloud_material(name: str, images: dict[tuple[str, str], bpy.types.Ima
     tree.nodes.clear()
     builder = NodeBuilder(tree)
     group = builder.node("ShaderNodeGroup", {"node_tree": _cloud_group(), "width": 220.0})
-    group.inputs["Shadowless Distance"].default_value = shadowless_distance
+    group.inputs[SHADOWLESS_DISTANCE].default_value = shadowless_distance
     output = builder.node("ShaderNodeOutputMaterial")
     builder.connect(group.outputs["BSDF"], output.inputs["Surface"])
     for side, map_name in itertools.product(SIDES, MAPS):
-        properties = {"image": images[side, map_name], "extension": "EXTEND", "label": f"{side} {map_name.lower()}"}
-        texture = builder.node("ShaderNodeTexImage", properties)
-        builder.connect(texture.outputs["Color"], group.inputs[f"{side} {map_name}"])
+        color, alpha = sample_map(builder, images[side, map_name], side, map_name)
+        builder.connect(color, group.inputs[f"{side} {map_name}"])
         if map_name == COLOR:
-            builder.connect(texture.outputs["Alpha"], group.inputs[f"{side} Alpha"])
+            builder.connect(alpha, group.inputs[f"{side} Alpha"])
     builder.arrange()
     return material
+
+
+def sample_map(
+    builder: NodeBuilder, image: bpy.types.Image, side: str, map_name: str, uv: SocketOrValue | None = None
+) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]:
+    """Return color and alpha of the map `map_name` (MAPS) of a side (SIDES), at `uv` or at the UV map."""
+    texture = builder.node("ShaderNodeTexImage", {"image": image, "extension": "EXTEND", "label": map_label(side, map_name)})
+    if uv is not None:
+        builder.connect(uv, texture.inputs["Vector"])
+    return texture.outputs["Color"], texture.outputs["Alpha"]
+
+
+def map_label(side: str, map_name: str) -> str:
+    """Return the label of the node that samples the map `map_name` (MAPS) of a side (SIDES)."""
+    return f"{side} {map_name.lower()}"
 
 
 def create_gray_material(name: str) -> bpy.types.Material:
@@ -64,28 +79,36 @@ def _cloud_group() -> bpy.types.NodeTree:
     """Return the node group that all clouds in the file share."""
     per_side = ((COLOR, "Color"), ("Alpha", "Float"), (NORMAL, "Color"), (ROUGHNESS_METALLIC_DEPTH, "Color"))
     inputs = [(f"{side} {name}", socket_type) for side in SIDES for name, socket_type in per_side]
-    return ensure_shared_group(GROUP_NAME, GROUP_VERSION, [*inputs, ("Shadowless Distance", "Float")], [("BSDF", "Shader")], _fill_group)
+    return ensure_shared_group(GROUP_NAME, GROUP_VERSION, [*inputs, (SHADOWLESS_DISTANCE, "Float")], [("BSDF", "Shader")], _fill_group)
 
 
 def _fill_group(builder: NodeBuilder) -> None:
     """Select the visible side and shade it."""
     inputs = builder.node("NodeGroupInput").outputs
     is_backfacing = builder.node("ShaderNodeNewGeometry").outputs["Backfacing"]
+    sides = {name: builder.mix(is_backfacing, inputs[f"Front {name}"], inputs[f"Back {name}"]) for name in (*MAPS, "Alpha")}
+    shader = add_quad_shader(builder, sides, builder.separate(sides["Alpha"])[0], inputs[SHADOWLESS_DISTANCE], is_backfacing)
+    builder.connect(shader.outputs[0], builder.node("NodeGroupOutput").inputs["BSDF"])
 
-    def visible_side(name: str) -> SocketOrValue:
-        return builder.mix(is_backfacing, inputs[f"Front {name}"], inputs[f"Back {name}"])
 
-    roughness, metallic, _ = builder.separate(visible_side(ROUGHNESS_METALLIC_DEPTH))
-    decoded = builder.vector("SUBTRACT", builder.vector("SCALE", visible_side(NORMAL), 2.0), (1.0, 1.0, 1.0))
+def add_quad_shader(
+    builder: NodeBuilder,
+    maps: dict[str, SocketOrValue],
+    alpha: SocketOrValue,
+    shadowless_distance: SocketOrValue,
+    is_backfacing: SocketOrValue,
+) -> bpy.types.Node:
+    """Add the Principled shader of a quad for the `maps` (MAPS) of its visible side; quads hide and block light as described below."""
+    roughness, metallic, _ = builder.separate(maps[ROUGHNESS_METALLIC_DEPTH])
+    decoded = builder.vector("SUBTRACT", builder.vector("SCALE", maps[NORMAL], 2.0), (1.0, 1.0, 1.0))
     shader = builder.node("ShaderNodeBsdfPrincipled")
-    builder.connect(visible_side(COLOR), shader.inputs["Base Color"])
+    builder.connect(maps[COLOR], shader.inputs["Base Color"])
     builder.connect(roughness, shader.inputs["Roughness"])
     builder.connect(metallic, shader.inputs["Metallic"])
-    alpha = builder.separate(visible_side("Alpha"))[0]
-    lit = builder.math("MULTIPLY", alpha, _blocks_light(builder, inputs["Shadowless Distance"]))
+    lit = builder.math("MULTIPLY", alpha, _blocks_light(builder, shadowless_distance))
     builder.connect(builder.math("MULTIPLY", lit, _is_outside(builder, is_backfacing)), shader.inputs["Alpha"])
     builder.connect(builder.vector_transform(decoded, "NORMAL", "OBJECT", "WORLD"), shader.inputs["Normal"])
-    builder.connect(shader.outputs[0], builder.node("NodeGroupOutput").inputs["BSDF"])
+    return shader
 
 
 def _blocks_light(builder: NodeBuilder, shadowless_distance: SocketOrValue) -> SocketOrValue:

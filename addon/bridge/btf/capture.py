@@ -51,7 +51,7 @@ class RadianceRenderer:
         light.energy, light.angle = 1.0, sun_angle(settings)
         self._sun = work.add_object(light)
         self._black_world, self._white_world = (_new_world(work, strength) for strength in (0.0, 1.0))
-        self._has_emission = has_emission(source.materials)
+        self.has_emission = has_emission(source.materials)
 
     @property
     def render_seconds(self) -> float:
@@ -79,12 +79,17 @@ class RadianceRenderer:
             radiance[index] = render[..., :3]
             coverage += render[..., 3] / (len(sun_directions) + 1)
         emission = None
-        if self._has_emission:
-            self._work.scene.world, self._sun.hide_render = self._black_world, True
-            emission = self._work.render()[..., :3]
+        if self.has_emission:
+            emission = self.render_emission(view)
             radiance = np.maximum(radiance - emission, 0.0)
         heights = compute_heights(self._source, view.supersample(ID_BUFFER_SCALE), face_ids)
         return ViewRender(radiance, coverage, face_ids, heights, emission)
+
+    def render_emission(self, view: OrthographicView) -> np.ndarray:
+        """Render the emitted radiance (H, W, 3) float32 of the source, premultiplied, from one view."""
+        set_camera_view(self._work.scene, view)
+        self._work.scene.world, self._sun.hide_render = self._black_world, True
+        return self._work.render()[..., :3]
 
 
 def compute_heights(source: Source, view: OrthographicView, face_ids: np.ndarray) -> np.ndarray:

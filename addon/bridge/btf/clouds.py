@@ -14,18 +14,26 @@ from ...core.btf.reflectance.lobes import SCHLICK, Lobes, TexelSurface
 from ...core.btf.reflectance.parallax import ParallaxMap, parallax_axes
 from ...core.btf.reflectance.shadows import Shadows
 from ...core.btf.settings import BtfSettings
-from ...core.btf.tables import LookupTables, build_tables, pack_weights
+from ...core.btf.tables import LookupTables, build_tables
 from ...core.imaging.images import decode_normals, dilate, nearest_known
 from ..billboards.cloud_materials import FRONT_COLOR, FRONT_NORMAL, FRONT_ROUGHNESS_METALLIC_DEPTH
 from ..billboards.level_objects import PBR_MATERIAL, pbr_image
 from ..billboards.lod_crossfade import apply_to_materials
 from ..billboards.transparent_bounces import ensure_transparent_bounces
 from ..drivers import add_object_driver
-from ..images import create_image, read_pixels
-from .materials import AMBIENT, SUNS, BtfImages, build_relightable_material, sun_color_property, sun_direction_property, sun_node_labels
+from ..images import read_pixels
+from .materials import (
+    AMBIENT,
+    SUNS,
+    BtfImages,
+    build_relightable_material,
+    sun_color_property,
+    sun_direction_property,
+    sun_node_labels,
+)
 from .nodes.parallax_nodes import write_texel_axes
+from .texture_images import DILATION_TEXELS, create_color_image, create_half_float_image, create_weight_images
 
-DILATION_TEXELS = 3  # width of the margin around known texels
 OTHER_TRANSPARENT_SURFACES = 8  # allowance for the rest of a scene
 
 
@@ -63,16 +71,21 @@ def assign_relightable_material(
     if images.depth is not None:
         write_texel_axes(level_object.data, textures.lobes.surface.parallax.axes)
     material = build_relightable_material(name, images, tables, settings.blend_texels)
-    pbr_material = level_object.data.materials[0]
-    if pbr_material is not None and PBR_MATERIAL not in level_object:
-        pbr_material.use_fake_user = True
-        level_object[PBR_MATERIAL] = pbr_material.name
-    level_object.data.materials[0] = material
+    replace_pbr_material(level_object, material)
     for index in range(SUNS):
         level_object[sun_direction_property(index)] = [0.0, 0.0, 1.0]
         level_object[sun_color_property(index)] = [0.0, 0.0, 0.0]
     level_object[AMBIENT] = [0.0, 0.0, 0.0]
     apply_to_materials(level_object)
+
+
+def replace_pbr_material(level_object: bpy.types.Object, material: bpy.types.Material) -> None:
+    """Give a level a relightable `material`. Its PBR material stays in the file."""
+    pbr_material = level_object.data.materials[0]
+    if pbr_material is not None and PBR_MATERIAL not in level_object:
+        pbr_material.use_fake_user = True
+        level_object[PBR_MATERIAL] = pbr_material.name
+    level_object.data.materials[0] = material
 
 
 def _create_images(
@@ -84,29 +97,18 @@ def _create_images(
     weights, clusters = _build_weight_maps(color, texels, known)
     sky_visibility = None if lobes is None else lobes.sky_visibility
     return BtfImages(
-        weights=_weight_images(f"{name} Weights", weights),
-        clusters=None if clusters is None else _half_float_image(f"{name} Clusters", np.repeat(clusters[..., None], 4, axis=2)),
-        chromaticity=_color_image(f"{name} Chromaticity", textures.chromaticity, sky_visibility, texels, known),
-        emission=None if textures.emission is None else _color_image(f"{name} Emission", textures.emission, None, texels, known),
-        basis=_half_float_image(f"{name} Basis", tables.basis),
-        dome=_half_float_image(f"{name} Dome", tables.dome.image),
-        alpha_weights=_weight_images(f"{name} Alpha Weights", texels.to_image(alpha.weights)),
-        alpha_basis=_half_float_image(f"{name} Alpha", tables.alpha.image),
+        weights=create_weight_images(f"{name} Weights", weights),
+        clusters=None if clusters is None else create_half_float_image(f"{name} Clusters", np.repeat(clusters[..., None], 4, axis=2)),
+        chromaticity=create_color_image(f"{name} Chromaticity", textures.chromaticity, sky_visibility, texels, known),
+        emission=None if textures.emission is None else create_color_image(f"{name} Emission", textures.emission, None, texels, known),
+        basis=create_half_float_image(f"{name} Basis", tables.basis),
+        dome=create_half_float_image(f"{name} Dome", tables.dome.image),
+        alpha_weights=create_weight_images(f"{name} Alpha Weights", texels.to_image(alpha.weights)),
+        alpha_basis=create_half_float_image(f"{name} Alpha", tables.alpha.image),
         pbr_color=pbr_image(level_object, FRONT_COLOR),
         **_lobe_images(level_object, name, texels, lobes, known),
         **_shadow_images(name, texels, None if lobes is None else lobes.shadows, tables, known),
     )
-
-
-def _color_image(name: str, colors: np.ndarray, alpha: np.ndarray | None, texels: Texels, known: np.ndarray) -> bpy.types.Image:
-    """Create an image of `colors` (N, 3) with `alpha` (N,), 1 if None, dilated around the texels in `known` (H, W)."""
-    alpha = np.ones(len(colors), np.float32) if alpha is None else alpha
-    return _half_float_image(name, dilate(texels.to_image(np.column_stack([colors, alpha])), known, DILATION_TEXELS))
-
-
-def _weight_images(name: str, weights: np.ndarray) -> list[bpy.types.Image]:
-    """Create the images of `weights` (H, W, K), see `pack_weights`."""
-    return [_half_float_image(f"{name} {index}", image) for index, image in enumerate(pack_weights(weights))]
 
 
 def _lobe_images(level_object: bpy.types.Object, name: str, texels: Texels, lobes: Lobes | None, known: np.ndarray) -> dict[str, Any]:
@@ -117,8 +119,8 @@ def _lobe_images(level_object: bpy.types.Object, name: str, texels: Texels, lobe
         for columns in ((lobes.diffuse, lobes.surface.roughness), (lobes.f0, lobes.f90_minus_f0))
     )
     return {
-        "diffuse": _half_float_image(f"{name} Diffuse", diffuse),
-        "specular": _half_float_image(f"{name} Specular", specular),
+        "diffuse": create_half_float_image(f"{name} Diffuse", diffuse),
+        "specular": create_half_float_image(f"{name} Specular", specular),
         "normals": pbr_image(level_object, FRONT_NORMAL),
         "depth": None if lobes.surface.parallax is None else pbr_image(level_object, FRONT_ROUGHNESS_METALLIC_DEPTH),
         "dome_fresnel": lobes.dome_fresnel,
@@ -130,8 +132,8 @@ def _shadow_images(name: str, texels: Texels, shadows: Shadows | None, tables: L
         return {"shadow_weights": [], "shadow_basis": None}
     weights = dilate(texels.to_image(shadows.angles.weights), known, DILATION_TEXELS)
     return {
-        "shadow_weights": _weight_images(f"{name} Shadow Weights", weights),
-        "shadow_basis": _half_float_image(f"{name} Shadow", tables.shadow.image),
+        "shadow_weights": create_weight_images(f"{name} Shadow Weights", weights),
+        "shadow_basis": create_half_float_image(f"{name} Shadow", tables.shadow.image),
     }
 
 
@@ -159,16 +161,14 @@ def raise_transparent_bounces(collection: bpy.types.Collection, stacked_quads: i
 
 def restore_pbr_material(level_object: bpy.types.Object) -> None:
     """Give a level its PBR material back, also if its material slot was removed. Remove the relightable material and its drivers."""
-    link_suns(level_object, (), (0.0, 0.0, 0.0))
+    remove_suns(level_object)
     relightable_material = next(iter(level_object.data.materials), None)
     pbr_material = bpy.data.materials.get(str(level_object[PBR_MATERIAL]))
     if len(level_object.data.materials):
         level_object.data.materials[0] = pbr_material
     else:
         level_object.data.materials.append(pbr_material)
-    sun_properties = (name(index) for index in range(SUNS) for name in (sun_direction_property, sun_color_property))
-    for name in (AMBIENT, PBR_MATERIAL, *sun_properties):
-        level_object.pop(name, None)
+    level_object.pop(PBR_MATERIAL, None)
     if pbr_material is not None:
         pbr_material.use_fake_user = False
     apply_to_materials(level_object)
@@ -176,8 +176,18 @@ def restore_pbr_material(level_object: bpy.types.Object) -> None:
         bpy.data.materials.remove(relightable_material)
 
 
+def remove_suns(level_object: bpy.types.Object) -> None:
+    """Remove all links to Sun lights, and the custom properties that they drive."""
+    link_suns(level_object, (), (0.0, 0.0, 0.0))
+    for name in (AMBIENT, *(name(index) for index in range(SUNS) for name in (sun_direction_property, sun_color_property))):
+        level_object.pop(name, None)
+
+
 def link_suns(level_object: bpy.types.Object, suns: Sequence[bpy.types.Object], ambient: Sequence[float]) -> None:
-    """Light a level with up to four Sun lights, linked by drivers, and with uniform World lighting of the radiance `ambient` (3,)."""
+    """Light a level with up to four Sun lights, linked by drivers, and with uniform World lighting of the radiance `ambient` (3,).
+
+    Only for the model *emission*; others are lit by all lights.
+    """
     for index in range(SUNS):
         for name in (sun_direction_property(index), sun_color_property(index)):
             level_object.driver_remove(f'["{name}"]')
@@ -193,6 +203,11 @@ def link_suns(level_object: bpy.types.Object, suns: Sequence[bpy.types.Object], 
     _mute_unused_suns(next(iter(level_object.data.materials), None), len(suns))
 
 
+def needs_linked_suns(level_object: bpy.types.Object) -> bool:
+    """Whether a level was baked with the model *emission*, which only shows linked Sun lights."""
+    return AMBIENT in level_object
+
+
 def _mute_unused_suns(material: bpy.types.Material | None, used_count: int) -> None:
     """Mute the nodes that decode Suns from index `used_count` on: renderers would evaluate them although their light is black."""
     if material is None or material.node_tree is None:
@@ -201,7 +216,3 @@ def _mute_unused_suns(material: bpy.types.Material | None, used_count: int) -> N
     for node in material.node_tree.nodes:
         if node.type == "GROUP" and node.label:
             node.mute = node.label in unused
-
-
-def _half_float_image(name: str, pixels: np.ndarray) -> bpy.types.Image:
-    return create_image(name, pixels, is_data=True, half_floats=True)

@@ -1,6 +1,7 @@
 """Relightable textures read back from the images of a relightable material."""
 
 from dataclasses import replace
+from typing import Any
 
 import bpy
 import numpy as np
@@ -11,6 +12,7 @@ from ...core.btf.factorization.lpca import LocalFactors
 from ...core.btf.reflectance.lobes import SCHLICK, GrazingFresnel, Lobes, TexelSurface
 from ...core.btf.reflectance.parallax import ParallaxMap
 from ...core.btf.reflectance.shadows import Shadows
+from ...core.btf.settings import EMISSION as EMISSION_MODEL
 from ...core.btf.tables import unpack_color_basis, unpack_scalar_basis, unpack_weights
 from ...core.errors import GeometryError
 from ...core.geometry.direction_grids import DirectionGrid
@@ -68,8 +70,12 @@ def read_relightable_texture(level_object: bpy.types.Object) -> RelightableTextu
 
 
 def is_upper_hemisphere(level_object: bpy.types.Object) -> bool:
-    """Whether a level was baked for directions above the horizon only. Raises as `read_relightable_texture`."""
-    return bool(_read_layout(level_object)["views_upper"])
+    """Whether a level was baked for directions above the horizon only, with any model.
+
+    Raises:
+        GeometryError: if the level has no relightable material.
+    """
+    return bool(_stored_layout(level_object).get("views_upper", False))
 
 
 class _LevelImages:
@@ -109,12 +115,21 @@ class _LevelImages:
 
 def _read_layout(level_object: bpy.types.Object) -> dict[str, int]:
     """Return the layout of the images of a level, see `LAYOUT_KEYS`."""
+    layout = _stored_layout(level_object)
+    if layout.get("model", EMISSION_MODEL) != EMISSION_MODEL:
+        raise GeometryError(
+            f'"{level_object.name}" is lit by the scene, so it has no radiance to export; bake it with the model Emission first.'
+        )
+    if layout.get("version") != VERSION or not set(LAYOUT_KEYS) <= set(layout):
+        raise GeometryError(f'The relightable textures of "{level_object.name}" are of another version of Farfield; bake them again.')
+    return layout
+
+
+def _stored_layout(level_object: bpy.types.Object) -> dict[str, Any]:
     material = level_object.data.materials[0] if level_object.data.materials else None
     layout = dict(material.get(LAYOUT, {})) if material is not None else {}
     if not layout:
         raise GeometryError(f'"{level_object.name}" has no relightable textures; bake them first.')
-    if layout.get("version") != VERSION or not set(LAYOUT_KEYS) <= set(layout):
-        raise GeometryError(f'The relightable textures of "{level_object.name}" are of another version of Farfield; bake them again.')
     return layout
 
 

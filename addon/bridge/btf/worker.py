@@ -10,16 +10,19 @@ import numpy as np
 
 from ...core.btf.capture.capture_spec import LevelCaptureSpec
 from ...core.btf.capture.dispatch import EXIT_ERROR, Shard, encode_error
-from ...core.btf.capture.observations import ID_BUFFER_SCALE, observe, visible_subsamples
+from ...core.btf.capture.observations import ID_BUFFER_SCALE, ViewRender, observe, visible_subsamples
 from ...core.btf.capture.reference_images import compute_reference_image, low_order_lights
+from ...core.btf.capture.shard_files import ViewFiles, to_half
 from ...core.btf.capture.shards import ShardStore
 from ...core.btf.capture.visibility_codec import encode_visibility
 from ...core.errors import FarfieldError
 from ...core.geometry.cameras import OrthographicView
+from ..emission import has_emission
 from ..meshes import Source
 from ..worker_processes import exit_when_run_ends, worker_command
 from . import capture
 from .snapshot import Snapshot, open_snapshot, store_folder
+from .surface_capture import open_surface_renderer
 
 
 def shard_command(folder: Path, snapshot_folder: Path, shard: Shard, *, run_drivers: bool) -> list[str]:
@@ -60,6 +63,12 @@ def capture_views(snapshot: Snapshot, folder: Path, views: list[int], threads: i
     Raises:
         FarfieldError: if Cycles cannot render the snapshot, or the disk is full.
     """
+    jobs = _find_missing_views(snapshot, folder, views)
+    capture_images = _capture_lit_views if snapshot.settings.bakes_emission else _capture_surface_views
+    capture_images(snapshot, jobs, _capture_face_ids(snapshot, jobs, threads), threads)
+
+
+def _find_missing_views(snapshot: Snapshot, folder: Path, views: list[int]) -> list["_ViewJob"]:
     source, settings = snapshot.source, snapshot.settings
     jobs: list[_ViewJob] = []
     for level, spec in enumerate(snapshot.specs):
@@ -69,20 +78,61 @@ def capture_views(snapshot: Snapshot, folder: Path, views: list[int], threads: i
         jobs += [
             _ViewJob(store, spec, index, all_views[index], suns[index :: len(all_views)]) for index in views if not store.exists(index)
         ]
-    visibility_and_seconds = []
-    with capture.open_face_id_renderer(source, settings, threads) as face_id_renderer:
+    return jobs
+
+
+def _capture_face_ids(snapshot: Snapshot, jobs: list["_ViewJob"], threads: int) -> list[tuple[list[np.ndarray], float]]:
+    """Store the ID buffers of all views. Return per view the visibility of its Suns, and the render time in seconds."""
+    source, visibility_and_seconds = snapshot.source, []
+    with capture.open_face_id_renderer(source, snapshot.settings, threads) as face_id_renderer:
         for job in jobs:
             start = face_id_renderer.render_seconds
             job.store.face_ids.write(job.index, face_id_renderer.render_face_ids(job.view.supersample(ID_BUFFER_SCALE)))
             visibility = [_sun_visibility(job.spec, source, sun, face_id_renderer.render_face_ids(sun)) for sun in job.suns]
             visibility_and_seconds.append((visibility, face_id_renderer.render_seconds - start))
+    return visibility_and_seconds
+
+
+def _capture_lit_views(
+    snapshot: Snapshot, jobs: list["_ViewJob"], visibility_and_seconds: list[tuple[list[np.ndarray], float]], threads: int
+) -> None:
+    """Capture all views under every light of the model *emission*."""
+    source, settings = snapshot.source, snapshot.settings
     with capture.open_radiance_renderer(snapshot.objects, source, settings, threads) as radiance_renderer:
         for job, (visibility, seconds) in zip(jobs, visibility_and_seconds, strict=True):
             start = radiance_renderer.render_seconds
             render = radiance_renderer.render_view(job.view, job.store.face_ids.read(job.index))
-            observation = observe(job.spec.texels, job.view, render, job.spec.quad_faces, job.spec.error)
-            reference = compute_reference_image(render, low_order_lights(settings.light_grid))
-            job.store.write(job.index, observation, reference, visibility, seconds + radiance_renderer.render_seconds - start)
+            job.write(render, low_order_lights(settings.light_grid), visibility, seconds + radiance_renderer.render_seconds - start)
+
+
+def _capture_surface_views(
+    snapshot: Snapshot, jobs: list["_ViewJob"], visibility_and_seconds: list[tuple[list[np.ndarray], float]], threads: int
+) -> None:
+    """Capture the material channels of all views, for the model *surface*."""
+    source, settings = snapshot.source, snapshot.settings
+    emission_seconds = _capture_emission(snapshot, jobs, threads)
+    with open_surface_renderer(source, settings, threads) as renderer:
+        for job, (visibility, seconds), more_seconds in zip(jobs, visibility_and_seconds, emission_seconds, strict=True):
+            start = renderer.render_seconds
+            emission = job.emission_files.read(job.index, "emission")[0].astype(np.float32) if more_seconds else None
+            render = renderer.render_view(job.view, job.store.face_ids.read(job.index), emission)
+            job.write(
+                render, np.eye(len(render.radiance), dtype=np.float32), visibility, seconds + more_seconds + renderer.render_seconds - start
+            )
+            job.emission_files.remove(job.index)
+
+
+def _capture_emission(snapshot: Snapshot, jobs: list["_ViewJob"], threads: int) -> list[float]:
+    """Store the emission of all views if a material may emit light. Return the render times in seconds; 0 if none does."""
+    seconds = [0.0] * len(jobs)
+    if not has_emission(snapshot.source.materials):
+        return seconds
+    with capture.open_radiance_renderer(snapshot.objects, snapshot.source, snapshot.settings, threads) as renderer:
+        for index, job in enumerate(jobs):
+            start = renderer.render_seconds
+            job.emission_files.write(job.index, {"emission": to_half(renderer.render_emission(job.view))})
+            seconds[index] = renderer.render_seconds - start
+    return seconds
 
 
 @dataclass(frozen=True)
@@ -94,6 +144,16 @@ class _ViewJob:
     index: int
     view: OrthographicView
     suns: list[OrthographicView]
+
+    @property
+    def emission_files(self) -> ViewFiles:
+        """The emission of unfinished views."""
+        return ViewFiles(self.store.folder, "emission")
+
+    def write(self, render: ViewRender, reference_weights: np.ndarray, visibility: list[np.ndarray], seconds: float) -> None:
+        """Write the finished view. reference_weights (L, M): of the images of `render` in the colors of the reference image."""
+        observation = observe(self.spec.texels, self.view, render, self.spec.quad_faces, self.spec.error)
+        self.store.write(self.index, observation, compute_reference_image(render, reference_weights), visibility, seconds)
 
 
 def _sun_visibility(spec: LevelCaptureSpec, source: Source, sun: OrthographicView, face_ids: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ SECONDS_PER_FITTED_ENTRY = 2e-8  # per matrix entry, to fit and subtract the lob
 SECONDS_PER_FACTOR_ENTRY = 1e-9  # per matrix entry and component
 SECONDS_PER_REFINED_TEXEL = 10e-6  # per texel and reference image, over all iterations
 LOBE_VALUES = 9  # per texel
+SURFACE_SAMPLES_FACTOR = 18  # samples of a view of the model *surface*, which has no lights: see `bridge.btf.surface_capture`
 WORKER_START_SECONDS = 3.0
 
 
@@ -52,13 +53,15 @@ def estimate_bake(levels: Sequence[LevelExtent], settings: BtfSettings, workers:
 
     The time is a sum over renders, ID buffers, lookups and compression: known counts times constants that were measured once.
     """
-    images_per_view = settings.light_count + 1
+    images_per_view = settings.images_per_view
+    samples_per_view = images_per_view * settings.samples if settings.bakes_emission else SURFACE_SAMPLES_FACTOR * settings.samples
     capture_seconds = compress_seconds = raw_bytes = final_bytes = 0.0
     for level in levels:
         pixels, entries = level.resolution**2, level.texels * settings.view_count * 3 * images_per_view
-        components = settings.components + settings.alpha_components
+        components = settings.alpha_components + (settings.components if settings.bakes_emission else 0)
         seconds_per_view = (
-            images_per_view * (SECONDS_PER_RENDER + pixels * (SECONDS_PER_PIXEL + SECONDS_PER_SAMPLE * settings.samples))
+            images_per_view * (SECONDS_PER_RENDER + pixels * SECONDS_PER_PIXEL)
+            + pixels * samples_per_view * SECONDS_PER_SAMPLE
             + pixels * SECONDS_PER_ID_PIXEL
             + level.texels * SECONDS_PER_OBSERVED_TEXEL
         )
@@ -66,14 +69,18 @@ def estimate_bake(levels: Sequence[LevelExtent], settings: BtfSettings, workers:
             SECONDS_PER_RENDER + pixels * SECONDS_PER_ID_PIXEL / ID_BUFFER_SCALE**2 + level.texels * SECONDS_PER_SHADOW_TEXEL
         )
         capture_seconds += settings.view_count * seconds_per_view + settings.shadow_count * seconds_per_shadow
-        compress_seconds += entries * (SECONDS_PER_FITTED_ENTRY + SECONDS_PER_FACTOR_ENTRY * components)
+        if settings.bakes_emission:
+            compress_seconds += entries * (SECONDS_PER_FITTED_ENTRY + SECONDS_PER_FACTOR_ENTRY * components)
         if settings.refine:
             compress_seconds += level.texels * settings.view_count * SECONDS_PER_REFINED_TEXEL
         raw_bytes += 2 * entries
-        table_values = settings.view_count * (3 * images_per_view * settings.components + settings.alpha_components)
+        table_values, texel_values = settings.view_count * settings.alpha_components, 0
+        if settings.bakes_emission:
+            table_values += settings.view_count * 3 * images_per_view * settings.components
+            texel_values = 3 + LOBE_VALUES
         if settings.shadow_count:
             components += settings.shadow_components
             table_values += settings.shadow_count * settings.shadow_components
-        final_bytes += 2 * (level.texels * (3 + LOBE_VALUES + components) + table_values)
+        final_bytes += 2 * (level.texels * (texel_values + components) + table_values)
     seconds = pace * (WORKER_START_SECONDS + capture_seconds / workers + compress_seconds)
     return BakeEstimate(settings.view_count * images_per_view * len(levels), seconds, int(raw_bytes), int(final_bytes))

@@ -10,6 +10,12 @@ CODECS = {
     "pca": Choice("PCA", "One set of components for all quads. Linear: filtered and mip-mapped like any texture"),
     "lpca": Choice("Local PCA", "Clusters of texels with a set of components each. Sharper, but cannot be filtered like a texture"),
 }
+MODELS = {
+    "surface": Choice("Surface", "The PBR material with silhouettes that depend on the view. Works with all lights, shadows and bounces"),
+    "emission": Choice("Emission", "All lighting is baked, for up to four Sun lights and uniform World lighting. For export; takes longer"),
+}
+EMISSION = "emission"
+SURFACE_CHANNELS = 2  # renders per view of the model *surface*: color and normal
 MAX_IMAGE_SIDE = 16384  # pixels; limit of graphics cards
 
 EXPORT_DIRECTIONS = {
@@ -29,6 +35,7 @@ class ExportSettings(Settings):
 class BtfSettings(Settings):
     """Settings of a bake."""
 
+    model: str = setting("surface", "What is baked", choices=MODELS)
     views_per_side: int = setting(
         8,
         "View directions along each side of their square grid: 8 for 64 views",
@@ -40,7 +47,7 @@ class BtfSettings(Settings):
     )
     lights_per_side: int = setting(
         8,
-        "Light directions along each side of their square grid: 8 for 64 Sun lights. Uniform World lighting is baked as well",
+        "Emission only: light directions along each side of their square grid: 8 for 64 Sun lights. Uniform World lighting is added",
         label="Lights per Side",
         minimum=2,
         maximum=32,
@@ -49,23 +56,25 @@ class BtfSettings(Settings):
     )
     upper_hemisphere: bool = setting(
         False,
-        "Only bake views and lights above the horizon, at twice the density. Use for objects standing on the ground",
+        "Only bake views and lights above the horizon, at twice the density. Use for objects that are never seen or lit from below",
         group="Directions",
     )
-    codec: str = setting("pca", "Compression method", choices=CODECS, group="Compression")
+    codec: str = setting("pca", "Emission only: compression method", choices=CODECS, group="Compression")
     components: int = setting(
         12,
-        "PCA only: number of color components; four share a pixel",
+        "Emission with PCA only: number of color components; four share a pixel",
         minimum=1,
         maximum=64,
         unit=Unit.COUNT,
         group="Compression",
         panel_label="Color",
     )
-    clusters: int = setting(32, "Local PCA only: number of texel clusters", minimum=1, maximum=256, unit=Unit.COUNT, group="Compression")
+    clusters: int = setting(
+        32, "Emission with Local PCA only: number of texel clusters", minimum=1, maximum=256, unit=Unit.COUNT, group="Compression"
+    )
     cluster_components: int = setting(
         8,
-        "Local PCA only: number of color components per cluster",
+        "Emission with Local PCA only: number of color components per cluster",
         minimum=1,
         maximum=32,
         unit=Unit.COUNT,
@@ -74,7 +83,7 @@ class BtfSettings(Settings):
     )
     blend_texels: bool = setting(
         True,
-        "Local PCA only: randomly blend neighboring texels per sample. Removes blockiness; needs more render samples",
+        "Emission with Local PCA only: randomly blend neighboring texels per sample. Removes blockiness; needs more render samples",
         group="Compression",
     )
     alpha_components: int = setting(
@@ -88,7 +97,7 @@ class BtfSettings(Settings):
     )
     shadows_per_side: int = setting(
         16,
-        "Light directions along each side of the grid for which self-shadowing is captured: 16 for 256; 0 disables self-shadowing",
+        "Emission only: light directions along each side of the grid whose self-shadowing is captured: 16 for 256; 0 for none",
         label="Shadow Directions per Side",
         minimum=0,
         maximum=64,
@@ -98,7 +107,7 @@ class BtfSettings(Settings):
     )
     shadow_components: int = setting(
         24,
-        "Number of self-shadowing components; four share a pixel",
+        "Emission only: number of self-shadowing components; four share a pixel",
         minimum=1,
         maximum=64,
         unit=Unit.COUNT,
@@ -110,7 +119,7 @@ class BtfSettings(Settings):
     )
     samples: int = setting(
         4,
-        "Cycles samples per pixel of each render. Compression reduces noise",
+        "Cycles samples per pixel under each light of the model Emission. Silhouettes take 16 times as many",
         minimum=1,
         maximum=4096,
         unit=Unit.COUNT,
@@ -134,17 +143,25 @@ class BtfSettings(Settings):
         return self.lights_per_side**2
 
     @property
+    def bakes_emission(self) -> bool:
+        """Whether the lighting is baked, under the lights of `light_grid`; otherwise views suffice."""
+        return self.model == EMISSION
+
+    @property
+    def images_per_view(self) -> int:
+        """Number of renders per view that are stored per texel."""
+        return self.light_count + 1 if self.bakes_emission else SURFACE_CHANNELS
+
+    @property
     def shadow_count(self) -> int:
         """Number of light directions for which self-shadowing is captured; may be 0."""
-        return self.shadows_per_side**2
+        return self.shadows_per_side**2 if self.bakes_emission else 0
 
     @property
     def capture_fingerprint(self) -> str:
         """The settings that the renders depend on, as text. The same renders can be compressed again with other settings."""
-        return (
-            f"views={self.view_count} lights={self.light_count} upper={self.upper_hemisphere} shadows={self.shadow_count} "
-            f"samples={self.samples} seed={self.seed}"
-        )
+        common = f"model={self.model} views={self.view_count} upper={self.upper_hemisphere} samples={self.samples} seed={self.seed}"
+        return f"{common} lights={self.light_count} shadows={self.shadow_count}" if self.bakes_emission else common
 
     @property
     def view_grid(self) -> DirectionGrid:
@@ -159,7 +176,7 @@ class BtfSettings(Settings):
     @property
     def shadow_grid(self) -> DirectionGrid | None:
         """The light directions for which self-shadowing is captured; None when it is disabled."""
-        return DirectionGrid(self.shadows_per_side, self.upper_hemisphere) if self.shadows_per_side else None
+        return DirectionGrid(self.shadows_per_side, self.upper_hemisphere) if self.shadow_count else None
 
     @property
     def sun_solid_angle(self) -> float:
@@ -174,6 +191,8 @@ class BtfSettings(Settings):
 
         Those of silhouettes and shadows cannot: their settings have limits, and they do not grow with the lights.
         """
+        if not self.bakes_emission:
+            return
         tile = (self.view_grid.size + 2) * (self.light_grid.size + 2)
         is_local = self.codec == "lpca"
         width, height = tile * (self.clusters if is_local else 1), tile * (self.cluster_components if is_local else self.components)

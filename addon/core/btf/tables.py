@@ -88,12 +88,17 @@ def build_tables(
         component_step=1.0 / components,
         cluster_step=1.0 / clusters,
         dome=_build_view_table(views, values[..., count, :]),
-        alpha=_build_scalar_table(views, alpha.basis),
+        alpha=build_alpha_table(alpha, views),
         shadows_per_side=0 if shadows is None else shadows.grid.size,
         shadows_upper=False if shadows is None else shadows.grid.upper,
         shadow_components=0 if shadows is None else shadows.angles.components,
         shadow=None if shadows is None else _build_scalar_table(shadows.grid, shadows.angles.basis),
     )
+
+
+def build_alpha_table(alpha: Factors, views: DirectionGrid) -> ViewTable:
+    """Build the table of `alpha`, factors with one column."""
+    return _build_scalar_table(views, alpha.basis)
 
 
 def unpack_color_basis(

@@ -62,8 +62,8 @@ def map_ordered(function: Callable[[Item], Result], items: Iterable[Item]) -> It
 
 
 @lru_cache(maxsize=1)
-def _thread_pools(loaded_module_count: int) -> Any:
-    """Return the thread pools of the loaded libraries. Finding them takes 2 ms; more of them come only with modules that are loaded later."""
+def _thread_pools(_loaded_module_count: int) -> Any:
+    """Return the thread pools of the loaded libraries. Finding them takes 2 ms; more of them come only with modules loaded later."""
     return ThreadpoolController()
 
 

@@ -24,6 +24,7 @@ from ...core.geometry.directions import bonn_directions
 from ...core.jobs.progress import Progress, Steps, subprogress
 
 GLB, FMF, OCTAHEDRAL_FOLDER, IMAGE_FOLDER = ".glb", ".btf", ".octahedral", ""
+RADIANCE_SUFFIXES = (FMF, IMAGE_FOLDER)  # need the model *emission*
 FORMATS = {
     GLB: "quads, colors and normals",
     FMF: "full matrix factorization",
@@ -116,7 +117,7 @@ def prepare_export(levels: list[bpy.types.Object], target: Path, settings: Expor
     """
     check_target(target)
     suffix = target.suffix.lower()
-    textures = [read_relightable_texture(level) for level in levels] if suffix in {FMF, IMAGE_FOLDER} else []
+    textures = [read_relightable_texture(level) for level in levels] if suffix in RADIANCE_SUFFIXES else []
     items = []
     for level, path, texture in zip(levels, _level_targets(target, levels), textures, strict=False):
         items.append(ExportItem(level.name, path, texture, 0.001 / read_level_texels(level).texel_size))

@@ -21,17 +21,21 @@ from ...bridge.btf import snapshot as btf_snapshot
 from ...bridge.btf import worker as btf_worker
 from ...bridge.btf.driver_permission import may_run_python_drivers
 from ...bridge.btf.level_checks import check_editable, check_level, is_unchanged
+from ...bridge.btf.light_calibration import calibrate_light_coverage, has_loose_quads
+from ...bridge.btf.surface_clouds import assign_surface_material, check_maps, read_two_sided_texels
 from ...bridge.session_ids import find_by_uid
 from ...core.billboards.texels import QuadPolygons, Texels
 from ...core.btf.capture.capture_run import CaptureRun
 from ...core.btf.capture.capture_spec import LevelCaptureSpec
 from ...core.btf.capture.dispatch import Shard, render_missing_views
+from ...core.btf.capture.reference_images import LOW_ORDER_LIGHTS
 from ...core.btf.capture.shard_layout import ShardLayout
 from ...core.btf.capture.shards import ShardStore
 from ...core.btf.compression import CompressedTextures, LevelCompressor
 from ...core.btf.refinement.training import training_views
 from ...core.btf.reflectance.lobes import TexelSurface
-from ...core.btf.settings import BtfSettings
+from ...core.btf.settings import SURFACE_CHANNELS, BtfSettings
+from ...core.btf.surface_compression import SurfaceCompressor, SurfaceTextures, TwoSidedTexels
 from ...core.errors import FarfieldError, FileError, GeometryError
 from ...core.files.temporary_folders import folder_prefix
 from ...core.files.user_folders import open_private_folder
@@ -50,7 +54,8 @@ class LevelBake:
     """One level to bake.
 
     spec: input of its capture. quads: its polygons. views: captured views. pbr_alpha: alpha (N,) of its texels in the PBR maps. surface:
-    their normals, roughness and parallax. store: finished views.
+    their normals, roughness and parallax. sides: their maps, for the model *surface*. center (3,): the mean of the level's vertices when it
+    was built. store: finished views.
     """
 
     spec: LevelCaptureSpec
@@ -58,6 +63,8 @@ class LevelBake:
     views: list[OrthographicView]
     pbr_alpha: np.ndarray
     surface: TexelSurface | None
+    sides: TwoSidedTexels | None
+    center: np.ndarray
     store: ShardStore
 
 
@@ -66,7 +73,7 @@ class BakedLevel:
     """One baked level. max_depth_complexity: maximum number of its quads behind each other."""
 
     texels: Texels
-    textures: CompressedTextures
+    textures: CompressedTextures | SurfaceTextures
     max_depth_complexity: int
 
 
@@ -79,7 +86,7 @@ class BakeJob:
     finished; when it is cancelled they always stay. temporary_folder: deletes the folder together with the job.
     """
 
-    core_fraction = 0.98
+    core_fraction = 0.9
 
     collection: str
     collection_uid: int
@@ -122,13 +129,30 @@ class BakeJob:
             estimates.cache.remember_pace(cloud, self.settings, sum(self.clock.seconds.values()))
         with self.clock.stage("assign"):
             for level_object, baked in zip(cloud.levels, core_result, strict=True):
-                btf_clouds.assign_relightable_material(level_object, baked.texels, baked.textures, self.settings)
+                assign = btf_clouds.assign_relightable_material if self.settings.bakes_emission else assign_surface_material
+                assign(level_object, baked.texels, baked.textures, self.settings)
+        with self.clock.stage("calibrate"):
+            if not self.settings.bakes_emission:
+                yield from self._calibrate(cloud)
+        with self.clock.stage("assign"):
             btf_clouds.raise_transparent_bounces(cloud.collection, max(baked.max_depth_complexity for baked in core_result))
         if self.temporary_folder is not None:
             self.temporary_folder.cleanup()
         elif not self.keep_finished_views and not heartbeat.is_alive(self.folder):  # another Blender may have started the same bake
             shutil.rmtree(self.folder, ignore_errors=True)
         return f'Baked "{self.collection}": {sum(figure["renders"] for figure in self.figures):,} renders.'
+
+    def _calibrate(self, cloud: SceneCloud) -> Steps[None]:
+        """Calibrate the light that loose quads block. If the source was changed or removed during the bake, the default stays."""
+        sources = cloud.sources
+        for index, (level_object, level) in enumerate(zip(cloud.levels, self.levels, strict=True)):
+            if not has_loose_quads(level_object) or not sources or cloud.missing_source_names:
+                continue
+            if read_source_objects(bpy.context, sources).fingerprint != self.fingerprint:
+                return
+            steps = calibrate_light_coverage(level_object, sources, level.center, level.views, self.settings.seed)
+            count = len(self.levels)
+            self.figures[index]["light_coverage"] = yield from subprogress(steps, index / count, (index + 1) / count)
 
     def _capture(self) -> Steps[int]:
         """Let worker processes capture missing views; return their number."""
@@ -167,7 +191,10 @@ class BakeJob:
         """Compress the textures of one level. All its views must be finished."""
         level = self.levels[index]
         texels, store, settings = level.spec.texels, level.store, self.settings
-        compressor = LevelCompressor(store, texels, level.pbr_alpha, level.surface, settings)
+        if settings.bakes_emission:
+            compressor = LevelCompressor(store, texels, level.pbr_alpha, level.surface, settings)
+        else:
+            compressor = SurfaceCompressor(store, level.sides, settings)
         with self.clock.stage("compress"):
             textures = yield from subprogress(compressor.compress(), 0.0, COMPRESS_END)
         with self.clock.stage("refine"):
@@ -175,9 +202,11 @@ class BakeJob:
             if settings.refine:
                 textures = yield from subprogress(compressor.refine(textures, training), COMPRESS_END, REFINE_END)
             max_depth_complexity = max(view.max_depth_complexity() for view in training)
-        with self.clock.stage("measure"):
-            component_errors = yield from subprogress(compressor.measure_error(textures), REFINE_END, 1.0)
-        view_count, renders_per_view = settings.view_count, settings.light_count + 1
+        component_errors = []
+        if settings.bakes_emission:
+            with self.clock.stage("measure"):
+                component_errors = yield from subprogress(compressor.measure_error(textures), REFINE_END, 1.0)
+        view_count, renders_per_view = settings.view_count, settings.images_per_view
         self.figures.append(
             {
                 "level": index,
@@ -222,6 +251,8 @@ def prepare_bake(
     images.check_images(source)
     for level_object in cloud.levels:
         check_level(level_object, source)
+        if not settings.bakes_emission:
+            check_maps(level_object)
     temporary_folder = _create_temporary_folder() if work_folder is None else None
     folder = work_folder if temporary_folder is None else Path(temporary_folder.name)
     open_private_folder(folder)
@@ -254,10 +285,12 @@ def _read_level(level_object: bpy.types.Object, source: meshes.Source, settings:
     texels, quads = read_level_texels(level_object, center), read_level_quads(level_object, center)
     views = btf_capture.build_views(source, settings.view_grid, texels.texel_size)
     spec = LevelCaptureSpec(texels, *clouds.read_drawn_primitives(level_object.data), float(level_object["farfield_error"]))
-    layout = ShardLayout(len(texels), settings.light_count, views[0].resolution, settings.view_count, settings.shadow_count)
-    store = ShardStore(btf_snapshot.store_folder(folder, index), layout)
+    reference_count = LOW_ORDER_LIGHTS if settings.bakes_emission else SURFACE_CHANNELS
+    counts = len(texels), settings.images_per_view, reference_count, views[0].resolution, settings.view_count, settings.shadow_count
+    store = ShardStore(btf_snapshot.store_folder(folder, index), ShardLayout(*counts))
     pbr_alpha, surface = read_pbr_alpha(level_object, texels), btf_clouds.read_texel_surface(level_object, texels)
-    return LevelBake(spec, quads, views, pbr_alpha, surface, store)
+    sides = None if settings.bakes_emission else read_two_sided_texels(level_object, texels)
+    return LevelBake(spec, quads, views, pbr_alpha, surface, sides, center, store)
 
 
 def _create_temporary_folder() -> tempfile.TemporaryDirectory:

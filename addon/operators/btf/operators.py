@@ -91,12 +91,20 @@ class FARFIELD_OT_btf_link_suns(RequiresBakedCloud, bpy.types.Operator):
     bl_label = "Link Sun Lights to Cloud"
     bl_options = {"REGISTER", "UNDO"}
 
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether the active cloud has relightable textures that show linked lights only."""
+        reason = not_baked_reason(context) or linked_reason(context)
+        if not reason and not shows_linked_suns(active_cloud(context)):
+            reason = "The cloud is lit by all lights of the scene"
+        return long_work.poll_with_reason(cls, reason)
+
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Replace the drivers of all levels."""
         group = context.scene.farfield_btf
         suns = [sun for sun in (getattr(group, sun_pointer_name(index)) for index in range(SUNS)) if sun is not None]
-        for level in active_cloud(context).levels:
+        for level in filter(btf_clouds.needs_linked_suns, active_cloud(context).levels):
             btf_clouds.link_suns(level, suns, group.ambient)
         self.report({"INFO"}, f"Lit by {', '.join(sun.name for sun in suns) or 'the ambient color only'}.")
         return {"FINISHED"}
@@ -125,6 +133,11 @@ def active_cloud(context: bpy.types.Context) -> SceneCloud | None:
 def is_baked(cloud: SceneCloud | None) -> bool:
     """Whether a cloud has relightable materials."""
     return cloud is not None and all(PBR_MATERIAL in level for level in cloud.levels)
+
+
+def shows_linked_suns(cloud: SceneCloud) -> bool:
+    """Whether any level shows linked Sun lights only."""
+    return any(btf_clouds.needs_linked_suns(level) for level in cloud.levels)
 
 
 def disabled_reason(context: bpy.types.Context) -> str:

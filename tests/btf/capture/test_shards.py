@@ -117,7 +117,7 @@ def test_views_without_shadow_directions_are_read_with_the_others(store):
     np.testing.assert_array_equal(store.read_visibility(3), rows)
 
 
-LAYOUT = ShardLayout(texel_count=9, light_count=1, resolution=4, view_count=3, shadow_count=2)
+LAYOUT = ShardLayout(texel_count=9, image_count=2, reference_count=5, resolution=4, view_count=3, shadow_count=2)
 
 
 def stored_arrays() -> dict[str, np.ndarray]:

@@ -18,7 +18,8 @@ MIN_COVERAGE = 0.1  # summed over the subsamples of a texel; below it, its color
 class ViewRender:
     """The Cycles renders of one view.
 
-    radiance (L, H, W, 3) float32: premultiplied, one image per light, without emission. coverage (H, W): alpha. With S = ID_BUFFER_SCALE:
+    radiance (L, H, W, 3) float32: premultiplied, one image per light, without emission; or one per
+    material channel. coverage (H, W): alpha. With S = ID_BUFFER_SCALE:
     face_ids (S H, S W) int32: the face at the center of each pixel, -1 for none; heights (S H, S W): height of that point above the view's
     center, towards the viewer. emission (H, W, 3): emitted radiance; None when no material emits.
     """

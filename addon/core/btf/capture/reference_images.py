@@ -30,5 +30,5 @@ def low_order_lights(grid: DirectionGrid) -> np.ndarray:
 
 
 def compute_reference_image(render: ViewRender, lights: np.ndarray) -> ReferenceImage:
-    """Return `render` under `lights` (L + 1, M), see `low_order_lights`."""
+    """Return `render` under `lights` (L, M), weights of its images; see `low_order_lights`."""
     return ReferenceImage(np.einsum("lhwc,lm->mhwc", render.radiance, lights, optimize=True), render.coverage)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from .observations import SUBSAMPLES
-from .reference_images import LOW_ORDER_LIGHTS
 
 ARRAYS = (
     "known",
@@ -26,12 +25,13 @@ HALF_FLOAT_EXPONENT = 0x7C00  # all bits of the exponent are set in infinities a
 class ShardLayout:
     """What determines the shapes of the arrays of a finished view.
 
-    texel_count N; light_count L: Sun lights, without the dome; resolution: pixels per side of a render; view_count and shadow_count:
-    numbers of directions of the whole bake.
+    texel_count N; image_count L: renders that are stored per texel; reference_count: colors of the reference image; resolution: pixels per
+    side of a render; view_count and shadow_count: numbers of directions of the whole bake.
     """
 
     texel_count: int
-    light_count: int
+    image_count: int
+    reference_count: int
     resolution: int
     view_count: int
     shadow_count: int
@@ -46,9 +46,9 @@ class ShardLayout:
             (coverage, np.uint8, (texels,)),
             (visible, np.int32, (visible_count,)),
             (subsample_counts, np.uint8, (visible_count,)),
-            (radiance, np.float16, (self.light_count + 1, visible_count, 3)),
+            (radiance, np.float16, (self.image_count, visible_count, 3)),
             (emission, np.float16, (visible_count if emission.size else 0, 3)),
-            (reference_colors, np.float16, (LOW_ORDER_LIGHTS, side, side, 3)),
+            (reference_colors, np.float16, (self.reference_count, side, side, 3)),
             (reference_coverage, np.uint8, (side, side)),
             (visibility, np.uint8, (shadows_of_view, texels)),
         )

@@ -19,7 +19,7 @@ from .shard_files import ViewFiles, to_bytes, to_half, write_view_file
 from .shard_layout import ARRAYS, ShardLayout
 
 JOB_FILE = "job.json"
-FORMAT_VERSION = 6  # of the files; a folder written with another version belongs to another bake
+FORMAT_VERSION = 7  # of the files; a folder written with another version belongs to another bake
 
 
 @dataclass(frozen=True)

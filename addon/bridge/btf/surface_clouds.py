@@ -1,0 +1,88 @@
+"""Cloud levels with the material of the model *surface*."""
+
+import itertools
+
+import bpy
+import numpy as np
+
+from ...core.billboards.texels import Texels
+from ...core.btf.reflectance.parallax import parallax_axes
+from ...core.btf.settings import BtfSettings
+from ...core.btf.surface_compression import SurfaceTextures, TwoSidedTexels
+from ...core.btf.tables import build_alpha_table
+from ...core.errors import GeometryError
+from ...core.imaging.metrics import decode_srgb
+from ..billboards.cloud_materials import COLOR, MAPS, NORMAL, SHADOWLESS_DISTANCE, SIDES, SOLID_ATTRIBUTE, map_label
+from ..billboards.level_objects import pbr_image, pbr_material, read_pbr_alpha
+from ..billboards.lod_crossfade import apply_to_materials
+from ..billboards.map_images import SHADOWLESS_ERRORS
+from ..images import read_pixels
+from ..mesh_arrays import read_attribute
+from .clouds import remove_suns, replace_pbr_material
+from .materials import LAYOUT, VERSION
+from .nodes.parallax_nodes import write_texel_axes
+from .surface_materials import DEFAULT_LIGHT_COVERAGE, SurfaceImages, build_surface_material, read_light_coverage_sockets
+from .texture_images import create_color_image, create_half_float_image, create_weight_images
+
+
+def check_maps(level_object: bpy.types.Object) -> None:
+    """Raise GeometryError if a level has no PBR maps."""
+    if None in _pbr_images(level_object).values():
+        raise GeometryError(
+            f'The level "{level_object.name}" has no textures, which the model Surface needs; build the cloud with textures, '
+            "or choose the model Emission."
+        )
+
+
+def read_two_sided_texels(level_object: bpy.types.Object, texels: Texels) -> TwoSidedTexels:
+    """Read the PBR maps of a level at its `texels`. They must exist, see `check_maps`."""
+    images = _pbr_images(level_object)
+    columns, rows = texels.pixels.T
+
+    def read_side(side: str) -> np.ndarray:
+        color, normal = (read_pixels(images[side, name])[rows, columns, :3] for name in (COLOR, NORMAL))
+        return np.column_stack([decode_srgb(color), normal]).astype(np.float32)
+
+    attribute = level_object.data.attributes.get(SOLID_ATTRIBUTE)
+    count = len(level_object.data.polygons)
+    is_known = attribute is not None and attribute.domain == "FACE" and attribute.data_type == "FLOAT"
+    solid = read_attribute(attribute).astype(bool) if is_known else np.zeros(count, bool)
+    return TwoSidedTexels(texels, *map(read_side, SIDES), read_pbr_alpha(level_object, texels), solid)
+
+
+def assign_surface_material(level_object: bpy.types.Object, texels: Texels, textures: SurfaceTextures, settings: BtfSettings) -> None:
+    """Give a level object the surface material of its PBR maps and the `textures` of its `texels`. Its PBR material stays in the file."""
+    remove_suns(level_object)
+    name, views = f"{level_object.name} BTF", settings.view_grid
+    error = float(level_object["farfield_error"])
+    write_texel_axes(level_object.data, parallax_axes(texels, error))
+    table = build_alpha_table(textures.alpha, views)
+    emission = None
+    if textures.emission is not None:
+        known = texels.to_image(textures.alpha.known[:, None].astype(np.float32))[..., 0]
+        emission = create_color_image(f"{name} Emission", textures.emission, None, texels, known)
+    images = SurfaceImages(
+        maps=_pbr_images(level_object),
+        alpha_weights=create_weight_images(f"{name} Alpha Weights", texels.to_image(textures.alpha.weights)),
+        alpha_basis=create_half_float_image(f"{name} Alpha", table.image),
+        alpha=table,
+        upper=views.upper,
+        emission=emission,
+    )
+    material = build_surface_material(name, images, _shadowless_distance(level_object, error))
+    for socket in read_light_coverage_sockets(material):
+        socket.default_value = DEFAULT_LIGHT_COVERAGE
+    material[LAYOUT] = {"version": VERSION, "model": settings.model, "views_per_side": views.size, "views_upper": int(views.upper)}
+    replace_pbr_material(level_object, material)
+    apply_to_materials(level_object)
+
+
+def _pbr_images(level_object: bpy.types.Object) -> dict[tuple[str, str], bpy.types.Image | None]:
+    return {(side, name): pbr_image(level_object, map_label(side, name)) for side, name in itertools.product(SIDES, MAPS)}
+
+
+def _shadowless_distance(level_object: bpy.types.Object, error: float) -> float:
+    """Return the distance within which the PBR material blocks no light, which the user may have changed."""
+    tree = pbr_material(level_object).node_tree
+    values = [node.inputs[SHADOWLESS_DISTANCE].default_value for node in tree.nodes if SHADOWLESS_DISTANCE in node.inputs]
+    return values[0] if values else SHADOWLESS_ERRORS * error

@@ -1,0 +1,147 @@
+"""The material of the model *surface*: the PBR maps of a level with silhouettes that depend on the view, lit by all lights.
+
+The alpha of a quad is that of its silhouette as seen from outside, where the bake knows it: by camera rays from the camera, by light from
+the light. Which end of a ray that is depends on the render engine: Cycles traces shadow rays from the shaded point to the light, EEVEE from
+the light. So the material has an output for each of them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import bpy
+
+from ...compat import enable_nodes
+from ...core.btf.tables import ViewTable
+from ..billboards.cloud_materials import (
+    COLOR,
+    JOINED_ATTRIBUTE,
+    MAPS,
+    NORMAL,
+    ROUGHNESS_METALLIC_DEPTH,
+    SIDES,
+    SOLID_ATTRIBUTE,
+    add_quad_shader,
+    sample_map,
+    set_two_sided,
+)
+from ..node_builder import NodeBuilder, SocketOrValue
+from ..node_groups import create_group
+from .materials import ALPHA_BASIS, ALPHA_WEIGHTS, EMISSION
+from .nodes.parallax_nodes import depth_uv
+from .nodes.table_nodes import map_uv, sample_image, sample_weights, weighted_scalar_sum
+
+SHADOW_RAYS_LEAVE = "Shadow Rays Leave"  # input of the group: 1 if shadow rays start at the shaded point, 0 if they start at the light
+LIGHT_COVERAGE = "Light Coverage"  # input of the group: 0 to 1, see `_light_alpha`
+DEFAULT_LIGHT_COVERAGE = 0.5  # until it is calibrated
+SHARPNESS = 2.0  # factor of the alpha of joined quads for light: two that meet with half coverage each let none through
+
+
+@dataclass(frozen=True)
+class SurfaceImages:
+    """Images of the material. maps: PBR maps by side (SIDES) and map (MAPS). alpha_weights: images of blocks with four components each.
+    alpha_basis: lookup table `alpha`, for views in the hemi-octahedral map if `upper`. emission: None if nothing emits light."""
+
+    maps: dict[tuple[str, str], bpy.types.Image]
+    alpha_weights: Sequence[bpy.types.Image]
+    alpha_basis: bpy.types.Image
+    alpha: ViewTable
+    upper: bool
+    emission: bpy.types.Image | None
+
+
+def build_surface_material(name: str, images: SurfaceImages, shadowless_distance: float) -> bpy.types.Material:
+    """Create the material, for a mesh with texel axes. shadowless_distance: see `create_cloud_material`."""
+    material = bpy.data.materials.new(name)
+    set_two_sided(material)
+    enable_nodes(material)
+    material.node_tree.nodes.clear()
+    group = create_group(f"{name} Surface", [(SHADOW_RAYS_LEAVE, "Float"), (LIGHT_COVERAGE, "Float")], [("BSDF", "Shader")])
+    _fill_group(NodeBuilder(group), images, shadowless_distance)
+    builder = NodeBuilder(material.node_tree)
+    for engine, leave in (("CYCLES", 1.0), ("EEVEE", 0.0)):
+        node = builder.node("ShaderNodeGroup", {"node_tree": group, "label": engine.title()})
+        node.inputs[SHADOW_RAYS_LEAVE].default_value = leave
+        builder.connect(node.outputs[0], builder.node("ShaderNodeOutputMaterial", {"target": engine}).inputs["Surface"])
+    builder.arrange()
+    return material
+
+
+def read_light_coverage_sockets(material: bpy.types.Material) -> list[bpy.types.NodeSocket]:
+    """Return the sockets of a surface material, one per render engine, that hold how much light its loose quads block."""
+    return [node.inputs[LIGHT_COVERAGE] for node in material.node_tree.nodes if node.type == "GROUP" and LIGHT_COVERAGE in node.inputs]
+
+
+def _fill_group(builder: NodeBuilder, images: SurfaceImages, shadowless_distance: float) -> None:
+    """Add the shader to the group."""
+    geometry, path = builder.node("ShaderNodeNewGeometry"), builder.node("ShaderNodeLightPath")
+    is_backfacing, incoming = geometry.outputs["Backfacing"], geometry.outputs["Incoming"]
+    is_light_ray = builder.math("SUBTRACT", 1.0, path.outputs["Is Camera Ray"])
+    inputs = builder.node("NodeGroupInput").outputs
+    leaving_shadow_ray = builder.math("MULTIPLY", path.outputs["Is Shadow Ray"], inputs[SHADOW_RAYS_LEAVE])
+    is_leaving = builder.math("MAXIMUM", path.outputs["Is Diffuse Ray"], leaving_shadow_ray)
+    view_alpha, pbr_alpha = _decode_alpha(builder, images, _viewer(builder, incoming, is_backfacing, is_leaving))
+    alpha = _light_alpha(builder, view_alpha, pbr_alpha, is_light_ray, inputs[LIGHT_COVERAGE])
+    maps = _visible_maps(builder, images, incoming, is_backfacing)
+    shader = add_quad_shader(builder, maps, alpha, shadowless_distance, is_backfacing)
+    if images.emission is not None:
+        builder.connect(sample_image(builder, images.emission, EMISSION)[0], shader.inputs["Emission Color"])
+        shader.inputs["Emission Strength"].default_value = 1.0
+    else:
+        shader.inputs["Emission Strength"].default_value = 0.0
+    builder.connect(shader.outputs[0], builder.node("NodeGroupOutput").inputs[0])
+    builder.arrange()
+
+
+def _viewer(builder: NodeBuilder, incoming: SocketOrValue, is_backfacing: SocketOrValue, is_leaving: SocketOrValue) -> SocketOrValue:
+    """Return the direction to a viewer outside of the object. is_leaving: whether the ray starts on the object.
+
+    Rays leave a solid through the backs of its quads, and enter it through their fronts.
+    """
+    is_solid = builder.attribute(SOLID_ATTRIBUTE, is_scalar=True)
+    is_flipped = builder.math(
+        "ADD",
+        builder.math("MULTIPLY", is_solid, is_backfacing),
+        builder.math("MULTIPLY", builder.math("SUBTRACT", 1.0, is_solid), is_leaving),
+    )
+    return builder.vector("SCALE", incoming, builder.math("SUBTRACT", 1.0, builder.math("MULTIPLY", is_flipped, 2.0)))
+
+
+def _light_alpha(
+    builder: NodeBuilder, view_alpha: SocketOrValue, pbr_alpha: SocketOrValue, is_light_ray: SocketOrValue, light_coverage: SocketOrValue
+) -> SocketOrValue:
+    """Return the alpha for this ray. Camera rays get the `view_alpha`.
+
+    For light, joined quads are sharper, and loose ones reach towards the `pbr_alpha` where that is higher, by the `light_coverage`.
+    """
+    is_joined = builder.attribute(JOINED_ATTRIBUTE, is_scalar=True)
+    excess = builder.math("MAXIMUM", builder.math("SUBTRACT", pbr_alpha, view_alpha), 0.0)
+    loose = builder.math("MULTIPLY", excess, light_coverage)
+    joined = builder.math("MULTIPLY", view_alpha, SHARPNESS - 1.0)
+    difference = builder.math("SUBTRACT", joined, loose)
+    more = builder.math("ADD", loose, builder.math("MULTIPLY", is_joined, difference))
+    return builder.math("ADD", view_alpha, builder.math("MULTIPLY", more, is_light_ray), clamp=True)
+
+
+def _decode_alpha(builder: NodeBuilder, images: SurfaceImages, viewer: SocketOrValue) -> tuple[SocketOrValue, SocketOrValue]:
+    """Return two alphas in 0..1: of the silhouette from `viewer`, the sum over its components plus the alpha of the PBR map, and the
+    latter."""
+    front = images.maps[SIDES[0], COLOR]
+    weights = sample_weights(builder, list(images.alpha_weights), ALPHA_WEIGHTS, front.size[1])
+    view = map_uv(builder, images.upper, viewer)
+    total = weighted_scalar_sum(builder, images.alpha_basis, ALPHA_BASIS, images.alpha, view, weights)
+    pbr_alpha = sample_map(builder, front, SIDES[0], COLOR)[1]
+    return builder.math("ADD", total, pbr_alpha, clamp=True), pbr_alpha
+
+
+def _visible_maps(
+    builder: NodeBuilder, images: SurfaceImages, incoming: SocketOrValue, is_backfacing: SocketOrValue
+) -> dict[str, SocketOrValue]:
+    """Return the maps of the visible side, the normal with parallax mapping."""
+
+    def visible_side(map_name: str, uv: SocketOrValue | None = None) -> SocketOrValue:
+        return builder.mix(is_backfacing, *(sample_map(builder, images.maps[side, map_name], side, map_name, uv)[0] for side in SIDES))
+
+    maps = {name: visible_side(name) for name in MAPS if name != NORMAL}
+    depth = builder.separate(maps[ROUGHNESS_METALLIC_DEPTH])[2]
+    uv = depth_uv(builder, depth, images.maps[SIDES[0], ROUGHNESS_METALLIC_DEPTH].size, incoming)
+    return maps | {NORMAL: visible_side(NORMAL, uv)}

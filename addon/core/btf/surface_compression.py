@@ -1,0 +1,114 @@
+"""Compression of the finished views of a level for a surface material: its silhouettes from every view, refined by compositing.
+
+The material keeps the PBR maps of the level. Its reference images are not lit: they show color and normal of the source, so the refinement
+makes the quads add up to what every light would shade.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ..billboards.texels import Texels
+from ..jobs.chunks import map_ordered
+from ..jobs.progress import Progress, Steps, subprogress
+from .capture.shards import ShardStore
+from .capture.view_data import read_silhouettes
+from .factorization.factors import Factors, factorize_scalar
+from .refinement.refine import cull_hidden, refine_alpha, shade
+from .refinement.training import FragmentFiles, StoredTrainingView
+from .reflectance.emission import mean_emission
+from .settings import BtfSettings
+
+SILHOUETTES_END, FACTORS_END = 0.2, 0.9
+SHADING_END = 0.3  # of the first stage of `refine`
+
+
+@dataclass(frozen=True)
+class SurfaceTextures:
+    """Compressed textures of a level with N texels, in addition to its PBR maps.
+
+    alpha: factors of the coverage from each view, minus that of the PBR maps. emission (N, 3): None without emission.
+    """
+
+    alpha: Factors
+    emission: np.ndarray | None = None
+
+    @property
+    def nbytes(self) -> int:
+        """Size as half floats."""
+        return self.alpha.nbytes + (0 if self.emission is None else 2 * self.emission.size)
+
+
+@dataclass(frozen=True)
+class TwoSidedTexels:
+    """Texels with the maps of both of their sides.
+
+    front, back (N, 6) float32: straight color and encoded normal, 0..1, of each side. alpha (N,): coverage in the PBR maps. solid (Q,)
+    bool: the quad shows only the outside of solids, and its back is not drawn.
+    """
+
+    texels: Texels
+    front: np.ndarray
+    back: np.ndarray
+    alpha: np.ndarray
+    solid: np.ndarray
+
+    def faces_viewer(self, direction: np.ndarray) -> np.ndarray:
+        """Whether the front of each texel (N,) faces a viewer in `direction` (3,)."""
+        return (self._quad_normals @ direction > 0.0)[self.texels.quad_indices]
+
+    def is_drawn(self, direction: np.ndarray) -> np.ndarray:
+        """Whether each texel (N,) is drawn for a viewer in `direction` (3,)."""
+        return self.faces_viewer(direction) | ~self.solid[self.texels.quad_indices]
+
+    def colors(self, direction: np.ndarray) -> np.ndarray:
+        """Return the maps (N, 6) of the side that faces a viewer in `direction` (3,)."""
+        return np.where(self.faces_viewer(direction)[:, None], self.front, self.back)
+
+    @cached_property
+    def _quad_normals(self) -> np.ndarray:
+        return np.cross(self.texels.steps[:, 0], self.texels.steps[:, 1])
+
+
+class SurfaceCompressor:
+    """Compresses the silhouettes of a level from its finished views in `store`."""
+
+    def __init__(self, store: ShardStore, sides: TwoSidedTexels, settings: BtfSettings) -> None:
+        self._store, self._sides, self._settings, self._views = store, sides, settings, settings.view_grid
+
+    def compress(self) -> Steps[SurfaceTextures]:
+        """Factorize the coverage of all texels from all views. Raises FileError."""
+        steps = read_silhouettes(self._store, self._sides.alpha, self._views.solid_angles)
+        silhouettes = yield from subprogress(steps, 0.0, SILHOUETTES_END)
+        is_drawn = np.array([self._sides.is_drawn(direction) for direction in self._views.directions])
+        silhouettes = replace(silhouettes, known=silhouettes.known & is_drawn)
+        steps = factorize_scalar(silhouettes, self._settings.alpha_components, self._settings.seed)
+        alpha = yield from subprogress(steps, SILHOUETTES_END, FACTORS_END)
+        weights = silhouettes.known.astype(np.float32)
+        emission = mean_emission((self._store.read_emission(view) for view in range(len(self._views))), weights)
+        return SurfaceTextures(alpha, emission)
+
+    def refine(self, textures: SurfaceTextures, training_views: list[StoredTrainingView]) -> Steps[SurfaceTextures]:
+        """Return `textures` with alpha refined against the reference images of all views. Raises FileError."""
+        try:
+            yield from subprogress(self._store_fragments(textures, training_views), 0.0, SHADING_END)
+            steps = refine_alpha(training_views, textures.alpha, self._sides.alpha, self._views.solid_angles)
+            alpha = yield from subprogress(steps, SHADING_END, 1.0)
+        finally:
+            FragmentFiles(self._store.folder).remove_all()
+        return replace(textures, alpha=alpha)
+
+    def _store_fragments(self, textures: SurfaceTextures, training_views: list[StoredTrainingView]) -> Steps[None]:
+        """Store the visible fragments of all views and their colors."""
+
+        def store_view(view: int) -> None:
+            direction = self._views.directions[view]
+            fragments = training_views[view].find_fragments()
+            fragments = fragments.subset(self._sides.is_drawn(direction)[fragments.texel_indices[:, 0]])
+            alpha = self._sides.alpha + textures.alpha.reconstruct(textures.alpha.basis[view])[:, 0]
+            fragments = cull_hidden(fragments, alpha)
+            training_views[view].store_fragments(fragments, shade(fragments, self._sides.colors(direction)))
+
+        for view, _ in enumerate(map_ordered(store_view, range(len(self._views)))):
+            yield Progress(view / len(self._views), "Shading")
