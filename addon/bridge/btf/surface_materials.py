@@ -81,6 +81,8 @@ def _fill_group(builder: NodeBuilder, images: SurfaceImages, shadowless_distance
     is_leaving = builder.math("MAXIMUM", path.outputs["Is Diffuse Ray"], leaving_shadow_ray)
     view_alpha, pbr_alpha = _decode_alpha(builder, images, _viewer(builder, incoming, is_backfacing, is_leaving))
     alpha = _light_alpha(builder, view_alpha, pbr_alpha, is_light_ray, inputs[LIGHT_COVERAGE])
+    arriving_shadow_ray = builder.math("SUBTRACT", path.outputs["Is Shadow Ray"], leaving_shadow_ray)
+    alpha = builder.math("MULTIPLY", alpha, _casts_shadow(builder, arriving_shadow_ray, is_backfacing))
     maps = _visible_maps(builder, images, incoming, is_backfacing)
     shader = add_quad_shader(builder, maps, alpha, shadowless_distance, is_backfacing)
     if images.emission is not None:
@@ -104,6 +106,17 @@ def _viewer(builder: NodeBuilder, incoming: SocketOrValue, is_backfacing: Socket
         builder.math("MULTIPLY", builder.math("SUBTRACT", 1.0, is_solid), is_leaving),
     )
     return builder.vector("SCALE", incoming, builder.math("SUBTRACT", 1.0, builder.math("MULTIPLY", is_flipped, 2.0)))
+
+
+def _casts_shadow(builder: NodeBuilder, arriving_shadow_ray: SocketOrValue, is_backfacing: SocketOrValue) -> SocketOrValue:
+    """Return 0 where a shadow ray from the light meets the outside of a solid, otherwise 1.
+
+    The backs cast the same shadow on everything else. The fronts overlap within the error, and would draw dark lines on each other in EEVEE,
+    which does not know the distance to the shaded point, see `add_quad_shader`.
+    """
+    is_front = builder.math("SUBTRACT", 1.0, is_backfacing)
+    is_front_of_solid = builder.math("MULTIPLY", builder.attribute(SOLID_ATTRIBUTE, is_scalar=True), is_front)
+    return builder.math("SUBTRACT", 1.0, builder.math("MULTIPLY", is_front_of_solid, arriving_shadow_ray))
 
 
 def _light_alpha(
