@@ -13,6 +13,7 @@ from farfield.addon.core.files.complete_files import is_complete_blend, is_compl
 
 OLD_CONTENT = b"the old content"
 SKIPPED = "Skipped: "
+LIBRARY_MESSAGE = re.compile(r"libpng (error|warning): ")  # printed by the library that Blender reads images with
 TEMPORARY_NAME = re.compile(r"\.?farfield-|.*\.part$")
 BLENDER_FOLDER = re.compile(r"blender_")  # Blender's own temporary folder, which lives as long as the process
 VARYING = re.compile(r"\"[^\"]*\"|'[^']*'|\d+")
@@ -49,7 +50,8 @@ def read_state(folder: Path) -> State:
 
 def check_messages(code: int, stdout: str, stderr: str, interrupted: bool) -> list[Problem]:
     """Check the exit code and what a script printed."""
-    lines = [line for line in stderr.splitlines() if line.strip() and not line.startswith(SKIPPED)]
+    printed = [line for line in stderr.splitlines() if line.strip() and not LIBRARY_MESSAGE.match(line)]
+    lines = [line for line in printed if not line.startswith(SKIPPED)]
     problems = []
     if "Traceback" in stderr:
         problems.append(Problem("traceback", stderr))

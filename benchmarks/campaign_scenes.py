@@ -76,9 +76,11 @@ def _add_other_object(random: Random, collection: bpy.types.Collection) -> bpy.t
     item = bpy.data.objects.new(name, _create_data(random, kind, name))
     if kind == "INSTANCE":
         item.instance_type, item.instance_collection = "COLLECTION", random.choice([*bpy.data.collections, None])
-        if item.instance_collection is collection:
-            item.instance_collection = None
-    collection.objects.link(item)
+    try:
+        collection.objects.link(item)
+    except RuntimeError:  # Blender refuses an instance of the collection that the object would be in, at any depth
+        item.instance_collection = None
+        collection.objects.link(item)
     return item
 
 

@@ -72,7 +72,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
         options = BuildOptions(combine_selected=True, keep_source_visible=given.keep_source_visible)
         job = prepare_input(given.input, settings, options)
     for reason in job.skipped:
-        print(f"Skipped: {reason}.", file=sys.stderr)
+        command_line.print_message(f"Skipped: {reason}.")
     summary = run_to_end(run_job(job), line.show)
     line.clear()
     with clock.stage("write"):

@@ -29,6 +29,7 @@ from farfield.addon.core.clipbox.layout import choose_origin
 from farfield.addon.core.clipbox.mesh_export import write_obj, write_ply
 from farfield.addon.core.clipbox.settings import ClipboxSettings, ConvertSettings
 from farfield.addon.core.errors import FileError, SettingsError
+from farfield.addon.core.files.file_access import check_readable, error_reason
 from farfield.addon.core.jobs.progress import Progress, StageClock, Steps, run_to_end, subprogress
 from farfield.addon.core.settings import add_flags, describe, from_flags
 from farfield.addon.operators.clipbox import convert_to_mesh, engines, following
@@ -129,10 +130,13 @@ def read_path(path: Path) -> list[np.ndarray]:
     Raises:
         FileError: it cannot be read.
     """
+    check_readable(path)
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except OSError as error:
+        raise FileError(f'The path "{path}" cannot be read: {error_reason(error)}.') from error
+    except (UnicodeDecodeError, csv.Error) as error:
         raise FileError(f'The path "{path}" cannot be read: {error}.') from error
     try:
         if rows and any(cell.strip()[:1].isalpha() for cell in rows[0]):

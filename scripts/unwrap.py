@@ -68,7 +68,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
         scene_files.objects_in_renders([item for item in bpy.context.scene.objects if item.type == "MESH"], given.input)
         job = prepare(bpy.context, [item for item in bpy.context.scene.objects if not item.hide_render], settings)
     for reason in job.skipped:
-        print(f"Skipped: {reason}.", file=sys.stderr)
+        command_line.print_message(f"Skipped: {reason}.")
     summary = run_to_end(run_job(job), line.show)
     line.clear()
     with clock.stage("write"):

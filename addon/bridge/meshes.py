@@ -8,7 +8,7 @@ import numpy as np
 
 from ..core.errors import GeometryError
 from ..core.geometry.frames import frames_from_normals
-from ..core.geometry.mesh import PointCloud, TriangleMesh, check_points, fingerprint
+from ..core.geometry.mesh import MAX_COORDINATE, PointCloud, TriangleMesh, check_points, fingerprint
 from ..core.geometry.points import estimate_normals, splat_radii
 from .evaluated_mesh import EvaluatedMesh, MaterialKey, MeshAttribute, read_evaluated_mesh
 
@@ -124,7 +124,7 @@ def read_point_cloud(point_object: bpy.types.Object) -> Source:
     missing normals and radii are estimated from the neighbors.
 
     Raises:
-        GeometryError: the object is not a mesh, has no vertices, or has faces.
+        GeometryError: the object is not a mesh, has no vertices, or has faces; coordinates or radii are not finite or too large.
     """
     if point_object.type != "MESH":
         raise GeometryError(f'"{point_object.name}" is not a mesh; a point cloud is a mesh object with vertices and no faces.')
@@ -142,8 +142,19 @@ def read_point_cloud(point_object: bpy.types.Object) -> Source:
         points = mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3]
     check_points(points, point_object.name)
     cloud = PointCloud(points, _point_normals(mesh, matrix, points), _point_radii(mesh, matrix, points), _point_colors(mesh))
+    is_too_large = np.isfinite(cloud.radii) & (np.abs(cloud.radii) > MAX_COORDINATE)
+    if is_too_large.any():
+        raise GeometryError(
+            f'"{point_object.name}" has {int(is_too_large.sum())} points with a radius above {MAX_COORDINATE:g}; correct them.'
+        )
     instance = SourceInstance(point_object.name, _build_discs(cloud, mesh.materials), np.eye(4), 0, object_uid=point_object.session_uid)
     return Source(None, [instance], point_object.name, [], matrix[:3, 3].copy(), cloud)
+
+
+def describe_type(item: bpy.types.Object) -> str:
+    """Return the type of an object with its article: "a camera", "an empty"."""
+    kind = item.type.replace("_", " ").lower()
+    return f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
 
 
 def is_in_view_layer(item: bpy.types.Object, view_layer: bpy.types.ViewLayer) -> bool:
@@ -185,7 +196,7 @@ def _skip_reason(candidate: bpy.types.Object) -> str:
     """Return why this object is skipped, or an empty string."""
     instances_collection = candidate.type == "EMPTY" and candidate.instance_type == "COLLECTION"
     if candidate.type not in SURFACE_TYPES and not instances_collection:
-        return f"a {candidate.type.replace('_', ' ').lower()} has no faces"
+        return f"{describe_type(candidate)} has no faces"
     if not is_in_view_layer(candidate, bpy.context.view_layer):
         return "not in the view layer"
     return "" if candidate.visible_get() else "hidden"
@@ -239,9 +250,10 @@ def _point_normals(mesh: EvaluatedMesh, matrix: np.ndarray, points: np.ndarray) 
 
 
 def _point_radii(mesh: EvaluatedMesh, matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    if "radius" not in mesh.attributes or not _is_invertible(matrix):
+    radius = mesh.attributes.get("radius")
+    if radius is None or radius.domain != "POINT" or not _is_invertible(matrix):
         return splat_radii(points)
-    return mesh.attributes["radius"].values[:, 0].astype(np.float64) * abs(np.linalg.det(matrix[:3, :3])) ** (1.0 / 3.0)
+    return radius.values[:, 0].astype(np.float64) * abs(np.linalg.det(matrix[:3, :3])) ** (1.0 / 3.0)
 
 
 def _is_invertible(matrix: np.ndarray) -> bool:
@@ -250,9 +262,8 @@ def _is_invertible(matrix: np.ndarray) -> bool:
 
 
 def _point_colors(mesh: EvaluatedMesh) -> np.ndarray | None:
-    if mesh.color == "" or mesh.attributes[mesh.color].domain != "POINT":
-        return None
-    return mesh.attributes[mesh.color].values
+    color = mesh.attributes.get(mesh.color)
+    return None if color is None or color.domain != "POINT" or color.values.shape[1] != 4 else color.values
 
 
 def _build_discs(cloud: PointCloud, materials: tuple[MaterialKey | None, ...]) -> EvaluatedMesh:
@@ -262,7 +273,8 @@ def _build_discs(cloud: PointCloud, materials: tuple[MaterialKey | None, ...]) -
     angles = np.arange(DISC_CORNERS) * 2.0 * np.pi / DISC_CORNERS
     radii = cloud.radii * np.sqrt(np.pi / (0.5 * DISC_CORNERS * np.sin(2.0 * np.pi / DISC_CORNERS)))
     ring = np.cos(angles)[None, :, None] * u[:, None] + np.sin(angles)[None, :, None] * v[:, None]
-    vertices = (cloud.points[:, None] + radii[:, None, None] * ring).reshape(-1, 3).astype(np.float32)
+    with np.errstate(invalid="ignore"):  # points whose radius is not finite are left out later
+        vertices = (cloud.points[:, None] + radii[:, None, None] * ring).reshape(-1, 3).astype(np.float32)
     fan = np.array([[0, corner, corner + 1] for corner in range(1, DISC_CORNERS - 1)])
     triangles = (fan[None] + DISC_CORNERS * np.arange(len(cloud.points))[:, None, None]).reshape(-1, 3).astype(np.int32)
     attributes, color = {}, ""

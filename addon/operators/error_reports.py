@@ -1,4 +1,4 @@
-"""How operators, timers and handlers report errors: one sentence, and the traceback of a defect in a log."""
+"""How operators, timers and handlers report results and errors: one line, and the traceback of a defect in a log."""
 
 import functools
 from collections.abc import Callable
@@ -6,20 +6,25 @@ from collections.abc import Callable
 import bpy
 
 from ..compat import blender_version
-from ..core.errors import Cancelled, FarfieldError
+from ..core.errors import Cancelled, FarfieldError, single_line
 from ..core.files.defect_log import defect_message, write_defect_log
 
 
 def describe_error(error: Exception, title: str) -> str:
-    """Return one sentence about `error`, which is being handled. A defect is written to a log, which the sentence names.
+    """Return one sentence about `error`, which is being handled, on one line. A defect is written to a log, which the sentence names.
 
     title: what failed.
     """
     if isinstance(error, FarfieldError):
-        return str(error)
+        return single_line(error)
     if isinstance(error, MemoryError):
         return f"{title} needs more memory than is free; close other programs or choose smaller settings."
-    return defect_message(title, error, write_defect_log(title, error, (f"Blender {blender_version()}",)))
+    return single_line(defect_message(title, error, write_defect_log(title, error, (f"Blender {blender_version()}",))))
+
+
+def report_message(operator: bpy.types.Operator, message: str, level: str = "INFO") -> None:
+    """Show `message` to the user on one line. level: "INFO", "WARNING" or "ERROR"."""
+    operator.report({level}, single_line(message))
 
 
 def report_error(operator: bpy.types.Operator, error: Exception, title: str = "") -> set[str]:
@@ -27,7 +32,7 @@ def report_error(operator: bpy.types.Operator, error: Exception, title: str = ""
 
     title: what failed; by default the label of the operator.
     """
-    operator.report({"INFO" if isinstance(error, Cancelled) else "ERROR"}, describe_error(error, title or operator.bl_label))
+    report_message(operator, describe_error(error, title or operator.bl_label), "INFO" if isinstance(error, Cancelled) else "ERROR")
     return {"CANCELLED"}
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import bpy
 
 from ..core.jobs.progress import run_to_end
-from .error_reports import report_error, reports_errors
+from .error_reports import report_error, report_message, reports_errors
 from .job_run import TICK, Job, Run, run_job, status_text
 
 _current: Run | None = None  # operators, panels, timers and load handlers of Blender share the one running job
@@ -61,7 +61,7 @@ class LongWork:
             message = run_to_end(run_job(self.prepare(context)), lambda step: window_manager.progress_update(step.fraction))
         finally:
             window_manager.progress_end()
-        self.report({"INFO"}, message)
+        report_message(self, message)
         return {"FINISHED"}
 
     @reports_errors
@@ -80,7 +80,7 @@ class LongWork:
 
     def _check_no_job_runs(self) -> bool:
         if _current is not None:
-            self.report({"ERROR"}, f'"{_current.title}" is still running; wait for it or cancel it with Esc.')
+            report_message(self, f'"{_current.title}" is still running; wait for it or cancel it with Esc.', "ERROR")
         return _current is None
 
 
@@ -116,7 +116,7 @@ class FARFIELD_OT_finish_job(bpy.types.Operator):
             if finished:
                 self.cancel(context)
                 bpy.ops.ed.undo_push(message=run.title)
-                self.report({"INFO"}, run.message)
+                report_message(self, run.message)
                 return {"FINISHED"}
         _show_status()
         return {"RUNNING_MODAL"}

@@ -91,12 +91,19 @@ def draw_message(layout: bpy.types.UILayout, message: str, icon: str) -> None:
 
 
 def draw_progress_bar(layout: bpy.types.UILayout) -> bool:
-    """Draw the progress of the running job - percentage, label, time left, how to cancel - and return whether there is one."""
+    """Draw the progress of the running job - percentage, label, time left, how to cancel - and return whether there is one.
+
+    The Cancel button is disabled in the half of the job that uses the scene: only its modal operator receives events then, and Esc cancels.
+    """
     run = long_work.current_run()
     if run is None:
         return False
     column = layout.column(align=True)
-    column.progress(factor=run.progress.fraction, type="BAR", text=f"{run.progress.fraction:.0%}")
+    row = column.row(align=True)
+    row.progress(factor=run.progress.fraction, type="BAR", text=f"{run.progress.fraction:.0%}")
+    button = row.row(align=True)
+    button.enabled = not run.uses_scene and not run.cancel_requested
+    button.operator(long_work.FARFIELD_OT_cancel_job.bl_idname, text="", icon="X")
     column.label(text="Cancelling" if run.cancel_requested else run.progress.label)
     seconds = run.seconds_left
     column.label(text="Esc to cancel" if seconds is None else f"{job_run.format_duration(seconds)} left, Esc to cancel", icon="TIME")

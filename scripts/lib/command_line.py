@@ -2,7 +2,7 @@
 
 Exit codes: 0 success, 1 a defect of Farfield, 2 invalid input, 130 cancelled; in all but the first case there is one sentence on stderr.
 Standard output holds the result that `main` returns and nothing else; `--verbose` adds the messages of Blender and the traceback of a
-defect. Import this module after `environment.ensure()`.
+defect. Every message is one line, whatever names it quotes. Import this module after `environment.ensure()`.
 """
 
 import argparse
@@ -24,14 +24,14 @@ from lib import environment
 
 farfield = environment.import_farfield()
 
-from farfield.addon.core.errors import FarfieldError, SettingsError
+from farfield.addon.core.errors import FarfieldError, FileError, SettingsError, single_line
 from farfield.addon.core.files.defect_log import defect_message, write_defect_log
-from farfield.addon.core.files.file_access import convert_os_errors, is_stream
+from farfield.addon.core.files.file_access import convert_os_errors, error_reason, is_stream, is_unicode
 from farfield.addon.core.jobs.progress import Progress, time_left
 from farfield.addon.core.settings import flag_of, with_flags
 from farfield.addon.operators.job_run import format_duration
 from lib.atomic_output import atomic_file
-from lib.script_stdout import script_stdout
+from lib.script_stdout import discard, script_stdout
 
 SUCCESS, DEFECT, INVALID_INPUT, CANCELLED = 0, 1, 2, 130
 LINE_WIDTH = 78
@@ -60,13 +60,13 @@ class Parser(argparse.ArgumentParser):
         parsed = super().parse_args(joined, namespace)
         del parsed.verbose
         for name, value in vars(parsed).items():
-            if isinstance(value, str) and not _is_unicode(value):
+            if isinstance(value, str) and not is_unicode(value):
                 self.error(f"{flag_of(name)} is not valid UTF-8 text; write it with other characters")
         return parsed
 
     def error(self, message: str) -> NoReturn:
         """Print `message` to stderr and exit with code 2."""
-        self.exit(INVALID_INPUT, f"{self.prog}: {message}\n")
+        self.exit(INVALID_INPUT, single_line(f"{self.prog}: {message}") + "\n")
 
 
 class ProgressLine:
@@ -97,7 +97,7 @@ class ProgressLine:
         if self._cancel_requested:
             raise KeyboardInterrupt
         left = time_left(time.monotonic() - self._started, progress.fraction)
-        text = f"{progress.fraction:4.0%} {progress.label}" + ("" if left is None else f", {format_duration(left)} left")
+        text = f"{progress.fraction:4.0%} {single_line(progress.label)}" + ("" if left is None else f", {format_duration(left)} left")
         self._write(text)
 
     def clear(self) -> None:
@@ -116,10 +116,12 @@ def parse_path(text: str) -> Path:
     """Return the path written as `text` on a command line; the type of arguments that are paths.
 
     Raises:
-        argparse.ArgumentTypeError: it is empty.
+        argparse.ArgumentTypeError: it is empty, or no text.
     """
     if not text.strip():
         raise argparse.ArgumentTypeError('the path is empty; write "." for the current folder')
+    if not is_unicode(text):
+        raise argparse.ArgumentTypeError(f'the path "{single_line(text)}" is not valid UTF-8 text; rename the file or the folder')
     return Path(text)
 
 
@@ -158,22 +160,22 @@ def _run(main: Callable[[list[str], ProgressLine], str | None], arguments: list[
             line.clear()
             farfield.unregister()
         if result is not None:
-            print(result, file=stdout)
+            _print_result(result, stdout)
         return SUCCESS
     except FarfieldError as error:
-        _print_error(with_flags(error) if isinstance(error, SettingsError) else error)
+        print_message(with_flags(error) if isinstance(error, SettingsError) else error)
         return INVALID_INPUT
     except MemoryError:
-        _print_error(f"{script} needs more memory than there is; choose settings that need less, or give it smaller input.")
+        print_message(f"{script} needs more memory than there is; choose settings that need less, or give it smaller input.")
         return INVALID_INPUT
     except KeyboardInterrupt:
-        _print_error("Cancelled.")
+        print_message("Cancelled.")
         return CANCELLED
     except Exception as error:  # noqa: BLE001 - the last net: a defect ends in one sentence too
         log = write_defect_log(script, error, [f"Blender {bpy.app.version_string}", f"Arguments: {arguments}"])
         if verbose:
             traceback.print_exception(error)
-        _print_error(defect_message(script, error, log))
+        print_message(defect_message(script, error, log))
         return DEFECT
 
 
@@ -186,18 +188,28 @@ def _handle_signals(line: ProgressLine) -> None:
             signal.signal(number, line.request_cancel)
 
 
-def _print_error(message: object) -> None:
+def print_message(message: object) -> None:
+    """Print `message` on stderr, on one line."""
     with suppress(OSError):  # nobody reads it
-        print(message, file=sys.stderr, flush=True)
+        print(single_line(message), file=sys.stderr, flush=True)
 
 
-def _is_unicode(text: str) -> bool:
-    """Whether `text` has no bytes that Python could not decode."""
+def _print_result(result: str, stdout: TextIO) -> None:
+    """Print a result on one line, or JSON as it is: control characters in it are no part of a name.
+
+    Raises:
+        FileError: the standard output cannot be written.
+    """
     try:
-        text.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
+        json.loads(result)
+    except ValueError:
+        result = single_line(result)
+    try:
+        print(result, file=stdout, flush=True)
+    except OSError as error:
+        discard(stdout)
+        if not isinstance(error, BrokenPipeError):  # nobody reads it
+            raise FileError(f"Cannot write to the standard output: {error_reason(error)}.") from error
 
 
 def _read_output_flags(arguments: list[str]) -> tuple[bool, bool]:

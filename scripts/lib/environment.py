@@ -62,6 +62,7 @@ def ensure(extra_modules: tuple[str, ...] = ()) -> None:
     `extra_modules` names the modules that this script needs in addition to those of the extension. Exits with code 2 and an error message
     on stderr when no environment can be created, and with 130 when the user cancels.
     """
+    _open_closed_streams()
     if _is_in_blender():
         _check_blender_modules(extra_modules)
         return
@@ -75,6 +76,18 @@ def ensure(extra_modules: tuple[str, ...] = ()) -> None:
         _restart(environment_python(folder))
     except KeyboardInterrupt:
         sys.exit(130)
+
+
+def _open_closed_streams() -> None:
+    """Open the null device as standard output or error where it was closed: messages would go into the next file that is opened."""
+    for descriptor, name in ((1, "stdout"), (2, "stderr")):
+        if getattr(sys, name) is None:
+            null = os.open(os.devnull, os.O_WRONLY)
+            if null != descriptor:
+                os.dup2(null, descriptor)
+                os.close(null)
+            os.set_inheritable(descriptor, True)
+            setattr(sys, name, os.fdopen(descriptor, "w", encoding="utf-8"))
 
 
 def import_farfield() -> ModuleType:

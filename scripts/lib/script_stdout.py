@@ -61,8 +61,17 @@ def mute_stderr() -> Iterator[None]:
         os.close(original)
 
 
+def discard(stream: TextIO) -> None:
+    """Send what `stream` could not write, and all that follows, to the null device. Otherwise closing it would fail again."""
+    with Path(os.devnull).open("w", encoding="utf-8") as null:
+        os.dup2(null.fileno(), stream.fileno())
+
+
 def _flush() -> None:
     """Flush the buffers of Python and C, so that what Blender has printed goes where descriptors 1 and 2 point now."""
-    sys.stdout.flush()
-    sys.stderr.flush()
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except BrokenPipeError:  # nobody reads it
+            discard(stream)
     ctypes.CDLL("ucrtbase" if os.name == "nt" else None).fflush(None)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from farfield.addon.core.billboards.atlas import GUTTER, MAX_SIDE, SIZE_MULTIPLE, pack, pack_skyline
+from farfield.addon.core.billboards.atlas import GUTTER, MAX_SIDE, MAX_TEXELS, SIZE_MULTIPLE, pack, pack_skyline
 from farfield.addon.core.errors import SettingsError
 
 sizes = st.lists(st.tuples(st.integers(1, 60), st.integers(1, 60)), min_size=1, max_size=40)
@@ -63,4 +63,14 @@ def test_packing_wastes_little():
 def test_rejects_more_than_fits_into_a_texture():
     for half_sizes in ([[MAX_SIDE, 1.0]], [[1.0, MAX_SIDE]], [[1e7, 1e7]] * 3, [[4000.0, 4000.0]] * 9):
         with pytest.raises(SettingsError, match=f"the largest side is {MAX_SIDE}"):
+            pack(np.array(half_sizes), 1.0)
+
+
+def test_rejects_more_texels_than_memory_holds():
+    """A render of 12008 x 14552 texels of a plane with 25 vertices took 20 GB."""
+    side = 4000
+    assert side**2 < MAX_TEXELS
+    assert pack(np.array([[0.5 * side, 0.5 * side]]), 1.0).texel_count == side**2
+    for half_sizes in ([[side, side]], [[0.2 * side, 0.2 * side]] * 9, [[0.45 * MAX_SIDE, 600.0]]):
+        with pytest.raises(SettingsError, match=r"the limit is 16.8 million; use a larger Error or Texel Size"):
             pack(np.array(half_sizes), 1.0)

@@ -9,7 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import shapes
+from farfield.addon.core.billboards import atlas
 from farfield.addon.core.billboards import primitives as primitives_module
+from farfield.addon.core.billboards.atlas import MAX_TEXELS
 from farfield.addon.core.billboards.budget import Budget, read_budget, split_into_groups
 from farfield.addon.core.billboards.build import build_cloud
 from farfield.addon.core.billboards.components import find_components
@@ -128,6 +130,21 @@ def test_too_small_budget_is_rejected_with_the_required_one():
     assert len(build_test_cloud(mesh, quads=6).levels[0].quads) == 6
     with pytest.raises(SettingsError, match=r"needs at least [\d.]+ MB of texture.* but Texture MB is 0.001"):
         build_test_cloud(mesh, texture_mb=0.001, levels=1)
+
+
+def test_more_quads_than_a_small_mesh_needs_do_not_fill_the_memory():
+    """A texture of 12104 x 14008 texels gave the last of 32 faces a quad of its own."""
+    sheet = shapes.sheet(4)
+    vertices = np.column_stack([sheet.vertices[:, :2], np.random.default_rng(1).uniform(-0.08, 0.08, len(sheet.vertices))])
+    level = build_test_cloud(TriangleMesh(vertices, sheet.triangles), quads=35, levels=1, loose_fraction=1.0).levels[0]
+    assert len(level.quads) >= 0.8 * len(sheet.triangles)
+    assert math.prod(level.atlas.size) <= Budget(35, 0.0).max_texels < MAX_TEXELS
+
+
+def test_a_texture_that_is_too_large_at_every_error_is_an_error(monkeypatch):
+    monkeypatch.setattr(atlas, "MAX_TEXELS", 100)
+    with pytest.raises(SettingsError, match=r'"mesh" needs a texture of .* even at the largest error of 25%; use a larger Texel Size'):
+        build_test_cloud(shapes.box(), quads=6)
 
 
 def test_unnecessary_quads_of_a_plane_cost_no_texture():

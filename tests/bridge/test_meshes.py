@@ -124,6 +124,36 @@ def test_a_mesh_with_faces_is_not_a_point_cloud():
         read_point_cloud(blender_scenes.box())
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize(("factor", "radius", "expected"), [(3e38, 0.1, "coordinates above"), (1.0, 3e38, "4 points with a radius above")])
+def test_points_that_single_precision_cannot_hold_are_an_error(factor, radius, expected):
+    mesh = bpy.data.meshes.new("Points")
+    mesh.from_pydata([(factor * x, factor * y, 0.0) for x in (0.0, 1.0) for y in (0.0, 1.0)], [], [])
+    mesh.attributes.new("radius", "FLOAT", "POINT").data.foreach_set("value", [radius] * 4)
+    item = bpy.data.objects.new("Points", mesh)
+    bpy.context.scene.collection.objects.link(item)
+    with pytest.raises(GeometryError, match=f'"Points" has .*{expected}'):
+        read_point_cloud(item)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_attributes_of_points_that_mean_something_else_are_ignored():
+    """Files come from anyone: a radius per corner, a default color that is a vector or missing, and radii that are infinite."""
+    mesh = bpy.data.meshes.new("Points")
+    mesh.from_pydata([(x, y, x * y) for x in range(4) for y in range(4)], [], [])
+    mesh.attributes.new("radius", "FLOAT", "CORNER")
+    item = bpy.data.objects.new("Points", mesh)
+    bpy.context.scene.collection.objects.link(item)
+    for name in ("vector", "missing"):
+        mesh.attributes.new("vector", "FLOAT_VECTOR", "POINT")
+        mesh.attributes.default_color_name = name
+        cloud = read_point_cloud(item).points
+        assert cloud.colors is None and (cloud.radii > 0.0).all()
+    mesh.attributes.remove(mesh.attributes["radius"])
+    mesh.attributes.new("radius", "FLOAT", "POINT").data.foreach_set("value", [np.inf] + [0.1] * 15)
+    assert np.isinf(read_point_cloud(item).points.radii[0])
+
+
 @pytest.mark.parametrize("scale", [(1.0, 1.0, 0.0), (0.0, 1.0, 1.0), (1.0, 0.0, 0.0)])
 def test_normals_and_radii_of_flattened_points_are_estimated(scale):
     mesh = bpy.data.meshes.new("Points")

@@ -2,6 +2,7 @@
 
 import dataclasses
 import gzip
+import os
 import sys
 from pathlib import Path
 
@@ -290,7 +291,7 @@ class TestErrors:
     @pytest.mark.parametrize(
         ("name", "content", "message"),
         [
-            ("missing.npy", None, 'There is no file ".*missing.npy"; check the path'),
+            ("missing.npy", None, 'The file ".*missing.npy" does not exist; check the path'),
             ("notes.txt", b"hello", "its name must end in one of .*.nii.gz, .*.npy"),
             ("empty.nii", b"", 'The file ".*empty.nii" is empty'),
             ("short.npy", b"\x93NUMPY\x01\x00v\x00{'descr'", "cannot be read as a NumPy array"),
@@ -334,10 +335,17 @@ class TestErrors:
         with pytest.raises(SettingsError, match="needs a file; set Source"):
             build_sampler(ClipboxSettings(terrain="heights"))
 
-    def test_a_folder(self, tmp_path):
+    def test_what_is_no_file_is_named(self, tmp_path):
         (tmp_path / "folder.npy").mkdir()
-        with pytest.raises(FileError, match="There is no file"):
+        with pytest.raises(FileError, match=r'folder.npy" is a folder; give the path of a file'):
             read_file(tmp_path / "folder.npy")
+        if hasattr(os, "mkfifo"):
+            os.mkfifo(tmp_path / "pipe.npy")
+            with pytest.raises(FileError, match=r'pipe.npy" is a device or a pipe'):
+                read_file(tmp_path / "pipe.npy")
+        for name in ("\udcff.npy", "a\0.npy"):
+            with pytest.raises(FileError, match="is not valid UTF-8 text"):
+                build_sampler(ClipboxSettings(terrain="heights", source=str(tmp_path / name)))
 
     def test_heights_are_not_voxels(self, tmp_path):
         np.save(tmp_path / "map.npy", np.eye(4))

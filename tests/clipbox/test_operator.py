@@ -194,7 +194,7 @@ def test_a_height_map_is_colored_by_its_ground_image(tmp_path):
     scale = next(node for node in nodes if node.type == "VECT_MATH" and node.operation == "MULTIPLY")
     assert np.allclose(scale.inputs[1].default_value, [1.0 / 64.0, 1.0 / 32.0, 0.0])
     assert ground_group(terrain).outputs["Color"].is_linked
-    with pytest.raises(RuntimeError, match="There is no image"):
+    with pytest.raises(RuntimeError, match="does not exist; check the path"):
         create(terrain="heights", **(files | {"source_color": str(tmp_path / "nowhere.png")}))
 
 
@@ -203,7 +203,7 @@ def test_relative_paths_are_stored_so_that_they_stay_valid(tmp_path, monkeypatch
     monkeypatch.chdir(tmp_path)
     np.save("map.npy", np.fromfunction(lambda y, x: 0.1 * x + 0.0 * y, (32, 64)))
     assert create(terrain="heights", source="map.npy").settings.source == str(tmp_path / "map.npy")
-    with pytest.raises(RuntimeError, match=f'There is no file "{tmp_path / "nowhere.npy"}"'):
+    with pytest.raises(RuntimeError, match=f'The file "{tmp_path / "nowhere.npy"}" does not exist'):
         create(terrain="heights", source="nowhere.npy")
     with pytest.raises(RuntimeError, match=r'"//map\.npy" is relative to the \.blend file, which was never saved'):
         create(terrain="heights", source="//map.npy")

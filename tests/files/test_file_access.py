@@ -62,6 +62,17 @@ def test_a_folder_that_may_not_be_entered(check, tmp_path, monkeypatch):
     assert "permissions" in message(check, tmp_path / "locked" / "a.obj")
 
 
+@pytest.mark.parametrize("check", [check_readable, check_writable, check_writable_folder, check_empty, is_stream])
+def test_paths_that_are_no_text(check, tmp_path, monkeypatch):
+    """Linux allows them, but Blender can neither read nor write them."""
+    assert '\ufffd.obj" is not valid UTF-8 text; rename' in message(check, tmp_path / "\udcff.obj")
+    assert "not valid UTF-8" in message(check, tmp_path / "a\0.obj")
+    if os.name != "nt":
+        (tmp_path / "\udcff").mkdir()
+        monkeypatch.chdir(tmp_path / "\udcff")
+        assert "not valid UTF-8" in message(check, file_access.Path("a.obj"))
+
+
 @only_on_posix
 def test_a_loop_of_links(tmp_path):
     (tmp_path / "loop").symlink_to(tmp_path / "loop")

@@ -101,6 +101,13 @@ class TestInputChecks:
         with pytest.raises(GeometryError, match='Every face of "Line" has zero area'):
             drop_degenerate(line, "Line")
 
+    def test_coordinates_near_the_end_of_single_precision(self):
+        vertices = box().vertices.copy()
+        drop_degenerate(TriangleMesh(1e36 * vertices, box().triangles))
+        vertices[0] = [-3e38, 0.0, 0.0]
+        with pytest.raises(GeometryError, match=r'"Far" has 1 vertices with coordinates above 1e\+37; move them closer'):
+            drop_degenerate(TriangleMesh(vertices, box().triangles), "Far")
+
 
 class TestZeroArea:
     """Faces without area are dropped, in any unit of length; the others stay."""
@@ -127,6 +134,11 @@ class TestZeroArea:
         line = np.array([[0.1, 0.1, 0.1], [0.4, 0.4, 0.4], [0.7, 0.7, 0.7]]) + 1e6  # collinear before rounding
         mixed = concatenate([box(), TriangleMesh(line, TRIANGLE)])
         assert len(drop_degenerate(mixed)[1]) == len(box().triangles)
+
+    @pytest.mark.filterwarnings("error::RuntimeWarning")
+    def test_parts_without_area_are_not_solid(self):
+        mixed = concatenate([box(), TriangleMesh(np.array([[9.0, 0.0, 0.0], [9.5, 0.0, 0.0], [10.0, 0.0, 0.0]]), TRIANGLE)])
+        np.testing.assert_array_equal(is_solid(mixed), np.arange(len(mixed.triangles)) < len(box().triangles))
 
     def test_meshes_without_them_are_unchanged(self):
         mesh, kept = drop_degenerate(soup(30))

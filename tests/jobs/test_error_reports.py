@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from farfield.addon.core.errors import Cancelled, GeometryError
-from farfield.addon.operators.error_reports import reports_errors
+from farfield.addon.core.errors import Cancelled, GeometryError, single_line
+from farfield.addon.operators.error_reports import report_message, reports_errors
 
 
 class Operator:
@@ -47,6 +47,24 @@ def test_blender_sees_the_arguments_that_it_passes():
 
 def test_bad_input_is_reported_as_it_is():
     assert run(GeometryError("No faces; add some.")) == ({"CANCELLED"}, [({"ERROR"}, "No faces; add some.")])
+
+
+@pytest.mark.parametrize("character", ["\n", "\r", "\t", "\v", "\f", "\0", "\x1b", "\x7f", "\x85", "\u2028", "\u2029"])
+def test_names_do_not_break_lines(character):
+    text = f'"a{character}樹" has no faces.'
+    assert single_line(text) == '"a 樹" has no faces.'
+    assert run(GeometryError(text))[1] == [({"ERROR"}, '"a 樹" has no faces.')]
+    operator = Operator()
+    report_message(operator, text, "WARNING")
+    assert operator.reports == [({"WARNING"}, '"a 樹" has no faces.')]
+
+
+def test_bytes_that_are_no_text_can_be_reported():
+    """Blender and Python both return names that are not UTF-8 with lone surrogates, which cannot be encoded."""
+    name = b"h\xe9".decode(errors="surrogateescape")
+    _, [(_, message)] = run(GeometryError(f'"{name}" has no faces.'))
+    assert message.encode() == '"h\ufffd" has no faces.'.encode()
+    assert single_line("樹 🌲 \u202e %s") == "樹 🌲 \u202e %s"
 
 
 def test_cancelling_is_not_an_error():

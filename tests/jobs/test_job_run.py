@@ -7,7 +7,8 @@ import pytest
 
 from farfield.addon.core.errors import Cancelled, GeometryError
 from farfield.addon.core.jobs.progress import Progress, run_to_end
-from farfield.addon.operators import job_run
+from farfield.addon.operators import job_run, long_work
+from farfield.addon.panels import sidebar
 
 MAIN = threading.main_thread()
 
@@ -108,3 +109,60 @@ def test_close_ends_a_job_at_any_time():
 @pytest.mark.parametrize(("seconds", "text"), [(0.2, "1 s"), (59.0, "59 s"), (61.0, "1 min 1 s"), (7260.0, "2 h 1 min")])
 def test_durations_are_formatted_with_two_units(seconds, text):
     assert job_run.format_duration(seconds) == text
+
+
+class Layout:
+    """Records what a panel draws: kinds of items with what they show, and whether they can be used."""
+
+    def __init__(self):
+        self.enabled, self.items, self.children = True, [], []
+
+    def row(self, align=False):
+        self.children.append(Layout())
+        return self.children[-1]
+
+    column = row
+
+    def progress(self, factor, type, text):
+        self.items.append(("progress", text))
+
+    def label(self, text, icon="NONE"):
+        self.items.append(("label", text))
+
+    def operator(self, name, text, icon):
+        self.items.append(("operator", name))
+
+    def usable(self, kind):
+        """Return what can be used of one kind."""
+        shown = [text for item, text in self.items if item == kind] if self.enabled else []
+        return shown + [text for child in self.children for text in child.usable(kind)]
+
+
+def test_the_progress_bar_has_a_cancel_button(monkeypatch):
+    def draw():
+        layout = Layout()
+        assert sidebar.draw_progress_bar(layout)
+        return layout
+
+    job = Job(steps=400)
+    run = job_run.Run(job, "Test")
+    monkeypatch.setattr(long_work, "_current", run)
+    try:
+        assert draw().usable("operator") == ["farfield.cancel_job"] and draw().usable("progress") == [f"{run.progress.fraction:.0%}"]
+        run.cancel()
+        assert draw().usable("operator") == [] and "Cancelling" in draw().usable("label")
+    finally:
+        run.close()
+    monkeypatch.setattr(long_work, "_current", None)
+    assert not sidebar.draw_progress_bar(Layout())
+
+
+def test_the_cancel_button_is_disabled_while_the_scene_is_used(monkeypatch):
+    """A modal operator receives all events then, and cancels on Esc."""
+    run = job_run.Run(Job(), "Test")
+    monkeypatch.setattr(long_work, "_current", run)
+    while not run.uses_scene:
+        run.advance()
+    layout = Layout()
+    assert sidebar.draw_progress_bar(layout) and layout.usable("operator") == []
+    run.close()

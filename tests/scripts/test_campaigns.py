@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from random import Random
 
+import bpy
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -17,6 +18,7 @@ sys.path.append(str(environment.ROOT / "benchmarks"))
 import campaign_batches
 import campaign_checks
 import campaign_runs
+import campaign_scenes
 import campaign_values
 from campaign_checks import OLD_CONTENT
 
@@ -79,6 +81,7 @@ def test_other_strategies_give_text(content, value, name):
         (0, "Skipped: Cube (no faces).\n", []),
         (2, "Skipped: Cube (no faces).\nThere is no file.\n", []),
         (130, "Cancelled.\n", []),
+        (2, "libpng error: IDAT: CRC error\nThe image is damaged.\n", []),
         (0, "a warning\n", ["1 lines on stderr with exit code 0"]),
         (2, "", ["0 lines on stderr with exit code 2"]),
         (2, "two\nlines\n", ["2 lines on stderr with exit code 2"]),
@@ -89,6 +92,17 @@ def test_other_strategies_give_text(content, value, name):
 )
 def test_messages(code, stderr, expected):
     assert kinds(campaign_checks.check_messages(code, "", stderr, interrupted=True)) == expected
+
+
+def test_collections_that_would_contain_themselves_are_not_instanced(empty_scene, monkeypatch):
+    """Blender refuses the link with an error."""
+    outer, inner = (bpy.data.collections.new(name) for name in ("Outer", "Inner"))
+    bpy.context.scene.collection.children.link(outer)
+    outer.children.link(inner)
+    monkeypatch.setattr(campaign_scenes, "OTHER_TYPES", ("INSTANCE",))
+    for seed in range(20):
+        item = campaign_scenes._add_other_object(Random(seed), inner)
+        assert item.instance_collection is None and item.name in inner.objects
 
 
 def test_a_run_that_was_not_cancelled_must_not_say_so():

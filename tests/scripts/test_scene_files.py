@@ -1,12 +1,15 @@
 """Files that Blender reads for scripts: broken ones are one sentence, never a crash."""
 
+import os
 import struct
+from pathlib import Path
 
 import bpy
 import pytest
 
 from farfield.addon.core.errors import FileError, GeometryError
 from lib import scene_files
+from lib.atomic_output import check_outputs
 from lib.ply_header import check_ply_header
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
@@ -71,6 +74,23 @@ def test_input_that_is_not_a_file(tmp_path):
         scene_files.open_scene(tmp_path)
     with pytest.raises(FileError, match="shorter name"):
         scene_files.open_scene(tmp_path / ("a" * 300 + ".obj"))
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such paths")
+@pytest.mark.parametrize("extension", [".stl", ".obj", ".blend", ".glb"])
+def test_paths_that_are_no_text(extension, tmp_path, monkeypatch):
+    """Blender's operators raise errors of Python for them."""
+    path = tmp_path / f"\udcff{extension}"
+    path.write_bytes(b"v 0 0 0\n")
+    with pytest.raises(FileError, match="not valid UTF-8 text"):
+        scene_files.open_scene(path)
+    with pytest.raises(FileError, match="not valid UTF-8 text"):
+        scene_files.save_scene(path)
+    (tmp_path / "\udcfe").mkdir()
+    monkeypatch.chdir(tmp_path / "\udcfe")
+    for report in (None, Path("report.json")):
+        with pytest.raises(FileError, match="not valid UTF-8 text"):
+            check_outputs({"--out": None if report else Path("out.blend")}, {}, report)
 
 
 def test_importers_print_nothing_but_the_sentence(tmp_path, capfd):

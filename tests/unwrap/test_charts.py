@@ -9,6 +9,7 @@ from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.unwrap.cutting.boundaries import boundary_loops
 from farfield.addon.core.unwrap.cutting.chart import Chart
 from farfield.addon.core.unwrap.cutting.charts import cut_into_charts
+from farfield.addon.core.unwrap.cutting.cuts import _stretch_after_cut
 from shapes import cylinder, sheet, sphere
 
 NO_SEAMS = np.zeros((0, 2), int)
@@ -141,6 +142,17 @@ def test_a_moebius_strip_is_cut():
         low, high = (following, following + 24) if following else (24, 0)
         triangles += [[index, low, high], [index, high, index + 24]]
     cut_and_check(vertices, np.array(triangles, np.int32))
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_the_stretch_of_a_proxy_that_a_cut_divides():
+    """Only one of its parts is measured; vertices of the others count as average."""
+    vertices, triangles = sheet(4).vertices, sheet(4).triangles
+    proxy = Chart(vertices, triangles, np.ones(len(triangles)))
+    edges = find_edges(triangles)
+    is_cut = np.isclose(vertices[edges.ends][..., 0], np.median(vertices[:, 0])).all(axis=1)
+    excess, stretch = _stretch_after_cut(proxy, edges, is_cut)
+    assert excess == pytest.approx(0.0, abs=1e-6) and stretch == pytest.approx(np.full(len(vertices), stretch[0]), rel=1e-4)
 
 
 def test_polygons_are_never_cut():

@@ -1,6 +1,5 @@
 """The operator as scripts and add-ons call it: its result, the objects that it skips, and that nothing else changes."""
 
-import json
 import math
 
 import bpy
@@ -72,7 +71,7 @@ def test_a_sphere_gets_its_own_uv_map():
     assert_is_valid(item)
     metrics = uv_maps.read_metrics(item.data)
     assert metrics["flips"] == metrics["overlaps"] == 0 and 1.0 < metrics["l2"] < 1.3
-    assert json.loads(json.dumps(metrics))["densities"] == pytest.approx([1.0, 0.0, 0.0, 0.0])
+    assert item.data[uv_maps.METRICS_PROPERTY]["densities"].to_list() == pytest.approx([1.0, 0.0, 0.0, 0.0])
     stretches = [value.value for value in item.data.attributes[uv_maps.STRETCH_ATTRIBUTE].data]
     assert max(stretches) == pytest.approx(metrics["linf"], rel=1e-3)
 
@@ -298,8 +297,10 @@ def test_the_stretch_image_is_saved(tmp_path):
     assert tuple(image.size) == (128, 128)
     pixels = np.array(image.pixels[:]).reshape(-1, 4)
     assert len(np.unique(pixels.round(3), axis=0)) > 5
-    with pytest.raises(RuntimeError, match="Cannot write"):
-        bpy.ops.farfield.unwrap_stretch_image(filepath=str(path / "a.png"), resolution=128)
+    (tmp_path / "folder.png").mkdir()
+    for name, reason in (("folder.png", "is a folder"), (path.name + "/a.png", "is not a folder"), ("\udcff.png", "not valid UTF-8")):
+        with pytest.raises(RuntimeError, match=reason):
+            bpy.ops.farfield.unwrap_stretch_image(filepath=str(tmp_path / name), resolution=128)
     assert [image.name for image in bpy.data.images] == [path.name]
     save_stretch_image(item, path, 64)
 
@@ -359,6 +360,15 @@ def test_an_attribute_named_like_the_stretch_is_kept():
     item.data.attributes.new(uv_maps.STRETCH_ATTRIBUTE, "FLOAT", "POINT")
     assert uv_maps.STRETCH_ATTRIBUTE in unwrap_error()
     assert not item.data.uv_layers
+
+
+def test_objects_of_other_types_are_named():
+    empty = bpy.data.objects.new("line\nbreak", None)
+    bpy.context.scene.collection.objects.link(empty)
+    empty.select_set(True)
+    add_mesh("Line", LINE, [(0, 1, 2)])
+    empty.select_set(True)
+    assert "Nothing to unwrap: line break (an empty has no UV map);" in unwrap_error()
 
 
 class TestChangesWhileUnwrapping:

@@ -111,7 +111,7 @@ def _viewer(builder: NodeBuilder, incoming: SocketOrValue, is_backfacing: Socket
 def _casts_shadow(builder: NodeBuilder, arriving_shadow_ray: SocketOrValue, is_backfacing: SocketOrValue) -> SocketOrValue:
     """Return 0 where a shadow ray from the light meets the outside of a solid, otherwise 1.
 
-    The backs cast the same shadow on everything else. The fronts overlap within the error, and would draw dark lines on each other in EEVEE,
+    The backs cast the same shadow on everything else. The fronts overlap within the error, and would draw dark lines in EEVEE,
     which does not know the distance to the shaded point, see `add_quad_shader`.
     """
     is_front = builder.math("SUBTRACT", 1.0, is_backfacing)

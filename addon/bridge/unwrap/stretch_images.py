@@ -7,7 +7,7 @@ import numpy as np
 
 from ...core.errors import FileError, GeometryError
 from ...core.files.complete_files import is_complete_png
-from ...core.files.file_access import error_reason
+from ...core.files.file_access import check_writable, error_reason
 from ...core.unwrap.stretch_colors import draw_stretch_image
 from ..images import create_image
 from .uv_maps import read_uv_stretch
@@ -23,6 +23,7 @@ def save_stretch_image(item: bpy.types.Object, path: Path, resolution: int) -> N
     uv_stretch = read_uv_stretch(item.data)
     if uv_stretch is None:
         raise GeometryError(f'"{item.name}" has not been unwrapped or is in Edit Mode; unwrap it and switch to Object Mode.')
+    check_writable(path)
     pixels = draw_stretch_image(uv_stretch.uvs[uv_stretch.loops], uv_stretch.stretches, resolution)
     image = create_image("stretch", np.dstack([pixels, np.ones((resolution, resolution), np.float32)]), is_data=False)
     try:

@@ -3,12 +3,13 @@
 from dataclasses import dataclass
 
 import bpy
+import idprop
 import numpy as np
 
 from ...core.errors import GeometryError
 from ...core.geometry.mesh import TriangleMesh
 from ..mesh_arrays import read_attribute, read_loop_triangles, read_loop_vertices, read_positions, read_uvs, read_values, write_uvs
-from ..meshes import is_in_view_layer
+from ..meshes import describe_type, is_in_view_layer
 from ..session_ids import find_by_uid
 
 STRETCH_ATTRIBUTE = "farfield_stretch"  # face attribute: maximum stretch of the triangles of a polygon
@@ -77,7 +78,7 @@ def read_uv_target(item: bpy.types.Object, vertex_group: str | None) -> UvTarget
 def skip_reason(item: bpy.types.Object, uv_map: str) -> str:
     """Return why no UV map of this name can be written into an object's mesh, or an empty string."""
     if item.type != "MESH":
-        return f"a {item.type.replace('_', ' ').lower()} has no UV map"
+        return f"{describe_type(item)} has no UV map"
     mesh = item.data
     if not mesh.is_editable:
         return "its mesh is linked from a library; make it local"
@@ -89,7 +90,7 @@ def skip_reason(item: bpy.types.Object, uv_map: str) -> str:
 def _write_obstacle(mesh: bpy.types.Mesh, uv_map: str) -> str:
     """Return why no UV map of this name can be written into a local mesh with faces, or an empty string."""
     stretch = mesh.attributes.get(STRETCH_ATTRIBUTE)
-    if stretch is not None and (stretch.domain, stretch.data_type) != ("FACE", "FLOAT"):
+    if stretch is not None and not _is_stretch(stretch):
         return f'another attribute is named "{STRETCH_ATTRIBUTE}"; rename it'
     layer = mesh.uv_layers.get(uv_map)
     if layer is None:
@@ -148,16 +149,27 @@ class UvStretch:
 def read_uv_stretch(mesh: bpy.types.Mesh) -> UvStretch | None:
     """Read the active UV map and the stretch stored by `write_uv_map`; None for a mesh not unwrapped or in Edit Mode."""
     attribute, layer = mesh.attributes.get(STRETCH_ATTRIBUTE), mesh.uv_layers.active
-    if attribute is None or layer is None or len(attribute.data) != len(mesh.polygons):  # Edit Mode keeps its data elsewhere
-        return None
+    if attribute is None or layer is None or not _is_stretch(attribute) or len(attribute.data) != len(mesh.polygons):
+        return None  # the data of a mesh in Edit Mode are elsewhere
     loops, polygons = read_loop_triangles(mesh)
     stretches = read_attribute(attribute)
     return UvStretch(loops, read_uvs(layer), stretches[polygons])
 
 
-def read_metrics(mesh: bpy.types.Mesh) -> dict[str, float | list[float]]:
-    """Read the metrics stored by `write_uv_map`; empty for a mesh that has not been unwrapped."""
-    return mesh[METRICS_PROPERTY].to_dict() if METRICS_PROPERTY in mesh else {}
+def read_metrics(mesh: bpy.types.Mesh) -> dict[str, float]:
+    """Read the numbers among the metrics stored by `write_uv_map`; empty for a mesh that has not been unwrapped.
+
+    Custom properties may have been edited or come from elsewhere: anything else is ignored.
+    """
+    stored = mesh.get(METRICS_PROPERTY)
+    if not isinstance(stored, idprop.types.IDPropertyGroup):
+        return {}
+    return {name: value for name, value in stored.items() if isinstance(value, int | float)}
+
+
+def _is_stretch(attribute: bpy.types.Attribute) -> bool:
+    """Whether an attribute has the domain and type of the stretch that `write_uv_map` stores."""
+    return (attribute.domain, attribute.data_type) == ("FACE", "FLOAT")
 
 
 def _read_seams(mesh: bpy.types.Mesh) -> np.ndarray:

@@ -6,6 +6,7 @@ from ..errors import SettingsError
 from .cloud import AtlasLayout
 
 MAX_SIDE = 16384  # texels; the largest texture that common GPUs accept
+MAX_TEXELS = 2**24  # of the whole texture, as many as in 4096 x 4096; their capture takes about 5 GB of memory
 GUTTER = 4  # texels between quads: keeps two mip levels separate and is filled by dilation
 SIZE_MULTIPLE = 8  # width and height are multiples of this, so that the first mip levels halve evenly
 PACKING_SLACK = 1.05  # times the total area of the rectangles: the area of the square whose side is the first choice of width
@@ -23,14 +24,21 @@ def pack(half_sizes: np.ndarray, texel_size: float, gutter: int = GUTTER) -> Atl
     padded = sizes + gutter
     width = int(max(padded[:, 0].max() + gutter, np.ceil(np.sqrt(PACKING_SLACK * padded.prod(axis=1).sum()))))
     width += -width % SIZE_MULTIPLE
-    height = int(padded.prod(axis=1).sum() // width)
-    if width <= MAX_SIDE:  # packing into a wider strip would take minutes
+    area = int(padded.prod(axis=1).sum())
+    height = area // width
+    if width <= MAX_SIDE and area <= MAX_TEXELS:  # packing into a wider strip would take minutes
         positions, height = pack_skyline(padded, width - gutter)
         height += gutter + -(height + gutter) % SIZE_MULTIPLE
     if max(width, height) > MAX_SIDE:
         raise SettingsError(
             f"The quads need a texture of at least {width} x {height} texels, but the largest side is {MAX_SIDE}; use a larger Error.",
             ("error",),
+        )
+    if max(area, width * height) > MAX_TEXELS:
+        raise SettingsError(
+            f"The quads need a texture of at least {width} x {height} texels, but the limit is {MAX_TEXELS / 1e6:.1f} million; "
+            "use a larger Error or Texel Size.",
+            ("error", "texel_size"),
         )
     return AtlasLayout((width, height), np.column_stack([positions + gutter, sizes]).astype(np.int32), gutter)
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..errors import SettingsError
 from ..jobs.progress import Steps, subprogress
+from .atlas import MAX_TEXELS
 from .cloud import Level
 from .clustering.patches import Covering, merge_coverings
 from .components import Components
@@ -28,6 +29,7 @@ MIN_AREA_FRACTION = 0.05  # of the total area: lower bound of the area against w
 MIN_BUDGET_FRACTION = 1e-9  # of the budget: replaces 0 as a divisor
 QUADS_EXPONENT = 1.2  # of 1 / error: growth of the number of quads, measured on heads and trees
 TEXTURE_EXPONENT = 2.0  # of 1 / error: texels have two sides
+MIN_TEXEL_LIMIT, TEXELS_PER_QUAD = 2**22, 2**16  # of a texture with a budget of quads: a few more quads are not worth any texture
 GROUP_PROGRESS = 0.3  # of the progress of the allocation, for the search of one group; the rest is for the second search
 COARSE_LEVELS_PROGRESS = 0.2  # of the progress, for the levels above those that count for the budget
 
@@ -53,6 +55,11 @@ class Budget:
     def setting(self) -> tuple[str, str]:
         """Field name and label of the setting."""
         return ("quads", "Quads") if self.quads else ("texture_mb", "Texture MB")
+
+    @property
+    def max_texels(self) -> int:
+        """The largest texture of a level. Ever smaller errors may add a last few quads while the texture grows without limit."""
+        return min(MAX_TEXELS, max(MIN_TEXEL_LIMIT, TEXELS_PER_QUAD * self.quads)) if self.quads else MAX_TEXELS
 
     def count_measured_levels(self, levels: int) -> int:
         """Return how many of the `levels` of a cloud, from the finest on, count for the budget."""
@@ -130,6 +137,12 @@ def cover_within_budget(
     search = _BudgetSearch(primitives, components, builder, budget)
     allocation = yield from subprogress(search.allocate(), 0.0, 1.0 - COARSE_LEVELS_PROGRESS)
     usage = search.measure(allocation)
+    if math.isinf(usage):
+        raise SettingsError(
+            f'"{name}" needs a texture of more than {budget.max_texels / 1e6:.1f} million texels even at the largest error of '
+            f"{MAX_ERROR:.0%}; use a larger Texel Size.",
+            ("texel_size",),
+        )
     if usage > budget.limit:
         field_name, label = budget.setting
         raise SettingsError(
@@ -250,11 +263,13 @@ class _BudgetSearch:
         return self.measure_coverings(self.primitives, self.components, self.combine(allocation), max_relative_error(allocation))
 
     def measure_coverings(self, primitives: Primitives, components: Components, coverings: list[Covering], error: float) -> float:
-        """Return the usage of the levels of `coverings`; infinite if no texture is large enough."""
+        """Return the usage of the levels of `coverings`; infinite if no texture is large enough, or one is too large for the budget."""
         try:
-            return self.budget.measure_usage(self.builder.build_levels(primitives, components, coverings, error))
+            levels = self.builder.build_levels(primitives, components, coverings, error)
         except SettingsError:
             return math.inf
+        is_too_large = any(math.prod(level.atlas.size) > self.budget.max_texels for level in levels)
+        return math.inf if is_too_large else self.budget.measure_usage(levels)
 
     def combine(self, allocation: Allocation) -> list[Covering]:
         """Return the union of the groups' coverings per level, in the numbering of all primitives."""

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ..errors import FileError
+from ..errors import FileError, single_line
 
 ADVICE = {
     errno.ENOSPC: "free some space there",
@@ -42,6 +42,26 @@ def convert_os_errors(action: str) -> Iterator[None]:
 def resolve_links(path: Path) -> Path:
     """Return the absolute path that `path` refers to when its symbolic links are followed; it need not exist."""
     return Path(os.path.realpath(path))
+
+
+def is_unicode(text: str) -> bool:
+    """Whether `text` has no bytes that Python could not decode. Linux allows them in names of files; Blender cannot read or write these."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def check_unicode(path: Path) -> None:
+    """Check that `path`, made absolute, is text without null characters.
+
+    Raises:
+        FileError: it is not.
+    """
+    text = str(path.absolute())
+    if "\0" in text or not is_unicode(text):
+        raise FileError(f'The path "{single_line(text)}" is not valid UTF-8 text; rename the file or the folder.')
 
 
 def check_readable(path: Path) -> None:
@@ -125,7 +145,8 @@ def is_same_file(first: Path, second: Path) -> bool:
 
 
 def _read_status(path: Path) -> os.stat_result | None:
-    """Return the status of the file behind all links, None if there is none. Raises OSError."""
+    """Return the status of the file behind all links, None if there is none. Raises OSError, or FileError if the path is no text."""
+    check_unicode(path)
     try:
         return path.stat()
     except (FileNotFoundError, NotADirectoryError):

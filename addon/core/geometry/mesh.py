@@ -9,6 +9,7 @@ from scipy.sparse import coo_matrix, csgraph
 from ..errors import GeometryError
 
 MIN_HEIGHT = 2e-14  # of a triangle relative to its longest edge: below, its direction is lost in double precision
+MAX_COORDINATE = 1e37  # leaves room for results that are larger than their source: single precision ends at 3.4e38
 COORDINATE_ROUNDING = 2e-15  # of the largest coordinate: a lower triangle owes its height to rounding
 
 MAX_SOLID_BOUNDARY = 0.5  # boundary length of a solid relative to the square root of its area
@@ -74,12 +75,19 @@ def longest_side(points: np.ndarray) -> float:
 
 
 def check_points(points: np.ndarray, name: str) -> None:
-    """Raise GeometryError when `points` (N, 3) are empty, not finite, or all at the same position. `name` is that of their object."""
+    """Check that `points` (N, 3), world space, can be worked on; `name` is that of their object.
+
+    Raises:
+        GeometryError: they are empty, not finite, beyond MAX_COORDINATE, or all at the same position.
+    """
     if len(points) == 0:
         raise GeometryError(f'"{name}" has no vertices; choose an object with a surface.')
     if not np.isfinite(points).all():
         count = int((~np.isfinite(points).all(axis=1)).sum())
         raise GeometryError(f'"{name}" has {count} vertices with coordinates that are not finite numbers; delete or repair them.')
+    if np.abs(points).max() > MAX_COORDINATE:
+        count = int((np.abs(points).max(axis=1) > MAX_COORDINATE).sum())
+        raise GeometryError(f'"{name}" has {count} vertices with coordinates above {MAX_COORDINATE:g}; move them closer, or delete them.')
     if longest_side(points) <= 0.0:
         raise GeometryError(f'All vertices of "{name}" are at the same position; choose an object with a surface.')
 
@@ -147,7 +155,8 @@ def solid_components(points: np.ndarray, triangles: np.ndarray, components: np.n
     boundary = np.where(np.isin(forward, backward).reshape(-1, 3), 0.0, lengths).sum(axis=1)
     face_areas, _ = face_areas_and_normals(positions)
     areas = np.bincount(components, face_areas)
-    centers = np.stack([np.bincount(components, face_areas * positions[:, :, axis].mean(axis=1)) / areas for axis in range(3)], axis=1)
+    weights = face_areas / np.where(areas > 0.0, areas, 1.0)[components]
+    centers = np.stack([np.bincount(components, weights * positions[:, :, axis].mean(axis=1)) for axis in range(3)], axis=1)
     face_volumes = np.einsum("ti,ti->t", scaled_normals(positions), positions[:, 0] - centers[components]) / 6.0
     volumes = np.bincount(components, face_volumes)
     is_solid = (np.bincount(components, boundary) < MAX_SOLID_BOUNDARY * np.sqrt(areas)) & (volumes > MIN_VOLUME * areas**1.5)

@@ -4,6 +4,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 PACKING_RESOLUTION = 1024  # texels per side of the square that xatlas packs into
+MAX_CHART_SIDE = 8 * PACKING_RESOLUTION  # texels; the time of xatlas grows with the bounding boxes of charts, however thin they are
 
 
 def pack_charts(uvs: list[np.ndarray], triangles: list[np.ndarray], margin: float) -> list[np.ndarray]:
@@ -38,30 +39,35 @@ def _min_area_orientation(uv: np.ndarray) -> np.ndarray:
 def _pack_with_xatlas(uvs: list[np.ndarray], triangles: list[np.ndarray], margin: float) -> list[np.ndarray]:
     """Return the charts moved apart by xatlas, which packs silhouettes texel by texel.
 
-    Only translations are taken from xatlas: its coordinates are single precision, and its rotations may mirror a chart.
+    Only translations are taken from xatlas: its coordinates are single precision, and its rotations may mirror a chart. It gets texels as
+    units, because it never ends where the squares of coordinates are infinite.
     """
     import xatlas  # here, so that importing the core needs only NumPy and SciPy
 
-    area = sum(float(np.ptp(uv, axis=0).prod()) for uv in uvs)
+    extents = np.array([np.ptp(uv, axis=0) for uv in uvs])
+    texel_size = max(float(np.sqrt(extents.prod(axis=1).sum())) / PACKING_RESOLUTION, float(extents.max()) / MAX_CHART_SIDE)
     options = xatlas.PackOptions()
     options.resolution, options.padding = 0, int(np.ceil(margin * PACKING_RESOLUTION))
-    options.texels_per_unit = PACKING_RESOLUTION / np.sqrt(area)
+    options.texels_per_unit = 1.0
     options.rotate_charts = options.rotate_charts_to_axis = False
     atlas = xatlas.Atlas()
-    meshes = [_to_xatlas(uv, faces, 1.0 / options.texels_per_unit) for uv, faces in zip(uvs, triangles, strict=True)]
+    meshes = [_to_xatlas(uv / texel_size, faces) for uv, faces in zip(uvs, triangles, strict=True)]
     for uv, faces in meshes:  # all arrays stay alive: xatlas takes data at the same address for the same chart
         atlas.add_uv_mesh(uv, faces)
     atlas.generate(pack_options=options)
-    size = np.array([atlas.width, atlas.height], np.float64)
-    return [uv + _translation(uv, atlas.get_mesh(index), size / options.texels_per_unit) for index, uv in enumerate(uvs)]
+    size = np.array([atlas.width, atlas.height], np.float64) * texel_size
+    return [uv + _translation(uv, atlas.get_mesh(index), size) for index, uv in enumerate(uvs)]
 
 
-def _to_xatlas(uv: np.ndarray, triangles: np.ndarray, texel_size: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return a chart as coordinates (V, 2) float32 and triangles uint32; a box where it is thinner than a texel, as xatlas drops these."""
+def _to_xatlas(uv: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a chart as coordinates (V, 2) float32 and triangles uint32; a box where it is thinner than a texel, as xatlas drops these.
+
+    uv: (V, 2) in texels.
+    """
     extent = np.ptp(uv, axis=0)
-    if extent.min() >= texel_size:
+    if extent.min() >= 1.0:
         return (uv - uv.min(axis=0)).astype(np.float32), triangles.astype(np.uint32)
-    box = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * np.maximum(extent, texel_size)
+    box = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * np.maximum(extent, 1.0)
     return box.astype(np.float32), np.array([[0, 1, 2], [0, 2, 3]], np.uint32)
 
 

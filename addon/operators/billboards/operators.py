@@ -9,7 +9,7 @@ from ...bridge.billboards import clouds
 from ...bridge.billboards.scene_clouds import SceneCloud, clouds_in, clouds_of_levels, find_cloud
 from ...core.billboards.settings import BillboardSettings, BuildOptions, CrossfadeSettings
 from .. import long_work, properties, start_job
-from ..error_reports import reports_errors
+from ..error_reports import report_message, reports_errors
 from .estimates import cache, estimate_key
 from .job import BillboardJob, prepare_job
 from .messages import describe_exceptions, missing_original_message, quote_names
@@ -69,7 +69,7 @@ class FARFIELD_OT_billboards_estimate(bpy.types.Operator):
         settings = properties.read(BillboardSettings, context.scene.farfield_billboards)
         result = cache.compute(context, estimate_key(context, settings))
         levels = [f"{level.quads:,} quads, {level.texels:,} texels, {level.bytes / 1e6:.1f} MB" for level in result.levels]
-        self.report({"INFO"}, f"About {'; '.join(levels)}.")
+        report_message(self, f"About {'; '.join(levels)}.")
         return {"FINISHED"}
 
 
@@ -107,7 +107,7 @@ class FARFIELD_OT_billboards_show(bpy.types.Operator):
             cloud.activate_visible(context)
         exceptions = describe_exceptions(scene_clouds, refused, view_layer)
         message = f"Showing the {'cloud' if show_cloud else 'original'} of {quote_names(changed)}." if changed else "Nothing changed."
-        self.report({"WARNING" if exceptions else "INFO"}, f"{message} {exceptions}".strip())
+        report_message(self, f"{message} {exceptions}".strip(), "WARNING" if exceptions else "INFO")
         return {"FINISHED" if changed else "CANCELLED"}
 
 
@@ -136,7 +136,7 @@ class FARFIELD_OT_billboards_crossfade(bpy.types.Operator):
             cloud.activate_visible(context)
         exceptions = describe_exceptions(scene_clouds, refused, context.view_layer)
         message = f"Cross-fading for the active camera: {quote_names(scene_clouds)}." if scene_clouds else "Nothing changed."
-        self.report({"WARNING" if exceptions else "INFO"}, f"{message} {exceptions}".strip())
+        report_message(self, f"{message} {exceptions}".strip(), "WARNING" if exceptions else "INFO")
         return {"FINISHED" if scene_clouds else "CANCELLED"}
 
 
@@ -166,7 +166,7 @@ class FARFIELD_OT_billboards_show_level(bpy.types.Operator):
             shown.append(f'"{cloud.collection.name}" {"original" if level is None else f"level {level}"}')
         exceptions = describe_exceptions(scene_clouds, refused, context.view_layer)
         message = f"Shown: {', '.join(shown)}." if shown else "Nothing changed."
-        self.report({"WARNING" if exceptions else "INFO"}, f"{message} {exceptions}".strip())
+        report_message(self, f"{message} {exceptions}".strip(), "WARNING" if exceptions else "INFO")
         return {"FINISHED" if shown else "CANCELLED"}
 
 

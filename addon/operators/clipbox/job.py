@@ -14,7 +14,8 @@ from ...core.clipbox.engine import NO_SURFACE, TerrainEngine, Update, check_view
 from ...core.clipbox.files.readers import BLEND_PREFIX, check_path
 from ...core.clipbox.layout import choose_origin
 from ...core.clipbox.settings import ClipboxSettings
-from ...core.errors import FileError, GeometryError
+from ...core.errors import GeometryError
+from ...core.files.file_access import check_readable
 from ...core.jobs.progress import Progress, Steps, subprogress
 from . import engines
 
@@ -93,12 +94,7 @@ def find_ground_image(settings: ClipboxSettings, origin: np.ndarray) -> GroundIm
         return None
     path = Path(absolute_path(settings.source_color))
     check_path(str(path))
-    try:
-        is_file = path.is_file()
-    except OSError as error:
-        raise FileError(f'The image "{path}" in Source Color cannot be read: {error.strerror or error}.') from error
-    if not is_file:
-        raise FileError(f'There is no image "{path}"; check the path in Source Color.')
+    check_readable(path)
     return GroundImage(path, settings.source_size * settings.scale, origin)
 
 

@@ -6,6 +6,7 @@ import bpy
 import mathutils
 
 from ...bridge.clipbox.objects import SceneTerrain
+from ...core.errors import single_line
 from .. import long_work
 from ..error_reports import describe_error
 from . import following
@@ -83,9 +84,9 @@ class ViewFollowing:
 
     def _end(self, error: str) -> None:
         self.stop()
-        self.error = error
+        self.error = single_line(error)
         if error:
-            print(error, file=sys.stderr)
+            print(self.error, file=sys.stderr)
         long_work.redraw_sidebars(bpy.context.window_manager)
 
 

@@ -10,7 +10,7 @@ from ...bridge.unwrap.stretch_images import save_stretch_image
 from ...bridge.unwrap.uv_overlay import overlay
 from ...core.unwrap.settings import UnwrapSettings
 from .. import long_work, properties, start_job
-from ..error_reports import reports_errors
+from ..error_reports import report_message, reports_errors
 from .job import UnwrapJob, prepare
 
 
@@ -107,7 +107,7 @@ class FARFIELD_OT_unwrap_stretch_image(bpy.types.Operator):
         """Draw the image and write it."""
         path = Path(bpy.path.abspath(self.filepath)).with_suffix(".png")
         save_stretch_image(context.active_object, path, self.resolution)
-        self.report({"INFO"}, f'Saved "{path}".')
+        report_message(self, f'Saved "{path}".')
         return {"FINISHED"}
 
 

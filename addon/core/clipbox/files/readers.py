@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FileError, SettingsError
+from ...files.file_access import check_readable, check_unicode
 from .file_data import HEIGHT_BYTES, FileData, HeightMap, Voxels, check_size, to_native_byte_order
 from .nifti import read_nifti
 from .tiffs import read_tiff
@@ -84,7 +85,8 @@ def read_source(terrain: str, source: str, readers: Readers) -> FileData:
 
 
 def check_path(path: str) -> None:
-    """Raise FileError when a path is still relative to the .blend file, because that was never saved."""
+    """Raise FileError when a path is no text, or is still relative to the .blend file, because that was never saved."""
+    check_unicode(Path(path))
     if path.startswith(BLEND_PREFIX):
         raise FileError(f'"{path}" is relative to the .blend file, which was never saved; save it, or use an absolute path.')
 
@@ -97,9 +99,8 @@ def read_file(path: Path, readers: Readers = READERS) -> FileData:
     """
     name = path.name.lower()
     extension = max((known for known in readers if name.endswith(known)), key=len, default=None)
+    check_readable(path)
     try:
-        if not path.is_file():
-            raise FileError(f'There is no file "{path}"; check the path of the source file.')
         if extension is None:
             raise FileError(f'"{path}" cannot be read as terrain; its name must end in one of {", ".join(sorted(readers))}.')
         if path.stat().st_size == 0:

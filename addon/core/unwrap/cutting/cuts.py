@@ -248,7 +248,8 @@ def _find_endpoints(chart: Chart, start: np.ndarray, required: int) -> Steps[lis
 def _stretch_after_cut(proxy: Chart, edges: Edges, cut: np.ndarray) -> tuple[float, np.ndarray]:
     """Return the stretch excess of a `proxy` that is `cut` (E,) bool along some of its `edges`, and the squared stretch (V,) at vertices.
 
-    Squared stretch is relative to the density. Infinite excess and stretch 1 where the proxy cannot be parameterized.
+    Squared stretch is relative to the density; vertices outside of the first part of the cut proxy have the mean. Infinite excess and
+    stretch 1 where the proxy cannot be parameterized.
     """
     disk, members = split_into_components(proxy, edges.interior_halfedges[~cut[edges.interior]])[0]
     try:
@@ -259,7 +260,9 @@ def _stretch_after_cut(proxy: Chart, edges: Edges, cut: np.ndarray) -> tuple[flo
     stretch = disk.density * squared_stretches(shapes, disk.triangles, uv)
     corners, areas = proxy.triangles[members].ravel(), np.repeat(shapes.areas, 3)
     weighted = np.bincount(corners, areas * np.repeat(stretch, 3), len(proxy.vertices))
-    return _stretch_excess(disk, shapes, uv), weighted / np.bincount(corners, areas, len(proxy.vertices))
+    total = np.bincount(corners, areas, len(proxy.vertices))
+    mean = weighted.sum() / max(total.sum(), TINY)
+    return _stretch_excess(disk, shapes, uv), np.where(total > 0.0, weighted / np.maximum(total, TINY), mean)
 
 
 def _build_proxy(chart: Chart, triangles: np.ndarray) -> tuple[Chart, np.ndarray]:
