@@ -13,7 +13,10 @@ from farfield.addon.core.files.complete_files import is_complete_blend, is_compl
 
 OLD_CONTENT = b"the old content"
 SKIPPED = "Skipped: "
-LIBRARY_MESSAGE = re.compile(r"libpng (error|warning): ")  # printed by the library that Blender reads images with
+LIBRARY_MESSAGE = re.compile(  # printed by libpng, and by Blender's dependency graph about metaballs
+    r"libpng (error|warning): |find_node component: |-{20,}$|Failed to add relation |Could not find op_(to|from): |Trace:$"
+    r"|Depth +Type +Name$|-----    ----  |\d+ +Object  "
+)
 TEMPORARY_NAME = re.compile(r"\.?farfield-|.*\.part$")
 BLENDER_FOLDER = re.compile(r"blender_")  # Blender's own temporary folder, which lives as long as the process
 VARYING = re.compile(r"\"[^\"]*\"|'[^']*'|\d+")

@@ -1,5 +1,7 @@
 """Captured maps match the material: the same color, normal, roughness and alpha, at the same positions."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -191,6 +193,16 @@ def test_missing_image_is_named_before_capture(tmp_path):
     source = blender_scenes.read_objects(blender_scenes.box(material=material))
     with pytest.raises(FileError, match=r"bark.*Bark.*no such Rinde ä.png"):
         check_images(source)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("texel", [1.0, 1e12])
+def test_quads_without_extent_are_placed(texel):
+    cloud = pbr_clouds.cloud_of_directions(blender_scenes.read_objects(blender_scenes.box()).mesh, pbr_clouds.axis_directions(), 0.1)
+    level = cloud.levels[0]
+    quads = replace(level.quads, half_sizes=np.zeros_like(level.quads.half_sizes))
+    placement = compute_placement(replace(level, quads=quads, texel_size=texel))
+    assert placement.scales == pytest.approx(np.ones(len(quads)))
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1e6])

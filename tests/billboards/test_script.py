@@ -209,8 +209,9 @@ def test_obj_output_has_the_same_quads(cube):
         assert textures and all(image.has_data or image.size[0] for image in textures)
 
 
-def test_glb_output_has_textures_and_properties(cube):
-    out = cube.with_name("cloud.glb")
+@pytest.mark.parametrize("name", ["cloud.glb", "...glb"])  # Blender's exporter finds no extension in the second
+def test_glb_output_has_textures_and_properties(cube, name):
+    out = cube.with_name(name)
     main(cube, "--out", out, "--error", "10%", "--levels", "2", "--samples", "1")
     figures = [level["farfield_quads"] for level in cloud_levels()]
     before = {path.name for path in cube.parent.iterdir()}

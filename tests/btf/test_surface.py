@@ -12,6 +12,8 @@ from farfield.addon.bridge.billboards.level_objects import PBR_MATERIAL
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
 from farfield.addon.bridge.btf.decode import is_upper_hemisphere, read_relightable_texture
 from farfield.addon.bridge.btf.materials import sun_color_property
+from farfield.addon.bridge.btf.shared_parameters import read_shared_parameters
+from farfield.addon.bridge.node_groups import nodes_in
 from farfield.addon.core.errors import GeometryError
 from farfield.addon.core.imaging import metrics
 from farfield.addon.core.jobs.progress import run_to_end
@@ -166,3 +168,25 @@ def test_a_cloud_without_textures_needs_the_model_emission():
     build_cloud(blender_scenes.ball(), textures=False)
     with pytest.raises(RuntimeError, match="has no textures, which the model Surface needs"):
         bpy.ops.farfield.btf_bake(**QUICK_BAKE)
+
+
+def test_shader_parameters_that_all_materials_share_are_copied():
+    materials = [blender_scenes.create_material(name) for name in ("First", "Second")]
+    for material in materials:
+        blender_scenes.shader_of(material).inputs["Coat Weight"].default_value = 0.75
+    blender_scenes.shader_of(materials[0]).inputs["Coat Roughness"].default_value = 0.4
+    shared = read_shared_parameters(materials)
+    assert shared["Coat Weight"] == 0.75 and "Coat Roughness" not in shared
+    linked = blender_scenes.create_material("Linked")
+    node = linked.node_tree.nodes.new("ShaderNodeValue")
+    blender_scenes.link(linked, node.outputs[0], blender_scenes.shader_of(linked).inputs["Coat Weight"])
+    assert "Coat Weight" not in read_shared_parameters([*materials, linked])
+    other = blender_scenes.create_material("Other")
+    other.node_tree.nodes.remove(blender_scenes.shader_of(other))
+    assert read_shared_parameters([*materials, other]) == {} == read_shared_parameters([])
+    build_cloud(blender_scenes.ball(material=materials[0]))
+    bpy.ops.farfield.btf_bake(**QUICK_BAKE)
+    level = clouds_in(bpy.context.scene)[-1].levels[0]
+    (shader,) = {node for node in nodes_in(level.data.materials[0].node_tree) if node.type == "BSDF_PRINCIPLED"}
+    assert shader.inputs["Coat Weight"].default_value == 0.75
+    assert shader.inputs["Coat Roughness"].default_value == pytest.approx(0.4)

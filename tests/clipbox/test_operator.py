@@ -219,7 +219,7 @@ def test_relative_paths_are_stored_so_that_they_stay_valid(tmp_path, monkeypatch
 def test_a_ground_image_that_cannot_be_looked_up_is_a_sentence(tmp_path):
     camera_at(0.0, 0.0, 20.0)
     np.save(tmp_path / "map.npy", np.eye(32))
-    with pytest.raises(RuntimeError, match="in Source Color cannot be read: File name too long"):
+    with pytest.raises(RuntimeError, match="File name too long; choose a shorter name"):
         create(terrain="heights", source=str(tmp_path / "map.npy"), source_color=str(tmp_path / ("a" * 300 + ".png")))
 
 

@@ -122,7 +122,7 @@ def test_the_end_of_a_path_equals_a_build_from_scratch(folder):
         (("--out", "ground.ply", "--formula", "x.real"), SettingsError, "is not allowed"),
         (("--out", "ground.ply", "--formula", "-1"), GeometryError, "no surface"),
         (("--out", "ground.blend", "--formula", "1"), GeometryError, "no surface"),
-        (("--out", "ground.ply", "--path", "nowhere.csv"), FileError, "cannot be read"),
+        (("--out", "ground.ply", "--path", "nowhere.csv"), FileError, "does not exist"),
         (("--out", "ground.ply", "--convert-to-mesh"), FileError, "must end in .blend"),
         (("--out", "ground.blend", "--per-box"), SettingsError, "needs --convert-to-mesh"),
         (("--out", "ground.blend", "--convert-to-mesh", "--collider-fraction", "0"), SettingsError, "--collider-fraction"),

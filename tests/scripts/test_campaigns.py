@@ -82,6 +82,7 @@ def test_other_strategies_give_text(content, value, name):
         (2, "Skipped: Cube (no faces).\nThere is no file.\n", []),
         (130, "Cancelled.\n", []),
         (2, "libpng error: IDAT: CRC error\nThe image is damaged.\n", []),
+        (0, 'find_node component: Could not find ID OBA\nFailed to add relation "Metaball"\n\nTrace:\n\n1        Object         A\n', []),
         (0, "a warning\n", ["1 lines on stderr with exit code 0"]),
         (2, "", ["0 lines on stderr with exit code 2"]),
         (2, "two\nlines\n", ["2 lines on stderr with exit code 2"]),

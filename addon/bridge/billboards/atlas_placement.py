@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...core.arrays import TINY
 from ...core.billboards.cloud import Level
 
 
@@ -41,7 +40,8 @@ def compute_placement(level: Level) -> AtlasPlacement:
     rectangles = level.atlas.rectangles.astype(np.float64)
     rectangle_centers = rectangles[:, :2] + 0.5 * rectangles[:, 2:] - 0.5 * np.array(level.atlas.size, np.float64)
     positions = np.column_stack([level.texel_size * rectangle_centers, np.zeros(len(rectangle_centers))])
-    scales = 0.5 * level.texel_size * rectangles[:, 2:] / np.maximum(level.quads.half_sizes, TINY)
+    half_texel = 0.5 * level.texel_size  # a quad that is smaller than its one texel is not enlarged
+    scales = half_texel * rectangles[:, 2:] / np.maximum(level.quads.half_sizes, half_texel)
     return AtlasPlacement(level.quads.centers, level.quads.frames, positions, np.minimum(scales.min(axis=1), 1.0))
 
 

@@ -1,5 +1,6 @@
 """Export of a cloud's levels for programs without Blender's nodes: color, alpha and normals on simple quads."""
 
+import os
 from pathlib import Path
 
 import bpy
@@ -50,7 +51,10 @@ def write_glb(levels: list[bpy.types.Object], path: Path) -> None:
 
     Raises:
         RuntimeError: Blender's exporter failed.
+        OSError: the file cannot be renamed.
     """
+    has_extension = os.path.splitext(path.name)[1] != ""  # noqa: PTH122 as the exporter sees it: in "...glb" it finds none, and adds one
+    exported = path if has_extension else path.with_name(f"{safe_filename(path.name)}.glb")
     layer = bpy.context.view_layer
     selected, active = list(bpy.context.selected_objects), layer.objects.active
     for item in selected:
@@ -58,13 +62,15 @@ def write_glb(levels: list[bpy.types.Object], path: Path) -> None:
     copies = [_create_export_copy(level) for level in levels]
     try:
         bpy.ops.export_scene.gltf(
-            filepath=str(path),
+            filepath=str(exported),
             export_format="GLB",
             use_selection=True,
             export_extras=True,
             export_image_format="AUTO",
             export_animations=False,
         )
+        if exported != path:
+            exported.replace(path)
     finally:
         for copy in copies:
             material = copy.data.materials[0]

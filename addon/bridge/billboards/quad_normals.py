@@ -7,7 +7,6 @@ normal map, as well as a linear field can, make this test correct nearly everywh
 
 import numpy as np
 
-from ...core.arrays import TINY
 from ...core.billboards.cloud import Level
 from .level_maps import PbrMaps
 
@@ -28,7 +27,8 @@ def compute_corner_normals(level: Level, maps: PbrMaps, quad: int, cutout: np.nd
     if weights.sum() <= 0.0:
         return np.tile(quad_normal, (len(cutout), 1))
     rows, columns = np.divmod(np.arange(width * height), width)
-    scale = 0.5 * level.texel_size / np.maximum(level.quads.half_sizes[quad], TINY)
+    half_texel = 0.5 * level.texel_size  # smaller quads have one texel, at their center
+    scale = half_texel / np.maximum(level.quads.half_sizes[quad], half_texel)
     design = np.column_stack([(2 * columns + 1 - width) * scale[0], (2 * rows + 1 - height) * scale[1], np.ones(width * height)])
     ridge = RIDGE * weights.sum() * np.diag([1.0, 1.0, 0.0]) + 1e-9 * np.eye(3)
     weighted = design * weights[:, None]

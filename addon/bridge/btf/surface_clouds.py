@@ -21,6 +21,7 @@ from ..mesh_arrays import read_attribute
 from .clouds import remove_suns, replace_pbr_material
 from .materials import LAYOUT, VERSION
 from .nodes.parallax_nodes import write_texel_axes
+from .shared_parameters import Value
 from .surface_materials import DEFAULT_LIGHT_COVERAGE, SurfaceImages, build_surface_material, read_light_coverage_sockets
 from .texture_images import create_color_image, create_half_float_image, create_weight_images
 
@@ -50,8 +51,13 @@ def read_two_sided_texels(level_object: bpy.types.Object, texels: Texels) -> Two
     return TwoSidedTexels(texels, *map(read_side, SIDES), read_pbr_alpha(level_object, texels), solid)
 
 
-def assign_surface_material(level_object: bpy.types.Object, texels: Texels, textures: SurfaceTextures, settings: BtfSettings) -> None:
-    """Give a level object the surface material of its PBR maps and the `textures` of its `texels`. Its PBR material stays in the file."""
+def assign_surface_material(
+    level_object: bpy.types.Object, texels: Texels, textures: SurfaceTextures, settings: BtfSettings, parameters: dict[str, Value]
+) -> None:
+    """Give a level object the surface material of its PBR maps and the `textures` of its `texels`. Its PBR material stays in the file.
+
+    parameters: of the source, see `read_shared_parameters`.
+    """
     remove_suns(level_object)
     name, views = f"{level_object.name} BTF", settings.view_grid
     error = float(level_object["farfield_error"])
@@ -69,7 +75,7 @@ def assign_surface_material(level_object: bpy.types.Object, texels: Texels, text
         upper=views.upper,
         emission=emission,
     )
-    material = build_surface_material(name, images, _shadowless_distance(level_object, error))
+    material = build_surface_material(name, images, _shadowless_distance(level_object, error), parameters)
     for socket in read_light_coverage_sockets(material):
         socket.default_value = DEFAULT_LIGHT_COVERAGE
     material[LAYOUT] = {"version": VERSION, "model": settings.model, "views_per_side": views.size, "views_upper": int(views.upper)}

@@ -29,6 +29,7 @@ from ..node_groups import create_group
 from .materials import ALPHA_BASIS, ALPHA_WEIGHTS, EMISSION
 from .nodes.parallax_nodes import depth_uv
 from .nodes.table_nodes import map_uv, sample_image, sample_weights, weighted_scalar_sum
+from .shared_parameters import Value, write_parameters
 
 SHADOW_RAYS_LEAVE = "Shadow Rays Leave"  # input of the group: 1 if shadow rays start at the shaded point, 0 if they start at the light
 LIGHT_COVERAGE = "Light Coverage"  # input of the group: 0 to 1, see `_light_alpha`
@@ -49,14 +50,19 @@ class SurfaceImages:
     emission: bpy.types.Image | None
 
 
-def build_surface_material(name: str, images: SurfaceImages, shadowless_distance: float) -> bpy.types.Material:
-    """Create the material, for a mesh with texel axes. shadowless_distance: see `create_cloud_material`."""
+def build_surface_material(
+    name: str, images: SurfaceImages, shadowless_distance: float, parameters: dict[str, Value]
+) -> bpy.types.Material:
+    """Create the material, for a mesh with texel axes.
+
+    shadowless_distance: see `create_cloud_material`. parameters: see `read_shared_parameters`.
+    """
     material = bpy.data.materials.new(name)
     set_two_sided(material)
     enable_nodes(material)
     material.node_tree.nodes.clear()
     group = create_group(f"{name} Surface", [(SHADOW_RAYS_LEAVE, "Float"), (LIGHT_COVERAGE, "Float")], [("BSDF", "Shader")])
-    _fill_group(NodeBuilder(group), images, shadowless_distance)
+    _fill_group(NodeBuilder(group), images, shadowless_distance, parameters)
     builder = NodeBuilder(material.node_tree)
     for engine, leave in (("CYCLES", 1.0), ("EEVEE", 0.0)):
         node = builder.node("ShaderNodeGroup", {"node_tree": group, "label": engine.title()})
@@ -71,7 +77,7 @@ def read_light_coverage_sockets(material: bpy.types.Material) -> list[bpy.types.
     return [node.inputs[LIGHT_COVERAGE] for node in material.node_tree.nodes if node.type == "GROUP" and LIGHT_COVERAGE in node.inputs]
 
 
-def _fill_group(builder: NodeBuilder, images: SurfaceImages, shadowless_distance: float) -> None:
+def _fill_group(builder: NodeBuilder, images: SurfaceImages, shadowless_distance: float, parameters: dict[str, Value]) -> None:
     """Add the shader to the group."""
     geometry, path = builder.node("ShaderNodeNewGeometry"), builder.node("ShaderNodeLightPath")
     is_backfacing, incoming = geometry.outputs["Backfacing"], geometry.outputs["Incoming"]
@@ -85,6 +91,7 @@ def _fill_group(builder: NodeBuilder, images: SurfaceImages, shadowless_distance
     alpha = builder.math("MULTIPLY", alpha, _casts_shadow(builder, arriving_shadow_ray, is_backfacing))
     maps = _visible_maps(builder, images, incoming, is_backfacing)
     shader = add_quad_shader(builder, maps, alpha, shadowless_distance, is_backfacing)
+    write_parameters(shader, parameters)
     if images.emission is not None:
         builder.connect(sample_image(builder, images.emission, EMISSION)[0], shader.inputs["Emission Color"])
         shader.inputs["Emission Strength"].default_value = 1.0

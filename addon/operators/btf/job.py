@@ -22,6 +22,7 @@ from ...bridge.btf import worker as btf_worker
 from ...bridge.btf.driver_permission import may_run_python_drivers
 from ...bridge.btf.level_checks import check_editable, check_level, is_unchanged
 from ...bridge.btf.light_calibration import calibrate_light_coverage, has_loose_quads
+from ...bridge.btf.shared_parameters import Value, read_shared_parameters
 from ...bridge.btf.surface_clouds import assign_surface_material, check_maps, read_two_sided_texels
 from ...bridge.session_ids import find_by_uid
 from ...core.billboards.texels import QuadPolygons, Texels
@@ -82,8 +83,9 @@ class BakeJob:
     """Bakes all levels of one cloud. `figures` describes each of them when the job is finished.
 
     collection: its name; collection_uid: its session UID, since the user may rename it. folder: for finished views. run: the run that
-    writes there. run_drivers: whether drivers in the source may run any Python. keep_finished_views: whether views stay when the job is
-    finished; when it is cancelled they always stay. temporary_folder: deletes the folder together with the job.
+    writes there. run_drivers: whether drivers in the source may run any Python. parameters: see `read_shared_parameters`.
+    keep_finished_views: whether views stay when the job is finished; when it is cancelled they always stay. temporary_folder: deletes the
+    folder together with the job.
     """
 
     core_fraction = 0.9
@@ -96,6 +98,7 @@ class BakeJob:
     folder: Path
     run: CaptureRun
     run_drivers: bool
+    parameters: dict[str, Value]
     keep_finished_views: bool
     temporary_folder: tempfile.TemporaryDirectory | None
     figures: list[dict[str, Any]] = field(default_factory=list)
@@ -129,8 +132,10 @@ class BakeJob:
             estimates.cache.remember_pace(cloud, self.settings, sum(self.clock.seconds.values()))
         with self.clock.stage("assign"):
             for level_object, baked in zip(cloud.levels, core_result, strict=True):
-                assign = btf_clouds.assign_relightable_material if self.settings.bakes_emission else assign_surface_material
-                assign(level_object, baked.texels, baked.textures, self.settings)
+                if self.settings.bakes_emission:
+                    btf_clouds.assign_relightable_material(level_object, baked.texels, baked.textures, self.settings)
+                else:
+                    assign_surface_material(level_object, baked.texels, baked.textures, self.settings, self.parameters)
         with self.clock.stage("calibrate"):
             if not self.settings.bakes_emission:
                 yield from self._calibrate(cloud)
@@ -275,6 +280,7 @@ def prepare_bake(
         folder=folder,
         run=run,
         run_drivers=may_run_python_drivers(),
+        parameters=read_shared_parameters(source.materials),
         keep_finished_views=keep_finished_views,
         temporary_folder=temporary_folder,
     )

@@ -13,7 +13,7 @@ from ...core.errors import SettingsError
 from ...core.files.user_folders import open_private_folder
 from ...core.jobs.executors import parse_executor
 from .. import long_work, properties, start_job
-from ..error_reports import reports_errors
+from ..error_reports import report_message, reports_errors
 from . import estimates
 from .job import BakeJob, prepare_bake
 
@@ -106,7 +106,7 @@ class FARFIELD_OT_btf_link_suns(RequiresBakedCloud, bpy.types.Operator):
         suns = [sun for sun in (getattr(group, sun_pointer_name(index)) for index in range(SUNS)) if sun is not None]
         for level in filter(btf_clouds.needs_linked_suns, active_cloud(context).levels):
             btf_clouds.link_suns(level, suns, group.ambient)
-        self.report({"INFO"}, f"Lit by {', '.join(sun.name for sun in suns) or 'the ambient color only'}.")
+        report_message(self, f"Lit by {', '.join(sun.name for sun in suns) or 'the ambient color only'}.")
         return {"FINISHED"}
 
 
