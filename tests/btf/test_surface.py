@@ -170,7 +170,7 @@ def test_a_cloud_without_textures_needs_the_model_emission():
         bpy.ops.farfield.btf_bake(**QUICK_BAKE)
 
 
-def test_shader_parameters_that_all_materials_share_are_copied():
+def test_common_shader_parameters_are_copied():
     materials = [blender_scenes.create_material(name) for name in ("First", "Second")]
     for material in materials:
         blender_scenes.shader_of(material).inputs["Coat Weight"].default_value = 0.75
