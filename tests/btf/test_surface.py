@@ -140,6 +140,18 @@ def test_the_scene_keeps_nothing_else_and_the_pbr_material_returns(cloud):
     assert level.data.materials[0].name == pbr_name and PBR_MATERIAL not in level
 
 
+def test_solids_need_no_backs(cloud):
+    labels = {node.label for node in nodes_in(cloud.levels[0].data.materials[0].node_tree) if node.type == "TEX_IMAGE"}
+    assert labels == {
+        "Front color",
+        "Front normal",
+        "Front roughness metallic depth",
+        "Alpha Weights 0",
+        "Alpha Weights 1",
+        "Alpha Weights 2",
+    } | {"Alpha Basis"}
+
+
 def test_linking_suns_is_not_needed(cloud):
     with pytest.raises(RuntimeError, match=r"lit by all lights|poll\(\) failed"):
         bpy.ops.farfield.btf_link_suns()

@@ -44,11 +44,7 @@ def read_two_sided_texels(level_object: bpy.types.Object, texels: Texels) -> Two
         color, normal = (read_pixels(images[side, name])[rows, columns, :3] for name in (COLOR, NORMAL))
         return np.column_stack([decode_srgb(color), normal]).astype(np.float32)
 
-    attribute = level_object.data.attributes.get(SOLID_ATTRIBUTE)
-    count = len(level_object.data.polygons)
-    is_known = attribute is not None and attribute.domain == "FACE" and attribute.data_type == "FLOAT"
-    solid = read_attribute(attribute).astype(bool) if is_known else np.zeros(count, bool)
-    return TwoSidedTexels(texels, *map(read_side, SIDES), read_pbr_alpha(level_object, texels), solid)
+    return TwoSidedTexels(texels, *map(read_side, SIDES), read_pbr_alpha(level_object, texels), _read_solid(level_object))
 
 
 def assign_surface_material(
@@ -68,7 +64,7 @@ def assign_surface_material(
         known = texels.to_image(textures.alpha.known[:, None].astype(np.float32))[..., 0]
         emission = create_color_image(f"{name} Emission", textures.emission, None, texels, known)
     images = SurfaceImages(
-        maps=_pbr_images(level_object),
+        maps={key: image for key, image in _pbr_images(level_object).items() if key[0] == SIDES[0] or not _read_solid(level_object).all()},
         alpha_weights=create_weight_images(f"{name} Alpha Weights", texels.to_image(textures.alpha.weights)),
         alpha_basis=create_half_float_image(f"{name} Alpha", table.image),
         alpha=table,
@@ -81,6 +77,13 @@ def assign_surface_material(
     material[LAYOUT] = {"version": VERSION, "model": settings.model, "views_per_side": views.size, "views_upper": int(views.upper)}
     replace_pbr_material(level_object, material)
     apply_to_materials(level_object)
+
+
+def _read_solid(level_object: bpy.types.Object) -> np.ndarray:
+    """Return for each quad (Q,) bool whether it shows only the outside of solids; False where the attribute is missing or changed."""
+    attribute = level_object.data.attributes.get(SOLID_ATTRIBUTE)
+    is_known = attribute is not None and attribute.domain == "FACE" and attribute.data_type == "FLOAT"
+    return read_attribute(attribute).astype(bool) if is_known else np.zeros(len(level_object.data.polygons), bool)
 
 
 def _pbr_images(level_object: bpy.types.Object) -> dict[tuple[str, str], bpy.types.Image | None]:

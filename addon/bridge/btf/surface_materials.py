@@ -39,7 +39,8 @@ SHARPNESS = 2.0  # factor of the alpha of joined quads for light: two that meet 
 
 @dataclass(frozen=True)
 class SurfaceImages:
-    """Images of the material. maps: PBR maps by side (SIDES) and map (MAPS). alpha_weights: images of blocks with four components each.
+    """Images of the material. maps: PBR maps by side (SIDES) and map (MAPS), without backs if nobody sees them. alpha_weights: images of
+    blocks with four components each.
     alpha_basis: lookup table `alpha`, for views in the hemi-octahedral map if `upper`. emission: None if nothing emits light."""
 
     maps: dict[tuple[str, str], bpy.types.Image]
@@ -158,8 +159,11 @@ def _visible_maps(
 ) -> dict[str, SocketOrValue]:
     """Return the maps of the visible side, the normal with parallax mapping."""
 
+    sides = [side for side in SIDES if (side, NORMAL) in images.maps]
+
     def visible_side(map_name: str, uv: SocketOrValue | None = None) -> SocketOrValue:
-        return builder.mix(is_backfacing, *(sample_map(builder, images.maps[side, map_name], side, map_name, uv)[0] for side in SIDES))
+        colors = [sample_map(builder, images.maps[side, map_name], side, map_name, uv)[0] for side in sides]
+        return builder.mix(is_backfacing, *colors) if len(colors) > 1 else colors[0]
 
     maps = {name: visible_side(name) for name in MAPS if name != NORMAL}
     depth = builder.separate(maps[ROUGHNESS_METALLIC_DEPTH])[2]
