@@ -308,10 +308,12 @@ def test_names_in_a_scene_choose_no_paths_and_break_no_lines(cube):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have no file names that are not Unicode")
-def test_an_output_name_that_is_not_unicode(cube):
-    out = cube.with_name("\udcff.obj")
-    main(cube, "--out", out, "--error", "10%", "--levels", "1", "--no-textures")
-    assert out.exists() and cube.with_name("_.mtl").exists()
+def test_an_output_name_that_is_not_unicode_is_refused(cube, capsys):
+    """Neither Blender nor a JSON report can name it."""
+    with pytest.raises(SystemExit, match="2"):
+        main(cube, "--out", cube.with_name("\udcff.obj"), "--error", "10%", "--levels", "1", "--no-textures")
+    assert "is not valid UTF-8 text" in capsys.readouterr().err
+    assert [path.name for path in cube.parent.iterdir()] == [cube.name]
 
 
 def test_an_object_that_is_disabled_in_renders_is_named(cube):
