@@ -34,6 +34,7 @@ from .shared_parameters import Value, write_parameters
 SHADOW_RAYS_LEAVE = "Shadow Rays Leave"  # input of the group: 1 if shadow rays start at the shaded point, 0 if they start at the light
 LIGHT_COVERAGE = "Light Coverage"  # input of the group: 0 to 1, see `_light_alpha`
 DEFAULT_LIGHT_COVERAGE = 0.5  # until it is calibrated
+CONTRAST, PIVOT = 2.0, 0.4  # of the silhouettes of joined quads: alpha above the pivot grows, alpha below it shrinks
 SHARPNESS = 2.0  # factor of the alpha of joined quads for light: two that meet with half coverage each let none through
 
 
@@ -145,13 +146,16 @@ def _light_alpha(
 
 def _decode_alpha(builder: NodeBuilder, images: SurfaceImages, viewer: SocketOrValue) -> tuple[SocketOrValue, SocketOrValue]:
     """Return two alphas in 0..1: of the silhouette from `viewer`, the sum over its components plus the alpha of the PBR map, and the
-    latter."""
+    latter. Joined quads get more contrast, or cracks would show between two quads of a flat face."""
     front = images.maps[SIDES[0], COLOR]
     weights = sample_weights(builder, list(images.alpha_weights), ALPHA_WEIGHTS, front.size[1])
     view = map_uv(builder, images.upper, viewer)
     total = weighted_scalar_sum(builder, images.alpha_basis, ALPHA_BASIS, images.alpha, view, weights)
     pbr_alpha = sample_map(builder, front, SIDES[0], COLOR)[1]
-    return builder.math("ADD", total, pbr_alpha, clamp=True), pbr_alpha
+    alpha = builder.math("ADD", total, pbr_alpha, clamp=True)
+    contrast = builder.math("ADD", builder.math("MULTIPLY", builder.attribute(JOINED_ATTRIBUTE, is_scalar=True), CONTRAST - 1.0), 1.0)
+    sharpened = builder.math("MULTIPLY", builder.math("SUBTRACT", alpha, PIVOT), contrast)
+    return builder.math("ADD", sharpened, PIVOT, clamp=True), pbr_alpha
 
 
 def _visible_maps(
