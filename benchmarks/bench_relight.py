@@ -10,6 +10,7 @@ import json
 import secrets
 import sys
 import tempfile
+from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +23,8 @@ environment.import_farfield()
 
 import bpy
 import numpy as np
-from btf_bakes import run_script
-from btf_models import DATA, MODELS, save_model
+from btf_bakes import build_cloud, run_script
+from btf_models import DATA, MODELS
 from scipy.ndimage import binary_erosion
 
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
@@ -65,10 +66,10 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     seed = secrets.randbelow(2**31) if options.seed is None else options.seed
     figures: dict[str, Any] = {"seed": seed, "models": {}}
     with tempfile.TemporaryDirectory(prefix="farfield-benchmark-") as folder:
-        work = Path(folder) if options.work is None else options.work.absolute()
+        options.work = Path(folder) if options.work is None else options.work.absolute()
         runs = [(name, error) for name in options.models for error in options.errors]
         for index, (name, error) in enumerate(runs):
-            steps = measure_model(name, error, work, seed + index, options)
+            steps = measure_model(name, error, seed + index, options)
             scores = run_to_end(subprogress(steps, index / len(runs), (index + 1) / len(runs)), line.show)
             figures["models"][f"{name} {error}"] = scores
             print(f"{name} {error}: {json.dumps(scores)}", file=sys.stderr, flush=True)
@@ -78,16 +79,12 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     return json.dumps(figures | {"summary": summarize(figures["models"], options.lights)}, indent=2)
 
 
-def measure_model(name: str, error: str, work: Path, seed: int, options: Any) -> Steps[dict[str, Any]]:
+def measure_model(name: str, error: str, seed: int, options: Namespace) -> Steps[dict[str, Any]]:
     """Build, bake and compare one model."""
-    folder = work / f"{name} {error}"
-    folder.mkdir(parents=True, exist_ok=True)
-    cloud_path, relightable_path = folder / "cloud.blend", folder / "relightable.blend"
     yield Progress(0.0, f"Building and baking {name}")
-    if not cloud_path.exists():
-        save_model(MODELS[name], folder / "source.blend", options.data)
-        flags = ("--error", error, "--levels", 1, "--keep-source-visible")
-        run_script("billboards.py", folder / "source.blend", "--out", cloud_path, *flags)
+    cloud_path = build_cloud(name, options, error).path
+    folder = cloud_path.parent
+    relightable_path = folder / "relightable.blend"
     report = folder / "bake.json"
     run_script("btf.py", cloud_path, "--out", relightable_path, "--work", folder / "views", "--report", report, *options.bake_flags.split())
     bake = json.loads(report.read_text(encoding="utf-8"))
@@ -167,7 +164,7 @@ def summarize(models: dict[str, dict[str, Any]], lights: list[str]) -> dict[str,
         pairs = {name: scores[kind]["min_gain"] for name, scores in models.items()}
         worst, worst_pair = min(gains, key=gains.get), min(pairs, key=pairs.get)
         mean = round(float(np.mean(list(gains.values()))), 2)
-        summary[kind] = {"mean_gain": mean, "least": [worst, gains[worst]], "least_pair": [worst_pair, pairs[worst_pair]]}
+        summary[kind] = {"mean_gain": mean, "smallest": [worst, gains[worst]], "smallest_of_a_pair": [worst_pair, pairs[worst_pair]]}
     return summary
 
 

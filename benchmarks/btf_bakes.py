@@ -7,10 +7,11 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from btf_models import MODELS, save_model
 
+from farfield.addon.core.btf.settings import EMISSION
 from farfield.addon.core.errors import FarfieldError
 from lib import environment
 
@@ -51,12 +52,19 @@ class BenchmarkCloud:
     report: dict[str, Any]
 
 
-def cloud_folder(name: str, options: BenchmarkOptions, error: str) -> Path:
+class CloudOptions(Protocol):
+    """What clouds of benchmarks depend on, see `BenchmarkOptions`."""
+
+    data: Path
+    work: Path
+
+
+def cloud_folder(name: str, options: CloudOptions, error: str) -> Path:
     """Return the folder for the cloud of a model and everything derived from it."""
     return options.work / f"{name} {error}"
 
 
-def build_cloud(name: str, options: BenchmarkOptions, error: str) -> BenchmarkCloud:
+def build_cloud(name: str, options: CloudOptions, error: str) -> BenchmarkCloud:
     """Return the cloud of a model. An existing one in the work folder is reused, so that the finished views beside it stay valid.
 
     Raises:
@@ -73,7 +81,8 @@ def build_cloud(name: str, options: BenchmarkOptions, error: str) -> BenchmarkCl
 
 
 def bake(cloud: BenchmarkCloud, name: str, work: Path, options: BenchmarkOptions, *flags: str) -> dict[str, Any]:
-    """Bake `cloud` into the file `name` beside it, with finished views in `work`. Return the report and the wall time of the script.
+    """Bake `cloud` with the model *emission* into the file `name` beside it, with finished views in `work`. Return the report
+    and the wall time of the script.
 
     An existing result of the same code with the same cloud and flags is reused.
 
@@ -83,6 +92,8 @@ def bake(cloud: BenchmarkCloud, name: str, work: Path, options: BenchmarkOptions
     out = cloud.path.with_name(f"{name}.blend")
     report = out.with_suffix(".json")
     bake_flags = [
+        "--model",
+        EMISSION,
         "--views-per-side",
         options.views_per_side,
         "--lights-per-side",

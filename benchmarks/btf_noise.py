@@ -9,7 +9,7 @@ from btf_bakes import BenchmarkCloud, BenchmarkOptions, bake, build_cloud
 
 import btf
 from farfield.addon.core.btf.compression import CompressedTextures, LevelCompressor
-from farfield.addon.core.btf.settings import BtfSettings
+from farfield.addon.core.btf.settings import EMISSION, BtfSettings
 from farfield.addon.core.jobs.progress import Progress, Steps, run_to_end
 from lib import scene_files
 
@@ -62,6 +62,7 @@ def _bake_and_compress(cloud: BenchmarkCloud, options: BenchmarkOptions) -> Comp
     bake(cloud, name, work, options, "--no-refine")
     scene_files.open_scene(cloud.path)
     settings = BtfSettings(
+        model=EMISSION,
         views_per_side=options.views_per_side,
         lights_per_side=options.lights_per_side,
         samples=options.capture_samples,
@@ -70,7 +71,7 @@ def _bake_and_compress(cloud: BenchmarkCloud, options: BenchmarkOptions) -> Comp
     )
     [job] = btf.prepare_jobs(settings, Path(work))
     [level] = job.levels
-    compressor = LevelCompressor(level.store, level.spec.texels, level.pbr_alpha, level.surface, settings)
+    compressor = level.open_compressor()
     return CompressedBake(compressor, run_to_end(compressor.compress()))
 
 

@@ -23,6 +23,7 @@ from lib import environment
 
 environment.ensure()
 environment.import_farfield()
+sys.path.append(str(environment.ROOT / "tests"))
 
 import bpy
 import campaign_runs

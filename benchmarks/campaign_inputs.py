@@ -156,13 +156,11 @@ def _write_cloud_file(path: Path) -> None:
 
 def _write_baked_file(path: Path) -> None:
     from bridge import bakes
-    from farfield.addon.bridge.billboards.scene_clouds import clouds_in
     from farfield.addon.core.jobs.progress import run_to_end
     from farfield.addon.operators.job_run import run_job
 
     _write_cloud_file(path)
-    bpy.ops.wm.open_mainfile(filepath=str(path))
-    run_to_end(run_job(bakes.prepare_job(clouds_in(bpy.context.scene)[0], None)))
+    run_to_end(run_job(bakes.prepare_job(bakes.open_cloud(path), None)))
     scene_files.save_scene(path)
 
 

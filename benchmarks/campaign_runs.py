@@ -15,32 +15,16 @@ from pathlib import Path
 from typing import Any
 
 from lib import environment
+from mesh_files import CUBE
 
 SCRIPTS = environment.ROOT / "scripts"
 POLL_SECONDS = 0.02
 BUILD_FLAGS = ("--error", "10%", "--levels", "2", "--samples", "1")
 BAKE_FLAGS = (
-    "--views-per-side", "2", "--lights-per-side", "2", "--samples", "1", "--components", "2", "--alpha-components", "2",
-    "--shadows-per-side", "2", "--shadow-components", "2", "--executor", "serial", "--directions", "baked",
+    "--model", "emission", "--views-per-side", "2", "--lights-per-side", "2", "--samples", "1", "--components", "2",
+    "--alpha-components", "2", "--shadows-per-side", "2", "--shadow-components", "2", "--executor", "serial", "--directions", "baked",
 )  # fmt: skip
 TERRAIN_FLAGS = ("--at", "0,0,20", "--resolution", "32", "--boxes", "3")
-CUBE = """\
-o Cube
-v -1 -1 -1
-v 1 -1 -1
-v 1 1 -1
-v -1 1 -1
-v -1 -1 1
-v 1 -1 1
-v 1 1 1
-v -1 1 1
-f 4 3 2 1
-f 5 6 7 8
-f 1 2 6 5
-f 2 3 7 6
-f 3 4 8 7
-f 4 1 5 8
-"""
 
 
 class TimeLimitReached(Exception):
@@ -166,7 +150,7 @@ def write_cube(folder: Path) -> Path:
     """Write a cube as .obj."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "cube.obj"
-    path.write_text(CUBE, encoding="ascii")
+    path.write_text("o Cube\n" + CUBE, encoding="ascii")
     return path
 
 

@@ -30,7 +30,7 @@ SECONDS = 200
 DRIVER = FOLDER / "figures" / "window_screenshots.py"
 PAGES = {  # image of the docs -> screenshots side by side
     "quick_start.png": ("billboards-settings", "billboards-levels"),
-    "panel_btf.png": ("btf-settings", "btf-linked"),
+    "panel_btf.png": ("btf-settings", "btf-baked"),
     "panel_unwrap.png": ("unwrap-settings", "unwrap-figures"),
     "panel_clipbox.png": ("clipbox-settings", "clipbox-active"),
     "window.png": ("window",),

@@ -1,5 +1,7 @@
 """Conversion between Blender cameras and the cameras and views of the core."""
 
+from collections.abc import Sequence
+
 import bpy
 import mathutils
 import numpy as np
@@ -21,6 +23,11 @@ def read_scene_camera(scene: bpy.types.Scene) -> Camera | None:
     if camera.data.type == "ORTHO":
         return Camera(position, pixels, 0.0, camera.data.ortho_scale)
     return Camera(position, pixels, camera.data.angle)
+
+
+def light_matrix(direction: Sequence[float]) -> mathutils.Matrix:
+    """Return the world matrix of a light at the origin whose light comes from `direction` (3,)."""
+    return mathutils.Vector(direction).to_track_quat("Z", "Y").to_matrix().to_4x4()
 
 
 def set_camera_view(scene: bpy.types.Scene, view: OrthographicView) -> None:

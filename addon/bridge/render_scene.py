@@ -2,14 +2,14 @@
 
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 import bpy
 import numpy as np
 
-from ..compat import set_file_format
+from ..compat import enable_nodes, set_file_format
 from ..core.errors import FarfieldError, FileError
 from ..core.files.temporary_folders import create_temporary_folder
 
@@ -39,6 +39,28 @@ class RenderScene:
         item = self.own(bpy.data.objects.new(data.name, data))
         self.scene.collection.objects.link(item)
         return item
+
+    def add_world(self, radiance: float) -> bpy.types.World:
+        """Create a World with the same white `radiance` in all directions. Assign it to the scene to use it."""
+        world = self.own(bpy.data.worlds.new(self.scene.name))
+        enable_nodes(world)
+        background = next(node for node in world.node_tree.nodes if node.type == "BACKGROUND")
+        background.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
+        background.inputs["Strength"].default_value = radiance
+        return world
+
+    @contextmanager
+    def show(self, objects: Sequence[bpy.types.Object]) -> Iterator[None]:
+        """Link the user's `objects` to the scene and enable them in renders. Afterwards those that were disabled are disabled again."""
+        hidden = [item.hide_render for item in objects]
+        try:
+            for item in objects:
+                self.scene.collection.objects.link(item)
+                item.hide_render = False
+            yield
+        finally:
+            for item, was_hidden in zip(objects, hidden, strict=True):
+                item.hide_render = was_hidden
 
     def render(self) -> np.ndarray:
         """Render the scene's camera: (height, width, 4) float32, scene-linear, premultiplied, row 0 at the bottom.

@@ -1,4 +1,4 @@
-"""A strip of a relightable cloud next to its source, under Sun directions that were not baked."""
+"""A strip of a relightable cloud next to its source, under several Sun directions."""
 
 import bpy
 import numpy as np
@@ -8,16 +8,15 @@ from lib import environment
 environment.import_farfield()
 
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud
-from farfield.addon.bridge.btf.clouds import link_suns
 from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.imaging import metrics
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.operators.btf.job import prepare_bake
 from farfield.addon.operators.job_run import run_job
 from lib.contact_sheet import PAPER_GRAY, draw_contact_sheet
-from lib.studio import SKY_RADIANCE, bounding_sphere, open_studio
+from lib.studio import bounding_sphere, open_studio
 
-SETTINGS = BtfSettings(views_per_side=6, lights_per_side=6)
+SETTINGS = BtfSettings(views_per_side=6)
 SUN_ANGLES = (-75, 55), (-35, 10), (10, 40), (50, 20), (95, 30)  # degrees: azimuth from the viewer, positive to the right; elevation
 
 
@@ -28,18 +27,16 @@ def draw_relight_strip(cloud: SceneCloud, view: np.ndarray, pixels: int, samples
     suns = [sun_direction(view, azimuth, elevation) for azimuth, elevation in SUN_ANGLES]
     center, radius = bounding_sphere(cloud.sources)
     with open_studio([*cloud.sources, level], samples) as studio:
-        link_suns(level, [studio.sun], [SKY_RADIANCE] * 3)
         rows = []
         for items in (cloud.sources, [level]):
             rows.append([])
             for sun in suns:
                 studio.set_sun_direction(sun)
                 rows[-1].append(studio.render(items, view, center, 2.0 * radius / pixels, pixels))
-        link_suns(level, [], [0.0] * 3)
     window = metrics.crop_to_object(np.max([render[..., 3] for row in rows for render in row], axis=0), margin=4)
     images = [[metrics.composite_over_gray(render[window], PAPER_GRAY) for render in row] for row in rows]
     labels = [[f"Sun {describe_azimuth(azimuth)},", f"elevation {elevation}\N{DEGREE SIGN}"] for azimuth, elevation in SUN_ANGLES]
-    title = f"Five Sun directions that were not baked; baked: {SETTINGS.view_count} views, each under {SETTINGS.light_count} Sun lights"
+    title = f"Five Sun directions; baked: {SETTINGS.view_count} views"
     return draw_contact_sheet(title, images, ["source", "relightable cloud"], labels)
 
 

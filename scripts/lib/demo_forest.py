@@ -84,8 +84,7 @@ def write_forest(cloud: SceneCloud, path: Path, width: int, samples: int) -> Non
     plant(collection, base, tree_width)
     _add_ground(scene, base, tree_width)
     sun = _add_sun(scene)
-    if needs_linked_suns(level):
-        link_suns(level, [sun], DAY[0].sky_radiance)
+    link_suns(level, [sun], DAY[0].sky_radiance)
     _keyframe_day(scene, level, sun)
     _set_up_camera(scene, camera_position)
     _set_up_render(scene, width, samples)
@@ -177,8 +176,7 @@ def _isolate_collection(cloud: SceneCloud) -> bpy.types.Collection:
     with temporary_folder() as folder:
         path = str(folder / "cloud.blend")
         names = cloud.collection.name, pbr.name
-        if needs_linked_suns(cloud.levels[0]):
-            link_suns(cloud.levels[0], (), (0.0, 0.0, 0.0))
+        link_suns(cloud.levels[0], (), (0.0, 0.0, 0.0))
         try:
             bpy.data.libraries.write(path, {cloud.collection, pbr}, fake_user=True)
             bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)

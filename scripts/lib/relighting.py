@@ -12,7 +12,7 @@ from lib import environment
 environment.import_farfield()
 
 from farfield.addon.bridge.billboards.level_objects import pbr_material
-from farfield.addon.bridge.btf.clouds import link_suns, needs_linked_suns
+from farfield.addon.bridge.btf.clouds import link_suns
 from farfield.addon.core.geometry.directions import held_out_views
 from farfield.addon.core.imaging import metrics
 from farfield.addon.core.jobs.progress import Progress, Steps
@@ -104,14 +104,14 @@ def compare_relighting(
     renders = np.empty((len(candidates), len(views), size, size, 4), np.float32)
     with open_studio([item for candidate in candidates for item in candidate.objects], samples) as studio:
         studio_light = StudioLight(studio.work, studio, light)
-        for item in filter(needs_linked_suns, relightable):
+        for item in relightable:
             link_suns(item, [studio.sun] if light == "sun" else [], [SKY_RADIANCE] * 3)
         for index, candidate in enumerate(candidates):
             studio.set_samples(samples if index or reference_samples is None else reference_samples)
             for pair, (view, sun) in enumerate(zip(views, suns, strict=True)):
                 yield Progress((index + pair / len(views)) / len(candidates), f"Rendering: {candidate.name}, {pair + 1} of {len(views)}")
                 renders[index, pair] = _render_candidate(studio, studio_light, candidate, view, sun, (center, radius), pixel_size, size)
-        for item in filter(needs_linked_suns, relightable):
+        for item in relightable:
             link_suns(item, [], [0.0] * 3)
     return RelightingComparison(views, suns, [candidate.name for candidate in candidates], renders, pixel_size)
 

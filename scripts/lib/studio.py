@@ -11,6 +11,7 @@ from lib import environment
 
 environment.import_farfield()
 
+from farfield.addon.bridge.cameras import light_matrix
 from farfield.addon.bridge.cycles_renders import prepare_cycles
 from farfield.addon.bridge.render_scene import RenderScene, render_scene
 from farfield.addon.compat import enable_nodes
@@ -33,7 +34,7 @@ class Studio:
 
     def set_sun_direction(self, direction: np.ndarray) -> None:
         """Rotate the Sun light: `direction` (3,) points towards it."""
-        self.sun.matrix_world = mathutils.Vector(direction).to_track_quat("Z", "Y").to_matrix().to_4x4()
+        self.sun.matrix_world = light_matrix(direction)
 
     def set_samples(self, samples: int) -> None:
         """Set the samples per pixel of later renders."""
@@ -69,17 +70,10 @@ def open_studio(objects: Sequence[bpy.types.Object], samples: int) -> Iterator[S
 
     Objects that the user has disabled in renders can be rendered; the property is restored at the end.
     """
-    hidden = [item.hide_render for item in objects]
-    with render_scene("Farfield Studio") as work:
-        for item in objects:
-            work.scene.collection.objects.link(item)
+    with render_scene("Farfield Studio") as work, work.show(objects):
         _add_sky(work)
         prepare_cycles(work.scene, samples, MAX_TRANSPARENT_BOUNCES)
-        try:
-            yield Studio(work, objects)
-        finally:
-            for item, was_hidden in zip(objects, hidden, strict=True):
-                item.hide_render = was_hidden
+        yield Studio(work, objects)
 
 
 def bounding_sphere(objects: Sequence[bpy.types.Object]) -> tuple[np.ndarray, float]:

@@ -3,13 +3,13 @@
 import math
 
 import bpy
-import mathutils
 import numpy as np
 
 from lib import environment
 
 environment.import_farfield()
 
+from farfield.addon.bridge.cameras import light_matrix
 from farfield.addon.bridge.node_builder import NodeBuilder
 from farfield.addon.bridge.render_scene import RenderScene
 from farfield.addon.compat import enable_nodes
@@ -56,7 +56,7 @@ class StudioLight:
     def _place_local_light(self, direction: np.ndarray, center: np.ndarray, radius: float) -> None:
         is_area = self._kind == "area"
         distance = radius * (AREA_DISTANCE if is_area else POINT_DISTANCE)
-        matrix = mathutils.Vector(direction).to_track_quat("Z", "Y").to_matrix().to_4x4()
+        matrix = light_matrix(direction)
         matrix.translation = (center + distance * direction).tolist()
         self._local_light.matrix_world = matrix
         if is_area:

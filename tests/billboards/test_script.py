@@ -17,25 +17,10 @@ from farfield.addon.bridge.billboards.lod_crossfade import CROSSFADE
 from farfield.addon.core.errors import FileError, GeometryError
 from farfield.addon.core.jobs.progress import Progress
 from lib import command_line, environment, scene_files
+from mesh_files import CUBE
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 SCRIPT = environment.ROOT / "scripts" / "billboards.py"
-CUBE = """\
-v -1 -1 -1
-v 1 -1 -1
-v 1 1 -1
-v -1 1 -1
-v -1 -1 1
-v 1 -1 1
-v 1 1 1
-v -1 1 1
-f 4 3 2 1
-f 5 6 7 8
-f 1 2 6 5
-f 2 3 7 6
-f 3 4 8 7
-f 4 1 5 8
-"""
 REPORT_KEYS = {
     "source_triangles",
     "dropped_triangles",

@@ -3,12 +3,14 @@
 import hashlib
 import signal
 from pathlib import Path
+from typing import Any
 
 import bpy
 
 from bridge import blender_scenes
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
 from farfield.addon.core.btf.settings import BtfSettings
+from farfield.addon.core.settings import flag_of
 from farfield.addon.operators.btf.job import BakeJob, prepare_bake
 
 SMALL = {
@@ -20,6 +22,17 @@ SMALL = {
     "alpha_components": 2,
     "shadows_per_side": 4,
 }
+
+
+def to_flags(settings: dict[str, Any]) -> list[str]:
+    """Return numbers and texts of `settings` as the flags of a script."""
+    return [text for name, value in settings.items() for text in (flag_of(name), str(value))]
+
+
+def open_cloud(path: Path) -> SceneCloud:
+    """Open a file and return its cloud."""
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    return clouds_in(bpy.context.scene)[0]
 
 
 def build_small_cloud() -> SceneCloud:

@@ -11,6 +11,7 @@ import bpy
 import mathutils
 
 from bridge import blender_scenes
+from bridge.bakes import open_cloud
 from farfield.addon.bridge.billboards.level_objects import PBR_MATERIAL, read_level_texels
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
 from farfield.addon.bridge.btf.capture import sun_angle
@@ -62,8 +63,7 @@ def cloud_file(extension, tmp_path_factory) -> Path:
 @pytest.fixture
 def cloud(cloud_file) -> SceneCloud:
     """The cloud of a diffuse red ball, which is selected."""
-    bpy.ops.wm.open_mainfile(filepath=str(cloud_file))
-    return clouds_in(bpy.context.scene)[0]
+    return open_cloud(cloud_file)
 
 
 def create_sun(direction) -> bpy.types.Object:

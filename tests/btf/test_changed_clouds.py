@@ -12,7 +12,7 @@ import bpy
 import mathutils
 
 from bridge import blender_scenes
-from bridge.bakes import SMALL, build_small_cloud, prepare_job
+from bridge.bakes import SMALL, build_small_cloud, open_cloud, prepare_job
 from farfield.addon.bridge.billboards import clouds
 from farfield.addon.bridge.billboards.level_objects import CENTER, PBR_MATERIAL, pbr_material
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
@@ -37,8 +37,7 @@ def cloud_file(extension, tmp_path_factory) -> Path:
 
 @pytest.fixture
 def cloud(cloud_file) -> SceneCloud:
-    bpy.ops.wm.open_mainfile(filepath=str(cloud_file))
-    return clouds_in(bpy.context.scene)[0]
+    return open_cloud(cloud_file)
 
 
 def captured(job: BakeJob) -> list[np.ndarray]:

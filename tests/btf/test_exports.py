@@ -12,6 +12,7 @@ pytest.importorskip("bpy")
 import bpy
 
 from bridge import blender_scenes
+from bridge.bakes import open_cloud
 from farfield.addon.bridge.billboards.cloud_materials import FRONT_COLOR, FRONT_NORMAL
 from farfield.addon.bridge.billboards.level_objects import PBR_MATERIAL, read_level_texels
 from farfield.addon.bridge.billboards.scene_clouds import clouds_in
@@ -58,8 +59,7 @@ def cloud_file(extension, tmp_path_factory) -> Path:
 @pytest.fixture
 def cloud(cloud_file):
     """The cloud of `cloud_file`."""
-    bpy.ops.wm.open_mainfile(filepath=str(cloud_file))
-    return clouds_in(bpy.context.scene)[0]
+    return open_cloud(cloud_file)
 
 
 def assign_random_textures(level) -> None:

@@ -8,6 +8,7 @@ import pytest
 
 import btf
 from bridge import blender_scenes
+from bridge.bakes import to_flags
 from farfield.addon.bridge.billboards.scene_clouds import clouds_in
 from farfield.addon.bridge.btf.decode import read_relightable_texture
 from farfield.addon.bridge.btf.materials import CLUSTERS
@@ -16,19 +17,8 @@ from fmf_reader import read_fmf
 from lib import command_line, scene_files
 
 EMISSION = ("--model", "emission")
-QUICK = (
-    "--model",
-    "emission",
-    "--views-per-side",
-    "2",
-    "--lights-per-side",
-    "2",
-    "--samples",
-    "1",
-    "--shadows-per-side",
-    "4",
-    "--executor",
-    "serial",
+QUICK = to_flags(
+    {"model": "emission", "views_per_side": 2, "lights_per_side": 2, "samples": 1, "shadows_per_side": 4, "executor": "serial"}
 )
 
 

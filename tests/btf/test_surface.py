@@ -8,6 +8,7 @@ pytest.importorskip("bpy")
 import bpy
 
 from bridge import blender_scenes
+from bridge.bakes import open_cloud
 from farfield.addon.bridge.billboards.level_objects import PBR_MATERIAL
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
 from farfield.addon.bridge.btf.decode import is_upper_hemisphere, read_relightable_texture
@@ -55,8 +56,7 @@ def baked_file(extension, tmp_path_factory):
 
 @pytest.fixture
 def cloud(baked_file) -> SceneCloud:
-    bpy.ops.wm.open_mainfile(filepath=str(baked_file))
-    return clouds_in(bpy.context.scene)[0]
+    return open_cloud(baked_file)
 
 
 @pytest.mark.parametrize("kind", LIGHT_KINDS)

@@ -17,7 +17,19 @@ pytest.importorskip("bpy")
 import bpy
 
 from bridge import blender_scenes
-from bridge.bakes import KILL_SIGNAL, build_cloud, build_small_cloud, digests, file_states, finished_views, prepare_job, worker_pids
+from bridge.bakes import (
+    KILL_SIGNAL,
+    SMALL,
+    build_cloud,
+    build_small_cloud,
+    digests,
+    file_states,
+    finished_views,
+    open_cloud,
+    prepare_job,
+    to_flags,
+    worker_pids,
+)
 from farfield.addon.bridge.btf import snapshot as btf_snapshot
 from farfield.addon.bridge.btf import worker as btf_worker
 from farfield.addon.bridge.images import read_pixels
@@ -28,22 +40,6 @@ from farfield.addon.operators.btf.job import prepare_bake
 from lib import environment
 
 SCRIPT = environment.ROOT / "scripts" / "btf.py"
-SETTINGS = [
-    "--model",
-    "emission",
-    "--views-per-side",
-    "2",
-    "--lights-per-side",
-    "2",
-    "--samples",
-    "1",
-    "--components",
-    "2",
-    "--alpha-components",
-    "2",
-    "--shadows-per-side",
-    "4",
-]
 only_on_linux = pytest.mark.skipif(not Path("/proc").is_dir(), reason="workers can only be identified on Linux")
 
 
@@ -65,20 +61,14 @@ def cloud_file(extension, tmp_path_factory) -> Path:
 @pytest.fixture
 def cloud(cloud_file):
     """The small cloud in the open scene."""
-    from farfield.addon.bridge.billboards.scene_clouds import clouds_in
-
-    bpy.ops.wm.open_mainfile(filepath=str(cloud_file))
-    return clouds_in(bpy.context.scene)[0]
+    return open_cloud(cloud_file)
 
 
 @pytest.fixture(scope="module")
 def reference_digests(cloud_file, tmp_path_factory) -> dict[str, str]:
     """Digests of the views of an uninterrupted bake, rendered in this process by the functions that workers call."""
-    from farfield.addon.bridge.billboards.scene_clouds import clouds_in
-
-    bpy.ops.wm.open_mainfile(filepath=str(cloud_file))
     folder = tmp_path_factory.mktemp("reference_digests")
-    job = prepare_job(clouds_in(bpy.context.scene)[0], folder)
+    job = prepare_job(open_cloud(cloud_file), folder)
     snapshot = btf_snapshot.open_snapshot(job.run.snapshot_folder, run_drivers=False)
     btf_worker.capture_views(snapshot, job.folder, list(range(4)), threads=2)
     view_digests = digests(folder)
@@ -88,7 +78,7 @@ def reference_digests(cloud_file, tmp_path_factory) -> dict[str, str]:
 
 def script_command(cloud_file: Path, folder: Path, *more: str) -> list[str]:
     out = folder.parent / "out.blend"
-    return [sys.executable, str(SCRIPT), str(cloud_file), "--out", str(out), "--work", str(folder), *SETTINGS, *more]
+    return [sys.executable, str(SCRIPT), str(cloud_file), "--out", str(out), "--work", str(folder), *to_flags(SMALL), *more]
 
 
 def test_several_processes_write_the_same_bytes(cloud, reference_digests, tmp_path):

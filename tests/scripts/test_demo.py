@@ -9,10 +9,7 @@ import pytest
 
 from lib import environment
 from lib.demo_report import to_markdown
-
-CUBE = """v -1 -1 -1\nv 1 -1 -1\nv 1 1 -1\nv -1 1 -1\nv -1 -1 1\nv 1 -1 1\nv 1 1 1\nv -1 1 1
-f 1 4 3 2\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8
-"""
+from mesh_files import CUBE
 
 
 def run_demo(*arguments) -> subprocess.CompletedProcess:

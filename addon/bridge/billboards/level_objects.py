@@ -54,6 +54,13 @@ def level_world_matrix(level_object: bpy.types.Object) -> mathutils.Matrix:
     return level_object.matrix_basis if level_object.parent is None and not level_object.constraints else level_object.matrix_world
 
 
+def read_quad_flags(level_object: bpy.types.Object, name: str) -> np.ndarray:
+    """Return the face attribute `name` as (Q,) bool, such as SOLID_ATTRIBUTE; False where the user has removed or changed it."""
+    attribute = level_object.data.attributes.get(name)
+    is_known = attribute is not None and attribute.domain == "FACE" and attribute.data_type == "FLOAT"
+    return read_attribute(attribute).astype(bool) if is_known else np.zeros(len(level_object.data.polygons), bool)
+
+
 def read_pbr_alpha(level_object: bpy.types.Object, texels: Texels) -> np.ndarray:
     """Return the coverage (N,) float32 of `texels` in the PBR maps of a level; 0 if it has no maps."""
     image = pbr_image(level_object, FRONT_COLOR)

@@ -4,17 +4,15 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import bpy
-import mathutils
 import numpy as np
 
-from ...compat import enable_nodes
 from ...core.btf.capture.observations import ID_BUFFER_SCALE, ViewRender
 from ...core.btf.estimate import image_resolution
 from ...core.btf.reflectance.disc_lights import disc_radius
 from ...core.btf.settings import BtfSettings
 from ...core.geometry.cameras import OrthographicView
 from ...core.geometry.direction_grids import DirectionGrid
-from ..cameras import set_camera_view
+from ..cameras import light_matrix, set_camera_view
 from ..cycles_renders import prepare_cycles
 from ..emission import has_emission
 from ..meshes import Source
@@ -50,8 +48,8 @@ class RadianceRenderer:
         light = work.own(bpy.data.lights.new("Farfield Sun", "SUN"))
         light.energy, light.angle = 1.0, sun_angle(settings)
         self._sun = work.add_object(light)
-        self._black_world, self._white_world = (_new_world(work, strength) for strength in (0.0, 1.0))
-        self.has_emission = has_emission(source.materials)
+        self._black_world, self._white_world = (work.add_world(radiance) for radiance in (0.0, 1.0))
+        self._has_emission = has_emission(source.materials)
 
     @property
     def render_seconds(self) -> float:
@@ -72,14 +70,14 @@ class RadianceRenderer:
         self._work.scene.world, self._sun.hide_render = self._black_world, False
         for index in range(len(sun_directions) + 1):
             if index < len(sun_directions):
-                self._sun.matrix_world = mathutils.Vector(sun_directions[index]).to_track_quat("Z", "Y").to_matrix().to_4x4()
+                self._sun.matrix_world = light_matrix(sun_directions[index])
             else:
                 self._work.scene.world, self._sun.hide_render = self._white_world, True
             render = self._work.render()
             radiance[index] = render[..., :3]
             coverage += render[..., 3] / (len(sun_directions) + 1)
         emission = None
-        if self.has_emission:
+        if self._has_emission:
             emission = self.render_emission(view)
             radiance = np.maximum(radiance - emission, 0.0)
         heights = compute_heights(self._source, view.supersample(ID_BUFFER_SCALE), face_ids)
@@ -130,17 +128,9 @@ def open_radiance_renderer(
 
     Objects that are disabled in renders are enabled meanwhile.
     """
-    hidden = [item.hide_render for item in objects]
-    with render_scene("Farfield Radiance") as work:
-        for item in objects:
-            work.scene.collection.objects.link(item)
-            item.hide_render = False
+    with render_scene("Farfield Radiance") as work, work.show(objects):
         _prepare_scene(work, settings, threads)
-        try:
-            yield RadianceRenderer(work, source, settings)
-        finally:
-            for item, was_hidden in zip(objects, hidden, strict=True):
-                item.hide_render = was_hidden
+        yield RadianceRenderer(work, source, settings)
 
 
 def sun_angle(settings: BtfSettings) -> float:
@@ -165,15 +155,6 @@ def _face_planes(source: Source, face_ids: np.ndarray) -> tuple[np.ndarray, np.n
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     return corners[:, 0], normals / np.where(lengths > 0.0, lengths, 1.0)
-
-
-def _new_world(work: RenderScene, strength: float) -> bpy.types.World:
-    world = work.own(bpy.data.worlds.new("Farfield"))
-    enable_nodes(world)
-    background = next(node for node in world.node_tree.nodes if node.type == "BACKGROUND")
-    background.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
-    background.inputs["Strength"].default_value = strength
-    return world
 
 
 def _prepare_scene(work: RenderScene, settings: BtfSettings, threads: int) -> None:

@@ -186,8 +186,10 @@ def remove_suns(level_object: bpy.types.Object) -> None:
 def link_suns(level_object: bpy.types.Object, suns: Sequence[bpy.types.Object], ambient: Sequence[float]) -> None:
     """Light a level with up to four Sun lights, linked by drivers, and with uniform World lighting of the radiance `ambient` (3,).
 
-    Only for the model *emission*; others are lit by all lights.
+    Does nothing for models other than *emission*: they are lit by all lights.
     """
+    if not needs_linked_suns(level_object):
+        return
     for index in range(SUNS):
         for name in (sun_direction_property(index), sun_color_property(index)):
             level_object.driver_remove(f'["{name}"]')

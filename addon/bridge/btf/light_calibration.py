@@ -7,22 +7,22 @@ So the factor with the least error is chosen, from views and under Suns that the
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 
 import bpy
-import mathutils
 import numpy as np
 
-from ...compat import enable_nodes
 from ...core.geometry.cameras import OrthographicView
 from ...core.imaging.metrics import composite_over_gray
 from ...core.jobs.progress import Progress, Steps
 from ..billboards.cloud_materials import JOINED_ATTRIBUTE
+from ..billboards.level_objects import read_quad_flags
 from ..billboards.lod_crossfade import CROSSFADE, MAX_PIXEL, MIN_PIXEL, MIN_RANGE, PIXEL_SIZE
-from ..cameras import set_camera_view
+from ..cameras import light_matrix, set_camera_view
 from ..cycles_renders import MAX_TRANSPARENT_BOUNCES, prepare_cycles
-from ..mesh_arrays import read_attribute, read_positions
+from ..mesh_arrays import read_positions
 from ..render_scene import RenderScene, render_scene
-from .surface_materials import read_light_coverage_sockets
+from .surface_materials import DEFAULT_LIGHT_COVERAGE, set_light_coverage
 
 CANDIDATES = (0.0, 0.5, 1.0)
 PAIR_COUNT = 3  # of view and Sun
@@ -33,42 +33,42 @@ SUN_STRENGTH, SUN_ANGLE, SKY_RADIANCE = 3.0, 0.05, 0.3
 
 def has_loose_quads(level_object: bpy.types.Object) -> bool:
     """Whether any quad of a level is loose: not joined with others to a surface, so that its light coverage matters."""
-    attribute = level_object.data.attributes.get(JOINED_ATTRIBUTE)
-    is_known = attribute is not None and attribute.domain == "FACE" and attribute.data_type == "FLOAT"
-    return not is_known or not read_attribute(attribute).astype(bool).all()
+    return not read_quad_flags(level_object, JOINED_ATTRIBUTE).all()
 
 
 def calibrate_light_coverage(
-    level_object: bpy.types.Object, sources: Sequence[bpy.types.Object], center: np.ndarray, views: Sequence[OrthographicView], seed: int
+    level_object: bpy.types.Object, sources: Sequence[bpy.types.Object], center: np.ndarray, view: OrthographicView, seed: int
 ) -> Steps[float]:
     """Set the light coverage of the surface material of a level to the best of CANDIDATES, and return it. Each step is one render.
 
+    If the generator is closed before, it is DEFAULT_LIGHT_COVERAGE.
+
     sources: the source objects, unchanged since the cloud was built. center (3,): the mean of the level's vertices in world space then.
-    views: any views that show all of the source at the size of the level's texels.
+    view: any view that shows all of the source at the size of the level's texels.
 
     Raises:
         FileError: the temporary folder cannot store a render.
     """
-    sockets = read_light_coverage_sockets(level_object.data.materials[0])
+    material, best = level_object.data.materials[0], DEFAULT_LIGHT_COVERAGE
     random = np.random.default_rng([seed, PAIR_COUNT])
     directions = random.standard_normal((2, PAIR_COUNT, 3))
     directions /= np.linalg.norm(directions, axis=2, keepdims=True)
     errors = np.zeros(len(CANDIDATES))
-    with _open_scene(level_object, sources, center) as (work, level_copy, sun):
-        for index, (direction, sun_direction) in enumerate(zip(*directions, strict=True)):
-            set_camera_view(work.scene, OrthographicView(direction, views[0].center, views[0].resolution, views[0].pixel_size))
-            sun.matrix_world = mathutils.Vector(sun_direction).to_track_quat("Z", "Y").to_matrix().to_4x4()
-            yield Progress(index / PAIR_COUNT, "Calibrating light")
-            reference = _render(work, sources, [level_copy], SOURCE_SAMPLES)
-            for candidate, light_coverage in enumerate(CANDIDATES):
-                yield Progress((index + (candidate + 1) / (len(CANDIDATES) + 1)) / PAIR_COUNT, "Calibrating light")
-                for socket in sockets:
-                    socket.default_value = light_coverage
-                image = _render(work, [level_copy], sources, SAMPLES)
-                errors[candidate] += float(((image - reference) ** 2).sum())
+    try:
+        with _open_scene(level_object, sources, center) as (work, level_copy, sun):
+            for index, (direction, sun_direction) in enumerate(zip(*directions, strict=True)):
+                set_camera_view(work.scene, replace(view, direction=direction))
+                sun.matrix_world = light_matrix(sun_direction)
+                yield Progress(index / PAIR_COUNT, "Calibrating light")
+                reference = _render(work, sources, [level_copy], SOURCE_SAMPLES)
+                for candidate, light_coverage in enumerate(CANDIDATES):
+                    yield Progress((index + (candidate + 1) / (len(CANDIDATES) + 1)) / PAIR_COUNT, "Calibrating light")
+                    set_light_coverage(material, light_coverage)
+                    image = _render(work, [level_copy], sources, SAMPLES)
+                    errors[candidate] += float(((image - reference) ** 2).sum())
         best = CANDIDATES[int(np.argmin(errors))]
-        for socket in sockets:
-            socket.default_value = best
+    finally:
+        set_light_coverage(material, best)
     return best
 
 
@@ -86,24 +86,13 @@ def _open_scene(
     level_object: bpy.types.Object, sources: Sequence[bpy.types.Object], center: np.ndarray
 ) -> Iterator[tuple[RenderScene, bpy.types.Object, bpy.types.Object]]:
     """Open a scene with the sources, a copy of the level where it was built, a Sun light and a gray World. Yield scene, copy and Sun."""
-    hidden = [item.hide_render for item in sources]
-    with render_scene("Farfield Calibration") as work:
+    with render_scene("Farfield Calibration") as work, work.show(sources):
         copy = work.own(bpy.data.objects.new("Farfield Calibration", level_object.data))
         work.scene.collection.objects.link(copy)
         copy[CROSSFADE], copy[PIXEL_SIZE] = SHOW_ALWAYS
         copy.location = center - read_positions(level_object.data).mean(axis=0)
         light = work.own(bpy.data.lights.new("Farfield Calibration", "SUN"))
         light.energy, light.angle = SUN_STRENGTH, SUN_ANGLE
-        sun = work.add_object(light)
-        world = work.scene.world = work.own(bpy.data.worlds.new("Farfield Calibration"))
-        enable_nodes(world)
-        background = next(node for node in world.node_tree.nodes if node.type == "BACKGROUND")
-        background.inputs["Color"].default_value = (SKY_RADIANCE, SKY_RADIANCE, SKY_RADIANCE, 1.0)
-        for item in sources:
-            work.scene.collection.objects.link(item)
+        work.scene.world = work.add_world(SKY_RADIANCE)
         prepare_cycles(work.scene, SAMPLES, MAX_TRANSPARENT_BOUNCES)
-        try:
-            yield work, copy, sun
-        finally:
-            for item, was_hidden in zip(sources, hidden, strict=True):
-                item.hide_render = was_hidden
+        yield work, copy, work.add_object(light)

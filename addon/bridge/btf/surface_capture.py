@@ -17,9 +17,6 @@ from ..render_scene import RenderScene, render_scene
 from .capture import compute_heights
 from .proxies import add_proxies, single_placement
 
-SILHOUETTE_SAMPLES_FACTOR = 16  # color and coverage of a view come from one render, those of the model *emission* from dozens
-MAX_NORMAL_SAMPLES = 8
-
 
 class SurfaceRenderer:
     """Renders color, coverage and normal of a source from any view."""
@@ -38,9 +35,8 @@ class SurfaceRenderer:
         face_ids, emission: of this view, as in `ViewRender`.
         """
         set_camera_view(self._work.scene, view)
-        samples = SILHOUETTE_SAMPLES_FACTOR * self._settings.samples
-        color = self._render_channel("color", samples)
-        normal = self._render_channel("normal", min(samples, MAX_NORMAL_SAMPLES))
+        color = self._render_channel("color", self._settings.silhouette_samples)
+        normal = self._render_channel("normal", self._settings.normal_samples)
         # Both must be premultiplied by the same coverage, but the one of fewer samples is noisier.
         normal[..., :3] *= color[..., 3:] / np.maximum(normal[..., 3:], 1e-6)
         heights = compute_heights(self._source, view.supersample(ID_BUFFER_SCALE), face_ids)

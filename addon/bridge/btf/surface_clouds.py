@@ -13,16 +13,15 @@ from ...core.btf.tables import build_alpha_table
 from ...core.errors import GeometryError
 from ...core.imaging.metrics import decode_srgb
 from ..billboards.cloud_materials import COLOR, MAPS, NORMAL, SHADOWLESS_DISTANCE, SIDES, SOLID_ATTRIBUTE, map_label
-from ..billboards.level_objects import pbr_image, pbr_material, read_pbr_alpha
+from ..billboards.level_objects import pbr_image, pbr_material, read_pbr_alpha, read_quad_flags
 from ..billboards.lod_crossfade import apply_to_materials
 from ..billboards.map_images import SHADOWLESS_ERRORS
 from ..images import read_pixels
-from ..mesh_arrays import read_attribute
 from .clouds import remove_suns, replace_pbr_material
 from .materials import LAYOUT, VERSION
 from .nodes.parallax_nodes import write_texel_axes
 from .shared_parameters import Value
-from .surface_materials import DEFAULT_LIGHT_COVERAGE, SurfaceImages, build_surface_material, read_light_coverage_sockets
+from .surface_materials import DEFAULT_LIGHT_COVERAGE, SurfaceImages, build_surface_material, set_light_coverage
 from .texture_images import create_color_image, create_half_float_image, create_weight_images
 
 
@@ -44,7 +43,9 @@ def read_two_sided_texels(level_object: bpy.types.Object, texels: Texels) -> Two
         color, normal = (read_pixels(images[side, name])[rows, columns, :3] for name in (COLOR, NORMAL))
         return np.column_stack([decode_srgb(color), normal]).astype(np.float32)
 
-    return TwoSidedTexels(texels, *map(read_side, SIDES), read_pbr_alpha(level_object, texels), _read_solid(level_object))
+    return TwoSidedTexels(
+        texels, *map(read_side, SIDES), read_pbr_alpha(level_object, texels), read_quad_flags(level_object, SOLID_ATTRIBUTE)
+    )
 
 
 def assign_surface_material(
@@ -63,8 +64,9 @@ def assign_surface_material(
     if textures.emission is not None:
         known = texels.to_image(textures.alpha.known[:, None].astype(np.float32))[..., 0]
         emission = create_color_image(f"{name} Emission", textures.emission, None, texels, known)
+    shown_sides = SIDES[:1] if read_quad_flags(level_object, SOLID_ATTRIBUTE).all() else SIDES
     images = SurfaceImages(
-        maps={key: image for key, image in _pbr_images(level_object).items() if key[0] == SIDES[0] or not _read_solid(level_object).all()},
+        maps={key: image for key, image in _pbr_images(level_object).items() if key[0] in shown_sides},
         alpha_weights=create_weight_images(f"{name} Alpha Weights", texels.to_image(textures.alpha.weights)),
         alpha_basis=create_half_float_image(f"{name} Alpha", table.image),
         alpha=table,
@@ -72,18 +74,10 @@ def assign_surface_material(
         emission=emission,
     )
     material = build_surface_material(name, images, _shadowless_distance(level_object, error), parameters)
-    for socket in read_light_coverage_sockets(material):
-        socket.default_value = DEFAULT_LIGHT_COVERAGE
+    set_light_coverage(material, DEFAULT_LIGHT_COVERAGE)
     material[LAYOUT] = {"version": VERSION, "model": settings.model, "views_per_side": views.size, "views_upper": int(views.upper)}
     replace_pbr_material(level_object, material)
     apply_to_materials(level_object)
-
-
-def _read_solid(level_object: bpy.types.Object) -> np.ndarray:
-    """Return for each quad (Q,) bool whether it shows only the outside of solids; False where the attribute is missing or changed."""
-    attribute = level_object.data.attributes.get(SOLID_ATTRIBUTE)
-    is_known = attribute is not None and attribute.domain == "FACE" and attribute.data_type == "FLOAT"
-    return read_attribute(attribute).astype(bool) if is_known else np.zeros(len(level_object.data.polygons), bool)
 
 
 def _pbr_images(level_object: bpy.types.Object) -> dict[tuple[str, str], bpy.types.Image | None]:

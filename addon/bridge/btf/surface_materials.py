@@ -40,9 +40,11 @@ SHARPNESS = 2.0  # factor of the alpha of joined quads for light: two that meet 
 
 @dataclass(frozen=True)
 class SurfaceImages:
-    """Images of the material. maps: PBR maps by side (SIDES) and map (MAPS), without backs if nobody sees them. alpha_weights: images of
-    blocks with four components each.
-    alpha_basis: lookup table `alpha`, for views in the hemi-octahedral map if `upper`. emission: None if nothing emits light."""
+    """Images of the material.
+
+    maps: PBR maps by side (SIDES) and map (MAPS), without backs if nobody sees them. alpha_weights: images of blocks with four components
+    each. alpha_basis: lookup table `alpha`, for views in the hemi-octahedral map if `upper`. emission: None if nothing emits light.
+    """
 
     maps: dict[tuple[str, str], bpy.types.Image]
     alpha_weights: Sequence[bpy.types.Image]
@@ -74,9 +76,11 @@ def build_surface_material(
     return material
 
 
-def read_light_coverage_sockets(material: bpy.types.Material) -> list[bpy.types.NodeSocket]:
-    """Return the sockets of a surface material, one per render engine, that hold how much light its loose quads block."""
-    return [node.inputs[LIGHT_COVERAGE] for node in material.node_tree.nodes if node.type == "GROUP" and LIGHT_COVERAGE in node.inputs]
+def set_light_coverage(material: bpy.types.Material, light_coverage: float) -> None:
+    """Set how much light the loose quads of a surface material block, 0 to 1, for all render engines."""
+    for node in material.node_tree.nodes:
+        if node.type == "GROUP" and LIGHT_COVERAGE in node.inputs:
+            node.inputs[LIGHT_COVERAGE].default_value = light_coverage
 
 
 def _fill_group(builder: NodeBuilder, images: SurfaceImages, shadowless_distance: float, parameters: dict[str, Value]) -> None:
@@ -87,28 +91,29 @@ def _fill_group(builder: NodeBuilder, images: SurfaceImages, shadowless_distance
     inputs = builder.node("NodeGroupInput").outputs
     leaving_shadow_ray = builder.math("MULTIPLY", path.outputs["Is Shadow Ray"], inputs[SHADOW_RAYS_LEAVE])
     is_leaving = builder.math("MAXIMUM", path.outputs["Is Diffuse Ray"], leaving_shadow_ray)
-    view_alpha, pbr_alpha = _decode_alpha(builder, images, _viewer(builder, incoming, is_backfacing, is_leaving))
-    alpha = _light_alpha(builder, view_alpha, pbr_alpha, is_light_ray, inputs[LIGHT_COVERAGE])
+    is_joined, is_solid = (builder.attribute(name, is_scalar=True) for name in (JOINED_ATTRIBUTE, SOLID_ATTRIBUTE))
+    viewer = _viewer(builder, incoming, is_solid, is_backfacing, is_leaving)
+    view_alpha, pbr_alpha = _decode_alpha(builder, images, viewer, is_joined)
+    alpha = _light_alpha(builder, view_alpha, pbr_alpha, is_joined, is_light_ray, inputs[LIGHT_COVERAGE])
     arriving_shadow_ray = builder.math("SUBTRACT", path.outputs["Is Shadow Ray"], leaving_shadow_ray)
-    alpha = builder.math("MULTIPLY", alpha, _casts_shadow(builder, arriving_shadow_ray, is_backfacing))
+    alpha = builder.math("MULTIPLY", alpha, _casts_shadow(builder, is_solid, is_backfacing, arriving_shadow_ray))
     maps = _visible_maps(builder, images, incoming, is_backfacing)
     shader = add_quad_shader(builder, maps, alpha, shadowless_distance, is_backfacing)
     write_parameters(shader, parameters)
     if images.emission is not None:
         builder.connect(sample_image(builder, images.emission, EMISSION)[0], shader.inputs["Emission Color"])
         shader.inputs["Emission Strength"].default_value = 1.0
-    else:
-        shader.inputs["Emission Strength"].default_value = 0.0
     builder.connect(shader.outputs[0], builder.node("NodeGroupOutput").inputs[0])
     builder.arrange()
 
 
-def _viewer(builder: NodeBuilder, incoming: SocketOrValue, is_backfacing: SocketOrValue, is_leaving: SocketOrValue) -> SocketOrValue:
+def _viewer(
+    builder: NodeBuilder, incoming: SocketOrValue, is_solid: SocketOrValue, is_backfacing: SocketOrValue, is_leaving: SocketOrValue
+) -> SocketOrValue:
     """Return the direction to a viewer outside of the object. is_leaving: whether the ray starts on the object.
 
     Rays leave a solid through the backs of its quads, and enter it through their fronts.
     """
-    is_solid = builder.attribute(SOLID_ATTRIBUTE, is_scalar=True)
     is_flipped = builder.math(
         "ADD",
         builder.math("MULTIPLY", is_solid, is_backfacing),
@@ -117,25 +122,30 @@ def _viewer(builder: NodeBuilder, incoming: SocketOrValue, is_backfacing: Socket
     return builder.vector("SCALE", incoming, builder.math("SUBTRACT", 1.0, builder.math("MULTIPLY", is_flipped, 2.0)))
 
 
-def _casts_shadow(builder: NodeBuilder, arriving_shadow_ray: SocketOrValue, is_backfacing: SocketOrValue) -> SocketOrValue:
+def _casts_shadow(
+    builder: NodeBuilder, is_solid: SocketOrValue, is_backfacing: SocketOrValue, arriving_shadow_ray: SocketOrValue
+) -> SocketOrValue:
     """Return 0 where a shadow ray from the light meets the outside of a solid, otherwise 1.
 
     The backs cast the same shadow on everything else. The fronts overlap within the error, and would draw dark lines in EEVEE,
     which does not know the distance to the shaded point, see `add_quad_shader`.
     """
-    is_front = builder.math("SUBTRACT", 1.0, is_backfacing)
-    is_front_of_solid = builder.math("MULTIPLY", builder.attribute(SOLID_ATTRIBUTE, is_scalar=True), is_front)
+    is_front_of_solid = builder.math("MULTIPLY", is_solid, builder.math("SUBTRACT", 1.0, is_backfacing))
     return builder.math("SUBTRACT", 1.0, builder.math("MULTIPLY", is_front_of_solid, arriving_shadow_ray))
 
 
 def _light_alpha(
-    builder: NodeBuilder, view_alpha: SocketOrValue, pbr_alpha: SocketOrValue, is_light_ray: SocketOrValue, light_coverage: SocketOrValue
+    builder: NodeBuilder,
+    view_alpha: SocketOrValue,
+    pbr_alpha: SocketOrValue,
+    is_joined: SocketOrValue,
+    is_light_ray: SocketOrValue,
+    light_coverage: SocketOrValue,
 ) -> SocketOrValue:
     """Return the alpha for this ray. Camera rays get the `view_alpha`.
 
     For light, joined quads are sharper, and loose ones reach towards the `pbr_alpha` where that is higher, by the `light_coverage`.
     """
-    is_joined = builder.attribute(JOINED_ATTRIBUTE, is_scalar=True)
     excess = builder.math("MAXIMUM", builder.math("SUBTRACT", pbr_alpha, view_alpha), 0.0)
     loose = builder.math("MULTIPLY", excess, light_coverage)
     joined = builder.math("MULTIPLY", view_alpha, SHARPNESS - 1.0)
@@ -144,16 +154,20 @@ def _light_alpha(
     return builder.math("ADD", view_alpha, builder.math("MULTIPLY", more, is_light_ray), clamp=True)
 
 
-def _decode_alpha(builder: NodeBuilder, images: SurfaceImages, viewer: SocketOrValue) -> tuple[SocketOrValue, SocketOrValue]:
-    """Return two alphas in 0..1: of the silhouette from `viewer`, the sum over its components plus the alpha of the PBR map, and the
-    latter. Joined quads get more contrast, or cracks would show between two quads of a flat face."""
+def _decode_alpha(
+    builder: NodeBuilder, images: SurfaceImages, viewer: SocketOrValue, is_joined: SocketOrValue
+) -> tuple[SocketOrValue, SocketOrValue]:
+    """Return the alpha in 0..1 of the silhouette from `viewer`, the sum over its components plus the alpha of the PBR map, and the latter.
+
+    Joined quads get more contrast, or cracks would show between two quads of a flat face.
+    """
     front = images.maps[SIDES[0], COLOR]
     weights = sample_weights(builder, list(images.alpha_weights), ALPHA_WEIGHTS, front.size[1])
     view = map_uv(builder, images.upper, viewer)
     total = weighted_scalar_sum(builder, images.alpha_basis, ALPHA_BASIS, images.alpha, view, weights)
     pbr_alpha = sample_map(builder, front, SIDES[0], COLOR)[1]
     alpha = builder.math("ADD", total, pbr_alpha, clamp=True)
-    contrast = builder.math("ADD", builder.math("MULTIPLY", builder.attribute(JOINED_ATTRIBUTE, is_scalar=True), CONTRAST - 1.0), 1.0)
+    contrast = builder.math("ADD", builder.math("MULTIPLY", is_joined, CONTRAST - 1.0), 1.0)
     sharpened = builder.math("MULTIPLY", builder.math("SUBTRACT", alpha, PIVOT), contrast)
     return builder.math("ADD", sharpened, PIVOT, clamp=True), pbr_alpha
 
@@ -162,7 +176,6 @@ def _visible_maps(
     builder: NodeBuilder, images: SurfaceImages, incoming: SocketOrValue, is_backfacing: SocketOrValue
 ) -> dict[str, SocketOrValue]:
     """Return the maps of the visible side, the normal with parallax mapping."""
-
     sides = [side for side in SIDES if (side, NORMAL) in images.maps]
 
     def visible_side(map_name: str, uv: SocketOrValue | None = None) -> SocketOrValue:

@@ -34,11 +34,15 @@ class Texels:
         """Median side length of a texel over the quads."""
         return float(np.median(np.linalg.norm(self.steps, axis=2)))
 
+    @cached_property
+    def quad_normals(self) -> np.ndarray:
+        """Unit normals (Q, 3) of the quads, on the side of their fronts."""
+        normals = np.cross(self.steps[:, 0], self.steps[:, 1])
+        return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), TINY)
+
     def view_cosines(self, directions: np.ndarray) -> np.ndarray:
         """Compute the absolute cosines (V, N) float32 between the quad normal of each texel and unit `directions` (V, 3)."""
-        normals = np.cross(self.steps[:, 0], self.steps[:, 1])
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), TINY)
-        return np.abs(directions @ normals.T).astype(np.float32)[:, self.quad_indices]
+        return np.abs(directions @ self.quad_normals.T).astype(np.float32)[:, self.quad_indices]
 
     @cached_property
     def index_map(self) -> np.ndarray:

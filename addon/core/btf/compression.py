@@ -16,8 +16,8 @@ from .factorization.als import ViewMatrix, split_lights
 from .factorization.compression_error import ComponentError, error_by_components
 from .factorization.factors import Factors, factorize, factorize_scalar
 from .factorization.lpca import factorize_lpca
-from .refinement.refine import compute_texel_colors, cull_hidden, refine_alpha, shade
-from .refinement.training import FragmentFiles, StoredTrainingView
+from .refinement.refine import compute_texel_colors
+from .refinement.training import StoredTrainingView, refine_stored_views
 from .reflectance.chromaticity import compute_chromaticity
 from .reflectance.disc_lights import DiscLights
 from .reflectance.dome import fit_dome
@@ -29,9 +29,8 @@ from .reflectance.shadows import Shadows, compute_shadows
 from .settings import BtfSettings
 
 MIN_COSINE = 0.03  # minimum weight of a texel in a view that sees its quad edge-on
-# Ends of the stages in the progress bar of `compress`, and of the first stage of `refine`.
+# Ends of the stages in the progress bar of `compress`.
 WEIGHTS_END, CHROMATICITY_END, SHADOWS_END, LOBES_END, RESIDUALS_END, COLOR_END, SILHOUETTES_END = 0.02, 0.05, 0.2, 0.6, 0.75, 0.95, 0.97
-SHADING_END = 0.3
 
 
 @dataclass(frozen=True)
@@ -92,12 +91,16 @@ class LevelCompressor:
 
     def refine(self, textures: CompressedTextures, training_views: list[StoredTrainingView]) -> Steps[CompressedTextures]:
         """Return `textures` with alpha refined against the reference images of all views. Raises FileError."""
-        try:
-            yield from subprogress(self._store_fragments(textures, training_views), 0.0, SHADING_END)
-            steps = refine_alpha(training_views, textures.alpha, self._pbr_alpha, self._views.solid_angles)
-            alpha = yield from subprogress(steps, SHADING_END, 1.0)
-        finally:
-            FragmentFiles(self._store.folder).remove_all()
+        lights = low_order_lights(self._lights)
+
+        def texel_colors(view: int, rows: np.ndarray) -> np.ndarray:
+            colors = compute_texel_colors(textures.color, view, textures.chromaticity, lights)
+            if textures.lobes is not None:
+                colors[rows] += textures.lobes.radiance_under_lights(lights, self._views.directions[view], self._suns, rows)
+            return colors
+
+        solid_angles = self._views.solid_angles
+        alpha = yield from refine_stored_views(training_views, textures.alpha, self._pbr_alpha, solid_angles, texel_colors)
         return replace(textures, alpha=alpha)
 
     def measure_error(self, textures: CompressedTextures) -> Steps[list[ComponentError]]:
@@ -118,22 +121,6 @@ class LevelCompressor:
 
     def _lobe_radiance(self, lobes: Lobes, view: int, rows: np.ndarray) -> np.ndarray:
         return lobes.radiance_on_grid(self._views.directions[view], self._suns, rows).reshape(len(rows), -1)
-
-    def _store_fragments(self, textures: CompressedTextures, training_views: list[StoredTrainingView]) -> Steps[None]:
-        """Store the visible fragments of all views and their colors."""
-        lights = low_order_lights(self._lights)
-
-        def store_view(view: int) -> None:
-            alpha = self._pbr_alpha + textures.alpha.reconstruct(textures.alpha.basis[view])[:, 0]
-            fragments = cull_hidden(training_views[view].find_fragments(), alpha)
-            colors = compute_texel_colors(textures.color, view, textures.chromaticity, lights)
-            if textures.lobes is not None:
-                rows = np.unique(fragments.texel_indices)
-                colors[rows] += textures.lobes.radiance_under_lights(lights, self._views.directions[view], self._suns, rows)
-            training_views[view].store_fragments(fragments, shade(fragments, colors))
-
-        for view, _ in enumerate(map_ordered(store_view, range(len(self._views)))):
-            yield Progress(view / len(self._views), "Shading")
 
     def _compute_weights(self) -> Steps[None]:
         """Compute the weight of each texel in each view, from its projected visible area, and the weight of each light.

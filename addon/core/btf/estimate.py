@@ -18,7 +18,6 @@ SECONDS_PER_FITTED_ENTRY = 2e-8  # per matrix entry, to fit and subtract the lob
 SECONDS_PER_FACTOR_ENTRY = 1e-9  # per matrix entry and component
 SECONDS_PER_REFINED_TEXEL = 10e-6  # per texel and reference image, over all iterations
 LOBE_VALUES = 9  # per texel
-SURFACE_SAMPLES_FACTOR = 18  # samples of a view of the model *surface*, which has no lights: see `bridge.btf.surface_capture`
 WORKER_START_SECONDS = 3.0
 
 
@@ -54,7 +53,9 @@ def estimate_bake(levels: Sequence[LevelExtent], settings: BtfSettings, workers:
     The time is a sum over renders, ID buffers, lookups and compression: known counts times constants that were measured once.
     """
     images_per_view = settings.images_per_view
-    samples_per_view = images_per_view * settings.samples if settings.bakes_emission else SURFACE_SAMPLES_FACTOR * settings.samples
+    samples_per_view = settings.silhouette_samples + settings.normal_samples
+    if settings.bakes_emission:
+        samples_per_view = images_per_view * settings.samples
     capture_seconds = compress_seconds = raw_bytes = final_bytes = 0.0
     for level in levels:
         pixels, entries = level.resolution**2, level.texels * settings.view_count * 3 * images_per_view

@@ -16,6 +16,8 @@ MODELS = {
 }
 EMISSION = "emission"
 SURFACE_CHANNELS = 2  # renders per view of the model *surface*: color and normal
+SILHOUETTE_SAMPLES_FACTOR = 16  # color and coverage of a view come from one render, those of the model *emission* from dozens
+MAX_NORMAL_SAMPLES = 8
 MAX_IMAGE_SIDE = 16384  # pixels; limit of graphics cards
 
 EXPORT_DIRECTIONS = {
@@ -151,6 +153,16 @@ class BtfSettings(Settings):
     def images_per_view(self) -> int:
         """Number of renders per view that are stored per texel."""
         return self.light_count + 1 if self.bakes_emission else SURFACE_CHANNELS
+
+    @property
+    def silhouette_samples(self) -> int:
+        """Samples per pixel of the color and coverage of a view, for the model *surface*."""
+        return SILHOUETTE_SAMPLES_FACTOR * self.samples
+
+    @property
+    def normal_samples(self) -> int:
+        """Samples per pixel of the normals of a view, for the model *surface*."""
+        return min(self.silhouette_samples, MAX_NORMAL_SAMPLES)
 
     @property
     def shadow_count(self) -> int:

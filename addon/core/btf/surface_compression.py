@@ -5,23 +5,19 @@ makes the quads add up to what every light would shade.
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from ..billboards.texels import Texels
-from ..jobs.chunks import map_ordered
-from ..jobs.progress import Progress, Steps, subprogress
+from ..jobs.progress import Steps, subprogress
 from .capture.shards import ShardStore
 from .capture.view_data import read_silhouettes
 from .factorization.factors import Factors, factorize_scalar
-from .refinement.refine import cull_hidden, refine_alpha, shade
-from .refinement.training import FragmentFiles, StoredTrainingView
+from .refinement.training import StoredTrainingView, refine_stored_views
 from .reflectance.emission import mean_emission
 from .settings import BtfSettings
 
 SILHOUETTES_END, FACTORS_END = 0.2, 0.9
-SHADING_END = 0.3  # of the first stage of `refine`
 
 
 @dataclass(frozen=True)
@@ -56,7 +52,7 @@ class TwoSidedTexels:
 
     def faces_viewer(self, direction: np.ndarray) -> np.ndarray:
         """Whether the front of each texel (N,) faces a viewer in `direction` (3,)."""
-        return (self._quad_normals @ direction > 0.0)[self.texels.quad_indices]
+        return (self.texels.quad_normals @ direction > 0.0)[self.texels.quad_indices]
 
     def is_drawn(self, direction: np.ndarray) -> np.ndarray:
         """Whether each texel (N,) is drawn for a viewer in `direction` (3,)."""
@@ -65,10 +61,6 @@ class TwoSidedTexels:
     def colors(self, direction: np.ndarray) -> np.ndarray:
         """Return the maps (N, 6) of the side that faces a viewer in `direction` (3,)."""
         return np.where(self.faces_viewer(direction)[:, None], self.front, self.back)
-
-    @cached_property
-    def _quad_normals(self) -> np.ndarray:
-        return np.cross(self.texels.steps[:, 0], self.texels.steps[:, 1])
 
 
 class SurfaceCompressor:
@@ -91,24 +83,13 @@ class SurfaceCompressor:
 
     def refine(self, textures: SurfaceTextures, training_views: list[StoredTrainingView]) -> Steps[SurfaceTextures]:
         """Return `textures` with alpha refined against the reference images of all views. Raises FileError."""
-        try:
-            yield from subprogress(self._store_fragments(textures, training_views), 0.0, SHADING_END)
-            steps = refine_alpha(training_views, textures.alpha, self._sides.alpha, self._views.solid_angles)
-            alpha = yield from subprogress(steps, SHADING_END, 1.0)
-        finally:
-            FragmentFiles(self._store.folder).remove_all()
+        directions, sides = self._views.directions, self._sides
+        alpha = yield from refine_stored_views(
+            training_views,
+            textures.alpha,
+            sides.alpha,
+            self._views.solid_angles,
+            lambda view, _rows: sides.colors(directions[view]),
+            lambda view: sides.is_drawn(directions[view]),
+        )
         return replace(textures, alpha=alpha)
-
-    def _store_fragments(self, textures: SurfaceTextures, training_views: list[StoredTrainingView]) -> Steps[None]:
-        """Store the visible fragments of all views and their colors."""
-
-        def store_view(view: int) -> None:
-            direction = self._views.directions[view]
-            fragments = training_views[view].find_fragments()
-            fragments = fragments.subset(self._sides.is_drawn(direction)[fragments.texel_indices[:, 0]])
-            alpha = self._sides.alpha + textures.alpha.reconstruct(textures.alpha.basis[view])[:, 0]
-            fragments = cull_hidden(fragments, alpha)
-            training_views[view].store_fragments(fragments, shade(fragments, self._sides.colors(direction)))
-
-        for view, _ in enumerate(map_ordered(store_view, range(len(self._views)))):
-            yield Progress(view / len(self._views), "Shading")

@@ -2,8 +2,10 @@
 
 import shutil
 import tempfile
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,9 +36,8 @@ from ...core.btf.capture.shard_layout import ShardLayout
 from ...core.btf.capture.shards import ShardStore
 from ...core.btf.compression import CompressedTextures, LevelCompressor
 from ...core.btf.refinement.training import training_views
-from ...core.btf.reflectance.lobes import TexelSurface
 from ...core.btf.settings import SURFACE_CHANNELS, BtfSettings
-from ...core.btf.surface_compression import SurfaceCompressor, SurfaceTextures, TwoSidedTexels
+from ...core.btf.surface_compression import SurfaceCompressor, SurfaceTextures
 from ...core.errors import FarfieldError, FileError, GeometryError
 from ...core.files.temporary_folders import folder_prefix
 from ...core.files.user_folders import open_private_folder
@@ -54,19 +55,17 @@ COMPRESS_END, REFINE_END = 0.5, 0.9  # fractions of the remaining progress of a 
 class LevelBake:
     """One level to bake.
 
-    spec: input of its capture. quads: its polygons. views: captured views. pbr_alpha: alpha (N,) of its texels in the PBR maps. surface:
-    their normals, roughness and parallax. sides: their maps, for the model *surface*. center (3,): the mean of the level's vertices when it
-    was built. store: finished views.
+    spec: input of its capture. quads: its polygons. views: captured views. has_maps: whether it has PBR maps. center (3,): the mean of its
+    vertices when it was built. store: finished views. open_compressor: creates the compressor of its model, which takes memory.
     """
 
     spec: LevelCaptureSpec
     quads: QuadPolygons
     views: list[OrthographicView]
-    pbr_alpha: np.ndarray
-    surface: TexelSurface | None
-    sides: TwoSidedTexels | None
+    has_maps: bool
     center: np.ndarray
     store: ShardStore
+    open_compressor: Callable[[], LevelCompressor | SurfaceCompressor]
 
 
 @dataclass(frozen=True)
@@ -136,11 +135,10 @@ class BakeJob:
                     btf_clouds.assign_relightable_material(level_object, baked.texels, baked.textures, self.settings)
                 else:
                     assign_surface_material(level_object, baked.texels, baked.textures, self.settings, self.parameters)
+            btf_clouds.raise_transparent_bounces(cloud.collection, max(baked.max_depth_complexity for baked in core_result))
         with self.clock.stage("calibrate"):
             if not self.settings.bakes_emission:
                 yield from self._calibrate(cloud)
-        with self.clock.stage("assign"):
-            btf_clouds.raise_transparent_bounces(cloud.collection, max(baked.max_depth_complexity for baked in core_result))
         if self.temporary_folder is not None:
             self.temporary_folder.cleanup()
         elif not self.keep_finished_views and not heartbeat.is_alive(self.folder):  # another Blender may have started the same bake
@@ -149,14 +147,15 @@ class BakeJob:
 
     def _calibrate(self, cloud: SceneCloud) -> Steps[None]:
         """Calibrate the light that loose quads block. If the source was changed or removed during the bake, the default stays."""
-        sources = cloud.sources
-        for index, (level_object, level) in enumerate(zip(cloud.levels, self.levels, strict=True)):
-            if not has_loose_quads(level_object) or not sources or cloud.missing_source_names:
-                continue
-            if read_source_objects(bpy.context, sources).fingerprint != self.fingerprint:
-                return
-            steps = calibrate_light_coverage(level_object, sources, level.center, level.views, self.settings.seed)
-            count = len(self.levels)
+        sources, count = cloud.sources, len(self.levels)
+        loose = [index for index, level_object in enumerate(cloud.levels) if has_loose_quads(level_object)]
+        if not loose or not sources or cloud.missing_source_names:
+            return
+        if read_source_objects(bpy.context, sources).fingerprint != self.fingerprint:
+            return
+        for index in loose:
+            level = self.levels[index]
+            steps = calibrate_light_coverage(cloud.levels[index], sources, level.center, level.views[0], self.settings.seed)
             self.figures[index]["light_coverage"] = yield from subprogress(steps, index / count, (index + 1) / count)
 
     def _capture(self) -> Steps[int]:
@@ -188,7 +187,7 @@ class BakeJob:
             raise GeometryError(f'The cloud "{self.collection}" was rebuilt while it was being baked; bake it again.')
         check_editable(cloud)
         for level_object, level in zip(cloud.levels, self.levels, strict=True):
-            if not is_unchanged(level_object, level.quads, level.surface is not None):
+            if not is_unchanged(level_object, level.quads, level.has_maps):
                 raise GeometryError(f'The level "{level_object.name}" was changed while it was being baked; undo that and bake again.')
         return cloud
 
@@ -196,10 +195,7 @@ class BakeJob:
         """Compress the textures of one level. All its views must be finished."""
         level = self.levels[index]
         texels, store, settings = level.spec.texels, level.store, self.settings
-        if settings.bakes_emission:
-            compressor = LevelCompressor(store, texels, level.pbr_alpha, level.surface, settings)
-        else:
-            compressor = SurfaceCompressor(store, level.sides, settings)
+        compressor = level.open_compressor()
         with self.clock.stage("compress"):
             textures = yield from subprogress(compressor.compress(), 0.0, COMPRESS_END)
         with self.clock.stage("refine"):
@@ -294,9 +290,14 @@ def _read_level(level_object: bpy.types.Object, source: meshes.Source, settings:
     reference_count = LOW_ORDER_LIGHTS if settings.bakes_emission else SURFACE_CHANNELS
     counts = len(texels), settings.images_per_view, reference_count, views[0].resolution, settings.view_count, settings.shadow_count
     store = ShardStore(btf_snapshot.store_folder(folder, index), ShardLayout(*counts))
-    pbr_alpha, surface = read_pbr_alpha(level_object, texels), btf_clouds.read_texel_surface(level_object, texels)
-    sides = None if settings.bakes_emission else read_two_sided_texels(level_object, texels)
-    return LevelBake(spec, quads, views, pbr_alpha, surface, sides, center, store)
+    if settings.bakes_emission:
+        surface = btf_clouds.read_texel_surface(level_object, texels)
+        has_maps = surface is not None
+        open_compressor = partial(LevelCompressor, store, texels, read_pbr_alpha(level_object, texels), surface, settings)
+    else:
+        has_maps = True
+        open_compressor = partial(SurfaceCompressor, store, read_two_sided_texels(level_object, texels), settings)
+    return LevelBake(spec, quads, views, has_maps, center, store, open_compressor)
 
 
 def _create_temporary_folder() -> tempfile.TemporaryDirectory:

@@ -104,7 +104,7 @@ class FARFIELD_OT_btf_link_suns(RequiresBakedCloud, bpy.types.Operator):
         """Replace the drivers of all levels."""
         group = context.scene.farfield_btf
         suns = [sun for sun in (getattr(group, sun_pointer_name(index)) for index in range(SUNS)) if sun is not None]
-        for level in filter(btf_clouds.needs_linked_suns, active_cloud(context).levels):
+        for level in active_cloud(context).levels:
             btf_clouds.link_suns(level, suns, group.ambient)
         report_message(self, f"Lit by {', '.join(sun.name for sun in suns) or 'the ambient color only'}.")
         return {"FINISHED"}

@@ -1,6 +1,6 @@
 """Training views of the refinement: the finished views of a bake, with their fragments cached in memory or in the work folder."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Lock
@@ -9,11 +9,15 @@ import numpy as np
 
 from ...billboards.texels import QuadPolygons, Texels
 from ...geometry.cameras import OrthographicView
+from ...jobs.chunks import map_ordered
+from ...jobs.progress import Progress, Steps, subprogress
 from ..capture.shard_files import ViewFiles
 from ..capture.shards import ShardStore
+from ..factorization.factors import Factors
 from .fragments import Fragments, find_fragments
-from .refine import RAYS_PER_SIDE, TrainingView
+from .refine import RAYS_PER_SIDE, TrainingView, cull_hidden, refine_alpha, shade
 
+SHADING_END = 0.3  # of the progress of a refinement
 MAX_MEMORY_BYTES = 4e8  # of fragments and colors; those of further views go to files
 
 
@@ -100,6 +104,39 @@ class StoredTrainingView:
         entry = self.cache.entries.get(self.index)
         fragments, colors = FragmentFiles(self.store.folder).read(self.index) if entry is None else entry
         return TrainingView(fragments, colors, self.store.read_reference(self.index))
+
+
+def refine_stored_views(
+    views: Sequence[StoredTrainingView],
+    alpha: Factors,
+    pbr_alpha: np.ndarray,
+    view_weights: np.ndarray,
+    texel_colors: Callable[[int, np.ndarray], np.ndarray],
+    is_drawn: Callable[[int], np.ndarray] | None = None,
+) -> Steps[Factors]:
+    """Store the fragments of all `views` that are not hidden, and return the refined `alpha`; see `refine_alpha`.
+
+    texel_colors: colors (N, D) of all texels in a view; only those of the given rows count. is_drawn: which texels (N,) bool a view shows;
+    None for all.
+
+    Raises:
+        FileError: the fragments do not fit into memory and cannot be written.
+    """
+
+    def store_view(index: int) -> None:
+        fragments = views[index].find_fragments()
+        if is_drawn is not None:
+            fragments = fragments.subset(is_drawn(index)[fragments.texel_indices[:, 0]])
+        fragments = cull_hidden(fragments, pbr_alpha + alpha.reconstruct(alpha.basis[index])[:, 0])
+        colors = texel_colors(index, np.unique(fragments.texel_indices))
+        views[index].store_fragments(fragments, shade(fragments, colors))
+
+    try:
+        for index, _ in enumerate(map_ordered(store_view, range(len(views)))):
+            yield Progress(SHADING_END * index / len(views), "Shading")
+        return (yield from subprogress(refine_alpha(views, alpha, pbr_alpha, view_weights), SHADING_END, 1.0))
+    finally:
+        FragmentFiles(views[0].store.folder).remove_all()
 
 
 def training_views(quads: QuadPolygons, texels: Texels, views: Sequence[OrthographicView], store: ShardStore) -> list[StoredTrainingView]:
