@@ -19,6 +19,10 @@ class GeometryError(FarfieldError):
     """The mesh or point cloud is unusable: empty, not finite or without area."""
 
 
+class ImageError(FarfieldError):
+    """The pixels of an image or mask are unusable: too few, none or all masked, of different sizes, or not finite."""
+
+
 class SettingsError(FarfieldError):
     """A setting is out of range or contradicts another one.
 

@@ -1,0 +1,1 @@
+"""Restoration of images: the missing parts are filled with structure and texture."""

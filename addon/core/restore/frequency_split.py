@@ -1,0 +1,92 @@
+"""Structure and texture of an image: its lowest cosine frequencies, and the rest (Textures Revisited, section 5.2).
+
+Sub-band k of the orthonormal discrete cosine transform (DCT-II) of an image (H, W) holds the coefficients (u, v) with max(u, v) = k. The
+structure consists of the sub-bands 0 to kappa - 1, so kappa = 0 leaves no structure and kappa = max(H, W) nothing else.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.fft import dctn, idctn
+
+from ..imaging.pyramids import reduce_image
+
+MAX_DEVIATION = 0.001  # of the autocorrelation of luminance 0..1; the paper's limit
+MAX_AUTO_KAPPA = 16  # the range of the paper's Figure 13
+MAX_ANALYSIS_PIXELS = 1024  # per side: larger images are halved before the analysis, which only concerns low frequencies
+LUMINANCE = np.float32([0.2126, 0.7152, 0.0722])  # CIE Y of linear Rec.709 colors
+
+
+class LowBand:
+    """The structure of an image: a smooth function that can be evaluated in any part of it.
+
+    coefficients: (K, K', C), the lowest DCT coefficients along rows and columns. shape: (H, W) of the image.
+    """
+
+    def __init__(self, image: np.ndarray, kappa: int) -> None:
+        """Project `image` (H, W, C) to its lowest `kappa` sub-bands."""
+        self.shape = image.shape[:2]
+        rows, columns = (_cosines(size, min(kappa, size)) for size in self.shape)
+        self.coefficients = np.einsum("ku,kvc->uvc", rows, np.einsum("kwc,wv->kvc", image, columns, optimize=True), optimize=True)
+
+    def evaluate(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Return the structure (R, S, C) float32 at pixels in the given `rows` (R,) and `columns` (S,)."""
+        cosines = (_cosines(size, count) for size, count in zip(self.shape, self.coefficients.shape, strict=False))
+        low_rows, low_columns = next(cosines)[rows], next(cosines)[columns]
+        partial = np.einsum("ru,uvc->rvc", low_rows, self.coefficients, optimize=True)
+        return np.einsum("rvc,sv->rsc", partial, low_columns, optimize=True).astype(np.float32)
+
+
+def luminance(image: np.ndarray, is_color: bool) -> np.ndarray:
+    """Return CIE Y (H, W) of an image (H, W, C) with sRGB-encoded colors in its first three channels, or the mean of channels of data."""
+    if not is_color or image.shape[2] < 3:
+        return image[..., : min(image.shape[2], 3)].mean(axis=2)
+    encoded = np.maximum(image[..., :3], 0.0)
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4) @ LUMINANCE
+
+
+def choose_kappa(image: np.ndarray, is_color: bool) -> tuple[int, np.ndarray]:
+    """Return kappa for `image` (H, W, C), whose missing pixels are filled smoothly, and the deviations (K,) for kappa from 0 that decided.
+
+    Kappa is the smallest value for which the standard deviation of the autocorrelation of the texture is below MAX_DEVIATION. If there is
+    none up to MAX_AUTO_KAPPA, it is the one with the smallest deviation.
+    """
+    values = luminance(image, is_color)
+    while max(values.shape) > MAX_ANALYSIS_PIXELS:
+        values = reduce_image(values)
+    deviations = []
+    for deviation in autocorrelation_deviations(values):
+        deviations.append(deviation)
+        if deviation < MAX_DEVIATION or len(deviations) > min(MAX_AUTO_KAPPA, *values.shape):
+            break
+    deviations = np.array(deviations)
+    below = np.flatnonzero(deviations < MAX_DEVIATION)
+    return int(below[0] if len(below) else deviations.argmin()), deviations
+
+
+def autocorrelation_deviations(values: np.ndarray) -> Iterator[float]:
+    """Yield the standard deviation of the autocorrelation matrix of the texture of `values` (H, W), for kappa = 0, 1, 2 ...
+
+    The texture is padded with zeros to a square of side N; its autocorrelation IDCT(DCT(H) ** 2) / (2 N) is clipped to (H, W). Divided by
+    2 N, the element at lag 0 is about the variance of the texture, whatever the size of the image.
+    """
+    coefficients = dctn(values.astype(np.float64), norm="ortho")
+    side = max(values.shape)
+    padding = [(0, side - size) for size in values.shape]
+    for kappa in range(side + 1):
+        coefficients[:kappa, :kappa] = 0.0
+        if values.shape[0] == values.shape[1]:
+            powers = coefficients**2
+            mean, square = 0.5 * powers[0, 0] / side**2, 0.25 * (powers**2).sum() / side**4  # Parseval
+            yield float(np.sqrt(max(square - mean**2, 0.0)))
+        else:
+            texture = idctn(coefficients, norm="ortho")
+            correlation = idctn(dctn(np.pad(texture, padding), norm="ortho") ** 2, norm="ortho")[: values.shape[0], : values.shape[1]]
+            yield float(0.5 * correlation.std() / side)
+
+
+def _cosines(size: int, count: int) -> np.ndarray:
+    """Return the first `count` functions of the orthonormal DCT-II at `size` samples: (size, count) float64."""
+    samples, frequencies = np.arange(size)[:, None] + 0.5, np.arange(count)
+    scale = np.where(frequencies == 0, np.sqrt(1.0 / size), np.sqrt(2.0 / size))
+    return scale * np.cos(np.pi / size * samples * frequencies)

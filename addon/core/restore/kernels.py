@@ -1,0 +1,93 @@
+"""Causal kernels in eight orientations (Textures Revisited, Figure 14), and search trees over the neighborhoods of all pixels to copy."""
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from .levels import RADIUS, Level
+
+MAX_SAMPLES = 12_000  # neighborhoods per search tree
+MAX_DIMENSIONS = 16  # of a neighborhood after principal component analysis
+TREE_EPS = 0.5  # an approximate match may be this much farther away than the nearest one
+COARSE_WEIGHT = 0.5  # of the mean squared difference at the next coarser level, relative to the level itself
+UPPER_WEIGHT = 0.1  # the same for each level above
+
+
+def _square(radius: int) -> np.ndarray:
+    grid = np.arange(-radius, radius + 1)
+    return np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+COARSE_STEPS = _square(1)
+FULL_STEPS = np.array([step for step in _square(RADIUS) if step.any()])
+
+
+def _orient(steps: np.ndarray) -> np.ndarray:
+    """Return `steps` (K, 2) in all eight orientations (8, K, 2): four turns by a right angle, each also mirrored."""
+    orientations = []
+    for mirrored in (steps, steps * [1, -1]):
+        for _ in range(4):
+            orientations.append(mirrored)
+            mirrored = np.stack([mirrored[:, 1], -mirrored[:, 0]], axis=1)
+    return np.array(orientations)
+
+
+CAUSAL_STEPS = _orient(np.array([step for step in _square(RADIUS) if step[0] < 0 or (step[0] == 0 and step[1] < 0)]))  # (8, 12, 2)
+
+
+class SearchTrees:
+    """Search trees over the valid neighborhoods of a level, one per orientation of the causal kernel, built when first used.
+
+    A neighborhood holds the pixels of the causal kernel, 3 x 3 pixels one level above, and one pixel of each level above that. Every part
+    is weighted by its number of pixels.
+    """
+
+    def __init__(self, levels: list[Level], index: int, seed: int) -> None:
+        """Prepare the trees of `levels[index]`; raises no error if the level has no valid pixel, but cannot be searched then."""
+        self._levels, self._index = levels, index
+        self._samples = _sample(np.flatnonzero(levels[index].valid), MAX_SAMPLES, np.random.default_rng([seed, index]))
+        self._trees: dict[int, tuple[cKDTree, np.ndarray, np.ndarray]] = {}
+
+    def find(self, pixels: np.ndarray, orientation: int, count: int) -> np.ndarray:
+        """Return the sources (P, K) with the most similar neighborhoods for `pixels` (P,) of the first page, best first."""
+        tree, mean, basis = self._tree(orientation)
+        level = self._levels[self._index]
+        neighbors, _ = level.neighbors(pixels, CAUSAL_STEPS[orientation])
+        features = (self._features(pixels, neighbors, is_source=False) - mean) @ basis
+        count = min(count, len(self._samples))
+        found = tree.query(features, k=count, eps=TREE_EPS)[1].reshape(len(pixels), count)
+        return self._samples[found]
+
+    def _tree(self, orientation: int) -> tuple[cKDTree, np.ndarray, np.ndarray]:
+        if orientation not in self._trees:
+            level = self._levels[self._index]
+            neighbors = self._samples[:, None] + level.offset(CAUSAL_STEPS[orientation])
+            features = self._features(self._samples, neighbors, is_source=True)
+            mean = features.mean(axis=0)
+            features -= mean
+            _, vectors = np.linalg.eigh(features.T @ features)
+            basis = np.ascontiguousarray(vectors[:, ::-1][:, :MAX_DIMENSIONS])
+            self._trees[orientation] = (cKDTree(features @ basis, balanced_tree=False, compact_nodes=False), mean, basis)
+        return self._trees[orientation]
+
+    def _features(self, pixels: np.ndarray, neighbors: np.ndarray, is_source: bool) -> np.ndarray:
+        """Return the weighted neighborhoods (P, F) of `pixels` with these causal `neighbors` (P, 12)."""
+        level = self._levels[self._index]
+        parts = [(level.texture[neighbors], 1.0)]
+        for levels_up, coarse in enumerate(self._levels[self._index + 1 :], start=1):
+            above = level.parents(pixels, levels_up)
+            if levels_up > 1:
+                parts.append((coarse.texture[above][:, None], UPPER_WEIGHT))
+            elif is_source:
+                parts.append((coarse.texture[above[:, None] + coarse.offset(COARSE_STEPS)], COARSE_WEIGHT))
+            else:
+                parts.append((coarse.texture[coarse.neighbors(above, COARSE_STEPS)[0]], COARSE_WEIGHT))
+        weighted = [(part * np.float32(np.sqrt(weight / part.shape[1]))).reshape(len(pixels), -1) for part, weight in parts]
+        return np.concatenate(weighted, axis=1)
+
+
+def _sample(pixels: np.ndarray, count: int, generator: np.random.Generator) -> np.ndarray:
+    """Return `count` of `pixels`, one at random of each of as many equal parts, or all if there are fewer."""
+    if len(pixels) <= count:
+        return pixels
+    starts = np.linspace(0, len(pixels), count + 1)
+    return pixels[np.minimum((starts[:-1] + generator.random(count) * np.diff(starts)).astype(np.int64), len(pixels) - 1)]

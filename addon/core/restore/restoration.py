@@ -1,0 +1,200 @@
+"""Restores the missing parts of an image: diffusion for structure, synthesis for texture (Textures Revisited, section 5)."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..errors import ImageError
+from ..imaging.diffusion import diffuse
+from ..jobs.progress import Progress, StageClock, Steps, subprogress
+from .frequency_split import LowBand, choose_kappa
+from .levels import RADIUS, Level, Page, build_levels
+from .settings import RestoreSettings
+from .synthesis import synthesize
+from .windows import Window, choose_pages, find_windows
+
+MIN_SIDE = 2 * RADIUS + 1
+MIN_SOURCES = 64  # pixels with a neighborhood that may be copied
+
+
+@dataclass(frozen=True)
+class Restoration:
+    """The result of `restore`.
+
+    pixels: (H, W, C) float32, equal to the image outside the mask. kappa: number of sub-bands of the structure, -1 if all were.
+    deviations: (K,) standard deviation of the autocorrelation for each kappa from 0 that was examined, empty if none was.
+    hole_count: connected parts of the mask. seconds: by stage. stages: images (H, W, C) by name, if they were requested.
+    """
+
+    pixels: np.ndarray
+    kappa: int
+    deviations: np.ndarray
+    hole_count: int
+    seconds: dict[str, float]
+    stages: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+def restore(
+    image: np.ndarray,
+    mask: np.ndarray,
+    settings: RestoreSettings,
+    *,
+    source_mask: np.ndarray | None = None,
+    barriers: np.ndarray | None = None,
+    is_color: bool = True,
+    is_normal_map: bool = False,
+    keep_stages: bool = False,
+) -> Steps[Restoration]:
+    """Fill the masked pixels of `image`.
+
+    Args:
+        image: (H, W, C) float32 with 1 to 4 channels, finite outside the mask. Colors are encoded for display (sRGB), so that errors
+            count as much in shadows as in highlights; data is used as it is.
+        mask: (H, W) bool, true where pixels are missing.
+        settings: see `RestoreSettings`.
+        source_mask: (H, W) bool, true where texture may be copied from; everywhere outside the mask by default.
+        barriers: (H, W) bool, true at pixels that diffusion does not cross.
+        is_color: the first three channels are sRGB colors; the split then follows CIE Y, otherwise the mean of all channels.
+        is_normal_map: the first three channels are normals 0.5 + 0.5 n, which are normalized again.
+        keep_stages: return the images of the stages as well: first_fill, low, low_filled, high, high_filled.
+
+    Raises:
+        ImageError: nothing or everything is masked, sizes differ, the image is too small, values are not finite, or too few pixels are
+            left to copy texture from.
+    """
+    _check(image, mask, {"source mask": source_mask, "barrier mask": barriers})
+    clock = StageClock()
+    stages: dict[str, np.ndarray] = {}
+    yield Progress(0.0, "Finding holes")
+    with clock.stage("holes"):
+        windows = find_windows(mask, settings.tileable)
+    with clock.stage("first fill"):
+        pixels = np.where(mask[..., None], np.float32(0.0), image).astype(np.float32, copy=False)
+        for index, window in enumerate(windows):
+            yield Progress(0.1 * index / len(windows), "Filling structure")
+            _write(pixels, window, diffuse(pixels[window.area], window.hole, _part(barriers, window), window.wrap))
+    kappa, deviations = -1, np.zeros(0)
+    if settings.split == "auto":
+        yield Progress(0.1, "Choosing sub-bands")
+        with clock.stage("kappa"):
+            kappa, deviations = choose_kappa(pixels, is_color)
+    elif settings.split == "manual" and settings.kappa < max(mask.shape):
+        kappa = settings.kappa
+    if keep_stages:
+        stages["first_fill"] = pixels.copy()
+    if kappa >= 0:
+        usable = ~mask if source_mask is None else source_mask & ~mask
+        yield from subprogress(_restore_texture(pixels, windows, usable, barriers, kappa, settings, clock, stages, keep_stages), 0.15, 1.0)
+        low, high = image[~mask].min(axis=0), image[~mask].max(axis=0)
+        pixels[mask] = np.clip(pixels[mask], low, high)
+    if is_normal_map:
+        pixels[mask] = _normalize(pixels[mask])
+    return Restoration(pixels, kappa, deviations, len(windows), clock.seconds, stages)
+
+
+def _restore_texture(
+    pixels: np.ndarray,
+    windows: list[Window],
+    usable: np.ndarray,
+    barriers: np.ndarray | None,
+    kappa: int,
+    settings: RestoreSettings,
+    clock: StageClock,
+    stages: dict[str, np.ndarray],
+    keep_stages: bool,
+) -> Steps[None]:
+    """Split the smoothly filled `pixels`, and write structure plus texture into the holes of all `windows`."""
+    with clock.stage("split"):
+        low_band = LowBand(pixels, kappa)
+    if keep_stages:
+        low = low_band.evaluate(np.arange(pixels.shape[0]), np.arange(pixels.shape[1]))
+        stages |= {"low": low, "low_filled": low.copy(), "high": pixels - low, "high_filled": pixels - low}
+    total, done = sum(int(window.hole.sum()) for window in windows), 0
+    results = []
+    for window in windows:
+        with clock.stage("structure"):
+            low = low_band.evaluate(window.rows, window.columns)
+            low_filled = diffuse(low, window.hole, _part(barriers, window), window.wrap)
+        with clock.stage("pyramid"):
+            generator = np.random.default_rng([settings.seed, int(window.rows[0]), int(window.columns[0])])
+            levels = _build_window_levels(pixels, low, low_band, window, usable, settings, generator)
+        count = int(window.hole.sum())
+        with clock.stage("texture"):
+            yield from subprogress(synthesize(levels, settings), done / total, (done + count) / total)
+        done += count
+        texture = levels[0].texture.reshape(*levels[0].shape, -1)[: len(window.rows), : len(window.columns)]
+        results.append((low_filled + texture)[window.hole])
+        if keep_stages:
+            _write(stages["low_filled"], window, low_filled)
+            _write(stages["high_filled"], window, texture)
+    for window, values in zip(windows, results, strict=True):  # at the end, so that no hole copies from another one
+        filled = pixels[window.area]
+        filled[window.hole] = values
+        _write(pixels, window, filled)
+
+
+def _build_window_levels(
+    pixels: np.ndarray,
+    low: np.ndarray,
+    low_band: LowBand,
+    window: Window,
+    usable: np.ndarray,
+    settings: RestoreSettings,
+    generator: np.random.Generator,
+) -> list[Level]:
+    """Return the pyramid of the texture in a window and in further parts of the image, where the window has too little to copy.
+
+    Raises:
+        ImageError: nothing can be copied.
+    """
+    pages = [Page(pixels[window.area] - low, window.hole, usable[window.area])]
+    for rows, columns in choose_pages(window, usable.shape, int(pages[0].usable.sum()), generator):
+        structure = low_band.evaluate(np.arange(rows.start, rows.stop), np.arange(columns.start, columns.stop))
+        no_hole = np.zeros(structure.shape[:2], bool)
+        pages.append(Page(pixels[rows, columns] - structure, no_hole, usable[rows, columns]))
+    levels = build_levels(pages, settings.levels, window.wrap)
+    sources = int(levels[0].valid.sum())
+    if sources < MIN_SOURCES:
+        raise ImageError(
+            f"Only {sources} pixels with unmasked neighborhoods of {MIN_SIDE} x {MIN_SIDE} pixels can be copied; at least {MIN_SOURCES} are "
+            "necessary. Mask less, extend the source mask, or use Diffusion Only."
+        )
+    return levels
+
+
+def _check(image: np.ndarray, mask: np.ndarray, others: dict[str, np.ndarray | None]) -> None:
+    height, width = image.shape[:2]
+    if min(height, width) < MIN_SIDE:
+        raise ImageError(f"The image has {width} x {height} pixels; at least {MIN_SIDE} x {MIN_SIDE} are necessary.")
+    for name, other in ({"mask": mask} | others).items():
+        if other is not None and other.shape != (height, width):
+            raise ImageError(
+                f"The {name} has {other.shape[1]} x {other.shape[0]} pixels and the image {width} x {height}; they must have the same size."
+            )
+    if not mask.any():
+        raise ImageError("No pixel is masked; mark the missing part of the image in the mask.")
+    if mask.all():
+        raise ImageError("Every pixel is masked; leave some of the image to copy from.")
+    for start in range(0, height, 256):
+        rows = slice(start, start + 256)
+        if not np.isfinite(image[rows][~mask[rows]]).all():
+            raise ImageError("The image has NaN or infinite pixels outside the mask; mask them, too.")
+
+
+def _part(array: np.ndarray | None, window: Window) -> np.ndarray | None:
+    return None if array is None else array[window.area]
+
+
+def _write(image: np.ndarray, window: Window, values: np.ndarray) -> None:
+    """Write the `values` (R, S, C) of the hole of a window into `image`."""
+    rows, columns = np.nonzero(window.hole)
+    image[window.rows[rows], window.columns[columns]] = values[rows, columns]
+
+
+def _normalize(encoded: np.ndarray) -> np.ndarray:
+    """Return normals (N, C) encoded as 0.5 + 0.5 n with unit length; further channels stay."""
+    normals = 2.0 * encoded[:, :3] - 1.0
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = np.where(lengths > 1e-6, normals / np.maximum(lengths, 1e-6), [0.0, 0.0, 1.0])
+    return np.concatenate([0.5 + 0.5 * normals, encoded[:, 3:]], axis=1).astype(np.float32)

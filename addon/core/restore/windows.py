@@ -1,0 +1,118 @@
+"""Holes of an image, and the part of the image around each that its restoration uses, so that cost follows the holes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import binary_dilation, find_objects, label
+
+MIN_MARGIN = 48  # pixels around a hole
+MARGIN_FRACTION = 0.75  # of the longer side of the hole, if that is more
+MAX_GAP = 6  # pixels between parts of the mask that are restored together
+MIN_SOURCE_PIXELS = 40_000  # in a window; parts of the rest of the image are added to smaller ones
+MAX_PAGES = 4  # such parts
+
+
+@dataclass(frozen=True)
+class Window:
+    """A part of an image: its rows (R,) and columns (S,), which may continue at the opposite border, and its pixels to fill (R, S) bool.
+
+    wrap: whether the window covers the whole image along rows and columns, so that its opposite borders are neighbors.
+    """
+
+    rows: np.ndarray
+    columns: np.ndarray
+    hole: np.ndarray
+    wrap: tuple[bool, bool]
+
+    @property
+    def area(self) -> tuple[np.ndarray, np.ndarray]:
+        """The index of the window's pixels in arrays of the image."""
+        return np.ix_(self.rows, self.columns)
+
+
+def find_windows(mask: np.ndarray, tileable: bool) -> list[Window]:
+    """Return a window for every hole of `mask` (H, W) bool. Parts closer together than MAX_GAP are one hole.
+
+    tileable: holes and windows continue across the borders of the image.
+    """
+    joined = _join(mask, tileable)
+    labels, count = label(joined, structure=np.ones((3, 3), bool))
+    if tileable:
+        labels, count = _join_labels_across_borders(labels, count)
+    windows = []
+    for number, found in enumerate(find_objects(labels), start=1):
+        if found is None:
+            continue
+        spans = []
+        for axis in (0, 1):
+            used = (labels[found] == number).any(axis=1 - axis)
+            spans.append(_span(np.flatnonzero(used) + found[axis].start, mask.shape[axis], tileable))
+        extent = max(stop - start for start, stop in spans)
+        margin = max(MIN_MARGIN, int(MARGIN_FRACTION * extent))
+        axes, wrap = [], []
+        for (start, stop), size in zip(spans, mask.shape, strict=True):
+            indices, wraps = _grow(start, stop, margin, size, tileable)
+            axes.append(indices)
+            wrap.append(wraps)
+        area = np.ix_(*axes)
+        windows.append(Window(*axes, (labels[area] == number) & mask[area], tuple(wrap)))
+    return windows
+
+
+def choose_pages(window: Window, shape: tuple[int, int], source_pixels: int, generator: np.random.Generator) -> list[tuple[slice, slice]]:
+    """Return further parts of an image of this `shape` to copy from, of the window's width, if it has few `source_pixels`."""
+    height, width = len(window.rows), len(window.columns)
+    if source_pixels >= MIN_SOURCE_PIXELS or (height, width) == shape:
+        return []
+    rows = min(max(32, -(-MIN_SOURCE_PIXELS // (MAX_PAGES * width))), shape[0])
+    pages = []
+    for _ in range(MAX_PAGES):
+        top, left = generator.integers(0, shape[0] - rows + 1), generator.integers(0, shape[1] - width + 1)
+        pages.append((slice(top, top + rows), slice(left, left + width)))
+    return pages
+
+
+def _join(mask: np.ndarray, tileable: bool) -> np.ndarray:
+    """Return `mask` grown so that parts with small gaps touch."""
+    radius = MAX_GAP // 2
+    if not tileable:
+        return binary_dilation(mask, iterations=radius)
+    padded = np.pad(mask, radius, mode="wrap")
+    return binary_dilation(padded, iterations=radius)[radius:-radius, radius:-radius]
+
+
+def _join_labels_across_borders(labels: np.ndarray, count: int) -> tuple[np.ndarray, int]:
+    """Return `labels` (H, W) with one number for parts that touch across opposite borders."""
+    roots = np.arange(count + 1)
+
+    def root(number: int) -> int:
+        while roots[number] != number:
+            number = roots[number]
+        return number
+
+    for first, last in ((labels[0], labels[-1]), (labels[:, 0], labels[:, -1])):
+        for step in (-1, 0, 1):
+            moved = np.roll(last, step)
+            for a, b in set(zip(first[(first > 0) & (moved > 0)].tolist(), moved[(first > 0) & (moved > 0)].tolist(), strict=True)):
+                roots[max(root(a), root(b))] = min(root(a), root(b))
+    return np.array([root(number) for number in range(count + 1)])[labels], count
+
+
+def _span(used: np.ndarray, size: int, tileable: bool) -> tuple[int, int]:
+    """Return start and stop of the shortest range that contains the indices `used`; stop may exceed `size` in a tileable image."""
+    start, stop = int(used[0]), int(used[-1]) + 1
+    if not tileable or len(used) == 1:
+        return start, stop
+    gaps = np.diff(np.append(used, used[0] + size))
+    largest = int(gaps.argmax())
+    start = int(used[(largest + 1) % len(used)])
+    return start, start + size - int(gaps[largest]) + 1
+
+
+def _grow(start: int, stop: int, margin: int, size: int, tileable: bool) -> tuple[np.ndarray, bool]:
+    """Return the indices of a range with a margin, and whether it covers a whole tileable axis."""
+    if not tileable:
+        return np.arange(max(0, start - margin), min(size, stop + margin)), False
+    if stop - start + 2 * margin >= size:
+        return np.arange(size), True
+    return np.arange(start - margin, stop + margin) % size, False
