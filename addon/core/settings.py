@@ -44,8 +44,9 @@ class Choice:
 class Description:
     """The declaration of one setting, as panels, flags and docs need it.
 
-    `choices` maps every allowed value to its `Choice`. `path` marks a string as the path of a file or folder. `group` names the sub-panel
-    that shows the setting, "" for the main panel. `panel_label` replaces `label` in a panel, where there is room for about 15 characters.
+    `choices` maps every allowed value to its `Choice`. `path` marks a string as the path of a file or folder, `is_color` three numbers as a
+    color as displayed, 0 to 1. `group` names the sub-panel that shows the setting, "" for the main panel. `panel_label` replaces `label` in
+    a panel, where there is room for about 15 characters.
     """
 
     name: str
@@ -58,6 +59,7 @@ class Description:
     unit: Unit
     choices: dict[str, Choice]
     path: Literal["file", "folder"] | None
+    is_color: bool
     group: str
     panel_label: str
 
@@ -111,14 +113,15 @@ def setting(
     unit: Unit = Unit.NONE,
     choices: dict[str, Choice] | None = None,
     path: Literal["file", "folder"] | None = None,
+    is_color: bool = False,
     group: str = "",
     panel_label: str | None = None,
 ) -> Any:
     """Declare one setting as a dataclass field; see `Description`. `label` is the field's name in title case by default, `panel_label` is
     `label`."""
-    metadata = {"help": help, "label": label, "minimum": minimum, "maximum": maximum, "unit": unit}
+    metadata = {"help": help, "label": label, "minimum": minimum, "maximum": maximum, "unit": unit, "choices": choices or {}}
     return dataclasses.field(
-        default=default, metadata=metadata | {"choices": choices or {}, "path": path, "group": group, "panel_label": panel_label}
+        default=default, metadata=metadata | {"path": path, "is_color": is_color, "group": group, "panel_label": panel_label}
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.fft import dctn, idctn
 
 from ..imaging.pyramids import reduce_image
+from ..jobs.chunks import slices
 
 MAX_DEVIATION = 0.001  # of the autocorrelation of luminance 0..1; the paper's limit
 MAX_AUTO_KAPPA = 16  # the range of the paper's Figure 13
@@ -41,8 +42,11 @@ def luminance(image: np.ndarray, is_color: bool) -> np.ndarray:
     """Return CIE Y (H, W) of an image (H, W, C) with sRGB-encoded colors in its first three channels, or the mean of channels of data."""
     if not is_color or image.shape[2] < 3:
         return image[..., : min(image.shape[2], 3)].mean(axis=2)
-    encoded = np.maximum(image[..., :3], 0.0)
-    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4) @ LUMINANCE
+    result = np.empty(image.shape[:2], np.float32)
+    for rows in slices(len(image), 256):
+        encoded = np.maximum(image[rows, :, :3], 0.0)
+        result[rows] = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4) @ LUMINANCE
+    return result
 
 
 def choose_kappa(image: np.ndarray, is_color: bool) -> tuple[int, np.ndarray]:

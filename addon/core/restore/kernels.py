@@ -5,10 +5,11 @@ from scipy.spatial import cKDTree
 
 from .levels import RADIUS, Level
 
-MAX_SAMPLES = 12_000  # neighborhoods per search tree
+MIN_SAMPLES, MAX_SAMPLES = 12_000, 40_000  # neighborhoods per search tree: about as many as there are pixels to fill
 MAX_DIMENSIONS = 16  # of a neighborhood after principal component analysis
 TREE_EPS = 0.5  # an approximate match may be this much farther away than the nearest one
 COARSE_WEIGHT = 0.5  # of the mean squared difference at the next coarser level, relative to the level itself
+NEGLIGIBLE = 2e-3  # mean squared differences, relative to the variance of the texture
 UPPER_WEIGHT = 0.1  # the same for each level above
 
 
@@ -44,17 +45,23 @@ class SearchTrees:
     def __init__(self, levels: list[Level], index: int, seed: int) -> None:
         """Prepare the trees of `levels[index]`; raises no error if the level has no valid pixel, but cannot be searched then."""
         self._levels, self._index = levels, index
-        self._samples = _sample(np.flatnonzero(levels[index].valid), MAX_SAMPLES, np.random.default_rng([seed, index]))
+        count = min(max(int(levels[index].hole.sum()), MIN_SAMPLES), MAX_SAMPLES)
+        self._samples = _sample(np.flatnonzero(levels[index].valid), count, np.random.default_rng([seed, index]))
+        self.negligible = NEGLIGIBLE * float(levels[index].texture[self._samples].var(axis=0).sum())
         self._trees: dict[int, tuple[cKDTree, np.ndarray, np.ndarray]] = {}
 
-    def find(self, pixels: np.ndarray, orientation: int, count: int) -> np.ndarray:
-        """Return the sources (P, K) with the most similar neighborhoods for `pixels` (P,) of the first page, best first."""
-        tree, mean, basis = self._tree(orientation)
+    def find(self, pixels: np.ndarray, orientations: np.ndarray, count: int) -> np.ndarray:
+        """Return the sources (P, K) with the most similar neighborhoods for `pixels` (P,) of the first page, best first, by kernels of the
+        given `orientations` (P,)."""
         level = self._levels[self._index]
-        neighbors, _ = level.neighbors(pixels, CAUSAL_STEPS[orientation])
-        features = (self._features(pixels, neighbors, is_source=False) - mean) @ basis
         count = min(count, len(self._samples))
-        found = tree.query(features, k=count, eps=TREE_EPS)[1].reshape(len(pixels), count)
+        neighbors, _ = level.neighbors(pixels, CAUSAL_STEPS[orientations])
+        features = self._features(pixels, neighbors, is_source=False)
+        found = np.empty((len(pixels), count), np.int64)
+        for orientation in np.unique(orientations):
+            tree, mean, basis = self._tree(int(orientation))
+            chosen = orientations == orientation
+            found[chosen] = tree.query((features[chosen] - mean) @ basis, k=list(range(1, count + 1)), eps=TREE_EPS)[1]
         return self._samples[found]
 
     def _tree(self, orientation: int) -> tuple[cKDTree, np.ndarray, np.ndarray]:

@@ -1,8 +1,8 @@
 """The pyramid of a texture on which synthesis works, and the neighborhoods of its pixels.
 
-The canvas of a level stacks pages: the first is the window around a hole, others are further parts of the image to copy from. Pages are
-padded so that pixel (y, x) of one level belongs to pixel (y // 2, x // 2) of the next coarser one, and padding separates them. A pixel is
-identified by its flat index y * width + x.
+The canvas of a level stacks pages: windows around holes, and further parts of the image to copy from. Pages are padded so that pixel (y, x)
+of one level belongs to pixel (y // 2, x // 2) of the next coarser one, and padding separates them. A pixel is identified by its flat index
+y * width + x.
 """
 
 from dataclasses import dataclass
@@ -18,26 +18,34 @@ SEPARATOR = 2 * RADIUS + 2  # pixels of padding between two pages at the coarses
 
 @dataclass(frozen=True)
 class Page:
-    """A part of an image. texture: (H, W, C) float32. hole, usable: (H, W) bool, pixels to fill, and pixels that may be copied."""
+    """A part of an image.
+
+    texture: (H, W, C) float32. hole, known, usable: (H, W) bool, pixels to fill, pixels that are not missing, and those of them that may be
+    copied. wrap: whether opposite borders are neighbors, along rows and columns.
+    """
 
     texture: np.ndarray
     hole: np.ndarray
+    known: np.ndarray
     usable: np.ndarray
+    wrap: tuple[bool, bool] = (False, False)
 
 
 @dataclass
 class Level:
     """One level of the pyramid of all pages.
 
-    shape: (H, W) of the canvas. window: (H', W') of the first page without padding. wrap: whether its opposite borders are neighbors.
-    texture: (H * W, C) float32, changed by synthesis. hole: (H * W) bool, pixels to fill. filled: (H * W) bool, pixels whose texture is
-    known or synthesized. valid: (H * W) bool, pixels that may be copied and whose 5 x 5 neighborhood may be, too. source: (H * W) int64,
-    the pixel that was copied to a pixel of the hole, -1 for none.
+    shape: (H, W) of the canvas. page_of_row: (H,) int. tops: (P,) first row of each page; sizes: (P, 2) its rows and columns without
+    padding; wraps: (P, 2) bool. texture: (H * W, C) float32, changed by synthesis. hole: (H * W) bool, pixels to fill. filled: (H * W)
+    bool, pixels whose texture is known or synthesized. valid: (H * W) bool, pixels that may be copied and whose 5 x 5 neighborhood may be,
+    too. source: (H * W) int64, the pixel that was copied to a pixel of the hole, -1 for none.
     """
 
     shape: tuple[int, int]
-    window: tuple[int, int]
-    wrap: tuple[bool, bool]
+    page_of_row: np.ndarray
+    tops: np.ndarray
+    sizes: np.ndarray
+    wraps: np.ndarray
     texture: np.ndarray
     hole: np.ndarray
     filled: np.ndarray
@@ -54,83 +62,77 @@ class Level:
         return steps[..., 0] * self.shape[1] + steps[..., 1]
 
     def neighbors(self, pixels: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the neighbors (P, K) of `pixels` (P,) of the first page at `steps` (K, 2) or (P, K, 2), and whether they exist (P, K).
+        """Return the neighbors (P, K) of `pixels` (P,) at `steps` (K, 2) or (P, K, 2) within their pages, and whether they exist (P, K).
 
-        A neighbor beyond the border is replaced by the nearest pixel that exists.
+        A neighbor beyond the border is replaced by the nearest pixel of the page.
         """
         y, x = np.divmod(pixels, self.shape[1])
-        exists = None
-        moved = []
-        for position, step, size, wraps in ((y, steps[..., 0], self.window[0], self.wrap[0]), (x, steps[..., 1], self.window[1], self.wrap[1])):
-            target = position[:, None] + step
-            if wraps:
-                target %= size
-            else:
-                clipped = np.clip(target, 0, size - 1)
-                is_inside = clipped == target
-                exists = is_inside if exists is None else exists & is_inside
-                target = clipped
-            moved.append(target)
-        exists = np.ones(moved[0].shape, bool) if exists is None else exists
-        return moved[0] * self.shape[1] + moved[1], exists
+        pages = self.page_of_row[y]
+        tops = self.tops[pages][:, None]
+        rows, rows_exist = self._limit(y[:, None] - tops + steps[..., 0], pages, 0)
+        columns, columns_exist = self._limit(x[:, None] + steps[..., 1], pages, 1)
+        return (rows + tops) * self.shape[1] + columns, rows_exist & columns_exist
+
+    def page(self, index: int) -> np.ndarray:
+        """Return the texture (H, W, C) of a page."""
+        canvas = self.texture.reshape(*self.shape, -1)
+        return canvas[self.tops[index] : self.tops[index] + self.sizes[index, 0], : self.sizes[index, 1]]
+
+    def _limit(self, positions: np.ndarray, pages: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return `positions` (P, K) within the sizes of their `pages` (P,) along `axis`, wrapped or clipped, and whether they exist."""
+        sizes = self.sizes[pages, axis][:, None]
+        exists = (positions >= 0) & (positions < sizes)
+        if self.wraps[:, axis].any():
+            wraps = self.wraps[pages, axis][:, None]
+            return np.where(wraps, positions % sizes, np.clip(positions, 0, sizes - 1)), exists | wraps
+        return np.minimum(np.maximum(positions, 0), sizes - 1), exists
 
 
-def build_levels(pages: list[Page], count: int, wrap: tuple[bool, bool]) -> list[Level]:
-    """Return the levels of `pages`, which have equal widths, from fine to coarse: `count`, or fewer if nothing can be copied at coarser
-    ones."""
+def build_levels(pages: list[Page], count: int) -> list[Level]:
+    """Return the levels of `pages` from fine to coarse: `count`, or fewer if nothing can be copied at coarser ones."""
     block = 2 ** (count - 1)
-    window = pages[0].hole.shape
-    padded = [_pad_page(page, block, is_last=page is pages[-1]) for page in pages]
+    width = max(page.hole.shape[1] for page in pages)
+    width += -width % block
+    heights = [page.hole.shape[0] + -page.hole.shape[0] % block + SEPARATOR * block for page in pages]
     levels = []
     for index in range(count):
         if index:
-            is_first = [True] + [False] * (len(padded) - 1)
-            padded = [_reduce_page(page, window, wrap if first else (False, False)) for page, first in zip(padded, is_first, strict=True)]
-            window = ((window[0] + 1) // 2, (window[1] + 1) // 2)
-        level = _stack(padded, window, wrap)
+            pages = [_reduce(page) for page in pages]
+        level = _stack(pages, [height >> index for height in heights], width >> index)
         if index and not level.valid.any():
             break
         levels.append(level)
     return levels
 
 
-def _pad_page(page: Page, block: int, is_last: bool) -> Page:
-    """Pad a page to a multiple of `block`, with a separator below unless it is the last one."""
-    height, width = page.hole.shape
-    rows = -height % block + (0 if is_last else SEPARATOR * block)
-    padding = ((0, rows), (0, -width % block))
+def _reduce(page: Page) -> Page:
+    """Return a page at half the size. Pixels that the kernel connects with pixels to fill are filled as well (section 5.4)."""
     return Page(
-        np.pad(page.texture, (*padding, (0, 0)), mode="edge"),
-        np.pad(page.hole, padding),
-        np.pad(page.usable, padding),
+        reduce_image(page.texture, page.wrap),
+        reduce_mask(page.hole, page.wrap),
+        ~reduce_mask(~page.known, page.wrap),
+        ~reduce_mask(~page.usable, page.wrap),
+        page.wrap,
     )
 
 
-def _reduce_page(page: Page, window: tuple[int, int], wrap: tuple[bool, bool]) -> Page:
-    """Return a padded page at half the size. Pixels that the kernel connects with pixels to fill are filled as well (section 5.4)."""
-    if any(wrap):  # the padding is no neighbor
-        inner = Page(*(array[: window[0], : window[1]] for array in (page.texture, page.hole, page.usable)))
-        reduced = Page(reduce_image(inner.texture, wrap), reduce_mask(inner.hole, wrap), ~reduce_mask(~inner.usable, wrap))
-        shape = (page.hole.shape[0] // 2, page.hole.shape[1] // 2)
-        padding = tuple((0, size - part) for size, part in zip(shape, reduced.hole.shape, strict=True))
-        texture = np.pad(reduced.texture, (*padding, (0, 0)), mode="edge")
-        return Page(texture, np.pad(reduced.hole, padding), np.pad(reduced.usable, padding))
-    return Page(reduce_image(page.texture), reduce_mask(page.hole), ~reduce_mask(~page.usable))
-
-
-def _stack(pages: list[Page], window: tuple[int, int], wrap: tuple[bool, bool]) -> Level:
-    texture, hole, usable = (np.concatenate([getattr(page, name) for page in pages]) for name in ("texture", "hole", "usable"))
-    inside = np.zeros(hole.shape, bool)
-    inside[: window[0], : window[1]] = True
-    hole &= inside
-    valid = minimum_filter(usable & ~hole, 2 * RADIUS + 1, mode="constant")
+def _stack(pages: list[Page], heights: list[int], width: int) -> Level:
+    tops = np.concatenate([[0], np.cumsum(heights)])
+    shape = (int(tops[-1]), width)
+    texture = np.zeros((*shape, pages[0].texture.shape[2]), np.float32)
+    hole, known, usable = (np.zeros(shape, bool) for _ in range(3))
+    for page, top in zip(pages, tops, strict=False):
+        area = (slice(top, top + page.hole.shape[0]), slice(0, page.hole.shape[1]))
+        texture[area], hole[area], known[area], usable[area] = page.texture, page.hole, page.known, page.usable
     return Level(
-        shape=hole.shape,
-        window=window,
-        wrap=wrap,
+        shape=shape,
+        page_of_row=np.repeat(np.arange(len(pages)), heights),
+        tops=tops[:-1],
+        sizes=np.array([page.hole.shape for page in pages]),
+        wraps=np.array([page.wrap for page in pages]),
         texture=texture.reshape(-1, texture.shape[2]),
         hole=hole.ravel(),
-        filled=(inside & ~hole).ravel(),
-        valid=valid.ravel(),
+        filled=(known & ~hole).ravel(),
+        valid=minimum_filter(usable, 2 * RADIUS + 1, mode="constant").ravel(),
         source=np.full(hole.size, -1, np.int64),
     )

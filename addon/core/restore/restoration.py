@@ -1,6 +1,5 @@
 """Restores the missing parts of an image: diffusion for structure, synthesis for texture (Textures Revisited, section 5)."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,7 +11,7 @@ from .frequency_split import LowBand, choose_kappa
 from .levels import RADIUS, Level, Page, build_levels
 from .settings import RestoreSettings
 from .synthesis import synthesize
-from .windows import Window, choose_pages, find_windows
+from .windows import Window, choose_areas, find_windows, group_windows
 
 MIN_SIDE = 2 * RADIUS + 1
 MIN_SOURCES = 64  # pixels with a neighborhood that may be copied
@@ -33,6 +32,16 @@ class Restoration:
     hole_count: int
     seconds: dict[str, float]
     stages: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Options:
+    """What all windows have in common."""
+
+    settings: RestoreSettings
+    kappa: int
+    source_mask: np.ndarray | None
+    barriers: np.ndarray | None
 
 
 def restore(
@@ -73,7 +82,7 @@ def restore(
         pixels = np.where(mask[..., None], np.float32(0.0), image).astype(np.float32, copy=False)
         for index, window in enumerate(windows):
             yield Progress(0.1 * index / len(windows), "Filling structure")
-            _write(pixels, window, diffuse(pixels[window.area], window.hole, _part(barriers, window), window.wrap))
+            _write(pixels, window, diffuse(pixels[window.area], window.hole, _part(barriers, window), window.wrap)[window.hole])
     kappa, deviations = -1, np.zeros(0)
     if settings.split == "auto":
         yield Progress(0.1, "Choosing sub-bands")
@@ -84,8 +93,8 @@ def restore(
     if keep_stages:
         stages["first_fill"] = pixels.copy()
     if kappa >= 0:
-        usable = ~mask if source_mask is None else source_mask & ~mask
-        yield from subprogress(_restore_texture(pixels, windows, usable, barriers, kappa, settings, clock, stages, keep_stages), 0.15, 1.0)
+        options = _Options(settings, kappa, source_mask, barriers)
+        yield from subprogress(_restore_texture(pixels, mask, windows, options, clock, stages), 0.15, 1.0)
         low, high = image[~mask].min(axis=0), image[~mask].max(axis=0)
         pixels[mask] = np.clip(pixels[mask], low, high)
     if is_normal_map:
@@ -94,73 +103,66 @@ def restore(
 
 
 def _restore_texture(
-    pixels: np.ndarray,
-    windows: list[Window],
-    usable: np.ndarray,
-    barriers: np.ndarray | None,
-    kappa: int,
-    settings: RestoreSettings,
-    clock: StageClock,
-    stages: dict[str, np.ndarray],
-    keep_stages: bool,
+    pixels: np.ndarray, mask: np.ndarray, windows: list[Window], options: "_Options", clock: StageClock, stages: dict[str, np.ndarray]
 ) -> Steps[None]:
-    """Split the smoothly filled `pixels`, and write structure plus texture into the holes of all `windows`."""
+    """Split the smoothly filled `pixels`, and write structure plus texture into the holes of all `windows`. Adds images to `stages` unless
+    it is empty."""
     with clock.stage("split"):
-        low_band = LowBand(pixels, kappa)
-    if keep_stages:
+        low_band = LowBand(pixels, options.kappa)
+    if stages:
         low = low_band.evaluate(np.arange(pixels.shape[0]), np.arange(pixels.shape[1]))
         stages |= {"low": low, "low_filled": low.copy(), "high": pixels - low, "high_filled": pixels - low}
-    total, done = sum(int(window.hole.sum()) for window in windows), 0
     results = []
-    for window in windows:
-        with clock.stage("structure"):
-            low = low_band.evaluate(window.rows, window.columns)
-            low_filled = diffuse(low, window.hole, _part(barriers, window), window.wrap)
+    groups, total, done = group_windows(windows), int(mask.sum()), 0
+    for group in groups:
+        structures, pages = [], []
+        for window in group:
+            with clock.stage("structure"):
+                low = low_band.evaluate(window.rows, window.columns)
+                structures.append(diffuse(low, window.hole, _part(options.barriers, window), window.wrap))
+            known = ~mask[window.area]
+            pages.append(Page(pixels[window.area] - low, window.hole, known, known & _usable(options, window.area), window.wrap))
         with clock.stage("pyramid"):
-            generator = np.random.default_rng([settings.seed, int(window.rows[0]), int(window.columns[0])])
-            levels = _build_window_levels(pixels, low, low_band, window, usable, settings, generator)
-        count = int(window.hole.sum())
+            levels = build_levels(pages + _further_pages(pixels, mask, low_band, pages, options), options.settings.levels)
+            _check_sources(levels[0])
+        count = sum(int(window.hole.sum()) for window in group)
         with clock.stage("texture"):
-            yield from subprogress(synthesize(levels, settings), done / total, (done + count) / total)
+            yield from subprogress(synthesize(levels, options.settings), done / total, (done + count) / total)
         done += count
-        texture = levels[0].texture.reshape(*levels[0].shape, -1)[: len(window.rows), : len(window.columns)]
-        results.append((low_filled + texture)[window.hole])
-        if keep_stages:
-            _write(stages["low_filled"], window, low_filled)
-            _write(stages["high_filled"], window, texture)
-    for window, values in zip(windows, results, strict=True):  # at the end, so that no hole copies from another one
-        filled = pixels[window.area]
-        filled[window.hole] = values
-        _write(pixels, window, filled)
+        for index, (window, structure) in enumerate(zip(group, structures, strict=True)):
+            texture = levels[0].page(index)
+            results.append((window, (structure + texture)[window.hole]))
+            if stages:
+                _write(stages["low_filled"], window, structure[window.hole])
+                _write(stages["high_filled"], window, texture[window.hole])
+    for window, values in results:  # at the end, so that no hole copies from another one
+        _write(pixels, window, values)
 
 
-def _build_window_levels(
-    pixels: np.ndarray,
-    low: np.ndarray,
-    low_band: LowBand,
-    window: Window,
-    usable: np.ndarray,
-    settings: RestoreSettings,
-    generator: np.random.Generator,
-) -> list[Level]:
-    """Return the pyramid of the texture in a window and in further parts of the image, where the window has too little to copy.
+def _further_pages(pixels: np.ndarray, mask: np.ndarray, low_band: LowBand, pages: list[Page], options: "_Options") -> list[Page]:
+    """Return parts of the image to copy from, if the windows `pages` have too little."""
+    sources = sum(int(page.usable.sum()) for page in pages)
+    width = max(page.hole.shape[1] for page in pages)
+    generator = np.random.default_rng([options.settings.seed, sources, width])
+    further = []
+    for area in choose_areas(mask.shape, width, sources, generator):
+        structure = low_band.evaluate(*(np.arange(part.start, part.stop) for part in area))
+        known = ~mask[area]
+        further.append(Page(pixels[area] - structure, np.zeros_like(known), known, known & _usable(options, area)))
+    return further
 
-    Raises:
-        ImageError: nothing can be copied.
-    """
-    pages = [Page(pixels[window.area] - low, window.hole, usable[window.area])]
-    for rows, columns in choose_pages(window, usable.shape, int(pages[0].usable.sum()), generator):
-        structure = low_band.evaluate(np.arange(rows.start, rows.stop), np.arange(columns.start, columns.stop))
-        no_hole = np.zeros(structure.shape[:2], bool)
-        pages.append(Page(pixels[rows, columns] - structure, no_hole, usable[rows, columns]))
-    levels = build_levels(pages, settings.levels, window.wrap)
-    sources = int(levels[0].valid.sum())
+
+def _check_sources(level: Level) -> None:
+    sources = int(level.valid.sum())
     if sources < MIN_SOURCES:
         raise ImageError(
             f"Only {sources} pixels with unmasked neighborhoods of {MIN_SIDE} x {MIN_SIDE} pixels can be copied; at least {MIN_SOURCES} are "
             "necessary. Mask less, extend the source mask, or use Diffusion Only."
         )
-    return levels
+
+
+def _usable(options: "_Options", area: tuple) -> np.ndarray | bool:
+    return True if options.source_mask is None else options.source_mask[area]
 
 
 def _check(image: np.ndarray, mask: np.ndarray, others: dict[str, np.ndarray | None]) -> None:
@@ -187,9 +189,9 @@ def _part(array: np.ndarray | None, window: Window) -> np.ndarray | None:
 
 
 def _write(image: np.ndarray, window: Window, values: np.ndarray) -> None:
-    """Write the `values` (R, S, C) of the hole of a window into `image`."""
+    """Write the `values` (N, C) of the pixels of the hole of a window into `image`."""
     rows, columns = np.nonzero(window.hole)
-    image[window.rows[rows], window.columns[columns]] = values[rows, columns]
+    image[window.rows[rows], window.columns[columns]] = values
 
 
 def _normalize(encoded: np.ndarray) -> np.ndarray:

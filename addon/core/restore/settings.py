@@ -1,6 +1,7 @@
 """Settings of the tool `restore`."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from ..settings import Choice, Settings, setting
 
@@ -13,6 +14,11 @@ ORDERS = {
     "shrinking": Choice("Shrinking", "From the boundary of the hole inwards. Usually best"),
     "scanline": Choice("Scanline", "Row by row, always in the same direction"),
     "alternating": Choice("Alternating", "Row by row, each in the opposite direction of the one before"),
+}
+MASKS = {
+    "image": Choice("Image", "Pixels that are bright in a mask image, for instance a painted one"),
+    "alpha": Choice("Alpha", "Transparent pixels of the image itself"),
+    "color": Choice("Color", "Pixels of the image that have a given color"),
 }
 MAX_LEVELS = 5
 
@@ -38,3 +44,32 @@ class RestoreSettings(Settings):
     )
     tileable: bool = setting(False, "Treat opposite borders of the image as neighbors, so that the result still tiles")
     seed: int = setting(0, "Seed of random choices. Another seed gives another texture", minimum=0, maximum=2**31 - 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MaskSettings(Settings):
+    """Settings of a restoration inside Blender: where pixels are missing, and where the result goes. Images are given by name."""
+
+    has_flags: ClassVar[bool] = False
+
+    mask: str = setting("image", "What marks the missing pixels", choices=MASKS)
+    mask_image: str = setting("", "Image of the same size that is bright where pixels are missing. Used by Image")
+    threshold: float = setting(
+        0.5,
+        "Image: luminance above which a pixel of the mask marks a missing pixel. Alpha: alpha below which a pixel is missing",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    mask_color: tuple = setting((0.0, 0.0, 0.0), "Color of the missing pixels, as displayed. Used by Color", label="Color", is_color=True)
+    tolerance: float = setting(
+        0.02, "Largest difference per channel from the color, 0 to 1. Used by Color", minimum=0.0, maximum=1.0
+    )
+    source_mask: str = setting("", "Image that is bright where texture may be copied from; empty for everywhere outside the mask")
+    barriers: str = setting("", "Image that is bright where diffusion must not cross, for instance along edges; may be empty")
+    normal_map: bool = setting(
+        False, "Treat the image as a normal map. Images that a Normal Map node uses are recognized without this option"
+    )
+    replace: bool = setting(
+        False, "Use the result in place of the image in all materials, Worlds, lights and textures", label="Replace in Materials"
+    )
+    output_folder: str = setting("", "Image sequences only: folder for the restored frames", path="folder")

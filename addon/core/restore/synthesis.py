@@ -14,6 +14,7 @@ from ..jobs.progress import Progress, Steps
 from .candidates import compare
 from .kernels import CAUSAL_STEPS, FULL_STEPS, SearchTrees
 from .levels import Level
+from .seams import blend_seams
 from .settings import RestoreSettings
 
 MATCHES = 2  # best matches that are compared per pixel
@@ -39,6 +40,7 @@ def synthesize(levels: list[Level], settings: RestoreSettings) -> Steps[None]:
             yield Progress(done / max(total, 1), "Synthesizing texture")
         for _ in range(SWEEPS):
             _sweep(level, coarse, pixels[index])
+    blend_seams(levels[0])
 
 
 def _guess_from_coarse(level: Level, coarse: Level, pixels: np.ndarray) -> None:
@@ -115,27 +117,27 @@ def _count_known(level: Level, pixels: np.ndarray) -> np.ndarray:
 def _fill_batch(
     level: Level, coarse: Level | None, trees: SearchTrees, batch: np.ndarray, orientations: np.ndarray, coherence: float
 ) -> None:
-    matches = np.empty((len(batch), MATCHES), np.int64)
-    for orientation in np.unique(orientations):
-        chosen = orientations == orientation
-        found = trees.find(batch[chosen], int(orientation), MATCHES)
-        matches[chosen] = found[:, np.minimum(np.arange(MATCHES), found.shape[1] - 1)]
-    candidates = np.concatenate([matches, _continuations(level, batch, True), level.source[batch][:, None]], axis=1)
-    distance = compare(level, coarse, batch, candidates)
+    """Fill the pixels `batch` (B,), whose causal kernels have these `orientations` (B,)."""
     rows = np.arange(len(batch))
-    best = distance[:, :MATCHES].argmin(axis=1)
-    coherent = MATCHES + distance[:, MATCHES:].argmin(axis=1)
-    wins = distance[rows, coherent] <= coherence * distance[rows, best]
-    _copy(level, batch, candidates[rows, np.where(wins, coherent, best)])
+    continuations = np.concatenate([_continuations(level, batch), level.source[batch][:, None]], axis=1)
+    distances = compare(level, coarse, batch, continuations)
+    nearest = distances.argmin(axis=1)
+    chosen, distance = continuations[rows, nearest], distances[rows, nearest]
+    searched = np.flatnonzero(distance > trees.negligible)  # hardly any match is better than a nearly perfect continuation
+    if len(searched):
+        matches = trees.find(batch[searched], orientations[searched], MATCHES)
+        distances = compare(level, coarse, batch[searched], matches)
+        nearest = distances.argmin(axis=1)
+        wins = distance[searched] > coherence * distances[np.arange(len(searched)), nearest]
+        chosen[searched[wins]] = matches[np.flatnonzero(wins), nearest[wins]]
+    _copy(level, batch, chosen)
 
 
-def _continuations(level: Level, pixels: np.ndarray, only_filled: bool) -> np.ndarray:
+def _continuations(level: Level, pixels: np.ndarray) -> np.ndarray:
     """Return the pixels (P, 8) that continue what was copied to the eight neighbors of `pixels`, -1 where nothing was copied."""
     neighbors, exists = level.neighbors(pixels, ADJACENT)
     sources = level.source[neighbors]
-    is_copy = exists & (sources >= 0)
-    if only_filled:
-        is_copy &= level.filled[neighbors]
+    is_copy = exists & (sources >= 0) & level.filled[neighbors]
     return np.where(is_copy, sources - level.offset(ADJACENT), -1)
 
 
@@ -152,6 +154,6 @@ def _sweep(level: Level, coarse: Level | None, pixels: np.ndarray) -> None:
     for number in range(CLASSES * CLASSES):
         batch = pixels[classes == number]
         if len(batch):
-            candidates = np.concatenate([level.source[batch][:, None], _continuations(level, batch, True)], axis=1)
+            candidates = np.concatenate([level.source[batch][:, None], _continuations(level, batch)], axis=1)
             best = compare(level, coarse, batch, candidates).argmin(axis=1)
             _copy(level, batch, candidates[np.arange(len(batch)), best])

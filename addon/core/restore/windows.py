@@ -9,7 +9,8 @@ MIN_MARGIN = 48  # pixels around a hole
 MARGIN_FRACTION = 0.75  # of the longer side of the hole, if that is more
 MAX_GAP = 6  # pixels between parts of the mask that are restored together
 MIN_SOURCE_PIXELS = 40_000  # in a window; parts of the rest of the image are added to smaller ones
-MAX_PAGES = 4  # such parts
+MAX_AREAS = 4  # such parts
+MAX_GROUP_PIXELS = 1_500_000  # of windows that are restored together
 
 
 @dataclass(frozen=True)
@@ -59,17 +60,31 @@ def find_windows(mask: np.ndarray, tileable: bool) -> list[Window]:
     return windows
 
 
-def choose_pages(window: Window, shape: tuple[int, int], source_pixels: int, generator: np.random.Generator) -> list[tuple[slice, slice]]:
-    """Return further parts of an image of this `shape` to copy from, of the window's width, if it has few `source_pixels`."""
-    height, width = len(window.rows), len(window.columns)
-    if source_pixels >= MIN_SOURCE_PIXELS or (height, width) == shape:
+def group_windows(windows: list[Window]) -> list[list[Window]]:
+    """Return `windows` in groups that are restored together: of similar width, and bounded in their number of pixels."""
+    groups: list[list[Window]] = []
+    pixels = 0
+    for window in sorted(windows, key=lambda each: (len(each.columns), int(each.rows[0]), int(each.columns[0]))):
+        pixels += len(window.rows) * len(window.columns)
+        if not groups or pixels > MAX_GROUP_PIXELS:
+            groups.append([])
+            pixels = len(window.rows) * len(window.columns)
+        groups[-1].append(window)
+    return groups
+
+
+def choose_areas(shape: tuple[int, int], width: int, source_pixels: int, generator: np.random.Generator) -> list[tuple[slice, slice]]:
+    """Return rows and columns of further parts of an image of this `shape` to copy from, up to `width` pixels wide, if a group of windows has
+    few `source_pixels`."""
+    if source_pixels >= MIN_SOURCE_PIXELS:
         return []
-    rows = min(max(32, -(-MIN_SOURCE_PIXELS // (MAX_PAGES * width))), shape[0])
-    pages = []
-    for _ in range(MAX_PAGES):
-        top, left = generator.integers(0, shape[0] - rows + 1), generator.integers(0, shape[1] - width + 1)
-        pages.append((slice(top, top + rows), slice(left, left + width)))
-    return pages
+    columns = min(width, shape[1])
+    rows = min(max(MIN_MARGIN, -(-MIN_SOURCE_PIXELS // (MAX_AREAS * columns))), shape[0])
+    areas = []
+    for _ in range(MAX_AREAS):
+        top, left = generator.integers(0, shape[0] - rows + 1), generator.integers(0, shape[1] - columns + 1)
+        areas.append((slice(top, top + rows), slice(left, left + columns)))
+    return areas
 
 
 def _join(mask: np.ndarray, tileable: bool) -> np.ndarray:
