@@ -75,8 +75,9 @@ def read_evaluated_mesh(mesh: bpy.types.Mesh, instance: bpy.types.Object) -> Eva
 def _read_attributes(mesh: bpy.types.Mesh) -> dict[str, MeshAttribute]:
     """Return all attributes that a material can read by name."""
     attributes = {}
+    uv_maps = {layer.name for layer in mesh.uv_layers}  # may have names like those of internal attributes
     for attribute in mesh.attributes:
-        if attribute.name.startswith(".") or attribute.name in GEOMETRY_ATTRIBUTES:
+        if (attribute.name.startswith(".") and attribute.name not in uv_maps) or attribute.name in GEOMETRY_ATTRIBUTES:
             continue
         if attribute.domain == "EDGE" or attribute.data_type not in VALUE_KEYS:
             continue

@@ -220,3 +220,11 @@ def test_an_asset_is_built_like_any_object():
     source = cube()
     source.asset_mark()
     assert build(levels=1) == {"FINISHED"} and is_hidden(source)
+
+
+def test_uv_maps_may_have_names_of_internal_attributes():
+    source = cube()
+    source.data.uv_layers[0].name = "../hidden"
+    select(source)
+    build(error=1.0)
+    assert levels()

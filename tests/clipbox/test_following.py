@@ -196,7 +196,7 @@ def test_invalid_custom_properties_are_one_sentence(terrain, capfd, key, value, 
     else:
         terrain.root[key] = value
     bpy.context.view_layer.objects.active = terrain.root
-    before = geometry_bytes(terrain)
+    before, collections = geometry_bytes(terrain), len(bpy.data.collections)
     for frame in (2, 3, 4):
         move_camera(90.0 * frame, 0.0, 20.0)
         bpy.context.scene.frame_set(frame)
@@ -206,7 +206,7 @@ def test_invalid_custom_properties_are_one_sentence(terrain, capfd, key, value, 
         assert operator.poll()
         with pytest.raises(RuntimeError, match=words):
             operator(**settings)
-    assert geometry_bytes(terrain) == before and not following.running()
+    assert geometry_bytes(terrain) == before and len(bpy.data.collections) == collections and not following.running()
 
 
 def test_following_does_not_start_with_invalid_settings(terrain):

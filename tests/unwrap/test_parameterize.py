@@ -84,6 +84,12 @@ def test_the_requested_density_ratio_is_reached(ratio):
     assert compute_density_ratio(signed_areas(uv[mesh.triangles]), areas, is_top.astype(float)) == pytest.approx(ratio, rel=0.1)
 
 
+@pytest.mark.parametrize(("uv_areas", "areas"), [((1.0, 1.0), (1.0, 0.0)), ((1.0, 0.0), (1.0, 1.0)), ((1.0, 1.0), (0.0, 1.0))])
+def test_a_set_without_area_has_no_density_ratio(uv_areas, areas):
+    with np.errstate(all="raise"):
+        assert compute_density_ratio(np.array(uv_areas), np.array(areas), np.array([1.0, 0.0])) == 0.0
+
+
 def test_holes_stay_open():
     mesh = sphere_with_holes()
     assert len(boundary_loops(mesh.triangles, mesh.vertices)) == 3

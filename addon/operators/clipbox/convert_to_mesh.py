@@ -74,10 +74,12 @@ def prepare(terrain: SceneTerrain, settings: ConvertSettings) -> ConvertJob:
     """Return the job that converts a terrain in its current position.
 
     Raises:
-        SettingsError, FileError: the terrain's settings, formula or source file cannot be read, or it is linked and is to be removed.
+        SettingsError, FileError: the terrain's settings, position, formula or source file cannot be read, or it is linked and is to be
+            removed.
     """
     if terrain.read_only_reason and not settings.keep_terrain:
         raise SettingsError(f"{terrain.read_only_reason}, or enable Keep Terrain.", ("keep_terrain",))
+    _ = terrain.origin  # raises SettingsError before anything is created
     engine = engines.create_engine(terrain.settings, settings.closed, terrain.root.library)
     return ConvertJob(terrain, engine, terrain.viewer, settings)
 

@@ -87,7 +87,7 @@ def compute_density_ratio(uv_areas: np.ndarray, areas: np.ndarray, importance: n
     uv_areas, areas (surface), importance: (T,) each.
     """
     is_important = importance > 0.5
-    if not areas[is_important].sum() > 0.0 or not uv_areas[~is_important].sum() > 0.0:
+    denominator = areas[is_important].sum() * uv_areas[~is_important].sum()
+    if not denominator > 0.0 or not areas[~is_important].sum() > 0.0:
         return 0.0
-    important_density = uv_areas[is_important].sum() / areas[is_important].sum()
-    return float(important_density / (uv_areas[~is_important].sum() / areas[~is_important].sum()))
+    return float(uv_areas[is_important].sum() * areas[~is_important].sum() / denominator)
