@@ -32,3 +32,8 @@ def enable_nodes(owner: bpy.types.Material | bpy.types.World) -> None:
     """Render a material or World with its nodes."""
     if not uses_nodes(owner):
         owner.use_nodes = True
+
+
+def image_paint_settings(tools: bpy.types.ToolSettings) -> bpy.types.UnifiedPaintSettings:
+    """Return the settings that all brushes share when images are painted; from Blender 5 on, each kind of painting has its own."""
+    return tools.image_paint.unified_paint_settings if bpy.app.version >= (5, 0, 0) else tools.unified_paint_settings

@@ -19,7 +19,9 @@ OUT_SUFFIXES = {
     "btf": (".blend",),
     "unwrap": (".blend", ".obj", ".glb"),
     "clipbox": (".blend", ".ply", ".obj"),
+    "restore": campaign_inputs.IMAGE_SUFFIXES,
 }
+MASK_WORDS = ("alpha", "#000000", "#FFFFFF", "#808080", "#12345", "")
 EXPORT_SUFFIXES = (".glb", ".btf", ".octahedral", "")
 OUT_NAMES = (
     "out",
@@ -59,6 +61,8 @@ def build_case(random: Random, tool: str, folder: Path, samples: Samples) -> Com
     source: Path | None = None
     if tool == "clipbox":
         _add_terrain(random, case, folder, samples)
+    elif tool == "restore":
+        source = _add_images(random, case, folder)
     else:
         source = _write_cloud_input(random, folder, samples, case) if tool == "btf" else _write_mesh_input(random, folder, samples)
         case.arguments.append(str(source))
@@ -72,6 +76,8 @@ def build_case(random: Random, tool: str, folder: Path, samples: Samples) -> Com
         _add_output(case, "--image", _choose_output(random, folder, ".png", source, case))
     if tool == "btf":
         _add_bake_outputs(random, case, folder, source)
+    if tool == "restore":
+        _add_restore_outputs(random, case, folder, source)
     if tool == "billboards" and random.random() < 0.2:
         case.arguments.append(random.choice(("--cross-fade", "--keep-source-visible", "--no-textures")))
     if tool == "clipbox" and random.random() < 0.15:
@@ -134,6 +140,28 @@ def _add_terrain(random: Random, case: CommandCase, folder: Path, samples: Sampl
         case.arguments.append(f"--formula={random_inputs.random_formula(random)}".replace("\0", ""))
     if random.random() < 0.15:
         case.arguments.append(f"--path={campaign_inputs.write_path(random, folder)}")
+
+
+def _add_images(random: Random, case: CommandCase, folder: Path) -> Path:
+    """Add an image and a mask, which may be a word, and return the path of the image."""
+    image, mask = campaign_inputs.write_images(random, folder)
+    if random.random() < 0.1:
+        image = campaign_inputs.odd_path(random, folder, random.choice(campaign_inputs.IMAGE_SUFFIXES))
+    case.arguments += [str(image), random.choice(MASK_WORDS) if random.random() < 0.2 else str(mask)]
+    if random.random() < 0.2:
+        case.arguments.append(random.choice(("--data", "--normal-map")))
+    if random.random() < 0.1:
+        case.arguments.append(f"--color-tolerance={random.choice(('0', '5%', '100%', random_inputs.bad_value(random)))}")
+    if random.random() < 0.2:
+        case.arguments.append(f"{random.choice(('--source-mask', '--barriers'))}={random.choice((image, mask))}")
+    return image
+
+
+def _add_restore_outputs(random: Random, case: CommandCase, folder: Path, source: Path | None) -> None:
+    if random.random() < 0.2:
+        _add_output(case, "--curve", _choose_output(random, folder, ".png", source, case))
+    if random.random() < 0.2:
+        _add_output(case, "--stages", _choose_output(random, folder, "", source, case))
 
 
 def _add_bake_outputs(random: Random, case: CommandCase, folder: Path, source: Path | None) -> None:

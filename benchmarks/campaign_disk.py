@@ -26,7 +26,7 @@ environment.import_farfield()
 import campaign_checks
 import campaign_runs
 from campaign_checks import OLD_CONTENT, Problem
-from campaign_runs import BAKE_FLAGS, BUILD_FLAGS, TERRAIN_FLAGS, Campaign, script
+from campaign_runs import BAKE_FLAGS, BUILD_FLAGS, RESTORE_FLAGS, TERRAIN_FLAGS, Campaign, script
 
 DISK_BYTES = 64 << 20
 STEPS = 10
@@ -51,7 +51,14 @@ def writers(folder: Path) -> list[Writer]:
     """Return all writers; `folder` holds input files and takes the outputs that are not tested."""
     cube, cloud, spare, work = (str(folder / name) for name in ("cube.obj", "cloud.blend", "spare.blend", "work"))
     build, unwrap, terrain, bake = (cube, *BUILD_FLAGS), (cube,), TERRAIN_FLAGS, (cloud, *BAKE_FLAGS)
+    restore, spare_image = (str(folder / "image.png"), str(folder / "mask.png"), *RESTORE_FLAGS), str(folder / "spare.png")
     result = []
+    for suffix in (".png", ".tif", ".jpg", ".exr"):
+        result.append(Writer(f"restore --out {suffix}", "restore", (*restore, "--out", "{target}"), f"out{suffix}"))
+    result.append(Writer("restore --report", "restore", (*restore, "--out", spare_image, "--report", "{target}"), "report.json"))
+    for flag, target in (("--curve", "curve.png"), ("--stages", "stages")):
+        arguments = (*restore[:2], "--levels", "1", "--out", spare_image, flag, "{target}")
+        result.append(Writer(f"restore {flag}", "restore", arguments, target, is_new=flag == "--stages"))
     for tool, arguments, suffixes in (
         ("billboards", build, (".blend", ".obj", ".glb")), ("unwrap", unwrap, (".blend", ".obj", ".glb")),
         ("clipbox", terrain, (".blend", ".ply", ".obj")), ("btf", (*bake, "--work", work), (".blend",)),
@@ -82,6 +89,7 @@ def measure_full_disks(campaign: Campaign, figures: dict[str, Any]) -> None:
     """Run all writers on full disks, and fill `figures` on the way: runs and exit codes by writer."""
     folder, log = campaign.sandbox / "input", campaign.sandbox / "disk.jsonl"
     campaign_runs.create_cloud(campaign, folder)
+    campaign_runs.write_image_and_mask(folder)
     log.write_bytes(b"")
     prefix = next((list(command) for command in NAMESPACES if _can_mount(command)), [])
     figures.update(disk="tmpfs" if prefix else "limit of the size of each file", writers={})

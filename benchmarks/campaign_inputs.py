@@ -12,12 +12,15 @@ import bpy
 import campaign_scenes
 import numpy as np
 
+import image_data
+import random_images
 import random_inputs
 import terrain_files
 from lib import scene_files
 
 MESH_SUFFIXES = (".blend", ".obj", ".ply", ".stl", ".glb", ".gltf", ".fbx", ".usda", ".usdc")
 TERRAIN_SUFFIXES = (".npy", ".tif", ".nii", ".nii.gz", ".raw", ".png", ".vdb")
+IMAGE_SUFFIXES = (".png", ".tif", ".jpg", ".exr")
 FILE_STEMS = ("mesh", "Größe 樹", "-mesh", "a b", "x.y", "quote'", "100%")
 
 
@@ -63,6 +66,22 @@ def write_mesh(random: Random, folder: Path) -> Path:
         path = path.with_name(path.name + ".ply")
         path.write_bytes(mesh.to_ply())
     return path
+
+
+def write_images(random: Random, folder: Path) -> tuple[Path, Path]:
+    """Write a random image and a mask for it, which sometimes has another size; one of them is sometimes damaged."""
+    stored = random_images.random_image(random)
+    suffix = random.choice(IMAGE_SUFFIXES[:3] if stored.dtype.kind == "u" else IMAGE_SUFFIXES[1:2] + IMAGE_SUFFIXES[3:])
+    if suffix == ".jpg":
+        stored = (stored >> 8 * (stored.itemsize - 1)).astype(np.uint8)[..., : 3 if stored.shape[2] > 2 else 1]
+    size = stored.shape[:2] if random.random() < 0.93 else (9, 11)
+    mask = random_images.random_mask(random, size)[..., None]
+    paths = [folder / (random.choice(FILE_STEMS) + suffix), folder / ("mask" + random.choice(IMAGE_SUFFIXES[:3]))]
+    for path, pixels in zip(paths, (stored, mask), strict=True):
+        image_data.write_image(path, pixels)
+        if random.random() < 0.1:
+            path.write_bytes(random_inputs.damage(random, path.read_bytes()))
+    return paths[0], paths[1]
 
 
 def write_scene(random: Random, folder: Path) -> Path:

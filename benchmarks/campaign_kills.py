@@ -11,7 +11,7 @@ from typing import Any
 import campaign_checks
 import campaign_runs
 from campaign_checks import OLD_CONTENT, TEMPORARY_NAME
-from campaign_runs import BAKE_FLAGS, BUILD_FLAGS, POLL_SECONDS, TERRAIN_FLAGS, Campaign, RunningProcess, script
+from campaign_runs import BAKE_FLAGS, BUILD_FLAGS, POLL_SECONDS, RESTORE_FLAGS, TERRAIN_FLAGS, Campaign, RunningProcess, script
 
 ORPHAN_SECONDS = 15.0  # workers must notice within this time that their run has died
 KILLS_PER_RUN = 5  # then a complete run in the same folder must remove what is left
@@ -51,7 +51,7 @@ def measure_kills(campaign: Campaign, figures: dict[str, Any], kills: int) -> No
 
 def _create_jobs(campaign: Campaign, source: Path, cloud: Path) -> list[KilledJob]:
     root, cube = campaign.sandbox / "killed", source / "cube.obj"
-    work = source / "work"
+    images, work = campaign_runs.write_image_and_mask(source), source / "work"
     campaign_runs.run_successfully(
         campaign, "preparing", script("btf", cloud, "--out", source / "baked.blend", "--work", work, *BAKE_FLAGS)
     )
@@ -70,6 +70,13 @@ def _create_jobs(campaign: Campaign, source: Path, cloud: Path) -> list[KilledJo
         job("bake with --work", "btf", [cloud, *BAKE_FLAGS, "--work", root / "bake with --work" / "work"], {"--out": "out.blend"}),
         job("export", "btf", [cloud, *BAKE_FLAGS, "--work", work], {"--out": "out.blend", "--export": "images"}),
         job("unwrap", "unwrap", [cube], {"--out": "out.glb", "--image": "image.png"}),
+        job("restoration", "restore", [*images, *RESTORE_FLAGS], {"--out": "out.png", "--report": "report.json"}),
+        job(
+            "restoration with stages",
+            "restore",
+            [*images, "--levels", "1"],
+            {"--out": "out.exr", "--stages": "stages", "--curve": "curve.png"},
+        ),
         job("terrain", "clipbox", [*TERRAIN_FLAGS], {"--out": "out.blend"}),
         job("terrain as .ply", "clipbox", [*TERRAIN_FLAGS], {"--out": "out.ply", "--report": "report.json"}),
     ]

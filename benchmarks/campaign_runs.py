@@ -14,8 +14,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from lib import environment
 from mesh_files import CUBE
+from terrain_files import write_png
 
 SCRIPTS = environment.ROOT / "scripts"
 POLL_SECONDS = 0.02
@@ -24,6 +27,7 @@ BAKE_FLAGS = (
     "--model", "emission", "--views-per-side", "2", "--lights-per-side", "2", "--samples", "1", "--components", "2",
     "--alpha-components", "2", "--shadows-per-side", "2", "--shadow-components", "2", "--executor", "serial", "--directions", "baked",
 )  # fmt: skip
+RESTORE_FLAGS = ("--levels", "1", "--kappa", "2")
 TERRAIN_FLAGS = ("--at", "0,0,20", "--resolution", "32", "--boxes", "3")
 
 
@@ -152,6 +156,17 @@ def write_cube(folder: Path) -> Path:
     path = folder / "cube.obj"
     path.write_text("o Cube\n" + CUBE, encoding="ascii")
     return path
+
+
+def write_image_and_mask(folder: Path) -> tuple[Path, Path]:
+    """Write a noisy gray image of 200 x 150 pixels, and a mask with one hole."""
+    folder.mkdir(parents=True, exist_ok=True)
+    image, mask = folder / "image.png", folder / "mask.png"
+    write_png(image, np.random.default_rng(1).integers(60, 200, (150, 200)).astype(np.uint8))
+    hole = np.zeros((150, 200), np.uint8)
+    hole[40:70, 90:120] = 255
+    write_png(mask, hole)
+    return image, mask
 
 
 def create_cloud(campaign: Campaign, folder: Path) -> Path:

@@ -8,6 +8,7 @@ import random_inputs
 from farfield.addon.core.billboards.settings import BillboardSettings, CrossfadeSettings
 from farfield.addon.core.btf.settings import BtfSettings, ExportSettings
 from farfield.addon.core.clipbox.settings import ClipboxSettings, ConvertSettings
+from farfield.addon.core.restore.settings import RestoreSettings
 from farfield.addon.core.settings import Description, Settings, Unit, describe
 from farfield.addon.core.unwrap.settings import UnwrapSettings
 
@@ -16,6 +17,7 @@ FLAG_SETTINGS: dict[str, tuple[type[Settings], ...]] = {
     "btf": (BtfSettings, ExportSettings),
     "unwrap": (UnwrapSettings,),
     "clipbox": (ClipboxSettings, ConvertSettings),
+    "restore": (RestoreSettings,),
 }
 # Defaults of a case, in internal units: a case takes about a second.
 SMALL: dict[str, dict[str, Any]] = {
@@ -26,6 +28,7 @@ SMALL: dict[str, dict[str, Any]] = {
     },
     "unwrap": {},
     "clipbox": {"resolution": 32, "boxes": 2},
+    "restore": {"levels": 1},
 }  # fmt: skip
 LIMITS: dict[str, tuple[float, float]] = {
     "error": (0.03, 0.25), "levels": (1, 3), "quads": (0, 40), "texture_mb": (0.0, 0.2), "texel_size": (0.5, 4.0), "samples": (1, 2),

@@ -88,7 +88,7 @@ def run_case(specification: Specification, index: int, samples: Samples, record:
     os.environ["PWD"] = str(folder)  # Blender prefers it to the working directory
     start, had_root_folder = time.monotonic(), ROOT_FOLDER.exists()
     try:
-        if random.random() < OPERATORS_FRACTION:
+        if random.random() < OPERATORS_FRACTION and specification.tool in campaign_operators.OPERATORS:
             result = _run_operators(random, specification, folder, samples, record)
         else:
             result = _run_command(random, specification, folder, samples, record)

@@ -44,6 +44,9 @@ REFERENCE_TOOLS = [  # see reference_tools.py, with what btf-extractor needs to 
     "flip-evaluator==1.7",
     *["cython==3.1.6", "poetry-core==2.2.1", "setuptools==80.9.0"],
     *["imageio==2.38.1", "nptyping==1.4.4", "numpy==1.26.4", "pillow==13.0.0", "simplejpeg==1.9.0", "typish==1.9.3"],
+    # Inpainting. Newer versions of opencv have no wheels for macOS 12.
+    *["opencv-contrib-python-headless==4.10.0.84", "pypatchmatch==2.2.0", "scikit-image==0.26.0", "scipy==1.17.1"],
+    *["lazy-loader==0.6", "networkx==3.6.1", "packaging==26.3", "tifffile==2026.3.3"],  # what scikit-image needs
 ]
 REFERENCE_SOURCES = {"btf-extractor==1.7.0": {"5d2107344395e82280c384f6bfc8dcd5466f9a25d8a2b9e1cf00afb39af0b38d"}}  # has no wheels
 ON_WINDOWS = ["colorama==0.4.6"]  # pytest requires it there; pip evaluates such conditions for the machine that it runs on

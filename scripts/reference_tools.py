@@ -1,7 +1,8 @@
 """Install third-party reference tools that tests and benchmarks compare with: `python3 scripts/reference_tools.py`.
 
-The tools are btf-extractor, which reads `.btf` files, and flip-evaluator, which compares images. Farfield itself does not need them. They
-require other package versions than Blender, so they have an environment of their own; `find_python` returns its Python.
+The tools are btf-extractor, which reads `.btf` files, flip-evaluator, which compares images, and OpenCV, PyPatchMatch and scikit-image,
+which fill missing parts of images. Farfield itself does not need them. They require other package versions than Blender, so they have an
+environment of their own; `find_python` returns its Python.
 """
 
 import hashlib
@@ -15,7 +16,7 @@ from lib import environment
 PYTHON_VERSION = (3, 11)
 LOCK = environment.ROOT / "requirements" / "reference-tools.txt"
 SOURCES_LOCK = environment.ROOT / "requirements" / "reference-tools-sources.txt"
-CHECK = "import btf_extractor, flip_evaluator"
+CHECK = "import btf_extractor, cv2.xphoto, flip_evaluator, patchmatch, skimage; assert patchmatch.patchmatch_available"
 
 
 def find_python() -> Path | None:

@@ -1,7 +1,9 @@
 """Hypothesis strategies of the inputs that the campaigns use too; see `random_inputs`."""
 
+import numpy as np
 from hypothesis import strategies as st
 
+import random_images
 import random_inputs
 from farfield.addon.core.settings import Description
 
@@ -16,6 +18,11 @@ def names() -> st.SearchStrategy[str]:
 def meshes() -> st.SearchStrategy[random_inputs.PolygonMesh]:
     """Small meshes, often with defects."""
     return RANDOM.map(random_inputs.random_mesh)
+
+
+def images() -> st.SearchStrategy[np.ndarray]:
+    """Small images as they are stored in files."""
+    return RANDOM.map(random_images.random_image)
 
 
 def damaged(content: bytes) -> st.SearchStrategy[bytes]:

@@ -2,11 +2,14 @@
 
 import os
 from collections.abc import Iterator
+from pathlib import Path
 
 import bpy
 import numpy as np
 
 from ..core.errors import FileError
+from ..core.files.complete_files import is_complete_png
+from ..core.files.file_access import error_reason
 from .meshes import Source
 from .node_groups import nodes_in
 
@@ -36,6 +39,24 @@ def read_pixels(image: bpy.types.Image) -> np.ndarray:
     pixels = np.empty(width * height * 4, np.float32)
     image.pixels.foreach_get(pixels)
     return pixels.reshape(height, width, 4)
+
+
+def save_image(image: bpy.types.Image, path: Path) -> None:
+    """Write an image to `path` in its file format.
+
+    Raises:
+        FileError: the file cannot be written.
+    """
+    try:
+        image.filepath_raw = str(path)
+        image.save()
+        if image.file_format == "PNG" and not is_complete_png(path):  # Blender reports no failed write
+            raise FileError(f'Cannot write "{path}": the image is truncated, because the disk or your quota is full; free some space.')
+    except RuntimeError as error:  # raised by Blender
+        reason = " ".join(str(error).removeprefix("Error: ").split()).rstrip(".")
+        raise FileError(f'Cannot write "{path}": {reason}.') from error
+    except OSError as error:
+        raise FileError(f'Cannot write "{path}": {error_reason(error)}.') from error
 
 
 def packed_bytes(image: bpy.types.Image) -> int:
@@ -70,6 +91,13 @@ def find_missing_images(source: Source) -> list[tuple[bpy.types.Material, bpy.ty
     ]
 
 
+def tile_paths(image: bpy.types.Image) -> list[str]:
+    """Return the paths of the files of an image: one per UDIM tile, in their order, or a single one."""
+    path = bpy.path.abspath(image.filepath, library=image.library)
+    tiles = [tile.number for tile in image.tiles] if image.source == "TILED" else [0]
+    return [path.replace("<UDIM>", str(tile)).replace("<UVTILE>", _uv_tile(tile)) for tile in tiles]
+
+
 def _images_in(tree: bpy.types.NodeTree) -> Iterator[bpy.types.Image]:
     return (node.image for node in nodes_in(tree) if getattr(node, "image", None) is not None)
 
@@ -77,10 +105,7 @@ def _images_in(tree: bpy.types.NodeTree) -> Iterator[bpy.types.Image]:
 def _is_missing(image: bpy.types.Image) -> bool:
     if image.source not in {"FILE", "TILED"} or image.packed_files:
         return False
-    path = bpy.path.abspath(image.filepath, library=image.library)
-    tiles = [tile.number for tile in image.tiles] if image.source == "TILED" else [0]
-    files = (path.replace("<UDIM>", str(tile)).replace("<UVTILE>", _uv_tile(tile)) for tile in tiles)
-    return not all(os.path.isfile(file) for file in files)  # noqa: PTH113 - Path.is_file raises for forbidden folders and long names
+    return not all(os.path.isfile(path) for path in tile_paths(image))  # noqa: PTH113 - Path.is_file raises for forbidden folders and long names
 
 
 def _uv_tile(udim: int) -> str:

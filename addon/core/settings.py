@@ -178,7 +178,7 @@ def _find_problem(description: Description, value: Any) -> str | None:
         return None
     if not isinstance(value, int | float) or isinstance(value, bool):
         return None
-    if not math.isfinite(value):
+    if isinstance(value, float) and not math.isfinite(value):
         return f"must be a finite number, not {value}"
     if description.minimum is not None and value < description.minimum:
         return f"is {description.format(value)}; the minimum is {description.format(description.minimum)}"

@@ -35,10 +35,10 @@ def poll_with_reason(operator: type[bpy.types.Operator], reason: str) -> bool:
 
 
 def redraw_sidebars(window_manager: bpy.types.WindowManager) -> None:
-    """Redraw the sidebars of all 3D Viewports."""
+    """Redraw the sidebars of all 3D Viewports and Image Editors."""
     for window in window_manager.windows:
         for area in window.screen.areas:
-            for region in area.regions if area.type == "VIEW_3D" else ():
+            for region in area.regions if area.type in {"VIEW_3D", "IMAGE_EDITOR"} else ():
                 if region.type == "UI":
                     region.tag_redraw()
 

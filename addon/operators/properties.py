@@ -31,6 +31,9 @@ def build_property(description: Description, options: set[str]) -> Any:
         if description.path is not None:
             common["options"] = options | {"PATH_SUPPORTS_BLEND_RELATIVE"}
         return bpy.props.StringProperty(default=description.default, subtype=PATH_SUBTYPES[description.path], **common)
+    if description.is_color:
+        limits = {"min": 0.0, "max": 1.0}
+        return bpy.props.FloatVectorProperty(size=3, default=description.default, subtype="COLOR_GAMMA", **limits, **common)
     if description.type is tuple:
         return bpy.props.FloatVectorProperty(size=len(description.default), default=description.default, precision=3, **common)
     limits = {

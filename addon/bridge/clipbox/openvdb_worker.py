@@ -1,18 +1,16 @@
 """Worker process that reads an OpenVDB file and writes its first grid of numbers as an array; see `openvdb_files`."""
 
-import importlib.machinery
-import importlib.util
 import json
 import math
 import sys
 from pathlib import Path
 from types import ModuleType
 
-import bpy
 import numpy as np
 
 from ...core.clipbox.files.file_data import MAX_BYTES, Voxels, check_size
 from ...core.errors import FileError
+from ..blender_modules import import_blender_module
 
 try:
     import resource
@@ -52,20 +50,12 @@ def _fail(message: str) -> int:
 
 
 def import_openvdb(path: Path) -> ModuleType:
-    """Import Blender's own module, which pip's bpy does not keep on Python's search path.
+    """Import Blender's own module.
 
     Raises:
         FileError: this Blender has none; the message names the file `path`.
     """
-    if "openvdb" in sys.modules or importlib.util.find_spec("openvdb") is not None:
-        return importlib.import_module("openvdb")
-    folders = [str(folder) for folder in (Path(bpy.utils.resource_path("LOCAL")) / "python").rglob("site-packages")]
-    spec = importlib.machinery.PathFinder.find_spec("openvdb", folders)
-    if spec is None:
-        raise FileError(f'"{path}" needs the module openvdb, which this Blender lacks; save the volume as .npy or .nii.')
-    module = sys.modules["openvdb"] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return import_blender_module("openvdb", f'"{path}"', "save the volume as .npy or .nii")
 
 
 def _limit_memory() -> None:

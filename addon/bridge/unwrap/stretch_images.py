@@ -5,11 +5,10 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ...core.errors import FileError, GeometryError
-from ...core.files.complete_files import is_complete_png
-from ...core.files.file_access import check_writable, error_reason
+from ...core.errors import GeometryError
+from ...core.files.file_access import check_writable
 from ...core.unwrap.stretch_colors import draw_stretch_image
-from ..images import create_image
+from ..images import create_image, save_image
 from .uv_maps import read_uv_stretch
 
 
@@ -27,14 +26,7 @@ def save_stretch_image(item: bpy.types.Object, path: Path, resolution: int) -> N
     pixels = draw_stretch_image(uv_stretch.uvs[uv_stretch.loops], uv_stretch.stretches, resolution)
     image = create_image("stretch", np.dstack([pixels, np.ones((resolution, resolution), np.float32)]), is_data=False)
     try:
-        image.filepath_raw, image.file_format = str(path), "PNG"
-        image.save()
-        if not is_complete_png(path):  # Blender reports no failed write
-            raise FileError(f'Cannot write "{path}": the image is truncated, because the disk or your quota is full; free some space.')
-    except RuntimeError as error:  # raised by Blender
-        reason = " ".join(str(error).removeprefix("Error: ").split()).rstrip(".")
-        raise FileError(f'Cannot write "{path}": {reason}.') from error
-    except OSError as error:
-        raise FileError(f'Cannot write "{path}": {error_reason(error)}.') from error
+        image.file_format = "PNG"
+        save_image(image, path)
     finally:
         bpy.data.images.remove(image)

@@ -4,6 +4,8 @@ Isotropic diffusion (Oliveira et al., "Fast Digital Image Inpainting", 2001) run
 those of its four neighbors that it is connected to.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 from scipy.ndimage import distance_transform_edt, label
 from scipy.sparse import coo_matrix, csr_matrix
@@ -30,7 +32,7 @@ def diffuse(
         _fill(result, mask, None, wrap)
         return result
     open_mask = mask & ~barriers
-    isolated = _isolated(open_mask, mask, wrap)
+    isolated = _isolated(open_mask, ~mask & ~barriers, wrap)
     _fill(result, open_mask & ~isolated, barriers, wrap)
     _fill(result, (mask & barriers) | isolated, None, wrap)
     return result
@@ -67,7 +69,7 @@ def _fill(result: np.ndarray, mask: np.ndarray, barriers: np.ndarray | None, wra
     values[unknowns] = solution
 
 
-def _neighbors(pixels: np.ndarray, shape: tuple[int, int], wrap: tuple[bool, bool]):
+def _neighbors(pixels: np.ndarray, shape: tuple[int, int], wrap: tuple[bool, bool]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield for each of the four directions the flat indices of the neighbors of `pixels`, and which of them exist."""
     y, x = np.divmod(pixels, shape[1])
     for dy, dx in ((-1, 0), (1, 0), (0, -1), (0, 1)):
@@ -84,8 +86,8 @@ def _neighbors(pixels: np.ndarray, shape: tuple[int, int], wrap: tuple[bool, boo
         yield moved[0] * shape[1] + moved[1], exists
 
 
-def _isolated(open_mask: np.ndarray, mask: np.ndarray, wrap: tuple[bool, bool]) -> np.ndarray:
-    """Return the pixels (H, W) bool of the connected regions of `open_mask` that no known pixel outside `mask` and no barrier adjoins.
+def _isolated(open_mask: np.ndarray, known: np.ndarray, wrap: tuple[bool, bool]) -> np.ndarray:
+    """Return the pixels (H, W) bool of the connected regions of `open_mask` that no pixel of `known` adjoins.
 
     Regions that touch across a wrapped border are told apart; each is then filled from the other.
     """
@@ -93,7 +95,6 @@ def _isolated(open_mask: np.ndarray, mask: np.ndarray, wrap: tuple[bool, bool]) 
     has_known = np.zeros(count + 1, bool)
     pixels = np.flatnonzero(open_mask)
     numbers = regions.ravel()[pixels]
-    known = ~mask.ravel()
-    for neighbors, exists in _neighbors(pixels, mask.shape, wrap):
-        has_known[numbers[exists & known[neighbors]]] = True
+    for neighbors, exists in _neighbors(pixels, known.shape, wrap):
+        has_known[numbers[exists & known.ravel()[neighbors]]] = True
     return open_mask & ~has_known[regions]

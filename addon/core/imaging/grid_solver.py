@@ -26,9 +26,7 @@ class _Level:
     prolongation: csr_matrix
 
 
-def solve_grid(
-    matrix: csr_matrix, positions: np.ndarray, right_side: np.ndarray, start: np.ndarray, tolerance: float = 1e-7
-) -> np.ndarray:
+def solve_grid(matrix: csr_matrix, positions: np.ndarray, right_side: np.ndarray, start: np.ndarray, tolerance: float = 1e-7) -> np.ndarray:
     """Return the solution (U, C) of `matrix` (U, U) times x = `right_side` (U, C).
 
     matrix: symmetric positive definite with the pattern of a pixel grid. positions: (U, 2) int, row and column of each unknown. start:

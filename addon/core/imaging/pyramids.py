@@ -22,9 +22,7 @@ def reduce_image(image: np.ndarray, wrap: tuple[bool, bool] = (False, False)) ->
     return image
 
 
-def reduce_weighted(
-    image: np.ndarray, weights: np.ndarray, wrap: tuple[bool, bool] = (False, False)
-) -> tuple[np.ndarray, np.ndarray]:
+def reduce_weighted(image: np.ndarray, weights: np.ndarray, wrap: tuple[bool, bool] = (False, False)) -> tuple[np.ndarray, np.ndarray]:
     """Return `image` (H, W, C) and `weights` (H, W) >= 0 at half the size; samples count in proportion to their weights (normalized
     convolution). Samples that no weight reaches are zero."""
     sums = reduce_image(np.concatenate([image * weights[..., None], weights[..., None]], axis=2).astype(np.float32), wrap)

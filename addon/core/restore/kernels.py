@@ -8,7 +8,7 @@ from .levels import RADIUS, Level
 MIN_SAMPLES, MAX_SAMPLES = 12_000, 40_000  # neighborhoods per search tree: about as many as there are pixels to fill
 MAX_DIMENSIONS = 16  # of a neighborhood after principal component analysis
 TREE_EPS = 0.5  # an approximate match may be this much farther away than the nearest one
-COARSE_WEIGHT = 0.5  # of the mean squared difference at the next coarser level, relative to the level itself
+COARSE_WEIGHT = 1.5  # of the mean squared difference at the next coarser level, relative to the level itself
 NEGLIGIBLE = 2e-3  # mean squared differences, relative to the variance of the texture
 UPPER_WEIGHT = 0.1  # the same for each level above
 

@@ -69,9 +69,11 @@ def restore(
         keep_stages: return the images of the stages as well: first_fill, low, low_filled, high, high_filled.
 
     Raises:
-        ImageError: nothing or everything is masked, sizes differ, the image is too small, values are not finite, or too few pixels are
-            left to copy texture from.
+        ImageError: nothing or everything is masked, sizes differ, the image is too small, values are not finite, too few pixels are left to
+            copy texture from, or a normal map has less than three channels.
     """
+    if is_normal_map and image.shape[2] < 3:
+        raise ImageError(f"The normal map has {image.shape[2]} channels; three are necessary.")
     _check(image, mask, {"source mask": source_mask, "barrier mask": barriers})
     clock = StageClock()
     stages: dict[str, np.ndarray] = {}
@@ -140,7 +142,9 @@ def _restore_texture(
 
 
 def _further_pages(pixels: np.ndarray, mask: np.ndarray, low_band: LowBand, pages: list[Page], options: "_Options") -> list[Page]:
-    """Return parts of the image to copy from, if the windows `pages` have too little."""
+    """Return parts of the image to copy from, if the windows `pages` have too little and the image has more."""
+    if any(page.hole.shape == mask.shape for page in pages):
+        return []
     sources = sum(int(page.usable.sum()) for page in pages)
     width = max(page.hole.shape[1] for page in pages)
     generator = np.random.default_rng([options.settings.seed, sources, width])

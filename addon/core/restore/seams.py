@@ -13,29 +13,30 @@ from ..imaging.grid_solver import MAX_DIRECT_UNKNOWNS, solve_grid
 from .levels import Level
 
 FIDELITY = 0.02  # weight of the copies relative to that of the differences: steps are spread over about seven pixels
+BOUNDARY_WEIGHT = 3.0  # of differences across the boundary of the hole
 STEPS = np.array([(0, 1), (1, 0), (0, -1), (-1, 0)])
 
 
 def blend_seams(level: Level) -> None:
     """Blend the seams in the hole of a synthesized `level`, in place."""
-    pixels = np.flatnonzero(level.hole)
+    pixels, texture = np.flatnonzero(level.hole), level.texture
     numbers = np.full(level.hole.size, -1, np.int64)
     numbers[pixels] = np.arange(len(pixels))
     diagonal = np.full(len(pixels), FIDELITY)
-    right_side = FIDELITY * level.texture[pixels].astype(np.float64)
+    right_side = FIDELITY * texture[pixels].astype(np.float64)
     rows, columns = [], []
     for step in STEPS:
         neighbors, exists = (array[:, 0] for array in level.neighbors(pixels, step[None]))
-        own = level.texture[level.source[pixels]] - level.texture[level.source[pixels] + level.offset(step)]
-        is_copy = level.hole[neighbors]
-        sources = np.where(is_copy, level.source[neighbors], level.source[pixels])
-        theirs = level.texture[np.where(is_copy, sources - level.offset(step), sources)] - level.texture[np.where(is_copy, sources, sources + level.offset(step))]
-        difference = 0.5 * (own + theirs)
-        diagonal += exists
-        right_side += np.where(exists[:, None], difference, 0.0)
+        offset, is_copy = level.offset(step), level.hole[neighbors]
+        own = level.source[pixels]
+        theirs = np.where(is_copy, level.source[neighbors], own + offset)
+        difference = 0.5 * (texture[own] - texture[own + offset] + texture[theirs - offset] - texture[theirs])
         inner = exists & is_copy
         border = exists & ~is_copy
-        right_side[border] += level.texture[neighbors[border]]
+        weight = inner + BOUNDARY_WEIGHT * border
+        diagonal += weight
+        right_side += weight[:, None] * difference
+        right_side[border] += BOUNDARY_WEIGHT * texture[neighbors[border]]
         rows.append(np.flatnonzero(inner))
         columns.append(numbers[neighbors[inner]])
     rows, columns = np.concatenate(rows), np.concatenate(columns)
@@ -45,5 +46,5 @@ def blend_seams(level: Level) -> None:
     if size <= MAX_DIRECT_UNKNOWNS:
         solution = splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(right_side)
     else:
-        solution = solve_grid(matrix, np.stack(np.divmod(pixels, level.shape[1]), axis=1), right_side, level.texture[pixels])
-    level.texture[pixels] = solution
+        solution = solve_grid(matrix, np.stack(np.divmod(pixels, level.shape[1]), axis=1), right_side, texture[pixels])
+    texture[pixels] = solution

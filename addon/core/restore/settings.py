@@ -61,15 +61,15 @@ class MaskSettings(Settings):
         maximum=1.0,
     )
     mask_color: tuple = setting((0.0, 0.0, 0.0), "Color of the missing pixels, as displayed. Used by Color", label="Color", is_color=True)
-    tolerance: float = setting(
-        0.02, "Largest difference per channel from the color, 0 to 1. Used by Color", minimum=0.0, maximum=1.0
-    )
+    tolerance: float = setting(0.02, "Largest difference per channel from the color, 0 to 1. Used by Color", minimum=0.0, maximum=1.0)
     source_mask: str = setting("", "Image that is bright where texture may be copied from; empty for everywhere outside the mask")
     barriers: str = setting("", "Image that is bright where diffusion must not cross, for instance along edges; may be empty")
     normal_map: bool = setting(
         False, "Treat the image as a normal map. Images that a Normal Map node uses are recognized without this option"
     )
     replace: bool = setting(
-        False, "Use the result in place of the image in all materials, Worlds, lights and textures", label="Replace in Materials"
+        False,
+        "Use the result in place of the image, and of earlier results, in all materials, Worlds, lights and textures",
+        label="Replace in Materials",
     )
     output_folder: str = setting("", "Image sequences only: folder for the restored frames", path="folder")

@@ -74,8 +74,8 @@ def group_windows(windows: list[Window]) -> list[list[Window]]:
 
 
 def choose_areas(shape: tuple[int, int], width: int, source_pixels: int, generator: np.random.Generator) -> list[tuple[slice, slice]]:
-    """Return rows and columns of further parts of an image of this `shape` to copy from, up to `width` pixels wide, if a group of windows has
-    few `source_pixels`."""
+    """Return rows and columns of further parts of an image of this `shape` to copy from, up to `width` pixels wide, if a group of windows
+    has few `source_pixels`."""
     if source_pixels >= MIN_SOURCE_PIXELS:
         return []
     columns = min(width, shape[1])

@@ -1,0 +1,78 @@
+"""Where an image is used: normal maps, replacement in materials, and links between original, mask and restored image."""
+
+from collections.abc import Iterator
+
+import bpy
+
+ORIGINAL_PROPERTY = "farfield_original"  # of a restored image
+MASKED_PROPERTY = "farfield_masked"  # of a mask image
+
+
+def read_image_property(image: bpy.types.Image | None, name: str) -> bpy.types.Image | None:
+    """Return the image that a custom property of `image` points to, None if there is none."""
+    value = None if image is None else image.get(name)
+    return value if isinstance(value, bpy.types.Image) else None
+
+
+def find_restored(original: bpy.types.Image) -> bpy.types.Image | None:
+    """Return the newest image that was restored from `original`, None if there is none."""
+    return max(_all_restored(original), key=lambda image: image.session_uid, default=None)
+
+
+def is_normal_map(image: bpy.types.Image) -> bool:
+    """Return whether a node tree links `image` to a Normal Map node, directly or through reroutes."""
+    return any(_feeds_normal_map(node) for _, tree in _node_trees() for node in tree.nodes if getattr(node, "image", None) == image)
+
+
+def replace_image(original: bpy.types.Image, new: bpy.types.Image) -> list[str]:
+    """Use `new` in place of `original`, and of other images restored from it, in nodes of materials, Worlds, lights, scenes and node
+    groups, and in textures.
+
+    Returns the names of the data-blocks that use such an image but cannot be changed, because they are linked or library overrides.
+    """
+    old, skipped = [original, *(image for image in _all_restored(original) if image != new)], []
+    for owner, tree in _node_trees():
+        nodes = [node for node in tree.nodes if getattr(node, "image", None) in old]
+        if nodes and not _is_editable(owner):
+            skipped.append(owner.name)
+        elif nodes:
+            for node in nodes:
+                node.image = new
+    for texture in bpy.data.textures:
+        if texture.type == "IMAGE" and texture.image in old:
+            if _is_editable(texture):
+                texture.image = new
+            else:
+                skipped.append(texture.name)
+    return skipped
+
+
+def _all_restored(original: bpy.types.Image) -> list[bpy.types.Image]:
+    return [image for image in bpy.data.images if read_image_property(image, ORIGINAL_PROPERTY) == original]
+
+
+def _node_trees() -> Iterator[tuple[bpy.types.ID, bpy.types.NodeTree]]:
+    """Yield every node tree in the file with the data-block that owns it; node groups own themselves."""
+    for group in bpy.data.node_groups:
+        yield group, group
+    for owners in (bpy.data.materials, bpy.data.worlds, bpy.data.lights, bpy.data.linestyles, bpy.data.scenes):
+        for owner in owners:
+            tree = getattr(owner, "node_tree", None)
+            if tree is not None and tree.is_embedded_data:  # in Blender 5 the nodes of a scene are a node group
+                yield owner, tree
+
+
+def _is_editable(owner: bpy.types.ID) -> bool:
+    return owner.library is None and owner.override_library is None
+
+
+def _feeds_normal_map(node: bpy.types.Node) -> bool:
+    pending, seen = list(node.outputs[:1]), set()
+    while pending:
+        for link in pending.pop().links:
+            if link.to_node.type == "NORMAL_MAP":
+                return True
+            if link.to_node.type == "REROUTE" and link.to_node not in seen:
+                seen.add(link.to_node)
+                pending.extend(link.to_node.outputs)
+    return False

@@ -1,0 +1,102 @@
+"""New images with restored pixels: packed single images and UDIM tiles, and image sequences that read files."""
+
+import tempfile
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ...core.files.filenames import safe_filename
+from ..images import save_image
+from .image_sources import EXTENSIONS, FILE_FORMATS, default_color_space, load_image, lossless_alpha_mode
+
+SUFFIX = " restored"
+COPIED_PROPERTIES = ("use_half_precision", "use_view_as_render", "use_deinterlace", "seam_margin")
+
+
+def create_result(source: bpy.types.Image, tiles: dict[int, np.ndarray]) -> bpy.types.Image:
+    """Create a packed image with the stored values (H, W, 4) of its `tiles` and the properties of `source`.
+
+    tiles: by number as from `read_tiles`; the number 0 makes an image without tiles.
+    """
+    if 0 not in tiles:
+        return _create_tiled_image(source, tiles)
+    image = _create_image(source, tiles[0])
+    image.pack()
+    return image
+
+
+def save_frame(source: bpy.types.Image, pixels: np.ndarray, path: Path) -> None:
+    """Write the stored values (H, W, 4) of a frame that was loaded as `source` to a file, without loss. Raises FileError."""
+    height, width = pixels.shape[:2]
+    image = bpy.data.images.new("frame", width, height, alpha=True, float_buffer=source.is_float, is_data=True)
+    try:
+        # Blender writes the values of data as they are; those of colors pass through the color space and back.
+        image.pixels.foreach_set(np.ascontiguousarray(pixels, np.float32).ravel())
+        image.update()
+        image.file_format = FILE_FORMATS[source.is_float]
+        save_image(image, path)
+    finally:
+        bpy.data.images.remove(image)
+
+
+def load_sequence(source: bpy.types.Image, path: Path) -> bpy.types.Image:
+    """Return a new image sequence of the files numbered like `path`, which `save_frame` has written, with the properties of `source`."""
+    image = load_image(path)
+    image.name = source.name + SUFFIX
+    if path.suffix == f".{EXTENSIONS[False]}" or source.colorspace_settings.is_data:  # EXR files are scene-linear, as Blender assumes
+        image.colorspace_settings.name = source.colorspace_settings.name
+    image.alpha_mode = lossless_alpha_mode(source.alpha_mode, path.suffix == f".{EXTENSIONS[True]}")
+    image.source = "SEQUENCE"
+    _copy_display_properties(source, image)
+    return image
+
+
+def frame_filename(base: str, number: int, digits: int, is_float: bool) -> str:
+    """Return the name of the file of a restored frame: `base` and the frame number with at least `digits` digits."""
+    return f"{base}_{number:0{digits}}.{EXTENSIONS[is_float]}"
+
+
+def _create_image(source: bpy.types.Image, pixels: np.ndarray) -> bpy.types.Image:
+    height, width = pixels.shape[:2]
+    has_alpha = source.depth in {32, 64, 128} or bool((pixels[..., 3] < 1.0).any())
+    is_data = source.colorspace_settings.is_data
+    image = bpy.data.images.new(source.name + SUFFIX, width, height, alpha=has_alpha, float_buffer=source.is_float, is_data=is_data)
+    # Before the pixels: setting these afterwards would erase them.
+    image.colorspace_settings.name = default_color_space(source)
+    image.alpha_mode = lossless_alpha_mode(source.alpha_mode, source.is_float)
+    _copy_display_properties(source, image)
+    image.pixels.foreach_set(np.ascontiguousarray(pixels, np.float32).ravel())
+    image.update()
+    return image
+
+
+def _create_tiled_image(source: bpy.types.Image, tiles: dict[int, np.ndarray]) -> bpy.types.Image:
+    with tempfile.TemporaryDirectory() as folder:
+        paths = {number: Path(folder, f"tile.{number}.{EXTENSIONS[source.is_float]}") for number in sorted(tiles)}
+        for number, path in paths.items():
+            save_frame(source, tiles[number], path)
+        first = min(paths)
+        image = load_image(paths[first])
+        image.name = source.name + SUFFIX
+        image.colorspace_settings.name = default_color_space(source)
+        image.alpha_mode = lossless_alpha_mode(source.alpha_mode, source.is_float)
+        image.source = "TILED"
+        image.filepath_raw = str(paths[first].with_name(f"tile.<UDIM>.{EXTENSIONS[source.is_float]}"))
+        image.tiles[0].number = first
+        present = {tile.number for tile in image.tiles}
+        for number in sorted(set(paths) - present):
+            image.tiles.new(number)
+        for tile in source.tiles:
+            image.tiles.get(tile.number).label = tile.label
+        _copy_display_properties(source, image)
+        image.reload()
+        image.pack()
+    image.filepath_raw = f"//{safe_filename(image.name)}.<UDIM>.{EXTENSIONS[source.is_float]}"  # where Unpack writes to
+    return image
+
+
+def _copy_display_properties(source: bpy.types.Image, image: bpy.types.Image) -> None:
+    for name in COPIED_PROPERTIES:
+        setattr(image, name, getattr(source, name))
+    image.display_aspect = source.display_aspect

@@ -1,0 +1,198 @@
+"""The images of one run of `restore.py`: their paths, the restoration of each, and its outputs, which appear when all of them are done."""
+
+import argparse
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lib import environment
+
+environment.import_farfield()
+
+from farfield.addon.bridge.image_files import read_image_file, write_image_file
+from farfield.addon.bridge.image_storage import ImageFile
+from farfield.addon.core.errors import FileError, ImageError
+from farfield.addon.core.files.file_access import check_readable, is_same_file
+from farfield.addon.core.jobs.progress import StageClock, Steps
+from farfield.addon.core.restore.frequency_split import MAX_DEVIATION
+from farfield.addon.core.restore.restoration import Restoration, restore
+from farfield.addon.core.restore.settings import RestoreSettings
+from lib.atomic_output import atomic_file, atomic_folder, check_outputs
+from lib.contact_sheet import write_png
+from lib.kappa_chart import draw_kappa_chart
+from lib.numbered_files import find_numbers, find_placeholder, numbered_path
+from lib.restore_masks import is_mask_file, masked_pixels, read_mask
+from lib.script_stdout import mute_stderr
+
+BAND_PREFIX = "high"  # of stages with mean 0, which are shown around middle gray
+NORMAL_CHANNELS = 3
+INPUTS = {"image": "the image", "mask": "the mask", "source_mask": "--source-mask", "barriers": "--barriers"}  # and names in messages
+OUTPUTS = {"out": "--out", "curve": "--curve"}
+
+
+@dataclass(frozen=True)
+class ImageJob:
+    """One image to restore.
+
+    number: of the tile or frame, None for a single image. paths: absolute paths by the names of the arguments, without those that were not
+    given. mask_rule: the word for alpha or the color that selects missing pixels, None for a mask in a file.
+    """
+
+    number: int | None
+    paths: dict[str, Path]
+    mask_rule: str | None
+
+    def check(self, report: Path | None) -> None:
+        """Raise FileError if an input cannot be read, or an output cannot be written or would replace another file of the run."""
+        inputs = {INPUTS[name]: self.paths[name] for name in INPUTS if name in self.paths}
+        for path in inputs.values():
+            check_readable(path)
+        check_outputs({OUTPUTS[name]: self.paths[name] for name in OUTPUTS if name in self.paths}, inputs, report)
+
+    def scratch_path(self, name: str, scratch: Path) -> Path:
+        """Return where the output `name` is kept until all images are done; it has the file name that it will get."""
+        folder = scratch / f"{name}-{self.number}"
+        folder.mkdir(exist_ok=True)
+        return folder / self.paths[name].name
+
+
+def list_jobs(given: argparse.Namespace) -> list[ImageJob]:
+    """Return the images of the command line: one, or all existing tiles or frames.
+
+    Raises:
+        FileError: there is none, or an output lacks the placeholder of the image.
+    """
+    is_file = is_mask_file(given.mask)
+    paths = {name: getattr(given, name) for name in (*INPUTS, *OUTPUTS) if name != "mask"} | {"mask": Path(given.mask) if is_file else None}
+    paths = {name: path.absolute() for name, path in paths.items() if path is not None}
+    rule = None if is_file else given.mask
+    placeholder = find_placeholder(paths["image"])
+    if placeholder is None:
+        return [ImageJob(None, paths, rule)]
+    placeholders = {name: placeholder if placeholder in path.name else find_placeholder(path) for name, path in paths.items()}
+    for name, flag in OUTPUTS.items():
+        if name in paths and placeholders[name] is None:
+            raise FileError(f'{flag} is "{paths[name]}" for several images; put {placeholder} into its name.')
+    return [
+        ImageJob(
+            number,
+            {name: path if placeholders[name] is None else numbered_path(path, placeholders[name], number) for name, path in paths.items()},
+            rule,
+        )
+        for number in find_numbers(paths["image"], placeholder)
+    ]
+
+
+def restore_image(
+    job: ImageJob, given: argparse.Namespace, settings: RestoreSettings, tolerance: float, scratch: Path, clock: StageClock
+) -> Steps[dict[str, Any]]:
+    """Restore one image, write its outputs to the folder `scratch`, and return its part of the report.
+
+    A tile or frame without missing pixels is written as it is; `restore` refuses a single image without any.
+
+    Raises:
+        FileError: a file cannot be read, or an output cannot be written.
+        ImageError: the image or a mask is unusable; the message names the image.
+    """
+    path = job.paths["image"]
+    with clock.stage("read"), mute_stderr():  # libraries print what is wrong with a file
+        image = read_image_file(path, is_color=not (given.data or given.normal_map))
+        if given.normal_map and image.pixels.shape[2] < NORMAL_CHANNELS:
+            raise ImageError(f'"{path}" has {image.pixels.shape[2]} channels and a normal map 3; leave out --normal-map.')
+        mask = _read_mask(job, image, tolerance)
+        source_mask, barriers = (
+            read_mask(job.paths[name], image.pixels, path, label) if name in job.paths else None
+            for name, label in (("source_mask", "source mask"), ("barriers", "barrier mask"))
+        )
+    restoration = None
+    if job.number is None or mask.any():
+        try:
+            restoration = yield from restore(
+                image.pixels,
+                mask,
+                settings,
+                source_mask=source_mask,
+                barriers=barriers,
+                is_color=image.is_color,
+                is_normal_map=given.normal_map,
+                keep_stages=given.stages is not None,
+            )
+        except ImageError as error:
+            raise ImageError(f'"{path}": {error}') from error
+        for stage, seconds in restoration.seconds.items():
+            clock.seconds[stage] = clock.seconds.get(stage, 0.0) + seconds
+    pixels = image.pixels if restoration is None else restoration.pixels
+    with clock.stage("write"), mute_stderr():
+        write_image_file(job.scratch_path("out", scratch), pixels, image, mask)
+        if restoration is not None:
+            _write_stages(job, restoration, scratch)
+            if "curve" in job.paths:
+                write_png(job.scratch_path("curve", scratch), draw_kappa_chart(restoration.deviations, restoration.kappa, MAX_DEVIATION))
+    return _figures(path, image, mask, restoration)
+
+
+def _read_mask(job: ImageJob, image: ImageFile, tolerance: float) -> np.ndarray:
+    path = job.paths["image"]
+    if job.mask_rule is not None:
+        return masked_pixels(job.mask_rule, image, path, tolerance)
+    return read_mask(job.paths["mask"], image.pixels, path, "mask")
+
+
+def _figures(path: Path, image: ImageFile, mask: np.ndarray, restoration: Restoration | None) -> dict[str, Any]:
+    """Return the part of the report about one image. kappa is None where all sub-bands are structure, or nothing was missing."""
+    height, width, channels = image.pixels.shape
+    kappa = None if restoration is None or restoration.kappa < 0 else restoration.kappa
+    return {
+        "image": path.name,
+        "size": [width, height],
+        "channels": channels,
+        "depth": image.depth,
+        "masked_pixels": int(mask.sum()),
+        "holes": 0 if restoration is None else restoration.hole_count,
+        "kappa": kappa,
+    }
+
+
+def _write_stages(job: ImageJob, restoration: Restoration, scratch: Path) -> None:
+    """Write the images of the stages as PNG, those of a tile or frame with its number in front."""
+    folder = scratch / "stages"
+    folder.mkdir(exist_ok=True)
+    prefix = "" if job.number is None else f"{job.number:04d}_"
+    for name, stage in restoration.stages.items():
+        shown = stage[..., :3] + 0.5 if name.startswith(BAND_PREFIX) else stage[..., :3]
+        write_png(folder / f"{prefix}{name}.png", np.broadcast_to(shown if shown.shape[2] == 3 else shown[..., :1], (*shown.shape[:2], 3)))
+
+
+def publish(jobs: list[ImageJob], stages: Path | None, scratch: Path) -> None:
+    """Move all outputs from the folder `scratch` to their paths.
+
+    Raises:
+        FileError: one cannot be written, or a stage would replace an input or an output.
+    """
+    names = sorted(path.name for path in (scratch / "stages").iterdir()) if (scratch / "stages").is_dir() else []
+    for name in names:
+        for job in jobs:
+            if any(is_same_file(stages / name, path) for path in job.paths.values()):
+                raise FileError(f'The stage "{stages / name}" would replace an input or an output; choose another folder for --stages.')
+    if names:
+        _publish_folder(stages, scratch / "stages", names)
+    for name in ("curve", "out"):  # the result comes last, from the same disk: the others may still fail
+        for job in jobs:
+            source = job.scratch_path(name, scratch) if name in job.paths else None
+            if source is not None and source.is_file():
+                with atomic_file(job.paths[name]) as temporary:
+                    shutil.move(source, temporary)
+
+
+def _publish_folder(target: Path, source: Path, names: list[str]) -> None:
+    """Move the files `names` from the folder `source` to the folder `target`, which is created with them if it does not exist."""
+    if not target.exists():
+        with atomic_file(target) as temporary:
+            shutil.move(source, temporary)
+        return
+    with atomic_folder(target) as temporary:
+        for name in names:
+            shutil.move(source / name, temporary / name)

@@ -1,0 +1,54 @@
+"""Restoring an image in a real window: painting the mask, progress, Esc, the outline, before and after, and undo."""
+
+import pytest
+
+from gui.session_runner import run_gui_session
+
+pytestmark = pytest.mark.gui
+NAME = "Mauer ü"
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory) -> dict:
+    """The results of session_restore.py."""
+    return run_gui_session("session_restore.py", tmp_path_factory)
+
+
+def test_the_session_ran_to_its_end(results):
+    assert results["error"] is None, results["error"]
+
+
+def test_create_mask_opens_it_for_painting(results):
+    assert results["mask"] == {"name": f"{NAME} mask", "mode": "PAINT"}
+
+
+def test_strokes_mark_the_scratch_in_white(results):
+    assert results["covered"] > 0.95 and results["painted"] < 0.35
+
+
+def test_the_outline_follows_the_strokes(results):
+    assert results["segments"] > 4
+
+
+def test_esc_leaves_the_file_unchanged(results):
+    assert results["was_running"], "the restoration had ended before Esc was pressed"
+    assert results["cancelled"] == results["before"]
+
+
+def test_the_progress_increases_and_the_result_is_shown_and_used(results):
+    assert results["fractions"] == sorted(results["fractions"]) and len(set(results["fractions"])) > 3
+    assert results["shown"] == results["used"] == f"{NAME} restored"
+
+
+def test_only_the_scratch_has_changed(results):
+    assert results["outside_unchanged"] and results["original_unchanged"]
+    assert results["scratch"] == pytest.approx(results["wall"], abs=0.1)
+
+
+def test_before_and_after(results):
+    assert (results["after_first_toggle"], results["after_second_toggle"]) == (NAME, f"{NAME} restored")
+    assert results["outline_hidden"]
+
+
+def test_one_undo_removes_the_result(results):
+    assert f"{NAME} restored" not in results["after_undo"]["images"] and results["after_undo"]["used"] == NAME

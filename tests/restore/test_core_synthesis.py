@@ -1,0 +1,212 @@
+"""Restored images: exact where the answer is known, unchanged outside the mask, and always copies of what may be copied."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from farfield.addon.core.errors import ImageError
+from farfield.addon.core.imaging.diffusion import diffuse
+from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.restore import synthesis
+from farfield.addon.core.restore.levels import Page, build_levels
+from farfield.addon.core.restore.restoration import restore
+from farfield.addon.core.restore.settings import ORDERS, RestoreSettings
+from farfield.addon.core.restore.synthesis import synthesize
+
+TEXTURE_ONLY = {"split": "manual", "kappa": 0}
+
+
+def run(image, mask, *, source_mask=None, barriers=None, is_color=True, is_normal_map=False, keep_stages=False, **values):
+    steps = restore(
+        image, mask, RestoreSettings(**values), source_mask=source_mask, barriers=barriers, is_color=is_color,
+        is_normal_map=is_normal_map, keep_stages=keep_stages,
+    )  # fmt: skip
+    return run_to_end(steps)
+
+
+def disk(shape, radius, center=None):
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    row, column = center or (shape[0] // 2, shape[1] // 2)
+    return np.hypot(y - row, x - column) < radius
+
+
+def stripes(shape, period=8, axis=1):
+    position = np.indices(shape)[axis] % period
+    return np.repeat((position < period // 2)[..., None], 3, axis=2).astype(np.float32) * np.float32([0.8, 0.5, 0.3])
+
+
+def noise(shape, seed=1, channels=3):
+    return np.random.default_rng(seed).random((*shape, channels), np.float32)
+
+
+class TestKnownAnswers:
+    """Images with one right answer."""
+
+    @pytest.mark.parametrize("order", ORDERS)
+    @pytest.mark.parametrize("axis", [0, 1])
+    def test_stripes_continue(self, order, axis):
+        image, mask = stripes((72, 80), axis=axis), disk((72, 80), 10)
+        result = run(np.where(mask[..., None], np.float32(9.0), image), mask, order=order, **TEXTURE_ONLY)
+        assert np.abs(result.pixels - image).max() < 0.02
+
+    def test_diagonal_stripes_continue(self):
+        position = (np.indices((80, 80)).sum(axis=0) // 4) % 2
+        image, mask = position[..., None].astype(np.float32), disk((80, 80), 11)
+        assert np.abs(run(np.where(mask[..., None], np.float32(0.5), image), mask, **TEXTURE_ONLY).pixels - image).mean() < 0.002
+
+    def test_one_color_stays_one_color(self):
+        image, mask = np.full((40, 50, 4), 0.3, np.float32), disk((40, 50), 9)
+        assert np.allclose(run(np.where(mask[..., None], np.float32(1.0), image), mask).pixels, 0.3, atol=1e-5)
+
+    def test_a_gradient_is_continued_under_texture(self):
+        ramp = np.linspace(0.2, 0.8, 120, dtype=np.float32)[None, :, None] * np.ones((100, 1, 3), np.float32)
+        image, mask = ramp + 0.08 * (noise((100, 120)) - 0.5), disk((100, 120), 14)
+        result = run(np.where(mask[..., None], np.float32(0.0), image), mask, split="manual", kappa=3)
+        means = [result.pixels[mask & (np.indices(mask.shape)[1] // 7 == column)].mean() for column in range(7, 10)]
+        expected = [ramp[mask & (np.indices(mask.shape)[1] // 7 == column)].mean() for column in range(7, 10)]
+        assert means == pytest.approx(expected, abs=0.02)
+        assert result.pixels[mask].std(axis=0) == pytest.approx(image[mask].std(axis=0), rel=0.3)
+
+    def test_diffusion_only_is_the_diffusion_to_the_byte(self):
+        image, mask = noise((30, 40)), disk((30, 40), 8)
+        for values in ({"split": "diffusion"}, {"split": "manual", "kappa": 40}):
+            result = run(image, mask, **values)
+            assert (
+                result.kappa == -1 and result.pixels.tobytes() == diffuse(np.where(mask[..., None], np.float32(0), image), mask).tobytes()
+            )
+
+    def test_tileable_stripes_continue_across_the_border(self):
+        image = stripes((64, 64), period=16)
+        mask = np.roll(disk((64, 64), 9), (32, 29), (0, 1))
+        damaged = np.where(mask[..., None], np.float32(0.0), image)
+        assert np.abs(run(damaged, mask, tileable=True, **TEXTURE_ONLY).pixels - image).max() < 0.02
+
+    def test_a_hole_across_a_tileable_image_closes_on_itself(self):
+        image, mask = stripes((48, 64), period=16, axis=1), np.zeros((48, 64), bool)
+        mask[20:30] = True
+        damaged = np.where(mask[..., None], np.float32(0.0), image)
+        assert np.abs(run(damaged, mask, tileable=True, **TEXTURE_ONLY).pixels - image).max() < 0.02
+
+    def test_normals_have_unit_length(self):
+        normals = np.random.default_rng(3).normal(size=(50, 50, 3)) * [0.2, 0.2, 0.0] + [0.0, 0.0, 1.0]
+        image = (0.5 + 0.5 * normals / np.linalg.norm(normals, axis=2, keepdims=True)).astype(np.float32)
+        mask = disk((50, 50), 8)
+        result = run(image, mask, is_color=False, is_normal_map=True).pixels
+        assert np.linalg.norm(2.0 * result - 1.0, axis=2) == pytest.approx(1.0, abs=1e-5)
+
+
+class TestInvariants:
+    """What holds for every image."""
+
+    @settings(max_examples=15)
+    @given(st.integers(0, 2**31), st.sampled_from(list(ORDERS)), st.integers(1, 5), st.booleans(), st.integers(1, 4))
+    def test_known_pixels_stay_and_others_are_within_their_range(self, seed, order, levels, tileable, channels):
+        random = np.random.default_rng(seed)
+        shape = tuple(random.integers(24, 60, 2))
+        image = random.normal(size=(*shape, channels)).astype(np.float32)
+        mask = disk(shape, random.uniform(1, 9), tuple(random.integers(0, shape))) | (random.random(shape) < 0.002)
+        mask[0, 0] = True
+        damaged = np.where(mask[..., None], np.float32(np.nan), image)
+        result = run(damaged, mask, order=order, levels=levels, tileable=tileable, is_color=channels > 2)
+        assert (result.pixels[~mask] == image[~mask]).all() and np.isfinite(result.pixels).all()
+        assert (result.pixels[mask] >= image[~mask].min(axis=0)).all() and (result.pixels[mask] <= image[~mask].max(axis=0)).all()
+
+    def test_equal_seeds_give_equal_bytes(self):
+        image, mask = noise((60, 60)), disk((60, 60), 10)
+        first, again, other = (run(image, mask, seed=seed, **TEXTURE_ONLY).pixels for seed in (5, 5, 6))
+        assert first.tobytes() == again.tobytes()
+        # With few pixels to copy all of them are searched, so a seed only matters in larger images.
+        large, hole = noise((260, 260)), disk((260, 260), 12)
+        assert run(large, hole, seed=5, **TEXTURE_ONLY).pixels.tobytes() != run(large, hole, seed=6, **TEXTURE_ONLY).pixels.tobytes()
+        assert other.shape == first.shape
+
+    def test_stages_add_up_to_the_result(self):
+        image, mask = noise((60, 70)), disk((60, 70), 9)
+        result = run(image, mask, keep_stages=True, split="manual", kappa=3)
+        stages = result.stages
+        assert set(stages) == {"first_fill", "low", "low_filled", "high", "high_filled"}
+        assert np.allclose(stages["low"] + stages["high"], stages["first_fill"], atol=1e-5)
+        assert (stages["low"][~mask] == stages["low_filled"][~mask]).all()
+        total = np.clip(stages["low_filled"] + stages["high_filled"], image[~mask].min(axis=0), image[~mask].max(axis=0))
+        assert np.allclose(total, result.pixels, atol=1e-4)
+
+    def test_only_the_source_mask_is_copied(self):
+        image, mask = noise((100, 200)), disk((100, 200), 35, (50, 50))
+        image[:, :100] *= np.float32([1.0, 0.0, 0.0])
+        image[:, 100:] *= np.float32([0.0, 0.0, 1.0])
+        source_mask = np.zeros(mask.shape, bool)
+        source_mask[:, 104:] = True
+        inside = disk((100, 200), 5, (50, 50))  # away from the boundary, where the seam is blended
+        blue = run(image, mask, source_mask=source_mask, levels=1, **TEXTURE_ONLY).pixels[inside]
+        assert blue[:, 2].mean() > 0.3 > 0.1 > blue[:, 0].mean()
+        red = run(image, mask, source_mask=~source_mask, levels=1, **TEXTURE_ONLY).pixels[inside]
+        assert red[:, 0].mean() > 0.3 > 0.1 > red[:, 2].mean()
+
+    @pytest.mark.parametrize("order", ORDERS)
+    def test_every_synthesized_pixel_is_a_copy_from_outside_the_hole(self, monkeypatch, order):
+        monkeypatch.setattr(synthesis, "blend_seams", lambda level: None)
+        image, hole = noise((64, 80)), disk((64, 80), 12)
+        levels = build_levels([Page(np.where(hole[..., None], np.float32(0.0), image), hole, ~hole, ~hole)], 3)
+        run_to_end(synthesize(levels, RestoreSettings(order=order)))
+        for level in levels:
+            sources = level.source[level.hole]
+            assert level.valid[sources].all() and not level.hole[sources].any() and level.filled[level.hole].all()
+            assert (level.texture[level.hole] == level.texture[sources]).all()
+
+    def test_scanline_batches_equal_one_pixel_after_another(self, monkeypatch):
+        image, hole = noise((40, 60), seed=4), disk((40, 60), 9)
+
+        def sources():
+            levels = build_levels([Page(np.where(hole[..., None], np.float32(0.5), image), hole, ~hole, ~hole)], 2)
+            run_to_end(synthesize(levels, RestoreSettings(order="scanline", levels=2, coherence=1.0)))
+            return levels[0].source
+
+        in_batches = sources()
+        in_order = lambda level, pixels, order: ((pixels[i : i + 1], np.zeros(1, np.int64)) for i in range(len(pixels)))  # noqa: E731
+        monkeypatch.setattr(synthesis, "_schedule", in_order)
+        assert (sources() == in_batches).all()
+
+    def test_far_holes_do_not_change_each_other(self):
+        image = noise((200, 500))
+        first, second = disk((200, 500), 8, (100, 70)), disk((200, 500), 8, (90, 420))
+        both = run(image, first | second, **TEXTURE_ONLY)
+        assert both.hole_count == 2 and run(image, first, **TEXTURE_ONLY).hole_count == 1
+        assert both.pixels[first].std() == pytest.approx(image.std(), rel=0.25)
+
+
+class TestBadInput:
+    """One sentence for each input that cannot be restored."""
+
+    @pytest.mark.parametrize(
+        ("change", "words"),
+        [
+            (lambda image, mask: (image, np.zeros_like(mask), {}), "No pixel is masked"),
+            (lambda image, mask: (image, np.ones_like(mask), {}), "Every pixel is masked"),
+            (lambda image, mask: (image, mask[:-1], {}), "The mask has 40 x 29 pixels and the image 40 x 30"),
+            (lambda image, mask: (image, mask, {"source_mask": mask[:, 1:]}), "The source mask has 39 x 30"),
+            (lambda image, mask: (image, mask, {"barriers": mask[1:]}), "The barrier mask has 40 x 29"),
+            (lambda image, mask: (image[:4], mask[:4], {}), "4 pixels|40 x 4 pixels"),
+            (lambda image, mask: (np.where(mask[..., None], image, np.float32(np.inf)), mask, {}), "NaN or infinite"),
+            (lambda image, mask: (image, mask, {"source_mask": mask}), "Only 0 pixels"),
+            (lambda image, mask: (image[..., :2], mask, {"is_normal_map": True}), "2 channels"),
+        ],
+        ids=["empty", "full", "mask size", "source size", "barrier size", "small", "infinite", "no source", "normals"],
+    )
+    def test_bad_input_is_one_sentence(self, change, words):
+        image, mask, masks = change(noise((30, 40)), disk((30, 40), 6))
+        with pytest.raises(ImageError, match=words) as caught:
+            run(image, mask, **masks)
+        assert "\n" not in str(caught.value)
+
+    def test_too_little_to_copy_names_the_number(self):
+        mask = np.ones((30, 30), bool)
+        mask[:7, :9] = False
+        with pytest.raises(ImageError, match="Only 15 pixels with unmasked neighborhoods"):
+            run(noise((30, 30)), mask, **TEXTURE_ONLY)
+        assert np.isfinite(run(noise((30, 30)), mask, split="diffusion").pixels).all()
+
+    def test_masked_pixels_may_be_anything(self):
+        image, mask = noise((40, 40)), disk((40, 40), 6)
+        results = [run(np.where(mask[..., None], np.float32(value), image), mask).pixels.tobytes() for value in (np.nan, np.inf, 0.0, 7.0)]
+        assert len(set(results)) == 1
