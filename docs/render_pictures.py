@@ -3,8 +3,8 @@
 From the scene of the demo: tree (the tree and its cloud), levels (all levels, their quads, and each level at its switch distance), wood
 (hundreds of trees, each with the level for its distance) and crossfade (a camera that moves away from one tree). Copied from the demo's
 folder: relighting and forest. Independent of the demo: head (a closed surface with a procedural material), relight (its relightable cloud
-under several Sun directions), unwrap (this surface with a checker on three UV maps), landscape (mountains in nested boxes), copses (voxel
-trees in nested boxes) and walk (twelve frames of a walk through caves).
+under several Sun directions), unwrap (this surface with a checker on three UV maps), restore (a texture with a hole, restored with several
+settings), landscape (mountains in nested boxes), copses (voxel trees in nested boxes) and walk (twelve frames of a walk through caves).
 """
 
 import shutil
@@ -26,6 +26,7 @@ from figures import terrain_views
 from figures.crossfade_strip import draw_crossfade_strip
 from figures.forest_lods import render_forest
 from figures.relight_strip import draw_relight_strip
+from figures.restore_comparison import draw_restore_comparison
 from figures.unwrap_comparison import unwrap_copies
 
 import billboards
@@ -54,6 +55,7 @@ CROSSFADE_PIXELS = 280
 RELIGHT_PIXELS = 290
 RELIGHT_ERROR = 0.01
 RELIGHT_ROUGHNESS = 0.3
+RESTORE_PIXELS = 240
 WOOD_WIDTH = 660
 LANDSCAPE_WIDTH = 720
 WALK_WIDTH = 184
@@ -177,6 +179,11 @@ def relight(_scene: Path, path: Path, samples: int) -> None:
     write(path, draw_relight_strip(cloud, VIEW_DIRECTION, RELIGHT_PIXELS, samples))
 
 
+def restore(_scene: Path, path: Path, _samples: int) -> None:
+    """Restore a texture with a hole, with and without an intensity gradient, with several settings."""
+    write(path, draw_restore_comparison(RESTORE_PIXELS))
+
+
 def landscape(_scene: Path, path: Path, samples: int) -> None:
     """Render mountains in nested boxes."""
     with atomic_file(path) as temporary:
@@ -227,6 +234,7 @@ FIGURES = {
     "wood": wood,
     "crossfade": crossfade,
     "relight": relight,
+    "restore": restore,
     "landscape": landscape,
     "copses": copses,
     "walk": walk,

@@ -1,4 +1,4 @@
-"""Screenshots of the panels in a real Blender window, for the docs: `python3 docs/screenshots.py [--out DIR] [--all]`.
+"""Screenshots of the panels in a real Blender window, for the docs: `python3 docs/screenshots.py [--out DIR] [--tool TOOL ...] [--all]`.
 
 Needs `../shared/tools/blender-gui`. Writes the images that the pages show to docs/pictures; with --all, every panel in both themes to DIR.
 """
@@ -20,18 +20,22 @@ import json
 
 import bpy
 import numpy as np
+from figures.restore_comparison import create_scratched_weave
 
 from lib import blender_window, command_line
 from lib.contact_sheet import write_png
 
 SIZES = {"closed": (1280, 720), "open": (1280, 1400)}  # of the window, by the state of the sub-panels
-TOOLS = ("billboards", "btf", "unwrap", "clipbox")
+IMAGE_EDITOR_SIZES = {"closed": (1000, 720), "open": (1000, 1400)}  # with the tool restore, whose screenshots show the image as well
+RESTORE_PIXELS = 400
+TOOLS = ("billboards", "btf", "unwrap", "restore", "clipbox")
 SECONDS = 200
 DRIVER = FOLDER / "figures" / "window_screenshots.py"
 PAGES = {  # image of the docs -> screenshots side by side
     "quick_start.png": ("billboards-settings", "billboards-levels"),
     "panel_btf.png": ("btf-settings", "btf-baked"),
     "panel_unwrap.png": ("unwrap-settings", "unwrap-figures"),
+    "panel_restore.png": ("restore-mask", "restore-result"),
     "panel_clipbox.png": ("clipbox-settings", "clipbox-active"),
     "window.png": ("window",),
 }
@@ -70,7 +74,12 @@ def take_screenshots(subpanels: str, tool: str) -> dict[str, np.ndarray]:
         resources, folder = Path(scratch, "resources"), Path(scratch, "screenshots")
         folder.mkdir()
         blender_window.install(resources)
-        log = blender_window.run(resources, DRIVER, [folder, subpanels, tool], size=SIZES[subpanels], seconds=SECONDS)
+        if tool == "restore":
+            weave, scratches = create_scratched_weave(RESTORE_PIXELS)
+            write_png(folder / "weave.png", weave)
+            write_png(folder / "mask.png", np.repeat(scratches[..., None].astype(np.float32), 3, axis=2))
+        sizes = IMAGE_EDITOR_SIZES if tool == "restore" else SIZES
+        log = blender_window.run(resources, DRIVER, [folder, subpanels, tool], size=sizes[subpanels], seconds=SECONDS)
         index = folder / "index.json"
         if not index.exists():
             sys.exit(f"Blender ended with {log.returncode} and left no screenshots:\n{log.stdout[-3000:]}\n{log.stderr[-3000:]}")
@@ -83,13 +92,14 @@ def take_screenshots(subpanels: str, tool: str) -> dict[str, np.ndarray]:
 def main(arguments: list[str], _line: command_line.ProgressLine) -> str:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=FOLDER / "pictures", help="folder of the images (default: docs/pictures)")
+    parser.add_argument("--tool", nargs="+", choices=TOOLS, default=TOOLS, help="tools whose panels to show (default: all)")
     parser.add_argument("--all", action="store_true", help="write every screenshot in both themes instead of the images of the docs")
     given = parser.parse_args(arguments)
     reason = blender_window.unavailable_reason()
     if reason:
         sys.exit(f"No screenshots: {reason}.")
     images = {}
-    for subpanels, tool in itertools.product(SIZES if given.all else ("closed",), TOOLS):
+    for subpanels, tool in itertools.product(SIZES if given.all else ("closed",), given.tool):
         images |= {f"{name}-{subpanels}": image for name, image in take_screenshots(subpanels, tool).items()}
     given.out.mkdir(parents=True, exist_ok=True)
     if given.all:
@@ -97,7 +107,8 @@ def main(arguments: list[str], _line: command_line.ProgressLine) -> str:
             write_png(given.out / f"{name}.png", image)
     else:
         for name, parts in PAGES.items():
-            write_png(given.out / name, side_by_side([images[f"{part}-dark-closed"] for part in parts]))
+            if f"{parts[0]}-dark-closed" in images:
+                write_png(given.out / name, side_by_side([images[f"{part}-dark-closed"] for part in parts]))
     return f"screenshots in {given.out}"
 
 

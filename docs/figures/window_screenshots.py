@@ -2,8 +2,8 @@
 
     blender --python docs/figures/window_screenshots.py -- FOLDER open|closed TOOL
 
-FOLDER receives the screenshots and index.json with the rectangle of each that shows the sidebar. The second argument is the state of the
-sub-panels. A window shows the panel of one tool only, since Blender remembers which panels are open. See docs/screenshots.py.
+FOLDER receives the screenshots and index.json with the rectangle of each that shows the sidebar, or the whole editor. For the tool restore
+it contains the files that `docs/screenshots.py` writes. The second argument is the state of the sub-panels. A window shows the panel of one tool only, since Blender remembers which panels are open. See docs/screenshots.py.
 """
 
 import json
@@ -16,7 +16,7 @@ import bpy
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 
-from lib.window_session import open_panel, region, run_steps, viewport, wait_for_job
+from lib.window_session import open_panel, run_steps, wait_for_job
 
 FOLDER, SUBPANELS, TOOL = sys.argv[sys.argv.index("--") + 1 :]
 SETTLE_SECONDS = 1.5  # until Blender has drawn a change
@@ -24,6 +24,16 @@ THEMES = {"dark": "Blender_Dark.xml", "light": "Blender_Light.xml"}
 ALWAYS_OPEN = ("_levels", "_lighting")  # sub-panels that show results
 
 report: dict = {"error": None, "boxes": {}}
+
+
+def editor() -> bpy.types.Area:
+    """Return the area whose sidebar contains the panels: the 3D Viewport, or the Image Editor that replaces it."""
+    return next(area for area in bpy.context.window_manager.windows[0].screen.areas if area.type in {"VIEW_3D", "IMAGE_EDITOR"})
+
+
+def region(region_type: str) -> bpy.types.Region:
+    """Return the region of the editor with this type, for instance `UI` for the sidebar."""
+    return next(region for region in editor().regions if region.type == region_type)
 
 
 def is_open(panel: type) -> bool:
@@ -37,18 +47,21 @@ def set_theme(name: str) -> None:
     bpy.ops.script.execute_preset(filepath=str(Path(folder, THEMES[name])), menu_idname="USERPREF_MT_interface_theme_presets")
 
 
-def shoot(name: str, full_window: bool = False) -> Iterator[float]:
-    """Take the screenshot `name` in both themes; of the whole window, or of the sidebar."""
+def shoot(name: str, part: str = "sidebar") -> Iterator[float]:
+    """Take the screenshot `name` in both themes, of the "sidebar", the "editor" or the "window"."""
     for theme in THEMES:
         set_theme(theme)
         sidebar = region("UI")
         sidebar.active_panel_category = "Farfield"
-        viewport().tag_redraw()
+        editor().tag_redraw()
         yield SETTLE_SECONDS
         subprocess.run(["import", "-window", "root", str(Path(FOLDER) / f"{name}-{theme}.png")], check=True)
-        window = bpy.context.window_manager.windows[0]
-        box = (0, 0, window.width, window.height) if full_window else (sidebar.x, sidebar.y, sidebar.width, sidebar.height)
-        report["boxes"][f"{name}-{theme}"] = box
+        window, area = bpy.context.window_manager.windows[0], editor()
+        report["boxes"][f"{name}-{theme}"] = {
+            "sidebar": (sidebar.x, sidebar.y, sidebar.width, sidebar.height),
+            "editor": (area.x, area.y, area.width, area.height),
+            "window": (0, 0, window.width, window.height),
+        }[part]
 
 
 def run_job() -> Iterator[float]:
@@ -71,27 +84,35 @@ def make_statue() -> bpy.types.Object:
     return statue
 
 
+def press(operator: str, **properties) -> None:
+    """Press the button of an operator."""
+    group, name = operator.split(".")
+    with bpy.context.temp_override(window=bpy.context.window_manager.windows[0], area=editor(), region=region("WINDOW")):
+        getattr(getattr(bpy.ops, group), name)("INVOKE_DEFAULT", **properties)
+
+
 def start(operator: str, **properties) -> Iterator[float]:
     """Press the button of an operator and wait for its job."""
-    group, name = operator.split(".")
-    with bpy.context.temp_override(window=bpy.context.window_manager.windows[0], area=viewport(), region=region("WINDOW")):
-        getattr(getattr(bpy.ops, group), name)("INVOKE_DEFAULT", **properties)
+    press(operator, **properties)
     yield from run_job()
 
 
 def visit() -> Iterator[float]:
     """Visit all panels, as pauses in seconds."""
     scene = bpy.context.scene
-    viewport().spaces.active.region_3d.view_distance = 7.0
-    bpy.data.objects.remove(bpy.data.objects["Cube"])
-    make_statue()
+    if TOOL == "restore":
+        editor().ui_type = "IMAGE_EDITOR"
+    else:
+        editor().spaces.active.region_3d.view_distance = 7.0
+        bpy.data.objects.remove(bpy.data.objects["Cube"])
+        make_statue()
     if TOOL == "btf":
         scene.farfield_billboards.levels, scene.farfield_billboards.samples = 1, 1
         yield from start("farfield.billboards_build")
     open_panel(TOOL, is_open)
-    viewport().spaces.active.show_region_ui = True
+    editor().spaces.active.show_region_ui = True
     yield 3.0
-    yield from {"billboards": visit_billboards, "btf": visit_btf, "unwrap": visit_unwrap, "clipbox": visit_clipbox}[TOOL](scene)
+    yield from VISITS[TOOL](scene)
 
 
 def visit_billboards(scene: bpy.types.Scene) -> Iterator[float]:
@@ -101,10 +122,10 @@ def visit_billboards(scene: bpy.types.Scene) -> Iterator[float]:
     yield from shoot("billboards-settings")
     yield from start("farfield.billboards_build")
     yield from shoot("billboards-levels")
-    viewport().spaces.active.shading.type = "MATERIAL"
+    editor().spaces.active.shading.type = "MATERIAL"
     yield 3 * SETTLE_SECONDS  # shaders compile
-    yield from shoot("window", full_window=True)
-    viewport().spaces.active.shading.type = "SOLID"
+    yield from shoot("window", "window")
+    editor().spaces.active.shading.type = "SOLID"
 
 
 def visit_btf(scene: bpy.types.Scene) -> Iterator[float]:
@@ -129,6 +150,39 @@ def visit_clipbox(scene: bpy.types.Scene) -> Iterator[float]:
     scene.farfield_clipbox.resolution = 32
     yield from start("farfield.clipbox_create")
     yield from shoot("clipbox-active")
+
+
+def visit_restore(scene: bpy.types.Scene) -> Iterator[float]:
+    """Before and after *Restore*, with a mask as if it had been painted."""
+    space = editor().spaces.active
+    space.image = bpy.data.images.load(str(Path(FOLDER, "weave.png")))
+    yield SETTLE_SECONDS
+    press("farfield.restore_mask")
+    painted = bpy.data.images.load(str(Path(FOLDER, "mask.png")))
+    bpy.data.images[scene.farfield_restore.mask_image].pixels = painted.pixels[:]
+    show_fitted(bpy.data.images["weave.png"])
+    yield 2 * SETTLE_SECONDS  # the outline is found in the background
+    yield from shoot("restore-mask", "editor")
+    yield from start("farfield.restore_image")
+    show_fitted(space.image)
+    yield SETTLE_SECONDS
+    yield from shoot("restore-result", "editor")
+
+
+def show_fitted(image: bpy.types.Image) -> None:
+    """Show `image` in the Image Editor, as large as it fits."""
+    space = editor().spaces.active
+    space.ui_mode, space.image = "VIEW", image
+    press("image.view_all", fit_view=True)
+
+
+VISITS = {
+    "billboards": visit_billboards,
+    "btf": visit_btf,
+    "unwrap": visit_unwrap,
+    "restore": visit_restore,
+    "clipbox": visit_clipbox,
+}
 
 
 def write_index(error: str | None) -> None:

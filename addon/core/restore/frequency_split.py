@@ -14,6 +14,7 @@ from ..jobs.chunks import slices
 
 MAX_DEVIATION = 0.001  # of the autocorrelation of luminance 0..1; the paper's limit
 MAX_AUTO_KAPPA = 16  # the range of the paper's Figure 13
+PATTERN_RATIO = 1.5  # of the deviation that remains at MAX_AUTO_KAPPA
 MAX_ANALYSIS_PIXELS = 1024  # per side: larger images are halved before the analysis, which only concerns low frequencies
 LUMINANCE = np.float32([0.2126, 0.7152, 0.0722])  # CIE Y of linear Rec.709 colors
 
@@ -53,7 +54,8 @@ def choose_kappa(image: np.ndarray, is_color: bool) -> tuple[int, np.ndarray]:
     """Return kappa for `image` (H, W, C), whose missing pixels are filled smoothly, and the deviations (K,) for kappa from 0 that decided.
 
     Kappa is the smallest value for which the standard deviation of the autocorrelation of the texture is below MAX_DEVIATION. If there is
-    none up to MAX_AUTO_KAPPA, it is the one with the smallest deviation.
+    none up to MAX_AUTO_KAPPA, the texture has a strong pattern of its own, which is not structure: kappa is then the smallest value beyond
+    which the deviation hardly decreases.
     """
     values = luminance(image, is_color)
     while max(values.shape) > MAX_ANALYSIS_PIXELS:
@@ -64,8 +66,8 @@ def choose_kappa(image: np.ndarray, is_color: bool) -> tuple[int, np.ndarray]:
         if deviation < MAX_DEVIATION or len(deviations) > min(MAX_AUTO_KAPPA, *values.shape):
             break
     deviations = np.array(deviations)
-    below = np.flatnonzero(deviations < MAX_DEVIATION)
-    return int(below[0] if len(below) else deviations.argmin()), deviations
+    limit = MAX_DEVIATION if deviations[-1] < MAX_DEVIATION else PATTERN_RATIO * deviations[-1]
+    return int(np.argmax(deviations < limit)), deviations
 
 
 def autocorrelation_deviations(values: np.ndarray) -> Iterator[float]:
