@@ -9,6 +9,7 @@ from typing import Any
 
 import bpy
 import campaign_actions
+import campaign_images
 import campaign_scenes
 from campaign_checks import Problem
 from campaign_inputs import Samples
@@ -18,6 +19,7 @@ import random_inputs
 from farfield.addon.core.billboards.settings import BillboardSettings, CrossfadeSettings
 from farfield.addon.core.btf.settings import BtfSettings, ExportSettings
 from farfield.addon.core.clipbox.settings import ClipboxSettings, ConvertSettings
+from farfield.addon.core.restore.settings import MaskSettings, RestoreSettings
 from farfield.addon.core.unwrap.settings import UnwrapSettings
 from lib import environment
 
@@ -71,6 +73,8 @@ def _open_scene(random: Random, tool: str, folder: Path, samples: Samples) -> No
     else:
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
         campaign_scenes.build_scene(random, folder)
+        if tool == "restore":
+            campaign_images.add_images(random, folder)
     bpy.ops.ed.undo_push(message="Start")
 
 
@@ -137,6 +141,15 @@ def _stretch_image(random: Random, folder: Path) -> dict[str, Any]:
     return {"filepath": str(folder / random.choice(("image.png", "missing/image", "image.jpg"))), "resolution": 64}
 
 
+def _restore(random: Random, folder: Path) -> dict[str, Any]:
+    settings = random_properties(random, MaskSettings, RestoreSettings, tool="restore")
+    return settings | campaign_images.random_image_properties(random, folder)
+
+
+def _mask(random: Random, folder: Path) -> dict[str, Any]:
+    return {"image": campaign_images.random_image_properties(random, folder)["image"]}
+
+
 def _terrain(random: Random, folder: Path) -> dict[str, Any]:
     return random_properties(random, ClipboxSettings, tool="clipbox") | (
         {"terrain": "formula", "formula": random_inputs.random_formula(random).replace("\0", "")} if random.random() < 0.3 else {}
@@ -164,6 +177,10 @@ OPERATORS: dict[str, Operators] = {
     "unwrap": (
         ("unwrap", _unwrap), ("unwrap", _unwrap), ("unwrap_direction", _none), ("unwrap_overlay", _none),
         ("unwrap_stretch_image", _stretch_image),
+    ),
+    "restore": (
+        ("restore_image", _restore), ("restore_image", _restore), ("restore_image", _restore), ("restore_mask", _mask),
+        ("restore_outline", _none), ("restore_compare", _none),
     ),
     "clipbox": (
         ("clipbox_create", _terrain), ("clipbox_create", _terrain), ("clipbox_update", _terrain), ("clipbox_follow_view", _none),

@@ -26,7 +26,7 @@ from lib import blender_window, command_line
 from lib.contact_sheet import write_png
 
 SIZES = {"closed": (1280, 720), "open": (1280, 1400)}  # of the window, by the state of the sub-panels
-IMAGE_EDITOR_SIZES = {"closed": (1000, 720), "open": (1000, 1400)}  # with the tool restore, whose screenshots show the image as well
+IMAGE_EDITOR_SIZES = {"closed": (960, 660), "open": (960, 1400)}  # with the tool restore, whose screenshots show the image as well
 RESTORE_PIXELS = 400
 TOOLS = ("billboards", "btf", "unwrap", "restore", "clipbox")
 SECONDS = 200

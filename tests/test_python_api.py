@@ -2,6 +2,7 @@
 
 import re
 
+import numpy as np
 import pytest
 
 from lib import environment
@@ -18,7 +19,7 @@ def run(name: str) -> dict:
 
 def test_every_example_of_the_page_is_run_here():
     assert PAGE.count("```python") == len(EXAMPLES)
-    assert set(EXAMPLES) == {"operators", "billboards", "unwrap", "progress"}
+    assert set(EXAMPLES) == {"operators", "billboards", "unwrap", "restore", "progress"}
 
 
 def test_operators(empty_scene, capsys):
@@ -37,6 +38,14 @@ def test_unwrapping_a_bump():
     result = run("unwrap")["result"]
     assert result.corner_uvs.shape == (242, 3, 2)
     assert result.metrics.flips == 0 and 1.0 <= result.metrics.l2 < 1.2
+
+
+def test_restoring_stripes():
+    example = run("restore")
+    stripes, result, mask = example["stripes"], example["result"], example["mask"]
+    assert np.array_equal(result.pixels[~mask], example["image"][~mask])
+    ideal = np.where(example["columns"] // 6 % 2, 0.45, 0.55)
+    assert np.abs(result.pixels[..., 0] - ideal)[mask].mean() < 1.3 * np.abs(stripes - ideal)[mask].mean()
 
 
 def test_progress(capsys):

@@ -81,7 +81,7 @@ def test_zip_contains_the_extension_and_nothing_else(archive):
 def test_zip_contains_the_documentation_as_linked_html(resources):
     manual = resources / "extensions" / "user_default" / "farfield" / "manual"
     pages = sorted(manual.rglob("*.html"))
-    assert {"billboards", "btf", "unwrap", "clipbox", "troubleshooting"} <= {page.stem for page in pages}
+    assert {"billboards", "btf", "unwrap", "restore", "clipbox", "troubleshooting"} <= {page.stem for page in pages}
     for page in pages:
         text = page.read_text(encoding="utf-8")
         assert "<h1" in text and "| --- |" not in text
