@@ -157,7 +157,7 @@ GENERATED: dict[str, Texture] = {
     generate.__name__: generate
     for generate in (marble, fractal, granite, cells, pebbles, canvas, twill, masonry, checker, wood, speckle, stripes)
 }
-TUNING = ("gravel", "sceaux roof", "marble", "twill")  # settings may be tuned on these only
+TUNING = ("gravel", "sceaux roof", "marble", "twill", "brick", "grass")  # settings may be tuned on these only
 TEXTURES = {
     "tuning": TUNING,
     "judging": tuple(name for name in (*PHOTOGRAPHS, *GENERATED) if name not in TUNING),
