@@ -14,8 +14,11 @@ import mathutils
 from bridge import blender_scenes
 from bridge.bakes import SMALL, build_small_cloud, open_cloud, prepare_job
 from farfield.addon.bridge.billboards import clouds
-from farfield.addon.bridge.billboards.level_objects import CENTER, PBR_MATERIAL, pbr_material
+from farfield.addon.bridge.billboards.cloud_materials import FRONT_COLOR
+from farfield.addon.bridge.billboards.level_objects import CENTER, PBR_MATERIAL, pbr_image, pbr_material
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
+from farfield.addon.bridge.btf.clouds import link_suns
+from farfield.addon.bridge.btf.materials import AMBIENT, sun_color_property, sun_direction_property
 from farfield.addon.core.errors import GeometryError
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.operators.btf.job import BakeJob
@@ -141,6 +144,95 @@ def test_changed_levels_are_rejected(cloud, tmp_path, change: Callable[[bpy.type
     with pytest.raises(GeometryError, match=f'"Ball Cloud L1" was changed after the cloud was built: .*{message}.*Rebuild the cloud'):
         prepare_job(cloud, tmp_path / "work")
     assert not (tmp_path / "work").exists()
+
+
+def edit(level: bpy.types.Object) -> None:
+    """Switch to Edit Mode. Blender enters it for visible objects only."""
+    level.hide_viewport = False
+    bpy.context.view_layer.objects.active = level
+    bpy.ops.object.mode_set(mode="EDIT")
+
+
+def count_data() -> list[int]:
+    return [len(blocks) for blocks in (bpy.data.images, bpy.data.materials, bpy.data.node_groups, bpy.data.objects, bpy.data.meshes)]
+
+
+class TestEditMode:
+    """Blender keeps the quads of a level in Edit Mode elsewhere."""
+
+    def test_a_bake_is_refused(self, cloud, tmp_path):
+        edit(cloud.levels[1])
+        before = count_data()
+        with pytest.raises(RuntimeError, match='"Ball Cloud L1" is in Edit Mode; switch to Object Mode first') as refusal:
+            bpy.ops.farfield.btf_bake(**BAKE)
+        assert "defect" not in str(refusal.value) and count_data() == before
+        bpy.ops.object.mode_set(mode="OBJECT")
+        prepare_job(cloud, tmp_path)
+
+    def test_a_finished_bake_is_kept_until_edit_mode_ends(self, cloud, tmp_path):
+        job = prepare_job(cloud, tmp_path)
+        result = run_to_end(job.core_steps())
+        edit(cloud.levels[1])
+        with pytest.raises(GeometryError, match="is in Edit Mode"):
+            run_to_end(job.scene_steps(result))
+        assert all(PBR_MATERIAL not in level for level in cloud.levels)
+        bpy.ops.object.mode_set(mode="OBJECT")
+        run_to_end(job.scene_steps(result))
+        assert all(PBR_MATERIAL in level for level in cloud.levels)
+
+
+class TestLinkedDuplicates:
+    """A level and its linked duplicate share the mesh, and thus the material."""
+
+    @pytest.fixture
+    def duplicate(self, cloud) -> bpy.types.Object:
+        """A linked duplicate of the first level, in the collection of the cloud."""
+        duplicate = cloud.levels[0].copy()
+        cloud.collection.objects.link(duplicate)
+        assert len(clouds_in(bpy.context.scene)[0].levels) == 3
+        return duplicate
+
+    @pytest.mark.parametrize("model", ["surface", "emission"])
+    def test_both_are_baked_and_restored(self, cloud, duplicate, model):
+        level = cloud.levels[0]
+        pbr_name = level.data.materials[0].name
+        bpy.context.view_layer.objects.active = level
+        assert bpy.ops.farfield.btf_bake(**{**BAKE, "model": model}) == {"FINISHED"}
+        assert level[PBR_MATERIAL] == duplicate[PBR_MATERIAL] == pbr_name
+        assert level.data.materials[0].name != pbr_name and not level.data.materials[0].name.endswith("BTF BTF")
+        assert bpy.ops.farfield.btf_bake(**{**BAKE, "model": model}) == {"FINISHED"}
+        assert level[PBR_MATERIAL] == duplicate[PBR_MATERIAL] == pbr_name
+        assert bpy.ops.farfield.btf_restore_pbr() == {"FINISHED"}
+        assert level.data.materials[0].name == pbr_name
+        assert all(PBR_MATERIAL not in item and AMBIENT not in item for item in (*cloud.levels, duplicate))
+
+    def test_a_duplicate_outside_of_the_cloud_is_restored_too(self, cloud):
+        level, duplicate = cloud.levels[0], cloud.levels[0].copy()
+        bpy.context.scene.collection.objects.link(duplicate)
+        pbr_name = level.data.materials[0].name
+        bpy.context.view_layer.objects.active = level
+        bpy.ops.farfield.btf_bake(**BAKE)
+        assert duplicate[PBR_MATERIAL] == pbr_name
+        bpy.ops.farfield.btf_restore_pbr()
+        assert PBR_MATERIAL not in duplicate and duplicate.data.materials[0].name == pbr_name
+
+
+def test_the_model_emission_needs_no_color_map(cloud):
+    level = cloud.levels[0]
+    bpy.data.images.remove(pbr_image(level, FRONT_COLOR))
+    bpy.context.view_layer.objects.active = level
+    assert bpy.ops.farfield.btf_bake(**BAKE) == {"FINISHED"}
+
+
+def test_suns_are_linked_where_their_properties_were_deleted(cloud):
+    level = cloud.levels[0]
+    bpy.context.view_layer.objects.active = level
+    bpy.ops.farfield.btf_bake(**BAKE)
+    del level[sun_direction_property(0)], level[sun_color_property(0)]
+    sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
+    bpy.context.scene.collection.objects.link(sun)
+    link_suns(level, [sun], (0.0, 0.0, 0.0))
+    assert len(level.animation_data.drivers) == 6
 
 
 @pytest.mark.parametrize("value", [float("nan"), "large"])

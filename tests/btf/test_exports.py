@@ -183,6 +183,54 @@ def test_textures_of_another_version_are_rejected(cloud):
         read_relightable_texture(cloud.levels[0])
 
 
+@pytest.mark.parametrize("layout", ["text", 3, [1, 2]])
+def test_a_layout_that_is_none_counts_as_no_relightable_textures(cloud, layout):
+    cloud.levels[0].data.materials[0]["farfield_btf_layout"] = layout
+    with pytest.raises(GeometryError, match="has no relightable textures; bake them first"):
+        read_relightable_texture(cloud.levels[0])
+
+
+def edit(level: bpy.types.Object) -> None:
+    bpy.context.view_layer.objects.active = level
+    bpy.ops.object.mode_set(mode="EDIT")
+
+
+def set_uv(level: bpy.types.Object, value: float) -> None:
+    level.data.uv_layers[0].uv[0].vector.x = value
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (edit, "is in Edit Mode; switch to Object Mode first"),
+        (lambda level: level.data.vertices[0].co.__setitem__(0, float("nan")), "was changed .*: its vertices are not finite"),
+        (lambda level: set_uv(level, float("nan")), "was changed .*: its UV map leaves the atlas"),
+        (lambda level: set_uv(level, 1e6), "was changed .*: its UV map leaves the atlas"),
+        (lambda level: level.data.clear_geometry(), "was changed .*: it has no quads"),
+        (lambda level: level.__setitem__("farfield_atlas", [10**6, 10**6]), "was changed .*: the size of its atlas"),
+        (lambda level: level.__setitem__("farfield_atlas", [1, 2]), "was changed .*: its images have another size than its atlas"),
+        (lambda level: level.__delitem__("farfield_error"), "was changed .*: its error is not a positive number"),
+    ],
+    ids=["edit mode", "vertex", "uv", "far uv", "geometry", "large atlas", "small atlas", "error"],
+)
+def test_textures_of_quads_that_cannot_be_read_are_rejected(cloud, tmp_path, change, message):
+    """Parallax offsets need the quads."""
+    change(cloud.levels[0])
+    with pytest.raises(GeometryError, match=message):
+        prepare_export(cloud.levels, tmp_path / "images", BAKED)
+
+
+def test_images_of_another_size_than_the_atlas_are_rejected(cloud):
+    bpy.data.images[f"{cloud.levels[0].name} BTF Chromaticity"].scale(7, 7)
+    with pytest.raises(GeometryError, match="have another size than its atlas; bake them again"):
+        read_relightable_texture(cloud.levels[0])
+
+
+def test_moved_quads_are_exported(cloud, tmp_path):
+    cloud.levels[0].data.vertices[0].co.x = 1e30
+    assert (export(cloud, tmp_path / "images") / "coverage").is_dir()
+
+
 def test_an_octahedral_atlas_is_captured_from_the_source(cloud, tmp_path, monkeypatch):
     capture_small = partial(export_job.write_octahedral_atlas, frame_resolution=32, samples=8)  # 144 frames per map in a few seconds
     monkeypatch.setattr(export_job, "write_octahedral_atlas", capture_small)

@@ -22,6 +22,7 @@ from ..billboards.lod_crossfade import apply_to_materials
 from ..billboards.transparent_bounces import ensure_transparent_bounces
 from ..drivers import add_object_driver
 from ..images import read_pixels
+from .level_checks import PBR_LABELS
 from .materials import (
     AMBIENT,
     SUNS,
@@ -38,11 +39,11 @@ OTHER_TRANSPARENT_SURFACES = 8  # allowance for the rest of a scene
 
 
 def read_texel_surface(level_object: bpy.types.Object, texels: Texels) -> TexelSurface | None:
-    """Return normals, roughness and parallax of texels from the PBR maps of a level; None if it has none."""
-    images = [pbr_image(level_object, label) for label in (FRONT_NORMAL, FRONT_ROUGHNESS_METALLIC_DEPTH)]
+    """Return normals, roughness and parallax of texels from the PBR maps of a level; None if one of its maps is missing."""
+    images = [pbr_image(level_object, label) for label in PBR_LABELS]
     if None in images:
         return None
-    normal_map, roughness_metallic_depth_map = map(read_pixels, images)
+    normal_map, roughness_metallic_depth_map = map(read_pixels, images[1:])
     normals, roughness_metallic_depth = (
         pixels[texels.pixels[:, 1], texels.pixels[:, 0]] for pixels in (normal_map, roughness_metallic_depth_map)
     )
@@ -80,11 +81,17 @@ def assign_relightable_material(
 
 
 def replace_pbr_material(level_object: bpy.types.Object, material: bpy.types.Material) -> None:
-    """Give a level a relightable `material`. Its PBR material stays in the file."""
-    pbr_material = level_object.data.materials[0]
-    if pbr_material is not None and PBR_MATERIAL not in level_object:
-        pbr_material.use_fake_user = True
-        level_object[PBR_MATERIAL] = pbr_material.name
+    """Give a level a relightable `material`. Its PBR material stays in the file.
+
+    Linked duplicates of the level get it too, since the mesh holds the material. They also remember the PBR material.
+    """
+    shown_material, users = level_object.data.materials[0], _mesh_users(level_object.data)
+    names = [item[PBR_MATERIAL] for item in (level_object, *users) if PBR_MATERIAL in item]
+    if not names and shown_material is not None:
+        shown_material.use_fake_user = True
+        names = [shown_material.name]
+    for item in users if names else ():
+        item[PBR_MATERIAL] = item.get(PBR_MATERIAL, names[0])
     level_object.data.materials[0] = material
 
 
@@ -160,20 +167,33 @@ def raise_transparent_bounces(collection: bpy.types.Collection, stacked_quads: i
 
 
 def restore_pbr_material(level_object: bpy.types.Object) -> None:
-    """Give a level its PBR material back, also if its material slot was removed. Remove the relightable material and its drivers."""
-    remove_suns(level_object)
+    """Give a level its PBR material back, also if its material slot was removed. Remove the relightable material and its drivers.
+
+    This includes the linked duplicates of the level; one that was restored in this way is not changed again.
+    """
+    if PBR_MATERIAL not in level_object:
+        return
+    users = _mesh_users(level_object.data)
+    for item in users:
+        remove_suns(item)
     relightable_material = next(iter(level_object.data.materials), None)
     pbr_material = bpy.data.materials.get(str(level_object[PBR_MATERIAL]))
     if len(level_object.data.materials):
         level_object.data.materials[0] = pbr_material
     else:
         level_object.data.materials.append(pbr_material)
-    level_object.pop(PBR_MATERIAL, None)
+    for item in users:
+        item.pop(PBR_MATERIAL, None)
     if pbr_material is not None:
         pbr_material.use_fake_user = False
     apply_to_materials(level_object)
     if relightable_material is not None and relightable_material.users == 0:
         bpy.data.materials.remove(relightable_material)
+
+
+def _mesh_users(mesh: bpy.types.Mesh) -> list[bpy.types.Object]:
+    """Return all objects that show `mesh` and can be changed: a level and its linked duplicates."""
+    return [item for item in bpy.data.objects if item.data == mesh and item.is_editable]
 
 
 def remove_suns(level_object: bpy.types.Object) -> None:
@@ -193,8 +213,8 @@ def link_suns(level_object: bpy.types.Object, suns: Sequence[bpy.types.Object], 
     for index in range(SUNS):
         for name in (sun_direction_property(index), sun_color_property(index)):
             level_object.driver_remove(f'["{name}"]')
+            level_object[name] = [0.0, 0.0, 0.0]
         if index >= len(suns):
-            level_object[sun_color_property(index)] = [0.0, 0.0, 0.0]
             continue
         for axis in range(3):
             direction = {"value": f"matrix_world[2][{axis}]"}

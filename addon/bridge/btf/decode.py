@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 import bpy
+import idprop
 import numpy as np
 
 from ...core.btf.decoding import RelightableTexture
@@ -21,6 +22,7 @@ from ..billboards.level_objects import read_level_texels
 from ..images import read_pixels
 from ..node_groups import nodes_in
 from .clouds import build_parallax_map
+from .level_checks import check_quads
 from .materials import (
     ALPHA_BASIS,
     ALPHA_WEIGHTS,
@@ -46,14 +48,18 @@ def read_relightable_texture(level_object: bpy.types.Object) -> RelightableTextu
     """Read the relightable textures of a level object, at all pixels of its texture.
 
     Raises:
-        GeometryError: if the level has no relightable material, an image is missing, or another version of Farfield baked it.
+        GeometryError: if the level has no relightable material, an image is missing, another version of Farfield baked it, or its quads
+            cannot be read.
     """
     layout = _read_layout(level_object)
+    check_quads(level_object)
     views = DirectionGrid(layout["views_per_side"], bool(layout["views_upper"]))
     lights = DirectionGrid(layout["lights_per_side"], bool(layout["lights_upper"]))
     images = _LevelImages(level_object)
     chromaticity, sky_visibility = np.split(images.pixels(CHROMATICITY), [3], axis=2)
     height, width = chromaticity.shape[:2]
+    if (width, height) != tuple(level_object["farfield_atlas"]):
+        raise GeometryError(f'The images of "{level_object.name}" have another size than its atlas; bake them again.')
     color = _decode_color(images, layout, height, views, lights, np.ones(height * width, bool))
     lobes = _decode_lobes(level_object, images, layout, height, sky_visibility.ravel(), color.known) if DIFFUSE in images else None
     pbr_alpha = images.pixels(PBR_COLOR)[..., 3] if PBR_COLOR in images else np.zeros((height, width), np.float32)
@@ -127,7 +133,8 @@ def _read_layout(level_object: bpy.types.Object) -> dict[str, int]:
 
 def _stored_layout(level_object: bpy.types.Object) -> dict[str, Any]:
     material = level_object.data.materials[0] if level_object.data.materials else None
-    layout = dict(material.get(LAYOUT, {})) if material is not None else {}
+    stored = material.get(LAYOUT) if material is not None else None
+    layout = dict(stored) if isinstance(stored, idprop.types.IDPropertyGroup) else {}
     if not layout:
         raise GeometryError(f'"{level_object.name}" has no relightable textures; bake them first.')
     return layout
@@ -159,7 +166,8 @@ def _decode_lobes(
     surface = TexelSurface(decode_normals(normals), diffuse[:, 3])
     if DEPTH in images:
         surface = replace(surface, parallax=_decode_parallax_map(level_object, images.pixels(NORMALS), images.pixels(DEPTH)))
-    dome_fresnel = GrazingFresnel(*level_object.data.materials[0].get(DOME_FRESNEL, (SCHLICK.strength, SCHLICK.power)))
+    stored = level_object.data.materials[0].get(DOME_FRESNEL)
+    dome_fresnel = GrazingFresnel(*stored) if isinstance(stored, idprop.types.IDPropertyArray) and len(stored) == 2 else SCHLICK
     shadows = None
     if layout["shadows_per_side"]:
         grid = DirectionGrid(layout["shadows_per_side"], bool(layout["shadows_upper"]))

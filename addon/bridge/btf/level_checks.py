@@ -28,10 +28,12 @@ def is_editable(cloud: SceneCloud) -> bool:
 
 
 def check_editable(cloud: SceneCloud) -> None:
-    """Raise GeometryError if materials of a cloud cannot be changed."""
+    """Raise GeometryError if materials of a cloud cannot be changed, or if a level is in Edit Mode."""
     if not is_editable(cloud):
         name = cloud.collection.name
         raise GeometryError(f'"{name}" is linked from another file, which keeps its materials; make the cloud and its meshes local first.')
+    for level in cloud.levels:
+        _check_mode(level)
 
 
 def check_level(level_object: bpy.types.Object, source: Source) -> None:
@@ -53,6 +55,19 @@ def check_level(level_object: bpy.types.Object, source: Source) -> None:
         raise GeometryError(f'The level "{level_object.name}" was changed after the cloud was built: {problem}. Rebuild the cloud.')
 
 
+def check_quads(level_object: bpy.types.Object) -> None:
+    """Check that the quads of a baked level and their texels can be read; they need not be where they were built.
+
+    Raises:
+        GeometryError: a number, UV map or material was changed so that they cannot, or the level is in Edit Mode.
+    """
+    _check_mode(level_object)
+    problem = _numbers_problem(level_object) or _mesh_problem(level_object.data) or _atlas_problem(level_object)
+    problem = problem or _corners_problem(read_level_quads(level_object), level_object)
+    if problem:
+        raise GeometryError(f'The level "{level_object.name}" was changed after the cloud was built: {problem}. Rebuild the cloud.')
+
+
 def is_unchanged(level_object: bpy.types.Object, quads: QuadPolygons, has_surface: bool) -> bool:
     """Whether a level still has the `quads`, up to a translation, and a material slot, and PBR maps if `has_surface`."""
     if _numbers_problem(level_object) or _mesh_problem(level_object.data):
@@ -63,6 +78,12 @@ def is_unchanged(level_object: bpy.types.Object, quads: QuadPolygons, has_surfac
     pairs = [*zip(current.corners, quads.corners, strict=False), *zip(current.texel_coordinates, quads.texel_coordinates, strict=False)]
     is_same = all(first.shape == second.shape and np.allclose(first, second, rtol=1e-5, atol=1e-5) for first, second in pairs)
     return is_same and len(current.corners) == len(quads.corners)
+
+
+def _check_mode(level_object: bpy.types.Object) -> None:
+    """Raise GeometryError if a level is in Edit Mode: Blender keeps its mesh elsewhere then, and its UV map is empty."""
+    if isinstance(level_object.data, bpy.types.Mesh) and level_object.data.is_editmode:
+        raise GeometryError(f'The level "{level_object.name}" is in Edit Mode; switch to Object Mode first.')
 
 
 def _numbers_problem(level_object: bpy.types.Object) -> str:
@@ -108,14 +129,20 @@ def _atlas_problem(level_object: bpy.types.Object) -> str:
     return ""
 
 
-def _quads_problem(quads: QuadPolygons, level_object: bpy.types.Object) -> str:
-    """Check the corners of the quads in the scene and in the atlas."""
-    width, height = level_object["farfield_atlas"]
+def _corners_problem(quads: QuadPolygons, level_object: bpy.types.Object) -> str:
+    """Check that the corners of the quads are somewhere in the scene and in the atlas."""
     if not all(np.isfinite(corners).all() for corners in quads.corners):
         return "its vertices are not finite"
-    uvs = np.concatenate(quads.texel_coordinates) / (width, height)
-    if not (np.abs(uvs - 0.5) <= 0.5 + MAX_UV_EXCESS).all():
-        return "its UV map leaves the atlas"
+    uvs = np.concatenate(quads.texel_coordinates) / tuple(level_object["farfield_atlas"])
+    return "" if (np.abs(uvs - 0.5) <= 0.5 + MAX_UV_EXCESS).all() else "its UV map leaves the atlas"
+
+
+def _quads_problem(quads: QuadPolygons, level_object: bpy.types.Object) -> str:
+    """Check the corners of the quads in the scene and in the atlas, and how the texture lies on the quads."""
+    problem = _corners_problem(quads, level_object)
+    if problem:
+        return problem
+    width, height = level_object["farfield_atlas"]
     texel_count = sum(np.prod(np.ptp(coordinates, axis=0) + 2.0) for coordinates in quads.texel_coordinates)
     if texel_count > MAX_TEXEL_SHARING * width * height:
         return "its quads overlap in the UV map"

@@ -5,6 +5,7 @@ structure consists of the sub-bands 0 to kappa - 1, so kappa = 0 leaves no struc
 """
 
 from collections.abc import Iterator
+from itertools import islice
 
 import numpy as np
 from scipy.fft import dctn, idctn
@@ -13,9 +14,9 @@ from ..imaging.pyramids import reduce_image
 from ..jobs.chunks import slices
 
 MAX_DEVIATION = 0.001  # of the autocorrelation of luminance 0..1; the paper's limit
-MAX_AUTO_KAPPA = 16  # the range of the paper's Figure 13
+MAX_AUTO_KAPPA = 10  # finer patterns are texture; the paper uses 4 to 6
 PATTERN_RATIO = 1.5  # of the deviation that remains at MAX_AUTO_KAPPA
-MAX_ANALYSIS_PIXELS = 1024  # per side: larger images are halved before the analysis, which only concerns low frequencies
+MAX_ANALYSIS_PIXELS = 512  # per side: larger images are halved before the analysis, which only concerns low frequencies
 LUMINANCE = np.float32([0.2126, 0.7152, 0.0722])  # CIE Y of linear Rec.709 colors
 
 
@@ -53,21 +54,16 @@ def luminance(image: np.ndarray, is_color: bool) -> np.ndarray:
 def choose_kappa(image: np.ndarray, is_color: bool) -> tuple[int, np.ndarray]:
     """Return kappa for `image` (H, W, C), whose missing pixels are filled smoothly, and the deviations (K,) for kappa from 0 that decided.
 
-    Kappa is the smallest value for which the standard deviation of the autocorrelation of the texture is below MAX_DEVIATION. If there is
-    none up to MAX_AUTO_KAPPA, the texture has a strong pattern of its own, which is not structure: kappa is then the smallest value beyond
-    which the deviation hardly decreases.
+    Kappa is the smallest value for which the standard deviation of the autocorrelation of the texture is below MAX_DEVIATION, or below
+    PATTERN_RATIO times what remains at MAX_AUTO_KAPPA: a texture with a strong pattern of its own is never homogeneous, and more sub-bands
+    would only take parts of the pattern away.
     """
     values = luminance(image, is_color)
     while max(values.shape) > MAX_ANALYSIS_PIXELS:
         values = reduce_image(values)
-    deviations = []
-    for deviation in autocorrelation_deviations(values):
-        deviations.append(deviation)
-        if deviation < MAX_DEVIATION or len(deviations) > min(MAX_AUTO_KAPPA, *values.shape):
-            break
-    deviations = np.array(deviations)
-    limit = MAX_DEVIATION if deviations[-1] < MAX_DEVIATION else PATTERN_RATIO * deviations[-1]
-    return int(np.argmax(deviations < limit)), deviations
+    count = min(MAX_AUTO_KAPPA, *values.shape) + 1
+    deviations = np.array(list(islice(autocorrelation_deviations(values), count)))
+    return int(np.argmax(deviations < max(MAX_DEVIATION, PATTERN_RATIO * deviations[-1]))), deviations
 
 
 def autocorrelation_deviations(values: np.ndarray) -> Iterator[float]:

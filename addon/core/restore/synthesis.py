@@ -20,6 +20,7 @@ from .settings import RestoreSettings
 MATCHES = 2  # best matches that are compared per pixel
 MIN_KNOWN = 10  # of the 12 pixels of a causal kernel that must be known for the kernel to fit
 CLASSES = 3  # per axis: pixels of one batch are this far apart, so that they do not ignore each other
+COHERENCE_FALLOFF = 0.5  # of the preference for coherence, per coarser level
 SWEEPS = 2  # per level
 ADJACENT = np.array([step for step in FULL_STEPS if np.abs(step).max() == 1])
 
@@ -33,7 +34,7 @@ def synthesize(levels: list[Level], settings: RestoreSettings) -> Steps[None]:
         if coarse is not None:
             _guess_from_coarse(level, coarse, pixels[index])
         trees = SearchTrees(levels, index, settings.seed)
-        coherence = 1.0 + settings.coherence * 2.0**-index
+        coherence = 1.0 + settings.coherence * COHERENCE_FALLOFF**index
         for batch, orientations in _schedule(level, pixels[index], settings.order):
             _fill_batch(level, coarse, trees, batch, orientations, coherence)
             done += len(batch)
