@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from farfield.addon.core.errors import ImageError
 from farfield.addon.core.imaging.diffusion import diffuse
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.restore import synthesis
+from farfield.addon.core.restore import kernels, synthesis
 from farfield.addon.core.restore.levels import Page, build_levels
 from farfield.addon.core.restore.restoration import restore
 from farfield.addon.core.restore.settings import ORDERS, RestoreSettings
@@ -38,6 +38,20 @@ def stripes(shape, period=8, axis=1):
 
 def noise(shape, seed=1, channels=3):
     return np.random.default_rng(seed).random((*shape, channels), np.float32)
+
+
+def literal_scanline(image, hole):
+    """Fill `hole` pixel by pixel, row by row: each pixel becomes the one with the most similar causal neighborhood of 12 pixels, found by
+    comparing all of them (Wei and Levoy, as in section 5.4 of the paper, with one level)."""
+    result = image.copy()
+    height, width = hole.shape
+    causal = [(dy, dx) for dy in (-2, -1, 0) for dx in range(-2, 3) if dy < 0 or dx < 0]
+    sources = [(y, x) for y in range(2, height - 2) for x in range(2, width - 2) if not hole[y - 2 : y + 3, x - 2 : x + 3].any()]
+    for y, x in zip(*np.nonzero(hole), strict=True):
+        target = np.array([result[y + dy, x + dx] for dy, dx in causal], np.float64)
+        distances = [((np.array([image[v + dy, u + dx] for dy, dx in causal]) - target) ** 2).sum() for v, u in sources]
+        result[y, x] = image[sources[int(np.argmin(distances))]]
+    return result
 
 
 class TestKnownAnswers:
@@ -145,7 +159,7 @@ class TestInvariants:
 
     @pytest.mark.parametrize("order", ORDERS)
     def test_every_synthesized_pixel_is_a_copy_from_outside_the_hole(self, monkeypatch, order):
-        monkeypatch.setattr(synthesis, "blend_seams", lambda level: None)
+        monkeypatch.setattr(synthesis, "blend_seams", lambda _level: None)
         image, hole = noise((64, 80)), disk((64, 80), 12)
         levels = build_levels([Page(np.where(hole[..., None], np.float32(0.0), image), hole, ~hole, ~hole)], 3)
         run_to_end(synthesize(levels, RestoreSettings(order=order)))
@@ -163,9 +177,26 @@ class TestInvariants:
             return levels[0].source
 
         in_batches = sources()
-        in_order = lambda level, pixels, order: ((pixels[i : i + 1], np.zeros(1, np.int64)) for i in range(len(pixels)))  # noqa: E731
-        monkeypatch.setattr(synthesis, "_schedule", in_order)
+        monkeypatch.setattr(
+            synthesis, "_schedule", lambda _level, pixels, _order: ((pixel[None], np.zeros(1, np.int64)) for pixel in pixels)
+        )
         assert (sources() == in_batches).all()
+
+    def test_matches_are_those_of_the_literal_method(self, monkeypatch):
+        for module, name, value in (
+            (kernels, "TREE_EPS", 0.0),
+            (kernels, "MAX_DIMENSIONS", 1000),
+            (synthesis, "MATCHES", 1),
+            (synthesis, "SWEEPS", 0),
+            (synthesis, "blend_seams", lambda _level: None),
+            (synthesis, "_continuations", lambda _level, pixels: np.full((len(pixels), 1), -1)),
+        ):
+            monkeypatch.setattr(module, name, value)
+        image, hole = noise((30, 34), seed=9), disk((30, 34), 5)
+        levels = build_levels([Page(np.where(hole[..., None], np.float32(0.5), image), hole, ~hole, ~hole)], 1)
+        run_to_end(synthesize(levels, RestoreSettings(order="scanline", levels=1)))
+        expected = literal_scanline(image, hole)
+        assert np.array_equal(levels[0].page(0), expected)
 
     def test_far_holes_do_not_change_each_other(self):
         image = noise((200, 500))

@@ -4,6 +4,7 @@ import bpy
 import numpy as np
 import pytest
 
+from farfield.addon.compat import enable_nodes
 from restore_images import FAST, HEIGHT, HOLE, WIDTH, hole, new_image, new_mask, ramp, read, restore
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
@@ -145,7 +146,7 @@ def test_normals_have_unit_length():
     assert np.abs(lengths() - 1.0).max() > 0.01, "the test needs normals that diffusion shortens"
     assert np.allclose(lengths(normal_map=True), 1.0, atol=1e-4)
     material = bpy.data.materials.new("bumpy")
-    material.use_nodes = True
+    enable_nodes(material)
     nodes, links = material.node_tree.nodes, material.node_tree.links
     texture, reroute, bump = nodes.new("ShaderNodeTexImage"), nodes.new("NodeReroute"), nodes.new("ShaderNodeNormalMap")
     texture.image = bpy.data.images["normals"]

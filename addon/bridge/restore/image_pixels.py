@@ -88,7 +88,8 @@ def decode_signed_srgb(encoded: np.ndarray) -> np.ndarray:
 
 def is_bright(stored: np.ndarray, threshold: float) -> np.ndarray:
     """Return where (H, W) bool the luminance of stored values (H, W, 4) is above `threshold`. Transparent pixels are dark."""
-    return (stored[..., :3] @ LUMINANCE) * stored[..., 3] > threshold
+    with np.errstate(over="ignore", invalid="ignore"):  # what is too bright for a float is bright
+        return (stored[..., :3] @ LUMINANCE) * stored[..., 3] > threshold
 
 
 def has_color(display: np.ndarray, color: tuple[float, float, float], tolerance: float) -> np.ndarray:

@@ -160,8 +160,8 @@ def _check_sources(level: Level) -> None:
     sources = int(level.valid.sum())
     if sources < MIN_SOURCES:
         raise ImageError(
-            f"Only {sources} pixels with unmasked neighborhoods of {MIN_SIDE} x {MIN_SIDE} pixels can be copied; at least {MIN_SOURCES} are "
-            "necessary. Mask less, extend the source mask, or use Diffusion Only."
+            f"Only {sources} pixels with unmasked neighborhoods of {MIN_SIDE} x {MIN_SIDE} pixels can be copied; at least {MIN_SOURCES} "
+            "are necessary. Mask less, extend the source mask, or use Diffusion Only."
         )
 
 

@@ -38,7 +38,7 @@ class MaskReader:
         if (image.source == "TILED") != (source.source == "TILED"):
             tiled, other = (source, image) if source.source == "TILED" else (image, source)
             raise ImageError(
-                f'"{tiled.name}" has UDIM tiles, but "{other.name}" has none; use a {label.lower()} with the tiles of the image.'
+                f'"{tiled.name}" has UDIM tiles, but "{other.name}" has none; choose another image for {label}, with the same tiles.'
             )
         self.name, self._label, self._threshold, self._uid = name, label, threshold, image.session_uid
         self._frames = list_frames(image) if image.source == "SEQUENCE" else {}
