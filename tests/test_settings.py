@@ -76,7 +76,9 @@ def test_limits_are_allowed_and_values_outside_are_rejected_with_the_label(item)
         assert caught.value.settings == (item.name,) and "--" not in str(caught.value)
 
 
-@pytest.mark.parametrize("flag", ["--error=0", "--error=-1%", "--error=900%", "--error=nan", "--error=small", "--levels=2.5", "--levels=" + "9" * 400])
+@pytest.mark.parametrize(
+    "flag", ["--error=0", "--error=-1%", "--error=900%", "--error=nan", "--error=small", "--levels=2.5", f"--levels={10**400}"]
+)
 def test_command_line_rejects_bad_values_in_one_sentence_with_flag_and_label(flag):
     with pytest.raises(SettingsError) as caught:
         read(flag)

@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from farfield.addon.core.errors import FileError
 from farfield.addon.core.files import temporary_folders
+from farfield.addon.core.files.file_access import check_empty
 from farfield.addon.core.files.temporary_folders import folder_prefix, remove_abandoned_folders, temporary_folder
 
 CHILD = """
@@ -46,8 +48,14 @@ def test_the_next_run_removes_the_folder_of_a_killed_one(tmp_path):
         name = process.stdout.readline().strip()
         with temporary_folder(tmp_path):
             assert (tmp_path / name / "file").exists(), "the process runs"
+        with pytest.raises(FileError, match="is not empty"):
+            check_empty(tmp_path)
         process.kill()
     assert names(tmp_path) == [name]
+    copy = tmp_path / "copy" / name
+    copy.mkdir(parents=True)
+    check_empty(copy.parent)
+    copy.parent.rmdir()
     with temporary_folder(tmp_path) as folder:
         assert names(tmp_path) == [folder.name]
 

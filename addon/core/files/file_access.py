@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ..errors import FileError, single_line
+from .temporary_folders import remove_abandoned_folders
 
 ADVICE = {
     errno.ENOSPC: "free some space there",
@@ -114,10 +115,13 @@ def check_writable_folder(folder: Path) -> None:
 
 
 def check_empty(target: Path) -> None:
-    """Raise FileError when `target` is a folder that is not empty."""
+    """Raise FileError when `target` is a folder that is not empty. Temporary folders of processes that were killed are removed first."""
     with convert_os_errors(f'Cannot write "{target}"'):
         status = _read_status(target)
-        if status is not None and stat.S_ISDIR(status.st_mode) and any(target.iterdir()):
+        if status is None or not stat.S_ISDIR(status.st_mode):
+            return
+        remove_abandoned_folders(target)
+        if any(target.iterdir()):
             raise FileError(f'The folder "{target}" is not empty; choose another one or empty it.')
 
 
