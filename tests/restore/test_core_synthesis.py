@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter
 
 from farfield.addon.core.errors import ImageError
 from farfield.addon.core.imaging.diffusion import diffuse
@@ -81,6 +82,25 @@ class TestKnownAnswers:
         expected = [ramp[mask & (np.indices(mask.shape)[1] // 7 == column)].mean() for column in range(7, 10)]
         assert means == pytest.approx(expected, abs=0.02)
         assert result.pixels[mask].std(axis=0) == pytest.approx(image[mask].std(axis=0), rel=0.3)
+
+    def test_the_automatic_split_has_both_gradient_and_texture(self):
+        """Figure 15: synthesis alone loses the gradient, diffusion alone loses the texture."""
+        y, x = np.mgrid[:140, :160].astype(np.float32)
+        gradient = 0.5 + 0.24 * np.sin(2.4 * (x - 80) / 160) * np.cos(1.2 * (y - 70) / 140)
+        texture = gaussian_filter(noise((140, 160), seed=2, channels=1)[..., 0] - 0.5, 1.5)
+        image = (gradient + 0.09 * texture / texture.std())[..., None]
+        mask = disk((140, 160), 26)
+        damaged, errors, contrasts = np.where(mask[..., None], np.float32(0.0), image), {}, {}
+        for name, values in (("auto", {}), ("synthesis", TEXTURE_ONLY), ("diffusion", {"split": "diffusion"})):
+            results = [run(damaged, mask, seed=seed, **values) for seed in range(3)]
+            smooth = [gaussian_filter((result.pixels - image)[..., 0], 6.0)[mask] for result in results]
+            errors[name] = np.sqrt(np.mean(np.square(smooth)))
+            detail = [(result.pixels[..., 0] - gaussian_filter(result.pixels[..., 0], 3.0))[mask] for result in results]
+            contrasts[name] = np.std(detail)
+            assert name != "auto" or all(result.kappa > 0 for result in results)
+        truth = (image[..., 0] - gaussian_filter(image[..., 0], 3.0))[mask].std()
+        assert errors["auto"] < 0.7 * errors["synthesis"]
+        assert contrasts["auto"] == pytest.approx(truth, rel=0.2) and contrasts["diffusion"] < 0.3 * truth
 
     def test_diffusion_only_is_the_diffusion_to_the_byte(self):
         image, mask = noise((30, 40)), disk((30, 40), 8)
