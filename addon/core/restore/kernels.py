@@ -9,7 +9,8 @@ MIN_SAMPLES, MAX_SAMPLES = 12_000, 40_000  # neighborhoods per search tree: abou
 MAX_DIMENSIONS = 16  # of a neighborhood after principal component analysis
 TREE_EPS = 0.5  # an approximate match may be this much farther away than the nearest one
 COARSE_WEIGHT = 1.5  # of the mean squared difference at the next coarser level, relative to the level itself
-NEGLIGIBLE = 2e-3  # mean squared differences, relative to the variance of the texture
+MIN_THREADED = 256  # searches at once that are worth starting threads
+NEGLIGIBLE = 8e-3  # mean squared differences, relative to the variance of the texture
 UPPER_WEIGHT = 0.1  # the same for each level above
 
 
@@ -61,7 +62,8 @@ class SearchTrees:
         for orientation in np.unique(orientations):
             tree, mean, basis = self._tree(int(orientation))
             chosen = orientations == orientation
-            found[chosen] = tree.query((features[chosen] - mean) @ basis, k=list(range(1, count + 1)), eps=TREE_EPS)[1]
+            workers = -1 if np.count_nonzero(chosen) > MIN_THREADED else 1
+            found[chosen] = tree.query((features[chosen] - mean) @ basis, k=list(range(1, count + 1)), eps=TREE_EPS, workers=workers)[1]
         return self._samples[found]
 
     def _tree(self, orientation: int) -> tuple[cKDTree, np.ndarray, np.ndarray]:
