@@ -40,8 +40,10 @@ def check_level(level_object: bpy.types.Object, source: Source) -> None:
     """Check that a level is as it was built from `source`.
 
     Raises:
-        GeometryError: a number, UV map or material was changed so that it cannot be baked, or the quads no longer lie on the source.
+        GeometryError: a number, UV map or material was changed so that it cannot be baked, the quads no longer lie on the source, or the
+            level is in Edit Mode.
     """
+    _check_mode(level_object)
     problem = (
         _numbers_problem(level_object)
         or _mesh_problem(level_object.data)

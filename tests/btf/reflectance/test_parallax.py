@@ -1,5 +1,7 @@
 """Parallax offsets: known values, their limits, and a curved surface that a flat quad replaces."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -28,6 +30,14 @@ def test_offsets_at_45_degrees_equal_the_height(depth, offset):
     """A height of a quarter of the error is half a texel."""
     offsets = parallax_map(np.full(SIDE**2, depth)).offsets(VIEW)
     np.testing.assert_allclose(offsets, np.tile([0.0, offset], (SIDE**2, 1)), atol=1e-9)
+
+
+@pytest.mark.parametrize("scale", [1e-200, 1e200])
+def test_quads_too_small_or_large_for_numbers_have_no_parallax(scale):
+    texels = rotated_texels()
+    axes = parallax_axes(dataclasses.replace(texels, steps=texels.steps * scale), ERROR)
+    offsets = ParallaxMap(texels.pixels, texels.quad_indices, axes, np.full(SIDE**2, 0.5), np.zeros((SIDE, SIDE, 3))).offsets(VIEW)
+    assert np.isfinite(offsets).all()
 
 
 def test_offsets_are_zero_for_perpendicular_and_edge_on_views():

@@ -52,6 +52,8 @@ class ParallaxMap:
 
 def parallax_axes(texels: Texels, error: float) -> np.ndarray:
     """Return for every quad (Q, 2, 3) the axes whose dot products with a view direction, divided by its cosine to the quad normal, are the
-    offsets in texels along x and y for a depth of `error` (a length)."""
+    offsets in texels along x and y for a depth of `error` (a length). Quads too large or small for these numbers have no parallax."""
     steps = texels.steps
-    return error * steps / np.maximum((steps**2).sum(axis=2, keepdims=True), TINY)
+    with np.errstate(over="ignore", invalid="ignore"):
+        axes = error * steps / np.maximum((steps**2).sum(axis=2, keepdims=True), TINY)
+    return np.where(np.isfinite(axes), axes, 0.0)
