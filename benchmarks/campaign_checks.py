@@ -13,6 +13,7 @@ from farfield.addon.core.files.complete_files import is_complete_blend, is_compl
 
 OLD_CONTENT = b"the old content"
 SKIPPED = "Skipped: "
+CANCELLED = 130  # exit code after Ctrl+C
 LIBRARY_MESSAGE = re.compile(  # printed by libpng, and by Blender's dependency graph about metaballs
     r"libpng (error|warning): |find_node component: |-{20,}$|Failed to add relation |Could not find op_(to|from): |Trace:$"
     r"|Depth +Type +Name$|-----    ----  |\d+ +Object  "
@@ -60,7 +61,7 @@ def check_messages(code: int, stdout: str, stderr: str, interrupted: bool) -> li
         problems.append(Problem("traceback", stderr))
     elif code == 1 or "defect of Farfield" in stderr:
         problems.append(Problem("defect", stderr))
-    elif code not in (0, 2) and not (code == 130 and interrupted):
+    elif code not in (0, 2) and not (code == CANCELLED and interrupted):
         problems.append(Problem(f"exit code {code}", stderr))
     elif len(lines) != (0 if code == 0 else 1):
         problems.append(Problem(f"{len(lines)} lines on stderr with exit code {code}", stderr))
@@ -70,7 +71,10 @@ def check_messages(code: int, stdout: str, stderr: str, interrupted: bool) -> li
 
 
 def check_files(code: int, before: State, after: State, outputs: list[str], ignored: str | None) -> list[Problem]:
-    """Compare the folder of a case before and after the run. `ignored` is the relative path of a folder that may change."""
+    """Compare the folder of a case before and after the run. `ignored` is the relative path of a folder that may change.
+
+    A cancelled run may have written some of its `outputs`; `check_written` tells whether they are complete.
+    """
 
     def is_ignored(name: str) -> bool:
         return ignored is not None and (name == ignored or name.startswith(ignored + "/"))
@@ -91,6 +95,8 @@ def check_files(code: int, before: State, after: State, outputs: list[str], igno
     for name in sorted(set(before) | set(after)):
         if before.get(name) == after.get(name) or is_ignored(name) or TEMPORARY_NAME.match(Path(name).name):
             continue
+        if code == CANCELLED and _belongs_to_output(name, outputs):
+            continue
         kind = (
             "removed" if name not in after else "changed" if name in before else "new folder" if after[name][0] == "folder" else "new file"
         )
@@ -108,6 +114,12 @@ def check_output(path: Path) -> list[Problem]:
     return [] if _is_complete(path) else [Problem("output not complete", path.name)]
 
 
+def check_written(folder: Path, before: State, after: State, outputs: list[str]) -> list[Problem]:
+    """Check that those `outputs` in `folder` that a run has written are complete."""
+    written = [output for output in outputs if output in after and before.get(output) != after[output]]
+    return [problem for output in written for problem in check_output(folder / output)]
+
+
 def check_leftovers(folder: Path) -> list[Problem]:
     """Check that nothing but Blender's own folder is in a temporary folder."""
     return [Problem("left in the temporary folder", path.name) for path in folder.iterdir() if not BLENDER_FOLDER.match(path.name)]
@@ -116,6 +128,12 @@ def check_leftovers(folder: Path) -> list[Problem]:
 def _is_beside(name: str, outputs: list[str]) -> bool:
     """Whether a file belongs to an output: the materials and images of an .obj, for instance."""
     return any(Path(name).parent == Path(output).parent and Path(name).name.startswith(Path(output).stem) for output in outputs)
+
+
+def _belongs_to_output(name: str, outputs: list[str]) -> bool:
+    """Whether a path is an output, in one, beside one, or a folder that holds one."""
+    is_part = any(name == output or name.startswith(output + "/") or output.startswith(name + "/") for output in outputs)
+    return is_part or _is_beside(name, outputs)
 
 
 def _is_complete(path: Path) -> bool:

@@ -22,6 +22,7 @@ from lib import environment
 
 environment.ensure()
 environment.import_farfield()
+sys.path.append(str(environment.ROOT / "tests"))
 
 import campaign_checks
 import campaign_runs

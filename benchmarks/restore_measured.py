@@ -30,8 +30,11 @@ from lib import command_line
 
 def main(arguments: list[str], _line: command_line.ProgressLine) -> str:
     """Restore the image; returns the measurements as JSON."""
+    parser = command_line.Parser(prog="restore_measured.py", description="Restore one image and measure time and memory.")
+    parser.add_argument("input", type=command_line.parse_path, help="an .npz file with the arrays image and mask")
+    given = parser.parse_args(arguments)
     before = memory_mb("VmRSS")
-    with np.load(arguments[0], allow_pickle=False) as file:
+    with np.load(given.input, allow_pickle=False) as file:
         image, mask = file["image"], file["mask"]
     started = time.perf_counter()
     restoration = run_to_end(restore(image, mask, RestoreSettings()))

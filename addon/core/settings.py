@@ -181,9 +181,9 @@ def _find_problem(description: Description, value: Any) -> str | None:
     if isinstance(value, float) and not math.isfinite(value):
         return f"must be a finite number, not {value}"
     if description.minimum is not None and value < description.minimum:
-        return f"is {description.format(value)}; the minimum is {description.format(description.minimum)}"
+        return f"is {description.format(value):.60}; the minimum is {description.format(description.minimum)}"
     if description.maximum is not None and value > description.maximum:
-        return f"is {description.format(value)}; the maximum is {description.format(description.maximum)}"
+        return f"is {description.format(value):.60}; the maximum is {description.format(description.maximum)}"
     return None
 
 

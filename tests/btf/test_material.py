@@ -11,7 +11,7 @@ import bpy
 import mathutils
 
 from bridge import blender_scenes
-from farfield.addon.bridge.billboards.cloud_materials import FRONT_NORMAL, FRONT_ROUGHNESS_METALLIC_DEPTH
+from farfield.addon.bridge.billboards.cloud_materials import FRONT_COLOR, FRONT_NORMAL, FRONT_ROUGHNESS_METALLIC_DEPTH
 from farfield.addon.bridge.billboards.level_objects import read_level_texels
 from farfield.addon.bridge.billboards.lod_crossfade import GROUP_NAME, add_crossfade, remove_crossfade
 from farfield.addon.bridge.btf.clouds import assign_relightable_material, read_texel_surface, restore_pbr_material
@@ -41,7 +41,7 @@ def fresh_scene(extension):
 def create_card(pbr_material: bpy.types.Material | None = None) -> bpy.types.Object:
     """Create a card of 8 x 8 texels."""
     card = blender_scenes.card()
-    card["farfield_atlas"] = [SIDE, SIDE]
+    card["farfield_atlas"], card["farfield_error"] = [SIDE, SIDE], 0.5
     card.data.materials.append(pbr_material)
     return card
 
@@ -156,7 +156,6 @@ def test_clustered_texels_match_the_arrays_under_uniform_lighting():
 def test_parallax_mapping_matches_the_arrays():
     """The normal and depth vary over the card; it is seen obliquely, from both sides, and on a rotated object."""
     card = create_card(create_pbr_material(np.array([0.0, 0.0, 1.0])))
-    card["farfield_error"] = 0.5
     texels = read_level_texels(card)
     tilts = np.linspace(-0.6, 0.6, SIDE)
     scaled_normals = np.stack(np.broadcast_arrays(tilts[None, :], tilts[:, None], 1.0), axis=2)
@@ -166,8 +165,9 @@ def test_parallax_mapping_matches_the_arrays():
     next(node for node in nodes if node.label == FRONT_NORMAL).image = create_image(
         "Varying Normals", pixels, is_data=True, half_floats=True
     )
-    image_node = nodes.new("ShaderNodeTexImage")
-    image_node.label, image_node.image = FRONT_ROUGHNESS_METALLIC_DEPTH, create_image("Depths", depths, is_data=True, half_floats=True)
+    for label, values in ((FRONT_ROUGHNESS_METALLIC_DEPTH, depths), (FRONT_COLOR, np.ones_like(depths))):
+        image_node = nodes.new("ShaderNodeTexImage")
+        image_node.label, image_node.image = label, create_image(label, values, is_data=True, half_floats=True)
     lobes = uniform_lobes(0.4, f0=2.0, f90_minus_f0=0.0)
     surface = read_texel_surface(card, texels)
     assert surface.parallax is not None

@@ -121,6 +121,28 @@ def test_changes_after_a_refusal_are_noticed(tmp_path):
     assert sorted(kinds(found)) == ["changed although the exit code is 2", "left behind", "new file although the exit code is 2"]
 
 
+def test_a_cancelled_run_may_leave_complete_outputs(tmp_path):
+    """Ctrl+C between two outputs keeps the first: a bake takes hours, an export minutes."""
+    before = campaign_checks.read_state(tmp_path)
+    (tmp_path / "out.json").write_bytes(b"{}")
+    (tmp_path / "images").mkdir()
+    (tmp_path / "images" / "a.json").write_bytes(b"{")
+    (tmp_path / "other.json").write_bytes(b"{}")
+    after, outputs = campaign_checks.read_state(tmp_path), ["out.json", "images", "missing.json"]
+    assert [problem.text for problem in campaign_checks.check_files(130, before, after, outputs, None)] == ["other.json"]
+    written = campaign_checks.check_written(tmp_path, before, after, outputs)
+    assert [(problem.kind, problem.text) for problem in written] == [("output not complete", "a.json")]
+    assert campaign_checks.check_written(tmp_path, after, after, outputs) == []
+
+
+@pytest.mark.parametrize("script", ["campaign_disk", "campaign_session", "campaign_worker"])
+def test_the_processes_of_a_campaign_find_their_modules(script):
+    """They are started as scripts, without the search path of the tests."""
+    command = f"import sys; sys.path.insert(0, {str(FUZZ.parent)!r}); import {script}"
+    outcome = subprocess.run([sys.executable, "-c", command], capture_output=True, encoding="utf-8", cwd=FUZZ.anchor, check=False)
+    assert outcome.returncode == 0, outcome.stderr
+
+
 def test_a_changed_input_is_noticed_but_not_an_output(tmp_path):
     for name in ("in.obj", "out.obj"):
         (tmp_path / name).write_bytes(b"v 0 0 0\n")
