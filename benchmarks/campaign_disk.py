@@ -79,7 +79,7 @@ def writers(folder: Path) -> list[Writer]:
             "btf",
             (*finished_bake, "--export", "{target}"),
             f"export{suffix}",
-            is_new=suffix in ("", ".octahedral"),
+            is_new=suffix != ".glb",  # the others are folders, or .btf files named after the two levels
         )
         for suffix in (".glb", ".btf", ".octahedral", "")
     ]

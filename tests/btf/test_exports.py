@@ -1,6 +1,7 @@
 """Exported files contain what the textures show, and appear completely or not at all."""
 
 import json
+import signal
 from functools import partial
 from pathlib import Path
 
@@ -16,9 +17,11 @@ from bridge.bakes import open_cloud
 from farfield.addon.bridge.billboards.cloud_materials import FRONT_COLOR, FRONT_NORMAL
 from farfield.addon.bridge.billboards.level_objects import PBR_MATERIAL, read_level_texels
 from farfield.addon.bridge.billboards.scene_clouds import clouds_in
+from farfield.addon.bridge.btf import image_export
 from farfield.addon.bridge.btf.clouds import assign_relightable_material
 from farfield.addon.bridge.btf.decode import read_relightable_texture
 from farfield.addon.bridge.images import read_pixels
+from farfield.addon.bridge.render_scene import render_scene
 from farfield.addon.core.btf.compression import CompressedTextures
 from farfield.addon.core.btf.factorization.factors import Factors
 from farfield.addon.core.btf.settings import BtfSettings, ExportSettings
@@ -224,6 +227,25 @@ def test_images_of_another_size_than_the_atlas_are_rejected(cloud):
     bpy.data.images[f"{cloud.levels[0].name} BTF Chromaticity"].scale(7, 7)
     with pytest.raises(GeometryError, match="have another size than its atlas; bake them again"):
         read_relightable_texture(cloud.levels[0])
+
+
+@pytest.mark.parametrize("limit", [0, 40, 400, 3000])
+def test_a_full_disk_is_noticed(tmp_path, limit):
+    """Blender does not notice each of these. A limit on file sizes simulates the disk."""
+    resource = pytest.importorskip("resource")
+    texture_size, pixels = (32, 24), np.random.default_rng(0).random((24, 32, 3))
+    handler, limits = signal.signal(signal.SIGXFSZ, signal.SIG_IGN), resource.getrlimit(resource.RLIMIT_FSIZE)
+    with render_scene("Farfield Images") as work:
+        image = image_export._new_image(work, texture_size)
+        image_export._save_image(work, image, pixels, tmp_path / "complete.exr")
+        assert (tmp_path / "complete.exr").stat().st_size > 3000
+        try:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limits[1]))
+            with pytest.raises((FileError, RuntimeError), match="truncated|could not be saved"):
+                image_export._save_image(work, image, pixels, tmp_path / "image.exr")
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+            signal.signal(signal.SIGXFSZ, handler)
 
 
 def test_moved_quads_are_exported(cloud, tmp_path):

@@ -13,6 +13,8 @@ import numpy as np
 from ...compat import set_file_format
 from ...core.btf.decoding import RelightableTexture
 from ...core.btf.formats.bonn_filenames import direction_names, format_direction_list
+from ...core.btf.formats.complete_exr import is_complete_exr
+from ...core.errors import FileError
 from ...core.jobs.progress import Progress, Steps
 from ..render_scene import RenderScene, render_scene
 
@@ -26,7 +28,7 @@ def write_images(texture: RelightableTexture, folder: Path, views: np.ndarray, l
 
     Raises:
         SettingsError: if two directions would get the same file name.
-        OSError, RuntimeError: if a file cannot be written.
+        FileError, OSError, RuntimeError: if a file cannot be written.
     """
     view_names, light_names = direction_names(views, "v"), direction_names(lights, "l")
     (folder / "views.txt").write_text(format_direction_list(views), encoding="utf-8")
@@ -52,8 +54,14 @@ def _new_image(work: RenderScene, size: tuple[int, int]) -> bpy.types.Image:
 
 
 def _save_image(work: RenderScene, image: bpy.types.Image, pixels: np.ndarray, path: Path) -> None:
-    """Write `pixels` (H, W, 3) through `image`. Saving it as a render keeps its values; plain saving would encode them."""
+    """Write `pixels` (H, W, 3) through `image`. Saving it as a render keeps its values; plain saving would encode them.
+
+    Raises:
+        FileError: the disk is full, which Blender does not always notice.
+    """
     opaque = np.ones((*pixels.shape[:2], 1), np.float32)
     image.pixels.foreach_set(np.concatenate([np.minimum(pixels, MAX_HALF_FLOAT), opaque], axis=2, dtype=np.float32).ravel())
     image.update()
     image.save_render(str(path), scene=work.scene)
+    if not path.exists() or not is_complete_exr(path):
+        raise FileError(f'Cannot write "{path}": the image is truncated, because the disk or your quota is full; free some space.')
