@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from ..core.imaging.colors import decode_signed_srgb, encode_signed_srgb
+from ..core.imaging.images import MIN_ALPHA
 from ..core.jobs.chunks import slices
 
-SRGB_LINEAR_LIMIT = 0.0031308  # linear values up to here are encoded by a straight line
-SRGB_LINEAR_SCALE, SRGB_SCALE, SRGB_OFFSET, SRGB_GAMMA = 12.92, 1.055, 0.055, 2.4
-MIN_ALPHA = 1e-6  # colors of pixels with less alpha are not divided by it: the quotient could overflow
 CHUNK_PIXELS = 1 << 19  # converted at once, so that temporary arrays stay small
 
 
@@ -53,21 +52,6 @@ class ImageFile:
         return {"uint8": "8", "uint16": "16", "float16": "half", "float32": "float"}[self.storage.dtype.name]
 
 
-def encode_display(linear: np.ndarray) -> np.ndarray:
-    """Return the sRGB-encoded values of linear ones, of any shape. The curve continues above 1 and is mirrored below 0."""
-    magnitude = np.abs(linear)
-    curve = SRGB_SCALE * magnitude ** (1.0 / SRGB_GAMMA) - SRGB_OFFSET
-    return np.copysign(np.where(magnitude <= SRGB_LINEAR_LIMIT, SRGB_LINEAR_SCALE * magnitude, curve), linear)
-
-
-def decode_display(encoded: np.ndarray) -> np.ndarray:
-    """Return the linear values of sRGB-encoded ones, of any shape. Inverts `encode_display`."""
-    magnitude = np.abs(encoded)
-    curve = ((magnitude + SRGB_OFFSET) / SRGB_SCALE) ** SRGB_GAMMA
-    is_line = magnitude <= SRGB_LINEAR_SCALE * SRGB_LINEAR_LIMIT
-    return np.copysign(np.where(is_line, magnitude / SRGB_LINEAR_SCALE, curve), encoded)
-
-
 def to_pixels(stored: np.ndarray, storage: Storage) -> np.ndarray:
     """Return the pixels (..., C) float32 of an array (..., C) as it is in a file. Values that are not finite stay so."""
     flat = stored.reshape(-1, stored.shape[-1])
@@ -97,7 +81,7 @@ def _decode_chunk(stored: np.ndarray, storage: Storage) -> np.ndarray:
     if storage.is_premultiplied:
         colors /= _divisors(pixels)
     if storage.is_linear:
-        colors[:] = encode_display(colors)
+        colors[:] = encode_signed_srgb(colors)
     return pixels
 
 
@@ -108,7 +92,7 @@ def _encode_chunk(pixels: np.ndarray, storage: Storage) -> np.ndarray:
         np.clip(values, 0.0, 1.0, out=values)
     colors = values[:, : _color_count(values, storage)]
     if storage.is_linear:
-        colors[:] = decode_display(colors)
+        colors[:] = decode_signed_srgb(colors)
     if storage.is_premultiplied:
         colors *= _divisors(values)
     if storage.dtype.kind == "u":

@@ -10,6 +10,7 @@ import numpy as np
 from ..core.errors import FileError
 from ..core.files.complete_files import is_complete_png
 from ..core.files.file_access import error_reason
+from .blender_errors import error_sentence
 from .meshes import Source
 from .node_groups import nodes_in
 
@@ -34,11 +35,17 @@ def create_image(name: str, pixels: np.ndarray, is_data: bool, half_floats: bool
 
 
 def read_pixels(image: bpy.types.Image) -> np.ndarray:
-    """Return the pixels (H, W, 4) float32 of an image, row 0 at the bottom."""
+    """Return the pixels (H, W, 4) float32 of an image, or of its first tile, row 0 at the bottom. Gray becomes RGB, and missing alpha 1."""
     width, height = image.size
-    pixels = np.empty(width * height * 4, np.float32)
+    channels = image.channels
+    pixels = np.empty(width * height * channels, np.float32)
     image.pixels.foreach_get(pixels)
-    return pixels.reshape(height, width, 4)
+    pixels = pixels.reshape(height, width, channels)
+    if channels == 4:
+        return pixels
+    colors = pixels[..., :3] if channels == 3 else pixels[..., :1].repeat(3, axis=2)
+    alpha = pixels[..., 1:] if channels == 2 else np.ones((height, width, 1), np.float32)
+    return np.concatenate([colors, alpha], axis=2)
 
 
 def save_image(image: bpy.types.Image, path: Path) -> None:
@@ -53,7 +60,7 @@ def save_image(image: bpy.types.Image, path: Path) -> None:
         if image.file_format == "PNG" and not is_complete_png(path):  # Blender reports no failed write
             raise FileError(f'Cannot write "{path}": the image is truncated, because the disk or your quota is full; free some space.')
     except RuntimeError as error:  # raised by Blender
-        reason = " ".join(str(error).removeprefix("Error: ").split()).rstrip(".")
+        reason = error_sentence(error)
         raise FileError(f'Cannot write "{path}": {reason}.') from error
     except OSError as error:
         raise FileError(f'Cannot write "{path}": {error_reason(error)}.') from error

@@ -12,6 +12,7 @@ import numpy as np
 from ..compat import enable_nodes, set_file_format
 from ..core.errors import FarfieldError, FileError
 from ..core.files.temporary_folders import create_temporary_folder
+from .blender_errors import error_sentence
 
 
 class RenderScene:
@@ -80,7 +81,7 @@ class RenderScene:
         try:
             bpy.ops.render.render(write_still=True, scene=self.scene.name)
         except RuntimeError as error:
-            reason = " ".join(str(error).removeprefix("Error: ").split()).rstrip(".")
+            reason = error_sentence(error)
             raise FileError(
                 f'Rendering into the temporary folder "{self.folder}" failed: {reason}; check that it can be written.'
             ) from error

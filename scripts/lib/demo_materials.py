@@ -9,6 +9,7 @@ from lib.shader_nodes import find_node
 environment.import_farfield()
 
 from farfield.addon.compat import enable_nodes
+from farfield.addon.core.imaging.metrics import encode_srgb
 
 SPRIGS_PER_SIDE = 2
 SPRIG_PIXELS = 512
@@ -98,8 +99,7 @@ def _paint_sprig(random: np.random.Generator) -> np.ndarray:
         _paint_leaf(color[window], alpha[window], column[window] - base[0], row[window] - base[1], lean, length, random)
     color = color.reshape(SPRIG_PIXELS, 2, SPRIG_PIXELS, 2, 3).mean(axis=(1, 3))
     alpha = alpha.reshape(SPRIG_PIXELS, 2, SPRIG_PIXELS, 2).mean(axis=(1, 3))
-    srgb = np.where(color <= 0.0031308, 12.92 * color, 1.055 * color ** (1.0 / 2.4) - 0.055)
-    return np.concatenate([np.clip(srgb, 0.0, 1.0), alpha[..., None]], axis=-1)
+    return np.concatenate([encode_srgb(color), alpha[..., None]], axis=-1)
 
 
 def _leaf_window(base: np.ndarray, length: float, size: int) -> tuple[slice, slice]:

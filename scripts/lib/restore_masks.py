@@ -12,10 +12,10 @@ environment.import_farfield()
 from farfield.addon.bridge.image_files import read_image_file
 from farfield.addon.bridge.image_storage import ImageFile
 from farfield.addon.core.errors import ImageError
+from farfield.addon.core.imaging.colors import LUMINANCE
 
 ALPHA = "alpha"  # instead of the path of a mask
 COLOR = re.compile(r"#([0-9a-fA-F]{6})")
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of Rec.709
 THRESHOLD = 0.5
 
 

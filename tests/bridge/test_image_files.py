@@ -14,8 +14,9 @@ import strategies
 from farfield.addon.bridge import image_files
 from farfield.addon.bridge.blender_modules import bundled_folders, import_blender_module
 from farfield.addon.bridge.image_files import read_image_file, write_image_file
-from farfield.addon.bridge.image_storage import Storage, decode_display, encode_display, from_pixels, to_pixels
+from farfield.addon.bridge.image_storage import Storage, from_pixels, to_pixels
 from farfield.addon.core.errors import FileError
+from farfield.addon.core.imaging.colors import decode_signed_srgb, encode_signed_srgb
 from image_data import icc_profile, jpeg_bytes, open_image_io, png_bytes, png_chunk, read_image, write_image
 
 RANDOM = np.random.default_rng(5)
@@ -83,12 +84,14 @@ def test_integers_survive_the_conversion(dtype):
 
 def test_the_curve_is_that_of_srgb_and_continues():
     """Reference values of IEC 61966-2-1: 18 % gray is 0.4614, linear 0.5 is 0.7354."""
-    np.testing.assert_allclose(encode_display(np.array([0.0, 0.0031308, 0.18, 0.5, 1.0])), [0.0, 0.04045, 0.46136, 0.73536, 1.0], atol=1e-5)
+    np.testing.assert_allclose(
+        encode_signed_srgb(np.array([0.0, 0.0031308, 0.18, 0.5, 1.0])), [0.0, 0.04045, 0.46136, 0.73536, 1.0], atol=1e-5
+    )
     values = np.linspace(-20.0, 20.0, 4001)
-    encoded = encode_display(values)
+    encoded = encode_signed_srgb(values)
     assert (np.diff(encoded) > 0.0).all()
     np.testing.assert_allclose(encoded, -encoded[::-1], atol=1e-12)
-    np.testing.assert_allclose(decode_display(encoded), values, atol=1e-9)
+    np.testing.assert_allclose(decode_signed_srgb(encoded), values, atol=1e-9)
 
 
 def test_premultiplied_linear_colors_become_straight_encoded_ones(tmp_path):

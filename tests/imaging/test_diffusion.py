@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from farfield.addon.core.imaging import diffusion
+from farfield.addon.core.imaging import grid_solver
 from farfield.addon.core.imaging.diffusion import diffuse
 
 SIZE = 40
@@ -24,7 +24,7 @@ def harmonic_images(size=SIZE):
 @pytest.mark.parametrize("is_direct", [True, False])
 def test_harmonic_functions_are_reproduced(monkeypatch, is_direct):
     if not is_direct:
-        monkeypatch.setattr(diffusion, "MAX_DIRECT_UNKNOWNS", 10)
+        monkeypatch.setattr(grid_solver, "MAX_DIRECT_UNKNOWNS", 10)
     image, mask = harmonic_images(100), disk(40.0, 100)
     damaged = np.where(mask[..., None], np.float32(1e6), image)
     assert np.abs(diffuse(damaged, mask) - image).max() < 1e-5

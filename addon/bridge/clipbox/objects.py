@@ -234,6 +234,7 @@ def _add_block(root: bpy.types.Object, name: str, mesh: bpy.types.Mesh) -> None:
 
 def add_converted_meshes(scene: bpy.types.Scene, terrain: SceneTerrain, parts: list[ConvertedMesh]) -> tuple[str, ...]:
     """Create objects of converted meshes at the terrain's position, in a new collection. Returns their names."""
+    origin = terrain.origin
     collection = bpy.data.collections.new(CONVERTED_NAME)
     scene.collection.children.link(collection)
     material = terrain.material.copy() if terrain.material is not None else None
@@ -244,7 +245,7 @@ def add_converted_meshes(scene: bpy.types.Scene, terrain: SceneTerrain, parts: l
     for part in parts:
         mesh, source = bpy.data.meshes.new(part.name), part.mesh
         is_flat = source.normals is None or (terrain.settings.surface == "blocky" and not terrain.settings.smoothing)
-        fill_mesh(mesh, source.vertices - terrain.origin, None if is_flat else source.normals, source.triangles)
+        fill_mesh(mesh, source.vertices - origin, None if is_flat else source.normals, source.triangles)
         item = bpy.data.objects.new(part.name, mesh)
         item.matrix_world = terrain.root.matrix_world
         collection.objects.link(item)

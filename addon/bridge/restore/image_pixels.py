@@ -8,10 +8,8 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
+from ...core.imaging.colors import LUMINANCE, decode_signed_srgb, encode_signed_srgb
 from ...core.imaging.images import MIN_ALPHA
-
-LINEAR_LIMIT, ENCODED_LIMIT = 0.0031308, 0.04045  # of the linear part of the sRGB curve
-LUMINANCE = np.float32([0.2126, 0.7152, 0.0722])  # Rec.709
 
 
 @dataclass(frozen=True)
@@ -35,23 +33,6 @@ def read_format(image: bpy.types.Image) -> PixelFormat:
     return PixelFormat(image.is_float, is_data, is_linear, is_linear and image.alpha_mode in {"STRAIGHT", "PREMUL"})
 
 
-def read_stored(image: bpy.types.Image) -> np.ndarray:
-    """Return the stored values (H, W, 4) float32 of an image, or of its first tile, row 0 at the bottom.
-
-    Gray becomes RGB, and missing alpha 1.
-    """
-    width, height = image.size
-    channels = image.channels
-    pixels = np.empty(width * height * channels, np.float32)
-    image.pixels.foreach_get(pixels)
-    pixels = pixels.reshape(height, width, channels)
-    if channels == 4:
-        return pixels
-    colors = pixels[..., :3] if channels == 3 else pixels[..., :1].repeat(3, axis=2)
-    alpha = pixels[..., 1:] if channels == 2 else np.ones((height, width, 1), np.float32)
-    return np.concatenate([colors, alpha], axis=2)
-
-
 def to_display(stored: np.ndarray, pixel_format: PixelFormat) -> np.ndarray:
     """Return stored values (H, W, 4) as sRGB-encoded colors, or data, with straight alpha."""
     display = stored.copy()
@@ -72,18 +53,6 @@ def to_stored(display: np.ndarray, pixel_format: PixelFormat) -> np.ndarray:
     if pixel_format.is_premultiplied:
         stored[..., :3] *= stored[..., 3:]
     return stored
-
-
-def encode_signed_srgb(linear: np.ndarray) -> np.ndarray:
-    """Return sRGB values of scene-linear ones. The curve continues above 1 and is mirrored below 0, so that no value is lost."""
-    size = np.abs(linear)
-    return np.copysign(np.where(size <= LINEAR_LIMIT, 12.92 * size, 1.055 * size ** (1.0 / 2.4) - 0.055), linear).astype(np.float32)
-
-
-def decode_signed_srgb(encoded: np.ndarray) -> np.ndarray:
-    """Invert `encode_signed_srgb`."""
-    size = np.abs(encoded)
-    return np.copysign(np.where(size <= ENCODED_LIMIT, size / 12.92, ((size + 0.055) / 1.055) ** 2.4), encoded).astype(np.float32)
 
 
 def is_bright(stored: np.ndarray, threshold: float) -> np.ndarray:

@@ -11,8 +11,8 @@ import numpy as np
 
 from ...core.errors import FileError, ImageError
 from ...core.files.file_access import check_readable, convert_os_errors
-from ..images import tile_paths
-from .image_pixels import read_stored
+from ..blender_errors import error_sentence
+from ..images import read_pixels, tile_paths
 
 NUMBERED_FILE = re.compile(r"(.*?)(\d+)(\D*)$", re.DOTALL)  # the last number of a name, as Blender reads image sequences
 EXTENSIONS = {False: "png", True: "exr"}  # lossless, by whether the pixels are floats
@@ -108,7 +108,7 @@ def read_tiles(image: bpy.types.Image) -> dict[int, np.ndarray]:
         FileError: a tile cannot be loaded or saved.
     """
     if image.source != "TILED":
-        return {0: read_stored(image)}
+        return {0: read_pixels(image)}
     numbers = [tile.number for tile in image.tiles]
     files = {number: Path(path) for number, path in zip(numbers, tile_paths(image), strict=True)}
     if not image.is_dirty and not image.packed_files and all(path.is_file() for path in files.values()):
@@ -128,7 +128,7 @@ def _save_tiles(image: bpy.types.Image, path: Path) -> None:
         saved.file_format = FILE_FORMATS[image.is_float]
         saved.save(filepath=str(path), save_copy=True)
     except RuntimeError as error:  # raised by Blender
-        reason = " ".join(str(error).removeprefix("Error: ").split()).rstrip(".")
+        reason = error_sentence(error)
         raise FileError(f'The tiles of "{image.name}" cannot be read: {reason}; check that all their files exist.') from error
     finally:
         if saved is image:
@@ -144,14 +144,14 @@ def _read_tile(image: bpy.types.Image, path: Path, number: int) -> np.ndarray:
     try:
         tile.colorspace_settings.name = default_color_space(image)
         tile.alpha_mode = lossless_alpha_mode(image.alpha_mode, image.is_float)
-        return read_stored(tile)
+        return read_pixels(tile)
     finally:
         bpy.data.images.remove(tile)
 
 
 def _read_file(image: bpy.types.Image, path: Path) -> np.ndarray:
     with load_frame(image, path) as tile:
-        return read_stored(tile)
+        return read_pixels(tile)
 
 
 def default_color_space(image: bpy.types.Image) -> str:

@@ -8,10 +8,8 @@ from collections.abc import Iterator
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, label
-from scipy.sparse import coo_matrix, csr_matrix
-from scipy.sparse.linalg import splu
 
-from .grid_solver import MAX_DIRECT_UNKNOWNS, solve_grid
+from .grid_solver import solve_linked
 
 
 def diffuse(
@@ -56,17 +54,13 @@ def _fill(result: np.ndarray, mask: np.ndarray, barriers: np.ndarray | None, wra
         right_side[is_known] += values[neighbors[is_known]]
         rows.append(np.flatnonzero(is_unknown))
         columns.append(numbers[neighbors[is_unknown]])
-    rows, columns = np.concatenate(rows), np.concatenate(columns)
-    size = len(unknowns)
-    weights = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(size, size)).tocsr()
-    matrix = csr_matrix((diagonal, (np.arange(size), np.arange(size))), shape=(size, size)) - weights
-    if size <= MAX_DIRECT_UNKNOWNS:
-        solution = splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(right_side)
-    else:
+
+    def nearest_values() -> np.ndarray:
         nearest = distance_transform_edt(mask, return_distances=False, return_indices=True)
-        start = result[tuple(nearest[:, mask])].astype(np.float64)
-        solution = solve_grid(matrix, np.stack(np.divmod(unknowns, mask.shape[1]), axis=1), right_side, start)
-    values[unknowns] = solution
+        return result[tuple(nearest[:, mask])]
+
+    links, positions = (np.concatenate(rows), np.concatenate(columns)), np.stack(np.divmod(unknowns, mask.shape[1]), axis=1)
+    values[unknowns] = solve_linked(diagonal, links, positions, right_side, nearest_values)
 
 
 def _neighbors(pixels: np.ndarray, shape: tuple[int, int], wrap: tuple[bool, bool]) -> Iterator[tuple[np.ndarray, np.ndarray]]:

@@ -4,16 +4,34 @@ Coarse unknowns are blocks of 2 x 2 pixels, with Galerkin coefficients, so that 
 (aggregation multigrid: Notay, "An aggregation-based algebraic multigrid method", 2010).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.linalg import splu
+from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse.linalg import SuperLU, splu
 
 MAX_DIRECT_UNKNOWNS = 60_000  # above this, a factorization takes more memory and time than conjugate gradients
 MAX_ITERATIONS = 500
 SMOOTHING = 0.7  # damping of a Jacobi step
 OVERCORRECTION = 1.6  # of a coarse correction; piecewise constant corrections are too small by about this factor
+
+
+def solve_linked(
+    diagonal: np.ndarray,
+    links: tuple[np.ndarray, np.ndarray],
+    positions: np.ndarray,
+    right_side: np.ndarray,
+    start: Callable[[], np.ndarray],
+) -> np.ndarray:
+    """Return the solution (U, C) of a system with the given `diagonal` (U,) and -1 for each of `links`, two arrays (L,) of unknowns.
+
+    Few unknowns are solved for by factorization, more by `solve_grid`, which explains the other arguments; `start` is called only then.
+    """
+    size = len(diagonal)
+    weights = coo_matrix((np.ones(len(links[0])), links), shape=(size, size)).tocsr()
+    matrix = csr_matrix((diagonal, (np.arange(size), np.arange(size))), shape=(size, size)) - weights
+    return _factorize(matrix).solve(right_side) if size <= MAX_DIRECT_UNKNOWNS else solve_grid(matrix, positions, right_side, start())
 
 
 @dataclass(frozen=True)
@@ -65,7 +83,11 @@ def _build_levels(matrix: csr_matrix, positions: np.ndarray):
         levels.append(_Level(matrix, 1.0 / matrix.diagonal()[:, None], blocks, prolongation))
         matrix = (prolongation.T @ matrix @ prolongation).tocsr()
         positions = np.stack([keys // width, keys % width], axis=1)
-    return levels, splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    return levels, _factorize(matrix)
+
+
+def _factorize(matrix: csr_matrix) -> SuperLU:
+    return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
 
 
 def _cycle(levels: list[_Level], coarsest, residual: np.ndarray, depth: int) -> np.ndarray:

@@ -5,6 +5,8 @@ Renders are compared as displayed: cropped to the object, composited over mid-gr
 
 import numpy as np
 
+from .colors import decode_signed_srgb, encode_signed_srgb
+
 SSIM_SIGMA = 1.5
 SSIM_RADIUS = 5  # 11 x 11 pixels
 SSIM_K1 = 0.01
@@ -50,13 +52,12 @@ def alpha_iou(first: np.ndarray, second: np.ndarray) -> float:
 
 def encode_srgb(linear: np.ndarray) -> np.ndarray:
     """Return sRGB values in 0..1 (IEC 61966-2-1) of scene-linear Rec.709 values, clipped to 0..1."""
-    clipped = np.clip(linear, 0.0, 1.0)
-    return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1.0 / 2.4) - 0.055)
+    return encode_signed_srgb(np.clip(linear, 0.0, 1.0))
 
 
 def decode_srgb(encoded: np.ndarray) -> np.ndarray:
     """Return scene-linear Rec.709 values of sRGB values in 0..1. Inverts `encode_srgb`."""
-    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+    return decode_signed_srgb(encoded)
 
 
 def composite_over_gray(premultiplied: np.ndarray, gray: float = 0.5) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Comparison of candidates: how well the neighborhood of a source pixel fits what is known around a pixel of the hole."""
+"""Comparison of candidates: how well the neighborhood of a source pixel fits the known pixels around a pixel of the hole."""
 
 import numpy as np
 

@@ -10,6 +10,7 @@ from itertools import islice
 import numpy as np
 from scipy.fft import dctn, idctn
 
+from ..imaging.colors import LUMINANCE, decode_signed_srgb
 from ..imaging.pyramids import reduce_image
 from ..jobs.chunks import slices
 
@@ -17,27 +18,24 @@ MAX_DEVIATION = 0.001  # of the autocorrelation of luminance 0..1; the paper's l
 MAX_AUTO_KAPPA = 10  # finer patterns are texture; the paper uses 4 to 6
 PATTERN_RATIO = 1.5  # of the deviation that remains at MAX_AUTO_KAPPA
 MAX_ANALYSIS_PIXELS = 512  # per side: larger images are halved before the analysis, which only concerns low frequencies
-LUMINANCE = np.float32([0.2126, 0.7152, 0.0722])  # CIE Y of linear Rec.709 colors
 
 
 class LowBand:
     """The structure of an image: a smooth function that can be evaluated in any part of it.
 
-    coefficients: (K, K', C), the lowest DCT coefficients along rows and columns. shape: (H, W) of the image.
+    coefficients: (K, K', C), the lowest DCT coefficients along rows and columns.
     """
 
     def __init__(self, image: np.ndarray, kappa: int) -> None:
         """Project `image` (H, W, C) to its lowest `kappa` sub-bands."""
-        self.shape = image.shape[:2]
-        rows, columns = (_cosines(size, min(kappa, size)) for size in self.shape)
-        self.coefficients = np.einsum("ku,kvc->uvc", rows, np.einsum("kwc,wv->kvc", image, columns, optimize=True), optimize=True)
+        self._rows, self._columns = (_cosines(size, min(kappa, size)) for size in image.shape[:2])
+        partial = np.einsum("kwc,wv->kvc", image, self._columns, optimize=True)
+        self.coefficients = np.einsum("ku,kvc->uvc", self._rows, partial, optimize=True)
 
     def evaluate(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return the structure (R, S, C) float32 at pixels in the given `rows` (R,) and `columns` (S,)."""
-        cosines = (_cosines(size, count) for size, count in zip(self.shape, self.coefficients.shape, strict=False))
-        low_rows, low_columns = next(cosines)[rows], next(cosines)[columns]
-        partial = np.einsum("ru,uvc->rvc", low_rows, self.coefficients, optimize=True)
-        return np.einsum("rvc,sv->rsc", partial, low_columns, optimize=True).astype(np.float32)
+        partial = np.einsum("ru,uvc->rvc", self._rows[rows], self.coefficients, optimize=True)
+        return np.einsum("rvc,sv->rsc", partial, self._columns[columns], optimize=True).astype(np.float32)
 
 
 def luminance(image: np.ndarray, is_color: bool) -> np.ndarray:
@@ -46,8 +44,7 @@ def luminance(image: np.ndarray, is_color: bool) -> np.ndarray:
         return image[..., : min(image.shape[2], 3)].mean(axis=2)
     result = np.empty(image.shape[:2], np.float32)
     for rows in slices(len(image), 256):
-        encoded = np.maximum(image[rows, :, :3], 0.0)
-        result[rows] = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4) @ LUMINANCE
+        result[rows] = decode_signed_srgb(np.maximum(image[rows, :, :3], 0.0)) @ LUMINANCE
     return result
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from ..errors import ImageError
 from ..imaging.diffusion import diffuse
+from ..imaging.images import decode_normals
 from ..jobs.progress import Progress, StageClock, Steps, subprogress
 from .frequency_split import LowBand, choose_kappa
 from .levels import RADIUS, Level, Page, build_levels
@@ -100,7 +101,7 @@ def restore(
         low, high = image[~mask].min(axis=0), image[~mask].max(axis=0)
         pixels[mask] = np.clip(pixels[mask], low, high)
     if is_normal_map:
-        pixels[mask] = _normalize(pixels[mask])
+        pixels[mask, :3] = 0.5 + 0.5 * decode_normals(pixels[mask])
     return Restoration(pixels, kappa, deviations, len(windows), clock.seconds, stages)
 
 
@@ -196,11 +197,3 @@ def _write(image: np.ndarray, window: Window, values: np.ndarray) -> None:
     """Write the `values` (N, C) of the pixels of the hole of a window into `image`."""
     rows, columns = np.nonzero(window.hole)
     image[window.rows[rows], window.columns[columns]] = values
-
-
-def _normalize(encoded: np.ndarray) -> np.ndarray:
-    """Return normals (N, C) encoded as 0.5 + 0.5 n with unit length; further channels stay."""
-    normals = 2.0 * encoded[:, :3] - 1.0
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = np.where(lengths > 1e-6, normals / np.maximum(lengths, 1e-6), [0.0, 0.0, 1.0])
-    return np.concatenate([0.5 + 0.5 * normals, encoded[:, 3:]], axis=1).astype(np.float32)

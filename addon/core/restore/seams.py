@@ -6,10 +6,8 @@ hole, the step between them is spread over a few pixels.
 """
 
 import numpy as np
-from scipy.sparse import coo_matrix, csr_matrix
-from scipy.sparse.linalg import splu
 
-from ..imaging.grid_solver import MAX_DIRECT_UNKNOWNS, solve_grid
+from ..imaging.grid_solver import solve_linked
 from .levels import Level
 
 FIDELITY = 0.02  # weight of the copies relative to that of the differences: steps are spread over about seven pixels
@@ -39,12 +37,5 @@ def blend_seams(level: Level) -> None:
         right_side[border] += BOUNDARY_WEIGHT * texture[neighbors[border]]
         rows.append(np.flatnonzero(inner))
         columns.append(numbers[neighbors[inner]])
-    rows, columns = np.concatenate(rows), np.concatenate(columns)
-    size = len(pixels)
-    weights = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(size, size)).tocsr()
-    matrix = csr_matrix((diagonal, (np.arange(size), np.arange(size))), shape=(size, size)) - weights
-    if size <= MAX_DIRECT_UNKNOWNS:
-        solution = splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(right_side)
-    else:
-        solution = solve_grid(matrix, np.stack(np.divmod(pixels, level.shape[1]), axis=1), right_side, texture[pixels])
-    texture[pixels] = solution
+    links, positions = (np.concatenate(rows), np.concatenate(columns)), np.stack(np.divmod(pixels, level.shape[1]), axis=1)
+    texture[pixels] = solve_linked(diagonal, links, positions, right_side, lambda: texture[pixels])

@@ -1,7 +1,7 @@
 """Texture synthesis in the hole of a window, from coarse to fine levels (Textures Revisited, section 5.4).
 
 Every pixel of the hole becomes a copy of a source pixel. Candidates are the best matches of the neighborhood (Wei and Levoy, 2000) and the
-continuations of what was copied to its neighbors (Ashikhmin, 2001); which of both wins is decided as in Image Analogies (Hertzmann et al.,
+continuations of the copies at its neighbors (Ashikhmin, 2001); which of both wins is decided as in Image Analogies (Hertzmann et al.,
 2001). Then sweeps over the hole replace sources whose whole neighborhood fits worse than that of a neighbor's continuation.
 """
 
@@ -81,8 +81,7 @@ def _schedule(level: Level, pixels: np.ndarray, order: str) -> Iterator[tuple[np
 def _schedule_rings(level: Level, pixels: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield rings by Manhattan distance from the boundary, in classes of pixels that are CLASSES apart. Pixels that no kernel fits wait."""
     rings = distance_transform_cdt(~level.filled.reshape(level.shape), metric="taxicab").ravel()[pixels]
-    y, x = np.divmod(pixels, level.shape[1])
-    classes = (y % CLASSES) * CLASSES + x % CLASSES
+    classes = _classify(level, pixels)
     waiting = np.zeros(0, np.int64)
     for ring in range(1, int(rings.max(initial=0)) + 1):
         members = np.concatenate([waiting, np.flatnonzero(rings == ring)])
@@ -107,6 +106,12 @@ def _fill_classes(level: Level, pixels: np.ndarray, classes: np.ndarray, members
         if fits.any():
             yield pixels[batch[fits]], known[fits].argmax(axis=1)
     return np.concatenate(waiting) if waiting else members[:0]
+
+
+def _classify(level: Level, pixels: np.ndarray) -> np.ndarray:
+    """Return the class (P,) of each of `pixels`; those of one class are at least CLASSES apart along rows or columns."""
+    y, x = np.divmod(pixels, level.shape[1])
+    return (y % CLASSES) * CLASSES + x % CLASSES
 
 
 def _count_known(level: Level, pixels: np.ndarray) -> np.ndarray:
@@ -135,7 +140,7 @@ def _fill_batch(
 
 
 def _continuations(level: Level, pixels: np.ndarray) -> np.ndarray:
-    """Return the pixels (P, 8) that continue what was copied to the eight neighbors of `pixels`, -1 where nothing was copied."""
+    """Return the pixels (P, 8) that continue the copies at the eight neighbors of `pixels`, -1 where nothing was copied."""
     neighbors, exists = level.neighbors(pixels, ADJACENT)
     sources = level.source[neighbors]
     is_copy = exists & (sources >= 0) & level.filled[neighbors]
@@ -150,8 +155,7 @@ def _copy(level: Level, pixels: np.ndarray, sources: np.ndarray) -> None:
 
 def _sweep(level: Level, coarse: Level | None, pixels: np.ndarray) -> None:
     """Let every pixel of the hole take the best of its source and the continuations of its neighbors, compared by whole neighborhoods."""
-    y, x = np.divmod(pixels, level.shape[1])
-    classes = (y % CLASSES) * CLASSES + x % CLASSES
+    classes = _classify(level, pixels)
     for number in range(CLASSES * CLASSES):
         batch = pixels[classes == number]
         if len(batch):

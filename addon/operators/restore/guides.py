@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ...bridge.restore.image_pixels import has_color, is_bright, read_format, read_stored, to_display
+from ...bridge.images import read_pixels
+from ...bridge.restore.image_pixels import has_color, is_bright, read_format, to_display
 from ...bridge.restore.image_sources import check_image, find_image, list_frames, load_frame, read_tiles
 from ...bridge.session_ids import find_by_uid
 from ...core.errors import FarfieldError, ImageError
@@ -55,7 +56,7 @@ class MaskReader:
             if image is None:
                 raise ImageError(f'The image "{self.name}" was removed while it was in use; nothing was changed.')
             with load_frame(image, self._frames[number]) as frame:
-                mask = is_bright(read_stored(frame), self._threshold)
+                mask = is_bright(read_pixels(frame), self._threshold)
         if mask is not None and mask.shape != shape:
             sizes = [f"{width} x {height}" for height, width in (mask.shape, shape)]
             raise ImageError(f'{self._label} "{self.name}" has {sizes[0]} pixels, but {part} has {sizes[1]}; scale one of them.')

@@ -1,5 +1,7 @@
 """Operators of the tool `restore`: restore images, create masks for them, show their outline, and compare results with originals."""
 
+from typing import Any
+
 import bpy
 import numpy as np
 
@@ -17,6 +19,12 @@ from .prepare import edited_image, find_target, prepare, require_image
 NO_IMAGE = "Open an image in the Image Editor"
 
 
+def _image_property(action: str) -> Any:
+    """Return a property for the name of an image, for scripts."""
+    description = f"Name of the image to {action}; by default the one in the Image Editor"
+    return bpy.props.StringProperty(name="Image", description=description, options={"SKIP_SAVE"})
+
+
 class FARFIELD_PG_restore(bpy.types.PropertyGroup):
     """Settings of the panel *Restore Image*, stored per scene."""
 
@@ -30,11 +38,7 @@ class FARFIELD_OT_restore_image(start_job.StartJob, bpy.types.Operator):
     bl_label = "Restore Missing Parts of Image"
     bl_options = {"REGISTER", "UNDO"}
     settings_types, panel_property = (MaskSettings, RestoreSettings), "farfield_restore"
-    __annotations__ = start_job.setting_properties(*settings_types) | {
-        "image": bpy.props.StringProperty(
-            name="Image", description="Name of the image to restore; by default the one in the Image Editor", options={"SKIP_SAVE"}
-        )
-    }
+    __annotations__ = start_job.setting_properties(*settings_types) | {"image": _image_property("restore")}
 
     @classmethod
     def disabled_reason(cls, context: bpy.types.Context) -> str:
@@ -52,11 +56,7 @@ class FARFIELD_OT_restore_mask(bpy.types.Operator):
     bl_idname = "farfield.restore_mask"
     bl_label = "Create Mask for Restoration"
     bl_options = {"REGISTER", "UNDO"}
-    __annotations__ = {
-        "image": bpy.props.StringProperty(
-            name="Image", description="Name of the image to mask; by default the one in the Image Editor", options={"SKIP_SAVE"}
-        )
-    }
+    __annotations__ = {"image": _image_property("mask")}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

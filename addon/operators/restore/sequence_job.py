@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from ...bridge.images import read_pixels
 from ...bridge.restore import results
-from ...bridge.restore.image_pixels import read_format, read_stored
+from ...bridge.restore.image_pixels import read_format
 from ...bridge.restore.image_sources import load_frame
 from ...core.files.atomic_write import atomic_folder
 from ...core.files.filenames import safe_filename
@@ -51,7 +52,7 @@ class SequenceJob(RestoreJob):
         label, path, count = f"Frame {number}", self.frames[number], 0
         yield Progress(0.0, label)
         with load_frame(self.find_source(), path) as frame:
-            stored, pixel_format = read_stored(frame), read_format(frame)
+            stored, pixel_format = read_pixels(frame), read_format(frame)
         guides = self.guides.read(number, stored.shape, label)
         if guides is not None:
             steps = self.restore_pixels(stored, pixel_format, guides, label)
