@@ -25,10 +25,11 @@ environment.import_farfield()
 import benchmark_cli
 from restore_cases import Change, Comparison, apply_gradient, build_cases, compare, keep
 from restore_costs import measure_growth, measure_times
+from restore_holes import MASKS
 from restore_methods import FARFIELD, PEERS, Methods
 from restore_sheets import write_sheets
 from restore_summaries import Cases, summarize_gradients, summarize_kappa, summarize_quality
-from restore_textures import MASKS, TEXTURES
+from restore_textures import TEXTURES
 
 from farfield.addon.core.jobs.progress import Progress
 from lib import command_line

@@ -5,9 +5,10 @@ from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
+from restore_holes import MASKS
 from restore_methods import Methods, Restored
 from restore_scores import boundary_energy, find_nearby, low_band_psnr, patch_distances
-from restore_textures import GENERATED, MASKS, PHOTOGRAPHS, SIZE, add_gradient, crop
+from restore_textures import GENERATED, PHOTOGRAPHS, SIZE, add_gradient, crop
 
 from farfield.addon.core.errors import FarfieldError
 

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 from restore_cases import round_to_8_bits
+from restore_holes import blob, scatter_holes
 from restore_methods import Methods
-from restore_textures import GENERATED, add_gradient, blob, scatter_holes
+from restore_textures import GENERATED, add_gradient
 
 SMALL_SIZE, SMALL_FRACTION, SMALL_BOUND = (450, 600), 0.05, 3.0  # rows and columns, masked, seconds
 LARGE_SIZE, LARGE_FRACTION, LARGE_HOLES = (4096, 4096), 0.02, 200

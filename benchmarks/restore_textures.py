@@ -1,6 +1,6 @@
-"""Inputs of `bench_restore.py`: textures of many kinds, smooth intensity gradients, and masks of three shapes.
+"""Inputs of `bench_restore.py`: textures of many kinds, and smooth intensity gradients.
 
-Images are (H, W, 3) float32 sRGB values in 0..1, masks (H, W) bool, row 0 at the bottom. Generated textures differ with the random
+Images are (H, W, 3) float32 sRGB values in 0..1, row 0 at the bottom. Generated textures differ with the random
 generator that they get. Photographs are read by the process of the peers, which has decoders of PNG and JPEG.
 """
 
@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 from restore_noise import cell_noise, colorize, fractal_noise, smooth_noise
-from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.ndimage import gaussian_filter
+from scipy.spatial import cKDTree
 
 SIZE = 400  # pixels per side
 JITTER = 16  # pixels by which crops of photographs move between runs
@@ -153,11 +154,92 @@ def stripes(random: Generator, shape: tuple[int, int]) -> np.ndarray:
     return colorize(random, np.clip(gaussian_filter(tone, 0.8) + 0.2 + 0.05 * fractal_noise(random, shape, 5.0, 0.4), 0.0, 1.0))
 
 
+def leaves(random: Generator, shape: tuple[int, int]) -> np.ndarray:
+    """Return fallen leaves: ellipses that cover each other, with a midrib and a color each."""
+    image, size = np.zeros((*shape, 3), np.float32), random.uniform(9.0, 15.0)
+    mean_color = random.uniform(0.2, 0.7, 3)
+    for _ in range(int(5.0 * shape[0] * shape[1] / size**2)):
+        row, column, angle = random.uniform(-size, shape[0] + size), random.uniform(-size, shape[1] + size), random.uniform(0.0, np.pi)
+        length, width = size * random.uniform(0.7, 1.4), size * random.uniform(0.3, 0.5)
+        top, bottom = np.clip([int(row - length), int(row + length) + 2], 0, shape[0])
+        left, right = np.clip([int(column - length), int(column + length) + 2], 0, shape[1])
+        y, x = np.mgrid[top:bottom, left:right]
+        along = np.cos(angle) * (x - column) + np.sin(angle) * (y - row)
+        across = np.cos(angle) * (y - row) - np.sin(angle) * (x - column)
+        inside = (along / length) ** 2 + (across / width) ** 2 < 1.0
+        tone = random.uniform(0.5, 1.1) * (0.75 + 0.35 * np.minimum(np.abs(across) / width, 1.0))
+        color = np.clip(mean_color + random.normal(scale=0.06, size=3), 0.05, 0.9)
+        image[top:bottom, left:right][inside] = (tone[..., None] * color)[inside]
+    return np.clip(gaussian_filter(image, (0.5, 0.5, 0.0)), 0.0, 1.0)
+
+
+def sand(random: Generator, shape: tuple[int, int]) -> np.ndarray:
+    """Return fine grains with weak ripples."""
+    grains = gaussian_filter(random.standard_normal(shape), 0.6) / gaussian_deviation(0.6, 0.6)
+    spots = gaussian_filter(random.standard_normal(shape), 1.8) / gaussian_deviation(1.8, 1.8)
+    ripples = gaussian_filter(random.standard_normal(shape), (12.0, 5.0)) / gaussian_deviation(12.0, 5.0)
+    tone = 0.6 + random.uniform(0.06, 0.1) * grains + 0.05 * spots + random.uniform(0.0, 0.05) * ripples
+    return np.clip(tone[..., None] * random.uniform([0.85, 0.7, 0.5], [1.0, 0.9, 0.75]), 0.0, 1.0).astype(np.float32)
+
+
+def hexagons(random: Generator, shape: tuple[int, int]) -> np.ndarray:
+    """Return hexagonal tiles of two colors with joints, each of its own brightness."""
+    y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float64)
+    pitch, angle = random.uniform(18.0, 28.0), random.uniform(0.0, np.pi)
+    first, second = (np.cos(angle) * x + np.sin(angle) * y) / pitch, (np.cos(angle) * y - np.sin(angle) * x) / pitch
+    first, second = first - first.min() + 2.0, second - second.min() + 2.0
+    step = np.sqrt(0.75)
+    centers = np.array(
+        [(column + 0.5 * (row % 2), row * step) for row in range(int(second.max() / step) + 3) for column in range(int(first.max()) + 3)]
+    )
+    distances, index = cKDTree(centers).query(np.stack([first, second], axis=-1), k=2)
+    tones = random.choice(random.uniform(0.3, 0.8, 2), len(centers)) * random.uniform(0.85, 1.1, len(centers))
+    joint = np.clip((distances[..., 1] - distances[..., 0]) / 0.1, 0.0, 1.0)
+    return colorize(random, np.clip(0.2 + joint * (tones[index[..., 0]] - 0.2) + 0.04 * fractal_noise(random, shape, 6.0, 0.5), 0.0, 1.0))
+
+
+def rust(random: Generator, shape: tuple[int, int]) -> np.ndarray:
+    """Return flaking paint: ragged patches of two materials, each with a grain of its own."""
+    field = fractal_noise(random, shape, random.uniform(20.0, 40.0), 0.9)
+    is_rust = np.clip((field + 0.2) / 0.15, 0.0, 1.0)[..., None]
+    paint = random.uniform(0.35, 0.85, 3) * (1.0 + 0.04 * fractal_noise(random, shape, 5.0, 0.4))[..., None]
+    metal = np.array([0.45, 0.25, 0.14]) * (1.0 + 0.3 * fractal_noise(random, shape, 8.0, 0.5))[..., None]
+    return np.clip(is_rust * metal + (1.0 - is_rust) * paint, 0.0, 1.0).astype(np.float32)
+
+
 GENERATED: dict[str, Texture] = {
     generate.__name__: generate
-    for generate in (marble, fractal, granite, cells, pebbles, canvas, twill, masonry, checker, wood, speckle, stripes)
+    for generate in (
+        marble,
+        fractal,
+        granite,
+        cells,
+        pebbles,
+        canvas,
+        twill,
+        masonry,
+        checker,
+        wood,
+        speckle,
+        stripes,
+        leaves,
+        sand,
+        hexagons,
+        rust,
+    )
 }
-TUNING = ("gravel", "sceaux roof", "marble", "twill", "brick", "grass")  # settings may be tuned on these only
+TUNING = (
+    "gravel",
+    "sceaux roof",
+    "marble",
+    "twill",
+    "brick",
+    "grass",
+    "leaves",
+    "sand",
+    "hexagons",
+    "rust",
+)  # settings may be tuned on these only
 TEXTURES = {
     "tuning": TUNING,
     "judging": tuple(name for name in (*PHOTOGRAPHS, *GENERATED) if name not in TUNING),
@@ -188,66 +270,3 @@ def add_gradient(image: np.ndarray, random: Generator, *, multiply: bool) -> np.
     ramp = ((ramp - ramp.min()) / (ramp.max() - ramp.min()))[..., None]
     graded = image * (0.3 + 0.7 * ramp) if multiply else 0.5 * image + 0.5 * ramp
     return graded.astype(np.float32)
-
-
-def blob(random: Generator, shape: tuple[int, int], fraction: float = 0.05) -> np.ndarray:
-    """Return a mask with one smooth hole of about `fraction` of the pixels."""
-    radius = np.sqrt(fraction * shape[0] * shape[1] / np.pi)
-    y, x = np.mgrid[: shape[0], : shape[1]]
-    reach = min(1.4 * radius, 0.45 * min(shape))
-    row, column = (random.uniform(reach, side - reach) for side in shape)
-    angle, outline = np.arctan2(y - row, x - column), np.ones(shape)
-    for order in range(2, 6):
-        outline += random.uniform(0.0, 0.4 / order) * np.cos(order * angle + random.uniform(0.0, 2.0 * np.pi))
-    distance = np.hypot(y - row, x - column) / outline
-    return distance <= np.partition(distance.ravel(), int(fraction * distance.size))[int(fraction * distance.size)]
-
-
-def strokes(random: Generator, shape: tuple[int, int]) -> np.ndarray:
-    """Return a mask with four thick, bent scratches."""
-    far = np.ones(shape, bool)
-    time = np.linspace(0.0, 1.0, 4 * max(shape))[:, None]
-    distance = np.full(shape, np.inf)
-    for _ in range(4):
-        first, control, last = random.uniform(0.05, 0.95, (3, 2)) * shape
-        points = (1.0 - time) ** 2 * first + 2.0 * time * (1.0 - time) * control + time**2 * last
-        row, column = np.rint(points).astype(int).T
-        far[:] = True
-        far[row, column] = False
-        distance = np.minimum(distance, distance_transform_edt(far) / random.uniform(0.01, 0.016))
-    return distance <= min(shape)
-
-
-def rectangles_and_text(random: Generator, shape: tuple[int, int]) -> np.ndarray:
-    """Return a mask with six small rectangles and a line of letters."""
-    from lib.text_raster import rasterize_text
-
-    mask = np.zeros(shape, bool)
-    letters = rasterize_text("".join(random.permutation(list("FARFIELD"))), shape[0] // 6)[::-1] > 0.5
-    letters = letters[:, : shape[1] - 20]
-    row, column = (random.integers(5, side - length - 4) for side, length in zip(shape, letters.shape, strict=True))
-    mask[row : row + letters.shape[0], column : column + letters.shape[1]] = letters
-    for _ in range(6):
-        height, width = random.integers(min(shape) // 30, min(shape) // 12, 2)
-        row, column = random.integers(0, shape[0] - height), random.integers(0, shape[1] - width)
-        mask[row : row + height, column : column + width] = True
-    return mask
-
-
-def scatter_holes(random: Generator, shape: tuple[int, int], count: int, pixels: float) -> np.ndarray:
-    """Return a mask with `count` smooth holes of different sizes that do not touch, together about `pixels` pixels."""
-    mask = np.zeros(shape, bool)
-    areas = random.uniform(0.3, 1.7, count)
-    for area in sorted(areas * pixels / areas.sum(), reverse=True):
-        side = int(3.0 * np.sqrt(area / np.pi)) + 2
-        hole = blob(random, (side, side), area / side**2)
-        while True:
-            row, column = (random.integers(0, length - side) for length in shape)
-            window = mask[max(row - 1, 0) : row + side + 1, max(column - 1, 0) : column + side + 1]
-            if not window.any():
-                break
-        mask[row : row + side, column : column + side] = hole
-    return mask
-
-
-MASKS = {"blob": blob, "strokes": strokes, "text": rectangles_and_text}

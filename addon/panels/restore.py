@@ -21,6 +21,7 @@ MASK_SETTINGS = {item.name: item for item in describe(MaskSettings)}
 RESTORE_SETTINGS = {item.name: item for item in describe(RestoreSettings)}
 USED_BY_MASK = {"image": ("mask_image", "threshold"), "alpha": ("threshold",), "color": ("mask_color", "tolerance")}
 OPTIONAL_IMAGES = ("source_mask", "barriers")
+OF_PIXELS = {"levels", "order", "coherence"}  # shown for synthesis by pixels
 
 
 class FARFIELD_PT_restore(ToolPanel, bpy.types.Panel):
@@ -86,7 +87,7 @@ class FARFIELD_PT_restore_texture(SubPanel, bpy.types.Panel):
         group = context.scene.farfield_restore
         column = settings_column(self.layout)
         for name, setting in RESTORE_SETTINGS.items():
-            if name != "kappa" or group.split == "manual":
+            if (name != "kappa" or group.split == "manual") and (name not in OF_PIXELS or group.method == "pixels"):
                 item = column.column()
                 item.active = name in {"split", "tileable"} or group.split != "diffusion"
                 draw_setting(item, group, setting)

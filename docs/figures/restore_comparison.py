@@ -9,7 +9,8 @@ from lib import environment
 environment.import_farfield()
 sys.path.append(str(environment.ROOT / "benchmarks"))  # whose textures are shown
 
-from restore_textures import canvas, granite, strokes
+from restore_holes import strokes
+from restore_textures import canvas, granite
 
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.restore.restoration import restore

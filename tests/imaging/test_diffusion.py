@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from farfield.addon.core.imaging import grid_solver
@@ -72,6 +72,7 @@ def test_a_region_enclosed_by_barriers_is_filled_from_outside():
 
 
 @settings(max_examples=50)
+@example(51, 0.9375, 0.25, True)  # a region that barriers enclose touches another one across the border
 @given(st.integers(0, 2**31), st.floats(0.05, 0.95), st.floats(0.05, 0.95), st.booleans())
 def test_any_barriers_leave_values_within_range(seed, missing, blocked, wraps):
     random = np.random.default_rng(seed)

@@ -107,17 +107,18 @@ def test_brightness_of_the_mask_counts_with_its_alpha():
 
 def test_texture_comes_from_the_source_mask():
     random = np.random.default_rng(3)
-    pixels = np.ones((48, 64, 4), np.float32)
-    pixels[:, :32, :3] = random.integers(100, 150, (48, 32, 1)) / np.float32(255.0)
-    pixels[:, 32:, :3] = random.integers(0, 250, (48, 32, 1)) / np.float32(255.0)
-    mask, allowed = np.zeros((48, 64), bool), np.zeros((48, 64), bool)
-    mask[16:30, 25:39], allowed[:, :24] = True, True
+    pixels = np.ones((64, 128, 4), np.float32)
+    pixels[:, :64, :3] = random.integers(100, 150, (64, 64, 1)) / np.float32(255.0)
+    pixels[:, 64:, :3] = random.integers(0, 250, (64, 64, 1)) / np.float32(255.0)
+    mask, allowed, inside = (np.zeros((64, 128), bool) for _ in range(3))
+    mask[12:52, 76:116], allowed[:, :64], inside[26:38, 90:102] = True, True, True  # inside: where no seam is blended
     new_image("source", pixels)
     new_mask("mask", mask)
     new_mask("calm", allowed)
+    new_mask("noisy", ~allowed)
     arguments = {"split": "manual", "kappa": 0, "levels": 1}
-    anywhere, calm = (read(restore("source", **arguments, source_mask=name))[mask][:, 0].std() for name in ("", "calm"))
-    assert calm < 0.6 * anywhere
+    calm, noisy = (read(restore("source", **arguments, source_mask=name))[inside][:, 0].std() for name in ("calm", "noisy"))
+    assert calm < 0.6 * noisy
 
 
 def test_diffusion_does_not_cross_barriers():

@@ -31,7 +31,7 @@ def diffuse(
         return result
     open_mask = mask & ~barriers
     isolated = _isolated(open_mask, ~mask & ~barriers, wrap)
-    _fill(result, open_mask & ~isolated, barriers, wrap)
+    _fill(result, open_mask & ~isolated, barriers | isolated, wrap)
     _fill(result, (mask & barriers) | isolated, None, wrap)
     return result
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
-from .levels import RADIUS, Level
+from .levels import RADIUS, Level, square_steps
 
 MIN_SAMPLES, MAX_SAMPLES = 12_000, 40_000  # neighborhoods per search tree: about as many as there are pixels to fill
 MAX_DIMENSIONS = 16  # of a neighborhood after principal component analysis
@@ -14,13 +14,8 @@ NEGLIGIBLE = 8e-3  # mean squared differences, relative to the variance of the t
 UPPER_WEIGHT = 0.1  # the same for each level above
 
 
-def _square(radius: int) -> np.ndarray:
-    grid = np.arange(-radius, radius + 1)
-    return np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
-
-
-COARSE_STEPS = _square(1)
-FULL_STEPS = np.array([step for step in _square(RADIUS) if step.any()])
+COARSE_STEPS = square_steps(1)
+FULL_STEPS = np.array([step for step in square_steps(RADIUS) if step.any()])
 
 
 def _orient(steps: np.ndarray) -> np.ndarray:
@@ -33,7 +28,7 @@ def _orient(steps: np.ndarray) -> np.ndarray:
     return np.array(orientations)
 
 
-CAUSAL_STEPS = _orient(np.array([step for step in _square(RADIUS) if step[0] < 0 or (step[0] == 0 and step[1] < 0)]))  # (8, 12, 2)
+CAUSAL_STEPS = _orient(np.array([step for step in square_steps(RADIUS) if step[0] < 0 or (step[0] == 0 and step[1] < 0)]))  # (8, 12, 2)
 
 
 class SearchTrees:

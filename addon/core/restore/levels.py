@@ -78,6 +78,16 @@ class Level:
         canvas = self.texture.reshape(*self.shape, -1)
         return canvas[self.tops[index] : self.tops[index] + self.sizes[index, 0], : self.sizes[index, 1]]
 
+    def pixels(self, index: int) -> np.ndarray:
+        """Return the pixels (H * W,) of a page."""
+        height, width = self.sizes[index]
+        return ((self.tops[index] + np.arange(height))[:, None] * self.shape[1] + np.arange(width)).ravel()
+
+    def copy(self, pixels: np.ndarray, sources: np.ndarray) -> None:
+        """Copy texture to `pixels` (P,) from their `sources` (P,)."""
+        self.source[pixels] = sources
+        self.texture[pixels] = self.texture[sources]
+
     def _limit(self, positions: np.ndarray, pages: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
         """Return `positions` (P, K) within the sizes of their `pages` (P,) along `axis`, wrapped or clipped, and whether they exist."""
         sizes = self.sizes[pages, axis][:, None]
@@ -136,3 +146,9 @@ def _stack(pages: list[Page], heights: list[int], width: int) -> Level:
         valid=minimum_filter(usable, 2 * RADIUS + 1, mode="constant").ravel(),
         source=np.full(hole.size, -1, np.int64),
     )
+
+
+def square_steps(radius: int) -> np.ndarray:
+    """Return the rows and columns (K, 2) of all pixels of a square, relative to its center."""
+    grid = np.arange(-radius, radius + 1)
+    return np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)

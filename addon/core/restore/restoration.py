@@ -11,7 +11,7 @@ from ..jobs.progress import Progress, StageClock, Steps, subprogress
 from .frequency_split import LowBand, choose_kappa
 from .levels import RADIUS, Level, Page, build_levels
 from .settings import RestoreSettings
-from .synthesis import synthesize
+from .texture import fill_texture
 from .windows import Window, choose_areas, find_windows, group_windows
 
 MIN_SIDE = 2 * RADIUS + 1
@@ -126,11 +126,12 @@ def _restore_texture(
             known = ~mask[window.area]
             pages.append(Page(pixels[window.area] - low, window.hole, known, known & _usable(options, window.area), window.wrap))
         with clock.stage("pyramid"):
-            levels = build_levels(pages + _further_pages(pixels, mask, low_band, pages, options), options.settings.levels)
+            pages += _further_pages(pixels, mask, low_band, pages, options)
+            levels = build_levels(pages, options.settings.levels)
             _check_sources(levels[0])
         count = sum(int(window.hole.sum()) for window in group)
         with clock.stage("texture"):
-            yield from subprogress(synthesize(levels, options.settings), done / total, (done + count) / total)
+            yield from subprogress(fill_texture(pages, levels, options.settings), done / total, (done + count) / total)
         done += count
         for index, (window, structure) in enumerate(zip(group, structures, strict=True)):
             texture = levels[0].page(index)

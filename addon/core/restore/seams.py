@@ -10,7 +10,7 @@ import numpy as np
 from ..imaging.grid_solver import solve_linked
 from .levels import Level
 
-FIDELITY = 0.02  # weight of the copies relative to that of the differences: steps are spread over about seven pixels
+FIDELITY = 0.01  # weight of the copies relative to that of the differences: steps are spread over about ten pixels
 BOUNDARY_WEIGHT = 3.0  # of differences across the boundary of the hole
 STEPS = np.array([(0, 1), (1, 0), (0, -1), (-1, 0)])
 

@@ -15,6 +15,10 @@ ORDERS = {
     "scanline": Choice("Scanline", "Row by row, always in the same direction"),
     "alternating": Choice("Alternating", "Row by row, each in the opposite direction of the one before"),
 }
+METHODS = {
+    "regions": Choice("Regions", "Copy whole regions that continue the surroundings, with seams where they show least. Usually best"),
+    "pixels": Choice("Pixels", "Copy pixel by pixel, from coarse to fine. For textures that no region of the source continues"),
+}
 MASKS = {
     "image": Choice("Image", "Pixels that are bright in a mask image, for instance a painted one"),
     "alpha": Choice("Alpha", "Transparent pixels of the image itself"),
@@ -35,12 +39,20 @@ class RestoreSettings(Settings):
         minimum=0,
         maximum=65536,
     )
+    method: str = setting("regions", "How texture is copied", choices=METHODS)
     levels: int = setting(
-        3, "Levels of the pyramid for texture. More levels continue larger patterns", label="Pyramid Levels", minimum=1, maximum=MAX_LEVELS
+        3,
+        "Levels of the pyramid for texture. More levels continue larger patterns. Used by Pixels",
+        label="Pyramid Levels",
+        minimum=1,
+        maximum=MAX_LEVELS,
     )
-    order: str = setting("shrinking", "Order in which the pixels of a hole are synthesized", choices=ORDERS)
+    order: str = setting("shrinking", "Order in which the pixels of a hole are synthesized. Used by Pixels", choices=ORDERS)
     coherence: float = setting(
-        10.0, "Preference for copying connected regions of the source. Larger values copy larger regions", minimum=0.0, maximum=1000.0
+        10.0,
+        "Preference for copying connected regions of the source. Larger values copy larger regions. Used by Pixels",
+        minimum=0.0,
+        maximum=1000.0,
     )
     tileable: bool = setting(False, "Treat opposite borders of the image as neighbors, so that the result still tiles")
     seed: int = setting(0, "Seed of random choices. Another seed gives another texture", minimum=0, maximum=2**31 - 1)

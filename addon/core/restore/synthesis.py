@@ -14,7 +14,6 @@ from ..jobs.progress import Progress, Steps
 from .candidates import compare
 from .kernels import CAUSAL_STEPS, FULL_STEPS, SearchTrees
 from .levels import Level
-from .seams import blend_seams
 from .settings import RestoreSettings
 
 MATCHES = 2  # best matches that are compared per pixel
@@ -41,7 +40,6 @@ def synthesize(levels: list[Level], settings: RestoreSettings) -> Steps[None]:
             yield Progress(done / max(total, 1), "Synthesizing texture")
         for _ in range(SWEEPS):
             _sweep(level, coarse, pixels[index])
-    blend_seams(levels[0])
 
 
 def _guess_from_coarse(level: Level, coarse: Level, pixels: np.ndarray) -> None:
@@ -148,8 +146,7 @@ def _continuations(level: Level, pixels: np.ndarray) -> np.ndarray:
 
 
 def _copy(level: Level, pixels: np.ndarray, sources: np.ndarray) -> None:
-    level.source[pixels] = sources
-    level.texture[pixels] = level.texture[sources]
+    level.copy(pixels, sources)
     level.filled[pixels] = True
 
 

@@ -10,7 +10,7 @@ MARGIN_FRACTION = 0.75  # of the longer side of the hole, if that is more
 MAX_GAP = 6  # pixels between parts of the mask that are restored together
 MIN_SOURCE_PIXELS = 40_000  # in a window; parts of the rest of the image are added to smaller ones
 MAX_AREAS = 4  # such parts
-MAX_GROUP_PIXELS = 1_500_000  # of windows that are restored together
+MAX_GROUP_PIXELS = 1_000_000  # of windows that are restored together
 
 
 @dataclass(frozen=True)
