@@ -18,7 +18,7 @@ from farfield.addon.core.restore.settings import RestoreSettings
 from lib.contact_sheet import draw_contact_sheet
 
 SETTINGS = {
-    "pure synthesis": RestoreSettings(split="manual", kappa=0),
+    "synthesis by pixels": RestoreSettings(split="manual", kappa=0, method="pixels"),
     "pure diffusion": RestoreSettings(split="diffusion"),
     "default": RestoreSettings(),
 }
