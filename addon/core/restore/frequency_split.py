@@ -29,7 +29,8 @@ class LowBand:
     def __init__(self, image: np.ndarray, kappa: int) -> None:
         """Project `image` (H, W, C) to its lowest `kappa` sub-bands."""
         self._rows, self._columns = (_cosines(size, min(kappa, size)) for size in image.shape[:2])
-        partial = np.einsum("kwc,wv->kvc", image, self._columns, optimize=True)
+        parts = [np.einsum("kwc,wv->kvc", image[rows], self._columns, optimize=True) for rows in slices(len(image), 256)]  # in doubles
+        partial = np.concatenate(parts)
         self.coefficients = np.einsum("ku,kvc->uvc", self._rows, partial, optimize=True)
 
     def evaluate(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ import numpy as np
 from ..errors import ImageError
 from ..imaging.diffusion import diffuse
 from ..imaging.images import decode_normals
+from ..jobs.chunks import slices
 from ..jobs.progress import Progress, StageClock, Steps, subprogress
 from .frequency_split import LowBand, choose_kappa
 from .levels import RADIUS, Level, Page, build_levels
@@ -15,6 +16,7 @@ from .texture import fill_texture
 from .windows import Window, choose_areas, find_windows, group_windows
 
 MIN_SIDE = 2 * RADIUS + 1
+ROWS = 256  # of an image that are examined at once
 MIN_SOURCES = 64  # pixels with a neighborhood that may be copied
 
 
@@ -98,8 +100,7 @@ def restore(
     if kappa >= 0:
         options = _Options(settings, kappa, source_mask, barriers)
         yield from subprogress(_restore_texture(pixels, mask, windows, options, clock, stages), 0.15, 1.0)
-        low, high = image[~mask].min(axis=0), image[~mask].max(axis=0)
-        pixels[mask] = np.clip(pixels[mask], low, high)
+        pixels[mask] = np.clip(pixels[mask], *_find_range(image, mask))
     if is_normal_map:
         pixels[mask, :3] = 0.5 + 0.5 * decode_normals(pixels[mask])
     return Restoration(pixels, kappa, deviations, len(windows), clock.seconds, stages)
@@ -184,10 +185,16 @@ def _check(image: np.ndarray, mask: np.ndarray, others: dict[str, np.ndarray | N
         raise ImageError("No pixel is masked; mark the missing part of the image in the mask.")
     if mask.all():
         raise ImageError("Every pixel is masked; leave some of the image to copy from.")
-    for start in range(0, height, 256):
-        rows = slice(start, start + 256)
+    for rows in slices(height, ROWS):
         if not np.isfinite(image[rows][~mask[rows]]).all():
             raise ImageError("The image has NaN or infinite pixels outside the mask; mask them, too.")
+
+
+def _find_range(image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the smallest and the largest values (C,) of the known pixels."""
+    parts = (image[rows][~mask[rows]] for rows in slices(len(image), ROWS) if not mask[rows].all())
+    lowest, highest = zip(*((part.min(axis=0), part.max(axis=0)) for part in parts), strict=True)
+    return np.min(lowest, axis=0), np.max(highest, axis=0)
 
 
 def _part(array: np.ndarray | None, window: Window) -> np.ndarray | None:
