@@ -48,6 +48,21 @@ def depth_buffer(corners: np.ndarray, depths: np.ndarray, size: tuple[int, int])
     return buffer.reshape(size[1], size[0])
 
 
+def draw_ids(corners: np.ndarray, depths: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the nearest triangle (H, W) int32 in every pixel, -1 where there is none, and its depth (H, W) float32, infinite there.
+
+    Args:
+        corners: (T, 3, 2) in pixels. depths: (T, 3), linear in image space, smaller is nearer. size: width and height.
+    """
+    owners, buffer = np.full(size[0] * size[1], -1, np.int32), np.full(size[0] * size[1], np.inf, np.float32)
+    for triangle, pixels, barycentric in rasterize(corners, size):
+        found = np.einsum("ni,ni->n", barycentric, depths[triangle]).astype(np.float32)
+        np.minimum.at(buffer, pixels, found)
+        is_nearest = found == buffer[pixels]
+        owners[pixels[is_nearest]] = triangle[is_nearest]
+    return owners.reshape(size[1], size[0]), buffer.reshape(size[1], size[0])
+
+
 def fill_triangles(corners: np.ndarray, colors: np.ndarray, size: tuple[int, int], background: float = 0.0) -> np.ndarray:
     """Return an image (H, W, C) of triangles (T, 3, 2) in pixels, filled with `colors` (T, C); where they overlap the last one wins."""
     image = np.full((size[0] * size[1], colors.shape[1]), background, np.float32)

@@ -1,0 +1,1 @@
+"""Textures from photographs: surfaces, photographs and results as Blender data."""

@@ -1,0 +1,1 @@
+"""Textures from photographs: one seamless texture for a mesh from registered photographs."""

@@ -1,0 +1,150 @@
+"""Cameras of COLMAP: the files `cameras` and `images` of a sparse model, as text or binary."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import FileError
+from ...files.file_access import check_readable, convert_os_errors
+from ...geometry.lenses import MODELS, Lens, PhotoCamera
+
+EXTENSIONS = (".bin", ".txt")
+MODEL_NUMBERS = (  # in binary files
+    "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV", "SIMPLE_RADIAL_FISHEYE",
+    "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE",
+)  # fmt: skip
+POINT_BYTES = 24  # of one 2D point of an image
+IMAGE_VALUES = 10  # ID, quaternion, translation, camera and name
+CAMERA_VALUES = 4  # ID, model and size, before the parameters
+
+
+def read_folder(folder: Path) -> list[PhotoCamera]:
+    """Read the cameras of all registered images in `folder`, in the order of their names.
+
+    Raises:
+        FileError: a file is missing, damaged, or refers to something that does not exist.
+    """
+    extension = next(each for each in EXTENSIONS if (folder / f"images{each}").is_file())
+    cameras_path, images_path = folder / f"cameras{extension}", folder / f"images{extension}"
+    for path in (cameras_path, images_path):
+        check_readable(path)
+    try:
+        if extension == ".bin":
+            lenses, poses = _read_binary_cameras(cameras_path), _read_binary_images(images_path)
+        else:
+            lenses, poses = _read_text_cameras(cameras_path), _read_text_images(images_path)
+    except (ValueError, IndexError, struct.error, UnicodeDecodeError, OverflowError) as error:
+        raise FileError(f'The cameras in "{folder}" are damaged or truncated; export them again.') from error
+    if not poses:
+        raise FileError(f'There is no registered image in "{images_path}"; align the photographs first.')
+    cameras = []
+    for name, lens_id, quaternion, translation in sorted(poses, key=lambda pose: pose[0]):
+        if lens_id not in lenses:
+            raise FileError(
+                f'The image "{name}" in "{images_path}" has the camera {lens_id}, which does not exist; export both files again.'
+            )
+        cameras.append(PhotoCamera(name, lenses[lens_id], _rotation(quaternion, images_path), np.array(translation, np.float64)))
+    return cameras
+
+
+def _build_lens(model: str, width: int, height: int, values: list[float]) -> Lens:
+    """Return the lens of a model with parameters in the order of COLMAP: focal lengths, center, coefficients."""
+    if model not in MODELS:
+        raise FileError(f'The lens model "{model}" is unknown; Farfield knows {", ".join(MODELS)}.')
+    count = 1 if MODELS[model].is_isotropic else 2
+    focal = (values[0], values[count - 1])
+    return Lens(model, (width, height), focal, (values[count], values[count + 1]), tuple(values[count + 2 :]))
+
+
+def _rotation(quaternion: tuple[float, ...], path: Path) -> np.ndarray:
+    """Return the rotation matrix (3, 3) of a quaternion (w, x, y, z), which is normalized."""
+    length = float(np.linalg.norm(quaternion))
+    if not np.isfinite(length) or length < 1e-6:
+        raise FileError(f'An image in "{path}" has no rotation; export the cameras again.')
+    w, x, y, z = np.array(quaternion, np.float64) / length
+    return np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
+
+
+def _read_text_cameras(path: Path) -> dict[int, Lens]:
+    lenses = {}
+    for line in _read_lines(path):
+        if line.strip() and not line.startswith("#"):
+            values = line.split()
+            numbers = [float(value) for value in values[CAMERA_VALUES:]]
+            lenses[int(values[0])] = _build_lens(values[1], int(values[2]), int(values[3]), numbers)
+    return lenses
+
+
+def _read_text_images(path: Path) -> list[tuple[str, int, tuple[float, ...], tuple[float, ...]]]:
+    """Return name, camera, quaternion and translation of each image. Every second line has its 2D points, and may be empty."""
+    lines = [line for line in _read_lines(path) if not line.startswith("#")]
+    poses = []
+    for line in lines[::2]:
+        if line.strip():
+            values = line.split(maxsplit=IMAGE_VALUES - 1)
+            numbers = tuple(float(value) for value in values[1:8])
+            poses.append((values[9].strip(), int(values[8]), numbers[:4], numbers[4:]))
+    return poses
+
+
+def _read_lines(path: Path) -> list[str]:
+    with convert_os_errors(f'Cannot read "{path}"'):
+        return path.read_text(encoding="utf-8").splitlines()
+
+
+class _Reader:
+    """Reads numbers from the bytes of a file; struct.error at its end."""
+
+    def __init__(self, path: Path) -> None:
+        with convert_os_errors(f'Cannot read "{path}"'):
+            self._bytes = path.read_bytes()
+        self._position = 0
+
+    def read(self, layout: str) -> tuple:
+        values = struct.unpack_from("<" + layout, self._bytes, self._position)
+        self._position += struct.calcsize("<" + layout)
+        return values
+
+    def read_count(self, item_bytes: int) -> int:
+        """Read the number of items that follow, of at least `item_bytes` bytes each."""
+        (count,) = self.read("Q")
+        if count * item_bytes > len(self._bytes) - self._position:
+            raise ValueError("more items than bytes")
+        return count
+
+    def read_text(self) -> str:
+        end = self._bytes.index(b"\0", self._position)
+        text = self._bytes[self._position : end].decode("utf-8")
+        self._position = end + 1
+        return text
+
+    def skip(self, count: int) -> None:
+        self._position += count
+
+
+def _read_binary_cameras(path: Path) -> dict[int, Lens]:
+    reader, lenses = _Reader(path), {}
+    for _ in range(reader.read_count(24)):
+        number, model_number, width, height = reader.read("iiQQ")
+        if not 0 <= model_number < len(MODEL_NUMBERS):
+            raise FileError(f'"{path}" has the lens model {model_number}, which Farfield does not know; undistort the photographs first.')
+        model = MODELS[MODEL_NUMBERS[model_number]]
+        count = (1 if model.is_isotropic else 2) + 2 + model.coefficient_count
+        lenses[number] = _build_lens(MODEL_NUMBERS[model_number], width, height, list(reader.read(f"{count}d")))
+    return lenses
+
+
+def _read_binary_images(path: Path) -> list[tuple[str, int, tuple[float, ...], tuple[float, ...]]]:
+    """Return name, camera, quaternion and translation of each image."""
+    reader, poses = _Reader(path), []
+    for _ in range(reader.read_count(64)):
+        _, *numbers, lens_id = reader.read("i7di")
+        name = reader.read_text()
+        reader.skip(POINT_BYTES * reader.read_count(POINT_BYTES))
+        poses.append((name, lens_id, tuple(numbers[:4]), tuple(numbers[4:])))
+    return poses

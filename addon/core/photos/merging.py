@@ -1,0 +1,274 @@
+"""One texture from several photographs of a surface (Textures Revisited, section 4).
+
+Each triangle is textured from the photograph that shows it best; photographs are blended within the triangles between two regions, after
+their exposures and then their colors at the vertices have been adjusted to each other. Texels that their photographs do not show get the
+average of all others, and texels that none shows are interpolated over the surface.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import GeometryError, ImageError
+from ..geometry.edges import Edges, find_edges
+from ..geometry.mesh import TriangleMesh, face_areas_and_normals
+from ..imaging.colors import decode_signed_srgb
+from ..imaging.images import dilate
+from ..jobs.progress import Progress, StageClock, Steps
+from .consistency import rate_consistency
+from .exposure import MAX_ENCODED, SAMPLES, estimate_gains
+from .labels import choose_labels
+from .leveling import VertexLabels, find_vertex_labels, solve_corrections
+from .photographs import Photograph, apply_gain
+from .settings import PhotosSettings
+from .surface import interpolate_colors
+from .texels import TexelMap, TexelTile, vertex_normals
+from .views import View
+
+FACE_SAMPLES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])  # barycentric
+GUTTER = 8  # texels around covered ones that get the mean of their neighbors
+NO_PHOTOGRAPH = -1
+
+
+@dataclass(frozen=True)
+class PhotoTexture:
+    """The result of `merge`.
+
+    colors: (H, W, 3) float32, sRGB-encoded, row 0 at the bottom. confidence: (H, W) float32, 0 to 1, the resolution of the photographs
+    relative to the texture. source: (H, W) int16, the photograph with the largest weight, -1 for none. holes: (H, W) bool, covered texels
+    that no photograph shows. gains: (K, 3). labels: (T,) the photograph of each triangle, -1 for none.
+    """
+
+    colors: np.ndarray
+    confidence: np.ndarray
+    source: np.ndarray
+    holes: np.ndarray
+    gains: np.ndarray
+    labels: np.ndarray
+    seconds: dict[str, float]
+
+
+def merge(mesh: TriangleMesh, corner_uvs: np.ndarray, photographs: list[Photograph], settings: PhotosSettings) -> Steps[PhotoTexture]:
+    """Merge `photographs` into a texture for `mesh` with UVs (T, 3, 2).
+
+    Raises:
+        ImageError: a photograph or mask does not have the size that its camera says, or there is none.
+        GeometryError: no photograph shows the mesh, or the UV map covers no texel.
+    """
+    if not photographs:
+        raise ImageError("There are no photographs; name a folder with the images that the cameras refer to.")
+    for photograph in photographs:
+        photograph.check()
+    clock = StageClock()
+    merger = _Merger(mesh, corner_uvs, photographs, settings, clock)
+    yield from merger.look()
+    yield Progress(0.3, "Adjusting exposures")
+    with clock.stage("exposure"):
+        merger.adjust_exposure()
+    yield Progress(0.35, "Choosing photographs")
+    with clock.stage("labels"):
+        merger.label()
+    yield Progress(0.4, "Adjusting colors")
+    with clock.stage("leveling"):
+        merger.level()
+    yield from merger.fill_texels()
+    yield Progress(0.9, "Filling holes")
+    with clock.stage("holes"):
+        return merger.finish()
+
+
+class _Merger:
+    """The state between the steps of `merge`."""
+
+    def __init__(
+        self, mesh: TriangleMesh, corner_uvs: np.ndarray, photographs: list[Photograph], settings: PhotosSettings, clock: StageClock
+    ) -> None:
+        self.mesh, self.photographs, self.settings, self.clock = mesh, photographs, settings, clock
+        with clock.stage("texels"):
+            self.map = TexelMap(corner_uvs, settings.size)
+            if not self.map.covered.any():
+                raise GeometryError("The UV map covers no pixel of the texture; unwrap the mesh, or move its UVs into the range 0 to 1.")
+        self.areas, _ = face_areas_and_normals(mesh.corners)
+        self.normals = vertex_normals(mesh)
+        self.edges: Edges = find_edges(mesh.triangles, len(mesh.vertices))
+        self.views: list[View] = []
+        self.gains = np.ones((len(photographs), 3))
+
+    def look(self) -> Steps[None]:
+        """Find out which triangles each photograph shows."""
+        corners, normals = self.mesh.corners, self.normals[self.mesh.triangles]
+        qualities, self.face_colors = [], []
+        for index, photograph in enumerate(self.photographs):
+            yield Progress(0.3 * index / len(self.photographs), "Finding visible faces")
+            with self.clock.stage("visibility"):
+                view = View(photograph.camera, self.mesh, photograph.mask)
+                seen = [view.see(np.einsum("i,tic->tc", b, corners), _unit(np.einsum("i,tic->tc", b, normals))) for b in FACE_SAMPLES]
+                complete = np.all([each.visible for each in seen], axis=0)
+                qualities.append(np.where(complete, np.mean([each.weights for each in seen], axis=0), 0.0))
+                sampled = [photograph.sample_smooth(np.nan_to_num(each.positions)) for each in seen]
+                self.face_colors.append(np.mean(sampled, axis=0, dtype=np.float32))
+                self.views.append(view)
+        self.qualities = np.stack(qualities, axis=1)
+
+    def adjust_exposure(self) -> None:
+        """Estimate the gains of the photographs, and then how far they agree."""
+        if self.settings.exposure and len(self.photographs) > 1:
+            self._estimate_gains()
+        colors = np.stack([apply_gain(each, gain) for each, gain in zip(self.face_colors, self.gains, strict=True)])
+        self.face_colors = []
+        self.consistency = rate_consistency(colors, self.qualities.T > 0.0, self.edges, self.mesh.triangles)
+        self.qualities = self.qualities * self.consistency[self.mesh.triangles].mean(axis=1)
+
+    def _estimate_gains(self) -> None:
+        points, normals = self._sample_surface(SAMPLES)
+        linear, visible = [], []
+        for photograph, view in zip(self.photographs, self.views, strict=True):
+            seen = view.see(points, normals)
+            encoded = photograph.sample_smooth(seen.positions)
+            linear.append(decode_signed_srgb(encoded))
+            visible.append(seen.visible & (encoded.max(axis=1) < MAX_ENCODED))
+        self.gains = estimate_gains(np.stack(linear), np.stack(visible))
+
+    def label(self) -> None:
+        """Choose the photograph of each triangle."""
+        if self.settings.method == "best":
+            self.labels = choose_labels(self.qualities, self.edges)
+        else:
+            self.labels = np.full(len(self.mesh.triangles), NO_PHOTOGRAPH, np.int32)
+        self.pairs: VertexLabels = find_vertex_labels(self.mesh.triangles, self.labels, self.areas, len(self.photographs))
+
+    def level(self) -> None:
+        """Compute the colors of vertices and their corrections."""
+        self.corrections = np.zeros((len(self.pairs.keys), 3), np.float32)
+        colors, visible = np.zeros((len(self.pairs.keys), 3), np.float32), np.zeros(len(self.pairs.keys), bool)
+        sums, weights = np.zeros((len(self.mesh.vertices), 3)), np.zeros(len(self.mesh.vertices))
+        for index, view in enumerate(self.views):
+            seen = view.see(self.mesh.vertices, self.normals)
+            smooth = apply_gain(self.photographs[index].sample_smooth(np.nan_to_num(seen.positions)), self.gains[index])
+            sums += seen.weights[:, None] * smooth
+            weights += seen.weights
+            own = np.flatnonzero(self.pairs.photographs == index)
+            colors[own], visible[own] = smooth[self.pairs.vertices[own]], seen.visible[self.pairs.vertices[own]]
+        if self.settings.leveling and len(self.pairs.keys):
+            self.corrections = solve_corrections(self.pairs, colors, visible, self.edges)
+        self.vertex_colors = np.where(weights[:, None] > 0.0, sums / np.maximum(weights, 1e-30)[:, None], 0.0)
+        self.bound = weights > 0.0
+        has_label = np.bincount(self.pairs.vertices, self.pairs.weights * visible, len(self.mesh.vertices)) > 0.5
+        for channel in range(3):
+            values = self.pairs.weights * (colors + self.corrections)[:, channel]
+            leveled = np.bincount(self.pairs.vertices, values, len(self.mesh.vertices))
+            self.vertex_colors[has_label, channel] = leveled[has_label]
+
+    def fill_texels(self) -> Steps[None]:
+        """Compute the texels, tile by tile."""
+        count = self.settings.size**2
+        self.colors, self.confidence = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
+        self.source = np.full(count, NO_PHOTOGRAPH, np.int16)
+        uses = [(self.pairs.find(self.mesh.triangles, index)) for index in range(len(self.views))]
+        done, total = 0, int(np.count_nonzero(self.map.triangles >= 0))
+        for tile in self.map.tiles():
+            with self.clock.stage("colors"):
+                self._fill_tile(tile, uses)
+            done += len(tile.texels)
+            yield Progress(0.45 + 0.45 * done / total, "Computing texels")
+
+    def _fill_tile(self, tile: TexelTile, uses: list[np.ndarray]) -> None:
+        sums, weights = np.zeros((len(tile.texels), 3), np.float32), np.zeros(len(tile.texels), np.float32)
+        largest, source = np.zeros(len(tile.texels), np.float32), np.full(len(tile.texels), NO_PHOTOGRAPH, np.int16)
+        points, normals = tile.interpolate(self.mesh.corners), _unit(tile.interpolate(self.normals[self.mesh.triangles]))
+        pair_weights = np.append(self.pairs.weights, 0.0).astype(np.float32)
+        corrections = np.concatenate([self.corrections, np.zeros((1, 3), np.float32)])
+        for index, pairs in enumerate(uses):
+            corner_pairs = pairs[tile.triangles]
+            blend = np.einsum("ni,ni->n", tile.barycentric, pair_weights[corner_pairs])
+            used = np.flatnonzero(blend > 0.0)
+            seen = self.views[index].see(points[used], normals[used])
+            kept = used[seen.visible]
+            color = apply_gain(self.photographs[index].sample(seen.positions[seen.visible]), self.gains[index])
+            color += np.einsum("ni,nic->nc", tile.barycentric[kept], corrections[corner_pairs[kept]])
+            _accumulate(sums, weights, largest, source, kept, color, blend[kept], index)
+        rest = np.flatnonzero(weights == 0.0)
+        if len(rest):
+            self._average(tile, points, normals, rest, sums, weights, largest, source)
+        found = weights > 0.0
+        self.colors[tile.texels[found]] = sums[found] / weights[found, None]
+        self.confidence[tile.texels] = found
+        self.source[tile.texels] = source
+
+    def _average(self, tile, points, normals, rest, sums, weights, largest, source) -> None:
+        """Average all photographs that show the texels `rest` (R,)."""
+        for index, view in enumerate(self.views):
+            seen = view.see(points[rest], normals[rest])
+            kept = rest[seen.visible]
+            color = apply_gain(self.photographs[index].sample(seen.positions[seen.visible]), self.gains[index])
+            quality = seen.weights[seen.visible]
+            if self.settings.method == "paper":
+                to_camera = _unit(view.camera.position - points[kept])
+                quality = np.einsum("ni,ni->n", to_camera, normals[kept]).astype(np.float32)
+            else:
+                corners = self.consistency[self.mesh.triangles[tile.triangles[kept]], index]
+                quality *= np.einsum("ni,ni->n", tile.barycentric[kept], corners)
+            _accumulate(sums, weights, largest, source, kept, color, quality, index)
+
+    def finish(self) -> PhotoTexture:
+        """Fill what no photograph shows, and what lies around the islands of the UV map."""
+        covered, found = self.map.triangles >= 0, self.confidence > 0.0
+        if not found.any():
+            raise GeometryError(_explain_blindness(self.mesh, self.photographs))
+        if self.settings.fill == "interpolate":
+            colors, known = interpolate_colors(self.vertex_colors, self.bound, self.edges)
+            colors[~known] = self.colors[found].mean(axis=0)
+            for tile in self.map.tiles():
+                missing = ~found[tile.texels]
+                part = TexelTile(tile.texels[missing], tile.triangles[missing], tile.barycentric[missing])
+                self.colors[part.texels] = part.interpolate(colors[self.mesh.triangles].astype(np.float32))
+        known = covered if self.settings.fill == "interpolate" else found
+        size = self.settings.size
+        image = np.clip(self.colors, 0.0, 1.0).reshape(size, size, 3)
+        return PhotoTexture(
+            colors=dilate(image, known.reshape(size, size), GUTTER),
+            confidence=self.confidence.reshape(size, size),
+            source=self.source.reshape(size, size),
+            holes=(covered & ~found).reshape(size, size),
+            gains=self.gains,
+            labels=self.labels,
+            seconds=self.clock.seconds,
+        )
+
+    def _sample_surface(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return `count` random points on the surface (N, 3), evenly by area, and their normals (N, 3)."""
+        generator = np.random.default_rng(0)
+        triangles = generator.choice(len(self.areas), count, p=self.areas / self.areas.sum())
+        barycentric = generator.dirichlet((1.0, 1.0, 1.0), count)
+        corners = self.mesh.triangles[triangles]
+        points = np.einsum("ni,nic->nc", barycentric, self.mesh.vertices[corners])
+        return points, _unit(np.einsum("ni,nic->nc", barycentric, self.normals[corners]))
+
+
+def _accumulate(sums, weights, largest, source, texels, color, quality, index) -> None:
+    """Add `color` (N, 3) of a photograph with weights `quality` (N,) to `texels` (N,)."""
+    sums[texels] += quality[:, None] * color
+    weights[texels] += quality
+    is_best = quality > largest[texels]
+    largest[texels[is_best]] = quality[is_best]
+    source[texels[is_best]] = index
+
+
+def _explain_blindness(mesh: TriangleMesh, photographs: list[Photograph]) -> str:
+    """Return the sentence that says why no photograph shows the mesh."""
+    inside = 0
+    for photograph in photographs:
+        positions, _, is_valid = photograph.camera.project(mesh.vertices)
+        limits = np.array(photograph.camera.lens.size)
+        inside += bool((is_valid & (positions >= 0.0).all(axis=1) & (positions < limits).all(axis=1)).any())
+    if not inside:
+        return (
+            "No vertex of the mesh lies in the frame of any photograph; the cameras and the mesh are in different coordinate systems, so "
+            "export both from the same reconstruction, or turn the mesh to the axes of the cameras."
+        )
+    return "No photograph shows the front of a face; flip the normals of the mesh, or check the masks of the photographs."
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return vectors / np.where(lengths > 0.0, lengths, 1.0)

@@ -1,0 +1,115 @@
+"""`scripts/photos.py`: from files to a texture, its maps, the textured mesh and the report."""
+
+import json
+
+import bpy
+import numpy as np
+import pytest
+
+import photos
+from farfield.addon.core.errors import FileError, GeometryError, ImageError
+from image_data import read_image, write_image
+from lib import command_line
+from photo_scenes import SIZE, grid, photograph, ring, smooth_texture
+
+pytestmark = pytest.mark.usefixtures("empty_scene")
+
+
+def run(*arguments):
+    return photos.main([str(argument) for argument in arguments], command_line.ProgressLine())
+
+
+def write_cameras(folder, cameras):
+    folder.mkdir()
+    lens = cameras[0].lens
+    numbers = (lens.focal[0], *lens.center)
+    (folder / "cameras.txt").write_text(f"1 SIMPLE_PINHOLE {lens.size[0]} {lens.size[1]} {' '.join(map(str, numbers))}\n", encoding="utf-8")
+    lines = []
+    for index, camera in enumerate(cameras, start=1):
+        w = 0.5 * np.sqrt(max(1.0 + np.trace(camera.rotation), 1e-12))
+        r = camera.rotation
+        quaternion = (w, (r[2, 1] - r[1, 2]) / (4 * w), (r[0, 2] - r[2, 0]) / (4 * w), (r[1, 0] - r[0, 1]) / (4 * w))
+        lines += [f"{index} {' '.join(repr(float(v)) for v in (*quaternion, *camera.translation))} 1 {camera.name}", ""]
+    (folder / "images.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def write_obj(path, mesh, corner_uvs=None):
+    lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in mesh.vertices]
+    if corner_uvs is not None:
+        lines += [f"vt {u:.9g} {v:.9g}" for u, v in corner_uvs.reshape(-1, 2)]
+    for index, corners in enumerate(mesh.triangles + 1):
+        lines.append("f " + " ".join(f"{c}/{3 * index + k + 1}" if corner_uvs is not None else str(c) for k, c in enumerate(corners)))
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder with a mesh, three photographs and their cameras."""
+    folder = tmp_path / "été à la mer 樹"
+    folder.mkdir()
+    mesh, uvs = grid(10, lambda x, y: 0.1 * np.sin(2 * x + y))
+    cameras = ring(3)
+    write_cameras(folder / "cameras", cameras)
+    (folder / "images").mkdir()
+    for camera in cameras:
+        write_image(folder / "images" / camera.name, photograph(mesh, uvs, smooth_texture(), camera).pixels[::-1])
+    write_obj(folder / "with uvs.obj", mesh, uvs)
+    write_obj(folder / "without.obj", mesh)
+    return folder
+
+
+def inputs(folder, mesh="with uvs.obj"):
+    return (folder / mesh, "--cameras", folder / "cameras", "--images", folder / "images", "--size", SIZE)
+
+
+@pytest.mark.parametrize("extension", [".glb", ".obj", ".blend"])
+def test_texture_maps_mesh_and_report_are_written(folder, extension):
+    texture, out, report = folder / "t.png", folder / f"out{extension}", folder / "report.json"
+    assert run(*inputs(folder), "--texture", texture, "--out", out, "--report", report).startswith("Merged 3 photographs into t.png")
+    found = read_image(texture)[0][::-1].astype(np.float32) / 255.0
+    inner = np.s_[6:-6, 6:-6]
+    assert np.sqrt(np.mean((found - smooth_texture())[inner] ** 2)) < 0.02
+    for name in ("confidence", "source", "holes"):
+        assert read_image(folder / f"t.{name}.png")[0].shape[:2] == (SIZE, SIZE)
+    figures = json.loads(report.read_text(encoding="utf-8"))
+    assert figures["size"] == SIZE and figures["unwrapped"] == []
+    assert [each["name"] for each in figures["photographs"]] == ["0.png", "1.png", "2.png"]
+    photos.scene_files.open_scene(out)
+    [item] = [item for item in bpy.context.scene.objects if item.type == "MESH"]
+    assert len(item.data.polygons) == 200 and item.data.materials
+
+
+def test_a_mesh_without_uvs_is_unwrapped(folder):
+    report = folder / "report.json"
+    run(*inputs(folder, "without.obj"), "--texture", folder / "t.png", "--report", report)
+    figures = json.loads(report.read_text(encoding="utf-8"))
+    assert figures["unwrapped"] == ["without"] and figures["texels"] > 0.4 * SIZE**2
+
+
+def test_equal_input_gives_equal_bytes(folder):
+    for name in ("a.png", "b.png"):
+        run(*inputs(folder), "--texture", folder / name, "--method", "best")
+    assert (folder / "a.png").read_bytes() == (folder / "b.png").read_bytes()
+
+
+def test_bad_input_is_one_sentence_and_writes_nothing(folder):
+    def fails(kind, words, *arguments):
+        with pytest.raises(kind, match=words) as caught:
+            run(*arguments, "--texture", folder / "t.png")
+        assert "\n" not in str(caught.value) and not list(folder.glob("t.*"))
+
+    fails(FileError, "There are no cameras in", folder / "with uvs.obj", "--cameras", folder, "--images", folder / "images")
+    fails(FileError, 'There is no photograph "0.png"', folder / "with uvs.obj", "--cameras", folder / "cameras", "--images", folder)
+    write_image(folder / "images" / "1.png", np.zeros((20, 30, 3), np.uint8))
+    fails(ImageError, 'photograph "1.png" has 30 x 20 pixels, but its camera 300 x 240', *inputs(folder))
+    with pytest.raises(FileError, match=r"must end in \.png"):
+        run(*inputs(folder), "--texture", folder / "t.jpg")
+
+
+def test_a_mesh_far_away_says_so(folder):
+    mesh, uvs = grid(3)
+    mesh.vertices[:] += 100.0
+    write_obj(folder / "far.obj", mesh, uvs)
+    with pytest.raises(GeometryError, match="No vertex of the mesh lies in the frame"):
+        run(*inputs(folder, "far.obj"), "--texture", folder / "t.png")
