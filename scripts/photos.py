@@ -45,7 +45,12 @@ def build_parser() -> command_line.Parser:
     """Return the parser of all arguments of the script."""
     parser = command_line.Parser(prog="photos.py", description="Create one texture for a mesh from registered photographs.")
     parser.add_argument("input", type=command_line.parse_path, help="a .blend .obj .ply .stl .glb .gltf .fbx or .usd file")
-    parser.add_argument("--cameras", type=command_line.parse_path, required=True, help="the file or folder of the cameras")
+    parser.add_argument(
+        "--cameras",
+        type=command_line.parse_path,
+        required=True,
+        help="the cameras: a folder of COLMAP, a transforms.json, or an .xml file of Metashape",
+    )
     parser.add_argument("--images", type=command_line.parse_path, required=True, help="the folder of the photographs")
     parser.add_argument("--out", type=command_line.parse_path, help="the textured mesh to write: .blend, .obj or .glb")
     parser.add_argument("--texture", type=command_line.parse_path, required=True, help="the texture to write, a PNG file")

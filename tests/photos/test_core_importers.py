@@ -1,5 +1,6 @@
 """Cameras from files: text equals binary, and damaged files are one sentence."""
 
+import json
 import struct
 from pathlib import Path
 
@@ -94,14 +95,23 @@ def test_text_equals_binary(tmp_path):
         assert (first.rotation == second.rotation).all() and (first.translation == second.translation).all()
 
 
-@pytest.mark.parametrize("write", [write_text, write_binary])
+def write_json(folder, _images):
+    write_transforms(folder / "transforms.json", [random_pose(np.random.default_rng(9))], {"w": 640, "h": 480, "fl_x": 500.0, "k1": 0.1})
+
+
+def write_xml(folder, _images):
+    write_metashape(folder / "cameras.xml", [random_pose(np.random.default_rng(9))], (np.eye(3), np.zeros(3), 1.0), "<k1>0.1</k1>")
+
+
+@pytest.mark.parametrize("write", [write_text, write_binary, write_json, write_xml])
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 2**31))
 def test_damaged_files_are_one_sentence_or_cameras(tmp_path_factory, write, seed):
     folder = tmp_path_factory.mktemp("damaged")
     write(folder, random_images(3))
     random = np.random.default_rng(seed)
-    path = sorted(folder.iterdir())[random.integers(2)]
+    paths = sorted(folder.iterdir())
+    path = paths[random.integers(len(paths))]
     data = bytearray(path.read_bytes())
     if random.random() < 0.5:
         data = data[: random.integers(len(data))]
@@ -110,9 +120,120 @@ def test_damaged_files_are_one_sentence_or_cameras(tmp_path_factory, write, seed
             data[index] = random.integers(256)
     path.write_bytes(data)
     try:
-        assert read_cameras(folder)
+        assert read_cameras(path if path.suffix == ".xml" else folder)
     except FarfieldError as error:
         assert "\n" not in str(error)
+
+
+def random_pose(random):
+    """Rotation world to camera (3, 3), with z forward, and center (3,)."""
+    rotation, _ = np.linalg.qr(random.normal(size=(3, 3)))
+    return rotation * np.sign(np.linalg.det(rotation)), random.normal(size=3)
+
+
+def assert_projects(camera, rotation, center, project):
+    """A camera projects points like the formula `project` of tangents u and v."""
+    points = center + (np.random.default_rng(5).uniform(-0.4, 0.4, (40, 3)) + [0.0, 0.0, 2.0]) @ rotation
+    local = (points - center) @ rotation.T
+    x, y = project(*(local[:, :2] / local[:, 2:]).T)
+    found, depths, is_valid = camera.project(points)
+    assert is_valid.all() and depths == pytest.approx(local[:, 2])
+    assert np.abs(found - np.stack([x, camera.lens.size[1] - y], axis=1)).max() < 1e-6
+
+
+def write_transforms(path, poses, lens):
+    frames = []
+    for index, (rotation, center) in enumerate(poses):
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = rotation.T @ np.diag([1.0, -1.0, -1.0]), center  # y up, looks along -z
+        frames.append({"file_path": f"./images/ü {index}.jpg", "transform_matrix": matrix.tolist()})
+    path.write_text(json.dumps({**lens, "frames": frames}), encoding="utf-8")
+
+
+@pytest.mark.parametrize("kind", ["angle", "opencv", "fisheye"])
+def test_transforms_json(tmp_path, kind):
+    random = np.random.default_rng(6)
+    poses = [random_pose(random) for _ in range(3)]
+    angle = {"w": 640, "h": 480, "camera_angle_x": 2 * np.arctan(320 / 500.0)}
+    opencv = {"w": 640, "h": 480, "fl_x": 500.0, "fl_y": 505.0, "cx": 322.0, "cy": 238.0, "k1": 0.1, "k2": -0.02, "p1": 0.003, "p2": -0.001}
+    lens = {"angle": angle, "opencv": opencv, "fisheye": opencv | {"camera_model": "OPENCV_FISHEYE", "k3": 0.01, "k4": 0.002}}[kind]
+    write_transforms(tmp_path / "transforms.json", poses, lens)
+
+    def project(u, v):
+        square = u * u + v * v
+        if kind == "angle":
+            return 500.0 * u + 320.0, 500.0 * v + 240.0
+        if kind == "opencv":
+            radial = 1 + 0.1 * square - 0.02 * square**2
+            x, y = u * radial + 0.006 * u * v - 0.001 * (square + 2 * u * u), v * radial - 0.002 * u * v + 0.003 * (square + 2 * v * v)
+        else:
+            radius = np.sqrt(square)
+            theta = np.arctan(radius)
+            x, y = np.array([u, v]) * (theta + 0.1 * theta**3 - 0.02 * theta**5 + 0.01 * theta**7 + 0.002 * theta**9) / radius
+        return 500.0 * x + 322.0, 505.0 * y + 238.0
+
+    for index, (camera, pose) in enumerate(zip(read_cameras(tmp_path), poses, strict=True)):
+        assert camera.name == f"images/ü {index}.jpg"
+        assert_projects(camera, *pose, project)
+
+
+def write_metashape(path, poses, chunk, coefficients=""):
+    rotation, translation, scale = chunk
+    lines = ['<document version="1.5.0"><chunk><sensors><sensor id="0" type="frame"><calibration type="frame" class="adjusted">']
+    lines += ['<resolution width="640" height="480"/><f>500</f><cx>3.5</cx><cy>-2</cy><b1>4</b1>', coefficients]
+    lines += ["</calibration></sensor></sensors><cameras>", '<camera id="9" sensor_id="0" label="not aligned.jpg"/>']
+    for index, (world_rotation, center) in enumerate(poses):
+        pose = np.eye(4)
+        pose[:3, :3] = rotation.T @ world_rotation.T
+        pose[:3, 3] = rotation.T @ (center - translation) / scale
+        numbers = " ".join(repr(float(value)) for value in pose.ravel())
+        lines.append(f'<camera id="{index}" sensor_id="0" label="é {index}.jpg"><transform>{numbers}</transform></camera>')
+    text = [" ".join(repr(float(value)) for value in np.ravel(part)) for part in (rotation, translation, scale)]
+    lines.append(
+        f"</cameras><transform><rotation>{text[0]}</rotation><translation>{text[1]}</translation><scale>{text[2]}</scale></transform>"
+    )
+    path.write_text("\n".join([*lines, "</chunk></document>"]), encoding="utf-8")
+
+
+def test_metashape(tmp_path):
+    random = np.random.default_rng(7)
+    poses, chunk = [random_pose(random) for _ in range(3)], (random_pose(random)[0], np.array([5.0, -2.0, 1.0]), 2.5)
+    coefficients = "<k1>0.1</k1><k2>-0.02</k2><k3>0.005</k3><p1>0.003</p1><p2>-0.001</p2>"
+    write_metashape(tmp_path / "cameras.xml", poses, chunk, coefficients)
+
+    def project(u, v):
+        square = u * u + v * v
+        radial = 1 + 0.1 * square - 0.02 * square**2 + 0.005 * square**3
+        x = u * radial + 0.003 * (square + 2 * u * u) - 0.002 * u * v
+        y = v * radial - 0.001 * (square + 2 * v * v) + 0.006 * u * v
+        return 320.0 + 3.5 + 504.0 * x, 240.0 - 2.0 + 500.0 * y
+
+    cameras = read_cameras(tmp_path / "cameras.xml")
+    assert [camera.name for camera in cameras] == ["é 0.jpg", "é 1.jpg", "é 2.jpg"]
+    for camera, pose in zip(cameras, poses, strict=True):
+        assert_projects(camera, *pose, project)
+
+
+def test_what_no_lens_has_is_refused(tmp_path):
+    poses, chunk = [random_pose(np.random.default_rng(8))], (np.eye(3), np.zeros(3), 1.0)
+    write_metashape(tmp_path / "cameras.xml", poses, chunk, "<b2>0.5</b2>")
+    with pytest.raises(FileError, match="skew"):
+        read_cameras(tmp_path / "cameras.xml")
+    (tmp_path / "cameras.xml").write_text('<!DOCTYPE a [<!ENTITY b "c">]><document/>', encoding="utf-8")
+    with pytest.raises(FileError, match="damaged or incomplete"):
+        read_cameras(tmp_path / "cameras.xml")
+    lens = {"w": 640, "h": 480, "fl_x": 500.0}
+    for change, words in (({"w": None}, "damaged"), ({"fl_x": "wide"}, "damaged"), ({"k4": 0.1}, "coefficient k4")):
+        write_transforms(tmp_path / "transforms.json", poses, lens | change)
+        with pytest.raises(FileError, match=words):
+            read_cameras(tmp_path / "transforms.json")
+    for name, words in (("w", "sizes of the photographs"), ("fl_x", "no focal length")):
+        write_transforms(tmp_path / "transforms.json", poses, {key: value for key, value in lens.items() if key != name})
+        with pytest.raises(FileError, match=words):
+            read_cameras(tmp_path / "transforms.json")
+    write_transforms(tmp_path / "transforms.json", [(np.diag([-1.0, 1.0, 1.0]), np.zeros(3))], lens)
+    with pytest.raises(FileError, match="mirrored"):
+        read_cameras(tmp_path / "transforms.json")
 
 
 def test_missing_cameras_are_one_sentence(tmp_path):
