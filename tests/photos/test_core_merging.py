@@ -36,6 +36,16 @@ class TestMerge:
         assert seen[3:-3, 3:-3].all() and not (result.holes & seen).any()
         assert np.sqrt(np.mean((result.colors - texture)[seen] ** 2)) < 0.01
 
+    def test_confidence_is_the_resolution_of_the_photographs(self):
+        """A texel is 2 / 128 units wide; photographs have 300 pixels per unit of depth, 3 units away: 1.6 pixels per texel, or 0.4 for a
+        texture that is four times as fine."""
+        mesh, uvs = grid(4)
+        photographs = [photograph(mesh, uvs, smooth_texture(), camera_at((0.0, 0.0, 3.0)))]
+        for size, expected in ((SIZE, 1.0), (4 * SIZE, 0.39)):
+            result = run_to_end(merge(mesh, uvs, photographs, PhotosSettings(size=size)))
+            assert result.confidence[size // 2, size // 2] == pytest.approx(expected, rel=0.02)
+            assert (result.confidence[result.holes] == 0.0).all()
+
     def test_exposures_are_adjusted(self):
         mesh, uvs = grid(12)
         texture, gains = smooth_texture(2), np.array([1.4, 0.8, 1.0, 0.7])
@@ -99,6 +109,17 @@ class TestMerge:
             run_to_end(merge(mesh, uvs, [], PhotosSettings(size=SIZE)))
         with pytest.raises(GeometryError, match="covers no pixel"):
             run_to_end(merge(mesh, uvs + 3.0, [Photograph(behind, blank)], PhotosSettings(size=SIZE)))
+        with pytest.raises(GeometryError, match="not finite"):
+            run_to_end(merge(mesh, uvs * np.float32(np.nan), [Photograph(behind, blank)], PhotosSettings(size=SIZE)))
+        with pytest.raises(GeometryError, match="no area"):
+            run_to_end(
+                merge(
+                    TriangleMesh(mesh.vertices * [1.0, 0.0, 0.0], mesh.triangles),
+                    uvs,
+                    [Photograph(behind, blank)],
+                    PhotosSettings(size=SIZE),
+                )
+            )
 
 
 class TestViews:

@@ -11,7 +11,8 @@ import numpy as np
 
 from ..errors import GeometryError, ImageError
 from ..geometry.edges import Edges, find_edges
-from ..geometry.mesh import TriangleMesh, face_areas_and_normals
+from ..geometry.geometry_2d import signed_areas
+from ..geometry.mesh import TriangleMesh, check_points, face_areas_and_normals
 from ..imaging.colors import decode_signed_srgb
 from ..imaging.images import dilate
 from ..jobs.progress import Progress, StageClock, Steps
@@ -23,20 +24,20 @@ from .photographs import Photograph, apply_gain
 from .settings import PhotosSettings
 from .surface import interpolate_colors
 from .texels import TexelMap, TexelTile, vertex_normals
+from .tile_colors import NO_PHOTOGRAPH, TileColors
 from .views import View
 
 FACE_SAMPLES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])  # barycentric
 GUTTER = 8  # texels around covered ones that get the mean of their neighbors
-NO_PHOTOGRAPH = -1
 
 
 @dataclass(frozen=True)
 class PhotoTexture:
     """The result of `merge`.
 
-    colors: (H, W, 3) float32, sRGB-encoded, row 0 at the bottom. confidence: (H, W) float32, 0 to 1, the resolution of the photographs
-    relative to the texture. source: (H, W) int16, the photograph with the largest weight, -1 for none. holes: (H, W) bool, covered texels
-    that no photograph shows. gains: (K, 3). labels: (T,) the photograph of each triangle, -1 for none.
+    colors: (H, W, 3) float32, sRGB-encoded, row 0 at the bottom. confidence: (H, W) float32, 0 to 1, the pixels per texel along one axis of
+    the best photograph. source: (H, W) int16, the photograph with the largest weight, -1 for none. holes: (H, W) bool, covered texels that
+    no photograph shows. gains: (K, 3). labels: (T,) the photograph of each triangle, -1 for none.
     """
 
     colors: np.ndarray
@@ -53,12 +54,15 @@ def merge(mesh: TriangleMesh, corner_uvs: np.ndarray, photographs: list[Photogra
 
     Raises:
         ImageError: a photograph or mask does not have the size that its camera says, or there is none.
-        GeometryError: no photograph shows the mesh, or the UV map covers no texel.
+        GeometryError: no photograph shows the mesh, it has no area or is not finite, or the UV map covers no texel.
     """
     if not photographs:
         raise ImageError("There are no photographs; name a folder with the images that the cameras refer to.")
     for photograph in photographs:
         photograph.check()
+    check_points(mesh.vertices, "mesh")
+    if not np.isfinite(corner_uvs).all():
+        raise GeometryError("The UV map has coordinates that are not finite; unwrap the mesh again.")
     clock = StageClock()
     merger = _Merger(mesh, corner_uvs, photographs, settings, clock)
     yield from merger.look()
@@ -89,6 +93,10 @@ class _Merger:
             if not self.map.covered.any():
                 raise GeometryError("The UV map covers no pixel of the texture; unwrap the mesh, or move its UVs into the range 0 to 1.")
         self.areas, _ = face_areas_and_normals(mesh.corners)
+        if not self.areas.any():
+            raise GeometryError("The faces of the mesh have no area; scale it up.")
+        uv_areas = np.abs(signed_areas(corner_uvs.astype(np.float64))) * settings.size**2
+        self.texel_areas = self.areas / np.maximum(uv_areas, 1e-12)  # of the surface, per triangle
         self.normals = vertex_normals(mesh)
         self.edges: Edges = find_edges(mesh.triangles, len(mesh.vertices))
         self.views: list[View] = []
@@ -173,8 +181,7 @@ class _Merger:
             yield Progress(0.45 + 0.45 * done / total, "Computing texels")
 
     def _fill_tile(self, tile: TexelTile, uses: list[np.ndarray]) -> None:
-        sums, weights = np.zeros((len(tile.texels), 3), np.float32), np.zeros(len(tile.texels), np.float32)
-        largest, source = np.zeros(len(tile.texels), np.float32), np.full(len(tile.texels), NO_PHOTOGRAPH, np.int16)
+        found = TileColors(len(tile.texels))
         points, normals = tile.interpolate(self.mesh.corners), _unit(tile.interpolate(self.normals[self.mesh.triangles]))
         pair_weights = np.append(self.pairs.weights, 0.0).astype(np.float32)
         corrections = np.concatenate([self.corrections, np.zeros((1, 3), np.float32)])
@@ -184,35 +191,35 @@ class _Merger:
             used = np.flatnonzero(blend > 0.0)
             seen = self.views[index].see(points[used], normals[used])
             kept = used[seen.visible]
-            color = apply_gain(self.photographs[index].sample(seen.positions[seen.visible]), self.gains[index])
-            color += np.einsum("ni,nic->nc", tile.barycentric[kept], corrections[corner_pairs[kept]])
-            _accumulate(sums, weights, largest, source, kept, color, blend[kept], index)
-        rest = np.flatnonzero(weights == 0.0)
+            colors = apply_gain(self.photographs[index].sample(seen.positions[seen.visible]), self.gains[index])
+            colors += np.einsum("ni,nic->nc", tile.barycentric[kept], corrections[corner_pairs[kept]])
+            found.add(index, kept, colors, blend[kept], seen.resolution[seen.visible])
+        rest = np.flatnonzero(found.weights == 0.0)
         if len(rest):
-            self._average(tile, points, normals, rest, sums, weights, largest, source)
-        found = weights > 0.0
-        self.colors[tile.texels[found]] = sums[found] / weights[found, None]
-        self.confidence[tile.texels] = found
-        self.source[tile.texels] = source
+            self._average(tile, points, normals, rest, found)
+        is_found = found.weights > 0.0
+        self.colors[tile.texels[is_found]] = found.colors[is_found]
+        self.confidence[tile.texels] = np.sqrt(np.minimum(found.resolution * self.texel_areas[tile.triangles], 1.0))
+        self.source[tile.texels] = found.source
 
-    def _average(self, tile, points, normals, rest, sums, weights, largest, source) -> None:
-        """Average all photographs that show the texels `rest` (R,)."""
+    def _average(self, tile: TexelTile, points: np.ndarray, normals: np.ndarray, rest: np.ndarray, found: TileColors) -> None:
+        """Average all photographs that show the texels `rest` (R,) of a tile with `points` and `normals` (N, 3)."""
         for index, view in enumerate(self.views):
             seen = view.see(points[rest], normals[rest])
             kept = rest[seen.visible]
-            color = apply_gain(self.photographs[index].sample(seen.positions[seen.visible]), self.gains[index])
-            quality = seen.weights[seen.visible]
+            colors = apply_gain(self.photographs[index].sample(seen.positions[seen.visible]), self.gains[index])
+            weights = seen.weights[seen.visible]
             if self.settings.method == "paper":
                 to_camera = _unit(view.camera.position - points[kept])
-                quality = np.einsum("ni,ni->n", to_camera, normals[kept]).astype(np.float32)
+                weights = np.einsum("ni,ni->n", to_camera, normals[kept]).astype(np.float32)
             else:
                 corners = self.consistency[self.mesh.triangles[tile.triangles[kept]], index]
-                quality *= np.einsum("ni,ni->n", tile.barycentric[kept], corners)
-            _accumulate(sums, weights, largest, source, kept, color, quality, index)
+                weights *= np.einsum("ni,ni->n", tile.barycentric[kept], corners)
+            found.add(index, kept, colors, weights, seen.resolution[seen.visible])
 
     def finish(self) -> PhotoTexture:
         """Fill what no photograph shows, and what lies around the islands of the UV map."""
-        covered, found = self.map.triangles >= 0, self.confidence > 0.0
+        covered, found = self.map.triangles >= 0, self.source != NO_PHOTOGRAPH
         if not found.any():
             raise GeometryError(_explain_blindness(self.mesh, self.photographs))
         if self.settings.fill == "interpolate":
@@ -243,15 +250,6 @@ class _Merger:
         corners = self.mesh.triangles[triangles]
         points = np.einsum("ni,nic->nc", barycentric, self.mesh.vertices[corners])
         return points, _unit(np.einsum("ni,nic->nc", barycentric, self.normals[corners]))
-
-
-def _accumulate(sums, weights, largest, source, texels, color, quality, index) -> None:
-    """Add `color` (N, 3) of a photograph with weights `quality` (N,) to `texels` (N,)."""
-    sums[texels] += quality[:, None] * color
-    weights[texels] += quality
-    is_best = quality > largest[texels]
-    largest[texels[is_best]] = quality[is_best]
-    source[texels[is_best]] = index
 
 
 def _explain_blindness(mesh: TriangleMesh, photographs: list[Photograph]) -> str:

@@ -23,11 +23,12 @@ BORDER_PIXELS = 32  # weights rise over this distance from the frame or a mask
 
 @dataclass(frozen=True)
 class Seen:
-    """How a photograph sees points: positions (N, 2) in pixels, whether each is visible (N,) bool, and its weight (N,) float32, about the
-    number of pixels per unit of area, 0 where not visible."""
+    """How a photograph sees points: positions (N, 2) in pixels; visible: (N,) bool; resolution: (N,) float32, pixels per unit of area;
+    weights: (N,) float32, resolution times cosine, lower near the frame and masks, 0 where not visible."""
 
     positions: np.ndarray
     visible: np.ndarray
+    resolution: np.ndarray
     weights: np.ndarray
 
 
@@ -62,8 +63,9 @@ class View:
         border = np.zeros(len(points), np.float32)
         border[visible] = self._border[rows[visible], columns[visible]]
         visible &= border > SILHOUETTE_PIXELS
-        weights = np.where(visible, self._focal**2 * cosines**2 / np.maximum(depths, 1e-12) ** 2 * (border / BORDER_PIXELS) ** 2, 0.0)
-        return Seen(positions, visible, weights.astype(np.float32))
+        resolution = np.where(visible, self._focal**2 * cosines / np.maximum(depths, 1e-12) ** 2, 0.0)
+        weights = resolution * cosines * (border / BORDER_PIXELS) ** 2
+        return Seen(positions, visible, resolution.astype(np.float32), weights.astype(np.float32))
 
     def _draw(self, mesh: TriangleMesh) -> np.ndarray:
         """Return the depths (H, W) float32 of a pinhole image, which straightens what the lens distorts."""
