@@ -13,9 +13,10 @@ import tempfile
 from pathlib import Path
 
 from lib.environment import LOCKS, ROOT, Lock, find_interpreter
-from reference_tools import LOCK as REFERENCE_LOCK
 from reference_tools import PYTHON_VERSION as REFERENCE_PYTHON
-from reference_tools import SOURCES_LOCK as REFERENCE_SOURCES_LOCK
+from reference_tools import REFERENCE_TOOLS as REFERENCE_SET
+from reference_tools import TEXTURE_TOOLS as TEXTURE_SET
+from reference_tools import ToolSet
 
 PLATFORMS = {  # wheel tags by Blender's name of the platform; each list of tags is resolved separately, as the wheels may differ
     "linux-x64": [["manylinux_2_28_x86_64", "manylinux_2_27_x86_64", "manylinux_2_17_x86_64", "manylinux2014_x86_64"]],
@@ -48,6 +49,15 @@ REFERENCE_TOOLS = [  # see reference_tools.py, with what btf-extractor needs to 
     *["opencv-contrib-python-headless==4.10.0.84", "pypatchmatch==2.2.0", "scikit-image==0.26.0", "scipy==1.17.1"],
     *["lazy-loader==0.6", "networkx==3.6.1", "packaging==26.3", "tifffile==2026.3.3"],  # what scikit-image needs
 ]
+TEXTURE_TOOLS = [  # textures from photographs, see reference_tools.py
+    *["adobe-lagrange==6.49.0", "colorama==0.4.6", "nanobind-backend==1.0.0", "numpy==1.26.4", "pillow==13.0.0"],
+    *["pymeshlab==2025.7.post1", "scipy==1.17.1"],
+]
+TEXTURE_PLATFORMS = {  # newer than what Blender needs
+    "linux-x64": [[f"manylinux_2_{minor}_x86_64" for minor in (35, 28, 27, 17)] + ["manylinux2014_x86_64"]],
+    "macos-arm64": [["macosx_15_0_arm64"]],
+    "windows-x64": [["win_amd64"]],
+}
 REFERENCE_SOURCES = {"btf-extractor==1.7.0": {"5d2107344395e82280c384f6bfc8dcd5466f9a25d8a2b9e1cf00afb39af0b38d"}}  # has no wheels
 ON_WINDOWS = ["colorama==0.4.6"]  # pytest requires it there; pip evaluates such conditions for the machine that it runs on
 
@@ -83,11 +93,13 @@ def resolve(python: tuple[int, int], tags: list[str], requirements: list[str], *
     }
 
 
-def resolve_everywhere(python: tuple[int, int], requirements: list[str], *, dependencies: bool) -> tuple[dict[str, Pins], dict[str, str]]:
+def resolve_everywhere(
+    python: tuple[int, int], requirements: list[str], *, dependencies: bool, platforms: dict[str, list[list[str]]] = PLATFORMS
+) -> tuple[dict[str, Pins], dict[str, str]]:
     """Return the pins by platform, and for each skipped platform the package that has no wheel there."""
     pins: dict[str, Pins] = {}
     skipped: dict[str, str] = {}
-    for platform, tag_lists in PLATFORMS.items():
+    for platform, tag_lists in platforms.items():
         platform_requirements = requirements + (ON_WINDOWS if dependencies and platform.startswith("windows") else [])
         platform_pins: Pins = {}
         try:
@@ -142,18 +154,22 @@ def lock_wheels() -> None:
 
 
 def lock_reference_tools() -> None:
-    """Write the locks for scripts/reference_tools.py: wheels, and source packages that are built with them."""
-    pins, skipped = resolve_everywhere(REFERENCE_PYTHON, REFERENCE_TOOLS, dependencies=False)
-    python = ".".join(map(str, REFERENCE_PYTHON))
-    comments = [f"What scripts/reference_tools.py installs, for Python {python}. Written by scripts/lock_requirements.py; change it there."]
+    """Write the locks of the reference tools: wheels, and source packages that are built with them."""
+    comments = _lock_tools(REFERENCE_SET, REFERENCE_TOOLS, PLATFORMS)
     write(
-        REFERENCE_LOCK, [*comments, *(f"Not for {platform}: {package} has no wheel there." for platform, package in skipped.items())], pins
-    )
-    write(
-        REFERENCE_SOURCES_LOCK,
+        REFERENCE_SET.sources_lock,
         [*comments, "Built from sources, after the wheels of the other file are in place."],
         {"every platform": REFERENCE_SOURCES},
     )
+
+
+def _lock_tools(tools: ToolSet, requirements: list[str], platforms: dict[str, list[list[str]]]) -> list[str]:
+    """Write the lock of the wheels of a set of tools; returns the comment at its top."""
+    pins, skipped = resolve_everywhere(REFERENCE_PYTHON, requirements, dependencies=False, platforms=platforms)
+    python = ".".join(map(str, REFERENCE_PYTHON))
+    comments = [f"What scripts/reference_tools.py installs, for Python {python}. Written by scripts/lock_requirements.py; change it there."]
+    write(tools.lock, [*comments, *(f"Not for {platform}: {package} has no wheel there." for platform, package in skipped.items())], pins)
+    return comments
 
 
 def main() -> None:
@@ -165,6 +181,8 @@ def main() -> None:
         lock_wheels()
     if not names or "reference-tools" in names:
         lock_reference_tools()
+    if not names or "texture-tools" in names:
+        _lock_tools(TEXTURE_SET, TEXTURE_TOOLS, TEXTURE_PLATFORMS)
 
 
 if __name__ == "__main__":

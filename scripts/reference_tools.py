@@ -1,8 +1,10 @@
-"""Install third-party reference tools that tests and benchmarks compare with: `python3 scripts/reference_tools.py`.
+"""Install third-party reference tools that tests and benchmarks compare with.
 
-The tools are btf-extractor, which reads `.btf` files, flip-evaluator, which compares images, and OpenCV, PyPatchMatch and scikit-image,
-which fill missing parts of images. Farfield itself does not need them. They require other package versions than Blender, so they have an
-environment of their own; `find_python` returns its Python.
+    python3 scripts/reference_tools.py                  btf-extractor, flip-evaluator, OpenCV, PyPatchMatch and scikit-image
+    python3 scripts/reference_tools.py texture-tools    Lagrange and PyMeshLab, for benchmarks/bench_photos.py
+
+Farfield itself does not need them. They require other package versions than Blender, so each set has an environment of its own.
+`find_python` returns its Python. PyMeshLab needs a display with OpenGL for textures.
 """
 
 import hashlib
@@ -10,71 +12,87 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 from lib import environment
 
 PYTHON_VERSION = (3, 11)
-LOCK = environment.ROOT / "requirements" / "reference-tools.txt"
-SOURCES_LOCK = environment.ROOT / "requirements" / "reference-tools-sources.txt"
-CHECK = "import btf_extractor, cv2.xphoto, flip_evaluator, patchmatch, skimage; assert patchmatch.patchmatch_available"
+REQUIREMENTS = environment.ROOT / "requirements"
 
 
-def find_python() -> Path | None:
-    """Return the Python of the environment with the reference tools, None if it is not installed."""
-    folder = _folder()
-    return environment.environment_python(folder) if environment.read_stamp(folder) == _digest() else None
+class ToolSet(NamedTuple):
+    """Tools in one environment: locks of wheels, and of source packages that are built with them, if any; `check` is run at the end."""
+
+    name: str
+    lock: Path
+    sources_lock: Path | None
+    check: str
 
 
-def install() -> None:
+REFERENCE_TOOLS = ToolSet(
+    "reference-tools",
+    REQUIREMENTS / "reference-tools.txt",
+    REQUIREMENTS / "reference-tools-sources.txt",
+    "import btf_extractor, cv2.xphoto, flip_evaluator, patchmatch, skimage; assert patchmatch.patchmatch_available",
+)
+TEXTURE_TOOLS = ToolSet("texture-tools", REQUIREMENTS / "texture-tools.txt", None, "import lagrange.texproc, PIL, pymeshlab")
+TOOL_SETS = {tools.name: tools for tools in (REFERENCE_TOOLS, TEXTURE_TOOLS)}
+
+
+def find_python(tools: ToolSet = REFERENCE_TOOLS) -> Path | None:
+    """Return the Python of the environment with a set of tools, None if it is not installed."""
+    folder = _folder(tools)
+    return environment.environment_python(folder) if environment.read_stamp(folder) == _digest(tools) else None
+
+
+def install(tools: ToolSet = REFERENCE_TOOLS) -> None:
     """Create the environment. Exits with code 2 and an error message if that fails."""
     command = environment.find_interpreter(PYTHON_VERSION)
     if command is None:
-        _fail(f"there is no Python {PYTHON_VERSION[0]}.{PYTHON_VERSION[1]} with its venv module")
-    folder = _folder()
+        _fail(tools, f"there is no Python {PYTHON_VERSION[0]}.{PYTHON_VERSION[1]} with its venv module")
+    folder = _folder(tools)
     shutil.rmtree(folder, ignore_errors=True)
-    install = [
-        str(environment.environment_python(folder)),
-        "-m",
-        "pip",
-        "install",
-        "--quiet",
-        "--require-hashes",
-        "--no-deps",
-        "--no-input",
-    ]
-    install.append("--disable-pip-version-check")
+    python = str(environment.environment_python(folder))
+    pip = [python, "-m", "pip", "install", "--quiet", "--require-hashes", "--no-deps", "--no-input", "--disable-pip-version-check"]
     try:
         _run([*command, "-m", "venv", str(folder)])
-        _run([*install, "--only-binary", ":all:", "-r", str(LOCK)])
-        _run([*install, "--no-build-isolation", "--no-binary", ":all:", "-r", str(SOURCES_LOCK)])
-        _run([str(environment.environment_python(folder)), "-c", CHECK])
-        (folder / environment.STAMP_FILE).write_text(_digest(), encoding="utf-8")
+        _run([*pip, "--only-binary", ":all:", "-r", str(tools.lock)])
+        if tools.sources_lock is not None:
+            _run([*pip, "--no-build-isolation", "--no-binary", ":all:", "-r", str(tools.sources_lock)])
+        _run([python, "-c", tools.check])
+        (folder / environment.STAMP_FILE).write_text(_digest(tools), encoding="utf-8")
     except (OSError, subprocess.CalledProcessError) as error:
         shutil.rmtree(folder, ignore_errors=True)
-        _fail(f"{error}; see the lines above")
+        _fail(tools, f"{error}; see the lines above")
 
 
-def _folder() -> Path:
-    return environment.environments_folder() / "reference-tools"
+def _folder(tools: ToolSet) -> Path:
+    return environment.environments_folder() / tools.name
 
 
-def _digest() -> str:
-    return hashlib.sha256(LOCK.read_bytes() + SOURCES_LOCK.read_bytes()).hexdigest()
+def _digest(tools: ToolSet) -> str:
+    locks = [tools.lock] if tools.sources_lock is None else [tools.lock, tools.sources_lock]
+    return hashlib.sha256(b"".join(lock.read_bytes() for lock in locks)).hexdigest()
 
 
 def _run(command: list[str]) -> None:
     subprocess.run(command, check=True, stdout=sys.stderr)
 
 
-def _fail(reason: str) -> None:
-    print(f"The reference tools cannot be installed: {reason}. Tests that need them are skipped.", file=sys.stderr)
+def _fail(tools: ToolSet, reason: str) -> None:
+    print(f"The {tools.name} cannot be installed: {reason}. What needs them is skipped.", file=sys.stderr)
     sys.exit(2)
 
 
 def main() -> None:
-    if find_python() is None:
-        install()
-    print(f"The reference tools are installed in {_folder()}")
+    unknown = [name for name in sys.argv[1:] if name not in TOOL_SETS]
+    if unknown:
+        print(f'There is no set of tools "{unknown[0]}"; choose from {", ".join(TOOL_SETS)}.', file=sys.stderr)
+        sys.exit(2)
+    for name in sys.argv[1:] or [REFERENCE_TOOLS.name]:
+        if find_python(TOOL_SETS[name]) is None:
+            install(TOOL_SETS[name])
+        print(f"The {name} are installed in {_folder(TOOL_SETS[name])}")
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ from farfield.addon.core.geometry.lenses import Lens, PhotoCamera
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.imaging.colors import decode_signed_srgb, encode_signed_srgb
 from farfield.addon.core.imaging.texture_renders import render_texture
+from farfield.addon.core.photos.observations import Observations
 from farfield.addon.core.photos.photographs import Photograph
 
 SIZE = 128
@@ -54,3 +55,11 @@ def smooth_texture(seed=1):
 def ring(count, radius=1.2, height=3.0):
     angles = 2 * np.pi * np.arange(count) / count
     return [camera_at((radius * np.cos(a), radius * np.sin(a), height), name=f"{k}.png") for k, a in enumerate(angles)]
+
+
+def observations(linear, visible, positions=None):
+    """Observations of points with `linear` colors (K, P, 3) in photographs, where `visible` (K, P)."""
+    points, photographs = np.nonzero(visible.T)
+    colors = encode_signed_srgb(linear[photographs, points].astype(np.float32))
+    found = np.zeros((len(points), 2)) if positions is None else positions[photographs, points]
+    return Observations(points, photographs, found.astype(np.float32), colors)

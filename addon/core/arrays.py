@@ -17,3 +17,13 @@ def concatenate_ranges(starts: np.ndarray | int, counts: np.ndarray) -> np.ndarr
     """
     offsets = np.cumsum(counts) - counts
     return np.arange(counts.sum()) - np.repeat(offsets - starts, counts)
+
+
+def find_group_medians(groups: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return for each row of `values` (N, C) the medians (N, C) of the rows with the same of `groups` (N,), which must be ascending."""
+    _, starts, counts = np.unique(groups, return_index=True, return_counts=True)
+    result = np.empty_like(values)
+    for count in np.unique(counts):
+        rows = starts[counts == count][:, None] + np.arange(count)
+        result[rows] = np.median(values[rows], axis=1, keepdims=True)
+    return result

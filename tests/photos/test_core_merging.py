@@ -11,7 +11,6 @@ from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.imaging.colors import decode_signed_srgb, encode_signed_srgb
 from farfield.addon.core.imaging.raster import draw_ids
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.photos.consistency import rate_consistency
 from farfield.addon.core.photos.exposure import estimate_gains
 from farfield.addon.core.photos.labels import choose_labels
 from farfield.addon.core.photos.leveling import find_vertex_labels, solve_corrections
@@ -20,7 +19,7 @@ from farfield.addon.core.photos.photographs import Photograph, apply_gain
 from farfield.addon.core.photos.settings import METHODS, PhotosSettings
 from farfield.addon.core.photos.surface import interpolate_colors
 from farfield.addon.core.photos.views import View
-from photo_scenes import SIZE, camera_at, grid, photograph, ring, smooth_texture
+from photo_scenes import SIZE, camera_at, grid, observations, photograph, ring, smooth_texture
 
 
 class TestMerge:
@@ -166,40 +165,26 @@ class TestExposure:
         truth = random.uniform(0.05, 0.6, (400, 3))
         gains = random.uniform(0.6, 1.6, (count, 3))
         linear = truth[None] * gains[:, None]
-        visible = random.random((count, 400)) < 0.8
         linear[0, :30] = random.random((30, 3))
-        found = estimate_gains(linear, visible) * gains
+        found = estimate_gains(observations(linear, random.random((count, 400)) < 0.8), count) * gains
         assert found == pytest.approx(np.broadcast_to(found.mean(axis=0), found.shape), rel=0.02)
+
+    def test_observations_without_weight_do_not_count(self):
+        random = np.random.default_rng(5)
+        linear = np.repeat(random.uniform(0.1, 0.5, (1, 200, 3)), 2, axis=0)
+        linear[1, 50:] *= 1.5
+        observed = observations(linear, np.ones((2, 200), bool))
+        assert estimate_gains(observed, 2, (observed.points < 50).astype(float)) == pytest.approx(1.0, rel=1e-4)
 
     def test_photographs_without_overlap_keep_their_exposure(self):
         linear, visible = np.full((2, 10, 3), 0.3), np.zeros((2, 10), bool)
         visible[0, :5], visible[1, 5:] = True, True
-        assert estimate_gains(linear, visible) == pytest.approx(1.0)
+        assert estimate_gains(observations(linear, visible), 2) == pytest.approx(1.0)
 
     def test_gain_is_linear(self):
         assert apply_gain(encode_signed_srgb(np.full((1, 3), 0.2)), np.full(3, 2.0)) == pytest.approx(
             encode_signed_srgb(np.full((1, 3), 0.4))
         )
-
-
-class TestConsistency:
-    """Outliers."""
-
-    def test_what_one_of_five_photographs_shows_loses_its_weight(self):
-        mesh, _ = grid(20)
-        edges = find_edges(mesh.triangles)
-        passer_by = np.abs(mesh.corners[..., 0].mean(axis=1)) < 0.4
-        colors = np.full((5, len(mesh.triangles), 3), 0.5) + np.random.default_rng(0).normal(scale=0.02, size=(5, len(mesh.triangles), 3))
-        colors[2, passer_by] = 0.9
-        weights = rate_consistency(colors, np.ones((5, len(mesh.triangles)), bool), edges, mesh.triangles)
-        inside, outside = np.abs(mesh.vertices[:, 0]) < 0.2, np.abs(mesh.vertices[:, 0]) > 0.7
-        assert weights[inside, 2].max() < 0.05 and weights[inside][:, [0, 1, 3, 4]].min() > 0.7 and weights[outside].min() > 0.7
-
-    def test_with_three_photographs_nobody_knows(self):
-        mesh, _ = grid(4)
-        colors = np.random.default_rng(0).random((3, len(mesh.triangles), 3))
-        weights = rate_consistency(colors, np.ones((3, len(mesh.triangles)), bool), find_edges(mesh.triangles), mesh.triangles)
-        assert weights == pytest.approx(1.0)
 
 
 class TestLabels:

@@ -23,15 +23,26 @@ def psnr(reference: np.ndarray, image: np.ndarray) -> float:
 def ssim(reference: np.ndarray, image: np.ndarray) -> float:
     """Return the mean structural similarity of two images (H, W) or (H, W, C) with values in 0..1; 1.0 when they are equal.
 
-    Wang et al. 2004: an 11 x 11 Gaussian window of sigma 1.5, K1 = 0.01, K2 = 0.03, population covariance. The mean runs over all channels
-    and over the pixels whose window lies completely inside, so a frame of 5 pixels is context only.
+    The mean of `ssim_map` over all channels and over the pixels whose window lies completely inside, so a frame of 5 pixels is context
+    only.
 
     Raises:
         ValueError: the shapes differ, or a side is shorter than 11 pixels.
     """
-    _check_same_shape(reference, image)
     if min(reference.shape[:2]) < 2 * SSIM_RADIUS + 1:
         raise ValueError(f"SSIM needs {2 * SSIM_RADIUS + 1} pixels per side; the images are {reference.shape[:2]}.")
+    return float(ssim_map(reference, image)[SSIM_RADIUS:-SSIM_RADIUS, SSIM_RADIUS:-SSIM_RADIUS].mean())
+
+
+def ssim_map(reference: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """Return the structural similarity around every pixel of two images (H, W) or (H, W, C) with values in 0..1.
+
+    Wang et al. 2004: an 11 x 11 Gaussian window of sigma 1.5, K1 = 0.01, K2 = 0.03, population covariance.
+
+    Raises:
+        ValueError: the shapes differ.
+    """
+    _check_same_shape(reference, image)
     first, second = reference.astype(np.float64), image.astype(np.float64)
     first_mean, second_mean = _windowed_mean(first), _windowed_mean(second)
     first_variance = _windowed_mean(first * first) - first_mean**2
@@ -40,7 +51,7 @@ def ssim(reference: np.ndarray, image: np.ndarray) -> float:
     luminance_floor, contrast_floor = SSIM_K1**2, SSIM_K2**2
     similarity = (2.0 * first_mean * second_mean + luminance_floor) * (2.0 * covariance + contrast_floor)
     similarity /= (first_mean**2 + second_mean**2 + luminance_floor) * (first_variance + second_variance + contrast_floor)
-    return float(similarity[SSIM_RADIUS:-SSIM_RADIUS, SSIM_RADIUS:-SSIM_RADIUS].mean())
+    return similarity
 
 
 def alpha_iou(first: np.ndarray, second: np.ndarray) -> float:

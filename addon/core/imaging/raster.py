@@ -6,7 +6,8 @@ import numpy as np
 
 from ..arrays import concatenate_ranges
 
-CHUNK_PIXELS = 1 << 21  # candidates at once
+CHUNK_PIXELS, CHUNK_ROWS = 1 << 20, 1 << 17  # at once
+TOLERANCE = 1e-7  # pixels outside of an edge that count as on it, so that rounding leaves no gap between two triangles
 
 
 def rasterize(corners: np.ndarray, size: tuple[int, int]) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -16,24 +17,52 @@ def rasterize(corners: np.ndarray, size: tuple[int, int]) -> Iterator[tuple[np.n
     Args:
         corners: (T, 3, 2) float64 in pixels, from the lower left corner of the image. size: width and height.
     """
-    width = size[0]
-    low = np.clip(np.ceil(corners.min(axis=1) - 0.5), 0, size).astype(np.int64)
-    high = np.clip(np.floor(corners.max(axis=1) - 0.5), -1, np.array(size) - 1).astype(np.int64)
-    spans = np.maximum(high - low + 1, 0)
-    counts = spans.prod(axis=1)
-    order = np.flatnonzero(counts)
-    ends = np.cumsum(counts[order])
+    low = np.clip(np.ceil(corners.min(axis=1) - 0.5 - TOLERANCE), 0, size)
+    high = np.clip(np.floor(corners.max(axis=1) - 0.5 + TOLERANCE), -1, np.array(size) - 1)
+    a, b, c = corners.transpose(1, 2, 0)
+    used = np.flatnonzero((high >= low).all(axis=1) & (_cross(b - a, c - a) != 0.0))
+    low, counts = low[used, 1].astype(np.int64), (high - low)[used, 1].astype(np.int64) + 1
+    ends = np.cumsum(counts)
     start = 0
-    while start < len(order):
-        stop = max(int(np.searchsorted(ends, (ends[start - 1] if start else 0) + CHUNK_PIXELS, side="right")), start + 1)
-        chunk = order[start:stop]
-        triangle = np.repeat(chunk, counts[chunk])
-        cell = concatenate_ranges(0, counts[chunk])
-        x, y = low[triangle, 0] + cell % spans[triangle, 0], low[triangle, 1] + cell // spans[triangle, 0]
-        barycentric = _barycentric(corners[triangle], x + 0.5, y + 0.5)
-        is_inside = barycentric.min(axis=1) >= 0.0
-        yield triangle[is_inside], (y * width + x)[is_inside], barycentric[is_inside]
+    while start < len(used):
+        stop = max(int(np.searchsorted(ends, (ends[start - 1] if start else 0) + CHUNK_ROWS, side="right")), start + 1)
+        chunk = slice(start, stop)
+        y = concatenate_ranges(low[chunk], counts[chunk])
+        yield from _fill_rows(corners, np.repeat(used[chunk], counts[chunk]), y, size[0])
         start = stop
+
+
+def _fill_rows(
+    corners: np.ndarray, triangles: np.ndarray, y: np.ndarray, width: int
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Yield what `rasterize` yields for rows `y` (R,) of `triangles` (R,): the columns between the edges."""
+    a, b, c = corners[triangles].transpose(1, 2, 0)
+    area = _cross(b - a, c - a)
+    height = y + 0.5
+    left, right = np.zeros(len(y)), np.full(len(y), width - 1.0)
+    opposite = ((b, c), (c, a), (a, b))
+    gradients = [(start[1] - end[1]) / area for start, end in opposite]  # of barycentric coordinates, per column
+    for (start, end), gradient in zip(opposite, gradients, strict=True):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            crossing = start[0] + (height - start[1]) * ((end[0] - start[0]) / (end[1] - start[1])) - 0.5
+        left = np.maximum(left, np.where(gradient > 0.0, np.ceil(crossing - TOLERANCE), 0.0))
+        right = np.minimum(right, np.where(gradient < 0.0, np.floor(crossing + TOLERANCE), width - 1.0))
+    lengths = np.maximum(right - left + 1.0, 0.0).astype(np.int64)
+    center = np.stack([left + 0.5, height])
+    values = [_cross(start - center, end - center) / area for start, end in opposite]
+    first = y * width + left.astype(np.int64)
+    ends = np.cumsum(lengths)
+    begin = 0
+    while begin < len(y):
+        stop = max(int(np.searchsorted(ends, (ends[begin - 1] if begin else 0) + CHUNK_PIXELS, side="right")), begin + 1)
+        rows, begin = slice(begin, stop), stop
+        counts = lengths[rows]
+        steps = concatenate_ranges(0, counts)
+        barycentric = [
+            np.repeat(value[rows], counts) + steps * np.repeat(gradient[rows], counts)
+            for value, gradient in zip(values, gradients, strict=True)
+        ]
+        yield np.repeat(triangles[rows], counts), np.repeat(first[rows], counts) + steps, np.stack(barycentric, axis=1)
 
 
 def depth_buffer(corners: np.ndarray, depths: np.ndarray, size: tuple[int, int]) -> np.ndarray:
@@ -71,12 +100,6 @@ def fill_triangles(corners: np.ndarray, colors: np.ndarray, size: tuple[int, int
     return image.reshape(size[1], size[0], -1)
 
 
-def _barycentric(corners: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return barycentric coordinates (N, 3) of points in triangles (N, 3, 2), negative outside and in triangles without area."""
-    (ax, ay), (bx, by), (cx, cy) = corners.transpose(1, 2, 0)
-    first = (bx - x) * (cy - y) - (by - y) * (cx - x)
-    second = (cx - x) * (ay - y) - (cy - y) * (ax - x)
-    third = (ax - x) * (by - y) - (ay - y) * (bx - x)
-    twice_area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.nan_to_num(np.stack([first, second, third], axis=1) / twice_area[:, None], nan=-1.0, posinf=-1.0, neginf=-1.0)
+def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the cross products (N,) of vectors (2, N)."""
+    return first[0] * second[1] - first[1] * second[0]

@@ -1,9 +1,39 @@
 """Images of textured meshes without shading, by rasterization in NumPy."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from .images import sample_bilinear
 from .raster import draw_ids
+
+
+class PixelLocations(NamedTuple):
+    """What N pixels of an image show: covered (H, W) bool, N of them true; triangles (N,) int32, in the order of the pixels; and their
+    barycentric coordinates (N, 3) on the surface."""
+
+    covered: np.ndarray
+    triangles: np.ndarray
+    barycentric: np.ndarray
+
+    def interpolate(self, corner_values: np.ndarray) -> np.ndarray:
+        """Return the values (N, C) of `corner_values` (T, 3, C) at the pixels."""
+        return np.einsum("ni,nic->nc", self.barycentric, corner_values[self.triangles])
+
+
+def locate_pixels(corners: np.ndarray, depths: np.ndarray, size: tuple[int, int]) -> PixelLocations:
+    """Return what each pixel shows of triangles with `corners` (T, 3, 2) float64 in pixels and positive `depths` (T, 3) along the optical
+    axis, with correct perspective. size: width and height."""
+    owners, _ = draw_ids(corners, -1.0 / depths, size)
+    covered = owners >= 0
+    triangles = owners[covered]
+    rows, columns = np.nonzero(covered)
+    offsets = corners[triangles] - (np.stack([columns, rows], axis=1) + 0.5)[:, None]
+    areas = np.stack(
+        [_cross(offsets[:, 1], offsets[:, 2]), _cross(offsets[:, 2], offsets[:, 0]), _cross(offsets[:, 0], offsets[:, 1])], axis=1
+    )
+    weights = areas / depths[triangles]
+    return PixelLocations(covered, triangles, weights / weights.sum(axis=1, keepdims=True))
 
 
 def render_texture(
@@ -15,20 +45,10 @@ def render_texture(
         corners: (T, 3, 2) float64 in pixels of the image. depths: (T, 3) distances along the optical axis, positive. corner_uvs: (T, 3, 2).
         texture: (H', W', C) float32, row 0 at the bottom. size: width and height of the image.
     """
-    owners, _ = draw_ids(corners, -1.0 / depths, size)
-    covered = owners >= 0
-    triangles = owners[covered]
-    rows, columns = np.nonzero(covered)
-    offsets = corners[triangles] - (np.stack([columns, rows], axis=1) + 0.5)[:, None]
-    areas = np.stack(
-        [_cross(offsets[:, 1], offsets[:, 2]), _cross(offsets[:, 2], offsets[:, 0]), _cross(offsets[:, 0], offsets[:, 1])], axis=1
-    )
-    weights = areas / depths[triangles]  # perspective-correct
-    weights /= weights.sum(axis=1, keepdims=True)
-    uvs = np.einsum("ni,nic->nc", weights, corner_uvs[triangles])
+    located = locate_pixels(corners, depths, size)
     image = np.zeros((size[1], size[0], texture.shape[2]), np.float32)
-    image[covered] = sample_bilinear(texture, uvs * texture.shape[1::-1])
-    return image, covered
+    image[located.covered] = sample_bilinear(texture, located.interpolate(corner_uvs) * texture.shape[1::-1])
+    return image, located.covered
 
 
 def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:

@@ -1,41 +1,115 @@
-"""How far each photograph agrees with the others about the color of the surface.
+"""Parts of photographs that show something else than the surface: a passer-by, a branch in front, a reflection.
 
-What only one photograph shows, such as a passer-by, a branch in front of the surface or a reflection, differs from the median of all
-photographs. Weights are computed per triangle and smoothed over the surface, so that outliers are connected regions instead of single
-texels.
+Observations of the same point are compared. Whether one is an outlier is decided together with its neighbors in the photograph, so that
+outliers are connected parts of photographs instead of single pixels, and so that parts that only one or two photographs show are decided by
+their surroundings: each observation has the logarithm of odds (its evidence) that it shows the surface, from its distance to the mean of
+the other photographs, weighted by how likely those show the surface; and these are smoothed over the photograph, in turns (mean-field
+iterations of a Markov random field).
 """
 
 import numpy as np
+from scipy.ndimage import gaussian_filter, label, minimum_filter
 
-from ..geometry.edges import Edges
+from ..arrays import find_group_medians
+from .observations import Observations
 
-MIN_PHOTOGRAPHS = 4  # that must show a triangle: with fewer, nobody knows which one is wrong
-MIN_DEVIATION = 0.08  # of encoded colors: the spread of photographs that agree
-MIN_WEIGHT = 1e-3  # a photograph that does not agree is still better than none
-SMOOTHINGS = 2
+CELLS = 150  # along the longer side of a photograph
+MIN_CELL = 4.0  # pixels
+MAX_EVIDENCE = 3.0  # of one observation, in logarithms of odds
+PRIOR = 0.5
+MIN_DEVIATION, MAX_DEVIATION = 0.015, 0.05  # of encoded colors per channel: what registration, highlights and noise may cause
+OUTLIER_DEVIATIONS = 4.0  # from this distance on an observation is rather an outlier
+NEIGHBOR_WEIGHT = 2.0
+NEIGHBOR_CELLS = 1.5  # standard deviation of the smoothing
+ITERATIONS = 12
+MIN_REGION = 6  # cells; smaller outliers are highlights or edges
 
 
-def rate_consistency(colors: np.ndarray, visible: np.ndarray, edges: Edges, triangles: np.ndarray) -> np.ndarray:
-    """Return weights (V, K) float32 in 0..1 of K photographs at the vertices.
+def rate_photographs(observed: Observations, colors: np.ndarray, sizes: list[tuple[int, int]]) -> list[np.ndarray]:
+    """Return for each photograph of `sizes` (width, height) how far (h, w) float32, 0 to 1, each of its cells can be trusted.
 
-    colors: (K, T, 3) encoded colors of the triangles after exposures were adjusted. visible: (K, T) bool. triangles: (T, 3).
+    colors: (N, 3), the encoded colors of the observations after exposures were adjusted. The cells divide the photograph evenly.
     """
-    masked = np.where(visible[..., None], colors, np.nan)
-    enough = visible.sum(axis=0) >= MIN_PHOTOGRAPHS
-    weights = np.ones(visible.shape)
-    if enough.any():
-        center = np.nanmedian(masked[:, enough], axis=0)
-        distances = np.linalg.norm(masked[:, enough] - center, axis=2)
-        spread = np.maximum(np.nanmedian(distances, axis=0), MIN_DEVIATION)
-        weights[:, enough] = np.nan_to_num(np.exp(-np.square(0.5 * distances / spread)), nan=1.0)
-    count = edges.vertex_count
-    first, second = np.concatenate([edges.ends, edges.ends[:, ::-1]]).T
-    degrees = np.maximum(np.bincount(first, minlength=count), 1)
-    result = np.empty((count, len(weights)), np.float32)
-    around = np.maximum(np.bincount(triangles.ravel(), minlength=count), 1)
-    for index, values in enumerate(weights):
-        at_vertices = np.bincount(triangles.ravel(), np.repeat(values, 3), count) / around
-        for _ in range(SMOOTHINGS):
-            at_vertices = 0.5 * at_vertices + 0.5 * np.bincount(first, at_vertices[second], count) / degrees
-        result[:, index] = np.maximum(at_vertices, MIN_WEIGHT)
-    return result
+    cells = [count_cells(size) for size in sizes]
+    if len(observed.points) == 0:
+        return [np.ones((rows, columns), np.float32) for columns, rows in cells]
+    grid = _CellGrid(observed, sizes, cells)
+    groups, counts = np.unique(observed.points, return_inverse=True, return_counts=True)[1:]
+    counts = counts[groups]
+    deviations = _deviations(colors - find_group_medians(observed.points, colors))
+    typical = 1.4826 * float(np.median(deviations[counts >= 3])) if (counts >= 3).any() else MIN_DEVIATION
+    limit = OUTLIER_DEVIATIONS * np.clip(typical, MIN_DEVIATION, MAX_DEVIATION)
+    evidence = np.where(counts >= 3, _evidence(deviations, limit), 0.0)
+    in_pair = counts == 2
+    agrees = _evidence(2.0 * deviations, limit)  # the median of two is their mean
+    evidence[in_pair] = np.maximum(agrees[in_pair], 0.0)
+    for _ in range(ITERATIONS):
+        odds = _keep_the_best(evidence + PRIOR + NEIGHBOR_WEIGHT * grid.smooth(evidence, NEIGHBOR_CELLS), groups, counts)
+        trust = 1.0 / (1.0 + np.exp(-odds))
+        totals = np.bincount(groups, trust)[groups] - trust
+        others = np.stack([np.bincount(groups, trust * channel)[groups] - trust * channel for channel in colors.T], axis=1)
+        others /= np.maximum(totals, 1e-6)[:, None]
+        updated = _evidence(_deviations(colors - others), limit) * np.minimum(totals, 1.0)
+        evidence = 0.5 * evidence + 0.5 * np.where(counts >= 2, updated, 0.0)
+    odds = _keep_the_best(evidence + PRIOR + NEIGHBOR_WEIGHT * grid.smooth(evidence, NEIGHBOR_CELLS), groups, counts)
+    return [_clean(each) for each in grid.average(odds)]
+
+
+def count_cells(size: tuple[int, int]) -> tuple[int, int]:
+    """Return the number of columns and rows of cells of a photograph of `size` (width, height)."""
+    cell = max(max(size) / CELLS, MIN_CELL)
+    return max(round(size[0] / cell), 1), max(round(size[1] / cell), 1)
+
+
+class _CellGrid:
+    """The cells of all photographs, and which one each observation lies in."""
+
+    def __init__(self, observed: Observations, sizes: list[tuple[int, int]], cells: list[tuple[int, int]]) -> None:
+        self.cells = cells
+        self._rows = []
+        for photograph, (size, (columns, rows)) in enumerate(zip(sizes, cells, strict=True)):
+            own = np.flatnonzero(observed.photographs == photograph)
+            x, y = (observed.positions[own] / np.array(size) * (columns, rows)).T.astype(np.int64)
+            self._rows.append((own, np.clip(y, 0, rows - 1) * columns + np.clip(x, 0, columns - 1)))
+
+    def average(self, values: np.ndarray, deviation: float = 0.7) -> list[np.ndarray]:
+        """Return the Gaussian-weighted means (h, w) of `values` (N,) around each cell; the prior where there are none."""
+        means = []
+        for (own, cell), (columns, rows) in zip(self._rows, self.cells, strict=True):
+            sums = np.bincount(cell, values[own], rows * columns).reshape(rows, columns)
+            weights = np.bincount(cell, minlength=rows * columns).reshape(rows, columns).astype(np.float64)
+            sums, weights = (gaussian_filter(each, deviation, mode="constant") for each in (sums, weights))
+            means.append(np.where(weights > 1e-3, sums / np.maximum(weights, 1e-3), PRIOR))
+        return means
+
+    def smooth(self, values: np.ndarray, deviation: float) -> np.ndarray:
+        """Return the means of the neighbors of each observation (N,)."""
+        result = np.empty_like(values)
+        for (own, cell), mean in zip(self._rows, self.average(values, deviation), strict=True):
+            result[own] = mean.ravel()[cell]
+        return result
+
+
+def _deviations(differences: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.einsum("nc,nc->n", differences, differences) / differences.shape[1])
+
+
+def _evidence(deviations: np.ndarray, limit: float) -> np.ndarray:
+    """Return logarithms of odds: MAX_EVIDENCE for observations that agree, 0 at the `limit`, and at least -MAX_EVIDENCE."""
+    return np.maximum(MAX_EVIDENCE * (1.0 - np.square(deviations / limit)), -MAX_EVIDENCE)
+
+
+def _keep_the_best(odds: np.ndarray, groups: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Return odds such that one of several photographs of each point is not an outlier."""
+    best = np.full(int(groups.max()) + 1, -np.inf)
+    np.maximum.at(best, groups, odds)
+    return odds - np.where(counts >= 2, np.minimum(best[groups], 0.0), 0.0)
+
+
+def _clean(odds: np.ndarray) -> np.ndarray:
+    """Return the trust (h, w) without outliers of few cells, with a margin around the others."""
+    trust = 1.0 / (1.0 + np.exp(-2.0 * odds))
+    regions, count = label(trust < 0.5)
+    sizes = np.bincount(regions.ravel(), minlength=count + 1)
+    trust[(regions > 0) & (sizes[regions] < MIN_REGION)] = 1.0
+    return minimum_filter(trust, 3).astype(np.float32)

@@ -5,44 +5,46 @@ weights of Huber) finds the gains. Their mean logarithm is zero, so that the tex
 """
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
-SAMPLES = 20_000
+from ..arrays import find_group_medians
+from ..imaging.colors import decode_signed_srgb
+from .observations import Observations
+
 MIN_LINEAR, MAX_ENCODED = 0.01, 0.97  # darker colors are noise, brighter ones are clipped
 HUBER = 0.1  # of a logarithm: larger differences are outliers
 ITERATIONS = 20
+TOLERANCE = 1e-4  # of logarithmic gains
 REGULARIZATION = 1e-3  # relative to the number of comparisons; photographs without overlap keep their exposure
 
 
-def estimate_gains(linear: np.ndarray, visible: np.ndarray) -> np.ndarray:
-    """Return gains (K, 3) for K photographs.
-
-    linear: (K, S, 3) linear colors of S points. visible: (K, S) bool, where they may be compared.
-    """
-    count = len(linear)
-    compared = visible.sum(axis=0) > 1
-    linear, visible = linear[:, compared], visible[:, compared]
-    logarithms = np.log(np.maximum(linear, MIN_LINEAR))
+def estimate_gains(observed: Observations, count: int, weights: np.ndarray | None = None) -> np.ndarray:
+    """Return gains (K, 3) for `count` photographs; `weights` (N,) of the observations are 1 by default."""
+    usable = (observed.colors.max(axis=1) < MAX_ENCODED) & (True if weights is None else weights > 0.0)
+    given = np.ones(len(observed.points)) if weights is None else weights
+    points, photographs, given = observed.points[usable], observed.photographs[usable], given[usable]
+    logarithms = np.log(np.maximum(decode_signed_srgb(observed.colors[usable]), MIN_LINEAR))
     gains = np.zeros((count, 3))
     for channel in range(3):
-        values = logarithms[..., channel]
         for _ in range(ITERATIONS):
-            adjusted = np.where(visible, values + gains[:, channel, None], np.nan)
-            center = np.nanmedian(adjusted, axis=0)
-            residuals = np.nan_to_num(adjusted - center)
-            weights = visible * np.minimum(1.0, HUBER / np.maximum(np.abs(residuals), 1e-9))
-            gains[:, channel] = _solve(values, weights)
+            adjusted = logarithms[:, channel] + gains[photographs, channel]
+            residuals = adjusted - find_group_medians(points, adjusted[:, None])[:, 0]
+            robust = given * np.minimum(1.0, HUBER / np.maximum(np.abs(residuals), 1e-9))
+            previous = gains[:, channel].copy()
+            gains[:, channel] = _solve(points, photographs, logarithms[:, channel], robust, count)
+            if np.abs(gains[:, channel] - previous).max() < TOLERANCE:
+                break
     return np.exp(gains)
 
 
-def _solve(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def _solve(points: np.ndarray, photographs: np.ndarray, values: np.ndarray, weights: np.ndarray, count: int) -> np.ndarray:
     """Return the logarithmic gains (K,) that minimize the weighted variance of each point over the photographs."""
-    totals = weights.sum(axis=0)
-    used = totals > 0.0
-    weights, values, totals = weights[:, used], values[:, used], totals[used]
-    normalized = weights / totals
-    matrix = np.diag(weights.sum(axis=1)) - weights @ normalized.T
-    means = (normalized * values).sum(axis=0)
-    right_side = -(weights * (values - means)).sum(axis=1)
+    rows = np.unique(points, return_inverse=True)[1]
+    totals = np.bincount(rows, weights)
+    matrix = csr_matrix((weights, (rows, photographs)), shape=(len(totals), count))
+    normalized = csr_matrix((weights / np.maximum(totals, 1e-30)[rows], (rows, photographs)), shape=(len(totals), count))
+    means = np.bincount(rows, weights * values) / np.maximum(totals, 1e-30)
+    right_side = -np.bincount(photographs, weights * (values - means[rows]), count)
     scale = max(float(weights.sum()), 1.0)
-    regular = matrix + REGULARIZATION * scale / len(values) * np.eye(len(values)) + scale / len(values) ** 2
-    return np.linalg.solve(regular, right_side)
+    variance = np.diag(np.bincount(photographs, weights, count)) - (matrix.T @ normalized).toarray()
+    return np.linalg.solve(variance + REGULARIZATION * scale / count * np.eye(count) + scale / count**2, right_side)

@@ -13,13 +13,13 @@ from ..errors import GeometryError, ImageError
 from ..geometry.edges import Edges, find_edges
 from ..geometry.geometry_2d import signed_areas
 from ..geometry.mesh import TriangleMesh, check_points, face_areas_and_normals
-from ..imaging.colors import decode_signed_srgb
 from ..imaging.images import dilate
 from ..jobs.progress import Progress, StageClock, Steps
-from .consistency import rate_consistency
-from .exposure import MAX_ENCODED, SAMPLES, estimate_gains
+from .consistency import rate_photographs
+from .exposure import estimate_gains
 from .labels import choose_labels
 from .leveling import VertexLabels, find_vertex_labels, solve_corrections
+from .observations import Observations, observe, sample_surface
 from .photographs import Photograph, apply_gain
 from .settings import PhotosSettings
 from .surface import interpolate_colors
@@ -28,6 +28,7 @@ from .tile_colors import NO_PHOTOGRAPH, TileColors
 from .views import View
 
 FACE_SAMPLES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])  # barycentric
+EXPOSURE_POINTS = 20_000
 GUTTER = 8  # texels around covered ones that get the mean of their neighbors
 
 
@@ -66,9 +67,9 @@ def merge(mesh: TriangleMesh, corner_uvs: np.ndarray, photographs: list[Photogra
     clock = StageClock()
     merger = _Merger(mesh, corner_uvs, photographs, settings, clock)
     yield from merger.look()
-    yield Progress(0.3, "Adjusting exposures")
+    yield Progress(0.3, "Comparing photographs")
     with clock.stage("exposure"):
-        merger.adjust_exposure()
+        merger.compare()
     yield Progress(0.35, "Choosing photographs")
     with clock.stage("labels"):
         merger.label()
@@ -103,47 +104,51 @@ class _Merger:
         self.gains = np.ones((len(photographs), 3))
 
     def look(self) -> Steps[None]:
-        """Find out which triangles each photograph shows."""
-        corners, normals = self.mesh.corners, self.normals[self.mesh.triangles]
-        qualities, self.face_colors = [], []
+        """Find out what each photograph shows."""
         for index, photograph in enumerate(self.photographs):
             yield Progress(0.3 * index / len(self.photographs), "Finding visible faces")
             with self.clock.stage("visibility"):
-                view = View(photograph.camera, self.mesh, photograph.mask)
-                seen = [view.see(np.einsum("i,tic->tc", b, corners), _unit(np.einsum("i,tic->tc", b, normals))) for b in FACE_SAMPLES]
-                complete = np.all([each.visible for each in seen], axis=0)
-                qualities.append(np.where(complete, np.mean([each.weights for each in seen], axis=0), 0.0))
-                sampled = [photograph.sample_smooth(np.nan_to_num(each.positions)) for each in seen]
-                self.face_colors.append(np.mean(sampled, axis=0, dtype=np.float32))
-                self.views.append(view)
-        self.qualities = np.stack(qualities, axis=1)
+                self.views.append(View(photograph.camera, self.mesh, photograph.mask))
 
-    def adjust_exposure(self) -> None:
-        """Estimate the gains of the photographs, and then how far they agree."""
+    def compare(self) -> None:
+        """Estimate the gains of the photographs, and which of their parts show something else than the surface."""
+        observed = observe(sample_surface(self.mesh, self.normals, self.areas), self.photographs, self.views)
+        self._estimate_gains(observed, None)
+        colors = np.empty_like(observed.colors)
+        for index, gain in enumerate(self.gains):
+            own = observed.photographs == index
+            colors[own] = apply_gain(observed.colors[own], gain)
+        trust = rate_photographs(observed, colors, [photograph.camera.lens.size for photograph in self.photographs])
+        weights = np.empty(len(observed.points), np.float32)
+        for index, (view, cells) in enumerate(zip(self.views, trust, strict=True)):
+            view.trust = cells
+            own = observed.photographs == index
+            weights[own] = view.find_trust(observed.positions[own])
+        self._estimate_gains(observed, weights)
+
+    def _estimate_gains(self, observed: Observations, weights: np.ndarray | None) -> None:
         if self.settings.exposure and len(self.photographs) > 1:
-            self._estimate_gains()
-        colors = np.stack([apply_gain(each, gain) for each, gain in zip(self.face_colors, self.gains, strict=True)])
-        self.face_colors = []
-        self.consistency = rate_consistency(colors, self.qualities.T > 0.0, self.edges, self.mesh.triangles)
-        self.qualities = self.qualities * self.consistency[self.mesh.triangles].mean(axis=1)
-
-    def _estimate_gains(self) -> None:
-        points, normals = self._sample_surface(SAMPLES)
-        linear, visible = [], []
-        for photograph, view in zip(self.photographs, self.views, strict=True):
-            seen = view.see(points, normals)
-            encoded = photograph.sample_smooth(seen.positions)
-            linear.append(decode_signed_srgb(encoded))
-            visible.append(seen.visible & (encoded.max(axis=1) < MAX_ENCODED))
-        self.gains = estimate_gains(np.stack(linear), np.stack(visible))
+            few = slice(int(np.searchsorted(observed.points, EXPOSURE_POINTS)))
+            part = Observations(*(values[few] for values in observed))
+            self.gains = estimate_gains(part, len(self.photographs), None if weights is None else weights[few])
 
     def label(self) -> None:
         """Choose the photograph of each triangle."""
         if self.settings.method == "best":
-            self.labels = choose_labels(self.qualities, self.edges)
+            self.labels = choose_labels(self._rate_faces(), self.edges)
         else:
             self.labels = np.full(len(self.mesh.triangles), NO_PHOTOGRAPH, np.int32)
         self.pairs: VertexLabels = find_vertex_labels(self.mesh.triangles, self.labels, self.areas, len(self.photographs))
+
+    def _rate_faces(self) -> np.ndarray:
+        """Return how well (T, K) each photograph shows each triangle, 0 if not all of it."""
+        corners, normals = self.mesh.corners, self.normals[self.mesh.triangles]
+        qualities = np.zeros((len(corners), len(self.views)), np.float32)
+        for index, view in enumerate(self.views):
+            seen = [view.see(np.einsum("i,tic->tc", b, corners), _unit(np.einsum("i,tic->tc", b, normals))) for b in FACE_SAMPLES]
+            is_complete = np.all([each.visible for each in seen], axis=0)
+            qualities[:, index] = np.where(is_complete, np.mean([each.weights for each in seen], axis=0), 0.0)
+        return qualities
 
     def level(self) -> None:
         """Compute the colors of vertices and their corrections."""
@@ -212,9 +217,7 @@ class _Merger:
             if self.settings.method == "paper":
                 to_camera = _unit(view.camera.position - points[kept])
                 weights = np.einsum("ni,ni->n", to_camera, normals[kept]).astype(np.float32)
-            else:
-                corners = self.consistency[self.mesh.triangles[tile.triangles[kept]], index]
-                weights *= np.einsum("ni,ni->n", tile.barycentric[kept], corners)
+                weights *= view.find_trust(seen.positions[seen.visible])
             found.add(index, kept, colors, weights, seen.resolution[seen.visible])
 
     def finish(self) -> PhotoTexture:
@@ -241,15 +244,6 @@ class _Merger:
             labels=self.labels,
             seconds=self.clock.seconds,
         )
-
-    def _sample_surface(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return `count` random points on the surface (N, 3), evenly by area, and their normals (N, 3)."""
-        generator = np.random.default_rng(0)
-        triangles = generator.choice(len(self.areas), count, p=self.areas / self.areas.sum())
-        barycentric = generator.dirichlet((1.0, 1.0, 1.0), count)
-        corners = self.mesh.triangles[triangles]
-        points = np.einsum("ni,nic->nc", barycentric, self.mesh.vertices[corners])
-        return points, _unit(np.einsum("ni,nic->nc", barycentric, self.normals[corners]))
 
 
 def _explain_blindness(mesh: TriangleMesh, photographs: list[Photograph]) -> str:

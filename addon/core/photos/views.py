@@ -11,6 +11,7 @@ from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 
 from ..geometry.lenses import PhotoCamera
 from ..geometry.mesh import TriangleMesh
+from ..imaging.images import sample_bilinear
 from ..imaging.raster import draw_ids
 
 SILHOUETTE_PIXELS = 2  # points this near to something closer to the camera, or to something behind them, are not visible
@@ -18,6 +19,7 @@ MIN_COSINE = 0.1  # of the angle between normal and view direction
 DEPTH_TOLERANCE = 1e-3  # relative
 STEP_FACTOR = 3.0  # how much deeper than the tangent plane a neighbor must be to count as something else behind
 MAX_TANGENT = 4.0  # of the field of view of the depth buffer
+MIN_TRUST = 0.4  # the trust of two photographs that contradict each other is 0.5
 BORDER_PIXELS = 32  # weights rise over this distance from the frame or a mask
 
 
@@ -33,7 +35,10 @@ class Seen:
 
 
 class View:
-    """A photograph's depth buffer and mask."""
+    """A photograph's depth buffer and mask.
+
+    trust: (h, w) float32, how far each of the cells that divide the photograph shows the surface, 0 to 1; see `consistency`.
+    """
 
     def __init__(self, camera: PhotoCamera, mesh: TriangleMesh, mask: np.ndarray | None = None) -> None:
         """Draw the depths of `mesh`; `mask` (H, W) bool is true at usable pixels."""
@@ -47,6 +52,7 @@ class View:
         width, height = camera.lens.size
         usable = np.zeros((height + 2, width + 2), bool)
         usable[1:-1, 1:-1] = True if mask is None else mask
+        self.trust = np.ones((1, 1), np.float32)
         self._border = np.minimum(distance_transform_edt(usable)[1:-1, 1:-1], BORDER_PIXELS).astype(np.float32)
 
     def see(self, points: np.ndarray, normals: np.ndarray) -> Seen:
@@ -63,9 +69,17 @@ class View:
         border = np.zeros(len(points), np.float32)
         border[visible] = self._border[rows[visible], columns[visible]]
         visible &= border > SILHOUETTE_PIXELS
+        trust = np.zeros(len(points), np.float32)
+        trust[visible] = self.find_trust(positions[visible])
+        visible &= trust > MIN_TRUST
         resolution = np.where(visible, self._focal**2 * cosines / np.maximum(depths, 1e-12) ** 2, 0.0)
-        weights = resolution * cosines * (border / BORDER_PIXELS) ** 2
+        weights = resolution * cosines * (border / BORDER_PIXELS) ** 2 * trust
         return Seen(positions, visible, resolution.astype(np.float32), weights.astype(np.float32))
+
+    def find_trust(self, positions: np.ndarray) -> np.ndarray:
+        """Return the trust (N,) float32 at `positions` (N, 2) in pixels."""
+        rows, columns = self.trust.shape
+        return sample_bilinear(self.trust[..., None], positions / np.array(self.camera.lens.size) * (columns, rows))[:, 0]
 
     def _draw(self, mesh: TriangleMesh) -> np.ndarray:
         """Return the depths (H, W) float32 of a pinhole image, which straightens what the lens distorts."""

@@ -1,0 +1,58 @@
+"""What the photographs show of random points on the surface; exposures and outliers are found from it, at a cost that does not depend on
+the texture's size."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..geometry.mesh import TriangleMesh
+from .photographs import Photograph
+from .views import View
+
+POINTS = 60_000
+
+
+class SurfacePoints(NamedTuple):
+    """Points (N, 3) on a surface and its unit normals (N, 3) there."""
+
+    positions: np.ndarray
+    normals: np.ndarray
+
+
+class Observations(NamedTuple):
+    """What photographs show of points, one row for each visible point and photograph, ordered by points.
+
+    points: (N,) int64. photographs: (N,) int64. positions: (N, 2) float32 in the pixels of the photograph. colors: (N, 3) float32,
+    sRGB-encoded.
+    """
+
+    points: np.ndarray
+    photographs: np.ndarray
+    positions: np.ndarray
+    colors: np.ndarray
+
+
+def sample_surface(mesh: TriangleMesh, normals: np.ndarray, areas: np.ndarray, count: int = POINTS) -> SurfacePoints:
+    """Return random points, evenly by the `areas` (T,) of the triangles, with interpolated vertex `normals` (V, 3)."""
+    generator = np.random.default_rng(0)
+    triangles = generator.choice(len(areas), count, p=areas / areas.sum())
+    barycentric = generator.dirichlet((1.0, 1.0, 1.0), count)
+    corners = mesh.triangles[triangles]
+    directions = np.einsum("ni,nic->nc", barycentric, normals[corners])
+    lengths = np.linalg.norm(directions, axis=1, keepdims=True)
+    return SurfacePoints(np.einsum("ni,nic->nc", barycentric, mesh.vertices[corners]), directions / np.where(lengths > 0.0, lengths, 1.0))
+
+
+def observe(points: SurfacePoints, photographs: list[Photograph], views: list[View]) -> Observations:
+    """Return what `photographs` show of `points`, with colors that do not depend on the finest details."""
+    indices, labels, positions, colors = [], [], [], []
+    for label, (photograph, view) in enumerate(zip(photographs, views, strict=True)):
+        seen = view.see(points.positions, points.normals)
+        visible = np.flatnonzero(seen.visible)
+        indices.append(visible)
+        labels.append(np.full(len(visible), label))
+        positions.append(seen.positions[visible].astype(np.float32))
+        colors.append(photograph.sample_smooth(seen.positions[visible]))
+    every = np.concatenate(indices)
+    order = np.argsort(every, kind="stable")
+    return Observations(every[order], np.concatenate(labels)[order], np.concatenate(positions)[order], np.concatenate(colors)[order])
