@@ -37,7 +37,9 @@ def find_truth(mesh: TriangleMesh, corner_uvs: np.ndarray, size: int, paint: Pai
     for tile in TexelMap(corner_uvs, size).tiles():
         points, directions = tile.interpolate(mesh.corners), tile.interpolate(normals)
         directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-12)
-        is_seen = np.any([view.see(points, directions).visible for view in views], axis=0)
+        is_seen = np.zeros(len(points), bool)
+        for view in views:
+            is_seen[view.see(points, directions).indices] = True
         texels.append(tile.texels[is_seen])
         colors.append(paint(points[is_seen]))
     return Truth(np.concatenate(texels), np.concatenate(colors))

@@ -23,6 +23,16 @@ def grid(side, height=None):
     return TriangleMesh(np.column_stack([positions, z]), triangles), (0.5 * (positions + 1.0))[triangles].astype(np.float32)
 
 
+def box():
+    """A box of 12 triangles with 8 vertices and one square of the UV map for each side."""
+    vertices = np.array([(x, y, z) for z in (-0.8, 0.8) for y in (-1.0, 1.0) for x in (-1.2, 1.2)])
+    sides = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+    triangles = np.array([[side[0], side[i], side[i + 1]] for side in sides for i in (1, 2)], np.int32)
+    square = np.array([[0.0, 0.0], [0.3, 0.0], [0.3, 0.45], [0.0, 0.45]])
+    uvs = [square[[0, i, i + 1]] + [0.33 * (k % 3) + 0.02, 0.5 * (k // 3) + 0.02] for k in range(6) for i in (1, 2)]
+    return TriangleMesh(vertices, triangles), np.array(uvs, np.float32)
+
+
 def camera_at(position, target=(0.0, 0.0, 0.0), size=(300, 240), focal=300.0, name="photo.png"):
     """A pinhole camera at `position` that looks at `target`, with y pointing down in the photograph."""
     position = np.array(position, float)

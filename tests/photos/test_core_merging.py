@@ -12,14 +12,16 @@ from farfield.addon.core.imaging.colors import decode_signed_srgb, encode_signed
 from farfield.addon.core.imaging.raster import draw_ids
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.photos.exposure import estimate_gains
+from farfield.addon.core.photos.face_visibility import HIDDEN, MIXED, VISIBLE, FaceVisibility, prepare_surface
 from farfield.addon.core.photos.labels import choose_labels
 from farfield.addon.core.photos.leveling import find_vertex_labels, solve_corrections
 from farfield.addon.core.photos.merging import merge
 from farfield.addon.core.photos.photographs import Photograph, apply_gain
 from farfield.addon.core.photos.settings import METHODS, PhotosSettings
 from farfield.addon.core.photos.surface import interpolate_colors
+from farfield.addon.core.photos.texels import TexelMap, corner_normals, vertex_normals
 from farfield.addon.core.photos.views import View
-from photo_scenes import SIZE, camera_at, grid, observations, photograph, ring, smooth_texture
+from photo_scenes import SIZE, box, camera_at, grid, observations, photograph, ring, smooth_texture
 
 
 class TestMerge:
@@ -55,6 +57,17 @@ class TestMerge:
         expected = encode_signed_srgb(decode_signed_srgb(texture) * product.mean(axis=0).astype(np.float32))
         seen = result.source >= 0
         assert np.sqrt(np.mean((result.colors - expected)[seen] ** 2)) < 0.03
+
+    @pytest.mark.parametrize("method", METHODS)
+    def test_a_box_of_twelve_triangles_gets_a_texture(self, method):
+        mesh, uvs = box()
+        texture = smooth_texture(7)
+        corners = [(x, y, z) for x in (-3.0, 3.0) for y in (-3.0, 3.0) for z in (-3.0, 3.0)]
+        photographs = [photograph(mesh, uvs, texture, camera_at(corner, name=str(corner))) for corner in corners]
+        result = run_to_end(merge(mesh, uvs, photographs, PhotosSettings(size=SIZE, method=method)))
+        covered = result.holes | (result.source >= 0)
+        assert np.count_nonzero(result.holes) < 0.12 * np.count_nonzero(covered)
+        assert np.sqrt(np.mean((result.colors - texture)[result.source >= 0] ** 2)) < 0.02
 
     def test_what_is_hidden_is_not_used(self):
         """A small square floats above the ground: the ground gets none of its color, and has a hole under it."""
@@ -129,7 +142,12 @@ class TestViews:
         view = View(camera_at((0.0, 0.0, 4.0)), mesh)
         points = np.array([[0.1, 0.2, 0.0], [0.1, 0.2, 0.0], [0.1, 0.2, -0.5], [9.0, 0.0, 0.0]])
         normals = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
-        assert view.see(points, normals).visible.tolist() == [True, False, False, False]
+        seen = view.see(points, normals)
+        assert seen.indices.tolist() == [0]
+        assert seen.positions == pytest.approx(view.locate(points[:1])) and seen.positions == pytest.approx(
+            view.camera.project(points[:1])[0]
+        )
+        assert seen.cosines == pytest.approx(4.0 / np.sqrt(16.05)) and seen.resolution == pytest.approx(300.0**2 / 16.0 * seen.cosines)
 
     @settings(max_examples=25, deadline=None)
     @given(st.integers(0, 2**31))
@@ -141,7 +159,7 @@ class TestViews:
         points[:, 2] = np.sqrt(9.0 - points[:, 0] ** 2 - points[:, 1] ** 2) - 3.0
         normals = points + [0.0, 0.0, 3.0]
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        assert View(camera, mesh).see(points, normals).visible.all()
+        assert len(View(camera, mesh).see(points, normals).indices) == 200
 
 
 class TestIds:
@@ -181,10 +199,34 @@ class TestExposure:
         visible[0, :5], visible[1, 5:] = True, True
         assert estimate_gains(observations(linear, visible), 2) == pytest.approx(1.0)
 
-    def test_gain_is_linear(self):
-        assert apply_gain(encode_signed_srgb(np.full((1, 3), 0.2)), np.full(3, 2.0)) == pytest.approx(
-            encode_signed_srgb(np.full((1, 3), 0.4))
-        )
+    @given(gain=st.floats(0.3, 3.0), seed=st.integers(0, 2**31))
+    @settings(max_examples=20, deadline=None)
+    def test_gains_multiply_linear_values(self, gain, seed):
+        encoded = np.random.default_rng(seed).uniform(-0.1, 1.3, (100, 3)).astype(np.float32)
+        expected = encode_signed_srgb(decode_signed_srgb(encoded) * np.float32(gain))
+        assert apply_gain(encoded, np.full(3, gain)) == pytest.approx(expected, abs=1e-3)
+
+
+class TestFaces:
+    """Triangles that a photograph shows completely or not at all."""
+
+    @settings(max_examples=10, deadline=None)
+    @given(st.integers(0, 2**31))
+    def test_decisions_by_triangle_agree_with_those_by_texel(self, seed):
+        random = np.random.default_rng(seed)
+        mesh, uvs = grid(60, lambda x, y: 0.3 * np.sin(4.0 * x) * np.cos(5.0 * y))
+        normals = vertex_normals(mesh)
+        view = View(camera_at((*random.uniform(-1.5, 1.5, 2), 2.0)), mesh)
+        faces = FaceVisibility(view, prepare_surface(mesh, normals, corner_normals(mesh, normals)), is_cosine=False)
+        assert {HIDDEN, VISIBLE, MIXED} >= set(faces.status.tolist()) and (faces.status != MIXED).mean() > 0.5
+        for tile in TexelMap(uvs, 256).tiles():
+            points, directions = tile.interpolate(mesh.corners), tile.interpolate(corner_normals(mesh, normals))
+            each = view.see(points, directions / np.linalg.norm(directions, axis=1, keepdims=True))
+            seen = faces.see(tile, points, np.arange(len(points)))
+            both, first, second = np.intersect1d(each.indices, seen.indices, return_indices=True)
+            assert len(both) > 0.98 * max(len(each.indices), len(seen.indices))
+            assert seen.positions[second] == pytest.approx(each.positions[first], abs=1e-2)
+            assert np.median(np.abs(seen.weights[second] / each.weights[first] - 1.0)) < 0.03
 
 
 class TestLabels:

@@ -6,6 +6,8 @@ Images are (H, W, C) float32, row 0 at the bottom; colors are scene-linear.
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
+STRIP_ROWS = 256  # of an image, reduced at once; even
+NEIGHBORS = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1) if row or column]
 MIN_ALPHA = 1e-6  # coverage below this counts as zero: a color divided by it would be noise
 
 
@@ -33,20 +35,36 @@ def dilate(image: np.ndarray, known: np.ndarray, radius: int = 4) -> np.ndarray:
     the mean of its nearest known neighbors, so that no chart bleeds into the next within a gutter of twice that. Farther away it comes
     from an image pyramid (pull-push), so that every texel of every mipmap level has a color. An image with nothing known is unchanged.
     """
-    weight = np.where(known > MIN_ALPHA, known, 0.0).astype(np.float32)[..., None]
+    filled = np.where((known > MIN_ALPHA)[..., None], image, image.dtype.type(0.0)) if (known > MIN_ALPHA).any() else image
+    dilate_in_place(filled, known, radius)
+    return filled
+
+
+def dilate_in_place(image: np.ndarray, known: np.ndarray, radius: int = 4) -> None:
+    """Do what `dilate` does to an `image` (H, W, C) that is contiguous; it needs little more memory than a channel."""
+    height, width, channels = image.shape
+    weight = known.astype(np.float32)
+    weight[weight <= MIN_ALPHA] = 0.0
     if not weight.any():
-        return image
-    filled = image * (weight > 0.0)
+        return
+    flat, weights = image.reshape(-1, channels), weight.reshape(-1)
     for _ in range(radius):
-        is_unknown = weight == 0.0
-        if not is_unknown.any():
-            return filled
-        sums = _sum_of_neighbors(np.concatenate([filled * weight, weight], axis=2))
-        is_filled = is_unknown & (sums[..., -1:] > 0.0)
-        mean = sums[..., :-1] / np.where(sums[..., -1:] > 0.0, sums[..., -1:], 1.0)
-        filled = np.where(is_filled, mean, filled)
-        weight = np.where(is_filled, np.minimum(sums[..., -1:], 1.0), weight)
-    return _pull_push(filled, weight)
+        is_known = weight > 0.0
+        rows, columns = np.nonzero(~is_known & _any_of_neighbors(is_known))
+        if not len(rows):
+            break
+        sums, totals = np.zeros((len(rows), channels), image.dtype), np.zeros(len(rows), np.float32)
+        for row_step, column_step in NEIGHBORS:
+            row, column = rows + row_step, columns + column_step
+            inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+            neighbors = np.clip(row, 0, height - 1) * width + np.clip(column, 0, width - 1)
+            weight_there = weights[neighbors] * inside
+            sums += weight_there[:, None] * flat[neighbors]
+            totals += weight_there
+        filled = rows * width + columns
+        flat[filled] = sums / totals[:, None]
+        weights[filled] = np.minimum(totals, 1.0)
+    _pull_push(image, weight[..., None])
 
 
 def nearest_known(known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -93,15 +111,15 @@ def decode_normals(pixels: np.ndarray) -> np.ndarray:
     return np.where(lengths > 1e-6, normals / np.maximum(lengths, 1e-6), np.float32([0.0, 0.0, 1.0]))
 
 
-def _sum_of_neighbors(image: np.ndarray) -> np.ndarray:
-    """Return the sum over the 3 x 3 texels around each texel of `image` (H, W, C), with 0 outside the image."""
-    rows = image.copy()
-    rows[1:] += image[:-1]
-    rows[:-1] += image[1:]
-    total = rows.copy()
-    total[:, 1:] += rows[:, :-1]
-    total[:, :-1] += rows[:, 1:]
-    return total
+def _any_of_neighbors(values: np.ndarray) -> np.ndarray:
+    """Return whether one of the 3 x 3 texels around each texel of `values` (H, W) bool is set."""
+    rows = values.copy()
+    rows[1:] |= values[:-1]
+    rows[:-1] |= values[1:]
+    result = rows.copy()
+    result[:, 1:] |= rows[:, :-1]
+    result[:, :-1] |= rows[:, 1:]
+    return result
 
 
 def _half(image: np.ndarray) -> np.ndarray:
@@ -111,12 +129,16 @@ def _half(image: np.ndarray) -> np.ndarray:
     return 0.25 * (even[0::2, 0::2] + even[1::2, 0::2] + even[0::2, 1::2] + even[1::2, 1::2])
 
 
-def _pull_push(image: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Fill the texels of `image` (H, W, C) that have zero `weight` (H, W, 1) from coarser and coarser weighted means."""
-    if weight.all() or max(image.shape[:2]) == 1:
-        return image
-    halved = _half(np.concatenate([image * weight, weight], axis=2))
-    sums, coarse_weight = halved[..., :-1], halved[..., -1:]
-    coarse = _pull_push(sums / np.where(coarse_weight > 0.0, coarse_weight, 1.0), coarse_weight)
-    pushed = np.repeat(np.repeat(coarse, 2, axis=0), 2, axis=1)[: image.shape[0], : image.shape[1]]
-    return np.where(weight > 0.0, image, pushed)
+def _pull_push(image: np.ndarray, weight: np.ndarray) -> None:
+    """Fill the texels of a contiguous `image` (H, W, C) that have zero `weight` (H, W, 1) from coarser and coarser weighted means."""
+    if weight.all() or max(weight.shape) == 1:
+        return
+    strips = [slice(start, start + STRIP_ROWS) for start in range(0, len(image), STRIP_ROWS)]
+    halved = np.concatenate([_half(np.concatenate([image[strip] * weight[strip], weight[strip]], axis=2)) for strip in strips])
+    coarse_weight = np.ascontiguousarray(halved[..., -1:])
+    coarse = halved[..., :-1] / np.where(coarse_weight > 0.0, coarse_weight, 1.0)
+    del halved
+    _pull_push(coarse, coarse_weight)
+    for strip in strips:
+        rows, columns, _ = np.nonzero(weight[strip] == 0.0)
+        image[strip][rows, columns] = coarse[strip.start // 2 + rows // 2, columns // 2]

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..arrays import concatenate_ranges
 
-CHUNK_PIXELS, CHUNK_ROWS = 1 << 20, 1 << 17  # at once
+CHUNK_PIXELS, CHUNK_ROWS = 1 << 18, 1 << 15  # at once
 TOLERANCE = 1e-7  # pixels outside of an edge that count as on it, so that rounding leaves no gap between two triangles
 
 

@@ -5,7 +5,7 @@ their exposures and then their colors at the vertices have been adjusted to each
 average of all others, and texels that none shows are interpolated over the surface.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,18 +13,20 @@ from ..errors import GeometryError, ImageError
 from ..geometry.edges import Edges, find_edges
 from ..geometry.geometry_2d import signed_areas
 from ..geometry.mesh import TriangleMesh, check_points, face_areas_and_normals
-from ..imaging.images import dilate
+from ..imaging.images import dilate_in_place, sample_bilinear
+from ..jobs.chunks import map_ordered
 from ..jobs.progress import Progress, StageClock, Steps
 from .consistency import rate_photographs
 from .exposure import estimate_gains
+from .face_visibility import order_by_corner, prepare_surface
 from .labels import choose_labels
 from .leveling import VertexLabels, find_vertex_labels, solve_corrections
 from .observations import Observations, observe, sample_surface
 from .photographs import Photograph, apply_gain
 from .settings import PhotosSettings
 from .surface import interpolate_colors
-from .texels import TexelMap, TexelTile, vertex_normals
-from .tile_colors import NO_PHOTOGRAPH, TileColors
+from .texel_colors import NO_PHOTOGRAPH, TexelPainter
+from .texels import TexelMap, corner_normals, vertex_normals
 from .views import View
 
 FACE_SAMPLES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])  # barycentric
@@ -67,13 +69,13 @@ def merge(mesh: TriangleMesh, corner_uvs: np.ndarray, photographs: list[Photogra
     clock = StageClock()
     merger = _Merger(mesh, corner_uvs, photographs, settings, clock)
     yield from merger.look()
-    yield Progress(0.3, "Comparing photographs")
+    yield Progress(0.2, "Comparing photographs")
     with clock.stage("exposure"):
         merger.compare()
-    yield Progress(0.35, "Choosing photographs")
+    yield Progress(0.3, "Choosing photographs")
     with clock.stage("labels"):
         merger.label()
-    yield Progress(0.4, "Adjusting colors")
+    yield Progress(0.33, "Adjusting colors")
     with clock.stage("leveling"):
         merger.level()
     yield from merger.fill_texels()
@@ -83,22 +85,26 @@ def merge(mesh: TriangleMesh, corner_uvs: np.ndarray, photographs: list[Photogra
 
 
 class _Merger:
-    """The state between the steps of `merge`."""
+    """The state between the steps of `merge`. The surface and the cameras are moved to the origin, where float32 is exact enough."""
 
     def __init__(
         self, mesh: TriangleMesh, corner_uvs: np.ndarray, photographs: list[Photograph], settings: PhotosSettings, clock: StageClock
     ) -> None:
-        self.mesh, self.photographs, self.settings, self.clock = mesh, photographs, settings, clock
+        self.settings, self.clock = settings, clock
         with clock.stage("texels"):
             self.map = TexelMap(corner_uvs, settings.size)
-            if not self.map.covered.any():
+            if not (self.map.triangles >= 0).any():
                 raise GeometryError("The UV map covers no pixel of the texture; unwrap the mesh, or move its UVs into the range 0 to 1.")
         self.areas, _ = face_areas_and_normals(mesh.corners)
         if not self.areas.any():
             raise GeometryError("The faces of the mesh have no area; scale it up.")
         uv_areas = np.abs(signed_areas(corner_uvs.astype(np.float64))) * settings.size**2
-        self.texel_areas = self.areas / np.maximum(uv_areas, 1e-12)  # of the surface, per triangle
-        self.normals = vertex_normals(mesh)
+        self.texel_areas = (self.areas / np.maximum(uv_areas, 1e-12)).astype(np.float32)  # of the surface, per triangle
+        origin = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
+        self.mesh = TriangleMesh(mesh.vertices - origin, mesh.triangles)
+        self.photographs = [_move(photograph, origin) for photograph in photographs]
+        self.normals = vertex_normals(self.mesh)
+        self.corner_normals = corner_normals(self.mesh, self.normals)
         self.edges: Edges = find_edges(mesh.triangles, len(mesh.vertices))
         self.views: list[View] = []
         self.gains = np.ones((len(photographs), 3))
@@ -106,24 +112,25 @@ class _Merger:
     def look(self) -> Steps[None]:
         """Find out what each photograph shows."""
         for index, photograph in enumerate(self.photographs):
-            yield Progress(0.3 * index / len(self.photographs), "Finding visible faces")
+            yield Progress(0.2 * index / len(self.photographs), "Finding visible faces")
             with self.clock.stage("visibility"):
                 self.views.append(View(photograph.camera, self.mesh, photograph.mask))
 
     def compare(self) -> None:
         """Estimate the gains of the photographs, and which of their parts show something else than the surface."""
-        observed = observe(sample_surface(self.mesh, self.normals, self.areas), self.photographs, self.views)
+        points = sample_surface(self.mesh, self.corner_normals, self.areas)
+        observed = observe(points, self.photographs, self.views)
         self._estimate_gains(observed, None)
         colors = np.empty_like(observed.colors)
         for index, gain in enumerate(self.gains):
             own = observed.photographs == index
             colors[own] = apply_gain(observed.colors[own], gain)
-        trust = rate_photographs(observed, colors, [photograph.camera.lens.size for photograph in self.photographs])
+        sizes = [photograph.camera.lens.size for photograph in self.photographs]
         weights = np.empty(len(observed.points), np.float32)
-        for index, (view, cells) in enumerate(zip(self.views, trust, strict=True)):
-            view.trust = cells
+        for index, (view, cells, size) in enumerate(zip(self.views, rate_photographs(observed, colors, sizes), sizes, strict=True)):
+            view.apply_trust(cells)
             own = observed.photographs == index
-            weights[own] = view.find_trust(observed.positions[own])
+            weights[own] = sample_bilinear(cells[..., None], observed.positions[own] / np.array(size) * cells.shape[::-1])[:, 0]
         self._estimate_gains(observed, weights)
 
     def _estimate_gains(self, observed: Observations, weights: np.ndarray | None) -> None:
@@ -142,12 +149,15 @@ class _Merger:
 
     def _rate_faces(self) -> np.ndarray:
         """Return how well (T, K) each photograph shows each triangle, 0 if not all of it."""
-        corners, normals = self.mesh.corners, self.normals[self.mesh.triangles]
+        corners, normals = self.mesh.corners, self.corner_normals
         qualities = np.zeros((len(corners), len(self.views)), np.float32)
         for index, view in enumerate(self.views):
-            seen = [view.see(np.einsum("i,tic->tc", b, corners), _unit(np.einsum("i,tic->tc", b, normals))) for b in FACE_SAMPLES]
-            is_complete = np.all([each.visible for each in seen], axis=0)
-            qualities[:, index] = np.where(is_complete, np.mean([each.weights for each in seen], axis=0), 0.0)
+            counts = np.zeros(len(corners), np.int32)
+            for barycentric in FACE_SAMPLES:
+                seen = view.see(np.einsum("i,tic->tc", barycentric, corners), _unit(np.einsum("i,tic->tc", barycentric, normals)))
+                counts[seen.indices] += 1
+                qualities[seen.indices, index] += seen.weights / np.float32(len(FACE_SAMPLES))
+            qualities[counts < len(FACE_SAMPLES), index] = 0.0
         return qualities
 
     def level(self) -> None:
@@ -157,68 +167,44 @@ class _Merger:
         sums, weights = np.zeros((len(self.mesh.vertices), 3)), np.zeros(len(self.mesh.vertices))
         for index, view in enumerate(self.views):
             seen = view.see(self.mesh.vertices, self.normals)
-            smooth = apply_gain(self.photographs[index].sample_smooth(np.nan_to_num(seen.positions)), self.gains[index])
-            sums += seen.weights[:, None] * smooth
-            weights += seen.weights
+            smooth = np.zeros((len(self.mesh.vertices), 3), np.float32)
+            smooth[seen.indices] = apply_gain(self.photographs[index].smoothed().sample(seen.positions), self.gains[index])
+            is_visible = np.zeros(len(smooth), bool)
+            is_visible[seen.indices] = True
+            sums[seen.indices] += seen.weights[:, None] * smooth[seen.indices]
+            weights[seen.indices] += seen.weights
             own = np.flatnonzero(self.pairs.photographs == index)
-            colors[own], visible[own] = smooth[self.pairs.vertices[own]], seen.visible[self.pairs.vertices[own]]
+            colors[own], visible[own] = smooth[self.pairs.vertices[own]], is_visible[self.pairs.vertices[own]]
         if self.settings.leveling and len(self.pairs.keys):
             self.corrections = solve_corrections(self.pairs, colors, visible, self.edges)
         self.vertex_colors = np.where(weights[:, None] > 0.0, sums / np.maximum(weights, 1e-30)[:, None], 0.0)
         self.bound = weights > 0.0
-        has_label = np.bincount(self.pairs.vertices, self.pairs.weights * visible, len(self.mesh.vertices)) > 0.5
+        shown = self.pairs.weights * visible
+        totals = np.bincount(self.pairs.vertices, shown, len(self.mesh.vertices))
+        has_label = totals > 0.5
         for channel in range(3):
-            values = self.pairs.weights * (colors + self.corrections)[:, channel]
-            leveled = np.bincount(self.pairs.vertices, values, len(self.mesh.vertices))
-            self.vertex_colors[has_label, channel] = leveled[has_label]
+            leveled = np.bincount(self.pairs.vertices, shown * (colors + self.corrections)[:, channel], len(self.mesh.vertices))
+            self.vertex_colors[has_label, channel] = leveled[has_label] / totals[has_label]
 
     def fill_texels(self) -> Steps[None]:
         """Compute the texels, tile by tile."""
         count = self.settings.size**2
+        with self.clock.stage("faces"):
+            surface = prepare_surface(self.mesh, self.normals, self.corner_normals)
+            painter = TexelPainter(surface, self.photographs, self.views, self.gains, is_cosine=self.settings.method == "paper")
+            if len(self.pairs.keys):
+                painter.use_labels(self.pairs, self.corrections)
         self.colors, self.confidence = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
         self.source = np.full(count, NO_PHOTOGRAPH, np.int16)
-        uses = [(self.pairs.find(self.mesh.triangles, index)) for index in range(len(self.views))]
         done, total = 0, int(np.count_nonzero(self.map.triangles >= 0))
-        for tile in self.map.tiles():
-            with self.clock.stage("colors"):
-                self._fill_tile(tile, uses)
-            done += len(tile.texels)
-            yield Progress(0.45 + 0.45 * done / total, "Computing texels")
-
-    def _fill_tile(self, tile: TexelTile, uses: list[np.ndarray]) -> None:
-        found = TileColors(len(tile.texels))
-        points, normals = tile.interpolate(self.mesh.corners), _unit(tile.interpolate(self.normals[self.mesh.triangles]))
-        pair_weights = np.append(self.pairs.weights, 0.0).astype(np.float32)
-        corrections = np.concatenate([self.corrections, np.zeros((1, 3), np.float32)])
-        for index, pairs in enumerate(uses):
-            corner_pairs = pairs[tile.triangles]
-            blend = np.einsum("ni,ni->n", tile.barycentric, pair_weights[corner_pairs])
-            used = np.flatnonzero(blend > 0.0)
-            seen = self.views[index].see(points[used], normals[used])
-            kept = used[seen.visible]
-            colors = apply_gain(self.photographs[index].sample(seen.positions[seen.visible]), self.gains[index])
-            colors += np.einsum("ni,nic->nc", tile.barycentric[kept], corrections[corner_pairs[kept]])
-            found.add(index, kept, colors, blend[kept], seen.resolution[seen.visible])
-        rest = np.flatnonzero(found.weights == 0.0)
-        if len(rest):
-            self._average(tile, points, normals, rest, found)
-        is_found = found.weights > 0.0
-        self.colors[tile.texels[is_found]] = found.colors[is_found]
-        self.confidence[tile.texels] = np.sqrt(np.minimum(found.resolution * self.texel_areas[tile.triangles], 1.0))
-        self.source[tile.texels] = found.source
-
-    def _average(self, tile: TexelTile, points: np.ndarray, normals: np.ndarray, rest: np.ndarray, found: TileColors) -> None:
-        """Average all photographs that show the texels `rest` (R,) of a tile with `points` and `normals` (N, 3)."""
-        for index, view in enumerate(self.views):
-            seen = view.see(points[rest], normals[rest])
-            kept = rest[seen.visible]
-            colors = apply_gain(self.photographs[index].sample(seen.positions[seen.visible]), self.gains[index])
-            weights = seen.weights[seen.visible]
-            if self.settings.method == "paper":
-                to_camera = _unit(view.camera.position - points[kept])
-                weights = np.einsum("ni,ni->n", to_camera, normals[kept]).astype(np.float32)
-                weights *= view.find_trust(seen.positions[seen.visible])
-            found.add(index, kept, colors, weights, seen.resolution[seen.visible])
+        with self.clock.stage("colors"):
+            for found in map_ordered(painter.paint, self.map.tiles()):
+                texels = found.tile.texels
+                self.colors[texels] = found.colors
+                self.confidence[texels] = np.sqrt(np.minimum(found.resolution * self.texel_areas[found.tile.triangles], 1.0))
+                self.source[texels] = found.source
+                done += len(texels)
+                yield Progress(0.35 + 0.55 * done / total, "Computing texels")
 
     def finish(self) -> PhotoTexture:
         """Fill what no photograph shows, and what lies around the islands of the UV map."""
@@ -227,16 +213,17 @@ class _Merger:
             raise GeometryError(_explain_blindness(self.mesh, self.photographs))
         if self.settings.fill == "interpolate":
             colors, known = interpolate_colors(self.vertex_colors, self.bound, self.edges)
-            colors[~known] = self.colors[found].mean(axis=0)
+            colors[~known] = self.colors[found].mean(axis=0, dtype=np.float64)
+            corner_colors = order_by_corner(colors[self.mesh.triangles])
             for tile in self.map.tiles():
-                missing = ~found[tile.texels]
-                part = TexelTile(tile.texels[missing], tile.triangles[missing], tile.barycentric[missing])
-                self.colors[part.texels] = part.interpolate(colors[self.mesh.triangles].astype(np.float32))
-        known = covered if self.settings.fill == "interpolate" else found
+                part = tile.select(np.flatnonzero(~found[tile.texels]))
+                self.colors[part.texels] = part.interpolate(corner_colors)
         size = self.settings.size
-        image = np.clip(self.colors, 0.0, 1.0).reshape(size, size, 3)
+        np.clip(self.colors, 0.0, 1.0, out=self.colors)
+        image, known = self.colors.reshape(size, size, 3), covered if self.settings.fill == "interpolate" else found
+        dilate_in_place(image, known.reshape(size, size), GUTTER)
         return PhotoTexture(
-            colors=dilate(image, known.reshape(size, size), GUTTER),
+            colors=image,
             confidence=self.confidence.reshape(size, size),
             source=self.source.reshape(size, size),
             holes=(covered & ~found).reshape(size, size),
@@ -244,6 +231,12 @@ class _Merger:
             labels=self.labels,
             seconds=self.clock.seconds,
         )
+
+
+def _move(photograph: Photograph, origin: np.ndarray) -> Photograph:
+    """Return the photograph with a camera in coordinates relative to `origin` (3,)."""
+    camera = photograph.camera
+    return replace(photograph, camera=replace(camera, translation=camera.translation + camera.rotation @ origin))
 
 
 def _explain_blindness(mesh: TriangleMesh, photographs: list[Photograph]) -> str:

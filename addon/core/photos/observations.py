@@ -33,12 +33,12 @@ class Observations(NamedTuple):
 
 
 def sample_surface(mesh: TriangleMesh, normals: np.ndarray, areas: np.ndarray, count: int = POINTS) -> SurfacePoints:
-    """Return random points, evenly by the `areas` (T,) of the triangles, with interpolated vertex `normals` (V, 3)."""
+    """Return random points, evenly by the `areas` (T,) of the triangles, with interpolated corner `normals` (T, 3, 3)."""
     generator = np.random.default_rng(0)
     triangles = generator.choice(len(areas), count, p=areas / areas.sum())
     barycentric = generator.dirichlet((1.0, 1.0, 1.0), count)
     corners = mesh.triangles[triangles]
-    directions = np.einsum("ni,nic->nc", barycentric, normals[corners])
+    directions = np.einsum("ni,nic->nc", barycentric, normals[triangles])
     lengths = np.linalg.norm(directions, axis=1, keepdims=True)
     return SurfacePoints(np.einsum("ni,nic->nc", barycentric, mesh.vertices[corners]), directions / np.where(lengths > 0.0, lengths, 1.0))
 
@@ -48,11 +48,10 @@ def observe(points: SurfacePoints, photographs: list[Photograph], views: list[Vi
     indices, labels, positions, colors = [], [], [], []
     for label, (photograph, view) in enumerate(zip(photographs, views, strict=True)):
         seen = view.see(points.positions, points.normals)
-        visible = np.flatnonzero(seen.visible)
-        indices.append(visible)
-        labels.append(np.full(len(visible), label))
-        positions.append(seen.positions[visible].astype(np.float32))
-        colors.append(photograph.sample_smooth(seen.positions[visible]))
+        indices.append(seen.indices)
+        labels.append(np.full(len(seen.indices), label))
+        positions.append(seen.positions)
+        colors.append(photograph.smoothed().sample(seen.positions))
     every = np.concatenate(indices)
     order = np.argsort(every, kind="stable")
     return Observations(every[order], np.concatenate(labels)[order], np.concatenate(positions)[order], np.concatenate(colors)[order])

@@ -1,6 +1,6 @@
 """A photograph with its camera, and colors sampled from it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,8 +11,9 @@ from ..geometry.lenses import PhotoCamera
 from ..imaging.colors import decode_signed_srgb, encode_signed_srgb
 from ..jobs.chunks import slices
 
-CHUNK = 1 << 19  # positions sampled at once
+CHUNK = 1 << 18  # positions sampled at once
 BLUR_PIXELS = 1.0  # of colors that must not depend on details; most of it within the distance that points keep from silhouettes
+CURVE_SIZE = 4096  # entries of the tables that apply gains
 
 
 @dataclass(frozen=True)
@@ -42,34 +43,45 @@ class Photograph:
 
     def sample(self, positions: np.ndarray) -> np.ndarray:
         """Return the encoded colors (N, 3) float32 at `positions` (N, 2) in pixels, by bilinear interpolation."""
-        return _sample(self.pixels, positions)
+        height, width = self.pixels.shape[:2]
+        result = np.empty((len(positions), 3), np.float32)
+        for part in slices(len(positions), CHUNK):
+            x, y = (np.clip(positions[part, axis] - 0.5, 0.0, length - 1.0) for axis, length in ((0, width), (1, height)))
+            left, low = np.minimum(x.astype(np.int64), max(width - 2, 0)), np.minimum(y.astype(np.int64), max(height - 2, 0))
+            across, up = (x - left).astype(np.float32)[:, None], (y - low).astype(np.float32)[:, None]
+            corner, right, above = low * width + left, min(1, width - 1), min(1, height - 1) * width
+            lower = self._gather(corner)
+            lower += across * (self._gather(corner + right) - lower)
+            upper = self._gather(corner + above)
+            upper += across * (self._gather(corner + (above + right)) - upper)
+            result[part] = (lower + up * (upper - lower))[:, :3]
+        return result / np.float32(255.0) if self.pixels.dtype == np.uint8 else result
 
-    def sample_smooth(self, positions: np.ndarray) -> np.ndarray:
-        """Return the encoded colors (N, 3) float32 of the blurred photograph at `positions` (N, 2) in pixels."""
-        return _sample(self._blurred, positions)
+    def smoothed(self) -> "Photograph":
+        """Return the photograph without its finest details."""
+        blurred = gaussian_filter(self.pixels.astype(np.float32), (BLUR_PIXELS, BLUR_PIXELS, 0.0))
+        return replace(self, pixels=np.rint(blurred).astype(np.uint8) if self.pixels.dtype == np.uint8 else blurred)
+
+    def _gather(self, indices: np.ndarray) -> np.ndarray:
+        """Return the pixels (N, 3 or 4) float32 at flat `indices` (N,)."""
+        if self.pixels.dtype == np.uint8:
+            return np.take(self._packed, indices).view(np.uint8).reshape(-1, 4).astype(np.float32)
+        return np.take(self.pixels.reshape(-1, 3), indices, axis=0)
 
     @cached_property
-    def _blurred(self) -> np.ndarray:
-        blurred = gaussian_filter(self.pixels.astype(np.float32), (BLUR_PIXELS, BLUR_PIXELS, 0.0))
-        return np.rint(blurred).astype(np.uint8) if self.pixels.dtype == np.uint8 else blurred
+    def _packed(self) -> np.ndarray:
+        """(H * W,) uint32: four bytes per pixel, which are gathered at once."""
+        padded = np.zeros((*self.pixels.shape[:2], 4), np.uint8)
+        padded[..., :3] = self.pixels
+        return padded.reshape(-1).view(np.uint32)
 
 
 def apply_gain(encoded: np.ndarray, gain: np.ndarray) -> np.ndarray:
-    """Return encoded colors (N, 3) whose linear values are multiplied by `gain` (3,)."""
-    return encode_signed_srgb(decode_signed_srgb(encoded) * gain.astype(np.float32))
-
-
-def _sample(pixels: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    height, width = pixels.shape[:2]
-    flat = pixels.reshape(-1, pixels.shape[2])
-    result = np.empty((len(positions), 3), np.float32)
-    for part in slices(len(positions), CHUNK):
-        x, y = (positions[part] - 0.5).T
-        x, y = np.clip(x, 0.0, width - 1.0), np.clip(y, 0.0, height - 1.0)
-        left, low = np.minimum(x.astype(np.int64), max(width - 2, 0)), np.minimum(y.astype(np.int64), max(height - 2, 0))
-        across, up = (x - left).astype(np.float32)[:, None], (y - low).astype(np.float32)[:, None]
-        corner, right, above = low * width + left, min(1, width - 1), min(1, height - 1) * width
-        lower = (1.0 - across) * flat[corner] + across * flat[corner + right]
-        upper = (1.0 - across) * flat[corner + above] + across * flat[corner + above + right]
-        result[part] = (1.0 - up) * lower + up * upper
-    return result / np.float32(255.0) if pixels.dtype == np.uint8 else result
+    """Return encoded colors (N, 3) float32 whose linear values are multiplied by `gain` (3,), to within 1e-3."""
+    curves = encode_signed_srgb(decode_signed_srgb(np.linspace(0.0, 1.0, CURVE_SIZE)[:, None]) * gain).astype(np.float32)
+    indices = np.clip(encoded, 0.0, 1.0) * np.float32(CURVE_SIZE - 1) + np.float32(0.5)
+    result = np.stack([np.take(curves[:, channel], indices[:, channel].astype(np.int16)) for channel in range(3)], axis=1)
+    outside = np.flatnonzero(((encoded < 0.0) | (encoded > 1.0)).any(axis=1))
+    if len(outside):
+        result[outside] = encode_signed_srgb(decode_signed_srgb(encoded[outside]) * gain)
+    return result

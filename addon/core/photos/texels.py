@@ -1,15 +1,14 @@
-"""The texels of a texture on the surface: which triangle covers each, and where in world space it is."""
+"""The texels of a texture on the surface: which triangle covers each, and where in the triangle it is."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..geometry.geometry_2d import signed_areas
-from ..geometry.mesh import TriangleMesh, scaled_normals
+from ..geometry.mesh import TriangleMesh, face_areas_and_normals, scaled_normals
 from ..imaging.raster import rasterize
 
-TILE_TEXELS = 1 << 20  # computed at once
+MIN_SMOOTH_COSINE = 0.7  # of the angle between the normals of a triangle and its vertices
 
 
 @dataclass(frozen=True)
@@ -21,8 +20,15 @@ class TexelTile:
     barycentric: np.ndarray
 
     def interpolate(self, corner_values: np.ndarray) -> np.ndarray:
-        """Return the values (N, C) of `corner_values` (T, 3, C) at the texels."""
-        return np.einsum("ni,nic->nc", self.barycentric, corner_values[self.triangles])
+        """Return the values (N, C) float32 of `corner_values` (T, 3, C) at the texels."""
+        result = np.zeros((len(self.texels), corner_values.shape[2]), np.float32)
+        for corner in range(3):
+            result += self.barycentric[:, corner, None] * np.take(corner_values[:, corner], self.triangles, axis=0)
+        return result
+
+    def select(self, rows: np.ndarray) -> "TexelTile":
+        """Return only some of the texels, by indices or a mask."""
+        return TexelTile(self.texels[rows], self.triangles[rows], self.barycentric[rows])
 
 
 class TexelMap:
@@ -39,29 +45,11 @@ class TexelMap:
         for triangles, texels, _ in rasterize(self._corners, (size, size)):
             self.triangles[texels] = triangles
 
-    @property
-    def covered(self) -> np.ndarray:
-        """(H, W) bool: which texels have a triangle."""
-        return (self.triangles >= 0).reshape(self.size, self.size)
-
     def tiles(self) -> Iterator[TexelTile]:
-        """Yield all covered texels."""
-        rows = max(TILE_TEXELS // self.size, 1)
-        for start in range(0, self.size, rows):
-            texels = np.flatnonzero(self.triangles[start * self.size : (start + rows) * self.size] >= 0) + start * self.size
-            if len(texels):
-                triangles = self.triangles[texels]
-                yield TexelTile(texels, triangles, self._barycentric(texels, triangles))
-
-    def _barycentric(self, texels: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-        centers = np.stack([texels % self.size, texels // self.size], axis=1) + 0.5
-        corners = self._corners[triangles]
-        offsets = corners - centers[:, None]
-        opposite = [
-            signed_areas(np.stack([np.zeros_like(centers), offsets[:, i], offsets[:, j]], axis=1)) for i, j in ((1, 2), (2, 0), (0, 1))
-        ]
-        weights = np.stack(opposite, axis=1)
-        return (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)
+        """Yield all covered texels, each of them once."""
+        for triangles, texels, barycentric in rasterize(self._corners, (self.size, self.size)):
+            is_own = self.triangles[texels] == triangles
+            yield TexelTile(texels[is_own], triangles[is_own].astype(np.int32), barycentric[is_own].astype(np.float32))
 
 
 def vertex_normals(mesh: TriangleMesh) -> np.ndarray:
@@ -72,3 +60,12 @@ def vertex_normals(mesh: TriangleMesh) -> np.ndarray:
         normals[:, axis] = np.bincount(mesh.triangles.ravel(), np.repeat(scaled[:, axis], 3), len(mesh.vertices))
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     return normals / np.where(lengths > 0.0, lengths, 1.0)
+
+
+def corner_normals(mesh: TriangleMesh, normals: np.ndarray) -> np.ndarray:
+    """Return unit normals (T, 3, 3) of the corners of triangles: those of the vertices (V, 3), or of the triangle where it bends away from
+    them, so that the faces of a box do not look rounded."""
+    _, face_normals = face_areas_and_normals(mesh.corners)
+    result = normals[mesh.triangles]
+    is_sharp = np.einsum("tic,tc->ti", result, face_normals) < MIN_SMOOTH_COSINE
+    return np.where(is_sharp[..., None], face_normals[:, None], result)

@@ -1,10 +1,11 @@
-"""What a photograph sees of a surface (Textures Revisited, section 4.1), for points instead of vertices.
+"""What a photograph shows of a surface (Textures Revisited, section 4.1), for points instead of vertices.
 
 A point is visible if it lies inside the frame, faces the camera, is not hidden, and is not near a silhouette, where the registration of the
 photograph decides which surface a pixel shows.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
@@ -12,7 +13,7 @@ from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 from ..geometry.lenses import PhotoCamera
 from ..geometry.mesh import TriangleMesh
 from ..imaging.images import sample_bilinear
-from ..imaging.raster import draw_ids
+from ..imaging.raster import depth_buffer
 
 SILHOUETTE_PIXELS = 2  # points this near to something closer to the camera, or to something behind them, are not visible
 MIN_COSINE = 0.1  # of the angle between normal and view direction
@@ -21,23 +22,30 @@ STEP_FACTOR = 3.0  # how much deeper than the tangent plane a neighbor must be t
 MAX_TANGENT = 4.0  # of the field of view of the depth buffer
 MIN_TRUST = 0.4  # the trust of two photographs that contradict each other is 0.5
 BORDER_PIXELS = 32  # weights rise over this distance from the frame or a mask
+GRID_ROWS = 256  # of the depth buffer, related to the photograph at once
 
 
-@dataclass(frozen=True)
-class Seen:
-    """How a photograph sees points: positions (N, 2) in pixels; visible: (N,) bool; resolution: (N,) float32, pixels per unit of area;
-    weights: (N,) float32, resolution times cosine, lower near the frame and masks, 0 where not visible."""
+class Seen(NamedTuple):
+    """The points that a photograph shows: indices (M,) of N points; positions (M, 2) in pixels from the lower left corner; resolution (M,),
+    pixels per unit of area; cosines (M,) of the angles between normals and view directions; quality (M,), 0 to 1, lower near the frame and
+    masks and where the photograph may show something else. All float32."""
 
+    indices: np.ndarray
     positions: np.ndarray
-    visible: np.ndarray
     resolution: np.ndarray
-    weights: np.ndarray
+    cosines: np.ndarray
+    quality: np.ndarray
+
+    @property
+    def weights(self) -> np.ndarray:
+        """(M,) how well the photograph shows each point: resolution times cosine times quality."""
+        return self.resolution * self.cosines * self.quality
 
 
 class View:
     """A photograph's depth buffer and mask.
 
-    trust: (h, w) float32, how far each of the cells that divide the photograph shows the surface, 0 to 1; see `consistency`.
+    The buffer is that of a pinhole image, which straightens what the lens distorts; its row 0 is at the top of the photograph.
     """
 
     def __init__(self, camera: PhotoCamera, mesh: TriangleMesh, mask: np.ndarray | None = None) -> None:
@@ -45,69 +53,83 @@ class View:
         self.camera = camera
         self._focal = float(np.mean(camera.lens.focal))
         self._low, self._size = _frame(camera)
+        self._rotation, self._translation = camera.rotation.T.astype(np.float32), camera.translation.astype(np.float32)
         inverse = self._draw(mesh)
         self._nearest, self._farthest = (
-            filter_window(inverse, 2 * SILHOUETTE_PIXELS + 1, mode="nearest") for filter_window in (maximum_filter, minimum_filter)
+            filter_window(inverse, 2 * SILHOUETTE_PIXELS + 1, mode="nearest").ravel() for filter_window in (maximum_filter, minimum_filter)
         )
-        width, height = camera.lens.size
-        usable = np.zeros((height + 2, width + 2), bool)
-        usable[1:-1, 1:-1] = True if mask is None else mask
-        self.trust = np.ones((1, 1), np.float32)
-        self._border = np.minimum(distance_transform_edt(usable)[1:-1, 1:-1], BORDER_PIXELS).astype(np.float32)
+        self._quality = np.zeros(self._size[0] * self._size[1], np.float32)
+        border = None if mask is None else distance_transform_edt(mask).astype(np.float32)
+        for cells, positions in self._cells():
+            self._quality[cells] = _border_quality(positions, camera.lens.size, border)
+
+    def apply_trust(self, cells: np.ndarray) -> None:
+        """Lower the quality by how far (h, w), 0 to 1, each of the cells that divide the photograph evenly shows the surface."""
+        rows, columns = cells.shape
+        for part, positions in self._cells():
+            found = sample_bilinear(cells[..., None], positions / np.array(self.camera.lens.size) * (columns, rows))[:, 0]
+            self._quality[part] *= np.where(found > MIN_TRUST, found, 0.0)
 
     def see(self, points: np.ndarray, normals: np.ndarray) -> Seen:
-        """Return how the photograph sees `points` (N, 3) with unit `normals` (N, 3)."""
-        positions, depths, is_valid = self.camera.project(points)
-        to_camera = self.camera.position - points
-        distances = np.linalg.norm(to_camera, axis=1)
-        cosines = np.einsum("ni,ni->n", to_camera, normals) / np.maximum(distances, 1e-12)
-        visible = is_valid & (cosines > MIN_COSINE)
-        visible[visible] = self._is_unhidden(points[visible], normals[visible])
-        columns, rows = np.floor(np.nan_to_num(positions)).astype(np.int64).T
-        width, height = self.camera.lens.size
-        visible &= (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-        border = np.zeros(len(points), np.float32)
-        border[visible] = self._border[rows[visible], columns[visible]]
-        visible &= border > SILHOUETTE_PIXELS
-        trust = np.zeros(len(points), np.float32)
-        trust[visible] = self.find_trust(positions[visible])
-        visible &= trust > MIN_TRUST
-        resolution = np.where(visible, self._focal**2 * cosines / np.maximum(depths, 1e-12) ** 2, 0.0)
-        weights = resolution * cosines * (border / BORDER_PIXELS) ** 2 * trust
-        return Seen(positions, visible, resolution.astype(np.float32), weights.astype(np.float32))
+        """Return how the photograph shows `points` (N, 3) with unit `normals` (N, 3)."""
+        local, directions = points.astype(np.float32) @ self._rotation + self._translation, normals.astype(np.float32) @ self._rotation
+        planes = -np.einsum("ni,ni->n", local, directions)  # distances of the camera from the tangent planes
+        distances = np.sqrt(np.einsum("ni,ni->n", local, local))
+        indices = np.flatnonzero((planes > MIN_COSINE * distances) & (local[:, 2] > 0.0))
+        local, planes, directions = local[indices], planes[indices], directions[indices]
+        inverse = 1.0 / local[:, 2]
+        columns, rows = (
+            np.floor((local[:, axis] * inverse - np.float32(self._low[axis])) * np.float32(self._focal)).astype(np.int64) for axis in (0, 1)
+        )
+        kept = np.flatnonzero((columns >= 0) & (columns < self._size[0]) & (rows >= 0) & (rows < self._size[1]))
+        cells, inverse = (rows * self._size[0] + columns)[kept], inverse[kept]
+        quality = self._quality[cells]
+        across = np.hypot(directions[kept, 0], directions[kept, 1])
+        change = across / planes[kept] * np.float32((SILHOUETTE_PIXELS + 1.0) * np.sqrt(2.0) / self._focal)  # of inverse depths in a window
+        is_front = self._nearest[cells] <= inverse * (1.0 + DEPTH_TOLERANCE) + change
+        is_inner = self._farthest[cells] >= inverse * (1.0 - STEP_FACTOR * DEPTH_TOLERANCE) - STEP_FACTOR * change
+        shown = (quality > 0.0) & is_front & is_inner
+        kept, quality, inverse = kept[shown], quality[shown], inverse[shown]
+        positions, is_valid = self.camera.lens.project(local[kept])
+        if not is_valid.all():
+            kept, quality, inverse, positions = (values[is_valid] for values in (kept, quality, inverse, positions))
+        cosines = planes[kept] / distances[indices[kept]]
+        resolution = np.float32(self._focal**2) * cosines * np.square(inverse)
+        return Seen(indices[kept], positions.astype(np.float32), resolution, cosines, quality)
 
-    def find_trust(self, positions: np.ndarray) -> np.ndarray:
-        """Return the trust (N,) float32 at `positions` (N, 2) in pixels."""
-        rows, columns = self.trust.shape
-        return sample_bilinear(self.trust[..., None], positions / np.array(self.camera.lens.size) * (columns, rows))[:, 0]
+    def locate(self, points: np.ndarray) -> np.ndarray:
+        """Return the positions (N, 2) float32 in pixels of `points` (N, 3), whether visible or not."""
+        return self.camera.lens.project(points.astype(np.float32) @ self._rotation + self._translation)[0].astype(np.float32)
 
     def _draw(self, mesh: TriangleMesh) -> np.ndarray:
-        """Return the depths (H, W) float32 of a pinhole image, which straightens what the lens distorts."""
+        """Return the inverse depths (h, w) float32 of the pinhole image, 0 where there is nothing."""
         points = mesh.vertices @ self.camera.rotation.T + self.camera.translation
         in_front = points[:, 2] > 1e-6 * max(float(np.abs(points[:, 2]).max(initial=0.0)), 1e-12)
-        pixels = self._to_pixels(points, in_front)
+        inverse = np.where(in_front, 1.0 / np.where(in_front, points[:, 2], 1.0), 0.0)  # linear in the image
+        pixels = (points[:, :2] * inverse[:, None] - self._low) * self._focal
         kept = mesh.triangles[in_front[mesh.triangles].all(axis=1)]
-        inverse = np.where(in_front, -1.0 / np.where(in_front, points[:, 2], 1.0), 0.0)  # linear in the image, smaller is nearer
-        _, buffer = draw_ids(pixels[kept], inverse[kept], self._size)
-        return np.where(np.isfinite(buffer), -buffer, np.float32(0.0))
+        buffer = depth_buffer(pixels[kept], -inverse[kept], self._size)
+        return np.where(np.isfinite(buffer), -buffer, 0.0).astype(np.float32)
 
-    def _is_unhidden(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """Return whether (N,) bool nothing nearer or much deeper than the tangent plane is drawn around `points` (N, 3)."""
-        local, directions = points @ self.camera.rotation.T + self.camera.translation, normals @ self.camera.rotation.T
-        pixels = np.floor(self._to_pixels(local, local[:, 2] > 0.0)).astype(np.int64)
-        inside = ((pixels >= 0) & (pixels < self._size)).all(axis=1)
-        columns, rows = np.clip(pixels, 0, np.array(self._size) - 1).T
-        inverse = 1.0 / np.maximum(local[:, 2], 1e-12)
-        plane = np.maximum(np.abs(np.einsum("ni,ni->n", directions, local)), 1e-12)
-        gradient = np.linalg.norm(directions[:, :2], axis=1) / plane  # of inverse depths in the image, per unit of focal length
-        change = gradient * (SILHOUETTE_PIXELS + 1.0) * np.sqrt(2.0) / self._focal
-        is_front = self._nearest[rows, columns] <= inverse * (1.0 + DEPTH_TOLERANCE) + change
-        is_inner = self._farthest[rows, columns] >= inverse * (1.0 - STEP_FACTOR * DEPTH_TOLERANCE) - STEP_FACTOR * change
-        return inside & is_front & is_inner
+    def _cells(self) -> Iterator[tuple[slice, np.ndarray]]:
+        """Yield pixels of the depth buffer and the positions (N, 2) in the photograph of their centers, negative outside of the lens."""
+        width, height = self._size
+        for start in range(0, height, GRID_ROWS):
+            rows, columns = np.mgrid[start : min(start + GRID_ROWS, height), :width]
+            tangents = (np.stack([columns.ravel(), rows.ravel()], axis=1) + 0.5) / self._focal + self._low
+            rays = np.column_stack([tangents, np.ones(len(tangents))]).astype(np.float32)
+            positions, is_valid = self.camera.lens.project(rays)
+            yield slice(start * width, start * width + len(rays)), np.where(is_valid[:, None], positions, -1.0)
 
-    def _to_pixels(self, points: np.ndarray, in_front: np.ndarray) -> np.ndarray:
-        tangents = points[:, :2] / np.where(in_front, points[:, 2], 1.0)[:, None]
-        return (tangents - self._low) * self._focal
+
+def _border_quality(positions: np.ndarray, size: tuple[int, int], border: np.ndarray | None) -> np.ndarray:
+    """Return the quality (N,) of `positions` (N, 2), which rises with the distance from the frame and from masked pixels, whose distances
+    are `border` (H, W)."""
+    distances = np.minimum(positions, np.array(size) - positions).min(axis=1)
+    if border is not None:
+        columns, rows = np.clip(positions, 0, np.array(size) - 1).astype(np.int64).T
+        distances = np.minimum(distances, border[rows, columns])
+    return np.where(distances > SILHOUETTE_PIXELS, np.square(np.minimum(distances / BORDER_PIXELS, 1.0)), 0.0)
 
 
 def _frame(camera: PhotoCamera) -> tuple[np.ndarray, tuple[int, int]]:

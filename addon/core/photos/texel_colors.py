@@ -1,0 +1,78 @@
+"""The colors of texels from the photographs that show them."""
+
+import numpy as np
+
+from .face_visibility import FaceVisibility, ShownSurface
+from .leveling import VertexLabels
+from .photographs import Photograph, apply_gain
+from .texels import TexelTile
+from .views import View
+
+NO_PHOTOGRAPH = -1
+
+
+class TileColors:
+    """What has been found for the N texels of a tile.
+
+    weights: (N,) float32, 0 where no photograph was added. source: (N,) int16, the photograph with the largest weight. resolution: (N,)
+    float32, the largest number of pixels per unit of area of all photographs that were added.
+    """
+
+    def __init__(self, tile: TexelTile) -> None:
+        count = len(tile.texels)
+        self.tile = tile
+        self._sums = np.zeros((count, 3), np.float32)
+        self._largest = np.zeros(count, np.float32)
+        self.weights, self.resolution = np.zeros(count, np.float32), np.zeros(count, np.float32)
+        self.source = np.full(count, NO_PHOTOGRAPH, np.int16)
+
+    @property
+    def colors(self) -> np.ndarray:
+        """(N, 3) float32 means, 0 where no photograph was added."""
+        return self._sums / np.where(self.weights > 0.0, self.weights, 1.0)[:, None]
+
+    def add(self, photograph: int, texels: np.ndarray, colors: np.ndarray, weights: np.ndarray, resolution: np.ndarray) -> None:
+        """Add the `colors` (M, 3) of a photograph at `texels` (M,), with `weights` (M,) and a `resolution` (M,)."""
+        self._sums[texels] += weights[:, None] * colors
+        self.weights[texels] += weights
+        self.resolution[texels] = np.maximum(self.resolution[texels], resolution)
+        is_largest = weights > self._largest[texels]
+        self._largest[texels[is_largest]] = weights[is_largest]
+        self.source[texels[is_largest]] = photograph
+
+
+class TexelPainter:
+    """Computes the texels of tiles, of several at the same time if required."""
+
+    def __init__(
+        self, surface: ShownSurface, photographs: list[Photograph], views: list[View], gains: np.ndarray, *, is_cosine: bool
+    ) -> None:
+        """Look at all triangles; `is_cosine`: whether photographs are weighted by the cosine between normal and view direction alone."""
+        self._surface, self._photographs, self._gains = surface, photographs, gains
+        self.faces = [FaceVisibility(view, surface, is_cosine=is_cosine) for view in views]
+        self._regions: list[np.ndarray] = []
+
+    def use_labels(self, pairs: VertexLabels, corrections: np.ndarray) -> None:
+        """Texture the triangles around each of the `pairs` of a vertex and a photograph from it, with `corrections` (P, 3) of colors."""
+        self._regions = [pairs.find(self._surface.corner_vertices.T, index).astype(np.int32) for index in range(len(self.faces))]
+        self._pair_weights = np.append(pairs.weights, np.float32(0.0))  # the last one is that of no pair
+        self._corrections = np.concatenate([corrections, np.zeros((1, 3), np.float32)])
+
+    def paint(self, tile: TexelTile) -> TileColors:
+        """Return the colors of a tile: from the photographs of the labels, and where those do not show it, from all others."""
+        found, points = TileColors(tile), tile.interpolate(self._surface.corners)
+        for index, region in enumerate(self._regions):
+            pairs = region[tile.triangles]
+            blend = np.einsum("ni,ni->n", tile.barycentric, self._pair_weights[pairs])
+            seen = self.faces[index].see(tile, points, np.flatnonzero(blend > 0.0))
+            colors = self._sample(index, seen.positions)
+            colors += np.einsum("ni,nic->nc", tile.barycentric[seen.indices], self._corrections[pairs[seen.indices]])
+            found.add(index, seen.indices, colors, blend[seen.indices], seen.resolution)
+        rest = np.flatnonzero(found.weights == 0.0)
+        for index, faces in enumerate(self.faces):
+            seen = faces.see(tile, points, rest)
+            found.add(index, seen.indices, self._sample(index, seen.positions), seen.weights, seen.resolution)
+        return found
+
+    def _sample(self, index: int, positions: np.ndarray) -> np.ndarray:
+        return apply_gain(self._photographs[index].sample(positions), self._gains[index])
