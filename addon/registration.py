@@ -6,11 +6,14 @@ from .operators.btf import exports as btf_exports
 from .operators.btf import operators as btf_operators
 from .operators.clipbox import convert_to_mesh as clipbox_convert
 from .operators.clipbox import operators as clipbox_operators
+from .operators.photos import import_cameras as photos_import
+from .operators.photos import operators as photos_operators
 from .operators.restore import operators as restore_operators
 from .operators.unwrap import operators as unwrap_operators
 from .panels import billboards as billboards_panels
 from .panels import btf as btf_panels
 from .panels import clipbox as clipbox_panels
+from .panels import photos as photos_panels
 from .panels import restore as restore_panels
 from .panels import unwrap as unwrap_panels
 
@@ -21,12 +24,15 @@ MODULES = (
     btf_operators,
     btf_exports,
     unwrap_operators,
+    photos_operators,
+    photos_import,
     restore_operators,
     clipbox_operators,
     clipbox_convert,
     billboards_panels,
     btf_panels,
     unwrap_panels,
+    photos_panels,
     restore_panels,
     clipbox_panels,
 )

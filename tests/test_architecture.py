@@ -189,16 +189,11 @@ def test_scripts_swallow_nothing():
     assert set(violations) <= LAST_NETS and len(violations) == 1, violations
 
 
-WITHOUT_INTERFACE = {"photos"}  # tools under construction: on the command line only
-
-
 @pytest.mark.parametrize("tool", built_tools())
 def test_a_tool_has_its_identifier_in_every_layer(tool):
     assert tool in TOOLS, f"core/{tool} is neither a tool nor one of the shared packages"
     layers = [f"addon/bridge/{tool}", f"addon/operators/{tool}", f"addon/panels/{tool}.py"]
     beside = [f"scripts/{tool}.py", f"tests/{tool}", f"benchmarks/bench_{tool}.py", f"docs/{tool}.md"]
-    if tool in WITHOUT_INTERFACE:
-        layers = layers[:1]
     assert [path for path in layers + beside if not (ROOT / path).exists()] == []
 
 

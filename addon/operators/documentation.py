@@ -10,6 +10,7 @@ PAGE_OF_OPERATORS = {  # a pattern of `fnmatch` to the page and section that des
     "bpy.ops.farfield.billboards*": "billboards#operators",
     "bpy.ops.farfield.btf*": "btf#operators",
     "bpy.ops.farfield.unwrap*": "unwrap#operators",
+    "bpy.ops.farfield.photos*": "photos#operators",
     "bpy.ops.farfield.clipbox*": "clipbox#operators",
 }
 

@@ -17,7 +17,11 @@ def read_photograph(camera: PhotoCamera, folder: Path) -> Photograph:
         FileError: there is no such file, or it cannot be read.
         ImageError: it is gray with alpha, or its size is not that of the camera.
     """
-    path = _find_file(folder, camera.name)
+    return read_photograph_file(camera, find_photograph(folder, camera.name))
+
+
+def read_photograph_file(camera: PhotoCamera, path: Path) -> Photograph:
+    """Read the photograph of `camera` from a file; see `read_photograph`."""
     image = read_image_file(path)
     is_8_bit = image.stored.dtype == np.uint8 and not image.storage.has_alpha
     pixels, mask = image.stored[::-1] if is_8_bit else image.pixels, None
@@ -33,8 +37,12 @@ def read_photograph(camera: PhotoCamera, folder: Path) -> Photograph:
     return photograph
 
 
-def _find_file(folder: Path, name: str) -> Path:
-    """Return the path of the photograph `name` in `folder`, by its name without folders if necessary."""
+def find_photograph(folder: Path, name: str) -> Path:
+    """Return the path of the photograph `name` in `folder`, where it may lie without its folders or have another extension.
+
+    Raises:
+        FileError: there is no such file.
+    """
     for path in (folder / name, folder / Path(name).name):
         for candidate in (path, *(path.with_suffix(extension) for extension in EXTENSIONS)):
             if candidate.is_file():

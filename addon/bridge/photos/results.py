@@ -7,27 +7,63 @@ from ...compat import enable_nodes
 from ..images import create_image
 
 IMAGE_NODE_POSITION = (-320, 300)
+TEXTURE_PROPERTY = "farfield_photo_texture"  # custom property of materials that `assign_texture` made
 
 
-def create_texture_image(name: str, colors: np.ndarray) -> bpy.types.Image:
-    """Create an 8-bit image of sRGB-encoded `colors` (H, W, 3)."""
+def create_texture_image(name: str, colors: np.ndarray, transparent: np.ndarray | None = None) -> bpy.types.Image:
+    """Create an 8-bit image of sRGB-encoded `colors` (H, W, 3).
+
+    transparent: (H, W) bool, texels with zero alpha.
+    """
     pixels = np.ones((*colors.shape[:2], 4), np.float32)
     pixels[..., :3] = colors
+    if transparent is not None:
+        pixels[transparent, 3] = 0.0
     return create_image(name, pixels, is_data=False)
 
 
-def assign_texture(objects: list[bpy.types.Object], image: bpy.types.Image, name: str) -> bpy.types.Material:
-    """Give `objects` one new material that shows `image`, in place of all their materials."""
+def create_map_image(name: str, values: np.ndarray) -> bpy.types.Image:
+    """Create an 8-bit gray image of data `values` (H, W), 0 to 1, that files keep although nothing uses it."""
+    pixels = np.ones((*values.shape, 4), np.float32)
+    pixels[..., :3] = values[..., None]
+    image = create_image(name, pixels, is_data=True)
+    image.use_fake_user = True
+    return image
+
+
+def assign_texture(objects: list[bpy.types.Object], image: bpy.types.Image, name: str, *, has_alpha: bool = False) -> bpy.types.Material:
+    """Give `objects` one new material that shows `image`, in place of all their materials.
+
+    Replaced materials that nothing else uses get a fake user, so that files keep them; those that this function made do not.
+    """
+    material = _create_material(name, image, has_alpha)
+    replaced = dict.fromkeys(slot.material for item in objects for slot in item.material_slots if slot.material is not None)
+    for slot in [slot for item in objects for slot in item.material_slots if slot.link == "OBJECT"]:
+        slot.material = None  # or the material would count this object as a user for ever
+    for mesh in dict.fromkeys(item.data for item in objects):
+        mesh.materials.clear()
+        mesh.materials.append(material)
+        mesh.polygons.foreach_set("material_index", np.zeros(len(mesh.polygons), np.int32))
+    for item in objects:
+        for slot in item.material_slots:
+            slot.link = "DATA"
+    for old in replaced:
+        if old.users == 0 and old.is_editable and TEXTURE_PROPERTY not in old:
+            old.use_fake_user = True
+    return material
+
+
+def _create_material(name: str, image: bpy.types.Image, has_alpha: bool) -> bpy.types.Material:
     material = bpy.data.materials.new(name)
+    material[TEXTURE_PROPERTY] = True
     enable_nodes(material)
     tree = material.node_tree
     shader = next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED")
     texture = tree.nodes.new("ShaderNodeTexImage")
     texture.image, texture.location = image, IMAGE_NODE_POSITION
     tree.links.new(texture.outputs["Color"], shader.inputs["Base Color"])
+    if has_alpha:
+        tree.links.new(texture.outputs["Alpha"], shader.inputs["Alpha"])
     shader.inputs["Roughness"].default_value = 1.0
     shader.inputs["Specular IOR Level"].default_value = 0.0
-    for item in objects:
-        item.data.materials.clear()
-        item.data.materials.append(material)
     return material

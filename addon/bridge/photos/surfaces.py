@@ -1,12 +1,20 @@
 """Surfaces that get a texture from photographs, as arrays in world space."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from ...core.errors import GeometryError
+from ...core.geometry.cameras import CameraProjection
+from ...core.geometry.lenses import PhotoCamera
 from ...core.geometry.mesh import TriangleMesh
+from ...core.photos.texels import TexelMap
 from ..meshes import SourceInstance, concatenate_in_world_space
+
+OVERLAP_SIZE = 256  # texels per side in which the UV maps of objects are compared
+MAX_OVERLAP = 0.02  # of the texels of one of the objects; islands may touch
+NEAR_FRACTION = 1e-4  # nearest depth relative to the farthest
 
 
 @dataclass(frozen=True)
@@ -17,17 +25,64 @@ class PhotoSurface:
     corner_uvs: np.ndarray
 
 
-def read_surface(instances: list[SourceInstance]) -> PhotoSurface:
-    """Return the surface of all `instances` with their active UV maps.
+def read_surface(instances: list[SourceInstance], new_uvs: Mapping[int, np.ndarray] | None = None) -> PhotoSurface:
+    """Return the surface of all `instances` with the UV maps that render.
+
+    new_uvs: UVs (T, 3, 2) that replace the UV map of an object with this session UID, for the triangles of its mesh.
 
     Raises:
         GeometryError: one has no UV map.
     """
     corner_uvs = []
     for instance in instances:
-        mesh = instance.mesh
-        if not mesh.uv_map:
-            raise GeometryError(f'"{instance.name}" has no UV map; unwrap it first.')
-        uvs = mesh.at_corners(mesh.uv_map, np.arange(len(mesh.triangles)))
+        uvs = (new_uvs or {}).get(instance.object_uid)
+        if uvs is None:
+            uvs = _read_uvs(instance)
         corner_uvs.append(uvs[:, ::-1] if instance.is_mirrored else uvs)
     return PhotoSurface(concatenate_in_world_space(instances), np.concatenate(corner_uvs).astype(np.float32))
+
+
+def check_separate_uvs(instances: list[SourceInstance]) -> None:
+    """Check that UV maps of different `instances`, which get one texture together, cover different texels.
+
+    Raises:
+        GeometryError: two of them overlap, or one has no UV map.
+    """
+    owners = np.full(OVERLAP_SIZE**2, -1)
+    for index, instance in enumerate(instances if len(instances) > 1 else []):
+        covered = TexelMap(_read_uvs(instance), OVERLAP_SIZE).triangles >= 0
+        taken = covered & (owners >= 0)
+        if np.count_nonzero(taken) > MAX_OVERLAP * np.count_nonzero(covered):
+            other = instances[int(np.bincount(owners[taken]).argmax())]
+            raise GeometryError(
+                f'The UV maps of "{other.name}" and "{instance.name}" overlap, but they get one texture; '
+                "pack their islands together, or select one object at a time."
+            )
+        owners[covered] = index
+
+
+def to_projection(camera: PhotoCamera, points: np.ndarray) -> CameraProjection | None:
+    """Return the projection of a camera without its distortion, with depths from the nearest to the farthest of `points` (N, 3); None if
+    all of them are behind it."""
+    depths = points @ camera.rotation[2] + camera.translation[2]
+    if not (depths > 0.0).any():
+        return None
+    far = 1.01 * float(depths.max())
+    near = max(0.99 * float(depths[depths > 0.0].min()), NEAR_FRACTION * far)
+    (width, height), (focal_x, focal_y), (center_x, center_y) = camera.lens.size, camera.lens.focal, camera.lens.center
+    projection = np.array([
+        [2.0 * focal_x / width, 0.0, 2.0 * center_x / width - 1.0, 0.0],
+        [0.0, -2.0 * focal_y / height, 1.0 - 2.0 * center_y / height, 0.0],
+        [0.0, 0.0, (far + near) / (far - near), -2.0 * far * near / (far - near)],
+        [0.0, 0.0, 1.0, 0.0],
+    ])  # fmt: skip
+    view = np.eye(4)
+    view[:3, :3], view[:3, 3] = camera.rotation, camera.translation
+    return CameraProjection(projection @ view, camera.lens.size)
+
+
+def _read_uvs(instance: SourceInstance) -> np.ndarray:
+    mesh = instance.mesh
+    if not mesh.uv_map:
+        raise GeometryError(f'"{instance.name}" has no UV map; unwrap it first.')
+    return mesh.at_corners(mesh.uv_map, np.arange(len(mesh.triangles)))

@@ -1,0 +1,116 @@
+"""Cameras of photographs as camera objects, whose background images are the photographs."""
+
+import contextlib
+import math
+from pathlib import Path
+
+import bpy
+import mathutils
+import numpy as np
+
+from ...core.errors import FileError
+from ...core.geometry.lenses import Lens, PhotoCamera
+from .photo_files import find_photograph
+from .scene_cameras import TO_PHOTO_AXES, store_lens
+
+SENSOR_SIZE = 36.0  # millimeters, along the side that the sensor spans
+OPACITY = 1.0  # of background images
+DISPLAY_FRACTION = 0.04  # size of cameras in the view relative to the diagonal of the box around all of them
+VIEW_DISTANCE = 10.0  # cameras show what is nearer than this multiple of the diagonal
+
+
+def create_cameras(
+    cameras: list[PhotoCamera], folder: Path, name: str, scene: bpy.types.Scene, *, is_y_up: bool
+) -> tuple[bpy.types.Object, int]:
+    """Create a collection with an Empty and its children, a camera object for each of `cameras`.
+
+    Args:
+        cameras: at least one.
+        folder: of the photographs. Those that are missing become images without a file.
+        name: of the collection and the Empty.
+        scene: that gets the collection, and whose render size decides the placement of the photographs.
+        is_y_up: turn all cameras, so that the y axis of their world becomes the z axis of Blender.
+
+    Returns:
+        The Empty, and the number of missing photographs.
+    """
+    collection = bpy.data.collections.new(name)
+    scene.collection.children.link(collection)
+    parent = bpy.data.objects.new(name, None)
+    collection.objects.link(parent)
+    parent.rotation_euler.x = 0.5 * math.pi if is_y_up else 0.0
+    diagonal = float(np.linalg.norm(np.ptp([camera.position for camera in cameras], axis=0)))
+    missing = 0
+    for camera in cameras:
+        image, is_found = _open_photograph(camera.name, folder)
+        missing += not is_found
+        item = _create_camera(camera, image, scene)
+        if diagonal > 0.0:
+            item.data.display_size = DISPLAY_FRACTION * diagonal
+            item.data.clip_end = max(item.data.clip_end, VIEW_DISTANCE * diagonal)
+        item.parent = parent
+        collection.objects.link(item)
+    parent.empty_display_size = max(2.0 * DISPLAY_FRACTION * diagonal, 1e-3) if diagonal > 0.0 else 1.0
+    return parent, missing
+
+
+def set_render_size(scene: bpy.types.Scene, size: tuple[int, int]) -> None:
+    """Render square pixels, `size` (width, height) of them."""
+    render = scene.render
+    render.resolution_x, render.resolution_y = size
+    render.pixel_aspect_x = render.pixel_aspect_y = 1.0
+
+
+def show_lens(data: bpy.types.Camera, lens: Lens, scene: bpy.types.Scene) -> None:
+    """Set focal length, sensor and shift of a camera like `lens` without its distortion, so that the camera view shows the photograph,
+    fitted into the render size of `scene`, where it belongs."""
+    (width, height), (focal_x, focal_y) = lens.size, lens.focal
+    render = scene.render
+    frame_aspect = render.resolution_x * render.pixel_aspect_x / (render.resolution_y * render.pixel_aspect_y)
+    data.type = "PERSP"
+    if width / focal_x > frame_aspect * height / focal_y:
+        data.sensor_fit, data.sensor_width, side = "HORIZONTAL", SENSOR_SIZE, width / focal_x
+    else:
+        data.sensor_fit, data.sensor_height, side = "VERTICAL", SENSOR_SIZE, height / focal_y
+    data.lens = SENSOR_SIZE / side
+    data.shift_x = (0.5 * width - lens.center[0]) / focal_x / side
+    data.shift_y = (lens.center[1] - 0.5 * height) / focal_y / side
+
+
+def _create_camera(camera: PhotoCamera, image: bpy.types.Image, scene: bpy.types.Scene) -> bpy.types.Object:
+    name = Path(camera.name).stem
+    data = bpy.data.cameras.new(name)
+    show_lens(data, camera.lens, scene)
+    store_lens(data, camera.lens)
+    focal_x, focal_y = camera.lens.focal
+    image.display_aspect = (focal_y / focal_x, 1.0) if focal_y > focal_x else (1.0, focal_x / focal_y)
+    background = data.background_images.new()
+    background.image, background.frame_method, background.alpha = image, "FIT", OPACITY
+    data.show_background_images = True
+    item = bpy.data.objects.new(name, data)
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = camera.rotation.T @ TO_PHOTO_AXES, camera.position
+    item.rotation_mode = "QUATERNION"  # Euler angles lose digits near the poles
+    item.matrix_basis = mathutils.Matrix(matrix.tolist())
+    return item
+
+
+def _open_photograph(name: str, folder: Path) -> tuple[bpy.types.Image, bool]:
+    """Return a new image that loads a photograph when it is needed, and whether its file was found."""
+    try:
+        path, is_found = find_photograph(folder, name), True
+    except FileError:
+        path, is_found = folder / name, False
+    image = bpy.data.images.load(str(path)) if is_found else bpy.data.images.new(path.name, 1, 1)
+    if not is_found:
+        image.source = "FILE"
+    image.filepath = _stored_path(path)
+    return image, is_found
+
+
+def _stored_path(path: Path) -> str:
+    """Return `path` relative to the .blend file if that is saved and users want that, as Blender does."""
+    if bpy.data.is_saved and bpy.context.preferences.filepaths.use_relative_paths:
+        with contextlib.suppress(ValueError):  # on another drive
+            return bpy.path.relpath(str(path))
+    return str(path)

@@ -1,0 +1,89 @@
+"""Operator of the tool `photos` that imports the cameras of other programs."""
+
+from pathlib import Path
+
+import bpy
+
+from ...bridge.photos.camera_objects import create_cameras, set_render_size
+from ...core.errors import FileError
+from ...core.files.file_access import check_unicode
+from ...core.photos.importers import read_cameras
+from ..error_reports import report_message, reports_errors
+
+COLLECTION_NAME = "Photo Cameras"
+IMAGES_FOLDER = "images"  # searched for next to the cameras and in the two folders above
+MODEL_FILES = {"cameras", "images", "points3D", "frames", "rigs"}  # of COLMAP, with these extensions; their folder is read
+MODEL_EXTENSIONS = {".txt", ".bin"}
+FILTER = "*.txt;*.bin;*.json;*.sfm;*.out;*.nvm;*.mvs;*.xml"
+
+
+class FARFIELD_OT_photos_import_cameras(bpy.types.Operator):
+    """Import registered cameras of COLMAP, Metashape, NeRF programs and others, with their photographs as background images"""
+
+    bl_idname = "farfield.photos_import_cameras"
+    bl_label = "Import Cameras of Photographs"
+    bl_options = {"REGISTER", "UNDO"}
+    __annotations__ = {
+        "filepath": bpy.props.StringProperty(name="File", description="File or folder with the cameras", subtype="FILE_PATH"),
+        "filter_glob": bpy.props.StringProperty(default=FILTER, options={"HIDDEN"}),
+        "images": bpy.props.StringProperty(
+            name="Images",
+            description="Folder of the photographs. By default the folder images next to the cameras or above them",
+            subtype="DIR_PATH",
+            options={"SKIP_SAVE"},
+        ),
+        "y_up": bpy.props.BoolProperty(
+            name="Y Up", description="Turn the cameras like Blender turns the meshes of .obj and .glb files, so that their y axis points up"
+        ),
+        "set_render_size": bpy.props.BoolProperty(
+            name="Set Render Size", description="Set the resolution of the scene to the size of the first photograph"
+        ),
+    }
+
+    @reports_errors
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Open the file browser."""
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Read the cameras and create objects for them."""
+        path = _absolute(self.filepath)
+        folder = _absolute(self.images) if self.images else find_images(path if path.is_dir() else path.parent)
+        is_model = path.stem in MODEL_FILES and path.suffix.lower() in MODEL_EXTENSIONS and path.is_file()
+        cameras = read_cameras(path.parent if is_model else path)
+        if not cameras:
+            raise FileError(f'"{path}" holds no registered camera; align the photographs and export it again.')
+        if self.set_render_size:
+            set_render_size(context.scene, cameras[0].lens.size)
+        parent, missing = create_cameras(cameras, folder, COLLECTION_NAME, context.scene, is_y_up=self.y_up)
+        if context.scene.camera is None:
+            context.scene.camera = parent.children[0]
+        message = f"Imported {_count(len(cameras), 'camera')}."
+        if missing:
+            message += f' {_count(missing, "photograph")} not found in "{folder}".'
+        report_message(self, message, "WARNING" if missing else "INFO")
+        return {"FINISHED"}
+
+
+def find_images(folder: Path) -> Path:
+    """Return the folder of the photographs for cameras in `folder`: `images` in it or in one of the two above, otherwise `folder`."""
+    candidates = (parent / IMAGES_FOLDER for parent in (folder, *folder.parents[:2]))
+    return next((candidate for candidate in candidates if candidate.is_dir()), folder)
+
+
+def _absolute(text: str) -> Path:
+    """Return the path that a user has entered. Raises FileError."""
+    if not text:
+        raise FileError("No file is chosen; choose a file or folder with cameras.")
+    path = Path(bpy.path.abspath(text))
+    check_unicode(path)
+    return path.absolute()
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+register, unregister = bpy.utils.register_classes_factory((FARFIELD_OT_photos_import_cameras,))

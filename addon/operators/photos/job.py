@@ -1,0 +1,173 @@
+"""The job of the operator *Merge*: reads photographs, unwraps meshes without a UV map, and writes texture and material."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import bpy
+import numpy as np
+
+from ...bridge.meshes import SourceInstance, concatenate_in_world_space, read_instances
+from ...bridge.photos.photo_images import PhotoSource
+from ...bridge.photos.results import assign_texture, create_map_image, create_texture_image
+from ...bridge.photos.surfaces import check_separate_uvs, read_surface, to_projection
+from ...bridge.session_ids import find_by_uid
+from ...core.errors import GeometryError
+from ...core.geometry.cameras import CameraProjection
+from ...core.geometry.geometry_2d import signed_areas
+from ...core.geometry.mesh import face_areas_and_normals
+from ...core.jobs.progress import Progress, Steps, subprogress
+from ...core.photos.merging import PhotoTexture, merge
+from ...core.photos.settings import PhotosSettings
+from ...core.unwrap.packing import pack_charts
+from ...core.unwrap.settings import UnwrapSettings
+from ...core.unwrap.unwrapping import UnwrapResult
+from ..unwrap import job as unwrap_job
+from .sources import divide_targets, open_photographs
+
+READING_END, UNWRAPPING_END = 0.15, 0.5  # fractions of the progress bar
+DENSITY_RATIO = 5.0**0.5  # of importance 1 / (<N, V> + 1.5) (Textures Revisited, section 6)
+MIN_QUALITY = 0.05
+SUFFIX = " Photo Texture"
+
+
+@dataclass
+class MergeJob:
+    """Merges photographs into one texture for all targets.
+
+    targets: session UIDs and names of the objects. instances: their surfaces. unwrapping: the job that unwraps all of them, None if they
+    have UV maps. has_maps: also create images of confidence, source and holes. skipped: other objects with the reason.
+    """
+
+    core_fraction = 0.95
+
+    targets: list[tuple[int, str]]
+    instances: list[SourceInstance]
+    sources: list[PhotoSource]
+    settings: PhotosSettings
+    unwrapping: unwrap_job.UnwrapJob | None
+    has_maps: bool
+    skipped: list[str]
+
+    def core_steps(self) -> Steps[tuple[list[UnwrapResult], PhotoTexture]]:
+        """Read the photographs, unwrap and merge."""
+        photographs, unwrapped, new_uvs, end = [], [], {}, READING_END
+        for index, source in enumerate(self.sources):
+            yield Progress(READING_END * index / len(self.sources), "Reading photographs")
+            photographs.append(source.read())
+        if self.unwrapping is not None:
+            results = yield from subprogress(self.unwrapping.core_steps(), READING_END, UNWRAPPING_END)
+            yield Progress(UNWRAPPING_END, "Packing")
+            unwrapped = _pack_together(self.unwrapping, results)
+            new_uvs = {instance.object_uid: result.corner_uvs for instance, result in zip(self.instances, unwrapped, strict=True)}
+            end = UNWRAPPING_END
+        surface = read_surface(self.instances, new_uvs)
+        texture = yield from subprogress(merge(surface.mesh, surface.corner_uvs, photographs, self.settings), end, 1.0)
+        return unwrapped, texture
+
+    def scene_steps(self, core_result: tuple[list[UnwrapResult], PhotoTexture]) -> Steps[str]:
+        """Write UV maps, images and the material.
+
+        Raises:
+            GeometryError: an object was removed or edited in the meantime; nothing was changed.
+        """
+        unwrapped, texture = core_result
+        yield Progress(0.0, "Creating the texture")
+        objects = [self._find_target(*target) for target in self.targets]
+        if self.unwrapping is not None:
+            yield from subprogress(self.unwrapping.scene_steps(unwrapped), 0.0, 0.1)
+        name = self.targets[0][1] + SUFFIX
+        has_alpha = self.settings.fill == "none"
+        image = create_texture_image(name, texture.colors, texture.holes if has_alpha else None)
+        assign_texture(objects, image, name, has_alpha=has_alpha)
+        if self.has_maps:
+            yield Progress(0.6, "Creating the maps")
+            create_map_image(f"{name} Confidence", texture.confidence)
+            create_map_image(f"{name} Source", (texture.source + 1.0) / len(self.sources))
+            create_map_image(f"{name} Holes", texture.holes)
+        return self._summarize(image.name, texture)
+
+    def _find_target(self, uid: int, name: str) -> bpy.types.Object:
+        item = find_by_uid(bpy.data.objects, uid)
+        if item is None or item.type != "MESH":
+            raise GeometryError(f'"{name}" was removed while its texture was computed; nothing was changed.')
+        return item
+
+    def _summarize(self, image: str, texture: PhotoTexture) -> str:
+        surface = np.count_nonzero(texture.holes | (texture.source >= 0))
+        photographs = "1 photograph" if len(self.sources) == 1 else f"{len(self.sources)} photographs"
+        message = f'Merged {photographs} into "{image}"; {np.count_nonzero(texture.holes) / max(surface, 1):.1%} of the surface is in none.'
+        names = [source.camera.name for index, source in enumerate(self.sources) if not (texture.source == index).any()]
+        if names:
+            message += f" Not used: {', '.join(names)}."
+        return message + (f" Skipped: {'; '.join(self.skipped)}." if self.skipped else "")
+
+
+def prepare(context: bpy.types.Context, settings: PhotosSettings, *, has_maps: bool) -> MergeJob:
+    """Return the job that merges the photographs of the cameras into a texture for the selected meshes.
+
+    Raises:
+        GeometryError: no mesh can be textured, only some have a UV map, or UV maps overlap.
+        SettingsError: there are no cameras, or one cannot be used.
+        FileError, ImageError: a photograph cannot be used.
+    """
+    objects, skipped = divide_targets(context)
+    sources = open_photographs(context)
+    instances = read_instances(objects, context.evaluated_depsgraph_get())
+    if not instances:
+        raise GeometryError(f'"{objects[0].name}" has no faces after its modifiers; select another object.')
+    missing = [instance for instance in instances if not instance.mesh.uv_map]
+    unwrapping = None
+    if missing:
+        if len(missing) < len(instances):
+            other = next(instance for instance in instances if instance.mesh.uv_map)
+            raise GeometryError(
+                f'"{missing[0].name}" has no UV map, but "{other.name}" has one, and they get one texture; unwrap "{missing[0].name}" '
+                "into a free part of it, or select one object at a time."
+            )
+        unwrapping = _prepare_unwrapping(context, objects, instances, sources)
+    else:
+        check_separate_uvs(instances)
+    targets = [(item.session_uid, item.name) for item in objects]
+    return MergeJob(targets, instances, sources, settings, unwrapping, has_maps, skipped)
+
+
+def _prepare_unwrapping(
+    context: bpy.types.Context, objects: list[bpy.types.Object], instances: list[SourceInstance], sources: list[PhotoSource]
+) -> unwrap_job.UnwrapJob:
+    """Return the job that unwraps `objects` with more texels where the photographs show more. Raises GeometryError."""
+    job = unwrap_job.prepare(context, objects, UnwrapSettings(min_quality=MIN_QUALITY))
+    faces = [target.loops for target in job.targets]
+    same = len(faces) == len(instances) and all(
+        np.array_equal(loops, instance.mesh.loops) for loops, instance in zip(faces, instances, strict=True)
+    )
+    if not same:
+        reason = f" {job.skipped[0]}." if job.skipped else ""
+        raise GeometryError(
+            f'"{instances[0].name}" cannot be unwrapped together with its modifiers, instances or linked duplicates;{reason} '
+            "apply them, or unwrap it first."
+        )
+    cameras = _project(instances, sources)
+    settings = replace(job.settings, importance="cameras", density_ratio=DENSITY_RATIO) if cameras else job.settings
+    return replace(job, cameras=cameras, occluders=instances, settings=settings)
+
+
+def _project(instances: list[SourceInstance], sources: list[PhotoSource]) -> list[CameraProjection]:
+    vertices = concatenate_in_world_space(instances).vertices
+    projections = (to_projection(source.camera, vertices) for source in sources)
+    return [projection for projection in projections if projection is not None]
+
+
+def _pack_together(job: unwrap_job.UnwrapJob, results: Sequence[UnwrapResult]) -> list[UnwrapResult]:
+    """Return the UV maps of several meshes in one unit square, each with the area of its surface."""
+    if len(results) == 1:
+        return list(results)
+    scaled = []
+    for target, result in zip(job.targets, results, strict=True):
+        area, uv_area = face_areas_and_normals(target.mesh.corners)[0].sum(), np.abs(signed_areas(result.corner_uvs)).sum()
+        scaled.append(result.corner_uvs.reshape(-1, 2) * np.sqrt(area / uv_area))
+    packed = pack_charts(scaled, [np.arange(len(uvs)).reshape(-1, 3) for uvs in scaled], job.settings.margin)
+    corner_uvs = [uvs.reshape(-1, 3, 2) for uvs in packed]
+    return [
+        replace(result, corner_uvs=uvs, metrics=replace(result.metrics, fill=float(np.abs(signed_areas(uvs)).sum())))
+        for result, uvs in zip(results, corner_uvs, strict=True)
+    ]

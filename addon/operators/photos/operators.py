@@ -1,0 +1,55 @@
+"""Operator of the tool `photos` that merges photographs into a texture."""
+
+import bpy
+
+from ...core.photos.settings import PhotosSettings
+from .. import long_work, properties, start_job
+from .job import MergeJob, prepare
+from .sources import disabled_reason
+
+MAPS = {"name": "Maps", "description": "Also create images of confidence, source photograph and holes"}
+
+
+class FARFIELD_PG_photos(bpy.types.PropertyGroup):
+    """Settings of the panel *Photo Texture*, stored per scene."""
+
+    __annotations__ = properties.build_annotations(PhotosSettings, set()) | {"maps": bpy.props.BoolProperty(**MAPS)}
+
+
+class FARFIELD_OT_photos_merge(start_job.StartJob, bpy.types.Operator):
+    """Merge photographs into one texture for the selected meshes, and give them a material with it. The photographs are the background
+    images of the selected cameras, of those below selected Empties, or otherwise of all visible cameras"""
+
+    bl_idname = "farfield.photos_merge"
+    bl_label = "Merge Photographs into Texture"
+    bl_options = {"REGISTER", "UNDO"}
+    settings_types, panel_property = (PhotosSettings,), "farfield_photos"
+    __annotations__ = start_job.setting_properties(*settings_types) | {"maps": bpy.props.BoolProperty(**MAPS, options={"SKIP_SAVE"})}
+
+    @classmethod
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
+        """Return why nothing can be merged now, or an empty string."""
+        return long_work.running_job_message() or disabled_reason(context)
+
+    def prepare(self, context: bpy.types.Context) -> MergeJob:
+        """Read meshes and cameras."""
+        [settings] = self.read_settings(context)
+        if not self.properties.is_property_set("maps"):
+            self.maps = context.scene.farfield_photos.maps
+        return prepare(context, settings, has_maps=self.maps)
+
+
+CLASSES = (FARFIELD_PG_photos, FARFIELD_OT_photos_merge)
+register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
+
+
+def register() -> None:
+    """Register the classes and add the settings to scenes."""
+    register_classes()
+    bpy.types.Scene.farfield_photos = bpy.props.PointerProperty(type=FARFIELD_PG_photos)
+
+
+def unregister() -> None:
+    """Remove the settings from scenes and unregister the classes."""
+    del bpy.types.Scene.farfield_photos
+    unregister_classes()

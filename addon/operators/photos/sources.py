@@ -1,0 +1,81 @@
+"""The objects that get a texture, and the cameras with their photographs."""
+
+import bpy
+
+from ...bridge.meshes import describe_type
+from ...bridge.photos.photo_images import PhotoSource, open_background
+from ...bridge.photos.scene_cameras import find_background, has_photograph, read_photo_camera
+from ...core.errors import GeometryError, SettingsError
+
+NO_CAMERAS = "Import cameras, or give cameras background images"
+NO_MESH = "Select a mesh object"
+
+
+def find_cameras(context: bpy.types.Context) -> list[bpy.types.Object]:
+    """Return the cameras whose photographs are used: the selected ones and those below selected Empties, otherwise all visible ones. A
+    camera without a background image does not count."""
+    parents = [item for item in context.selected_objects if item.type == "EMPTY"]
+    selected = {*context.selected_objects, *(child for parent in parents for child in parent.children_recursive)}
+    objects = [item for item in context.view_layer.objects if has_photograph(item)]
+    return [item for item in objects if item in selected] or [item for item in objects if item.visible_get()]
+
+
+def selected_meshes(context: bpy.types.Context) -> list[bpy.types.Object]:
+    """Return the selected mesh objects."""
+    return [item for item in context.selected_objects if item.type == "MESH"]
+
+
+def disabled_reason(context: bpy.types.Context) -> str:
+    """Return why there is nothing to merge, or an empty string."""
+    if context.mode != "OBJECT":
+        return "Switch to Object Mode"
+    if not find_cameras(context):
+        return NO_CAMERAS
+    return "" if selected_meshes(context) else NO_MESH
+
+
+def open_photographs(context: bpy.types.Context) -> list[PhotoSource]:
+    """Return the photographs of all cameras that `find_cameras` finds.
+
+    Raises:
+        SettingsError: there is none, or a camera cannot be used.
+        FileError, ImageError: a photograph cannot be used.
+    """
+    cameras = find_cameras(context)
+    if not cameras:
+        raise SettingsError(f"There is no camera with a photograph; {NO_CAMERAS.lower()}.")
+    depsgraph = context.evaluated_depsgraph_get()
+    return [
+        open_background(read_photo_camera(item, context.scene, depsgraph), find_background(item.evaluated_get(depsgraph).data))
+        for item in cameras
+    ]
+
+
+def divide_targets(context: bpy.types.Context) -> tuple[list[bpy.types.Object], list[str]]:
+    """Return the selected meshes that can get a texture, and the other selected objects but cameras and Empties, with the reason.
+
+    Raises:
+        GeometryError: there is no such mesh.
+    """
+    targets, skipped = [], []
+    for item in context.selected_objects:
+        if item.type in {"CAMERA", "EMPTY"}:
+            continue
+        reason = _skip_reason(item)
+        if reason:
+            skipped.append(f"{item.name} ({reason})")
+        else:
+            targets.append(item)
+    if not targets:
+        raise GeometryError(f"There is nothing to texture: {'; '.join(skipped) or 'no object is selected'}. Select a local mesh object.")
+    return targets, skipped
+
+
+def _skip_reason(item: bpy.types.Object) -> str:
+    if item.type != "MESH":
+        return f"{describe_type(item)} cannot be textured; convert it to a mesh"
+    if not item.data.is_editable or not item.is_editable:
+        return "linked from a library; make it local"
+    if not item.visible_get():
+        return "hidden"
+    return "" if len(item.data.polygons) else "no faces"
