@@ -20,7 +20,7 @@ import bpy
 import numpy as np
 
 from farfield.addon.bridge.meshes import read_instances
-from farfield.addon.bridge.photos.photo_files import read_photograph
+from farfield.addon.bridge.photos.photo_files import read_photograph, size_reader
 from farfield.addon.bridge.photos.results import assign_texture, create_texture_image
 from farfield.addon.bridge.photos.surfaces import read_surface
 from farfield.addon.core.errors import FileError
@@ -49,7 +49,7 @@ def build_parser() -> command_line.Parser:
         "--cameras",
         type=command_line.parse_path,
         required=True,
-        help="the cameras: a folder of COLMAP, a transforms.json, or an .xml file of Metashape",
+        help="the cameras: a folder of COLMAP, or a transforms.json, .sfm, .out, .nvm, .mvs, or .xml file of Metashape",
     )
     parser.add_argument("--images", type=command_line.parse_path, required=True, help="the folder of the photographs")
     parser.add_argument("--out", type=command_line.parse_path, help="the textured mesh to write: .blend, .obj or .glb")
@@ -73,7 +73,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     check_outputs(outputs, {"the input": given.input}, given.report)
     clock = StageClock()
     with clock.stage("cameras"):
-        cameras = read_cameras(given.cameras.absolute())
+        cameras = read_cameras(given.cameras.absolute(), size_reader(given.images.absolute()))
     with clock.stage("mesh"):
         objects = read_objects(given.input.absolute())
     with clock.stage("unwrap"):

@@ -77,6 +77,25 @@ def read_image_file(path: Path, *, is_color: bool = True) -> ImageFile:
     return ImageFile(to_pixels(stored[::-1], storage), storage, stored, file_format, is_color, spec)
 
 
+def read_image_size(path: Path) -> tuple[int, int]:
+    """Return width and height of an image without reading its pixels.
+
+    Raises:
+        FileError: the file cannot be read as an image.
+    """
+    _read_format(path)
+    oiio = _import_oiio(path)
+    file = oiio.ImageInput.open(str(path))
+    if file is None:
+        oiio.geterror()  # reads and clears it
+        raise _damaged(path)
+    try:
+        spec = file.spec()
+        return spec.width, spec.height
+    finally:
+        file.close()
+
+
 def write_image_file(path: Path, pixels: np.ndarray, like: ImageFile, changed: np.ndarray) -> None:
     """Write `pixels` (H, W, C), row 0 at the bottom, to a file with the header of `like`; the extension selects the format.
 

@@ -12,7 +12,7 @@ SIZE = (640, 480)
 COEFFICIENTS = {  # typical deviations of the coefficients of each model
     "SIMPLE_PINHOLE": (), "PINHOLE": (), "SIMPLE_RADIAL": (0.1,), "RADIAL": (0.1, 0.03), "OPENCV": (0.1, 0.03, 0.003, 0.003),
     "OPENCV_FISHEYE": (0.05, 0.01, 0.005, 0.001), "FULL_OPENCV": (0.1, 0.03, 0.003, 0.003, 0.01, 0.02, 0.01, 0.005), "FOV": (0.3,),
-    "SIMPLE_RADIAL_FISHEYE": (0.05,), "RADIAL_FISHEYE": (0.05, 0.01),
+    "INVERSE_RADIAL": (0.1,), "SIMPLE_RADIAL_FISHEYE": (0.05,), "RADIAL_FISHEYE": (0.05, 0.01),
     "THIN_PRISM_FISHEYE": (0.05, 0.01, 0.002, 0.002, 0.005, 0.001, 0.002, 0.002),
 }  # fmt: skip
 
@@ -97,3 +97,15 @@ def test_a_camera_sees_its_own_position_at_the_origin():
     ahead = camera.position + 2.0 * rotation[2]
     positions, depths, is_valid = camera.project(ahead[None])
     assert positions[0] == pytest.approx([320.0, 240.0]) and depths[0] == pytest.approx(2.0) and is_valid[0]
+
+
+@pytest.mark.parametrize("k", [-0.2, 0.0, 0.3])
+def test_an_inverse_radial_lens_solves_its_equation(k):
+    """d (1 + k d^2) = r, also where that has no solution: there the lens is not valid."""
+    lens = Lens("INVERSE_RADIAL", SIZE, (1.0, 1.0), (0.0, 0.0), (k,))
+    radii = np.linspace(0.0, 3.0, 61)
+    positions, is_valid = lens.project(np.stack([radii, np.zeros(61), np.ones(61)], axis=1))
+    distorted = positions[is_valid, 0]
+    assert distorted * (1.0 + k * distorted**2) == pytest.approx(radii[is_valid], abs=1e-9)
+    largest = 2.0 / 3.0 * np.sqrt(-1.0 / (3.0 * k)) if k < 0.0 else np.inf
+    assert is_valid[radii < 0.99 * largest].all() and not is_valid[radii > 1.01 * largest].any()

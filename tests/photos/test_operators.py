@@ -7,7 +7,7 @@ from mathutils import Matrix
 
 from farfield.addon.bridge.images import read_pixels
 from farfield.addon.bridge.photos.camera_objects import create_cameras
-from farfield.addon.bridge.photos.scene_cameras import LENS_PROPERTY
+from farfield.addon.bridge.photos.scene_cameras import LENS_PROPERTY, read_lens
 from farfield.addon.core.geometry.geometry_2d import signed_areas
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.photos.merging import merge
@@ -132,6 +132,15 @@ class TestImport:
         assert (bpy.context.scene.render.resolution_x, bpy.context.scene.render.resolution_y) == before
         import_cameras(project, set_render_size=True)
         assert (bpy.context.scene.render.resolution_x, bpy.context.scene.render.resolution_y) == (300, 240)
+
+    def test_sizes_that_the_file_lacks_are_read_from_the_photographs(self, project, capfd):
+        (project / "model.nvm").write_text("NVM_V3\n1\n1.png 280 1 0 0 0 0 0 0 0 0\n", encoding="utf-8")
+        camera = import_cameras(project / "model.nvm").objects["1"]
+        lens = read_lens(camera.data)
+        assert lens.size == (300, 240) and lens.center == (150.0, 120.0) and lens.model == "INVERSE_RADIAL"
+        (project / "images" / "1.png").unlink()
+        with pytest.raises(RuntimeError, match=r'There is no photograph "1\.png"'):
+            bpy.ops.farfield.photos_import_cameras(filepath=str(project / "model.nvm"))
 
     def test_paths_are_relative_in_a_saved_file(self, project):
         bpy.ops.wm.save_as_mainfile(filepath=str(project / "project.blend"))

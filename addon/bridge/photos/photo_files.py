@@ -1,5 +1,6 @@
 """Photographs read from files."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 from ...core.errors import FileError, ImageError
 from ...core.geometry.lenses import PhotoCamera
 from ...core.photos.photographs import Photograph
-from ..image_files import EXTENSIONS, read_image_file
+from ..image_files import EXTENSIONS, read_image_file, read_image_size
 
 
 def read_photograph(camera: PhotoCamera, folder: Path) -> Photograph:
@@ -35,6 +36,11 @@ def read_photograph_file(camera: PhotoCamera, path: Path) -> Photograph:
     photograph = Photograph(camera, np.ascontiguousarray(pixels), mask)
     photograph.check()
     return photograph
+
+
+def size_reader(folder: Path) -> Callable[[str], tuple[int, int]]:
+    """Return a function from the name of a photograph in `folder` to its width and height, for cameras whose file does not contain them."""
+    return lambda name: read_image_size(find_photograph(folder, name))
 
 
 def find_photograph(folder: Path, name: str) -> Path:

@@ -82,6 +82,21 @@ def _distort_fov(u: np.ndarray, v: np.ndarray, coefficients: tuple[float, ...]) 
     return u * factor, v * factor
 
 
+def _distort_inversely(u: np.ndarray, v: np.ndarray, coefficients: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """k: the distorted radius d of a tangent with length r solves d (1 + k d^2) = r, by Newton steps; beyond its range it is constant."""
+    (k,) = coefficients
+    radius = np.hypot(u, v)
+    largest = np.sqrt(-1.0 / (3.0 * k)) if k < 0.0 else np.inf
+    distorted = (
+        np.minimum(radius, np.maximum(radius, 1.0) ** (1.0 / 3.0) / abs(k) ** (1.0 / 3.0)) if k > 0.0 else np.minimum(radius, largest)
+    )
+    for _ in range(ITERATIONS if k else 0):
+        derivative = np.maximum(1.0 + 3.0 * k * distorted**2, MIN_RADIUS)
+        distorted = np.clip(distorted - (distorted * (1.0 + k * distorted**2) - radius) / derivative, 0.0, largest)
+    factor = np.where(radius > MIN_RADIUS, distorted / np.maximum(radius, MIN_RADIUS), 1.0)
+    return u * factor, v * factor
+
+
 @dataclass(frozen=True)
 class LensModel:
     """A model: whether both focal lengths are equal, the number of further coefficients, and the distortion."""
@@ -103,6 +118,7 @@ MODELS = {
     "SIMPLE_RADIAL_FISHEYE": LensModel(True, 1, _distort_fisheye),
     "RADIAL_FISHEYE": LensModel(True, 2, _distort_fisheye),
     "THIN_PRISM_FISHEYE": LensModel(False, 8, _distort_thin_prism),
+    "INVERSE_RADIAL": LensModel(True, 1, _distort_inversely),  # of VisualSFM, not of COLMAP
 }
 
 

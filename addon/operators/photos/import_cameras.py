@@ -5,6 +5,7 @@ from pathlib import Path
 import bpy
 
 from ...bridge.photos.camera_objects import create_cameras, set_render_size
+from ...bridge.photos.photo_files import size_reader
 from ...core.errors import FileError
 from ...core.files.file_access import check_unicode
 from ...core.photos.importers import read_cameras
@@ -52,7 +53,7 @@ class FARFIELD_OT_photos_import_cameras(bpy.types.Operator):
         path = _absolute(self.filepath)
         folder = _absolute(self.images) if self.images else find_images(path if path.is_dir() else path.parent)
         is_model = path.stem in MODEL_FILES and path.suffix.lower() in MODEL_EXTENSIONS and path.is_file()
-        cameras = read_cameras(path.parent if is_model else path)
+        cameras = read_cameras(path.parent if is_model else path, size_reader(folder))
         if not cameras:
             raise FileError(f'"{path}" holds no registered camera; align the photographs and export it again.')
         if self.set_render_size:

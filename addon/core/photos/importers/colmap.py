@@ -8,6 +8,8 @@ import numpy as np
 from ...errors import FileError
 from ...files.file_access import check_readable, convert_os_errors
 from ...geometry.lenses import MODELS, Lens, PhotoCamera
+from .binary import BinaryReader
+from .quaternions import rotation_of_quaternion
 
 EXTENSIONS = (".bin", ".txt")
 MODEL_NUMBERS = (  # in binary files
@@ -44,7 +46,9 @@ def read_folder(folder: Path) -> list[PhotoCamera]:
             raise FileError(
                 f'The image "{name}" in "{images_path}" has the camera {lens_id}, which does not exist; export both files again.'
             )
-        cameras.append(PhotoCamera(name, lenses[lens_id], _rotation(quaternion, images_path), np.array(translation, np.float64)))
+        cameras.append(
+            PhotoCamera(name, lenses[lens_id], rotation_of_quaternion(quaternion, images_path), np.array(translation, np.float64))
+        )
     return cameras
 
 
@@ -55,19 +59,6 @@ def _build_lens(model: str, width: int, height: int, values: list[float]) -> Len
     count = 1 if MODELS[model].is_isotropic else 2
     focal = (values[0], values[count - 1])
     return Lens(model, (width, height), focal, (values[count], values[count + 1]), tuple(values[count + 2 :]))
-
-
-def _rotation(quaternion: tuple[float, ...], path: Path) -> np.ndarray:
-    """Return the rotation matrix (3, 3) of a quaternion (w, x, y, z), which is normalized."""
-    length = float(np.linalg.norm(quaternion))
-    if not np.isfinite(length) or length < 1e-6:
-        raise FileError(f'An image in "{path}" has no rotation; export the cameras again.')
-    w, x, y, z = np.array(quaternion, np.float64) / length
-    return np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
 
 
 def _read_text_cameras(path: Path) -> dict[int, Lens]:
@@ -97,38 +88,8 @@ def _read_lines(path: Path) -> list[str]:
         return path.read_text(encoding="utf-8").splitlines()
 
 
-class _Reader:
-    """Reads numbers from the bytes of a file; struct.error at its end."""
-
-    def __init__(self, path: Path) -> None:
-        with convert_os_errors(f'Cannot read "{path}"'):
-            self._bytes = path.read_bytes()
-        self._position = 0
-
-    def read(self, layout: str) -> tuple:
-        values = struct.unpack_from("<" + layout, self._bytes, self._position)
-        self._position += struct.calcsize("<" + layout)
-        return values
-
-    def read_count(self, item_bytes: int) -> int:
-        """Read the number of items that follow, of at least `item_bytes` bytes each."""
-        (count,) = self.read("Q")
-        if count * item_bytes > len(self._bytes) - self._position:
-            raise ValueError("more items than bytes")
-        return count
-
-    def read_text(self) -> str:
-        end = self._bytes.index(b"\0", self._position)
-        text = self._bytes[self._position : end].decode("utf-8")
-        self._position = end + 1
-        return text
-
-    def skip(self, count: int) -> None:
-        self._position += count
-
-
 def _read_binary_cameras(path: Path) -> dict[int, Lens]:
-    reader, lenses = _Reader(path), {}
+    reader, lenses = _open(path), {}
     for _ in range(reader.read_count(24)):
         number, model_number, width, height = reader.read("iiQQ")
         if not 0 <= model_number < len(MODEL_NUMBERS):
@@ -141,10 +102,15 @@ def _read_binary_cameras(path: Path) -> dict[int, Lens]:
 
 def _read_binary_images(path: Path) -> list[tuple[str, int, tuple[float, ...], tuple[float, ...]]]:
     """Return name, camera, quaternion and translation of each image."""
-    reader, poses = _Reader(path), []
+    reader, poses = _open(path), []
     for _ in range(reader.read_count(64)):
         _, *numbers, lens_id = reader.read("i7di")
         name = reader.read_text()
         reader.skip(POINT_BYTES * reader.read_count(POINT_BYTES))
         poses.append((name, lens_id, tuple(numbers[:4]), tuple(numbers[4:])))
     return poses
+
+
+def _open(path: Path) -> BinaryReader:
+    with convert_os_errors(f'Cannot read "{path}"'):
+        return BinaryReader(path.read_bytes())

@@ -1,0 +1,96 @@
+"""Cameras of Meshroom (AliceVision): `.sfm` files and their `.json` twins. Numbers are texts; rotations are column-major."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import FileError
+from ...files.file_access import check_readable, convert_os_errors
+from ...geometry.lenses import Lens, PhotoCamera
+
+EXTENSION = ".sfm"
+OFFSET_VERSION = (1, 2, 1)  # from here on, principal points are offsets from the center of the image
+LENSES = {  # model of the distortion to that of the lens, and the places of its parameters among the coefficients
+    "none": ("PINHOLE", ()),
+    "radialk1": ("FULL_OPENCV", (0,)),
+    "radialk3": ("FULL_OPENCV", (0, 1, 4)),
+    "brown": ("FULL_OPENCV", (0, 1, 4, 2, 3)),
+    "fisheye4": ("OPENCV_FISHEYE", (0, 1, 2, 3)),
+    "fisheye1": ("FOV", (0,)),
+}
+OLD_TYPES = {
+    "pinhole": "none",
+    "radial1": "radialk1",
+    "radial3": "radialk3",
+    "brown": "brown",
+    "fisheye4": "fisheye4",
+    "fisheye1": "fisheye1",
+}
+COEFFICIENT_COUNTS = {"PINHOLE": 0, "FULL_OPENCV": 8, "OPENCV_FISHEYE": 4, "FOV": 1}
+MAX_RATIO_ERROR = 1e-6
+
+
+def read_meshroom(path: Path) -> list[PhotoCamera]:
+    """Read the cameras of all views with a pose, in the order of their names.
+
+    Raises:
+        FileError: the file cannot be read, has no pose, or has a rig, anamorphic pixels, or a distortion that no lens model here has.
+    """
+    check_readable(path)
+    with convert_os_errors(f'Cannot read "{path}"'):
+        data = path.read_bytes()
+    try:
+        document = json.loads(data)
+        version = tuple(int(part) for part in document.get("version", ("1", "0", "0")))
+        intrinsics = {item["intrinsicId"]: item for item in document.get("intrinsics", [])}
+        poses = {item["poseId"]: item["pose"]["transform"] for item in document.get("poses", [])}
+        views = [view for view in document.get("views", []) if view["poseId"] in poses]
+        cameras = [_build_camera(view, intrinsics[view["intrinsicId"]], poses[view["poseId"]], version, path) for view in views]
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError, RecursionError) as error:
+        raise FileError(f'The cameras in "{path}" are damaged or incomplete; export them again.') from error
+    if not cameras:
+        raise FileError(f'There is no view with a pose in "{path}"; run the node StructureFromMotion first.')
+    return sorted(cameras, key=lambda camera: camera.name)
+
+
+def _build_camera(
+    view: dict[str, Any], intrinsic: dict[str, Any], pose: dict[str, Any], version: tuple[int, ...], path: Path
+) -> PhotoCamera:
+    if "rigId" in view and "subPoseId" in view and view.get("isPoseIndependant") in ("false", "0", False):
+        raise FileError(f'"{path}" has a rig of cameras, which Farfield does not know; export the cameras without rigs.')
+    rotation = np.array([float(value) for value in pose["rotation"]]).reshape(3, 3).T
+    center = np.array([float(value) for value in pose["center"]]).reshape(3)
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or not np.isfinite(center).all():
+        raise ValueError("not a rotation")
+    return PhotoCamera(str(view["path"]).replace("\\", "/"), _build_lens(intrinsic, version, path), rotation, -rotation @ center)
+
+
+def _build_lens(intrinsic: dict[str, Any], version: tuple[int, ...], path: Path) -> Lens:
+    size = (int(intrinsic["width"]), int(intrinsic["height"]))
+    center = np.array([float(value) for value in intrinsic["principalPoint"]]).reshape(2)
+    if version >= OFFSET_VERSION:
+        center = center + 0.5 * np.array(size)
+    kind = intrinsic.get("distortionType") or OLD_TYPES.get(str(intrinsic["type"]), str(intrinsic["type"]))
+    if kind not in LENSES:
+        raise FileError(f'"{path}" has a lens of the type "{kind}"; export undistorted photographs instead.')
+    model, places = LENSES[kind]
+    coefficients = np.zeros(COEFFICIENT_COUNTS[model])
+    parameters = [float(value) for value in intrinsic.get("distortionParams") or ()]
+    if len(parameters) > len(places) and any(parameters[len(places) :]):
+        raise ValueError("more parameters than the model has")
+    for place, value in zip(places, parameters, strict=False):
+        coefficients[place] = value
+    return Lens(model, size, _read_focal(intrinsic, size, path), (float(center[0]), float(center[1])), tuple(coefficients.tolist()))
+
+
+def _read_focal(intrinsic: dict[str, Any], size: tuple[int, int], path: Path) -> tuple[float, float]:
+    if "pxFocalLength" in intrinsic:
+        values = intrinsic["pxFocalLength"]
+        numbers = [float(value) for value in (values if isinstance(values, list) else [values])]
+        return numbers[0], numbers[-1]
+    if abs(float(intrinsic.get("pixelRatio", 1.0)) - 1.0) > MAX_RATIO_ERROR:
+        raise FileError(f'"{path}" has a lens with pixels that are not square; export undistorted photographs instead.')
+    focal = float(intrinsic["focalLength"]) / float(intrinsic["sensorWidth"]) * size[0]
+    return focal, focal
