@@ -49,7 +49,7 @@ def build_parser() -> command_line.Parser:
         "--cameras",
         type=command_line.parse_path,
         required=True,
-        help="the cameras: a folder of COLMAP, or a transforms.json, .sfm, .out, .nvm, .mvs, or .xml file of Metashape",
+        help="the cameras: a folder of COLMAP, or a transforms.json, .sfm, .out, .nvm, .mvs, .xml or .pairs file",
     )
     parser.add_argument("--images", type=command_line.parse_path, required=True, help="the folder of the photographs")
     parser.add_argument("--out", type=command_line.parse_path, help="the textured mesh to write: .blend, .obj or .glb")

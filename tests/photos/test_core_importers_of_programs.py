@@ -221,3 +221,34 @@ def test_what_cannot_be_read_is_one_sentence(tmp_path):
     (tmp_path / "empty.nvm").write_text("NVM_V3\n0\n", encoding="utf-8")
     with pytest.raises(FileError, match="no registered camera"):
         read_cameras(tmp_path / "empty.nvm", lambda _: SIZE)
+
+
+def write_pairs(path, name="é 0.jpg", *, wrong=None):
+    """Ten pairs of a camera with focal length 500, after a comment."""
+    (rotation, center), random = random_poses()[0], np.random.default_rng(6)
+    local = random.uniform(-0.4, 0.4, (10, 3)) + [0.0, 0.0, 1.0]
+    positions = FOCAL * local[:, :2] / local[:, 2:] + [320.0, 240.0]
+    if wrong is not None:
+        positions[wrong] += [80.0, -50.0]
+    numbers = np.concatenate([local @ rotation + center, positions], axis=1)
+    lines = [" ".join(repr(float(value)) for value in row) + f"  {name}" for row in numbers]
+    path.write_text("\n".join(["# x y z column row photograph", *lines, ""]), encoding="utf-8")
+
+
+def test_pairs_of_points(tmp_path):
+    write_pairs(tmp_path / "points.pairs")
+    assert_projects(tmp_path / "points.pairs", lambda u, v: (FOCAL * u + 320.0, FOCAL * v + 240.0), NAMES[:1])
+
+
+def test_damaged_pairs_are_one_sentence(tmp_path):
+    path = tmp_path / "points.pairs"
+    write_pairs(path, wrong=3)
+    with pytest.raises(FileError, match=r'Line 5 of .* does not fit to the other pairs of "é 0\.jpg": 9\d pixels away'):
+        read_cameras(path, lambda _: SIZE)
+    for text, words in (("# nothing\n", "no pair of points"), ("1 2 3 4 five a.jpg\n", "Line 1"), ("1 2 3 4 5\n", "Line 1")):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(FileError, match=words):
+            read_cameras(path, lambda _: SIZE)
+    path.write_text("1 2 3 4 5 a.jpg\n", encoding="utf-8")
+    with pytest.raises(FarfieldError, match="has 1 of the 6 pairs of points that are needed"):
+        read_cameras(path, lambda _: SIZE)

@@ -95,7 +95,7 @@ def test_noise_alone_is_not_wrong():
 
 def test_bad_pairs_are_one_sentence():
     _, points, positions = random_pairs(np.random.default_rng(4), 8)
-    with pytest.raises(GeometryError, match="has 5 pairs of points; 6 are needed, or 4 if its lens is known"):
+    with pytest.raises(GeometryError, match="has 5 of the 6 pairs of points that are needed, or 4 if its lens is known"):
         register("a.jpg", points[:5], positions[:5], SIZE)
     with pytest.raises(GeometryError, match="not finite"):
         register("a.jpg", points[:6] * np.nan, positions[:6], SIZE)

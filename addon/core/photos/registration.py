@@ -58,7 +58,7 @@ def register(name: str, points: np.ndarray, positions: np.ndarray, size: tuple[i
     needed = MIN_PAIRS_WITH_LENS if lens else MIN_PAIRS
     if len(points) < needed:
         advice = "" if lens else f", or {MIN_PAIRS_WITH_LENS} if its lens is known"
-        raise GeometryError(f'"{name}" has {len(points)} pairs of points; {needed} are needed{advice}.')
+        raise GeometryError(f'"{name}" has {len(points)} of the {needed} pairs of points that are needed{advice}.')
     if not np.isfinite(points).all() or not np.isfinite(positions).all():
         raise GeometryError(f'A pair of points of "{name}" has a number that is not finite; set it again.')
     fit = _Fit(points, positions, size, lens)

@@ -15,7 +15,7 @@ COLLECTION_NAME = "Photo Cameras"
 IMAGES_FOLDER = "images"  # searched for next to the cameras and in the two folders above
 MODEL_FILES = {"cameras", "images", "points3D", "frames", "rigs"}  # of COLMAP, with these extensions; their folder is read
 MODEL_EXTENSIONS = {".txt", ".bin"}
-FILTER = "*.txt;*.bin;*.json;*.sfm;*.out;*.nvm;*.mvs;*.xml"
+FILTER = "*.txt;*.bin;*.json;*.sfm;*.out;*.nvm;*.mvs;*.xml;*.pairs"
 
 
 class FARFIELD_OT_photos_import_cameras(bpy.types.Operator):

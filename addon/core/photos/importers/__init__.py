@@ -7,11 +7,11 @@ import numpy as np
 
 from ...errors import FileError
 from ...geometry.lenses import PhotoCamera
-from . import bundler, colmap, meshroom, metashape, openmvs, transforms
+from . import bundler, colmap, meshroom, metashape, openmvs, pairs, transforms
 
 PROGRAMS = (
     "a folder with the files cameras and images of COLMAP (.txt or .bin), a transforms.json, an .sfm file of Meshroom, an .out file of "
-    "Bundler, an .nvm file of VisualSFM, an .mvs file of OpenMVS, or an .xml file of Metashape"
+    "Bundler, an .nvm file of VisualSFM, an .mvs file of OpenMVS, an .xml file of Metashape, or a .pairs file with pairs of points"
 )
 
 
@@ -31,6 +31,7 @@ def read_cameras(path: Path, read_size: Callable[[str], tuple[int, int]] | None 
         ".json": transforms.read_transforms,
         bundler.BUNDLER_EXTENSION: lambda file: bundler.read_bundler(file, sizes),
         bundler.NVM_EXTENSION: lambda file: bundler.read_nvm(file, sizes),
+        pairs.EXTENSION: lambda file: pairs.read_pairs(file, sizes),
         openmvs.EXTENSION: lambda file: openmvs.read_openmvs(file, sizes),
     }
     if extension in readers and not path.is_dir():
