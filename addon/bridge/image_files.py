@@ -44,13 +44,7 @@ def read_image_file(path: Path, *, is_color: bool = True) -> ImageFile:
             channels, layers, several images, volumes, deep pixels, or other numbers.
     """
     file_format = _read_format(path)
-    oiio = _import_oiio(path)
-    configuration = oiio.ImageSpec()
-    configuration.attribute("oiio:UnassociatedAlpha", 1)  # colors come as stored, not multiplied by alpha
-    file = oiio.ImageInput.open(str(path), configuration)
-    if file is None:
-        oiio.geterror()  # reads and clears it
-        raise _damaged(path)
+    file = _open_input(path)
     try:
         spec = file.spec()
         if file.format_name() != file_format:
@@ -84,11 +78,7 @@ def read_image_size(path: Path) -> tuple[int, int]:
         FileError: the file cannot be read as an image.
     """
     _read_format(path)
-    oiio = _import_oiio(path)
-    file = oiio.ImageInput.open(str(path))
-    if file is None:
-        oiio.geterror()  # reads and clears it
-        raise _damaged(path)
+    file = _open_input(path)
     try:
         spec = file.spec()
         return spec.width, spec.height
@@ -141,6 +131,18 @@ def _format_of(path: Path) -> str:
 
 def _import_oiio(path: Path) -> ModuleType:
     return import_blender_module("OpenImageIO", f'"{path}"', "use a Blender from blender.org, or install the module for its Python")
+
+
+def _open_input(path: Path) -> Any:
+    """Open an image to read it. Raises FileError."""
+    oiio = _import_oiio(path)
+    configuration = oiio.ImageSpec()
+    configuration.attribute("oiio:UnassociatedAlpha", 1)  # colors come as stored, not multiplied by alpha
+    file = oiio.ImageInput.open(str(path), configuration)
+    if file is None:
+        oiio.geterror()  # reads and clears it
+        raise _damaged(path)
+    return file
 
 
 def _read_format(path: Path) -> str:

@@ -3,6 +3,7 @@
 import json
 import struct
 from pathlib import Path
+from random import Random
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from farfield.addon.core.errors import FarfieldError, FileError
 from farfield.addon.core.photos.importers import read_cameras
 from farfield.addon.core.photos.importers.colmap import MODEL_NUMBERS
+from random_inputs import damage
 
 SCEAUX = Path(__file__).resolve().parents[3] / "shared" / "data" / "sceaux"
 LENSES = {  # parameters as in the files
@@ -109,16 +111,9 @@ def write_xml(folder, _images):
 def test_damaged_files_are_one_sentence_or_cameras(tmp_path_factory, write, seed):
     folder = tmp_path_factory.mktemp("damaged")
     write(folder, random_images(3))
-    random = np.random.default_rng(seed)
-    paths = sorted(folder.iterdir())
-    path = paths[random.integers(len(paths))]
-    data = bytearray(path.read_bytes())
-    if random.random() < 0.5:
-        data = data[: random.integers(len(data))]
-    else:
-        for index in random.integers(0, len(data), 3):
-            data[index] = random.integers(256)
-    path.write_bytes(data)
+    random = Random(seed)
+    path = random.choice(sorted(folder.iterdir()))
+    path.write_bytes(damage(random, path.read_bytes()))
     try:
         assert read_cameras(path if path.suffix == ".xml" else folder)
     except FarfieldError as error:

@@ -2,6 +2,7 @@
 
 import json
 import struct
+from random import Random
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 
 from farfield.addon.core.errors import FarfieldError, FileError
 from farfield.addon.core.photos.importers import read_cameras
+from random_inputs import damage
 
 SIZE = (640, 480)
 FOCAL = 500.0
@@ -188,16 +190,9 @@ WRITERS = {"cameras.sfm": write_meshroom, "bundle.out": write_bundler, "model.nv
 def test_damaged_files_are_one_sentence_or_cameras(tmp_path_factory, name, seed):
     folder = tmp_path_factory.mktemp("damaged")
     WRITERS[name](folder / name)
-    random = np.random.default_rng(seed)
-    paths = sorted(folder.iterdir())
-    path = paths[random.integers(len(paths))]
-    data = bytearray(path.read_bytes())
-    if random.random() < 0.5:
-        data = data[: random.integers(len(data))]
-    else:
-        for index in random.integers(0, len(data), 3):
-            data[index] = random.integers(256)
-    path.write_bytes(data)
+    random = Random(seed)
+    path = random.choice(sorted(folder.iterdir()))
+    path.write_bytes(damage(random, path.read_bytes()))
     try:
         assert read_cameras(folder / name, lambda _: SIZE)
     except FarfieldError as error:

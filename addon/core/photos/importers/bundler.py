@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FileError
-from ...files.file_access import check_readable, convert_os_errors
 from ...geometry.lenses import Lens, PhotoCamera
-from .quaternions import rotation_of_quaternion
+from .rotations import is_rotation, rotation_of_quaternion
+from .text_files import read_text_lines
 
 BUNDLER_EXTENSION, NVM_EXTENSION = ".out", ".nvm"
 BUNDLER_HEADER, NVM_HEADER = "# Bundle file", "NVM_V3"
@@ -31,7 +31,7 @@ def read_bundler(path: Path, read_size: ReadSize) -> list[PhotoCamera]:
     Raises:
         FileError: a file cannot be read or is damaged, or there is no registered camera.
     """
-    lines = [line for line in _read_lines(path) if line.strip()]
+    lines = [line for line in read_text_lines(path) if line.strip()]
     names = _read_names(path)
     try:
         if not lines[0].startswith(BUNDLER_HEADER):
@@ -45,7 +45,9 @@ def read_bundler(path: Path, read_size: ReadSize) -> list[PhotoCamera]:
             rows = [[float(value) for value in line.split()] for line in lines[first : first + BUNDLER_LINES]]
             (focal, k1, k2), rotation, translation = rows[0], np.array(rows[1:4]), np.array(rows[4])
             if focal > 0.0:  # otherwise it is not registered
-                poses.append((name, focal, (k1, k2), FLIP @ _check_rotation(rotation), FLIP @ translation))
+                if not is_rotation(rotation) or np.linalg.det(rotation) < 0.0:
+                    raise ValueError("no rotation")
+                poses.append((name, focal, (k1, k2), FLIP @ rotation, FLIP @ translation))
     except (ValueError, IndexError, OverflowError) as error:
         raise FileError(f'The cameras in "{path}" are damaged or truncated; export them again.') from error
     return _build_cameras(path, "RADIAL", poses, read_size)
@@ -59,7 +61,7 @@ def read_nvm(path: Path, read_size: ReadSize) -> list[PhotoCamera]:
     Raises:
         FileError: the file cannot be read or is damaged, or there is no registered camera.
     """
-    lines = [line for line in _read_lines(path) if line.strip()]
+    lines = [line for line in read_text_lines(path) if line.strip()]
     poses = []
     try:
         if not lines[0].startswith(NVM_HEADER) or "R9T" in lines[0]:
@@ -89,29 +91,14 @@ def _build_cameras(path: Path, model: str, poses: list[tuple], read_size: ReadSi
     return cameras
 
 
-def _check_rotation(rotation: np.ndarray) -> np.ndarray:
-    if rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(rotation) < 0.0:
-        raise ValueError("not a rotation")
-    return rotation
-
-
 def _read_names(path: Path) -> list[str]:
     found = next((path.with_name(name) for name in LIST_NAMES if path.with_name(name).is_file()), None)
     if found is None:
         raise FileError(f'There is no {LIST_NAMES[0]} next to "{path}", which names the photographs of Bundler; put it there.')
-    return [_strip_focal(line) for line in _read_lines(found) if line.strip()]
+    return [_strip_focal(line) for line in read_text_lines(found) if line.strip()]
 
 
 def _strip_focal(line: str) -> str:
     """Return the name in a line `name`, or `name 0 focal length`."""
     parts = line.strip().rsplit(maxsplit=2)
     return parts[0] if len(parts) == 3 and parts[1] == "0" else line.strip()
-
-
-def _read_lines(path: Path) -> list[str]:
-    check_readable(path)
-    try:
-        with convert_os_errors(f'Cannot read "{path}"'):
-            return path.read_text(encoding="utf-8").splitlines()
-    except UnicodeDecodeError as error:
-        raise FileError(f'"{path}" is not a text file in UTF-8; export it again.') from error

@@ -9,7 +9,8 @@ from ...errors import FileError
 from ...files.file_access import check_readable, convert_os_errors
 from ...geometry.lenses import MODELS, Lens, PhotoCamera
 from .binary import BinaryReader
-from .quaternions import rotation_of_quaternion
+from .rotations import rotation_of_quaternion
+from .text_files import read_text_lines
 
 EXTENSIONS = (".bin", ".txt")
 MODEL_NUMBERS = (  # in binary files
@@ -36,7 +37,7 @@ def read_folder(folder: Path) -> list[PhotoCamera]:
             lenses, poses = _read_binary_cameras(cameras_path), _read_binary_images(images_path)
         else:
             lenses, poses = _read_text_cameras(cameras_path), _read_text_images(images_path)
-    except (ValueError, IndexError, struct.error, UnicodeDecodeError, OverflowError) as error:
+    except (ValueError, IndexError, struct.error, OverflowError) as error:
         raise FileError(f'The cameras in "{folder}" are damaged or truncated; export them again.') from error
     if not poses:
         raise FileError(f'There is no registered image in "{images_path}"; align the photographs first.')
@@ -63,7 +64,7 @@ def _build_lens(model: str, width: int, height: int, values: list[float]) -> Len
 
 def _read_text_cameras(path: Path) -> dict[int, Lens]:
     lenses = {}
-    for line in _read_lines(path):
+    for line in read_text_lines(path):
         if line.strip() and not line.startswith("#"):
             values = line.split()
             numbers = [float(value) for value in values[CAMERA_VALUES:]]
@@ -73,7 +74,7 @@ def _read_text_cameras(path: Path) -> dict[int, Lens]:
 
 def _read_text_images(path: Path) -> list[tuple[str, int, tuple[float, ...], tuple[float, ...]]]:
     """Return name, camera, quaternion and translation of each image. Every second line has its 2D points, and may be empty."""
-    lines = [line for line in _read_lines(path) if not line.startswith("#")]
+    lines = [line for line in read_text_lines(path) if not line.startswith("#")]
     poses = []
     for line in lines[::2]:
         if line.strip():
@@ -81,11 +82,6 @@ def _read_text_images(path: Path) -> list[tuple[str, int, tuple[float, ...], tup
             numbers = tuple(float(value) for value in values[1:8])
             poses.append((values[9].strip(), int(values[8]), numbers[:4], numbers[4:]))
     return poses
-
-
-def _read_lines(path: Path) -> list[str]:
-    with convert_os_errors(f'Cannot read "{path}"'):
-        return path.read_text(encoding="utf-8").splitlines()
 
 
 def _read_binary_cameras(path: Path) -> dict[int, Lens]:

@@ -9,6 +9,7 @@ import numpy as np
 from ...errors import FileError
 from ...files.file_access import check_readable, convert_os_errors
 from ...geometry.lenses import Lens, PhotoCamera
+from .rotations import is_rotation
 
 EXTENSION = ".sfm"
 OFFSET_VERSION = (1, 2, 1)  # from here on, principal points are offsets from the center of the image
@@ -62,7 +63,7 @@ def _build_camera(
         raise FileError(f'"{path}" has a rig of cameras, which Farfield does not know; export the cameras without rigs.')
     rotation = np.array([float(value) for value in pose["rotation"]]).reshape(3, 3).T
     center = np.array([float(value) for value in pose["center"]]).reshape(3)
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or not np.isfinite(center).all():
+    if not is_rotation(rotation) or not np.isfinite(center).all():
         raise ValueError("not a rotation")
     return PhotoCamera(str(view["path"]).replace("\\", "/"), _build_lens(intrinsic, version, path), rotation, -rotation @ center)
 

@@ -8,6 +8,7 @@ import numpy as np
 from ...errors import FileError
 from ...files.file_access import check_readable, convert_os_errors
 from ...geometry.lenses import Lens, PhotoCamera
+from .rotations import is_rotation
 
 EXTENSION = ".xml"
 FORBIDDEN = (b"<!DOCTYPE", b"<!ENTITY")  # entities may expand without limit
@@ -78,7 +79,7 @@ def _build_camera(camera: ET.Element, lenses: dict, matrix: tuple[np.ndarray, np
     rotation = (chunk_rotation @ pose[:3, :3]).T
     center = scale * chunk_rotation @ pose[:3, 3] + chunk_translation
     lens = lenses[camera.get("sensor_id")]
-    if lens is None or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or not np.isfinite(center).all():
+    if lens is None or not is_rotation(rotation) or not np.isfinite(center).all():
         raise ValueError("no lens or no rotation")
     return PhotoCamera(camera.get("label", ""), lens, rotation, -rotation @ center)
 

@@ -11,6 +11,7 @@ from ...errors import FileError
 from ...files.file_access import check_readable, convert_os_errors
 from ...geometry.lenses import Lens, PhotoCamera
 from .binary import BinaryReader
+from .rotations import is_rotation
 
 EXTENSION = ".mvs"
 SIGNATURE = b"MVSI"
@@ -78,7 +79,7 @@ def _read_document(reader: BinaryReader, path: Path, read_size: Callable[[str], 
         mount, (rotation, position) = mounts[camera_id], poses[pose_id]
         to_camera = mount.rotation @ rotation
         center = rotation.T @ mount.position + position
-        if not np.allclose(to_camera @ to_camera.T, np.eye(3), atol=1e-3) or not np.isfinite(center).all():
+        if not is_rotation(to_camera) or not np.isfinite(center).all():
             raise ValueError("not a rotation")
         name = name.replace("\\", "/")
         cameras.append(PhotoCamera(name, _build_lens(mount, name, read_size), to_camera, -to_camera @ center))

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FileError
-from ...files.file_access import check_readable, convert_os_errors
 from ...geometry.lenses import PhotoCamera
 from ..registration import register
+from .text_files import read_text_lines
 
 EXTENSION = ".pairs"
 NUMBERS = 5  # x, y, z, column and row
@@ -45,14 +45,8 @@ def read_pairs(path: Path, read_size: Callable[[str], tuple[int, int]]) -> list[
 
 def _read_groups(path: Path) -> dict[str, tuple[list[int], list[list[float]]]]:
     """Return the line numbers and the numbers of the pairs of each photograph."""
-    check_readable(path)
-    try:
-        with convert_os_errors(f'Cannot read "{path}"'):
-            text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise FileError(f'"{path}" is not a text file in UTF-8; save it again.') from error
     groups: dict[str, tuple[list[int], list[list[float]]]] = {}
-    for number, line in enumerate(text.split("\n"), start=1):
+    for number, line in enumerate(read_text_lines(path), start=1):
         parts = line.split(maxsplit=NUMBERS)
         if not parts or parts[0].startswith("#"):
             continue

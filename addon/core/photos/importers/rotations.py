@@ -1,4 +1,4 @@
-"""Rotations of cameras from the quaternions in files."""
+"""Rotations of cameras in files."""
 
 from pathlib import Path
 
@@ -6,7 +6,13 @@ import numpy as np
 
 from ...errors import FileError
 
-MIN_LENGTH = 1e-6
+MIN_LENGTH = 1e-6  # of a quaternion
+MAX_ERROR = 1e-3  # of the products of axes
+
+
+def is_rotation(matrix: np.ndarray) -> bool:
+    """Return whether a matrix is (3, 3) and its rows are perpendicular unit vectors."""
+    return matrix.shape == (3, 3) and np.allclose(matrix @ matrix.T, np.eye(3), atol=MAX_ERROR)
 
 
 def rotation_of_quaternion(quaternion: tuple[float, ...], path: Path) -> np.ndarray:
