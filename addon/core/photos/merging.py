@@ -15,10 +15,11 @@ from ..geometry.geometry_2d import signed_areas
 from ..geometry.mesh import TriangleMesh, check_points, face_areas_and_normals
 from ..imaging.images import dilate_in_place, sample_bilinear
 from ..jobs.chunks import map_ordered
-from ..jobs.progress import Progress, StageClock, Steps
+from ..jobs.progress import Progress, StageClock, Steps, subprogress
 from .consistency import rate_photographs
 from .exposure import estimate_gains
 from .face_visibility import order_by_corner, prepare_surface
+from .hole_filling import HoleCounts, HoleFiller
 from .labels import choose_labels
 from .leveling import VertexLabels, find_vertex_labels, solve_corrections
 from .observations import Observations, observe, sample_surface
@@ -41,6 +42,7 @@ class PhotoTexture:
     colors: (H, W, 3) float32, sRGB-encoded, row 0 at the bottom. confidence: (H, W) float32, 0 to 1, the pixels per texel along one axis of
     the best photograph. source: (H, W) int16, the photograph with the largest weight, -1 for none. holes: (H, W) bool, covered texels that
     no photograph shows. gains: (K, 3). labels: (T,) the photograph of each triangle, -1 for none.
+    hole_counts: if they were restored.
     """
 
     colors: np.ndarray
@@ -49,6 +51,7 @@ class PhotoTexture:
     holes: np.ndarray
     gains: np.ndarray
     labels: np.ndarray
+    hole_counts: HoleCounts | None
     seconds: dict[str, float]
 
 
@@ -81,7 +84,13 @@ def merge(mesh: TriangleMesh, corner_uvs: np.ndarray, photographs: list[Photogra
     yield from merger.fill_texels()
     yield Progress(0.9, "Filling holes")
     with clock.stage("holes"):
-        return merger.finish()
+        merger.interpolate_holes()
+    holes = None
+    if settings.fill == "restore":
+        with clock.stage("restore"):
+            holes = yield from subprogress(merger.restore_holes(), 0.9, 1.0)
+    with clock.stage("gutter"):
+        return merger.finish(holes)
 
 
 class _Merger:
@@ -90,7 +99,7 @@ class _Merger:
     def __init__(
         self, mesh: TriangleMesh, corner_uvs: np.ndarray, photographs: list[Photograph], settings: PhotosSettings, clock: StageClock
     ) -> None:
-        self.settings, self.clock = settings, clock
+        self.settings, self.clock, self.corner_uvs = settings, clock, corner_uvs
         with clock.stage("texels"):
             self.map = TexelMap(corner_uvs, settings.size)
             if not (self.map.triangles >= 0).any():
@@ -206,21 +215,29 @@ class _Merger:
                 done += len(texels)
                 yield Progress(0.35 + 0.55 * done / total, "Computing texels")
 
-    def finish(self) -> PhotoTexture:
-        """Fill what no photograph shows, and what lies around the islands of the UV map."""
-        covered, found = self.map.triangles >= 0, self.source != NO_PHOTOGRAPH
+    def interpolate_holes(self) -> None:
+        """Fill the texels that no photograph shows with colors interpolated over the surface, unless they stay transparent."""
+        found = self.source != NO_PHOTOGRAPH
         if not found.any():
             raise GeometryError(_explain_blindness(self.mesh, self.photographs))
-        if self.settings.fill == "interpolate":
+        if self.settings.fill != "none":
             colors, known = interpolate_colors(self.vertex_colors, self.bound, self.edges)
             colors[~known] = self.colors[found].mean(axis=0, dtype=np.float64)
             corner_colors = order_by_corner(colors[self.mesh.triangles])
             for tile in self.map.tiles():
                 part = tile.select(np.flatnonzero(~found[tile.texels]))
                 self.colors[part.texels] = part.interpolate(corner_colors)
-        size = self.settings.size
         np.clip(self.colors, 0.0, 1.0, out=self.colors)
-        image, known = self.colors.reshape(size, size, 3), covered if self.settings.fill == "interpolate" else found
+
+    def restore_holes(self) -> Steps[HoleCounts]:
+        """Continue the texture into the holes."""
+        return HoleFiller(self.mesh, self.edges, self.corner_uvs, self.map, self.colors, self.source != NO_PHOTOGRAPH).fill()
+
+    def finish(self, holes: HoleCounts | None) -> PhotoTexture:
+        """Fill what lies around the islands of the UV map, and return the result."""
+        size = self.settings.size
+        covered, found = self.map.triangles >= 0, self.source != NO_PHOTOGRAPH
+        image, known = self.colors.reshape(size, size, 3), found if self.settings.fill == "none" else covered
         dilate_in_place(image, known.reshape(size, size), GUTTER)
         return PhotoTexture(
             colors=image,
@@ -229,6 +246,7 @@ class _Merger:
             holes=(covered & ~found).reshape(size, size),
             gains=self.gains,
             labels=self.labels,
+            hole_counts=holes,
             seconds=self.clock.seconds,
         )
 

@@ -12,6 +12,7 @@ METHODS = {
 FILLS = {
     "none": Choice("None", "Leave what no photograph shows transparent"),
     "interpolate": Choice("Interpolate", "Interpolate colors over the surface"),
+    "restore": Choice("Restore", "Continue the texture around each hole over the surface, and interpolate what is too small or too large"),
 }
 
 

@@ -45,9 +45,11 @@ class TexelMap:
         for triangles, texels, _ in rasterize(self._corners, (size, size)):
             self.triangles[texels] = triangles
 
-    def tiles(self) -> Iterator[TexelTile]:
-        """Yield all covered texels, each of them once."""
-        for triangles, texels, barycentric in rasterize(self._corners, (self.size, self.size)):
+    def tiles(self, chosen: np.ndarray | None = None) -> Iterator[TexelTile]:
+        """Yield all covered texels, each of them once; only those of some triangles (K,), if they are given."""
+        corners = self._corners if chosen is None else self._corners[chosen]
+        for rows, texels, barycentric in rasterize(corners, (self.size, self.size)):
+            triangles = rows if chosen is None else chosen[rows]
             is_own = self.triangles[texels] == triangles
             yield TexelTile(texels[is_own], triangles[is_own].astype(np.int32), barycentric[is_own].astype(np.float32))
 
