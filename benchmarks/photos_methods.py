@@ -59,6 +59,27 @@ FARFIELD = ("farfield", *METHODS)
 
 
 def _run_peer(name: str, mesh: TriangleMesh, corner_uvs: np.ndarray, photographs: list[Photograph], size: int) -> Textured:
+    lenses = [photograph.camera.lens for photograph in photographs]
+    if any(lens.model not in ("SIMPLE_PINHOLE", "PINHOLE") for lens in lenses):
+        raise FarfieldError("The peers need photographs without distortion.")
+    arrays = {
+        "pixels": np.stack([photograph.pixels[::-1] for photograph in photographs]),
+        "rotations": np.stack([photograph.camera.rotation for photograph in photographs]),
+        "translations": np.stack([photograph.camera.translation for photograph in photographs]),
+        "focal": np.array([np.mean(lens.focal) for lens in lenses]),
+        "centers": np.array([lens.center for lens in lenses]),
+    }
+    return _call_peer(name, mesh, corner_uvs, size, arrays)
+
+
+def fill_with_lagrange(mesh: TriangleMesh, corner_uvs: np.ndarray, texture: np.ndarray, known: np.ndarray) -> Textured:
+    """Fill a texture (S, S, 3) where it is not `known` (S, S) bool by a peer."""
+    pixels = np.rint(255.0 * np.clip(texture, 0.0, 1.0)).astype(np.uint8)
+    return _call_peer("lagrange-fill", mesh, corner_uvs, len(texture), {"texture": pixels, "known": known})
+
+
+def _call_peer(name: str, mesh: TriangleMesh, corner_uvs: np.ndarray, size: int, arrays: dict[str, np.ndarray]) -> Textured:
+    """Run `photos_peers.py` with a mesh and other arrays; raises FarfieldError if the peers are not installed."""
     python = reference_tools.find_python(reference_tools.TEXTURE_TOOLS)
     if python is None:
         raise FarfieldError("The peers are not installed; run python3 scripts/reference_tools.py texture-tools.")
@@ -71,7 +92,7 @@ def _run_peer(name: str, mesh: TriangleMesh, corner_uvs: np.ndarray, photographs
         variables["QT_PLUGIN_PATH"] = str(QT_PLUGINS)
     with tempfile.TemporaryDirectory(prefix="farfield-benchmark-") as folder:
         source, target = Path(folder) / "input.npz", Path(folder) / "output.npy"
-        write_input(source, mesh, corner_uvs, photographs, size)
+        np.savez(source, vertices=mesh.vertices, triangles=mesh.triangles, corner_uvs=corner_uvs, size=size, **arrays)
         try:
             outcome = subprocess.run(
                 [*command, str(source), str(target)],
@@ -92,26 +113,3 @@ def _run_peer(name: str, mesh: TriangleMesh, corner_uvs: np.ndarray, photographs
 
 def _limit_memory() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY, MAX_MEMORY))
-
-
-def write_input(path: Path, mesh: TriangleMesh, corner_uvs: np.ndarray, photographs: list[Photograph], size: int) -> None:
-    """Write what `photos_peers.py` reads.
-
-    Raises:
-        FarfieldError: a lens has distortion, which the peers do not know.
-    """
-    lenses = [photograph.camera.lens for photograph in photographs]
-    if any(lens.model not in ("SIMPLE_PINHOLE", "PINHOLE") for lens in lenses):
-        raise FarfieldError("The peers need photographs without distortion.")
-    np.savez(
-        path,
-        vertices=mesh.vertices,
-        triangles=mesh.triangles,
-        corner_uvs=corner_uvs,
-        pixels=np.stack([photograph.pixels[::-1] for photograph in photographs]),
-        rotations=np.stack([photograph.camera.rotation for photograph in photographs]),
-        translations=np.stack([photograph.camera.translation for photograph in photographs]),
-        focal=np.array([np.mean(lens.focal) for lens in lenses]),
-        centers=np.array([lens.center for lens in lenses]),
-        size=size,
-    )

@@ -2,10 +2,11 @@
 
     photos_peers.py METHOD INPUT.npz OUTPUT.npy
 
-The input has vertices (V, 3), triangles (T, 3), corner_uvs (T, 3, 2), pixels (K, H, W, 3) uint8 with row 0 at the top, and the pinhole
-cameras: rotations (K, 3, 3) and translations (K, 3) from the world to the camera, which looks along +z with y down, focal (K,) and
-centers (K, 2) in pixels from the upper left corner; size, the pixels per side of the texture. The output is a texture (S, S, 3) uint8 with
-row 0 at the bottom. Prints the seconds without input and output as JSON.
+METHOD is `lagrange`, `pymeshlab`, or `lagrange-fill`, which fills the holes of a texture. The input has vertices (V, 3), triangles (T, 3),
+corner_uvs (T, 3, 2), pixels (K, H, W, 3) uint8 with row 0 at the top, and the pinhole cameras: rotations (K, 3, 3) and translations (K, 3)
+from the world to the camera, which looks along +z with y down, focal (K,) and centers (K, 2) in pixels from the upper left corner; size,
+the pixels per side of the texture. To fill holes, it has a texture (S, S, 3) uint8 with row 0 at the bottom and known (S, S) bool instead
+of photographs. The output is a texture (S, S, 3) uint8 with row 0 at the bottom. Prints the seconds without input and output as JSON.
 """
 
 import json
@@ -28,18 +29,7 @@ def with_lagrange(given: Input, size: int) -> np.ndarray:
     """Call the compositing of gradients in Lagrange."""
     import lagrange
 
-    mesh = lagrange.SurfaceMesh()
-    mesh.add_vertices(given["vertices"].astype(np.float64))
-    mesh.add_triangles(given["triangles"].astype(np.uint32))
-    corners = np.concatenate([given["corner_uvs"].reshape(-1, 2), given["triangles"].reshape(-1, 1)], axis=1, dtype=np.float64)
-    uvs, indices = np.unique(corners, axis=0, return_inverse=True)
-    mesh.create_attribute(
-        "uv",
-        element=lagrange.AttributeElement.Indexed,
-        usage=lagrange.AttributeUsage.UV,
-        initial_values=np.ascontiguousarray(uvs[:, :2]),
-        initial_indices=indices.ravel().astype(np.uint32),
-    )
+    mesh = _lagrange_mesh(given)
     cameras, renders = [], []
     height, width = given["pixels"].shape[1:3]
     for rotation, translation, focal, center, pixels in _photographs(given):
@@ -62,6 +52,38 @@ def with_lagrange(given: Input, size: int) -> np.ndarray:
     except RuntimeError:  # multigrid fails on some UV maps
         image = lagrange.texproc.texture_compositing(mesh, colors, weights, clamp_to_range=(0.0, 1.0), use_direct_solver=True)
     return np.rint(255.0 * np.clip(image, 0.0, 1.0)).astype(np.uint8)[::-1]
+
+
+def fill_with_lagrange(given: Input, _: int) -> np.ndarray:
+    """Call the compositing of gradients in Lagrange with one texture that has no weight in its holes."""
+    import lagrange
+
+    texture = np.ascontiguousarray(given["texture"][::-1].astype(np.float32) / 255.0)
+    weights = np.ascontiguousarray(given["known"][::-1, :, None].astype(np.float32))
+    mesh = _lagrange_mesh(given)
+    try:
+        image = lagrange.texproc.texture_compositing(mesh, [texture], [weights], clamp_to_range=(0.0, 1.0))
+    except RuntimeError:
+        image = lagrange.texproc.texture_compositing(mesh, [texture], [weights], clamp_to_range=(0.0, 1.0), use_direct_solver=True)
+    return np.rint(255.0 * np.clip(image, 0.0, 1.0)).astype(np.uint8)[::-1]
+
+
+def _lagrange_mesh(given: Input) -> "lagrange.SurfaceMesh":  # noqa: F821 (only in the environment of the texture tools)
+    import lagrange
+
+    mesh = lagrange.SurfaceMesh()
+    mesh.add_vertices(given["vertices"].astype(np.float64))
+    mesh.add_triangles(given["triangles"].astype(np.uint32))
+    corners = np.concatenate([given["corner_uvs"].reshape(-1, 2), given["triangles"].reshape(-1, 1)], axis=1, dtype=np.float64)
+    uvs, indices = np.unique(corners, axis=0, return_inverse=True)
+    mesh.create_attribute(
+        "uv",
+        element=lagrange.AttributeElement.Indexed,
+        usage=lagrange.AttributeUsage.UV,
+        initial_values=np.ascontiguousarray(uvs[:, :2]),
+        initial_indices=indices.ravel().astype(np.uint32),
+    )
+    return mesh
 
 
 def with_pymeshlab(given: Input, size: int) -> np.ndarray:
@@ -110,7 +132,7 @@ def _join(values: np.ndarray) -> str:
     return " ".join(f"{value:.9g}" for value in values)
 
 
-METHODS = {"lagrange": with_lagrange, "pymeshlab": with_pymeshlab}
+METHODS = {"lagrange": with_lagrange, "pymeshlab": with_pymeshlab, "lagrange-fill": fill_with_lagrange}
 
 
 def main() -> None:
