@@ -180,9 +180,9 @@ def measure_holes(given: Namespace) -> dict[str, Any]:
             unwrapped, _, shoot = shoot_model(name, given, random)
             photographs = shoot.photographs
         result = run_to_end(merge(*unwrapped, photographs, PhotosSettings(size=HOLE_SIZE)))
-        seen = result.source >= 0
-        missing = punch_holes(unwrapped, seen, HOLE_FRACTION, HOLES, random)
-        figures[name] = fill_and_score(unwrapped, result.colors, seen, missing, given.sheets and given.sheets / f"holes-{name}.png")
+        missing = punch_holes(unwrapped, result.source >= 0, HOLE_FRACTION, HOLES, random)
+        covered = (result.source >= 0) | result.holes
+        figures[name] = fill_and_score(unwrapped, result.colors, covered, missing, given.sheets and given.sheets / f"holes-{name}.png")
         report("holes", name, "all", figures[name])
     return figures
 

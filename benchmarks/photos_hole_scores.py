@@ -39,13 +39,18 @@ def punch_holes(unwrapped: Unwrapped, seen: np.ndarray, fraction: float, count: 
     return missing.reshape(size, size) & seen
 
 
-def fill_and_score(unwrapped: Unwrapped, texture: np.ndarray, seen: np.ndarray, missing: np.ndarray, sheet: Path | None) -> dict[str, Any]:
-    """Fill the `missing` texels (S, S) of a `texture` (S, S, 3) by all methods; returns their seconds and the FLIP around the holes against
-    the texture, mean over the holes. `sheet` names a picture of the largest holes: truth, then all methods."""
+def fill_and_score(
+    unwrapped: Unwrapped, texture: np.ndarray, covered: np.ndarray, missing: np.ndarray, sheet: Path | None
+) -> dict[str, Any]:
+    """Fill the `missing` texels (S, S) of the `covered` ones (S, S) of a `texture` (S, S, 3) by all methods.
+
+    Returns the seconds and the FLIP around the holes against the texture, mean over the holes. `sheet` names a picture of some of them: the
+    hole, the truth, then all methods.
+    """
     mesh, corner_uvs = unwrapped
     texel_map = TexelMap(corner_uvs, len(texture))
     edges = find_edges(mesh.triangles, len(mesh.vertices))
-    known = seen & ~missing
+    known = covered & ~missing
     started = time.perf_counter()
     interpolated = interpolate(unwrapped, texel_map, texture, known)
     results = {"interpolate": (interpolated, time.perf_counter() - started)}

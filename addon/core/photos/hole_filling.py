@@ -7,6 +7,7 @@ restored as an image, and sampled back: what it copies has the metric of the sur
 from typing import NamedTuple
 
 import numpy as np
+from scipy import ndimage
 from scipy.sparse import coo_matrix, csgraph
 
 from ..errors import FarfieldError, GeometryError
@@ -40,6 +41,13 @@ class HoleCounts(NamedTuple):
 
     found: int
     restored: int
+
+
+def find_specks(mask: np.ndarray) -> np.ndarray:
+    """Return the connected parts (H, W) bool of a mask (H, W) that are too small to show texture."""
+    parts, _ = ndimage.label(mask)
+    is_small = np.bincount(parts.ravel()) < MIN_TEXELS
+    return mask & is_small[parts]
 
 
 class Layout(NamedTuple):
@@ -120,19 +128,18 @@ class HoleFiller:
         image, known, covered = self._resample(layout)
         if np.count_nonzero(known) < MIN_KNOWN_FRACTION * missing_count:
             raise GeometryError("There is too little around the hole to copy from.")
-        mask = covered & ~known
-        if not mask.any():
-            return
         dilate_in_place(image, known)
-        restored = yield from restore(image, mask, RestoreSettings(), source_mask=known, barriers=~covered)
-        pixels = np.ascontiguousarray(restored.pixels)
-        dilate_in_place(pixels, covered)
+        mask = covered & ~known & ~find_specks(covered & ~known)
+        if mask.any():
+            restored = yield from restore(image, mask, RestoreSettings(), source_mask=known, barriers=~covered)
+            image = np.ascontiguousarray(restored.pixels)
+        dilate_in_place(image, covered)
         rows = np.full(len(self.mesh.triangles), -1)
         rows[layout.triangles] = np.arange(len(layout.triangles))
         for tile in texels:
             tile = tile.select(rows[tile.triangles] >= 0)
             inside = TexelTile(tile.texels, rows[tile.triangles], tile.barycentric)
-            self.colors[tile.texels] = sample_bilinear(pixels, inside.interpolate(layout.positions))
+            self.colors[tile.texels] = sample_bilinear(image, inside.interpolate(layout.positions))
 
     def _lay_out(self, triangles: np.ndarray) -> Steps[Layout]:
         """Unwrap a part of the surface. Raises GeometryError."""
