@@ -1,8 +1,10 @@
 """The whole workflow of Farfield: `python3 scripts/demo.py [--input FILE] [--quick] [--out DIR]`.
 
 Grows a tree, builds its billboard cloud with three levels of detail, compares every level with the tree in Cycles, bakes relightable
-textures for one of them, compares it under other Sun directions, and plants a forest of it. Writes to out/demo/: the scene (demo.blend),
-contact sheets (contact-sheet.png, relighting.png), the forest (forest.blend, forest.png) and the results (report.json, report.md).
+textures for one of them, compares it under other Sun directions, and plants a forest of it. Then photographs another model with eight
+virtual cameras, merges the photographs into a texture, and compares it with the truth. Writes to out/demo/: the scene (demo.blend), contact
+sheets (contact-sheet.png, relighting.png), the forest (forest.blend, forest.png), the model with its cameras (photos.blend, photos.png) and
+the results (report.json, report.md).
 --input uses your own mesh instead of the tree; --quick uses fewer leaves, a larger error, and fewer and smaller renders.
 """
 
@@ -33,6 +35,7 @@ from lib.atomic_output import atomic_folder, check_writable
 from lib.comparison import Comparison, compare_cloud, draw_comparison_sheet
 from lib.contact_sheet import write_png
 from lib.demo_forest import DAY, TREE_COUNT, render_day, write_forest
+from lib.demo_photos import PhotosPreset, photograph_and_merge
 from lib.demo_relighting import RelightingPreset, bake_and_compare
 from lib.demo_report import to_markdown
 from lib.demo_tree import grow_tree
@@ -57,6 +60,7 @@ class DemoPreset:
     relighting: RelightingPreset
     forest_width: int
     forest_samples: int
+    photos: PhotosPreset
 
 
 FULL = DemoPreset(
@@ -76,6 +80,7 @@ FULL = DemoPreset(
     ),
     forest_width=340,
     forest_samples=6,
+    photos=PhotosPreset(photograph_width=1200, samples=8, texture_size=2048, view_pixels=256),
 )
 QUICK = DemoPreset(
     leaves=1000,
@@ -94,14 +99,16 @@ QUICK = DemoPreset(
     ),
     forest_width=240,
     forest_samples=2,
+    photos=PhotosPreset(photograph_width=400, samples=2, texture_size=512, view_pixels=128),
 )
-BUILD_END, COMPARISON_END, RELIGHTING_END = 0.25, 0.4, 0.8  # fractions of the progress
+BUILD_END, COMPARISON_END, RELIGHTING_END, FOREST_END = 0.2, 0.35, 0.7, 0.9  # fractions of the progress
 
 
 def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     """Run the demo and return its result in one line; raises FarfieldError for an invalid input or folder."""
     parser = command_line.Parser(
-        prog="demo.py", description="Grow a tree, build its billboard cloud, make it relightable and plant a forest."
+        prog="demo.py",
+        description="Grow a tree, build its billboard cloud, make it relightable, plant a forest, and make a texture from photographs.",
     )
     parser.add_argument("--input", type=Path, help="your own mesh instead of the tree: .blend .obj .ply .stl .glb .gltf .fbx .usd")
     parser.add_argument("--quick", action="store_true", help="fewer leaves, a larger error and fewer renders; takes about a minute")
@@ -127,6 +134,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     with atomic_folder(out) as folder:
         write_cloud(folder, title, cloud, comparisons[0], close_up)
         report |= make_relightable(folder, cloud, preset, upper_hemisphere=given.input is None, line=line)
+        report["photos"] = texture_from_photographs(folder, preset.photos, line)
         command_line.write_report(folder / "report.json", report)
         (folder / "report.md").write_text(to_markdown(title, report), encoding="utf-8")
     return f"{title}; images, report and scenes in {out}"
@@ -217,11 +225,19 @@ def make_relightable(
     write_png(folder / "relighting.png", relit.draw_sheet())
     with clock.stage("forest"):
         write_forest(relit.cloud, folder / "forest.blend", preset.forest_width, preset.forest_samples)
-        sheet = run_to_end(subprogress(render_day(folder / "forest.blend"), RELIGHTING_END, 1.0), line.show)
+        sheet = run_to_end(subprogress(render_day(folder / "forest.blend"), RELIGHTING_END, FOREST_END), line.show)
     write_png(folder / "forest.png", sheet)
     forest = {"trees": TREE_COUNT, "hours": [hour.name for hour in DAY]}
     seconds = {**relit.job.clock.seconds, **clock.seconds}
     return {"relighting": {**figures, "seconds": {stage: round(duration, 4) for stage, duration in seconds.items()}}, "forest": forest}
+
+
+def texture_from_photographs(folder: Path, preset: PhotosPreset, line: command_line.ProgressLine) -> dict[str, Any]:
+    """Photograph a model, which replaces the scene, merge, and compare. Writes sheet and scene to `folder`; returns the figures."""
+    result = run_to_end(subprogress(photograph_and_merge(preset), FOREST_END, 1.0), line.show)
+    write_png(folder / "photos.png", result.draw_sheet())
+    scene_files.save_scene(folder / "photos.blend")
+    return result.to_report()
 
 
 if __name__ == "__main__":

@@ -146,6 +146,7 @@ def build_report(result: PhotoTexture, names: list[str], unwrapped: list[str], c
         "size": len(result.colors),
         "texels": covered,
         "holes": int(np.count_nonzero(result.holes)),
+        "restored_holes": None if result.hole_counts is None else result.hole_counts._asdict(),
         "photographs": [
             {
                 "name": name,

@@ -26,6 +26,7 @@ from farfield.addon.core.files.temporary_folders import temporary_folder
 from farfield.addon.core.jobs.progress import StageClock, Steps, run_to_end, subprogress
 from farfield.addon.core.restore.settings import RestoreSettings
 from farfield.addon.core.settings import add_flags, from_flags
+from farfield.addon.core.text import format_count
 from lib import command_line
 from lib.atomic_output import check_writable
 from lib.restore_jobs import ImageJob, list_jobs, publish, restore_image
@@ -157,7 +158,7 @@ def summarize(images: list[dict[str, Any]]) -> str:
     """Return one sentence about the result."""
     pixels, holes = (sum(image[key] for image in images) for key in ("masked_pixels", "holes"))
     what = "" if len(images) == 1 else f" of {len(images)} images"
-    return f"Restored {pixels} pixels in {holes} hole{'' if holes == 1 else 's'}{what}."
+    return f"Restored {format_count(pixels, 'pixel')} in {format_count(holes, 'hole')}{what}."
 
 
 if __name__ == "__main__":

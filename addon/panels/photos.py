@@ -6,6 +6,7 @@ from ..bridge.photos.photo_images import is_missing
 from ..bridge.photos.scene_cameras import find_background
 from ..core.photos.settings import PhotosSettings
 from ..core.settings import describe
+from ..core.text import format_count
 from ..operators.photos.import_cameras import FARFIELD_OT_photos_import_cameras
 from ..operators.photos.operators import FARFIELD_OT_photos_merge
 from ..operators.photos.sources import disabled_reason, find_cameras
@@ -46,7 +47,7 @@ class FARFIELD_PT_photos(ToolPanel, bpy.types.Panel):
 def draw_photographs(layout: bpy.types.UILayout, count: int, missing: int) -> None:
     """Draw how many photographs will be merged, and how many files of them are missing."""
     if count:
-        text = "1 photograph" if count == 1 else f"{count} photographs"
+        text = format_count(count, "photograph")
         layout.label(text=f"{text}, {missing} missing" if missing else text, icon="ERROR" if missing else "IMAGE_DATA")
 
 

@@ -11,6 +11,8 @@ def to_markdown(heading: str, report: dict[str, Any]) -> str:
             lines += [*_views(index, level["comparison"]), ""]
     if "relighting" in report:
         lines += [*_relighting(report["relighting"]), "", *_forest(report["forest"]), ""]
+    if "photos" in report:
+        lines += [*_photos(report["photos"]), ""]
     stages = ", ".join(f"{stage} {seconds:.1f}" for stage, seconds in report["seconds"].items())
     lines += [f"Seconds: {stages}. Peak memory: {report['peak_memory_mb']:,.0f} MB.", ""]
     return "\n".join(lines)
@@ -65,3 +67,11 @@ def _forest(report: dict[str, Any]) -> list[str]:
     hours = f"{report['hours'][0]} to {report['hours'][-1]}"
     summary = f"{report['trees']:,} instances in forest.blend, animated from {hours}; rendered without Farfield."
     return ["![a forest](forest.png)", "", summary]
+
+
+def _photos(report: dict[str, Any]) -> list[str]:
+    rows = ["## Photo texture", "", "![photographs, truth and merged texture](photos.png)", "", report["message"], ""]
+    rows += ["| view without a camera | PSNR | SSIM |", "|---|---|---|"]
+    rows += [f"| {index + 1} | {view['psnr']:.1f} dB | {view['ssim']:.3f} |" for index, view in enumerate(report["views"])]
+    stages = ", ".join(f"{stage} {seconds:.1f}" for stage, seconds in report["seconds"].items())
+    return [*rows, "", f"Seconds: {stages}."]

@@ -9,6 +9,7 @@ from ...bridge.photos.photo_files import size_reader
 from ...core.errors import FileError
 from ...core.files.file_access import check_unicode
 from ...core.photos.importers import read_cameras
+from ...core.text import format_count
 from ..error_reports import report_message, reports_errors
 
 COLLECTION_NAME = "Photo Cameras"
@@ -61,9 +62,9 @@ class FARFIELD_OT_photos_import_cameras(bpy.types.Operator):
         parent, missing = create_cameras(cameras, folder, COLLECTION_NAME, context.scene, is_y_up=self.y_up)
         if context.scene.camera is None:
             context.scene.camera = parent.children[0]
-        message = f"Imported {_count(len(cameras), 'camera')}."
+        message = f"Imported {format_count(len(cameras), 'camera')}."
         if missing:
-            message += f' {_count(missing, "photograph")} not found in "{folder}".'
+            message += f' {format_count(missing, "photograph")} not found in "{folder}".'
         report_message(self, message, "WARNING" if missing else "INFO")
         return {"FINISHED"}
 
@@ -81,10 +82,6 @@ def _absolute(text: str) -> Path:
     path = Path(bpy.path.abspath(text))
     check_unicode(path)
     return path.absolute()
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 register, unregister = bpy.utils.register_classes_factory((FARFIELD_OT_photos_import_cameras,))

@@ -18,6 +18,7 @@ from ...core.geometry.mesh import face_areas_and_normals
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.photos.merging import PhotoTexture, merge
 from ...core.photos.settings import PhotosSettings
+from ...core.text import format_count
 from ...core.unwrap.packing import pack_charts
 from ...core.unwrap.settings import UnwrapSettings
 from ...core.unwrap.unwrapping import UnwrapResult
@@ -94,8 +95,12 @@ class MergeJob:
 
     def _summarize(self, image: str, texture: PhotoTexture) -> str:
         surface = np.count_nonzero(texture.holes | (texture.source >= 0))
-        photographs = "1 photograph" if len(self.sources) == 1 else f"{len(self.sources)} photographs"
-        message = f'Merged {photographs} into "{image}"; {np.count_nonzero(texture.holes) / max(surface, 1):.1%} of the surface is in none.'
+        message = (
+            f'Merged {format_count(len(self.sources), "photograph")} into "{image}"; '
+            f"{np.count_nonzero(texture.holes) / max(surface, 1):.1%} of the surface is in none."
+        )
+        if texture.hole_counts is not None:
+            message += f" Restored {texture.hole_counts.restored:,} of {format_count(texture.hole_counts.found, 'hole')}."
         names = [source.camera.name for index, source in enumerate(self.sources) if not (texture.source == index).any()]
         if names:
             message += f" Not used: {', '.join(names)}."

@@ -13,6 +13,7 @@ from ...core.errors import GeometryError, SettingsError
 from ...core.geometry.cameras import CameraProjection
 from ...core.geometry.mesh import TriangleMesh, face_areas_and_normals
 from ...core.jobs.progress import Progress, Steps, subprogress
+from ...core.text import format_count
 from ...core.unwrap import importance
 from ...core.unwrap.settings import UnwrapSettings
 from ...core.unwrap.unwrapping import UnwrapResult, check_surface, unwrap
@@ -90,7 +91,7 @@ class UnwrapJob:
 
     def _summarize(self) -> str:
         summaries = [
-            f'"{target.object_name}" (stretch {result.metrics.l2:.3f}, {_format_islands(result.chart_count)})'
+            f'"{target.object_name}" (stretch {result.metrics.l2:.3f}, {format_count(result.chart_count, "UV island")})'
             for target, result in self.results
         ]
         skipped = f" Skipped: {'; '.join(self.skipped)}." if self.skipped else ""
@@ -150,7 +151,3 @@ def _read_occluders(context: bpy.types.Context) -> list[SourceInstance]:
 
 def _reasons(errors: list[GeometryError]) -> list[str]:
     return [str(error).removesuffix(".") for error in errors]
-
-
-def _format_islands(count: int) -> str:
-    return "1 UV island" if count == 1 else f"{count} UV islands"

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...errors import SettingsError
+from ...text import format_count
 
 MAX_LENGTH = 2000  # characters; longer formulas could nest deeper than Python's stack allows
 Value = np.ndarray | float
@@ -95,8 +96,10 @@ def _compile(node: ast.expr) -> Expression:
         argument_count, function = FUNCTIONS[node.func.id]
         if len(node.args) == argument_count:
             return _compile_call(function, node.args)  # refuses starred arguments
-        arguments = f"{argument_count} argument{'' if argument_count == 1 else 's'}"
-        raise SettingsError(f'The function "{node.func.id}" of the formula takes {arguments}, not {len(node.args)}.', ("formula",))
+        raise SettingsError(
+            f'The function "{node.func.id}" of the formula takes {format_count(argument_count, "argument")}, not {len(node.args)}.',
+            ("formula",),
+        )
     raise SettingsError(f'"{_abbreviate(ast.unparse(node))}" is not allowed in the formula; allowed are {_allowed_terms()}.', ("formula",))
 
 
