@@ -8,6 +8,7 @@ from .operators.clipbox import convert_to_mesh as clipbox_convert
 from .operators.clipbox import operators as clipbox_operators
 from .operators.photos import import_cameras as photos_import
 from .operators.photos import operators as photos_operators
+from .operators.photos import overlays as photos_overlays
 from .operators.restore import operators as restore_operators
 from .operators.unwrap import operators as unwrap_operators
 from .panels import billboards as billboards_panels
@@ -26,6 +27,7 @@ MODULES = (
     unwrap_operators,
     photos_operators,
     photos_import,
+    photos_overlays,
     restore_operators,
     clipbox_operators,
     clipbox_convert,

@@ -24,9 +24,12 @@ from farfield.addon.bridge.photos.photo_files import read_photograph, size_reade
 from farfield.addon.bridge.photos.results import assign_texture, create_texture_image
 from farfield.addon.bridge.photos.surfaces import read_surface
 from farfield.addon.core.errors import FileError
+from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import StageClock, run_to_end, subprogress
 from farfield.addon.core.photos.importers import read_cameras
 from farfield.addon.core.photos.merging import PhotoTexture, merge
+from farfield.addon.core.photos.overlays import draw_overlay
+from farfield.addon.core.photos.photographs import Photograph
 from farfield.addon.core.photos.settings import PhotosSettings
 from farfield.addon.core.settings import add_flags, from_flags
 from farfield.addon.core.unwrap.settings import UnwrapSettings
@@ -54,6 +57,7 @@ def build_parser() -> command_line.Parser:
     parser.add_argument("--images", type=command_line.parse_path, required=True, help="the folder of the photographs")
     parser.add_argument("--out", type=command_line.parse_path, help="the textured mesh to write: .blend, .obj or .glb")
     parser.add_argument("--texture", type=command_line.parse_path, required=True, help="the texture to write, a PNG file")
+    parser.add_argument("--overlays", type=command_line.parse_path, help="a folder for pictures of the photographs with the mesh")
     parser.add_argument("--report", type=command_line.parse_path, help="write a report of the run to this JSON file")
     add_flags(parser, PhotosSettings)
     return parser
@@ -81,6 +85,9 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     with clock.stage("photographs"), mute_stderr():
         photographs = [read_photograph(camera, given.images.absolute()) for camera in cameras]
     surface = read_surface(read_instances(objects, bpy.context.evaluated_depsgraph_get()))
+    if given.overlays is not None:
+        with clock.stage("overlays"):
+            write_overlays(surface.mesh, photographs, given.overlays.absolute())
     result = run_to_end(subprogress(merge(surface.mesh, surface.corner_uvs, photographs, settings), 0.0, 1.0), line.show)
     line.clear()
     clock.seconds |= result.seconds
@@ -110,6 +117,13 @@ def unwrap_missing(objects: list[bpy.types.Object], line: command_line.ProgressL
         run_to_end(run_job(unwrap_job.prepare(bpy.context, missing, UnwrapSettings())), line.show)
         line.clear()
     return [item.name for item in missing]
+
+
+def write_overlays(mesh: TriangleMesh, photographs: list[Photograph], folder: Path) -> None:
+    """Write each photograph with the mesh drawn into it, before merging, which may fail because of what they show."""
+    with atomic_folder(folder) as temporary:
+        for photograph in photographs:
+            write_png(temporary / f"{Path(photograph.camera.name).stem}.overlay.png", draw_overlay(mesh, photograph))
 
 
 def write(result: PhotoTexture, objects: list[bpy.types.Object], texture: Path, out: Path | None, count: int) -> None:

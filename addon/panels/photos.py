@@ -9,6 +9,7 @@ from ..core.settings import describe
 from ..core.text import format_count
 from ..operators.photos.import_cameras import FARFIELD_OT_photos_import_cameras
 from ..operators.photos.operators import FARFIELD_OT_photos_merge
+from ..operators.photos.overlays import FARFIELD_OT_photos_draw_overlays
 from ..operators.photos.sources import disabled_reason, find_cameras
 from .sidebar import ToolPanel, draw_button, draw_message, draw_progress_bar, draw_setting, settings_column
 
@@ -31,6 +32,7 @@ class FARFIELD_PT_photos(ToolPanel, bpy.types.Panel):
         column.operator(FARFIELD_OT_photos_import_cameras.bl_idname, text="Import Cameras", icon="CAMERA_DATA")
         images = [find_background(item.data).image for item in find_cameras(context)]
         draw_photographs(column, len(images), sum(is_missing(image) for image in images))
+        column.operator(FARFIELD_OT_photos_draw_overlays.bl_idname, text="Draw Overlays", icon="OVERLAY")
         for setting in SETTINGS:
             item = column.column()
             item.active = setting.name not in ONLY_FOR_BEST or group.method == "best"

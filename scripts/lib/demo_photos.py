@@ -26,7 +26,7 @@ from lib.studio import look_at_matrix, set_uniform_sky
 CAMERA_COUNT = 8
 MAX_EXPOSURE = 0.5  # stops
 DISTANCE = 6.0  # scene units
-FOCAL_LENGTH, VIEW_FOCAL_LENGTH = 75.0, 80.0  # millimeters, of photographs and of the square views
+FOCAL_LENGTH, VIEW_FOCAL_LENGTH = 75.0, 100.0  # millimeters, of photographs and of the square views
 ELEVATIONS = (0.55, -0.3)  # radians, alternating
 HELD_OUT = 6
 HELD_OUT_ELEVATION = 0.2

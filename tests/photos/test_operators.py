@@ -11,6 +11,7 @@ from farfield.addon.bridge.photos.scene_cameras import LENS_PROPERTY, read_lens
 from farfield.addon.core.geometry.geometry_2d import signed_areas
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.photos.merging import merge
+from farfield.addon.core.photos.overlays import draw_overlay
 from farfield.addon.core.photos.settings import PhotosSettings
 from farfield.addon.core.unwrap.overlaps import count_overlaps
 from image_data import write_image
@@ -171,6 +172,32 @@ class TestImport:
         bpy.ops.ed.undo_push(message="Import Cameras")
         bpy.ops.ed.undo()
         assert state() == before
+
+
+class TestOverlays:
+    """*Draw Overlays*."""
+
+    def test_each_photograph_gets_one_image_which_a_second_run_replaces(self, photographs, capfd):
+        item, mesh, _ = add_mesh()
+        assert bpy.ops.farfield.photos_draw_overlays() == {"FINISHED"}
+        assert "Drew 3 overlays" in capfd.readouterr().out
+        names = [f"{index}.png Overlay" for index in range(3)]
+        first = read_pixels(bpy.data.images[names[0]])
+        assert np.abs(first[..., :3] - draw_overlay(mesh, photographs[0])).mean() < 0.01
+        item.location.x += 50.0
+        bpy.context.view_layer.update()
+        assert bpy.ops.farfield.photos_draw_overlays() == {"FINISHED"}
+        overlays = sorted(image.name for image in bpy.data.images if "Overlay" in image.name)
+        assert overlays == names
+        second = read_pixels(bpy.data.images[names[0]])
+        assert second[..., :3].mean() < first[..., :3].mean(), "the mesh has left the photographs, which are dimmed"
+
+    def test_images_of_others_are_kept(self, photographs):
+        own = bpy.data.images.new("0.png Overlay", 2, 2)
+        add_mesh()
+        assert bpy.ops.farfield.photos_draw_overlays() == {"FINISHED"}
+        assert bpy.data.images["0.png Overlay"] == own
+        assert len(bpy.data.images["0.png Overlay.001"].pixels) > 16
 
 
 class TestMerge:

@@ -112,4 +112,6 @@ def test_a_mesh_far_away_says_so(folder):
     mesh.vertices[:] += 100.0
     write_obj(folder / "far.obj", mesh, uvs)
     with pytest.raises(GeometryError, match="No vertex of the mesh lies in the frame"):
-        run(*inputs(folder, "far.obj"), "--texture", folder / "t.png")
+        run(*inputs(folder, "far.obj"), "--texture", folder / "t.png", "--overlays", folder / "overlays")
+    written = sorted(path.name for path in (folder / "overlays").iterdir())
+    assert written == [f"{index}.overlay.png" for index in range(3)], "they show what is wrong"

@@ -7,6 +7,7 @@ from ...compat import enable_nodes
 from ..images import create_image
 
 IMAGE_NODE_POSITION = (-320, 300)
+OVERLAY_PROPERTY = "farfield_photo_overlay"  # custom property of images that `create_overlay_image` made
 TEXTURE_PROPERTY = "farfield_photo_texture"  # custom property of materials that `assign_texture` made
 
 
@@ -27,6 +28,19 @@ def create_map_image(name: str, values: np.ndarray) -> bpy.types.Image:
     pixels = np.ones((*values.shape, 4), np.float32)
     pixels[..., :3] = values[..., None]
     image = create_image(name, pixels, is_data=True)
+    image.use_fake_user = True
+    return image
+
+
+def create_overlay_image(name: str, colors: np.ndarray) -> bpy.types.Image:
+    """Create an 8-bit image of sRGB-encoded `colors` (H, W, 3) that files keep, in place of an earlier overlay with this name."""
+    former = bpy.data.images.get(name)
+    image = create_texture_image(name, colors)
+    image[OVERLAY_PROPERTY] = True
+    if former is not None and OVERLAY_PROPERTY in former and former.library is None:
+        former.user_remap(image)
+        bpy.data.images.remove(former)
+        image.name = name
     image.use_fake_user = True
     return image
 

@@ -1,0 +1,64 @@
+"""Operator of the tool `photos` that draws the mesh into the photographs."""
+
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from ...bridge.meshes import SourceInstance, concatenate_in_world_space, read_instances
+from ...bridge.photos.photo_images import PhotoSource
+from ...bridge.photos.results import create_overlay_image
+from ...core.jobs.progress import Progress, Steps
+from ...core.photos.overlays import draw_overlay
+from ...core.text import format_count
+from .. import long_work, start_job
+from .sources import disabled_reason, divide_targets, open_photographs
+
+SUFFIX = " Overlay"
+
+
+@dataclass
+class OverlayJob:
+    """Draws the `instances` into the photographs `sources`."""
+
+    core_fraction = 0.95
+
+    instances: list[SourceInstance]
+    sources: list[PhotoSource]
+
+    def core_steps(self) -> Steps[list[np.ndarray]]:
+        """Draw the pictures."""
+        mesh, pictures = concatenate_in_world_space(self.instances), []
+        for index, source in enumerate(self.sources):
+            yield Progress(index / len(self.sources), "Drawing overlays")
+            pictures.append(draw_overlay(mesh, source.read()))
+        return pictures
+
+    def scene_steps(self, core_result: list[np.ndarray]) -> Steps[str]:
+        """Create an image for each photograph, in place of an earlier one."""
+        for index, (source, picture) in enumerate(zip(self.sources, core_result, strict=True)):
+            yield Progress(index / len(self.sources), "Creating images")
+            create_overlay_image(f"{source.camera.name}{SUFFIX}", picture)
+        return f"Drew {format_count(len(self.sources), 'overlay')}; open one in the Image Editor."
+
+
+class FARFIELD_OT_photos_draw_overlays(start_job.StartJob, bpy.types.Operator):
+    """Draw the selected meshes into a copy of each photograph, to see whether cameras and mesh fit to each other"""
+
+    bl_idname = "farfield.photos_draw_overlays"
+    bl_label = "Draw Overlays of Photographs"
+    bl_options = {"REGISTER", "UNDO"}
+    settings_types, panel_property = (), "farfield_photos"
+
+    @classmethod
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
+        """Return why nothing can be drawn now, or an empty string."""
+        return long_work.running_job_message() or disabled_reason(context)
+
+    def prepare(self, context: bpy.types.Context) -> OverlayJob:
+        """Read meshes and cameras."""
+        objects, _ = divide_targets(context)
+        return OverlayJob(read_instances(objects, context.evaluated_depsgraph_get()), open_photographs(context))
+
+
+register, unregister = bpy.utils.register_classes_factory((FARFIELD_OT_photos_draw_overlays,))
