@@ -1,15 +1,26 @@
-"""Panel *Photo Texture* in the sidebar tab *Farfield*."""
+"""Panel *Photo Texture* in the sidebar tab *Farfield*, and *Register Photograph* in that of the Image Editor."""
 
 import bpy
+import numpy as np
 
+from ..bridge.photos.pair_markers import ARROW_SCALE
 from ..bridge.photos.photo_images import is_missing
+from ..bridge.photos.point_pairs import PROPERTY, read_pairs
 from ..bridge.photos.scene_cameras import find_background
+from ..core.photos.registration import MIN_PAIRS, MIN_PAIRS_WITH_LENS
 from ..core.photos.settings import PhotosSettings
 from ..core.settings import describe
 from ..core.text import format_count
+from ..operators import image_editors
 from ..operators.photos.import_cameras import FARFIELD_OT_photos_import_cameras
 from ..operators.photos.operators import FARFIELD_OT_photos_merge
 from ..operators.photos.overlays import FARFIELD_OT_photos_draw_overlays
+from ..operators.photos.registration import (
+    FARFIELD_OT_photos_add_pairs,
+    FARFIELD_OT_photos_register,
+    FARFIELD_OT_photos_remove_pair,
+    find_image_problem,
+)
 from ..operators.photos.sources import disabled_reason, find_cameras
 from .sidebar import ToolPanel, draw_button, draw_message, draw_progress_bar, draw_setting, settings_column
 
@@ -53,5 +64,56 @@ def draw_photographs(layout: bpy.types.UILayout, count: int, missing: int) -> No
         layout.label(text=f"{text}, {missing} missing" if missing else text, icon="ERROR" if missing else "IMAGE_DATA")
 
 
-CLASSES = (FARFIELD_PT_photos,)
+class FARFIELD_PT_photos_registration(ToolPanel, bpy.types.Panel):
+    """The pairs of points, the lens, and the buttons."""
+
+    bl_idname = "FARFIELD_PT_photos_registration"
+    bl_label = "Register Photograph"
+    bl_space_type = "IMAGE_EDITOR"
+    bl_options = {"DEFAULT_CLOSED"}
+    page = "photos"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the steps in the order of work."""
+        layout = self.layout
+        reason = find_image_problem(context)
+        if reason:
+            draw_message(layout, reason, "INFO")
+            return
+        image = image_editors.shown_image(context)
+        group = getattr(image, PROPERTY)
+        column = settings_column(layout)
+        column.operator(FARFIELD_OT_photos_add_pairs.bl_idname, text="Add Pairs", icon="CURSOR")
+        draw_pairs(layout, group)
+        settings_column(layout).prop(group, "lens_camera")
+        needed = MIN_PAIRS if group.lens_camera is None else MIN_PAIRS_WITH_LENS
+        count = len(read_pairs(image)[0])
+        if count < needed:
+            draw_message(layout, f"{count} of {needed} pairs", "INFO")
+        row = layout.row()
+        row.enabled = count >= needed
+        row.operator(FARFIELD_OT_photos_register.bl_idname, text="Register", icon="CON_CAMERASOLVER")
+
+
+def draw_pairs(layout: bpy.types.UILayout, group: bpy.types.PropertyGroup) -> None:
+    """Draw a row for each pair with its residual and a button that removes it."""
+    if not len(group.pairs):
+        return
+    column = layout.column(align=True)
+    for index, pair in enumerate(group.pairs):
+        row = column.row(align=True)
+        if not (pair.has_point and pair.has_position):
+            text, icon = "click on the mesh" if pair.has_position else "click in the photograph", "BLANK1"
+        elif group.is_registered:
+            text = f"{np.linalg.norm(pair.residual):.2f} pixels"
+            icon = "ERROR" if pair.is_wrong else "CHECKMARK"
+        else:
+            text, icon = "complete", "BLANK1"
+        row.label(text=f"{index + 1}: {text}", icon=icon)
+        row.operator(FARFIELD_OT_photos_remove_pair.bl_idname, text="", icon="X", emboss=False).index = index
+    if group.is_registered:
+        column.label(text=f"Arrows: errors x {ARROW_SCALE:g}")
+
+
+CLASSES = (FARFIELD_PT_photos, FARFIELD_PT_photos_registration)
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -5,7 +5,7 @@ import bpy
 from ..bridge.restore.outline import outline
 from ..core.restore.settings import MaskSettings, RestoreSettings
 from ..core.settings import describe
-from ..operators.restore import editors
+from ..operators import image_editors
 from ..operators.restore.operators import (
     NO_IMAGE,
     FARFIELD_OT_restore_compare,
@@ -57,7 +57,7 @@ class FARFIELD_PT_restore(ToolPanel, bpy.types.Panel):
             draw_message(layout, problem, "INFO")
         elif image != edited:
             draw_message(layout, f'Restores "{image.name}" again', "INFO")
-        elif image != editors.shown_image(context):
+        elif image != image_editors.shown_image(context):
             draw_message(layout, f'Restores "{image.name}", which this mask belongs to', "INFO")
         button = layout.column()
         button.enabled = not problem

@@ -9,8 +9,8 @@ from farfield.addon.bridge.restore.image_users import MASKED_PROPERTY, ORIGINAL_
 from farfield.addon.bridge.restore.outline import outline
 from farfield.addon.compat import image_paint_settings
 from farfield.addon.core.restore.settings import MaskSettings
+from farfield.addon.operators import image_editors
 from farfield.addon.operators.properties import read as read_settings
-from farfield.addon.operators.restore import editors
 from farfield.addon.operators.restore.guides import find_shown_masks
 from farfield.addon.operators.restore.operators import counterpart
 from farfield.addon.operators.restore.prepare import edited_image, find_problem, find_target
@@ -259,4 +259,4 @@ def test_the_outline_is_cleared_when_a_file_is_opened(empty_scene):
 
 
 def test_a_closed_editor_is_no_error(empty_scene):
-    editors.show_image(12345, new_image("source", ramp()))
+    image_editors.show_image(12345, new_image("source", ramp()))

@@ -11,7 +11,7 @@ import numpy as np
 from ...core.errors import FileError
 from ...core.geometry.lenses import Lens, PhotoCamera
 from .photo_files import find_photograph
-from .scene_cameras import TO_PHOTO_AXES, store_lens
+from .scene_cameras import TO_PHOTO_AXES, find_background, has_photograph, store_lens
 
 SENSOR_SIZE = 36.0  # millimeters, along the side that the sensor spans
 OPACITY = 1.0  # of background images
@@ -54,6 +54,19 @@ def create_cameras(
     return parent, missing
 
 
+def place_registered_camera(camera: PhotoCamera, image: bpy.types.Image, scene: bpy.types.Scene) -> bpy.types.Object:
+    """Give the camera object of `scene` whose background image is `image` the place and lens of `camera`, or create such an object."""
+    item = next((item for item in scene.objects if has_photograph(item) and find_background(item.data).image == image), None)
+    if item is None:
+        item = _create_camera(camera, image, scene)
+        scene.collection.objects.link(item)
+        return item
+    show_lens(item.data, camera.lens, scene)
+    store_lens(item.data, camera.lens)
+    item.matrix_world = _world_matrix(camera)
+    return item
+
+
 def set_render_size(scene: bpy.types.Scene, size: tuple[int, int]) -> None:
     """Render square pixels, `size` (width, height) of them."""
     render = scene.render
@@ -88,11 +101,15 @@ def _create_camera(camera: PhotoCamera, image: bpy.types.Image, scene: bpy.types
     background.image, background.frame_method, background.alpha = image, "FIT", OPACITY
     data.show_background_images = True
     item = bpy.data.objects.new(name, data)
+    item.rotation_mode = "QUATERNION"  # Euler angles lose digits near the poles
+    item.matrix_basis = _world_matrix(camera)
+    return item
+
+
+def _world_matrix(camera: PhotoCamera) -> mathutils.Matrix:
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = camera.rotation.T @ TO_PHOTO_AXES, camera.position
-    item.rotation_mode = "QUATERNION"  # Euler angles lose digits near the poles
-    item.matrix_basis = mathutils.Matrix(matrix.tolist())
-    return item
+    return mathutils.Matrix(matrix.tolist())
 
 
 def _open_photograph(name: str, folder: Path) -> tuple[bpy.types.Image, bool]:

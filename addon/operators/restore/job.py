@@ -13,7 +13,7 @@ from ...core.errors import ImageError
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.restore.restoration import restore
 from ...core.restore.settings import MaskSettings, RestoreSettings
-from . import editors
+from .. import image_editors
 from .guides import UNTILED, Guides, find_missing
 
 
@@ -21,7 +21,7 @@ from .guides import UNTILED, Guides, find_missing
 class RestoreJob:
     """What restorations of all kinds of images have in common.
 
-    name, uid: of the image. editor: the Image Editor that shows the result, see `editors`.
+    name, uid: of the image. editor: the Image Editor that shows the result, see `image_editors`.
     """
 
     name: str
@@ -72,7 +72,7 @@ class RestoreJob:
         image[image_users.ORIGINAL_PROPERTY] = source
         skipped = image_users.replace_image(source, image) if self.masks.replace else []
         image.use_fake_user = image.users == 0
-        editors.show_image(self.editor, image)
+        image_editors.show_image(self.editor, image)
         message = f'Restored {missing_count:,} pixels of "{source.name}" as "{image.name}".'
         if skipped:
             names = ", ".join(f'"{name}"' for name in dict.fromkeys(skipped))

@@ -9,9 +9,8 @@ from ...bridge.restore import image_users
 from ...bridge.restore.mask_images import WHITE, create_mask, set_brush_color
 from ...bridge.restore.outline import outline
 from ...core.restore.settings import MaskSettings, RestoreSettings
-from .. import long_work, properties, start_job
+from .. import image_editors, long_work, properties, start_job
 from ..error_reports import report_message, reports_errors
-from . import editors
 from .guides import find_shown_masks
 from .job import RestoreJob
 from .prepare import edited_image, find_target, prepare, require_image
@@ -71,7 +70,7 @@ class FARFIELD_OT_restore_mask(bpy.types.Operator):
         group = context.scene.farfield_restore
         group.mask, group.mask_image = "image", mask.name
         set_brush_color(context.tool_settings, WHITE)
-        editors.show_image(editors.remember_editor(context), mask, "PAINT")
+        image_editors.show_image(image_editors.remember_editor(context), mask, "PAINT")
         report_message(self, f'Created "{mask.name}"; paint white where pixels are missing.')
         return {"FINISHED"}
 
@@ -87,7 +86,7 @@ class FARFIELD_OT_restore_outline(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Show or hide the outline."""
         outline.is_hidden = not outline.is_hidden
-        editors.redraw_editors(context)
+        image_editors.redraw_editors(context)
         return {"FINISHED"}
 
 
@@ -101,13 +100,13 @@ class FARFIELD_OT_restore_compare(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Return whether the image was restored or is the result of a restoration."""
-        reason = "" if editors.is_image_editor(context) else "Only available in an Image Editor"
+        reason = "" if image_editors.is_image_editor(context) else "Only available in an Image Editor"
         return long_work.poll_with_reason(cls, reason or ("" if counterpart(context) else "Restore the image first"))
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Show the other one of original and result."""
-        editors.show_image(editors.remember_editor(context), counterpart(context))
+        image_editors.show_image(image_editors.remember_editor(context), counterpart(context))
         return {"FINISHED"}
 
 
@@ -120,7 +119,7 @@ def counterpart(context: bpy.types.Context) -> bpy.types.Image | None:
 
 
 def _missing_image_message(context: bpy.types.Context) -> str:
-    return NO_IMAGE if editors.is_image_editor(context) and editors.shown_image(context) is None else ""
+    return NO_IMAGE if image_editors.is_image_editor(context) and image_editors.shown_image(context) is None else ""
 
 
 def _find_masks(image: bpy.types.Image, scene: bpy.types.Scene) -> dict[int, np.ndarray]:

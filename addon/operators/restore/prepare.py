@@ -10,7 +10,7 @@ from ...bridge.restore.image_sources import check_image, find_image, list_frames
 from ...core.errors import ImageError, SettingsError
 from ...core.files.file_access import check_unicode
 from ...core.restore.settings import MaskSettings, RestoreSettings
-from . import editors
+from .. import image_editors
 from .guides import GuideReader
 from .job import ImageJob, RestoreJob
 from .sequence_job import SequenceJob
@@ -18,7 +18,7 @@ from .sequence_job import SequenceJob
 
 def edited_image(context: bpy.types.Context) -> bpy.types.Image | None:
     """Return the image in the Image Editor, or the one that a shown mask belongs to; None if the editor is empty or there is none."""
-    shown = editors.shown_image(context)
+    shown = image_editors.shown_image(context)
     return image_users.read_image_property(shown, image_users.MASKED_PROPERTY) or shown
 
 
@@ -61,7 +61,7 @@ def prepare(context: bpy.types.Context, name: str, masks: MaskSettings, settings
     image = require_image(context, name, masks)
     guides = GuideReader(masks, image)
     is_normal_map = masks.normal_map or image_users.is_normal_map(image)
-    common = (image.name, image.session_uid, settings, masks, is_normal_map, editors.remember_editor(context))
+    common = (image.name, image.session_uid, settings, masks, is_normal_map, image_editors.remember_editor(context))
     if image.source == "SEQUENCE":
         return SequenceJob(*common, frames=list_frames(image), guides=guides, folder=_output_folder(image, masks))
     tiles = read_tiles(image)
