@@ -6,6 +6,7 @@ confidence, source and holes appear next to the texture. `blender --background -
 """
 
 import sys
+from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from farfield.addon.bridge.photos.photo_files import read_photograph, size_reade
 from farfield.addon.bridge.photos.results import assign_texture, create_texture_image
 from farfield.addon.bridge.photos.surfaces import read_surface
 from farfield.addon.core.errors import FileError
+from farfield.addon.core.files.scratch import Scratch
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import StageClock, run_to_end, subprogress
 from farfield.addon.core.photos.importers import read_cameras
@@ -75,6 +77,12 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     maps = {name: texture.with_suffix(f".{name}.png") for name in MAPS}
     outputs = {"--out": given.out, "--texture": texture, **{f"the {name} map": path for name, path in maps.items()}}
     check_outputs(outputs, {"the input": given.input}, given.report)
+    with Scratch() as scratch:
+        return merge_files(given, settings, texture, scratch, line)
+
+
+def merge_files(given: Namespace, settings: PhotosSettings, texture: Path, scratch: Scratch, line: command_line.ProgressLine) -> str:
+    """Read cameras, mesh and photographs, merge, write all files, and return the summary."""
     clock = StageClock()
     with clock.stage("cameras"):
         cameras = read_cameras(given.cameras.absolute(), size_reader(given.images.absolute()))
@@ -83,12 +91,12 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     with clock.stage("unwrap"):
         unwrapped = unwrap_missing(objects, line)
     with clock.stage("photographs"), mute_stderr():
-        photographs = [read_photograph(camera, given.images.absolute()) for camera in cameras]
+        photographs = [read_photograph(camera, given.images.absolute()).keep_in(scratch, index) for index, camera in enumerate(cameras)]
     surface = read_surface(read_instances(objects, bpy.context.evaluated_depsgraph_get()))
     if given.overlays is not None:
         with clock.stage("overlays"):
             write_overlays(surface.mesh, photographs, given.overlays.absolute())
-    result = run_to_end(subprogress(merge(surface.mesh, surface.corner_uvs, photographs, settings), 0.0, 1.0), line.show)
+    result = run_to_end(subprogress(merge(surface.mesh, surface.corner_uvs, photographs, settings, scratch), 0.0, 1.0), line.show)
     line.clear()
     clock.seconds |= result.seconds
     with clock.stage("write"):

@@ -88,7 +88,7 @@ def create_photograph() -> bpy.types.Image:
     hit = POSITION + near[..., None] * directions
     checker = np.floor(hit * 2.5).sum(axis=-1) % 2
     pixels[..., :3] = np.where(near < far, 0.5 + 0.3 * checker, 0.15)[..., None]
-    image = bpy.data.images.new("Foto ü", *SIZE)
+    image = bpy.data.images.new("Aufnahme ü", *SIZE)
     image.pixels.foreach_set(pixels.ravel())
     image.update()
     image.pack()
@@ -170,7 +170,7 @@ def session() -> Iterator[float]:
     user.press("Z", region.x + region.width // 2, region.y + region.height // 2, ctrl=True)
     yield 1.5
     results["cameras_after_undo"] = [item.name for item in bpy.data.objects if item.type == "CAMERA"]
-    results["pairs_after_undo"] = len(bpy.data.images["Foto ü"].farfield_registration.pairs)
+    results["pairs_after_undo"] = len(bpy.data.images["Aufnahme ü"].farfield_registration.pairs)
     save_screenshot("5-undone")
 
 

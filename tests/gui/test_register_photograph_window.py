@@ -30,7 +30,7 @@ def test_clicks_in_any_order_make_pairs_and_backspace_removes_the_last(results):
 
 
 def test_the_camera_is_where_the_photograph_was_taken(results):
-    assert results["cameras"] == ["Foto ü"]
+    assert results["cameras"] == ["Aufnahme ü"]
     assert results["distance"] < 0.3
     assert max(results["residuals"]) < 4.0
 

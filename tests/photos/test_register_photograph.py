@@ -12,10 +12,10 @@ pytestmark = pytest.mark.usefixtures("empty_scene")
 
 SIZE = (640, 480)
 LENS = Lens("SIMPLE_RADIAL", SIZE, (700.0, 700.0), (320.0, 240.0), (-0.03,))
-CAMERA = PhotoCamera("Foto ü.png", LENS, np.diag([1.0, -1.0, -1.0]), np.array([0.1, -0.2, 5.0]))
+CAMERA = PhotoCamera("Aufnahme ü.png", LENS, np.diag([1.0, -1.0, -1.0]), np.array([0.1, -0.2, 5.0]))
 
 
-def add_image(name="Foto ü.png", size=SIZE):
+def add_image(name="Aufnahme ü.png", size=SIZE):
     return bpy.data.images.new(name, *size)
 
 
@@ -79,7 +79,7 @@ def test_a_camera_is_created_and_a_second_run_moves_it(capfd):
     image = add_image()
     group = add_pairs(image, 8)
     item = register(image)
-    assert 'Registered "Foto ü": 0.0' in capfd.readouterr().out
+    assert 'Registered "Aufnahme ü": 0.0' in capfd.readouterr().out
     found = read_photo_camera(item, bpy.context.scene, bpy.context.evaluated_depsgraph_get())
     checked = points(50, seed=1)
     assert (
@@ -112,7 +112,7 @@ def test_with_the_lens_of_another_photograph_four_pairs_are_enough():
     assert 'The camera "Other" has no photograph' in error(image.name)
     other.data.background_images.new().image = add_image("small", (64, 48))
     other.data.show_background_images = True
-    assert '"Other" has 64 x 48 pixels and "Foto ü.png" 640 x 480' in error(image.name)
+    assert '"Other" has 64 x 48 pixels and "Aufnahme ü.png" 640 x 480' in error(image.name)
     store_lens(other.data, LENS)
     item = register(image)
     assert np.allclose(item.matrix_world.translation, CAMERA.position, atol=1e-3)
@@ -146,7 +146,7 @@ def test_undo_removes_the_camera_and_the_residuals():
     register(image)
     bpy.ops.ed.undo_push(message="registered")
     bpy.ops.ed.undo()
-    group = bpy.data.images["Foto ü.png"].farfield_registration
+    group = bpy.data.images["Aufnahme ü.png"].farfield_registration
     assert len(group.pairs) == 8 and not group.is_registered
     assert not [item for item in bpy.data.objects if item.type == "CAMERA"]
 
@@ -158,4 +158,4 @@ def test_pairs_are_saved_with_the_file(tmp_path):
     copies = point_pairs.copy_pairs(image)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "datei.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "datei.blend"))
-    assert point_pairs.copy_pairs(bpy.data.images["Foto ü.png"]) == copies
+    assert point_pairs.copy_pairs(bpy.data.images["Aufnahme ü.png"]) == copies

@@ -13,6 +13,7 @@ from .observations import Observations
 
 MIN_LINEAR, MAX_ENCODED = 0.01, 0.97  # darker colors are noise, brighter ones are clipped
 HUBER = 0.1  # of a logarithm: larger differences are outliers
+MAX_PER_POINT = 8  # observations of a point that are compared, chosen at random: the cost grows with the square
 ITERATIONS = 20
 TOLERANCE = 1e-4  # of logarithmic gains
 REGULARIZATION = 1e-3  # relative to the number of comparisons; photographs without overlap keep their exposure
@@ -22,6 +23,7 @@ def estimate_gains(observed: Observations, count: int, weights: np.ndarray | Non
     """Return gains (K, 3) for `count` photographs; `weights` (N,) of the observations are 1 by default."""
     usable = (observed.colors.max(axis=1) < MAX_ENCODED) & (True if weights is None else weights > 0.0)
     given = np.ones(len(observed.points)) if weights is None else weights
+    usable &= _rank(observed.points, usable) < MAX_PER_POINT
     points, photographs, given = observed.points[usable], observed.photographs[usable], given[usable]
     logarithms = np.log(np.maximum(decode_signed_srgb(observed.colors[usable]), MIN_LINEAR))
     gains = np.zeros((count, 3))
@@ -35,6 +37,15 @@ def estimate_gains(observed: Observations, count: int, weights: np.ndarray | Non
             if np.abs(gains[:, channel] - previous).max() < TOLERANCE:
                 break
     return np.exp(gains)
+
+
+def _rank(points: np.ndarray, usable: np.ndarray) -> np.ndarray:
+    """Return the place (N,) of each observation among the usable ones of its point, in random order."""
+    order = np.lexsort((np.random.default_rng(0).random(len(points)), ~usable, points))
+    starts = np.searchsorted(points, points)  # points ascend
+    ranks = np.empty(len(points), np.int64)
+    ranks[order] = np.arange(len(points)) - starts[order]
+    return ranks
 
 
 def _solve(points: np.ndarray, photographs: np.ndarray, values: np.ndarray, weights: np.ndarray, count: int) -> np.ndarray:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..files.scratch import Scratch
 from ..geometry.mesh import TriangleMesh, face_areas_and_normals
 from .texels import TexelTile
 from .views import MIN_COSINE, Seen, View
@@ -74,6 +75,12 @@ class FaceVisibility:
         self.status = np.full(len(centers), MIXED, np.uint8)
         self.status[is_small & corners_shown.all(axis=0) & (self._resolution > 0.0)] = VISIBLE
         self.status[(is_small & ~corners_shown.any(axis=0) & (self._resolution == 0.0)) | self._faces_away(centers, face_normals)] = HIDDEN
+
+    def keep_in(self, scratch: Scratch, group: int) -> None:
+        """Let `scratch` keep what was found."""
+        self._weights, self._resolution, self.status = (
+            scratch.keep(each, group) for each in (self._weights, self._resolution, self.status)
+        )
 
     def see(self, tile: TexelTile, points: np.ndarray, rows: np.ndarray) -> SeenTexels:
         """Return how the photograph shows the texels `rows` (R,) of a tile at `points` (N, 3)."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import GeometryError, ImageError
+from ..files.scratch import Scratch
 from ..geometry.edges import Edges, find_edges
 from ..geometry.geometry_2d import signed_areas
 from ..geometry.mesh import TriangleMesh, check_points, face_areas_and_normals
@@ -22,7 +23,7 @@ from .face_visibility import order_by_corner, prepare_surface
 from .hole_filling import HoleCounts, HoleFiller
 from .labels import choose_labels
 from .leveling import VertexLabels, find_vertex_labels, solve_corrections
-from .observations import Observations, observe, sample_surface
+from .observations import MAX_OBSERVATIONS, POINTS, Observations, observe, sample_surface
 from .photographs import Photograph, apply_gain
 from .settings import PhotosSettings
 from .surface import interpolate_colors
@@ -55,12 +56,18 @@ class PhotoTexture:
     seconds: dict[str, float]
 
 
-def merge(mesh: TriangleMesh, corner_uvs: np.ndarray, photographs: list[Photograph], settings: PhotosSettings) -> Steps[PhotoTexture]:
+def merge(
+    mesh: TriangleMesh, corner_uvs: np.ndarray, photographs: list[Photograph], settings: PhotosSettings, scratch: Scratch | None = None
+) -> Steps[PhotoTexture]:
     """Merge `photographs` into a texture for `mesh` with UVs (T, 3, 2).
+
+    The memory for it does not grow with the number of photographs: if they are many, their depths are in temporary files. Those of
+    `scratch`, if it is given, may hold the photographs, too, each in the group of its index.
 
     Raises:
         ImageError: a photograph or mask does not have the size that its camera says, or there is none.
         GeometryError: no photograph shows the mesh, it has no area or is not finite, or the UV map covers no texel.
+        FileError: the disk of temporary files has too little space.
     """
     if not photographs:
         raise ImageError("There are no photographs; name a folder with the images that the cameras refer to.")
@@ -69,8 +76,14 @@ def merge(mesh: TriangleMesh, corner_uvs: np.ndarray, photographs: list[Photogra
     check_points(mesh.vertices, "mesh")
     if not np.isfinite(corner_uvs).all():
         raise GeometryError("The UV map has coordinates that are not finite; unwrap the mesh again.")
-    clock = StageClock()
-    merger = _Merger(mesh, corner_uvs, photographs, settings, clock)
+    if scratch is not None:
+        return (yield from _merge(_Merger(mesh, corner_uvs, photographs, settings, scratch)))
+    with Scratch() as own:
+        return (yield from _merge(_Merger(mesh, corner_uvs, photographs, settings, own)))
+
+
+def _merge(merger: "_Merger") -> Steps[PhotoTexture]:
+    clock, settings = merger.clock, merger.settings
     yield from merger.look()
     yield Progress(0.2, "Comparing photographs")
     with clock.stage("exposure"):
@@ -97,10 +110,10 @@ class _Merger:
     """The state between the steps of `merge`. The surface and the cameras are moved to the origin, where float32 is exact enough."""
 
     def __init__(
-        self, mesh: TriangleMesh, corner_uvs: np.ndarray, photographs: list[Photograph], settings: PhotosSettings, clock: StageClock
+        self, mesh: TriangleMesh, corner_uvs: np.ndarray, photographs: list[Photograph], settings: PhotosSettings, scratch: Scratch
     ) -> None:
-        self.settings, self.clock, self.corner_uvs = settings, clock, corner_uvs
-        with clock.stage("texels"):
+        self.settings, self.clock, self.corner_uvs, self.scratch = settings, StageClock(), corner_uvs, scratch
+        with self.clock.stage("texels"):
             self.map = TexelMap(corner_uvs, settings.size)
             if not (self.map.triangles >= 0).any():
                 raise GeometryError("The UV map covers no pixel of the texture; unwrap the mesh, or move its UVs into the range 0 to 1.")
@@ -124,11 +137,15 @@ class _Merger:
             yield Progress(0.2 * index / len(self.photographs), "Finding visible faces")
             with self.clock.stage("visibility"):
                 self.views.append(View(photograph.camera, self.mesh, photograph.mask))
+                self.views[-1].keep_in(self.scratch, index)
+                self.photographs[index] = photograph.pack_in(self.scratch, index)
+                self.scratch.release(index)
 
     def compare(self) -> None:
         """Estimate the gains of the photographs, and which of their parts show something else than the surface."""
-        points = sample_surface(self.mesh, self.corner_normals, self.areas)
-        observed = observe(points, self.photographs, self.views)
+        count = min(POINTS, MAX_OBSERVATIONS // len(self.photographs))
+        points = sample_surface(self.mesh, self.corner_normals, self.areas, count)
+        observed = observe(points, self.photographs, self.views, self.scratch)
         self._estimate_gains(observed, None)
         colors = np.empty_like(observed.colors)
         for index, gain in enumerate(self.gains):
@@ -140,6 +157,7 @@ class _Merger:
             view.apply_trust(cells)
             own = observed.photographs == index
             weights[own] = sample_bilinear(cells[..., None], observed.positions[own] / np.array(size) * cells.shape[::-1])[:, 0]
+            self.scratch.release(index)
         self._estimate_gains(observed, weights)
 
     def _estimate_gains(self, observed: Observations, weights: np.ndarray | None) -> None:
@@ -167,6 +185,7 @@ class _Merger:
                 counts[seen.indices] += 1
                 qualities[seen.indices, index] += seen.weights / np.float32(len(FACE_SAMPLES))
             qualities[counts < len(FACE_SAMPLES), index] = 0.0
+            self.scratch.release(index)
         return qualities
 
     def level(self) -> None:
@@ -184,6 +203,7 @@ class _Merger:
             weights[seen.indices] += seen.weights
             own = np.flatnonzero(self.pairs.photographs == index)
             colors[own], visible[own] = smooth[self.pairs.vertices[own]], is_visible[self.pairs.vertices[own]]
+            self.scratch.release(index)
         if self.settings.leveling and len(self.pairs.keys):
             self.corrections = solve_corrections(self.pairs, colors, visible, self.edges)
         self.vertex_colors = np.where(weights[:, None] > 0.0, sums / np.maximum(weights, 1e-30)[:, None], 0.0)
@@ -200,7 +220,8 @@ class _Merger:
         count = self.settings.size**2
         with self.clock.stage("faces"):
             surface = prepare_surface(self.mesh, self.normals, self.corner_normals)
-            painter = TexelPainter(surface, self.photographs, self.views, self.gains, is_cosine=self.settings.method == "paper")
+            is_cosine = self.settings.method == "paper"
+            painter = TexelPainter(surface, self.photographs, self.views, self.gains, self.scratch, is_cosine=is_cosine)
             if len(self.pairs.keys):
                 painter.use_labels(self.pairs, self.corrections)
         self.colors, self.confidence = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)

@@ -5,11 +5,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..files.scratch import Scratch
 from ..geometry.mesh import TriangleMesh
 from .photographs import Photograph
 from .views import View
 
 POINTS = 60_000
+MAX_OBSERVATIONS = 1_200_000  # if every photograph showed every point: more photographs get fewer points
 
 
 class SurfacePoints(NamedTuple):
@@ -32,7 +34,7 @@ class Observations(NamedTuple):
     colors: np.ndarray
 
 
-def sample_surface(mesh: TriangleMesh, normals: np.ndarray, areas: np.ndarray, count: int = POINTS) -> SurfacePoints:
+def sample_surface(mesh: TriangleMesh, normals: np.ndarray, areas: np.ndarray, count: int) -> SurfacePoints:
     """Return random points, evenly by the `areas` (T,) of the triangles, with interpolated corner `normals` (T, 3, 3)."""
     generator = np.random.default_rng(0)
     triangles = generator.choice(len(areas), count, p=areas / areas.sum())
@@ -43,8 +45,11 @@ def sample_surface(mesh: TriangleMesh, normals: np.ndarray, areas: np.ndarray, c
     return SurfacePoints(np.einsum("ni,nic->nc", barycentric, mesh.vertices[corners]), directions / np.where(lengths > 0.0, lengths, 1.0))
 
 
-def observe(points: SurfacePoints, photographs: list[Photograph], views: list[View]) -> Observations:
-    """Return what `photographs` show of `points`, with colors that do not depend on the finest details."""
+def observe(points: SurfacePoints, photographs: list[Photograph], views: list[View], scratch: Scratch) -> Observations:
+    """Return what `photographs` show of `points`, with colors that do not depend on the finest details.
+
+    `scratch` keeps the images of photographs and views, and releases each after its use.
+    """
     indices, labels, positions, colors = [], [], [], []
     for label, (photograph, view) in enumerate(zip(photographs, views, strict=True)):
         seen = view.see(points.positions, points.normals)
@@ -52,6 +57,7 @@ def observe(points: SurfacePoints, photographs: list[Photograph], views: list[Vi
         labels.append(np.full(len(seen.indices), label))
         positions.append(seen.positions)
         colors.append(photograph.smoothed().sample(seen.positions))
+        scratch.release(label)
     every = np.concatenate(indices)
     order = np.argsort(every, kind="stable")
     return Observations(every[order], np.concatenate(labels)[order], np.concatenate(positions)[order], np.concatenate(colors)[order])

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from ..errors import ImageError
+from ..files.scratch import Scratch
 from ..geometry.lenses import PhotoCamera
 from ..imaging.colors import decode_signed_srgb, encode_signed_srgb
 from ..jobs.chunks import slices
@@ -40,6 +41,18 @@ class Photograph:
                     f'The {name} "{self.camera.name}" has {values.shape[1]} x {values.shape[0]} pixels, but its camera {width} x {height}; '
                     "use the images that the cameras were computed from, without cropping or scaling."
                 )
+
+    def keep_in(self, scratch: Scratch, group: int) -> "Photograph":
+        """Return the photograph with pixels and mask that `scratch` keeps."""
+        mask = None if self.mask is None else scratch.keep(self.mask, group)
+        return replace(self, pixels=scratch.keep(self.pixels, group), mask=mask)
+
+    def pack_in(self, scratch: Scratch, group: int) -> "Photograph":
+        """Return the photograph with a copy of its pixels in `scratch` from which `sample` is fast."""
+        result = replace(self)
+        if self.pixels.dtype == np.uint8:
+            result.__dict__["_packed"] = scratch.keep(result._packed, group)
+        return result
 
     def sample(self, positions: np.ndarray) -> np.ndarray:
         """Return the encoded colors (N, 3) float32 at `positions` (N, 2) in pixels, by bilinear interpolation."""

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ..files.scratch import Scratch
 from .face_visibility import FaceVisibility, ShownSurface
 from .leveling import VertexLabels
 from .photographs import Photograph, apply_gain
@@ -45,11 +46,23 @@ class TexelPainter:
     """Computes the texels of tiles, of several at the same time if required."""
 
     def __init__(
-        self, surface: ShownSurface, photographs: list[Photograph], views: list[View], gains: np.ndarray, *, is_cosine: bool
+        self,
+        surface: ShownSurface,
+        photographs: list[Photograph],
+        views: list[View],
+        gains: np.ndarray,
+        scratch: Scratch,
+        *,
+        is_cosine: bool,
     ) -> None:
-        """Look at all triangles; `is_cosine`: whether photographs are weighted by the cosine between normal and view direction alone."""
+        """Look at all triangles; `is_cosine`: whether photographs are weighted by the cosine between normal and view direction alone.
+        `scratch` keeps what belongs to a photograph in its group."""
         self._surface, self._photographs, self._gains = surface, photographs, gains
-        self.faces = [FaceVisibility(view, surface, is_cosine=is_cosine) for view in views]
+        self.faces, self._scratch = [], scratch
+        for index, view in enumerate(views):
+            self.faces.append(FaceVisibility(view, surface, is_cosine=is_cosine))
+            self.faces[-1].keep_in(scratch, index)
+            scratch.release(index)
         self._regions: list[np.ndarray] = []
 
     def use_labels(self, pairs: VertexLabels, corrections: np.ndarray) -> None:
@@ -68,10 +81,12 @@ class TexelPainter:
             colors = self._sample(index, seen.positions)
             colors += np.einsum("ni,nic->nc", tile.barycentric[seen.indices], self._corrections[pairs[seen.indices]])
             found.add(index, seen.indices, colors, blend[seen.indices], seen.resolution)
+            self._scratch.release(index)
         rest = np.flatnonzero(found.weights == 0.0)
         for index, faces in enumerate(self.faces):
             seen = faces.see(tile, points, rest)
             found.add(index, seen.indices, self._sample(index, seen.positions), seen.weights, seen.resolution)
+            self._scratch.release(index)
         return found
 
     def _sample(self, index: int, positions: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 
+from ..files.scratch import Scratch
 from ..geometry.lenses import PhotoCamera
 from ..geometry.mesh import TriangleMesh
 from ..imaging.images import sample_bilinear
@@ -62,6 +63,12 @@ class View:
         border = None if mask is None else distance_transform_edt(mask).astype(np.float32)
         for cells, positions in self._cells():
             self._quality[cells] = _border_quality(positions, camera.lens.size, border)
+
+    def keep_in(self, scratch: Scratch, group: int) -> None:
+        """Let `scratch` keep the images."""
+        self._nearest, self._farthest, self._quality = (
+            scratch.keep(each, group) for each in (self._nearest, self._farthest, self._quality)
+        )
 
     def apply_trust(self, cells: np.ndarray) -> None:
         """Lower the quality by how far (h, w), 0 to 1, each of the cells that divide the photograph evenly shows the surface."""

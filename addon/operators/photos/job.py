@@ -12,6 +12,7 @@ from ...bridge.photos.results import assign_texture, create_map_image, create_te
 from ...bridge.photos.surfaces import check_separate_uvs, read_surface, to_projection
 from ...bridge.session_ids import find_by_uid
 from ...core.errors import GeometryError
+from ...core.files.scratch import Scratch
 from ...core.geometry.cameras import CameraProjection
 from ...core.geometry.geometry_2d import signed_areas
 from ...core.geometry.mesh import face_areas_and_normals
@@ -51,10 +52,14 @@ class MergeJob:
 
     def core_steps(self) -> Steps[tuple[list[UnwrapResult], PhotoTexture]]:
         """Read the photographs, unwrap and merge."""
+        with Scratch() as scratch:
+            return (yield from self._merge(scratch))
+
+    def _merge(self, scratch: Scratch) -> Steps[tuple[list[UnwrapResult], PhotoTexture]]:
         photographs, unwrapped, new_uvs, end = [], [], {}, READING_END
         for index, source in enumerate(self.sources):
             yield Progress(READING_END * index / len(self.sources), "Reading photographs")
-            photographs.append(source.read())
+            photographs.append(source.read().keep_in(scratch, index))
         if self.unwrapping is not None:
             results = yield from subprogress(self.unwrapping.core_steps(), READING_END, UNWRAPPING_END)
             yield Progress(UNWRAPPING_END, "Packing")
@@ -62,7 +67,7 @@ class MergeJob:
             new_uvs = {instance.object_uid: result.corner_uvs for instance, result in zip(self.instances, unwrapped, strict=True)}
             end = UNWRAPPING_END
         surface = read_surface(self.instances, new_uvs)
-        texture = yield from subprogress(merge(surface.mesh, surface.corner_uvs, photographs, self.settings), end, 1.0)
+        texture = yield from subprogress(merge(surface.mesh, surface.corner_uvs, photographs, self.settings, scratch), end, 1.0)
         return unwrapped, texture
 
     def scene_steps(self, core_result: tuple[list[UnwrapResult], PhotoTexture]) -> Steps[str]:
