@@ -157,7 +157,7 @@ def session() -> Iterator[float]:
     save_screenshot("3-registered")
     cameras = [item for item in bpy.data.objects if item.type == "CAMERA"]
     results["cameras"] = [item.name for item in cameras]
-    results["distance"] = float(np.linalg.norm(np.array(cameras[0].matrix_world.translation) - POSITION)) if cameras else None
+    results["distance"] = float(np.linalg.norm(np.array(cameras[0].location) - POSITION)) if cameras else None
     results["residuals"] = [float(np.linalg.norm(pair.residual)) for pair in image.farfield_registration.pairs]
     user.view.spaces.active.region_3d.view_perspective = "CAMERA"
     bpy.context.scene.camera = cameras[0]

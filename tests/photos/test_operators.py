@@ -347,6 +347,27 @@ class TestMergeErrors:
         item.location.x = 1000.0
         assert "No vertex of the mesh lies in the frame" in merge_error()
 
+    def test_a_uv_map_that_overlaps_itself_is_refused_and_the_faces_are_selected(self, photographs):
+        item, _, uvs = add_mesh()
+        moved = uvs.copy()
+        moved[:40] = uvs[100:140]
+        item.data.uv_layers[0].uv.foreach_set("vector", moved.ravel())
+        item.data.polygons.foreach_set("select", np.ones(len(item.data.polygons), bool))
+        message = merge_error()
+        assert 'The UV map of "Wand ü" overlaps itself: 80 triangles share texels' in message and "selected in Edit Mode" in message
+        selected = [polygon.index for polygon in item.data.polygons if polygon.select]
+        assert selected == [*range(40), *range(100, 140)]
+        assert sum(vertex.select for vertex in item.data.vertices) < len(item.data.vertices)
+        item.data.uv_layers[0].uv.foreach_set("vector", uvs.ravel())
+        merge_scene()
+
+    def test_a_mirrored_uv_map_of_a_modifier_is_refused(self, photographs):
+        item, _, _ = add_mesh()
+        item.modifiers.new("Mirror", "MIRROR")
+        item.location.x = 1.0
+        message = merge_error()
+        assert "overlaps itself: 400 triangles" in message and "Mirror" in message
+
     def test_uv_maps_that_do_not_fit_together(self, photographs):
         add_mesh()
         second, _, _ = add_mesh("Second", offset=2.5)

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import bpy
 import numpy as np
 
 from ...core.errors import GeometryError
@@ -10,6 +11,7 @@ from ...core.geometry.cameras import CameraProjection
 from ...core.geometry.lenses import PhotoCamera
 from ...core.geometry.mesh import TriangleMesh
 from ...core.photos.texels import TexelMap
+from ..mesh_arrays import read_loop_vertices, read_values
 from ..meshes import SourceInstance, concatenate_in_world_space
 
 OVERLAP_SIZE = 256  # texels per side in which the UV maps of objects are compared
@@ -59,6 +61,22 @@ def check_separate_uvs(instances: list[SourceInstance]) -> None:
                 "pack their islands together, or select one object at a time."
             )
         owners[covered] = index
+
+
+def select_faces(mesh: bpy.types.Mesh, polygons: np.ndarray) -> None:
+    """Select the faces (N,) of a mesh and no others, as Edit Mode will show them.
+
+    Edges stay as they are: Blender 5.0 crashes when their selection is set while all have the same value. Edit Mode derives it, unless it
+    selects edges only.
+    """
+    is_selected = np.zeros(len(mesh.polygons), bool)
+    is_selected[polygons] = True
+    loop_counts = read_values(mesh.polygons, "loop_total", dtype=np.int32)
+    vertices = np.zeros(len(mesh.vertices), bool)
+    vertices[read_loop_vertices(mesh)[np.repeat(is_selected, loop_counts)]] = True
+    mesh.polygons.foreach_set("select", is_selected)
+    mesh.vertices.foreach_set("select", vertices)
+    mesh.update()
 
 
 def to_projection(camera: PhotoCamera, points: np.ndarray) -> CameraProjection | None:

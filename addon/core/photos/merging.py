@@ -24,6 +24,7 @@ from .hole_filling import HoleCounts, HoleFiller
 from .labels import choose_labels
 from .leveling import VertexLabels, find_vertex_labels, solve_corrections
 from .observations import MAX_OBSERVATIONS, POINTS, Observations, observe, sample_surface
+from .overlaps import check_overlaps
 from .photographs import Photograph, apply_gain
 from .settings import PhotosSettings
 from .surface import interpolate_colors
@@ -66,7 +67,8 @@ def merge(
 
     Raises:
         ImageError: a photograph or mask does not have the size that its camera says, or there is none.
-        GeometryError: no photograph shows the mesh, it has no area or is not finite, or the UV map covers no texel.
+        GeometryError: no photograph shows the mesh, it has no area or is not finite, or the UV map overlaps itself or covers no
+            texel.
         FileError: the disk of temporary files has too little space.
     """
     if not photographs:
@@ -76,6 +78,7 @@ def merge(
     check_points(mesh.vertices, "mesh")
     if not np.isfinite(corner_uvs).all():
         raise GeometryError("The UV map has coordinates that are not finite; unwrap the mesh again.")
+    check_overlaps(corner_uvs)
     if scratch is not None:
         return (yield from _merge(_Merger(mesh, corner_uvs, photographs, settings, scratch)))
     with Scratch() as own:

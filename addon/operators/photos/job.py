@@ -9,7 +9,7 @@ import numpy as np
 from ...bridge.meshes import SourceInstance, concatenate_in_world_space, read_instances
 from ...bridge.photos.photo_images import PhotoSource
 from ...bridge.photos.results import assign_texture, create_map_image, create_texture_image
-from ...bridge.photos.surfaces import check_separate_uvs, read_surface, to_projection
+from ...bridge.photos.surfaces import check_separate_uvs, read_surface, select_faces, to_projection
 from ...bridge.session_ids import find_by_uid
 from ...core.errors import GeometryError
 from ...core.files.scratch import Scratch
@@ -18,6 +18,7 @@ from ...core.geometry.geometry_2d import signed_areas
 from ...core.geometry.mesh import face_areas_and_normals
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.photos.merging import PhotoTexture, merge
+from ...core.photos.overlaps import describe_overlaps, find_overlapping
 from ...core.photos.settings import PhotosSettings
 from ...core.text import format_count
 from ...core.unwrap.packing import pack_charts
@@ -137,8 +138,25 @@ def prepare(context: bpy.types.Context, settings: PhotosSettings, *, has_maps: b
         unwrapping = _prepare_unwrapping(context, objects, instances, sources)
     else:
         check_separate_uvs(instances)
+        _check_overlaps(objects, instances)
     targets = [(item.session_uid, item.name) for item in objects]
     return MergeJob(targets, instances, sources, settings, unwrapping, has_maps, skipped)
+
+
+def _check_overlaps(objects: list[bpy.types.Object], instances: list[SourceInstance]) -> None:
+    """Check that each UV map has texels of its own for all faces. Raises GeometryError; the overlapping faces are selected then."""
+    for instance in instances:
+        is_overlapping = find_overlapping(read_surface([instance]).corner_uvs)
+        if not is_overlapping.any():
+            continue
+        data = next(item.data for item in objects if item.session_uid == instance.object_uid)
+        polygons = instance.mesh.polygons[is_overlapping]
+        has_same_faces = len(data.polygons) > int(instance.mesh.polygons.max())
+        if has_same_faces:
+            select_faces(data, np.unique(polygons))
+        advice = " They are selected in Edit Mode." if has_same_faces else ""
+        count = int(np.count_nonzero(is_overlapping))
+        raise GeometryError(f'The UV map of "{instance.name}" overlaps itself: {describe_overlaps(count)}{advice}')
 
 
 def _prepare_unwrapping(

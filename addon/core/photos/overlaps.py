@@ -1,0 +1,47 @@
+"""Triangles that share texels with others, which cannot have textures of their own."""
+
+import numpy as np
+
+from ..errors import GeometryError
+from ..imaging.raster import rasterize
+
+SIZE = 1024  # texels per side in which UV maps are examined
+INSIDE = 0.01  # smallest barycentric coordinate: neighbors may share the texels on their edge
+MIN_SHARED = 0.5  # of the texels of a triangle, from which it overlaps others
+MAX_FRACTION = 0.01  # of all texels, which may be shared
+
+
+def find_overlapping(corner_uvs: np.ndarray) -> np.ndarray:
+    """Return which triangles (T,) bool with UVs (T, 3, 2) share most of their texels with others; none if these are few altogether."""
+    corners = corner_uvs.astype(np.float64) * SIZE
+    counts = np.zeros(SIZE * SIZE, np.int32)
+    for _, texels, barycentric in rasterize(corners, (SIZE, SIZE)):
+        counts += np.bincount(texels[barycentric.min(axis=1) > INSIDE], minlength=SIZE * SIZE).astype(np.int32)
+    is_shared = counts > 1
+    if is_shared.sum() <= MAX_FRACTION * np.count_nonzero(counts):
+        return np.zeros(len(corners), bool)
+    shared, covered = np.zeros(len(corners)), np.zeros(len(corners))
+    for triangles, texels, barycentric in rasterize(corners, (SIZE, SIZE)):
+        inside = barycentric.min(axis=1) > INSIDE
+        covered += np.bincount(triangles[inside], minlength=len(corners))
+        shared += np.bincount(triangles[inside], is_shared[texels[inside]], len(corners))
+    return (covered > 0) & (shared >= MIN_SHARED * covered)
+
+
+def describe_overlaps(count: int) -> str:
+    """Return the end of the sentence that refuses a UV map in which `count` triangles overlap others."""
+    return (
+        f"{count:,} triangles share texels with others, which would get the same picture; unwrap the mesh again, or move the islands "
+        "apart, also those of modifiers like Mirror."
+    )
+
+
+def check_overlaps(corner_uvs: np.ndarray) -> None:
+    """Check that triangles with UVs (T, 3, 2) have texels of their own.
+
+    Raises:
+        GeometryError: they do not.
+    """
+    count = int(np.count_nonzero(find_overlapping(corner_uvs)))
+    if count:
+        raise GeometryError(f"The UV map overlaps itself: {describe_overlaps(count)}")
