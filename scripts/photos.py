@@ -60,6 +60,7 @@ def build_parser() -> command_line.Parser:
     parser.add_argument("--out", type=command_line.parse_path, help="the textured mesh to write: .blend, .obj or .glb")
     parser.add_argument("--texture", type=command_line.parse_path, required=True, help="the texture to write, a PNG file")
     parser.add_argument("--overlays", type=command_line.parse_path, help="a folder for pictures of the photographs with the mesh")
+    parser.add_argument("--stages", type=command_line.parse_path, help="a folder for pictures of the stages of the merge")
     parser.add_argument("--report", type=command_line.parse_path, help="write a report of the run to this JSON file")
     add_flags(parser, PhotosSettings)
     return parser
@@ -96,10 +97,17 @@ def merge_files(given: Namespace, settings: PhotosSettings, texture: Path, scrat
     if given.overlays is not None:
         with clock.stage("overlays"):
             write_overlays(surface.mesh, photographs, given.overlays.absolute())
-    result = run_to_end(subprogress(merge(surface.mesh, surface.corner_uvs, photographs, settings, scratch), 0.0, 1.0), line.show)
+    result = run_to_end(
+        subprogress(
+            merge(surface.mesh, surface.corner_uvs, photographs, settings, scratch, keep_stages=given.stages is not None), 0.0, 1.0
+        ),
+        line.show,
+    )
     line.clear()
     clock.seconds |= result.seconds
     with clock.stage("write"):
+        if given.stages is not None:
+            write_stages(result, given.stages.absolute())
         write(result, objects, texture, given.out, len(cameras))
     if given.report is not None:
         report = build_report(result, [camera.name for camera in cameras], unwrapped, clock)
@@ -132,6 +140,13 @@ def write_overlays(mesh: TriangleMesh, photographs: list[Photograph], folder: Pa
     with atomic_folder(folder) as temporary:
         for photograph in photographs:
             write_png(temporary / f"{Path(photograph.camera.name).stem}.overlay.png", draw_overlay(mesh, photograph))
+
+
+def write_stages(result: PhotoTexture, folder: Path) -> None:
+    """Write the pictures of the stages."""
+    with atomic_folder(folder) as temporary:
+        for name, picture in result.stages.items():
+            write_png(temporary / f"{Path(name).stem.replace(' ', '.')}.png", picture)
 
 
 def write(result: PhotoTexture, objects: list[bpy.types.Object], texture: Path, out: Path | None, count: int) -> None:

@@ -80,6 +80,15 @@ def test_texture_maps_mesh_and_report_are_written(folder, extension):
     assert len(item.data.polygons) == 200 and item.data.materials
 
 
+def test_stages_are_pictures(folder):
+    run(*inputs(folder), "--texture", folder / "t.png", "--stages", folder / "stages")
+    names = sorted(path.name for path in (folder / "stages").iterdir())
+    assert names == ["classes.png", "interpolated.png", "photographed.png", "used.0.png", "used.1.png", "used.2.png"]
+    photographed, interpolated = (read_image(folder / "stages" / f"{name}.png")[0] for name in ("photographed", "interpolated"))
+    holes = read_image(folder / "t.holes.png")[0][..., 0] > 0
+    assert (photographed[holes] == 0).all() and np.array_equal(photographed[~holes], interpolated[~holes])
+
+
 def test_a_mesh_without_uvs_is_unwrapped(folder):
     report = folder / "report.json"
     run(*inputs(folder, "without.obj"), "--texture", folder / "t.png", "--report", report)

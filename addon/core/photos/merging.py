@@ -27,6 +27,7 @@ from .observations import MAX_OBSERVATIONS, POINTS, Observations, observe, sampl
 from .overlaps import check_overlaps
 from .photographs import Photograph, apply_gain
 from .settings import PhotosSettings
+from .stages import CLASS_COLORS, classify_texels, draw_trust
 from .surface import interpolate_colors
 from .texel_colors import NO_PHOTOGRAPH, TexelPainter
 from .texels import TexelMap, corner_normals, vertex_normals
@@ -44,7 +45,8 @@ class PhotoTexture:
     colors: (H, W, 3) float32, sRGB-encoded, row 0 at the bottom. confidence: (H, W) float32, 0 to 1, the pixels per texel along one axis of
     the best photograph. source: (H, W) int16, the photograph with the largest weight, -1 for none. holes: (H, W) bool, covered texels that
     no photograph shows. gains: (K, 3). labels: (T,) the photograph of each triangle, -1 for none.
-    hole_counts: if they were restored.
+    hole_counts: if they were restored. stages: pictures (H, W, 3) by name, if they were requested: `used NAME` for each photograph,
+    `classes`, `photographed` and `interpolated`.
     """
 
     colors: np.ndarray
@@ -55,15 +57,22 @@ class PhotoTexture:
     labels: np.ndarray
     hole_counts: HoleCounts | None
     seconds: dict[str, float]
+    stages: dict[str, np.ndarray]
 
 
 def merge(
-    mesh: TriangleMesh, corner_uvs: np.ndarray, photographs: list[Photograph], settings: PhotosSettings, scratch: Scratch | None = None
+    mesh: TriangleMesh,
+    corner_uvs: np.ndarray,
+    photographs: list[Photograph],
+    settings: PhotosSettings,
+    scratch: Scratch | None = None,
+    *,
+    keep_stages: bool = False,
 ) -> Steps[PhotoTexture]:
     """Merge `photographs` into a texture for `mesh` with UVs (T, 3, 2).
 
     The memory for it does not grow with the number of photographs: if they are many, their depths are in temporary files. Those of
-    `scratch`, if it is given, may hold the photographs, too, each in the group of its index.
+    `scratch`, if it is given, may hold the photographs, too, each in the group of its index. keep_stages: draw pictures of the stages.
 
     Raises:
         ImageError: a photograph or mask does not have the size that its camera says, or there is none.
@@ -80,9 +89,9 @@ def merge(
         raise GeometryError("The UV map has coordinates that are not finite; unwrap the mesh again.")
     check_overlaps(corner_uvs)
     if scratch is not None:
-        return (yield from _merge(_Merger(mesh, corner_uvs, photographs, settings, scratch)))
+        return (yield from _merge(_Merger(mesh, corner_uvs, photographs, settings, scratch, keep_stages)))
     with Scratch() as own:
-        return (yield from _merge(_Merger(mesh, corner_uvs, photographs, settings, own)))
+        return (yield from _merge(_Merger(mesh, corner_uvs, photographs, settings, own, keep_stages)))
 
 
 def _merge(merger: "_Merger") -> Steps[PhotoTexture]:
@@ -113,8 +122,15 @@ class _Merger:
     """The state between the steps of `merge`. The surface and the cameras are moved to the origin, where float32 is exact enough."""
 
     def __init__(
-        self, mesh: TriangleMesh, corner_uvs: np.ndarray, photographs: list[Photograph], settings: PhotosSettings, scratch: Scratch
+        self,
+        mesh: TriangleMesh,
+        corner_uvs: np.ndarray,
+        photographs: list[Photograph],
+        settings: PhotosSettings,
+        scratch: Scratch,
+        keep_stages: bool,
     ) -> None:
+        self.keep_stages, self.stages = keep_stages, dict[str, np.ndarray]()
         self.settings, self.clock, self.corner_uvs, self.scratch = settings, StageClock(), corner_uvs, scratch
         with self.clock.stage("texels"):
             self.map = TexelMap(corner_uvs, settings.size)
@@ -158,6 +174,8 @@ class _Merger:
         weights = np.empty(len(observed.points), np.float32)
         for index, (view, cells, size) in enumerate(zip(self.views, rate_photographs(observed, colors, sizes), sizes, strict=True)):
             view.apply_trust(cells)
+            if self.keep_stages:
+                self.stages[f"used {self.photographs[index].camera.name}"] = draw_trust(self.photographs[index], cells)
             own = observed.photographs == index
             weights[own] = sample_bilinear(cells[..., None], observed.positions[own] / np.array(size) * cells.shape[::-1])[:, 0]
             self.scratch.release(index)
@@ -244,6 +262,10 @@ class _Merger:
         found = self.source != NO_PHOTOGRAPH
         if not found.any():
             raise GeometryError(_explain_blindness(self.mesh, self.photographs))
+        if self.keep_stages:
+            classes = classify_texels(self.map.triangles, found, self.mesh.triangles, self.bound)
+            self._keep_stage("classes", CLASS_COLORS[classes])
+            self._keep_stage("photographed", self.colors)
         if self.settings.fill != "none":
             colors, known = interpolate_colors(self.vertex_colors, self.bound, self.edges)
             colors[~known] = self.colors[found].mean(axis=0, dtype=np.float64)
@@ -251,7 +273,12 @@ class _Merger:
             for tile in self.map.tiles():
                 part = tile.select(np.flatnonzero(~found[tile.texels]))
                 self.colors[part.texels] = part.interpolate(corner_colors)
+            if self.keep_stages:
+                self._keep_stage("interpolated", self.colors)
         np.clip(self.colors, 0.0, 1.0, out=self.colors)
+
+    def _keep_stage(self, name: str, colors: np.ndarray) -> None:
+        self.stages[name] = np.clip(colors, 0.0, 1.0).reshape(self.settings.size, self.settings.size, 3)
 
     def restore_holes(self) -> Steps[HoleCounts]:
         """Continue the texture into the holes."""
@@ -272,6 +299,7 @@ class _Merger:
             labels=self.labels,
             hole_counts=holes,
             seconds=self.clock.seconds,
+            stages=self.stages,
         )
 
 
