@@ -2,9 +2,10 @@
 
 From the scene of the demo: tree (the tree and its cloud), levels (all levels, their quads, and each level at its switch distance), wood
 (hundreds of trees, each with the level for its distance) and crossfade (a camera that moves away from one tree). Copied from the demo's
-folder: relighting and forest. Independent of the demo: head (a closed surface with a procedural material), relight (its relightable cloud
-under several Sun directions), unwrap (this surface with a checker on three UV maps), restore (a texture with a hole, restored with several
-settings), landscape (mountains in nested boxes), copses (voxel trees in nested boxes) and walk (twelve frames of a walk through caves).
+folder: relighting, forest and photos. Independent of the demo: head (a closed surface with a procedural material), relight (its relightable
+cloud under several Sun directions), unwrap (this surface with a checker on three UV maps), restore (a texture with a hole, restored with
+several settings), landscape (mountains in nested boxes), copses (voxel trees in nested boxes) and walk (twelve frames of a walk through
+caves).
 """
 
 import shutil
@@ -240,6 +241,7 @@ FIGURES = {
     "walk": walk,
     "relighting": copy_from_demo,
     "forest": copy_from_demo,
+    "photos": copy_from_demo,
 }
 
 
