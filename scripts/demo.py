@@ -80,7 +80,7 @@ FULL = DemoPreset(
     ),
     forest_width=340,
     forest_samples=6,
-    photos=PhotosPreset(photograph_width=1200, samples=8, texture_size=2048, view_pixels=176),
+    photos=PhotosPreset(photograph_width=1200, samples=8, texture_size=2048, view_pixels=128),
 )
 QUICK = DemoPreset(
     leaves=1000,
