@@ -28,12 +28,19 @@ def locate_pixels(corners: np.ndarray, depths: np.ndarray, size: tuple[int, int]
     covered = owners >= 0
     triangles = owners[covered]
     rows, columns = np.nonzero(covered)
-    offsets = corners[triangles] - (np.stack([columns, rows], axis=1) + 0.5)[:, None]
+    positions = np.stack([columns, rows], axis=1) + 0.5
+    return PixelLocations(covered, triangles, locate_positions(corners[triangles], depths[triangles], positions))
+
+
+def locate_positions(corners: np.ndarray, depths: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Return the barycentric coordinates (N, 3), on the surface, of `positions` (N, 2) of an image, each in a triangle of its own with
+    `corners` (N, 3, 2) and positive `depths` (N, 3) along the optical axis."""
+    offsets = corners - positions[:, None]
     areas = np.stack(
         [_cross(offsets[:, 1], offsets[:, 2]), _cross(offsets[:, 2], offsets[:, 0]), _cross(offsets[:, 0], offsets[:, 1])], axis=1
     )
-    weights = areas / depths[triangles]
-    return PixelLocations(covered, triangles, weights / weights.sum(axis=1, keepdims=True))
+    weights = areas / depths
+    return weights / weights.sum(axis=1, keepdims=True)
 
 
 def render_texture(

@@ -27,6 +27,7 @@ from .observations import MAX_OBSERVATIONS, POINTS, Observations, observe, sampl
 from .overlaps import check_overlaps
 from .photographs import Photograph, apply_gain
 from .settings import PhotosSettings
+from .sharpening import find_residuals
 from .stages import CLASS_COLORS, classify_texels, draw_trust
 from .surface import interpolate_colors
 from .texel_colors import NO_PHOTOGRAPH, TexelPainter
@@ -107,6 +108,8 @@ def _merge(merger: "_Merger") -> Steps[PhotoTexture]:
     with clock.stage("leveling"):
         merger.level()
     yield from merger.fill_texels()
+    if settings.sharpen:
+        yield from merger.sharpen()
     yield Progress(0.9, "Filling holes")
     with clock.stage("holes"):
         merger.interpolate_holes()
@@ -242,20 +245,36 @@ class _Merger:
         with self.clock.stage("faces"):
             surface = prepare_surface(self.mesh, self.normals, self.corner_normals)
             is_cosine = self.settings.method == "paper"
-            painter = TexelPainter(surface, self.photographs, self.views, self.gains, self.scratch, is_cosine=is_cosine)
+            self.painter = TexelPainter(surface, self.photographs, self.views, self.gains, self.scratch, is_cosine=is_cosine)
             if len(self.pairs.keys):
-                painter.use_labels(self.pairs, self.corrections)
+                self.painter.use_labels(self.pairs, self.corrections)
         self.colors, self.confidence = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
         self.source = np.full(count, NO_PHOTOGRAPH, np.int16)
         done, total = 0, int(np.count_nonzero(self.map.triangles >= 0))
         with self.clock.stage("colors"):
-            for found in map_ordered(painter.paint, self.map.tiles()):
+            for found in map_ordered(self.painter.paint, self.map.tiles()):
                 texels = found.tile.texels
                 self.colors[texels] = found.colors
                 self.confidence[texels] = np.sqrt(np.minimum(found.resolution * self.texel_areas[found.tile.triangles], 1.0))
                 self.source[texels] = found.source
                 done += len(texels)
-                yield Progress(0.35 + 0.55 * done / total, "Computing texels")
+                yield Progress(0.35 + 0.25 * done / total, "Computing texels")
+
+    def sharpen(self) -> Steps[None]:
+        """Bring back the detail that resampling has blurred."""
+        size, found = self.settings.size, self.source != NO_PHOTOGRAPH
+        with self.clock.stage("residuals"):
+            texture = self.colors.reshape(size, size, 3).copy()
+            dilate_in_place(texture, found.reshape(size, size), GUTTER)
+            residuals = yield from subprogress(
+                find_residuals(self.painter, self.photographs, self.views, self.mesh, self.map.corners, texture, self.scratch), 0.6, 0.8
+            )
+        done, total = 0, int(np.count_nonzero(self.map.triangles >= 0))
+        with self.clock.stage("sharpen"):
+            for change in map_ordered(self.painter.with_photographs(residuals).paint, self.map.tiles()):
+                self.colors[change.tile.texels] += change.colors
+                done += len(change.tile.texels)
+                yield Progress(0.8 + 0.1 * done / total, "Sharpening")
 
     def interpolate_holes(self) -> None:
         """Fill the texels that no photograph shows with colors interpolated over the surface, unless they stay transparent."""

@@ -24,4 +24,5 @@ class PhotosSettings(Settings):
     method: str = setting("average", "How photographs are combined", choices=METHODS)
     exposure: bool = setting(True, "Adjust the brightness and color balance of the photographs to each other")
     leveling: bool = setting(True, "Correct colors so that regions from different photographs meet without a seam. Used by Best Photograph")
+    sharpen: bool = setting(True, "Bring back detail that resampling has blurred")
     fill: str = setting("interpolate", "What fills the parts that no photograph shows", choices=FILLS)

@@ -1,5 +1,7 @@
 """The colors of texels from the photographs that show them."""
 
+from copy import copy
+
 import numpy as np
 
 from ..files.scratch import Scratch
@@ -64,12 +66,20 @@ class TexelPainter:
             self.faces[-1].keep_in(scratch, index)
             scratch.release(index)
         self._regions: list[np.ndarray] = []
+        self._corrections: np.ndarray | None = None
 
     def use_labels(self, pairs: VertexLabels, corrections: np.ndarray) -> None:
         """Texture the triangles around each of the `pairs` of a vertex and a photograph from it, with `corrections` (P, 3) of colors."""
         self._regions = [pairs.find(self._surface.corner_vertices.T, index).astype(np.int32) for index in range(len(self.faces))]
         self._pair_weights = np.append(pairs.weights, np.float32(0.0))  # the last one is that of no pair
         self._corrections = np.concatenate([corrections, np.zeros((1, 3), np.float32)])
+
+    def with_photographs(self, photographs: list[Photograph]) -> "TexelPainter":
+        """Return a painter that takes `photographs` in place of its own, as they are: without gains and corrections."""
+        result = copy(self)
+        result._photographs, result._gains = photographs, None
+        result._corrections = None
+        return result
 
     def paint(self, tile: TexelTile) -> TileColors:
         """Return the colors of a tile: from the photographs of the labels, and where those do not show it, from all others."""
@@ -78,16 +88,19 @@ class TexelPainter:
             pairs = region[tile.triangles]
             blend = np.einsum("ni,ni->n", tile.barycentric, self._pair_weights[pairs])
             seen = self.faces[index].see(tile, points, np.flatnonzero(blend > 0.0))
-            colors = self._sample(index, seen.positions)
-            colors += np.einsum("ni,nic->nc", tile.barycentric[seen.indices], self._corrections[pairs[seen.indices]])
+            colors = self.sample(index, seen.positions)
+            if self._corrections is not None:
+                colors += np.einsum("ni,nic->nc", tile.barycentric[seen.indices], self._corrections[pairs[seen.indices]])
             found.add(index, seen.indices, colors, blend[seen.indices], seen.resolution)
             self._scratch.release(index)
         rest = np.flatnonzero(found.weights == 0.0)
         for index, faces in enumerate(self.faces):
             seen = faces.see(tile, points, rest)
-            found.add(index, seen.indices, self._sample(index, seen.positions), seen.weights, seen.resolution)
+            found.add(index, seen.indices, self.sample(index, seen.positions), seen.weights, seen.resolution)
             self._scratch.release(index)
         return found
 
-    def _sample(self, index: int, positions: np.ndarray) -> np.ndarray:
-        return apply_gain(self._photographs[index].sample(positions), self._gains[index])
+    def sample(self, index: int, positions: np.ndarray) -> np.ndarray:
+        """Return the colors (N, 3) of a photograph, with its gain, at `positions` (N, 2) in pixels."""
+        colors = self._photographs[index].sample(positions)
+        return colors if self._gains is None else apply_gain(colors, self._gains[index])

@@ -34,20 +34,20 @@ class TexelTile:
 class TexelMap:
     """The triangle of every texel whose center a triangle covers.
 
-    triangles: (H * W,) int32, -1 where there is none. size: texels per side.
+    triangles: (H * W,) int32, -1 where there is none. size: texels per side. corners: (T, 3, 2) float64, UVs in texels.
     """
 
     def __init__(self, corner_uvs: np.ndarray, size: int) -> None:
         """Rasterize triangles with UVs (T, 3, 2), of which only the part in 0..1 has texels."""
         self.size = size
-        self._corners = corner_uvs.astype(np.float64) * size
+        self.corners = corner_uvs.astype(np.float64) * size
         self.triangles = np.full(size * size, -1, np.int32)
-        for triangles, texels, _ in rasterize(self._corners, (size, size)):
+        for triangles, texels, _ in rasterize(self.corners, (size, size)):
             self.triangles[texels] = triangles
 
     def tiles(self, chosen: np.ndarray | None = None) -> Iterator[TexelTile]:
         """Yield all covered texels, each of them once; only those of some triangles (K,), if they are given."""
-        corners = self._corners if chosen is None else self._corners[chosen]
+        corners = self.corners if chosen is None else self.corners[chosen]
         for rows, texels, barycentric in rasterize(corners, (self.size, self.size)):
             triangles = rows if chosen is None else chosen[rows]
             is_own = self.triangles[texels] == triangles

@@ -43,6 +43,16 @@ class Seen(NamedTuple):
         return self.resolution * self.cosines * self.quality
 
 
+class PinholeTriangles(NamedTuple):
+    """K triangles in the pinhole image of a view: their indices (K,) in the mesh; corners (K, 3, 2) in pixels; inverse_depths (K, 3) along
+    the optical axis; and the width and height of the image."""
+
+    indices: np.ndarray
+    corners: np.ndarray
+    inverse_depths: np.ndarray
+    size: tuple[int, int]
+
+
 class View:
     """A photograph's depth buffer and mask.
 
@@ -108,14 +118,29 @@ class View:
         """Return the positions (N, 2) float32 in pixels of `points` (N, 3), whether visible or not."""
         return self.camera.lens.project(points.astype(np.float32) @ self._rotation + self._translation)[0].astype(np.float32)
 
-    def _draw(self, mesh: TriangleMesh) -> np.ndarray:
-        """Return the inverse depths (h, w) float32 of the pinhole image, 0 where there is nothing."""
+    def project_pinhole(self, mesh: TriangleMesh) -> PinholeTriangles:
+        """Return the triangles of `mesh` in front of the camera, projected to the pinhole image."""
         points = mesh.vertices @ self.camera.rotation.T + self.camera.translation
         in_front = points[:, 2] > 1e-6 * max(float(np.abs(points[:, 2]).max(initial=0.0)), 1e-12)
         inverse = np.where(in_front, 1.0 / np.where(in_front, points[:, 2], 1.0), 0.0)  # linear in the image
         pixels = (points[:, :2] * inverse[:, None] - self._low) * self._focal
-        kept = mesh.triangles[in_front[mesh.triangles].all(axis=1)]
-        buffer = depth_buffer(pixels[kept], -inverse[kept], self._size)
+        indices = np.flatnonzero(in_front[mesh.triangles].all(axis=1))
+        kept = mesh.triangles[indices]
+        return PinholeTriangles(indices, pixels[kept], inverse[kept], self._size)
+
+    def locate_in_pinhole(self, positions: np.ndarray) -> np.ndarray:
+        """Return the positions (N, 2) in the pinhole image of `positions` (N, 2) in the photograph, in pixels from the lower left corner;
+        negative for those that it does not contain."""
+        directions = self.camera.lens.unproject(positions)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            located = (directions[:, :2] / directions[:, 2:] - self._low) * self._focal
+        is_inside = (directions[:, 2] > 0.0) & (located >= 0.0).all(axis=1) & (located < np.array(self._size)).all(axis=1)
+        return np.where(is_inside[:, None], located, -1.0)
+
+    def _draw(self, mesh: TriangleMesh) -> np.ndarray:
+        """Return the inverse depths (h, w) float32 of the pinhole image, 0 where there is nothing."""
+        projected = self.project_pinhole(mesh)
+        buffer = depth_buffer(projected.corners, -projected.inverse_depths, self._size)
         return np.where(np.isfinite(buffer), -buffer, 0.0).astype(np.float32)
 
     def _cells(self) -> Iterator[tuple[slice, np.ndarray]]:
