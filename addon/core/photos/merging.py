@@ -25,6 +25,7 @@ from .labels import choose_labels
 from .leveling import VertexLabels, find_vertex_labels, solve_corrections
 from .observations import MAX_OBSERVATIONS, POINTS, Observations, observe, sample_surface
 from .overlaps import check_overlaps
+from .pages import check_texel_count
 from .photographs import Photograph, apply_gain
 from .settings import PhotosSettings
 from .stages import CLASS_COLORS, classify_texels, draw_trust
@@ -40,13 +41,13 @@ GUTTER = 8  # texels around covered ones that get the mean of their neighbors
 
 @dataclass(frozen=True)
 class PhotoTexture:
-    """The result of `merge`.
+    """The result of `merge`. Images stack the pages, the first at the bottom: H = P * W.
 
     colors: (H, W, 3) float32, sRGB-encoded, row 0 at the bottom. confidence: (H, W) float32, 0 to 1, the pixels per texel along one axis of
     the best photograph. source: (H, W) int16, the photograph with the largest weight, -1 for none. holes: (H, W) bool, covered texels that
     no photograph shows. gains: (K, 3). labels: (T,) the photograph of each triangle, -1 for none.
-    hole_counts: if they were restored. stages: pictures (H, W, 3) by name, if they were requested: `used NAME` for each photograph,
-    `classes`, `photographed` and `interpolated`.
+    hole_counts: if they were restored. stages: pictures by name, if they were requested: `used NAME` for each photograph, and
+    `classes`, `photographed` and `interpolated` (H, W, 3).
     """
 
     colors: np.ndarray
@@ -67,17 +68,18 @@ def merge(
     settings: PhotosSettings,
     scratch: Scratch | None = None,
     *,
+    pages: np.ndarray | None = None,
     keep_stages: bool = False,
 ) -> Steps[PhotoTexture]:
-    """Merge `photographs` into a texture for `mesh` with UVs (T, 3, 2).
+    """Merge `photographs` into a texture for `mesh` with UVs (T, 3, 2) in the `pages` (T,) of its triangles (see `pages`).
 
     The memory for it does not grow with the number of photographs: if they are many, their depths are in temporary files. Those of
     `scratch`, if it is given, may hold the photographs, too, each in the group of its index. keep_stages: draw pictures of the stages.
 
     Raises:
         ImageError: a photograph or mask does not have the size that its camera says, or there is none.
-        GeometryError: no photograph shows the mesh, it has no area or is not finite, or the UV map overlaps itself or covers no
-            texel.
+        GeometryError: no photograph shows the mesh, it has no area or is not finite, or the UV map overlaps itself, covers no texel, or
+            needs too many.
         FileError: the disk of temporary files has too little space.
     """
     if not photographs:
@@ -87,11 +89,12 @@ def merge(
     check_points(mesh.vertices, "mesh")
     if not np.isfinite(corner_uvs).all():
         raise GeometryError("The UV map has coordinates that are not finite; unwrap the mesh again.")
-    check_overlaps(corner_uvs)
+    check_overlaps(corner_uvs, pages)
+    check_texel_count(pages, settings.size)
     if scratch is not None:
-        return (yield from _merge(_Merger(mesh, corner_uvs, photographs, settings, scratch, keep_stages)))
+        return (yield from _merge(_Merger(mesh, corner_uvs, pages, photographs, settings, scratch, keep_stages)))
     with Scratch() as own:
-        return (yield from _merge(_Merger(mesh, corner_uvs, photographs, settings, own, keep_stages)))
+        return (yield from _merge(_Merger(mesh, corner_uvs, pages, photographs, settings, own, keep_stages)))
 
 
 def _merge(merger: "_Merger") -> Steps[PhotoTexture]:
@@ -125,6 +128,7 @@ class _Merger:
         self,
         mesh: TriangleMesh,
         corner_uvs: np.ndarray,
+        pages: np.ndarray | None,
         photographs: list[Photograph],
         settings: PhotosSettings,
         scratch: Scratch,
@@ -133,7 +137,7 @@ class _Merger:
         self.keep_stages, self.stages = keep_stages, dict[str, np.ndarray]()
         self.settings, self.clock, self.corner_uvs, self.scratch = settings, StageClock(), corner_uvs, scratch
         with self.clock.stage("texels"):
-            self.map = TexelMap(corner_uvs, settings.size)
+            self.map = TexelMap(corner_uvs, settings.size, pages)
             if not (self.map.triangles >= 0).any():
                 raise GeometryError("The UV map covers no pixel of the texture; unwrap the mesh, or move its UVs into the range 0 to 1.")
         self.areas, _ = face_areas_and_normals(mesh.corners)
@@ -238,7 +242,7 @@ class _Merger:
 
     def fill_texels(self) -> Steps[None]:
         """Compute the texels, tile by tile."""
-        count = self.settings.size**2
+        count = len(self.map.triangles)
         with self.clock.stage("faces"):
             surface = prepare_surface(self.mesh, self.normals, self.corner_normals)
             is_cosine = self.settings.method == "paper"
@@ -278,7 +282,7 @@ class _Merger:
         np.clip(self.colors, 0.0, 1.0, out=self.colors)
 
     def _keep_stage(self, name: str, colors: np.ndarray) -> None:
-        self.stages[name] = np.clip(colors, 0.0, 1.0).reshape(self.settings.size, self.settings.size, 3)
+        self.stages[name] = np.clip(colors, 0.0, 1.0).reshape(-1, self.settings.size, 3)
 
     def restore_holes(self) -> Steps[HoleCounts]:
         """Continue the texture into the holes."""
@@ -288,13 +292,15 @@ class _Merger:
         """Fill what lies around the islands of the UV map, and return the result."""
         size = self.settings.size
         covered, found = self.map.triangles >= 0, self.source != NO_PHOTOGRAPH
-        image, known = self.colors.reshape(size, size, 3), found if self.settings.fill == "none" else covered
-        dilate_in_place(image, known.reshape(size, size), GUTTER)
+        known = found if self.settings.fill == "none" else covered
+        for start in range(0, len(known), size * size):
+            texels = slice(start, start + size * size)
+            dilate_in_place(self.colors[texels].reshape(size, size, 3), known[texels].reshape(size, size), GUTTER)
         return PhotoTexture(
-            colors=image,
-            confidence=self.confidence.reshape(size, size),
-            source=self.source.reshape(size, size),
-            holes=(covered & ~found).reshape(size, size),
+            colors=self.colors.reshape(-1, size, 3),
+            confidence=self.confidence.reshape(-1, size),
+            source=self.source.reshape(-1, size),
+            holes=(covered & ~found).reshape(-1, size),
             gains=self.gains,
             labels=self.labels,
             hole_counts=holes,
