@@ -6,6 +6,7 @@ average of all others, and texels that none shows are interpolated over the surf
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,6 +40,20 @@ EXPOSURE_POINTS = 20_000
 GUTTER = 8  # texels around covered ones that get the mean of their neighbors
 
 
+class TexturePage(NamedTuple):
+    """The images of one page, as in `PhotoTexture`, with as many rows as columns."""
+
+    colors: np.ndarray
+    confidence: np.ndarray
+    source: np.ndarray
+    holes: np.ndarray
+
+    @property
+    def texel_count(self) -> int:
+        """The number of texels on the surface."""
+        return int(np.count_nonzero(self.holes | (self.source != NO_PHOTOGRAPH)))
+
+
 @dataclass(frozen=True)
 class PhotoTexture:
     """The result of `merge`. Images stack the pages, the first at the bottom: H = P * W.
@@ -59,6 +74,12 @@ class PhotoTexture:
     hole_counts: HoleCounts | None
     seconds: dict[str, float]
     stages: dict[str, np.ndarray]
+
+    def page(self, index: int) -> TexturePage:
+        """Return the images of one page."""
+        size = self.colors.shape[1]
+        rows = slice(index * size, (index + 1) * size)
+        return TexturePage(self.colors[rows], self.confidence[rows], self.source[rows], self.holes[rows])
 
 
 def merge(
