@@ -47,6 +47,7 @@ from lib.contact_sheet import write_png
 from lib.numbered_files import UDIM
 from lib.script_stdout import mute_stderr
 from lib.texture_paths import TexturePaths, first_path
+from lib.tile_materials import split_tiles
 
 EXTENSIONS = (".blend", ".obj", ".glb")
 MAPS = ("confidence", "source", "holes")
@@ -134,7 +135,7 @@ def merge_files(given: Namespace, settings: PhotosSettings, texture: Path, scrat
         write_textures(result, paths.pages, len(cameras))
         if given.out is not None:
             assign(result, objects, layout, groups, paths)
-            write_scene(given.out.absolute())
+            write_scene(objects, given.out.absolute())
     if given.report is not None:
         report = build_report(result, [camera.name for camera in cameras], unwrapped, layout, groups, paths.pages, clock)
         command_line.write_report(given.report.absolute(), report)
@@ -205,12 +206,13 @@ def assign(
         assign_to_materials(objects, {groups.uids[group]: image for group, image in images.items()})
 
 
-def write_scene(out: Path) -> None:
+def write_scene(objects: list[bpy.types.Object], out: Path) -> None:
     """Write the textured mesh."""
     extension = out.suffix.lower()
     if extension == ".blend":
         scene_files.save_scene(out)
         return
+    split_tiles(objects)
     with atomic_folder(out.parent) as temporary, mute_stderr():
         if extension == ".obj":
             bpy.ops.wm.obj_export(filepath=str(temporary / out.name), forward_axis="Y", up_axis="Z", path_mode="ABSOLUTE")

@@ -36,9 +36,7 @@ class TexturePaths:
         if len(groups) > 1 and MATERIAL not in texture.name:
             raise FileError(f'--texture is "{texture}" for {len(groups)} materials; put {MATERIAL} into its name.')
         if materials is None and MATERIAL in texture.name:
-            raise FileError(
-                f'--texture is "{texture}", but there is one for all materials; leave out {MATERIAL}, or add --materials keep.'
-            )
+            raise FileError(f'--texture is "{texture}", but there is one for all materials; leave out {MATERIAL}, or add --materials keep.')
         names = unique_filenames([name or NO_MATERIAL for name in materials or [""]])
         named = [texture.with_name(texture.name.replace(MATERIAL, name)) for name in names]
         self.pages = [numbered_path(named[group], UDIM, tile) for group, tile in zip(layout.groups, layout.tiles, strict=True)]
