@@ -22,9 +22,9 @@ def two_islands():
     """The wavy square, its left half as an island in the left half of the texture, its right half in the right half, with a gap."""
     mesh, uvs = grid(12, lambda x, y: 0.1 * np.sin(2 * x) * np.cos(3 * y))
     is_right = uvs.mean(axis=1)[:, 0] > 0.5
-    apart = uvs * np.float32([0.75, 0.9]) + np.float32([0.03, 0.05])
-    apart[is_right, :, 0] += np.float32(0.19)
-    return mesh, uvs, apart, is_right
+    separated = uvs * np.float32([0.75, 0.9]) + np.float32([0.03, 0.05])
+    separated[is_right, :, 0] += np.float32(0.19)
+    return mesh, uvs, separated, is_right
 
 
 def own_texels(uvs, triangles):
@@ -92,19 +92,19 @@ class TestMerge:
     @pytest.mark.parametrize(("method", "fill"), [("best", "interpolate"), ("average", "none"), ("paper", "restore")])
     def test_pages_equal_the_islands_of_one_page(self, method, fill):
         """Texel for texel, also where a photograph is masked."""
-        mesh, uvs, apart, is_right = two_islands()
+        mesh, uvs, separated, is_right = two_islands()
         photographs = [photograph(mesh, uvs, smooth_texture(), camera) for camera in ring(3)]
         for each in photographs:
             object.__setattr__(each, "mask", np.ones(each.pixels.shape[:2], bool))
             each.mask[100:150, 120:190] = False
         options = PhotosSettings(size=SIZE, method=method, fill=fill)
-        expected = run_to_end(merge(mesh, apart, photographs, options))
-        found = run_to_end(merge(mesh, apart, photographs, options, pages=is_right.astype(np.int32)))
+        expected = run_to_end(merge(mesh, separated, photographs, options))
+        found = run_to_end(merge(mesh, separated, photographs, options, pages=is_right.astype(np.int32)))
         assert expected.holes.sum() > 64
         assert found.colors.shape == (2 * SIZE, SIZE, 3) and found.hole_counts == expected.hole_counts
         assert np.array_equal(found.gains, expected.gains) and np.array_equal(found.labels, expected.labels)
         for page, chosen in enumerate((~is_right, is_right)):
-            own, rows = own_texels(apart, chosen), slice(page * SIZE, (page + 1) * SIZE)
+            own, rows = own_texels(separated, chosen), slice(page * SIZE, (page + 1) * SIZE)
             for name in ("colors", "confidence", "source", "holes"):
                 assert np.array_equal(getattr(found, name)[rows][own], getattr(expected, name)[own]), name
             assert not found.holes[rows][~own].any() and (found.source[rows][~own] == -1).all()

@@ -156,7 +156,7 @@ class TestTiles:
         item.data.uv_layers[0].uv.foreach_set("vector", to_tiles(uvs, uvs.mean(axis=1)[:, 0] > 0.5).astype(np.float32).ravel())
         merge_scene()
 
-    def test_objects_on_different_tiles_share_an_image(self, photographs):
+    def test_objects_on_different_tiles_get_one_image(self, photographs):
         first = add_square(lambda uvs, _: 0.9 * uvs)
         second = add_square(lambda uvs, _: uvs + [1.0, 0.0])
         second.location.z = -0.5
@@ -208,13 +208,13 @@ class TestKeep:
         assert difference(read_pixels(image_of(bare.material_slots[0].material)), smooth_texture()) < 0.02
 
     def test_a_material_without_a_principled_bsdf_is_replaced_and_named(self, photographs, capfd):
-        glow = new_material("Glow", (1.0, 1.0, 1.0))
-        tree = glow.node_tree
+        lamp = new_material("Glow", (1.0, 1.0, 1.0))
+        tree = lamp.node_tree
         tree.nodes.remove(next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED"))
-        item = add_square(None, (glow,))
+        item = add_square(None, (lamp,))
         merge_scene(materials="keep")
         assert "Replaced, because they have no Principled BSDF: Glow." in "".join(capfd.readouterr())
-        assert glow.use_fake_user and difference(read_pixels(image_of(item.material_slots[0].material)), smooth_texture()) < 0.02
+        assert lamp.use_fake_user and difference(read_pixels(image_of(item.material_slots[0].material)), smooth_texture()) < 0.02
 
     def test_tiles_of_a_material(self, photographs):
         """The right half of the square has a material that uses two tiles, one above the other."""
