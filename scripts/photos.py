@@ -1,8 +1,9 @@
 """Create one texture from photographs: `python3 scripts/photos.py MESH --cameras DIR --images DIR --out OUT [flags]`.
 
 MESH is a .blend, .obj, .ply, .stl, .glb, .gltf, .fbx or .usd file; cameras and mesh have the same coordinate system, so the axes of .obj,
-.ply and .stl files are kept. Meshes without a UV map are unwrapped. `--out` is a .blend, .obj or .glb file with the texture. Maps of
-confidence, source and holes appear next to the texture. `blender --background --python scripts/photos.py -- MESH ...` does the same.
+.ply and .stl files are kept. Meshes without a UV map are unwrapped. `--out` is a .blend, .obj or .glb file with the texture. A texture with
+UDIM tiles is named like `castle.<UDIM>.png`. Maps of confidence, source and holes appear next to the texture.
+`blender --background --python scripts/photos.py -- MESH ...` does the same.
 """
 
 import sys
@@ -21,8 +22,10 @@ import bpy
 import numpy as np
 
 from farfield.addon.bridge.meshes import read_instances
+from farfield.addon.bridge.photos.material_groups import MaterialGroups, assign_to_materials, read_material_groups
+from farfield.addon.bridge.photos.page_images import create_textures
 from farfield.addon.bridge.photos.photo_files import read_photograph, size_reader
-from farfield.addon.bridge.photos.results import assign_texture, create_texture_image
+from farfield.addon.bridge.photos.results import assign_texture
 from farfield.addon.bridge.photos.surfaces import read_surface
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.files.scratch import Scratch
@@ -31,6 +34,7 @@ from farfield.addon.core.jobs.progress import StageClock, run_to_end, subprogres
 from farfield.addon.core.photos.importers import read_cameras
 from farfield.addon.core.photos.merging import PhotoTexture, merge
 from farfield.addon.core.photos.overlays import draw_overlay
+from farfield.addon.core.photos.pages import PageLayout, lay_out_pages
 from farfield.addon.core.photos.photographs import Photograph
 from farfield.addon.core.photos.settings import PhotosSettings
 from farfield.addon.core.settings import add_flags, from_flags
@@ -40,7 +44,10 @@ from farfield.addon.operators.unwrap import job as unwrap_job
 from lib import command_line, scene_files
 from lib.atomic_output import atomic_folder, check_outputs
 from lib.contact_sheet import write_png
+from lib.numbered_files import UDIM
 from lib.script_stdout import mute_stderr
+from lib.texture_paths import TexturePaths, first_path
+from lib.tile_materials import split_tiles
 
 EXTENSIONS = (".blend", ".obj", ".glb")
 MAPS = ("confidence", "source", "holes")
@@ -58,7 +65,12 @@ def build_parser() -> command_line.Parser:
     )
     parser.add_argument("--images", type=command_line.parse_path, required=True, help="the folder of the photographs")
     parser.add_argument("--out", type=command_line.parse_path, help="the textured mesh to write: .blend, .obj or .glb")
-    parser.add_argument("--texture", type=command_line.parse_path, required=True, help="the texture to write, a PNG file")
+    parser.add_argument(
+        "--texture",
+        type=command_line.parse_path,
+        required=True,
+        help="the texture to write, a PNG file; <UDIM> and <MATERIAL> in its name stand for tiles and materials",
+    )
     parser.add_argument("--overlays", type=command_line.parse_path, help="a folder for pictures of the photographs with the mesh")
     parser.add_argument("--stages", type=command_line.parse_path, help="a folder for pictures of the stages of the merge")
     parser.add_argument("--report", type=command_line.parse_path, help="write a report of the run to this JSON file")
@@ -75,11 +87,21 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
         raise FileError(f'--texture is "{given.texture}"; it must end in .png.')
     if given.out is not None and given.out.suffix.lower() not in EXTENSIONS:
         raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(EXTENSIONS)}.')
-    maps = {name: texture.with_suffix(f".{name}.png") for name in MAPS}
-    outputs = {"--out": given.out, "--texture": texture, **{f"the {name} map": path for name, path in maps.items()}}
-    check_outputs(outputs, {"the input": given.input}, given.report)
+    check_files(given, [first_path(texture)])
     with Scratch() as scratch:
         return merge_files(given, settings, texture, scratch, line)
+
+
+def check_files(given: Namespace, textures: list[Path]) -> None:
+    """Raise FileError if a file cannot be written, or would replace another one or the input."""
+    outputs = {"--out": given.out} | {"--texture" if len(textures) == 1 else f'--texture "{path.name}"': path for path in textures}
+    outputs |= {f'the {name} map of "{path.name}"': map_path(path, name) for path in textures for name in MAPS}
+    check_outputs(outputs, {"the input": given.input}, given.report)
+
+
+def map_path(texture: Path, name: str) -> Path:
+    """Return the path of a map of a texture."""
+    return texture.with_suffix(f".{name}.png")
 
 
 def merge_files(given: Namespace, settings: PhotosSettings, texture: Path, scratch: Scratch, line: command_line.ProgressLine) -> str:
@@ -91,26 +113,31 @@ def merge_files(given: Namespace, settings: PhotosSettings, texture: Path, scrat
         objects = read_objects(given.input.absolute())
     with clock.stage("unwrap"):
         unwrapped = unwrap_missing(objects, line)
+    instances = read_instances(objects, bpy.context.evaluated_depsgraph_get())
+    groups = read_material_groups(objects, instances) if settings.materials == "keep" else None
+    surface = read_surface(instances)
+    layout = lay_out_pages(surface.corner_uvs, None if groups is None else groups.triangles)
+    paths = TexturePaths(texture, layout, None if groups is None else groups.names)
+    check_files(given, paths.pages)
     with clock.stage("photographs"), mute_stderr():
         photographs = [read_photograph(camera, given.images.absolute()).keep_in(scratch, index) for index, camera in enumerate(cameras)]
-    surface = read_surface(read_instances(objects, bpy.context.evaluated_depsgraph_get()))
     if given.overlays is not None:
         with clock.stage("overlays"):
             write_overlays(surface.mesh, photographs, given.overlays.absolute())
-    result = run_to_end(
-        subprogress(
-            merge(surface.mesh, surface.corner_uvs, photographs, settings, scratch, keep_stages=given.stages is not None), 0.0, 1.0
-        ),
-        line.show,
-    )
+    keep_stages = given.stages is not None
+    steps = merge(surface.mesh, layout.corner_uvs, photographs, settings, scratch, pages=layout.pages, keep_stages=keep_stages)
+    result = run_to_end(subprogress(steps, 0.0, 1.0), line.show)
     line.clear()
     clock.seconds |= result.seconds
     with clock.stage("write"):
         if given.stages is not None:
-            write_stages(result, given.stages.absolute())
-        write(result, objects, texture, given.out, len(cameras))
+            write_stages(result, paths.pages, given.stages.absolute())
+        write_textures(result, paths.pages, len(cameras))
+        if given.out is not None:
+            assign(result, objects, layout, groups, paths)
+            write_scene(objects, given.out.absolute())
     if given.report is not None:
-        report = build_report(result, [camera.name for camera in cameras], unwrapped, clock)
+        report = build_report(result, [camera.name for camera in cameras], unwrapped, layout, groups, paths.pages, clock)
         command_line.write_report(given.report.absolute(), report)
     holes = np.count_nonzero(result.holes) / max(np.count_nonzero(result.holes | (result.source >= 0)), 1)
     return f"Merged {len(cameras)} photographs into {texture.name}; {holes:.1%} of the surface is in no photograph."
@@ -142,47 +169,82 @@ def write_overlays(mesh: TriangleMesh, photographs: list[Photograph], folder: Pa
             write_png(temporary / f"{Path(photograph.camera.name).stem}.overlay.png", draw_overlay(mesh, photograph))
 
 
-def write_stages(result: PhotoTexture, folder: Path) -> None:
-    """Write the pictures of the stages."""
+def write_stages(result: PhotoTexture, textures: list[Path], folder: Path) -> None:
+    """Write the pictures of the stages: those of photographs, and those of textures for each page, with its name if there are several."""
     with atomic_folder(folder) as temporary:
         for name, picture in result.stages.items():
-            write_png(temporary / f"{Path(name).stem.replace(' ', '.')}.png", picture)
+            stem = Path(name).stem.replace(" ", ".")
+            if picture.shape != result.colors.shape or len(textures) == 1:
+                write_png(temporary / f"{stem}.png", picture)
+                continue
+            for texture, page in zip(textures, np.split(picture, len(textures)), strict=True):
+                write_png(temporary / f"{stem}.{texture.name}", page)
 
 
-def write(result: PhotoTexture, objects: list[bpy.types.Object], texture: Path, out: Path | None, count: int) -> None:
-    """Write all files; they appear together or not at all."""
-    images = {
-        "confidence": result.confidence,
-        "source": (result.source + 1) / max(count, 1),
-        "holes": result.holes.astype(np.float32),
-    }
-    with atomic_folder(texture.parent) as temporary:
-        write_png(temporary / texture.name, result.colors)
-        for name, values in images.items():
-            write_png(temporary / f"{texture.stem}.{name}.png", np.repeat(values[..., None].astype(np.float32), 3, axis=2))
-    if out is None:
-        return
-    image = create_texture_image(texture.stem, result.colors)
-    assign_texture(objects, image, texture.stem)
+def write_textures(result: PhotoTexture, textures: list[Path], count: int) -> None:
+    """Write the pages and their maps; they appear together or not at all."""
+    with atomic_folder(textures[0].parent) as temporary:
+        for index, texture in enumerate(textures):
+            page = result.page(index)
+            write_png(temporary / texture.name, page.colors)
+            maps = {"confidence": page.confidence, "source": (page.source + 1) / max(count, 1), "holes": page.holes}
+            for name, values in maps.items():
+                write_png(temporary / map_path(texture, name).name, np.repeat(values[..., None].astype(np.float32), 3, axis=2))
+
+
+def assign(
+    result: PhotoTexture, objects: list[bpy.types.Object], layout: PageLayout, groups: MaterialGroups | None, paths: TexturePaths
+) -> None:
+    """Give the objects materials with the texture."""
+    names = [path.stem.replace(f".{UDIM}", "") for path in paths.groups]
+    images = create_textures(layout, result, names)
+    for group, image in images.items():
+        image.filepath_raw = str(paths.groups[group])
+    if groups is None:
+        assign_texture(objects, images[0], names[0])
+    else:
+        assign_to_materials(objects, {groups.uids[group]: image for group, image in images.items()})
+
+
+def write_scene(objects: list[bpy.types.Object], out: Path) -> None:
+    """Write the textured mesh."""
     extension = out.suffix.lower()
     if extension == ".blend":
-        scene_files.save_scene(out.absolute())
+        scene_files.save_scene(out)
         return
-    image.filepath_raw = str(texture)
-    with atomic_folder(out.absolute().parent) as temporary, mute_stderr():
+    split_tiles(objects)
+    with atomic_folder(out.parent) as temporary, mute_stderr():
         if extension == ".obj":
             bpy.ops.wm.obj_export(filepath=str(temporary / out.name), forward_axis="Y", up_axis="Z", path_mode="ABSOLUTE")
         else:
             bpy.ops.export_scene.gltf(filepath=str(temporary / out.name), export_format="GLB")
 
 
-def build_report(result: PhotoTexture, names: list[str], unwrapped: list[str], clock: StageClock) -> dict[str, Any]:
+def build_report(
+    result: PhotoTexture,
+    names: list[str],
+    unwrapped: list[str],
+    layout: PageLayout,
+    groups: MaterialGroups | None,
+    textures: list[Path],
+    clock: StageClock,
+) -> dict[str, Any]:
     """Return the figures of the run."""
-    covered = int(np.count_nonzero(result.holes | (result.source >= 0)))
+    pages = [
+        {
+            "name": texture.name,
+            "material": None if groups is None else groups.names[layout.groups[index]] or None,
+            "tile": layout.tiles[index],
+            "texels": result.page(index).texel_count,
+            "holes": int(np.count_nonzero(result.page(index).holes)),
+        }
+        for index, texture in enumerate(textures)
+    ]
     return {
-        "size": len(result.colors),
-        "texels": covered,
-        "holes": int(np.count_nonzero(result.holes)),
+        "size": result.colors.shape[1],
+        "texels": sum(page["texels"] for page in pages),
+        "holes": sum(page["holes"] for page in pages),
+        "pages": pages,
         "restored_holes": None if result.hole_counts is None else result.hole_counts._asdict(),
         "photographs": [
             {

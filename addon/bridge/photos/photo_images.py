@@ -19,7 +19,8 @@ from ..blender_modules import import_blender_module
 from ..image_files import EXTENSIONS
 from ..images import read_pixels
 from ..restore.image_pixels import read_format, to_display
-from ..restore.image_sources import check_image, load_image
+from ..restore.image_sources import check_image
+from ..tiled_images import load_image
 from .photo_files import read_photograph_file
 
 MIN_ALPHA = 0.5  # of usable pixels

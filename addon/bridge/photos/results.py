@@ -1,12 +1,14 @@
 """Textures from photographs as images and materials."""
 
+from collections.abc import Iterable
+
 import bpy
 import numpy as np
 
 from ...compat import enable_nodes
 from ..images import create_image
 
-IMAGE_NODE_POSITION = (-320, 300)
+IMAGE_NODE_OFFSET = (-330, 0)  # from the shader
 OVERLAY_PROPERTY = "farfield_photo_overlay"  # custom property of images that `create_overlay_image` made
 TEXTURE_PROPERTY = "farfield_photo_texture"  # custom property of materials that `assign_texture` made
 
@@ -16,20 +18,23 @@ def create_texture_image(name: str, colors: np.ndarray, transparent: np.ndarray 
 
     transparent: (H, W) bool, texels with zero alpha.
     """
+    return create_image(name, texture_pixels(colors, transparent), is_data=False)
+
+
+def texture_pixels(colors: np.ndarray, transparent: np.ndarray | None = None) -> np.ndarray:
+    """Return pixels (H, W, 4) float32 of `colors` (H, W, 3) with zero alpha where they are `transparent` (H, W) bool."""
     pixels = np.ones((*colors.shape[:2], 4), np.float32)
     pixels[..., :3] = colors
     if transparent is not None:
         pixels[transparent, 3] = 0.0
-    return create_image(name, pixels, is_data=False)
+    return pixels
 
 
-def create_map_image(name: str, values: np.ndarray) -> bpy.types.Image:
-    """Create an 8-bit gray image of data `values` (H, W), 0 to 1, that files keep although nothing uses it."""
+def map_pixels(values: np.ndarray) -> np.ndarray:
+    """Return opaque gray pixels (H, W, 4) float32 of `values` (H, W)."""
     pixels = np.ones((*values.shape, 4), np.float32)
     pixels[..., :3] = values[..., None]
-    image = create_image(name, pixels, is_data=True)
-    image.use_fake_user = True
-    return image
+    return pixels
 
 
 def create_overlay_image(name: str, colors: np.ndarray) -> bpy.types.Image:
@@ -50,7 +55,7 @@ def assign_texture(objects: list[bpy.types.Object], image: bpy.types.Image, name
 
     Replaced materials that nothing else uses get a fake user, so that files keep them; those that this function made do not.
     """
-    material = _create_material(name, image, has_alpha)
+    material = create_material(name, image, has_alpha)
     replaced = dict.fromkeys(slot.material for item in objects for slot in item.material_slots if slot.material is not None)
     for slot in [slot for item in objects for slot in item.material_slots if slot.link == "OBJECT"]:
         slot.material = None  # or the material would count this object as a user for ever
@@ -61,20 +66,27 @@ def assign_texture(objects: list[bpy.types.Object], image: bpy.types.Image, name
     for item in objects:
         for slot in item.material_slots:
             slot.link = "DATA"
-    for old in replaced:
-        if old.users == 0 and old.is_editable and TEXTURE_PROPERTY not in old:
-            old.use_fake_user = True
+    keep_unused(replaced)
     return material
 
 
-def _create_material(name: str, image: bpy.types.Image, has_alpha: bool) -> bpy.types.Material:
+def keep_unused(materials: Iterable[bpy.types.Material]) -> None:
+    """Give those of `materials` that nothing uses a fake user, so that files keep them, unless this tool made them."""
+    for old in materials:
+        if old.users == 0 and old.is_editable and TEXTURE_PROPERTY not in old:
+            old.use_fake_user = True
+
+
+def create_material(name: str, image: bpy.types.Image, has_alpha: bool) -> bpy.types.Material:
+    """Create a matte material that shows `image`, with its transparency if it `has_alpha`."""
     material = bpy.data.materials.new(name)
     material[TEXTURE_PROPERTY] = True
     enable_nodes(material)
     tree = material.node_tree
     shader = next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED")
     texture = tree.nodes.new("ShaderNodeTexImage")
-    texture.image, texture.location = image, IMAGE_NODE_POSITION
+    texture.image = image
+    texture.location = [origin + offset for origin, offset in zip(shader.location, IMAGE_NODE_OFFSET, strict=True)]
     tree.links.new(texture.outputs["Color"], shader.inputs["Base Color"])
     if has_alpha:
         tree.links.new(texture.outputs["Alpha"], shader.inputs["Alpha"])

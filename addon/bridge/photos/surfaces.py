@@ -1,6 +1,6 @@
 """Surfaces that get a texture from photographs, as arrays in world space."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import bpy
@@ -10,6 +10,7 @@ from ...core.errors import GeometryError
 from ...core.geometry.cameras import CameraProjection
 from ...core.geometry.lenses import PhotoCamera
 from ...core.geometry.mesh import TriangleMesh
+from ...core.photos.pages import PageLayout
 from ...core.photos.texels import TexelMap
 from ..mesh_arrays import read_loop_vertices, read_values
 from ..meshes import SourceInstance, concatenate_in_world_space
@@ -44,15 +45,25 @@ def read_surface(instances: list[SourceInstance], new_uvs: Mapping[int, np.ndarr
     return PhotoSurface(concatenate_in_world_space(instances), np.concatenate(corner_uvs).astype(np.float32))
 
 
-def check_separate_uvs(instances: list[SourceInstance]) -> None:
-    """Check that UV maps of different `instances`, which get one texture together, cover different texels.
+def split_layout(instances: list[SourceInstance], layout: PageLayout) -> Iterator[tuple[SourceInstance, np.ndarray, np.ndarray]]:
+    """Yield each instance with the UVs (T, 3, 2) and pages (T,) of its triangles."""
+    start = 0
+    for instance in instances:
+        rows = slice(start, start + len(instance.mesh.triangles))
+        yield instance, layout.corner_uvs[rows], layout.pages[rows]
+        start = rows.stop
+
+
+def check_separate_uvs(instances: list[SourceInstance], layout: PageLayout) -> None:
+    """Check that UV maps of different `instances`, whose triangles are on common pages, cover different texels.
 
     Raises:
-        GeometryError: two of them overlap, or one has no UV map.
+        GeometryError: two of them overlap.
     """
-    owners = np.full(OVERLAP_SIZE**2, -1)
-    for index, instance in enumerate(instances if len(instances) > 1 else []):
-        covered = TexelMap(_read_uvs(instance), OVERLAP_SIZE).triangles >= 0
+    all_owners = np.full(max(len(layout.tiles), 1) * OVERLAP_SIZE**2, -1)
+    for index, (instance, corner_uvs, pages) in enumerate(split_layout(instances, layout) if len(instances) > 1 else ()):
+        covered = TexelMap(corner_uvs, OVERLAP_SIZE, pages).triangles >= 0
+        owners = all_owners[: len(covered)]
         taken = covered & (owners >= 0)
         if np.count_nonzero(taken) > MAX_OVERLAP * np.count_nonzero(covered):
             other = instances[int(np.bincount(owners[taken]).argmax())]

@@ -13,10 +13,9 @@ from ...core.errors import FileError, ImageError
 from ...core.files.file_access import check_readable, convert_os_errors
 from ..blender_errors import error_sentence
 from ..images import read_pixels, tile_paths
+from ..tiled_images import EXTENSIONS, FILE_FORMATS, load_image
 
 NUMBERED_FILE = re.compile(r"(.*?)(\d+)(\D*)$", re.DOTALL)  # the last number of a name, as Blender reads image sequences
-EXTENSIONS = {False: "png", True: "exr"}  # lossless, by whether the pixels are floats
-FILE_FORMATS = {False: "PNG", True: "OPEN_EXR"}
 
 
 def find_image(name: str, setting: str) -> bpy.types.Image:
@@ -88,14 +87,6 @@ def load_frame(image: bpy.types.Image, path: Path) -> Iterator[bpy.types.Image]:
         yield frame
     finally:
         bpy.data.images.remove(frame)
-
-
-def load_image(path: Path) -> bpy.types.Image:
-    """Return a new image that shows a file. Raises FileError."""
-    try:
-        return bpy.data.images.load(str(path))
-    except RuntimeError as error:  # raised by Blender
-        raise FileError(f'"{path}" cannot be loaded; check that the file is a complete image.') from error
 
 
 def read_tiles(image: bpy.types.Image) -> dict[int, np.ndarray]:

@@ -6,9 +6,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ...core.files.filenames import safe_filename
-from ..images import save_image
-from .image_sources import EXTENSIONS, FILE_FORMATS, default_color_space, load_image, lossless_alpha_mode
+from ..tiled_images import EXTENSIONS, load_image, open_tiles, pack_tiles, save_pixels
+from .image_sources import default_color_space, lossless_alpha_mode
 
 SUFFIX = " restored"
 COPIED_PROPERTIES = ("use_half_precision", "use_view_as_render", "use_deinterlace", "seam_margin")
@@ -28,16 +27,7 @@ def create_result(source: bpy.types.Image, tiles: dict[int, np.ndarray]) -> bpy.
 
 def save_frame(source: bpy.types.Image, pixels: np.ndarray, path: Path) -> None:
     """Write the stored values (H, W, 4) of a frame that was loaded as `source` to a file, without loss. Raises FileError."""
-    height, width = pixels.shape[:2]
-    image = bpy.data.images.new("frame", width, height, alpha=True, float_buffer=source.is_float, is_data=True)
-    try:
-        # Blender writes the values of data as they are; those of colors pass through the color space and back.
-        image.pixels.foreach_set(np.ascontiguousarray(pixels, np.float32).ravel())
-        image.update()
-        image.file_format = FILE_FORMATS[source.is_float]
-        save_image(image, path)
-    finally:
-        bpy.data.images.remove(image)
+    save_pixels(pixels, path, is_float=source.is_float)
 
 
 def load_sequence(source: bpy.types.Image, path: Path) -> bpy.types.Image:
@@ -76,23 +66,12 @@ def _create_tiled_image(source: bpy.types.Image, tiles: dict[int, np.ndarray]) -
         paths = {number: Path(folder, f"tile.{number}.{EXTENSIONS[source.is_float]}") for number in sorted(tiles)}
         for number, path in paths.items():
             save_frame(source, tiles[number], path)
-        first = min(paths)
-        image = load_image(paths[first])
-        image.name = source.name + SUFFIX
-        image.colorspace_settings.name = default_color_space(source)
-        image.alpha_mode = lossless_alpha_mode(source.alpha_mode, source.is_float)
-        image.source = "TILED"
-        image.filepath_raw = str(paths[first].with_name(f"tile.<UDIM>.{EXTENSIONS[source.is_float]}"))
-        image.tiles[0].number = first
-        present = {tile.number for tile in image.tiles}
-        for number in sorted(set(paths) - present):
-            image.tiles.new(number)
+        alpha_mode = lossless_alpha_mode(source.alpha_mode, source.is_float)
+        image = open_tiles(source.name + SUFFIX, paths, default_color_space(source), alpha_mode)
         for tile in source.tiles:
             image.tiles.get(tile.number).label = tile.label
         _copy_display_properties(source, image)
-        image.reload()
-        image.pack()
-    image.filepath_raw = f"//{safe_filename(image.name)}.<UDIM>.{EXTENSIONS[source.is_float]}"  # where Unpack writes to
+        pack_tiles(image, EXTENSIONS[source.is_float])
     return image
 
 

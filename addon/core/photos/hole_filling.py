@@ -20,6 +20,7 @@ from ..restore.restoration import restore
 from ..restore.settings import RestoreSettings
 from ..unwrap.settings import UnwrapSettings
 from ..unwrap.unwrapping import unwrap
+from .pages import NO_PAGE
 from .texels import TexelMap, TexelTile
 
 MIN_TEXELS = 64  # of a hole: smaller ones show no texture
@@ -67,7 +68,7 @@ class HoleFiller:
         """Prepare to fill the holes of `colors`.
 
         Args:
-            mesh: in any unit. edges: of the mesh. corner_uvs: (T, 3, 2). texel_map: of them.
+            mesh: in any unit. edges: of the mesh. corner_uvs: (T, 3, 2) in their pages. texel_map: of them.
             colors: (N, 3) float32 of all texels, sRGB-encoded, with a first guess in the holes.
             found: (N,) bool, texels that a photograph shows.
         """
@@ -158,19 +159,21 @@ class HoleFiller:
         colors, known = np.zeros((side * side, 3), np.float32), np.zeros(side * side, bool)
         corners = self.positions[layout.triangles]
         for tile in layout.map.tiles():
-            colors[tile.texels], known[tile.texels] = self._sample(tile.interpolate(corners))
+            pages = self.map.pages[layout.triangles[tile.triangles]]
+            colors[tile.texels], known[tile.texels] = self._sample(tile.interpolate(corners), pages)
         return colors.reshape(side, side, 3), known.reshape(side, side), (layout.map.triangles >= 0).reshape(side, side)
 
-    def _sample(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return colors (N, 3) at `positions` (N, 2) in texels, interpolated between texels with a photograph, and where there is one."""
+    def _sample(self, positions: np.ndarray, pages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return colors (N, 3) at `positions` (N, 2) in texels of `pages` (N,), interpolated between texels with a photograph, and where
+        there is one."""
         size = self.map.size
         low = np.floor(positions - 0.5).astype(np.int64)
         fractions = positions - 0.5 - low
         colors, weights = np.zeros((len(positions), 3), np.float32), np.zeros(len(positions), np.float32)
         for x, y in ((0, 0), (1, 0), (0, 1), (1, 1)):
             columns, rows = np.clip(low[:, 0] + x, 0, size - 1), np.clip(low[:, 1] + y, 0, size - 1)
-            texels = rows * size + columns
+            texels = (pages.astype(np.int64) * size + rows) * size + columns
             weight = np.abs(1 - x - fractions[:, 0]) * np.abs(1 - y - fractions[:, 1]) * self.found[texels]
             colors += weight[:, None].astype(np.float32) * self.colors[texels]
             weights += weight.astype(np.float32)
-        return colors / np.maximum(weights, 1e-6)[:, None], weights >= MIN_KNOWN_WEIGHT
+        return colors / np.maximum(weights, 1e-6)[:, None], (weights >= MIN_KNOWN_WEIGHT) & (pages != NO_PAGE)

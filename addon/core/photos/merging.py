@@ -6,6 +6,7 @@ average of all others, and texels that none shows are interpolated over the surf
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from .labels import choose_labels
 from .leveling import VertexLabels, find_vertex_labels, solve_corrections
 from .observations import MAX_OBSERVATIONS, POINTS, Observations, observe, sample_surface
 from .overlaps import check_overlaps
+from .pages import check_texel_count
 from .photographs import Photograph, apply_gain
 from .settings import PhotosSettings
 from .sharpening import find_residuals
@@ -39,15 +41,29 @@ EXPOSURE_POINTS = 20_000
 GUTTER = 8  # texels around covered ones that get the mean of their neighbors
 
 
+class TexturePage(NamedTuple):
+    """The images of one page, as in `PhotoTexture`, with as many rows as columns."""
+
+    colors: np.ndarray
+    confidence: np.ndarray
+    source: np.ndarray
+    holes: np.ndarray
+
+    @property
+    def texel_count(self) -> int:
+        """The number of texels on the surface."""
+        return int(np.count_nonzero(self.holes | (self.source != NO_PHOTOGRAPH)))
+
+
 @dataclass(frozen=True)
 class PhotoTexture:
-    """The result of `merge`.
+    """The result of `merge`. Images stack the pages, the first at the bottom: H = P * W.
 
     colors: (H, W, 3) float32, sRGB-encoded, row 0 at the bottom. confidence: (H, W) float32, 0 to 1, the pixels per texel along one axis of
     the best photograph. source: (H, W) int16, the photograph with the largest weight, -1 for none. holes: (H, W) bool, covered texels that
     no photograph shows. gains: (K, 3). labels: (T,) the photograph of each triangle, -1 for none.
-    hole_counts: if they were restored. stages: pictures (H, W, 3) by name, if they were requested: `used NAME` for each photograph,
-    `classes`, `photographed` and `interpolated`.
+    hole_counts: if they were restored. stages: pictures by name, if they were requested: `used NAME` for each photograph, and
+    `classes`, `photographed` and `interpolated` (H, W, 3).
     """
 
     colors: np.ndarray
@@ -60,6 +76,12 @@ class PhotoTexture:
     seconds: dict[str, float]
     stages: dict[str, np.ndarray]
 
+    def page(self, index: int) -> TexturePage:
+        """Return the images of one page."""
+        size = self.colors.shape[1]
+        rows = slice(index * size, (index + 1) * size)
+        return TexturePage(self.colors[rows], self.confidence[rows], self.source[rows], self.holes[rows])
+
 
 def merge(
     mesh: TriangleMesh,
@@ -68,17 +90,18 @@ def merge(
     settings: PhotosSettings,
     scratch: Scratch | None = None,
     *,
+    pages: np.ndarray | None = None,
     keep_stages: bool = False,
 ) -> Steps[PhotoTexture]:
-    """Merge `photographs` into a texture for `mesh` with UVs (T, 3, 2).
+    """Merge `photographs` into a texture for `mesh` with UVs (T, 3, 2) in the `pages` (T,) of its triangles (see `pages`).
 
     The memory for it does not grow with the number of photographs: if they are many, their depths are in temporary files. Those of
     `scratch`, if it is given, may hold the photographs, too, each in the group of its index. keep_stages: draw pictures of the stages.
 
     Raises:
         ImageError: a photograph or mask does not have the size that its camera says, or there is none.
-        GeometryError: no photograph shows the mesh, it has no area or is not finite, or the UV map overlaps itself or covers no
-            texel.
+        GeometryError: no photograph shows the mesh, it has no area or is not finite, or the UV map overlaps itself, covers no texel, or
+            needs too many.
         FileError: the disk of temporary files has too little space.
     """
     if not photographs:
@@ -88,11 +111,12 @@ def merge(
     check_points(mesh.vertices, "mesh")
     if not np.isfinite(corner_uvs).all():
         raise GeometryError("The UV map has coordinates that are not finite; unwrap the mesh again.")
-    check_overlaps(corner_uvs)
+    check_overlaps(corner_uvs, pages)
+    check_texel_count(pages, settings.size)
     if scratch is not None:
-        return (yield from _merge(_Merger(mesh, corner_uvs, photographs, settings, scratch, keep_stages)))
+        return (yield from _merge(_Merger(mesh, corner_uvs, pages, photographs, settings, scratch, keep_stages)))
     with Scratch() as own:
-        return (yield from _merge(_Merger(mesh, corner_uvs, photographs, settings, own, keep_stages)))
+        return (yield from _merge(_Merger(mesh, corner_uvs, pages, photographs, settings, own, keep_stages)))
 
 
 def _merge(merger: "_Merger") -> Steps[PhotoTexture]:
@@ -128,6 +152,7 @@ class _Merger:
         self,
         mesh: TriangleMesh,
         corner_uvs: np.ndarray,
+        pages: np.ndarray | None,
         photographs: list[Photograph],
         settings: PhotosSettings,
         scratch: Scratch,
@@ -136,7 +161,7 @@ class _Merger:
         self.keep_stages, self.stages = keep_stages, dict[str, np.ndarray]()
         self.settings, self.clock, self.corner_uvs, self.scratch = settings, StageClock(), corner_uvs, scratch
         with self.clock.stage("texels"):
-            self.map = TexelMap(corner_uvs, settings.size)
+            self.map = TexelMap(corner_uvs, settings.size, pages)
             if not (self.map.triangles >= 0).any():
                 raise GeometryError("The UV map covers no pixel of the texture; unwrap the mesh, or move its UVs into the range 0 to 1.")
         self.areas, _ = face_areas_and_normals(mesh.corners)
@@ -241,7 +266,7 @@ class _Merger:
 
     def fill_texels(self) -> Steps[None]:
         """Compute the texels, tile by tile."""
-        count = self.settings.size**2
+        count = len(self.map.triangles)
         with self.clock.stage("faces"):
             surface = prepare_surface(self.mesh, self.normals, self.corner_normals)
             is_cosine = self.settings.method == "paper"
@@ -264,10 +289,11 @@ class _Merger:
         """Bring back the detail that resampling has blurred."""
         size, found = self.settings.size, self.source != NO_PHOTOGRAPH
         with self.clock.stage("residuals"):
-            texture = self.colors.reshape(size, size, 3).copy()
-            dilate_in_place(texture, found.reshape(size, size), GUTTER)
+            texture = self.colors.reshape(-1, size, 3).copy()
+            self._fill_gutter(texture, found)
+            corners = self.map.stacked_corners
             residuals = yield from subprogress(
-                find_residuals(self.painter, self.photographs, self.views, self.mesh, self.map.corners, texture, self.scratch), 0.6, 0.8
+                find_residuals(self.painter, self.photographs, self.views, self.mesh, corners, texture, self.scratch), 0.6, 0.8
             )
         done, total = 0, int(np.count_nonzero(self.map.triangles >= 0))
         with self.clock.stage("sharpen"):
@@ -297,7 +323,14 @@ class _Merger:
         np.clip(self.colors, 0.0, 1.0, out=self.colors)
 
     def _keep_stage(self, name: str, colors: np.ndarray) -> None:
-        self.stages[name] = np.clip(colors, 0.0, 1.0).reshape(self.settings.size, self.settings.size, 3)
+        self.stages[name] = np.clip(colors, 0.0, 1.0).reshape(-1, self.settings.size, 3)
+
+    def _fill_gutter(self, texture: np.ndarray, known: np.ndarray) -> None:
+        """Fill what lies around the `known` texels (N,) of a texture (H, W, 3), page by page."""
+        size = self.settings.size
+        for start in range(0, len(texture), size):
+            rows = slice(start, start + size)
+            dilate_in_place(texture[rows], known.reshape(-1, size)[rows], GUTTER)
 
     def restore_holes(self) -> Steps[HoleCounts]:
         """Continue the texture into the holes."""
@@ -307,13 +340,13 @@ class _Merger:
         """Fill what lies around the islands of the UV map, and return the result."""
         size = self.settings.size
         covered, found = self.map.triangles >= 0, self.source != NO_PHOTOGRAPH
-        image, known = self.colors.reshape(size, size, 3), found if self.settings.fill == "none" else covered
-        dilate_in_place(image, known.reshape(size, size), GUTTER)
+        known = found if self.settings.fill == "none" else covered
+        self._fill_gutter(self.colors.reshape(-1, size, 3), known)
         return PhotoTexture(
-            colors=image,
-            confidence=self.confidence.reshape(size, size),
-            source=self.source.reshape(size, size),
-            holes=(covered & ~found).reshape(size, size),
+            colors=self.colors.reshape(-1, size, 3),
+            confidence=self.confidence.reshape(-1, size),
+            source=self.source.reshape(-1, size),
+            holes=(covered & ~found).reshape(-1, size),
             gains=self.gains,
             labels=self.labels,
             hole_counts=holes,

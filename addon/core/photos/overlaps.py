@@ -4,6 +4,7 @@ import numpy as np
 
 from ..errors import GeometryError
 from ..imaging.raster import rasterize
+from .pages import split_by_page
 
 SIZE = 1024  # texels per side in which UV maps are examined
 INSIDE = 0.01  # smallest barycentric coordinate: neighbors may share the texels on their edge
@@ -11,8 +12,17 @@ MIN_SHARED = 0.5  # of the texels of a triangle, from which it overlaps others
 MAX_FRACTION = 0.01  # of all texels, which may be shared
 
 
-def find_overlapping(corner_uvs: np.ndarray) -> np.ndarray:
-    """Return which triangles (T,) bool with UVs (T, 3, 2) share most of their texels with others; none if these are few altogether."""
+def find_overlapping(corner_uvs: np.ndarray, pages: np.ndarray | None = None) -> np.ndarray:
+    """Return which triangles (T,) bool with UVs (T, 3, 2) share most of their texels with others of the same of `pages` (T,); none of a
+    page if these are few altogether."""
+    found = np.zeros(len(corner_uvs), bool)
+    for chosen in split_by_page(pages, len(corner_uvs)):
+        found[chosen] = _find_overlapping(corner_uvs[chosen])
+    return found
+
+
+def _find_overlapping(corner_uvs: np.ndarray) -> np.ndarray:
+    """Do what `find_overlapping` does, for one page."""
     corners = corner_uvs.astype(np.float64) * SIZE
     counts = np.zeros(SIZE * SIZE, np.int32)
     for _, texels, barycentric in rasterize(corners, (SIZE, SIZE)):
@@ -36,12 +46,12 @@ def describe_overlaps(count: int) -> str:
     )
 
 
-def check_overlaps(corner_uvs: np.ndarray) -> None:
-    """Check that triangles with UVs (T, 3, 2) have texels of their own.
+def check_overlaps(corner_uvs: np.ndarray, pages: np.ndarray | None = None) -> None:
+    """Check that triangles with UVs (T, 3, 2) have texels of their own in their `pages` (T,).
 
     Raises:
         GeometryError: they do not.
     """
-    count = int(np.count_nonzero(find_overlapping(corner_uvs)))
+    count = int(np.count_nonzero(find_overlapping(corner_uvs, pages)))
     if count:
         raise GeometryError(f"The UV map overlaps itself: {describe_overlaps(count)}")

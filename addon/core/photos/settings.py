@@ -14,6 +14,10 @@ FILLS = {
     "interpolate": Choice("Interpolate", "Interpolate colors over the surface"),
     "restore": Choice("Restore", "Continue the texture around each hole over the surface, and interpolate what is too small or too large"),
 }
+MATERIALS = {
+    "replace": Choice("Replace", "One texture and one new material for everything"),
+    "keep": Choice("Keep", "A texture for each material, as the base color of a copy of it; UV maps may overlap those of other materials"),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,3 +30,4 @@ class PhotosSettings(Settings):
     leveling: bool = setting(True, "Correct colors so that regions from different photographs meet without a seam. Used by Best Photograph")
     sharpen: bool = setting(True, "Bring back detail that resampling has blurred")
     fill: str = setting("interpolate", "What fills the parts that no photograph shows", choices=FILLS)
+    materials: str = setting("replace", "What happens to the materials of the meshes", choices=MATERIALS)

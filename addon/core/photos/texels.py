@@ -34,24 +34,40 @@ class TexelTile:
 class TexelMap:
     """The triangle of every texel whose center a triangle covers.
 
-    triangles: (H * W,) int32, -1 where there is none. size: texels per side. corners: (T, 3, 2) float64, UVs in texels.
+    triangles: (P * H * W,) int32, -1 where there is none. size: texels per side. pages: (T,) of the triangles. corners:
+    (T, 3, 2) float64, positions in the page in texels.
     """
 
-    def __init__(self, corner_uvs: np.ndarray, size: int) -> None:
-        """Rasterize triangles with UVs (T, 3, 2), of which only the part in 0..1 has texels."""
+    def __init__(self, corner_uvs: np.ndarray, size: int, pages: np.ndarray | None = None) -> None:
+        """Rasterize triangles with UVs (T, 3, 2), of which only the part in 0..1 has texels; `pages` (T,): all are on one by default."""
         self.size = size
+        self.pages = np.zeros(len(corner_uvs), np.int32) if pages is None else pages
+        self.page_count = max(int(self.pages.max(initial=0)) + 1, 1)
         self.corners = corner_uvs.astype(np.float64) * size
-        self.triangles = np.full(size * size, -1, np.int32)
-        for triangles, texels, _ in rasterize(self.corners, (size, size)):
+        self.triangles = np.full(self.page_count * size * size, -1, np.int32)
+        for triangles, texels, _ in self._rasterize(None):
             self.triangles[texels] = triangles
+
+    @property
+    def stacked_corners(self) -> np.ndarray:
+        """(T, 3, 2) float64, positions in texels in the image of all pages, the first at the bottom."""
+        offsets = np.stack([np.zeros(len(self.pages)), self.pages * float(self.size)], axis=1)
+        return self.corners + offsets[:, None]
 
     def tiles(self, chosen: np.ndarray | None = None) -> Iterator[TexelTile]:
         """Yield all covered texels, each of them once; only those of some triangles (K,), if they are given."""
-        corners = self.corners if chosen is None else self.corners[chosen]
-        for rows, texels, barycentric in rasterize(corners, (self.size, self.size)):
-            triangles = rows if chosen is None else chosen[rows]
+        for triangles, texels, barycentric in self._rasterize(chosen):
             is_own = self.triangles[texels] == triangles
             yield TexelTile(texels[is_own], triangles[is_own].astype(np.int32), barycentric[is_own].astype(np.float32))
+
+    def _rasterize(self, chosen: np.ndarray | None) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Yield what `rasterize` yields, page by page, for all triangles or those `chosen` (K,)."""
+        for page in range(self.page_count):
+            is_own = (self.pages if chosen is None else self.pages[chosen]) == page
+            own = np.flatnonzero(is_own) if chosen is None else chosen[is_own]
+            corners = self.corners if chosen is None and is_own.all() else self.corners[own]
+            for rows, texels, barycentric in rasterize(corners, (self.size, self.size)):
+                yield own[rows], texels + page * self.size**2, barycentric
 
 
 def vertex_normals(mesh: TriangleMesh) -> np.ndarray:

@@ -7,9 +7,11 @@ import bpy
 import numpy as np
 
 from ...bridge.meshes import SourceInstance, concatenate_in_world_space, read_instances
+from ...bridge.photos.material_groups import SUFFIX, MaterialGroups, assign_to_materials, read_material_groups
+from ...bridge.photos.page_images import create_maps, create_textures
 from ...bridge.photos.photo_images import PhotoSource
-from ...bridge.photos.results import assign_texture, create_map_image, create_texture_image
-from ...bridge.photos.surfaces import check_separate_uvs, read_surface, select_faces, to_projection
+from ...bridge.photos.results import assign_texture
+from ...bridge.photos.surfaces import check_separate_uvs, read_surface, select_faces, split_layout, to_projection
 from ...bridge.session_ids import find_by_uid
 from ...core.errors import GeometryError
 from ...core.files.scratch import Scratch
@@ -19,6 +21,7 @@ from ...core.geometry.mesh import face_areas_and_normals
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.photos.merging import PhotoTexture, merge
 from ...core.photos.overlaps import describe_overlaps, find_overlapping
+from ...core.photos.pages import PageLayout, lay_out_pages
 from ...core.photos.settings import PhotosSettings
 from ...core.text import format_count
 from ...core.unwrap.packing import pack_charts
@@ -30,15 +33,18 @@ from .sources import divide_targets, open_photographs
 READING_END, UNWRAPPING_END = 0.15, 0.5  # fractions of the progress bar
 DENSITY_RATIO = 5.0**0.5  # of importance 1 / (<N, V> + 1.5) (Textures Revisited, section 6)
 MIN_QUALITY = 0.05
-SUFFIX = " Photo Texture"
+
+
+CoreResult = tuple[list[UnwrapResult], PageLayout, PhotoTexture]
 
 
 @dataclass
 class MergeJob:
-    """Merges photographs into one texture for all targets.
+    """Merges photographs into one texture for all targets, or for each of their materials.
 
     targets: session UIDs and names of the objects. instances: their surfaces. unwrapping: the job that unwraps all of them, None if they
-    have UV maps. has_maps: also create images of confidence, source and holes. skipped: other objects with the reason.
+    have UV maps. groups: the materials of all triangles, if each gets its own texture. has_maps: also create images of confidence, source
+    and holes. skipped: other objects with the reason.
     """
 
     core_fraction = 0.95
@@ -48,15 +54,16 @@ class MergeJob:
     sources: list[PhotoSource]
     settings: PhotosSettings
     unwrapping: unwrap_job.UnwrapJob | None
+    groups: MaterialGroups | None
     has_maps: bool
     skipped: list[str]
 
-    def core_steps(self) -> Steps[tuple[list[UnwrapResult], PhotoTexture]]:
+    def core_steps(self) -> Steps[CoreResult]:
         """Read the photographs, unwrap and merge."""
         with Scratch() as scratch:
             return (yield from self._merge(scratch))
 
-    def _merge(self, scratch: Scratch) -> Steps[tuple[list[UnwrapResult], PhotoTexture]]:
+    def _merge(self, scratch: Scratch) -> Steps[CoreResult]:
         photographs, unwrapped, new_uvs, end = [], [], {}, READING_END
         for index, source in enumerate(self.sources):
             yield Progress(READING_END * index / len(self.sources), "Reading photographs")
@@ -68,30 +75,33 @@ class MergeJob:
             new_uvs = {instance.object_uid: result.corner_uvs for instance, result in zip(self.instances, unwrapped, strict=True)}
             end = UNWRAPPING_END
         surface = read_surface(self.instances, new_uvs)
-        texture = yield from subprogress(merge(surface.mesh, surface.corner_uvs, photographs, self.settings, scratch), end, 1.0)
-        return unwrapped, texture
+        layout = lay_out_pages(surface.corner_uvs, None if self.groups is None else self.groups.triangles)
+        steps = merge(surface.mesh, layout.corner_uvs, photographs, self.settings, scratch, pages=layout.pages)
+        return unwrapped, layout, (yield from subprogress(steps, end, 1.0))
 
-    def scene_steps(self, core_result: tuple[list[UnwrapResult], PhotoTexture]) -> Steps[str]:
-        """Write UV maps, images and the material.
+    def scene_steps(self, core_result: CoreResult) -> Steps[str]:
+        """Write UV maps, images and materials.
 
         Raises:
             GeometryError: an object was removed or edited in the meantime; nothing was changed.
         """
-        unwrapped, texture = core_result
+        unwrapped, layout, texture = core_result
         yield Progress(0.0, "Creating the texture")
         objects = [self._find_target(*target) for target in self.targets]
         if self.unwrapping is not None:
             yield from subprogress(self.unwrapping.scene_steps(unwrapped), 0.0, 0.1)
-        name = self.targets[0][1] + SUFFIX
+        name = self.targets[0][1]
+        names = [name + SUFFIX] if self.groups is None else self.groups.name_textures(name)
         has_alpha = self.settings.fill == "none"
-        image = create_texture_image(name, texture.colors, texture.holes if has_alpha else None)
-        assign_texture(objects, image, name, has_alpha=has_alpha)
+        images, failed = create_textures(layout, texture, names, has_alpha=has_alpha), []
+        if self.groups is None:
+            assign_texture(objects, images[0], names[0], has_alpha=has_alpha)
+        else:
+            failed = assign_to_materials(objects, {self.groups.uids[group]: images[group] for group in images}, has_alpha=has_alpha)
         if self.has_maps:
             yield Progress(0.6, "Creating the maps")
-            create_map_image(f"{name} Confidence", texture.confidence)
-            create_map_image(f"{name} Source", (texture.source + 1.0) / len(self.sources))
-            create_map_image(f"{name} Holes", texture.holes)
-        return self._summarize(image.name, texture)
+            create_maps(layout, texture, names, len(self.sources))
+        return self._summarize([image.name for image in images.values()], texture) + _explain_replaced(failed)
 
     def _find_target(self, uid: int, name: str) -> bpy.types.Object:
         item = find_by_uid(bpy.data.objects, uid)
@@ -99,10 +109,11 @@ class MergeJob:
             raise GeometryError(f'"{name}" was removed while its texture was computed; nothing was changed.')
         return item
 
-    def _summarize(self, image: str, texture: PhotoTexture) -> str:
+    def _summarize(self, images: list[str], texture: PhotoTexture) -> str:
         surface = np.count_nonzero(texture.holes | (texture.source >= 0))
+        shown = ", ".join(f'"{image}"' for image in images)
         message = (
-            f'Merged {format_count(len(self.sources), "photograph")} into "{image}"; '
+            f"Merged {format_count(len(self.sources), 'photograph')} into {shown}; "
             f"{np.count_nonzero(texture.holes) / max(surface, 1):.1%} of the surface is in none."
         )
         if texture.hole_counts is not None:
@@ -127,6 +138,7 @@ def prepare(context: bpy.types.Context, settings: PhotosSettings, *, has_maps: b
     if not instances:
         raise GeometryError(f'"{objects[0].name}" has no faces after its modifiers; select another object.')
     missing = [instance for instance in instances if not instance.mesh.uv_map]
+    groups = read_material_groups(objects, instances) if settings.materials == "keep" else None
     unwrapping = None
     if missing:
         if len(missing) < len(instances):
@@ -137,16 +149,22 @@ def prepare(context: bpy.types.Context, settings: PhotosSettings, *, has_maps: b
             )
         unwrapping = _prepare_unwrapping(context, objects, instances, sources)
     else:
-        check_separate_uvs(instances)
-        _check_overlaps(objects, instances)
+        layout = lay_out_pages(read_surface(instances).corner_uvs, None if groups is None else groups.triangles)
+        check_separate_uvs(instances, layout)
+        _check_overlaps(objects, instances, layout)
     targets = [(item.session_uid, item.name) for item in objects]
-    return MergeJob(targets, instances, sources, settings, unwrapping, has_maps, skipped)
+    return MergeJob(targets, instances, sources, settings, unwrapping, groups, has_maps, skipped)
 
 
-def _check_overlaps(objects: list[bpy.types.Object], instances: list[SourceInstance]) -> None:
+def _explain_replaced(materials: list[str]) -> str:
+    """Return the sentence that names the materials which could not be copied."""
+    return f" Replaced, because they have no Principled BSDF: {', '.join(materials)}." if materials else ""
+
+
+def _check_overlaps(objects: list[bpy.types.Object], instances: list[SourceInstance], layout: PageLayout) -> None:
     """Check that each UV map has texels of its own for all faces. Raises GeometryError; the overlapping faces are selected then."""
-    for instance in instances:
-        is_overlapping = find_overlapping(read_surface([instance]).corner_uvs)
+    for instance, corner_uvs, pages in split_layout(instances, layout):
+        is_overlapping = find_overlapping(corner_uvs, pages)
         if not is_overlapping.any():
             continue
         data = next(item.data for item in objects if item.session_uid == instance.object_uid)
