@@ -208,13 +208,21 @@ class TestKeep:
         assert difference(read_pixels(image_of(bare.material_slots[0].material)), smooth_texture()) < 0.02
 
     def test_a_material_without_a_principled_bsdf_is_replaced_and_named(self, photographs, capfd):
-        lamp = new_material("Glow", (1.0, 1.0, 1.0))
-        tree = lamp.node_tree
+        emissive = new_material("Glow", (1.0, 1.0, 1.0))
+        tree = emissive.node_tree
         tree.nodes.remove(next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED"))
-        item = add_square(None, (lamp,))
+        item = add_square(None, (emissive,))
         merge_scene(materials="keep")
         assert "Replaced, because they have no Principled BSDF: Glow." in "".join(capfd.readouterr())
-        assert lamp.use_fake_user and difference(read_pixels(image_of(item.material_slots[0].material)), smooth_texture()) < 0.02
+        assert emissive.use_fake_user and difference(read_pixels(image_of(item.material_slots[0].material)), smooth_texture()) < 0.02
+
+    def test_a_material_without_uvs_stays_and_is_named(self, photographs, capfd):
+        item = add_square(
+            lambda uvs, is_right: np.where(is_right[:, None, None], 0.0, uvs), [new_material(name, (1, 0, 0)) for name in "AB"]
+        )
+        merge_scene(materials="keep")
+        assert [slot.material.name for slot in item.material_slots] == ["A Photo Texture", "B"]
+        assert "Unchanged, because their UV map covers no pixel: B." in "".join(capfd.readouterr())
 
     def test_tiles_of_a_material(self, photographs):
         """The right half of the square has a material that uses two tiles, one above the other."""

@@ -93,15 +93,17 @@ class MergeJob:
         name = self.targets[0][1]
         names = [name + SUFFIX] if self.groups is None else self.groups.name_textures(name)
         has_alpha = self.settings.fill == "none"
-        images, failed = create_textures(layout, texture, names, has_alpha=has_alpha), []
+        images, notes = create_textures(layout, texture, names, has_alpha=has_alpha), ""
         if self.groups is None:
             assign_texture(objects, images[0], names[0], has_alpha=has_alpha)
         else:
             failed = assign_to_materials(objects, {self.groups.uids[group]: images[group] for group in images}, has_alpha=has_alpha)
+            without_uvs = [name or "faces without a material" for group, name in enumerate(self.groups.names) if group not in images]
+            notes = _explain_materials(failed, without_uvs)
         if self.has_maps:
             yield Progress(0.6, "Creating the maps")
             create_maps(layout, texture, names, len(self.sources))
-        return self._summarize([image.name for image in images.values()], texture) + _explain_replaced(failed)
+        return self._summarize([image.name for image in images.values()], texture) + notes
 
     def _find_target(self, uid: int, name: str) -> bpy.types.Object:
         item = find_by_uid(bpy.data.objects, uid)
@@ -156,9 +158,10 @@ def prepare(context: bpy.types.Context, settings: PhotosSettings, *, has_maps: b
     return MergeJob(targets, instances, sources, settings, unwrapping, groups, has_maps, skipped)
 
 
-def _explain_replaced(materials: list[str]) -> str:
-    """Return the sentence that names the materials which could not be copied."""
-    return f" Replaced, because they have no Principled BSDF: {', '.join(materials)}." if materials else ""
+def _explain_materials(replaced: list[str], unchanged: list[str]) -> str:
+    """Return sentences that name the materials which could not be copied, and those whose faces cover no texel."""
+    message = f" Replaced, because they have no Principled BSDF: {', '.join(replaced)}." if replaced else ""
+    return message + (f" Unchanged, because their UV map covers no pixel: {', '.join(unchanged)}." if unchanged else "")
 
 
 def _check_overlaps(objects: list[bpy.types.Object], instances: list[SourceInstance], layout: PageLayout) -> None:
