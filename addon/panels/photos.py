@@ -25,7 +25,7 @@ from ..operators.photos.sources import disabled_reason, find_cameras
 from .sidebar import ToolPanel, draw_button, draw_message, draw_progress_bar, draw_setting, settings_column
 
 SETTINGS = describe(PhotosSettings)
-ONLY_FOR_BEST = {"leveling"}  # settings without effect in other methods
+ONLY_FOR_BEST = {"blending"}  # settings without effect in other methods
 
 
 class FARFIELD_PT_photos(ToolPanel, bpy.types.Panel):

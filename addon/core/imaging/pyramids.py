@@ -34,3 +34,18 @@ def reduce_weighted(image: np.ndarray, weights: np.ndarray, wrap: tuple[bool, bo
 def reduce_mask(mask: np.ndarray, wrap: tuple[bool, bool] = (False, False)) -> np.ndarray:
     """Return `mask` (H, W) bool at half the size: true where the kernel touches a true sample (section 5.4)."""
     return reduce_image(mask.astype(np.float32), wrap) > 0.0
+
+
+def expand_weighted(image: np.ndarray, weights: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Return `image` (H, W, C) at twice the size, rows and columns of `shape`, and the weights (H', W') of the result.
+
+    Samples count in proportion to their `weights` (H, W) >= 0. Inverts the lattice of `reduce_image`: a result has this `shape` if that of
+    `image` is half of it, rounded up. Samples that no weight reaches are zero.
+    """
+    sums = np.zeros((*shape, image.shape[2] + 1), np.float32)
+    sums[::2, ::2] = np.concatenate([image * weights[..., None], weights[..., None]], axis=2)
+    for axis in (0, 1):
+        sums = convolve1d(sums, 2.0 * TAPS, axis=axis, mode="constant")
+    weight = sums[..., -1]
+    mean = np.where(weight[..., None] > MIN_WEIGHT, sums[..., :-1] / np.maximum(weight, MIN_WEIGHT)[..., None], 0.0)
+    return mean, np.where(weight > MIN_WEIGHT, weight, 0.0)

@@ -61,7 +61,8 @@ class FaceVisibility:
     """
 
     def __init__(self, view: View, surface: ShownSurface, *, is_cosine: bool) -> None:
-        """Look at all triangles; `is_cosine`: whether weights are the cosine between normal and view direction alone."""
+        """Look at all triangles; `is_cosine`: whether weights are the cosine between normal and view direction alone, and triangles are
+        shown if all of their vertices are, as in the paper."""
         self._view, self._surface, self._is_cosine = view, surface, is_cosine
         centers = surface.corners.mean(axis=1)
         _, face_normals = face_areas_and_normals(surface.corners)
@@ -71,6 +72,9 @@ class FaceVisibility:
         self._resolution = np.zeros(len(centers), np.float32)
         self._resolution[at_centers.indices] = at_centers.resolution
         corners_shown = (self._weights > 0.0)[surface.corner_vertices]
+        if is_cosine:
+            self.status = np.where(corners_shown.all(axis=0), VISIBLE, HIDDEN).astype(np.uint8)
+            return
         is_small = self._is_small(centers)
         self.status = np.full(len(centers), MIXED, np.uint8)
         self.status[is_small & corners_shown.all(axis=0) & (self._resolution > 0.0)] = VISIBLE

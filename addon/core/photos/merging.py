@@ -18,9 +18,10 @@ from ..geometry.mesh import TriangleMesh, check_points, face_areas_and_normals
 from ..imaging.images import dilate_in_place, sample_bilinear
 from ..jobs.chunks import map_ordered
 from ..jobs.progress import Progress, StageClock, Steps, subprogress
+from .blending import BlendedSurface, blend_gradients, blend_labels, blend_masks, shrink_masks
 from .consistency import rate_photographs
 from .exposure import estimate_gains
-from .face_visibility import order_by_corner, prepare_surface
+from .face_visibility import VISIBLE, order_by_corner, prepare_surface
 from .hole_filling import HoleCounts, HoleFiller
 from .labels import choose_labels
 from .leveling import VertexLabels, find_vertex_labels, solve_corrections
@@ -132,11 +133,13 @@ def _merge(merger: "_Merger") -> Steps[PhotoTexture]:
     with clock.stage("leveling"):
         merger.level()
     yield from merger.fill_texels()
-    if settings.sharpen:
+    if settings.sharpen and settings.method != "paper":
         yield from merger.sharpen()
     yield Progress(0.9, "Filling holes")
     with clock.stage("holes"):
         merger.interpolate_holes()
+    with clock.stage("blending"):
+        yield from subprogress(merger.blend(), 0.9, 1.0)
     holes = None
     if settings.fill == "restore":
         with clock.stage("restore"):
@@ -253,7 +256,7 @@ class _Merger:
             own = np.flatnonzero(self.pairs.photographs == index)
             colors[own], visible[own] = smooth[self.pairs.vertices[own]], is_visible[self.pairs.vertices[own]]
             self.scratch.release(index)
-        if self.settings.leveling and len(self.pairs.keys):
+        if self.settings.blending == "level" and len(self.pairs.keys):
             self.corrections = solve_corrections(self.pairs, colors, visible, self.edges)
         self.vertex_colors = np.where(weights[:, None] > 0.0, sums / np.maximum(weights, 1e-30)[:, None], 0.0)
         self.bound = weights > 0.0
@@ -306,7 +309,7 @@ class _Merger:
         """Fill the texels that no photograph shows with colors interpolated over the surface, unless they stay transparent."""
         found = self.source != NO_PHOTOGRAPH
         if not found.any():
-            raise GeometryError(_explain_blindness(self.mesh, self.photographs))
+            raise GeometryError(_explain_blindness(self.mesh, self.photographs, self.settings.method == "paper"))
         if self.keep_stages:
             classes = classify_texels(self.map.triangles, found, self.mesh.triangles, self.bound)
             self._keep_stage("classes", CLASS_COLORS[classes])
@@ -320,6 +323,23 @@ class _Merger:
                 self.colors[part.texels] = part.interpolate(corner_colors)
             if self.keep_stages:
                 self._keep_stage("interpolated", self.colors)
+        np.clip(self.colors, 0.0, 1.0, out=self.colors)
+
+    def blend(self) -> Steps[None]:
+        """Blend the seams between photographs in windows, by the methods that do so."""
+        method = "masks" if self.settings.method == "paper" else self.settings.blending if self.settings.method == "best" else "none"
+        if method in ("none", "level"):
+            return
+        known = self.source != NO_PHOTOGRAPH if self.settings.fill == "none" else self.map.triangles >= 0
+        surface = BlendedSurface(self.painter, self.map, self.mesh.triangles, self.edges, self.colors, known)
+        if method == "masks":
+            masks = np.stack([faces.status == VISIBLE for faces in self.painter.faces])
+            shrunken = shrink_masks(masks, self.mesh.triangles, len(self.mesh.vertices))
+            self.colors = yield from blend_masks(surface, shrunken)
+        elif method == "spline":
+            self.colors = yield from blend_labels(surface, self.source)
+        else:
+            self.colors = yield from blend_gradients(surface, self.source)
         np.clip(self.colors, 0.0, 1.0, out=self.colors)
 
     def _keep_stage(self, name: str, colors: np.ndarray) -> None:
@@ -361,7 +381,7 @@ def _move(photograph: Photograph, origin: np.ndarray) -> Photograph:
     return replace(photograph, camera=replace(camera, translation=camera.translation + camera.rotation @ origin))
 
 
-def _explain_blindness(mesh: TriangleMesh, photographs: list[Photograph]) -> str:
+def _explain_blindness(mesh: TriangleMesh, photographs: list[Photograph], is_paper: bool) -> str:
     """Return the sentence that says why no photograph shows the mesh."""
     inside = 0
     for photograph in photographs:
@@ -372,6 +392,11 @@ def _explain_blindness(mesh: TriangleMesh, photographs: list[Photograph]) -> str
         return (
             "No vertex of the mesh lies in the frame of any photograph; the cameras and the mesh are in different coordinate systems, so "
             "export both from the same reconstruction, or turn the mesh to the axes of the cameras."
+        )
+    if is_paper:
+        return (
+            "No photograph shows a triangle wholly, without the silhouette of the mesh; subdivide the mesh, or choose another method than "
+            "Paper."
         )
     return "No photograph shows the front of a face; flip the normals of the mesh, or check the masks of the photographs."
 

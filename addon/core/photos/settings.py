@@ -7,7 +7,15 @@ from ..settings import Choice, Settings, setting
 METHODS = {
     "best": Choice("Best Photograph", "Texture each face from the photograph that shows it best, and blend between neighbors. Sharpest"),
     "average": Choice("Average", "Average all photographs, weighted by resolution, angle and distance from borders"),
-    "paper": Choice("Cosine", "Average all photographs, weighted by the cosine of the angle between normal and view direction"),
+    "paper": Choice(
+        "Paper", "Average photographs by the cosine of the viewing angle on triangles that they show wholly, and blend the borders"
+    ),
+}
+BLENDINGS = {
+    "none": Choice("None", "Blend over one face"),
+    "level": Choice("Level", "Correct the colors of regions at their vertices so that they meet without a seam"),
+    "spline": Choice("Multi-Resolution", "Blend in frequency bands: coarse ones over long distances, fine ones over short distances"),
+    "poisson": Choice("Poisson", "Keep the gradients of photographs, and spread differences between regions"),
 }
 FILLS = {
     "none": Choice("None", "Leave what no photograph shows transparent"),
@@ -27,7 +35,9 @@ class PhotosSettings(Settings):
     size: int = setting(4096, "Pixels per side of the texture", minimum=16, maximum=32768)
     method: str = setting("average", "How photographs are combined", choices=METHODS)
     exposure: bool = setting(True, "Adjust the brightness and color balance of the photographs to each other")
-    leveling: bool = setting(True, "Correct colors so that regions from different photographs meet without a seam. Used by Best Photograph")
+    blending: str = setting(
+        "level", "How regions from different photographs are made to meet without a seam. Used by Best Photograph", choices=BLENDINGS
+    )
     sharpen: bool = setting(True, "Bring back detail that resampling has blurred")
     fill: str = setting("interpolate", "What fills the parts that no photograph shows", choices=FILLS)
     materials: str = setting("replace", "What happens to the materials of the meshes", choices=MATERIALS)

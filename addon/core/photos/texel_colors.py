@@ -5,7 +5,7 @@ from copy import copy
 import numpy as np
 
 from ..files.scratch import Scratch
-from .face_visibility import FaceVisibility, ShownSurface
+from .face_visibility import FaceVisibility, SeenTexels, ShownSurface
 from .leveling import VertexLabels
 from .photographs import Photograph, apply_gain
 from .texels import TexelTile
@@ -83,7 +83,7 @@ class TexelPainter:
 
     def paint(self, tile: TexelTile) -> TileColors:
         """Return the colors of a tile: from the photographs of the labels, and where those do not show it, from all others."""
-        found, points = TileColors(tile), tile.interpolate(self._surface.corners)
+        found, points = TileColors(tile), self.locate(tile)
         for index, region in enumerate(self._regions):
             pairs = region[tile.triangles]
             blend = np.einsum("ni,ni->n", tile.barycentric, self._pair_weights[pairs])
@@ -99,6 +99,16 @@ class TexelPainter:
             found.add(index, seen.indices, self.sample(index, seen.positions), seen.weights, seen.resolution)
             self._scratch.release(index)
         return found
+
+    def locate(self, tile: TexelTile) -> np.ndarray:
+        """Return the points (N, 3) of a tile on the surface."""
+        return tile.interpolate(self._surface.corners)
+
+    def see(self, index: int, tile: TexelTile, points: np.ndarray, rows: np.ndarray) -> SeenTexels:
+        """Return how a photograph shows the texels `rows` (R,) of a tile at `points` (N, 3)."""
+        seen = self.faces[index].see(tile, points, rows)
+        self._scratch.release(index)
+        return seen
 
     def sample(self, index: int, positions: np.ndarray) -> np.ndarray:
         """Return the colors (N, 3) of a photograph, with its gain, at `positions` (N, 2) in pixels."""
