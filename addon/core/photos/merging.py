@@ -143,7 +143,7 @@ class _Merger:
         self.texel_areas = (self.areas / np.maximum(uv_areas, 1e-12)).astype(np.float32)  # of the surface, per triangle
         origin = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
         self.mesh = TriangleMesh(mesh.vertices - origin, mesh.triangles)
-        self.photographs = [_move(photograph, origin) for photograph in photographs]
+        self.photographs = [replace(photograph, camera=photograph.camera.relative_to(origin)) for photograph in photographs]
         self.normals = vertex_normals(self.mesh)
         self.corner_normals = corner_normals(self.mesh, self.normals)
         self.edges: Edges = find_edges(mesh.triangles, len(mesh.vertices))
@@ -301,12 +301,6 @@ class _Merger:
             seconds=self.clock.seconds,
             stages=self.stages,
         )
-
-
-def _move(photograph: Photograph, origin: np.ndarray) -> Photograph:
-    """Return the photograph with a camera in coordinates relative to `origin` (3,)."""
-    camera = photograph.camera
-    return replace(photograph, camera=replace(camera, translation=camera.translation + camera.rotation @ origin))
 
 
 def _explain_blindness(mesh: TriangleMesh, photographs: list[Photograph]) -> str:
