@@ -20,6 +20,7 @@ from ..jobs.progress import Progress, StageClock, Steps, subprogress
 from .consistency import rate_photographs
 from .exposure import estimate_gains
 from .face_visibility import order_by_corner, prepare_surface
+from .hole_borders import interpolate_holes
 from .hole_filling import HoleCounts, HoleFiller
 from .labels import choose_labels
 from .leveling import VertexLabels, find_vertex_labels, solve_corrections
@@ -269,10 +270,7 @@ class _Merger:
         if self.settings.fill != "none":
             colors, known = interpolate_colors(self.vertex_colors, self.bound, self.edges)
             colors[~known] = self.colors[found].mean(axis=0, dtype=np.float64)
-            corner_colors = order_by_corner(colors[self.mesh.triangles])
-            for tile in self.map.tiles():
-                part = tile.select(np.flatnonzero(~found[tile.texels]))
-                self.colors[part.texels] = part.interpolate(corner_colors)
+            interpolate_holes(self.map, self.colors, found, order_by_corner(colors[self.mesh.triangles]))
             if self.keep_stages:
                 self._keep_stage("interpolated", self.colors)
         np.clip(self.colors, 0.0, 1.0, out=self.colors)
