@@ -6,6 +6,7 @@ from .operators.btf import exports as btf_exports
 from .operators.btf import operators as btf_operators
 from .operators.clipbox import convert_to_mesh as clipbox_convert
 from .operators.clipbox import operators as clipbox_operators
+from .operators.photos import coverage as photos_coverage
 from .operators.photos import import_cameras as photos_import
 from .operators.photos import operators as photos_operators
 from .operators.photos import overlays as photos_overlays
@@ -29,6 +30,7 @@ MODULES = (
     photos_operators,
     photos_import,
     photos_overlays,
+    photos_coverage,
     photos_registration,
     restore_operators,
     clipbox_operators,

@@ -11,6 +11,8 @@ from scipy import ndimage
 
 from farfield.addon.core.geometry.edges import find_edges
 from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.photos.face_visibility import order_by_corner
+from farfield.addon.core.photos.hole_borders import interpolate_holes
 from farfield.addon.core.photos.hole_filling import HoleFiller
 from farfield.addon.core.photos.surface import interpolate_colors
 from farfield.addon.core.photos.texels import TexelMap
@@ -96,9 +98,7 @@ def interpolate(unwrapped: Unwrapped, texel_map: TexelMap, texture: np.ndarray, 
     colors = np.stack([np.bincount(vertices[own], texture[..., c].ravel()[flat[own]], len(mesh.vertices)) for c in range(3)], axis=1)
     colors, _ = interpolate_colors(colors / np.maximum(counts, 1)[:, None], counts > 0, find_edges(mesh.triangles, len(mesh.vertices)))
     result = np.where(known[..., None], texture, np.float32(0.0)).reshape(-1, 3).astype(np.float32)
-    for tile in texel_map.tiles():
-        part = tile.select(np.flatnonzero(~known.ravel()[tile.texels]))
-        result[part.texels] = part.interpolate(colors[mesh.triangles])
+    interpolate_holes(texel_map, result, known.ravel(), order_by_corner(colors[mesh.triangles]))
     return np.clip(result, 0.0, 1.0).reshape(texture.shape)
 
 

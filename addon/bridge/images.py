@@ -48,6 +48,11 @@ def read_pixels(image: bpy.types.Image) -> np.ndarray:
     return np.concatenate([colors, alpha], axis=2)
 
 
+def find_path(image: bpy.types.Image) -> str:
+    """Return the absolute path of an image, relative to its library if it is linked; empty without a file."""
+    return bpy.path.abspath(image.filepath, library=image.library)
+
+
 def save_image(image: bpy.types.Image, path: Path) -> None:
     """Write an image to `path` in its file format.
 
@@ -74,7 +79,7 @@ def packed_bytes(image: bpy.types.Image) -> int:
 def check_images(source: Source) -> None:
     """Raise FileError when a material of `source` uses an image whose file is missing; the message names both."""
     for material, image in find_missing_images(source):
-        path = bpy.path.abspath(image.filepath, library=image.library)
+        path = find_path(image)
         raise FileError(
             f'The image "{image.name}" of the material "{material.name}" is missing: there is no file "{path}". '
             "Find it with File > External Data > Find Missing Files, or remove the image from the material."
@@ -100,7 +105,7 @@ def find_missing_images(source: Source) -> list[tuple[bpy.types.Material, bpy.ty
 
 def tile_paths(image: bpy.types.Image) -> list[str]:
     """Return the paths of the files of an image: one per UDIM tile, in their order, or a single one."""
-    path = bpy.path.abspath(image.filepath, library=image.library)
+    path = find_path(image)
     tiles = [tile.number for tile in image.tiles] if image.source == "TILED" else [0]
     return [path.replace("<UDIM>", str(tile)).replace("<UVTILE>", _uv_tile(tile)) for tile in tiles]
 

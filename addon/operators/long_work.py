@@ -67,15 +67,11 @@ class LongWork:
     @reports_errors
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Start the job in the background and return immediately."""
-        global _current
         if context.window is None:
             return self.execute(context)
         if not self._check_no_job_runs():
             return {"CANCELLED"}
-        _current = Run(self.prepare(context), self.bl_label)
-        bpy.app.timers.register(_watch_core, first_interval=TICK)
-        bpy.app.handlers.load_pre.append(_cancel_before_loading)
-        _show_status()
+        start_in_background(self.prepare(context), self.bl_label)
         return {"INTERFACE"}  # handled, but nothing to undo or repeat yet
 
     def _check_no_job_runs(self) -> bool:
@@ -145,6 +141,15 @@ class FARFIELD_OT_cancel_job(bpy.types.Operator):
         _current.cancel()
         _show_status()
         return {"FINISHED"}
+
+
+def start_in_background(job: Job, title: str) -> None:
+    """Start `job` while the interface stays usable; no other job may run. It becomes one undo step with this title."""
+    global _current
+    _current = Run(job, title)
+    bpy.app.timers.register(_watch_core, first_interval=TICK)
+    bpy.app.handlers.load_pre.append(_cancel_before_loading)
+    _show_status()
 
 
 def cancel_current() -> None:

@@ -3,6 +3,7 @@
 import bpy
 import numpy as np
 
+from ..bridge.photos.coverage_overlay import overlay as coverage_overlay
 from ..bridge.photos.pair_markers import ARROW_SCALE
 from ..bridge.photos.photo_images import is_missing
 from ..bridge.photos.point_pairs import PROPERTY, read_pairs
@@ -12,6 +13,7 @@ from ..core.photos.settings import PhotosSettings
 from ..core.settings import describe
 from ..core.text import format_count
 from ..operators import image_editors
+from ..operators.photos.coverage import FARFIELD_OT_photos_show_coverage
 from ..operators.photos.import_cameras import FARFIELD_OT_photos_import_cameras
 from ..operators.photos.operators import FARFIELD_OT_photos_merge
 from ..operators.photos.overlays import FARFIELD_OT_photos_draw_overlays
@@ -44,6 +46,8 @@ class FARFIELD_PT_photos(ToolPanel, bpy.types.Panel):
         images = [find_background(item.data).image for item in find_cameras(context)]
         draw_photographs(column, len(images), sum(is_missing(image) for image in images))
         column.operator(FARFIELD_OT_photos_draw_overlays.bl_idname, text="Draw Overlays", icon="OVERLAY")
+        is_shown = coverage_overlay.is_shown
+        column.operator(FARFIELD_OT_photos_show_coverage.bl_idname, text="Show Coverage", icon="SHADING_SOLID", depress=is_shown)
         for setting in SETTINGS:
             item = column.column()
             item.active = setting.name not in ONLY_FOR_BEST or group.method == "best"

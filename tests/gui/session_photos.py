@@ -1,4 +1,5 @@
-"""A session in a Blender window: imports cameras through the file browser, cancels a merge once, merges photographs, and undoes it."""
+"""A session in a Blender window: imports cameras through the file browser, looks at overlays and the coverage, cancels a merge once, merges
+photographs, and undoes it."""
 
 import json
 import sys
@@ -14,6 +15,7 @@ from session import (
     FOLDER,
     UserInput,
     current_job,
+    module,
     open_panel_alone,
     results,
     save_screenshot,
@@ -82,6 +84,31 @@ def texture_error() -> float:
     return float(np.mean(differences))
 
 
+def look_at_overlay(user: UserInput) -> Iterator[float]:
+    """Show the first overlay in an Image Editor in place of the properties, and take a picture of it."""
+    area = next(area for area in user.window.screen.areas if area.type == "PROPERTIES")
+    area.type = "IMAGE_EDITOR"
+    area.spaces.active.image = bpy.data.images[results["overlays"][0]]
+    yield 2.0
+    save_screenshot("4-overlay")
+    area.type = "PROPERTIES"
+    yield 1.0
+
+
+def look_at_coverage(user: UserInput) -> Iterator[float]:
+    """Show the coverage and hide it again, with the button."""
+    overlay = module("addon.bridge.photos.coverage_overlay").overlay
+    yield from user.press_and_start("farfield.photos_show_coverage")
+    yield from wait_for_job()
+    yield 2.0
+    results["coverage_shown"] = overlay.is_shown
+    save_screenshot("6-coverage")
+    x, y = yield from user.find_button("farfield.photos_show_coverage")
+    user.press("LEFTMOUSE", x, y)
+    yield 1.0
+    results["coverage_hidden"] = not overlay.is_shown
+
+
 def session() -> Iterator[float]:
     """Run the session; yields pauses in seconds."""
     user = UserInput()
@@ -109,20 +136,25 @@ def session() -> Iterator[float]:
     with bpy.context.temp_override(window=window, area=browsers[0], region=browsers[0].regions[0]):
         bpy.ops.file.execute()
     yield 2.0
+    yield from wait_for_job()
+    yield 1.0
     results["cameras"] = [item.name for item in bpy.data.objects if item.type == "CAMERA"]
-    results["loaded"] = [image.name for image in bpy.data.images if image.has_data]
+    results["overlays"] = sorted(image.name for image in bpy.data.images if "Overlay" in image.name)
+    results["loaded"] = [image.name for image in bpy.data.images if image.has_data and image.name not in results["overlays"]]
+    yield from look_at_overlay(user)
     user.area.spaces.active.region_3d.view_perspective = "CAMERA"
     yield 2.0
-    save_screenshot("4-camera-view")
+    save_screenshot("5-camera-view")
     user.area.spaces.active.region_3d.view_perspective = "PERSP"
     results["selected"] = [item.name for item in bpy.context.view_layer.objects if item.select_get()]
     bpy.context.scene.farfield_photos.size = 1024
     results["before"] = scene_state()
+    yield from look_at_coverage(user)
 
     x, y = yield from user.press_and_start("farfield.photos_merge")
     yield from wait_for_job(until_fraction=0.2)
     results["was_running"] = current_job() is not None
-    save_screenshot("5-running")
+    save_screenshot("7-running")
     user.press("ESC", x, y)
     yield from wait_for_job()
     yield 0.5
@@ -135,12 +167,12 @@ def session() -> Iterator[float]:
     results["error_of_texture"] = texture_error()
     user.area.spaces.active.shading.color_type = "TEXTURE"
     yield 2.0
-    save_screenshot("6-merged")
+    save_screenshot("8-merged")
 
     yield from user.press_undo()
     yield 1.0
     results["after_undo"] = scene_state()
-    save_screenshot("7-undone")
+    save_screenshot("9-undone")
 
 
 start_session(session)

@@ -1,4 +1,4 @@
-"""Photo textures in a real window: the file browser, progress, Esc, the texture, and undo."""
+"""Photo textures in a real window: the file browser, overlays, coverage, progress, Esc, the texture, and undo."""
 
 import pytest
 
@@ -20,6 +20,14 @@ def test_the_session_ran_to_its_end(results):
 def test_the_file_browser_imports_cameras_without_loading_photographs(results):
     assert results["browser_opened"] and results["cameras"] == [str(index) for index in range(5)]
     assert results["loaded"] == []
+
+
+def test_overlays_follow_the_import(results):
+    assert results["overlays"] == [f"{index}.png Overlay" for index in range(5)]
+
+
+def test_the_button_toggles_the_coverage(results):
+    assert results["coverage_shown"] and results["coverage_hidden"]
 
 
 def test_the_mesh_stays_selected(results):

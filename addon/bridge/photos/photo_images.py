@@ -17,7 +17,7 @@ from ...core.imaging.colors import encode_signed_srgb
 from ...core.photos.photographs import Photograph
 from ..blender_modules import import_blender_module
 from ..image_files import EXTENSIONS
-from ..images import read_pixels
+from ..images import find_path, read_pixels
 from ..restore.image_pixels import read_format, to_display
 from ..restore.image_sources import check_image
 from ..tiled_images import load_image
@@ -62,7 +62,7 @@ def open_background(camera: PhotoCamera, background: bpy.types.CameraBackgroundI
     """
     image = background.image
     check_background(image)
-    source = _path_of(image) if _shows_file(image) else _read_image(camera, image)
+    source = Path(find_path(image)) if _shows_file(image) else _read_image(camera, image)
     return PhotoSource(camera, source, background.use_flip_x, background.use_flip_y)
 
 
@@ -76,22 +76,18 @@ def check_background(image: bpy.types.Image) -> None:
     if image.source not in {"FILE", "GENERATED"}:
         raise ImageError(f'The background image "{image.name}" is not a single image; open each photograph as an image of its own.')
     if image.source == "FILE" and not image.packed_files and not image.has_data:
-        check_readable(_path_of(image))
+        check_readable(Path(find_path(image)))
 
 
 def is_missing(image: bpy.types.Image) -> bool:
     """Return whether the file of a background image does not exist."""
     needs_file = image.source == "FILE" and not image.packed_files and not image.has_data
-    return needs_file and not os.path.isfile(_path_of(image))  # noqa: PTH113 - Path.is_file raises for forbidden folders and long names
-
-
-def _path_of(image: bpy.types.Image) -> Path:
-    return Path(bpy.path.abspath(image.filepath, library=image.library))
+    return needs_file and not os.path.isfile(find_path(image))  # noqa: PTH113 - Path.is_file raises for forbidden folders and long names
 
 
 def _shows_file(image: bpy.types.Image) -> bool:
     """Return whether the pixels of `image` are those of its file, in the colors that its format has by default."""
-    path = _path_of(image)
+    path = Path(find_path(image))
     if image.source != "FILE" or image.packed_files or image.is_dirty or image.alpha_mode == "NONE" or not _has_file_reader():
         return False
     spaces = FLOAT_COLOR_SPACES if path.suffix.lower() == ".exr" else {BYTE_COLOR_SPACE}

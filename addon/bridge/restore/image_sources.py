@@ -12,7 +12,7 @@ import numpy as np
 from ...core.errors import FileError, ImageError
 from ...core.files.file_access import check_readable, convert_os_errors
 from ..blender_errors import error_sentence
-from ..images import read_pixels, tile_paths
+from ..images import find_path, read_pixels, tile_paths
 from ..tiled_images import EXTENSIONS, FILE_FORMATS, load_image
 
 NUMBERED_FILE = re.compile(r"(.*?)(\d+)(\D*)$", re.DOTALL)  # the last number of a name, as Blender reads image sequences
@@ -43,7 +43,7 @@ def check_image(image: bpy.types.Image) -> None:
     if image.source == "SEQUENCE":
         list_frames(image)
     elif 0 in image.size:
-        path = bpy.path.abspath(image.filepath, library=image.library)
+        path = find_path(image)
         if image.packed_files or not path:
             raise ImageError(f'"{image.name}" has no pixels; reload it or choose another image.')
         if "<" not in path:  # the path of a tiled image stands for several files
@@ -57,7 +57,7 @@ def list_frames(image: bpy.types.Image) -> dict[int, Path]:
     Raises:
         FileError: there are none, or the folder cannot be read.
     """
-    path = Path(bpy.path.abspath(image.filepath, library=image.library))
+    path = Path(find_path(image))
     match = NUMBERED_FILE.match(path.name)
     if match is None:
         raise FileError(f'The file "{path}" of the sequence "{image.name}" has no number in its name; rename the frames.')

@@ -5,7 +5,7 @@ these to pixels by focal lengths and a center. The models and the order of their
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -226,6 +226,10 @@ class PhotoCamera:
     def position(self) -> np.ndarray:
         """(3,) the center of projection in world space."""
         return -self.rotation.T @ self.translation
+
+    def relative_to(self, origin: np.ndarray) -> "PhotoCamera":
+        """Return the camera in coordinates whose origin is at `origin` (3,)."""
+        return replace(self, translation=self.translation + self.rotation @ origin)
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Project `points` (N, 3) in world space.

@@ -16,7 +16,7 @@ TOLERANCE = 1e-4  # relative residual
 
 
 class PixelLinks(NamedTuple):
-    """Pairs of neighbors among the used pixels of an image: first and second (L,), indices of used pixels; row and column (U, 2) of these."""
+    """Pairs of neighbors among the U used pixels of an image: indices first and second (L,) of used pixels; their rows and columns (U, 2)."""
 
     first: np.ndarray
     second: np.ndarray

@@ -23,7 +23,7 @@ SCREENING_LENGTH = 32.0  # texels over which gradients outweigh colors
 class BlendedSurface:
     """The texture before its seams are blended.
 
-    painter: samples photographs. map, triangles (T, 3), edges: of the mesh. colors: (N, 3) float32 of all texels, with known ones (N,) bool.
+    painter: samples photographs. map, triangles (T, 3), edges: of the mesh. colors: (N, 3) float32 of all texels. known: (N,) bool.
     """
 
     painter: TexelPainter

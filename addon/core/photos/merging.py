@@ -22,6 +22,7 @@ from .blending import BlendedSurface, blend_gradients, blend_labels, blend_masks
 from .consistency import rate_photographs
 from .exposure import estimate_gains
 from .face_visibility import VISIBLE, order_by_corner, prepare_surface
+from .hole_borders import interpolate_holes
 from .hole_filling import HoleCounts, HoleFiller
 from .labels import choose_labels
 from .leveling import VertexLabels, find_vertex_labels, solve_corrections
@@ -174,7 +175,7 @@ class _Merger:
         self.texel_areas = (self.areas / np.maximum(uv_areas, 1e-12)).astype(np.float32)  # of the surface, per triangle
         origin = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
         self.mesh = TriangleMesh(mesh.vertices - origin, mesh.triangles)
-        self.photographs = [_move(photograph, origin) for photograph in photographs]
+        self.photographs = [replace(photograph, camera=photograph.camera.relative_to(origin)) for photograph in photographs]
         self.normals = vertex_normals(self.mesh)
         self.corner_normals = corner_normals(self.mesh, self.normals)
         self.edges: Edges = find_edges(mesh.triangles, len(mesh.vertices))
@@ -317,10 +318,7 @@ class _Merger:
         if self.settings.fill != "none":
             colors, known = interpolate_colors(self.vertex_colors, self.bound, self.edges)
             colors[~known] = self.colors[found].mean(axis=0, dtype=np.float64)
-            corner_colors = order_by_corner(colors[self.mesh.triangles])
-            for tile in self.map.tiles():
-                part = tile.select(np.flatnonzero(~found[tile.texels]))
-                self.colors[part.texels] = part.interpolate(corner_colors)
+            interpolate_holes(self.map, self.colors, found, order_by_corner(colors[self.mesh.triangles]))
             if self.keep_stages:
                 self._keep_stage("interpolated", self.colors)
         np.clip(self.colors, 0.0, 1.0, out=self.colors)

@@ -9,7 +9,7 @@ from .views import MIN_TRUST
 MAX_SIDE = 800  # pixels of pictures of photographs
 UNUSED_COLOR = np.array([0.9, 0.1, 0.1], np.float32)
 UNUSED_OPACITY = 0.6
-CLASS_COLORS = np.array([[0.0, 0.0, 0.0], [0.25, 0.65, 0.3], [0.95, 0.8, 0.2], [0.85, 0.2, 0.2]], np.float32)
+CLASS_COLORS = np.array([[0.0, 0.0, 0.0], [0.25, 0.65, 0.3], [0.2, 0.4, 0.85], [0.85, 0.2, 0.2]], np.float32)
 UNCOVERED, PHOTOGRAPHED, INTERPOLATED, UNBOUND = range(4)
 
 

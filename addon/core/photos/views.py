@@ -17,6 +17,7 @@ from ..imaging.images import sample_bilinear
 from ..imaging.raster import depth_buffer
 
 SILHOUETTE_PIXELS = 2  # points this near to something closer to the camera, or to something behind them, are not visible
+WINDOW = 2 * SILHOUETTE_PIXELS - 1  # pixels of the depth buffer, whose nearest and farthest depths are interpolated over another pixel
 MIN_COSINE = 0.1  # of the angle between normal and view direction
 DEPTH_TOLERANCE = 1e-3  # relative
 STEP_FACTOR = 3.0  # how much deeper than the tangent plane a neighbor must be to count as something else behind
@@ -67,7 +68,7 @@ class View:
         self._rotation, self._translation = camera.rotation.T.astype(np.float32), camera.translation.astype(np.float32)
         inverse = self._draw(mesh)
         self._nearest, self._farthest = (
-            filter_window(inverse, 2 * SILHOUETTE_PIXELS + 1, mode="nearest").ravel() for filter_window in (maximum_filter, minimum_filter)
+            filter_window(inverse, WINDOW, mode="nearest").ravel() for filter_window in (maximum_filter, minimum_filter)
         )
         self._quality = np.zeros(self._size[0] * self._size[1], np.float32)
         border = None if mask is None else distance_transform_edt(mask).astype(np.float32)
@@ -95,17 +96,16 @@ class View:
         indices = np.flatnonzero((planes > MIN_COSINE * distances) & (local[:, 2] > 0.0))
         local, planes, directions = local[indices], planes[indices], directions[indices]
         inverse = 1.0 / local[:, 2]
-        columns, rows = (
-            np.floor((local[:, axis] * inverse - np.float32(self._low[axis])) * np.float32(self._focal)).astype(np.int64) for axis in (0, 1)
-        )
+        across, up = ((local[:, axis] * inverse - np.float32(self._low[axis])) * np.float32(self._focal) for axis in (0, 1))
+        columns, rows = np.floor(across).astype(np.int64), np.floor(up).astype(np.int64)
         kept = np.flatnonzero((columns >= 0) & (columns < self._size[0]) & (rows >= 0) & (rows < self._size[1]))
         cells, inverse = (rows * self._size[0] + columns)[kept], inverse[kept]
         quality = self._quality[cells]
-        across = np.hypot(directions[kept, 0], directions[kept, 1])
-        change = across / planes[kept] * np.float32((SILHOUETTE_PIXELS + 1.0) * np.sqrt(2.0) / self._focal)  # of inverse depths in a window
-        is_front = self._nearest[cells] <= inverse * (1.0 + DEPTH_TOLERANCE) + change
-        is_inner = self._farthest[cells] >= inverse * (1.0 - STEP_FACTOR * DEPTH_TOLERANCE) - STEP_FACTOR * change
-        shown = (quality > 0.0) & is_front & is_inner
+        steepness = np.hypot(directions[kept, 0], directions[kept, 1]) / planes[kept]
+        change = steepness * np.float32((SILHOUETTE_PIXELS + 1.0) * np.sqrt(2.0) / self._focal)  # of inverse depths in a window
+        tolerance = inverse * DEPTH_TOLERANCE + change
+        nearest, farthest = self._find_range(across[kept], up[kept])
+        shown = (quality > 0.0) & (nearest <= inverse + tolerance) & (farthest >= inverse - STEP_FACTOR * tolerance)
         kept, quality, inverse = kept[shown], quality[shown], inverse[shown]
         positions, is_valid = self.camera.lens.project(local[kept])
         if not is_valid.all():
@@ -136,6 +136,21 @@ class View:
             located = (directions[:, :2] / directions[:, 2:] - self._low) * self._focal
         is_inside = (directions[:, 2] > 0.0) & (located >= 0.0).all(axis=1) & (located < np.array(self._size)).all(axis=1)
         return np.where(is_inside[:, None], located, -1.0)
+
+    def _find_range(self, across: np.ndarray, up: np.ndarray) -> list[np.ndarray]:
+        """Return the nearest and the farthest inverse depths (N,) around positions in the depth buffer (N,), (N,), interpolated between its
+        pixels: points of a surface at a grazing angle would otherwise be visible in some pixels and hidden in the next ones."""
+        width, height = self._size
+        x, y = (np.clip(each - np.float32(0.5), 0, side - 1) for each, side in ((across, width), (up, height)))
+        left, low = np.minimum(x.astype(np.int64), width - 2), np.minimum(y.astype(np.int64), height - 2)
+        x, y, corner = x - left.astype(np.float32), y - low.astype(np.float32), low * width + left
+        result = []
+        for values in (self._nearest, self._farthest):
+            lower, upper = np.take(values, corner), np.take(values, corner + width)
+            lower += x * (np.take(values, corner + 1) - lower)
+            upper += x * (np.take(values, corner + width + 1) - upper)
+            result.append(lower + y * (upper - lower))
+        return result
 
     def _draw(self, mesh: TriangleMesh) -> np.ndarray:
         """Return the inverse depths (h, w) float32 of the pinhole image, 0 where there is nothing."""

@@ -1,16 +1,24 @@
 """Operator of the tool `photos` that imports the cameras of other programs."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import bpy
 
 from ...bridge.photos.camera_objects import create_cameras, set_render_size
 from ...bridge.photos.photo_files import size_reader
-from ...core.errors import FileError
+from ...bridge.photos.photo_images import is_missing
+from ...bridge.photos.scene_cameras import find_background
+from ...core.errors import FarfieldError, FileError
 from ...core.files.file_access import check_unicode
+from ...core.jobs.progress import run_to_end
 from ...core.photos.importers import read_cameras
 from ...core.text import format_count
+from .. import long_work
 from ..error_reports import report_message, reports_errors
+from ..job_run import run_job
+from . import overlays
+from .sources import open_photographs_of, selected_meshes
 
 COLLECTION_NAME = "Photo Cameras"
 IMAGES_FOLDER = "images"  # searched for next to the cameras and in the two folders above
@@ -40,6 +48,11 @@ class FARFIELD_OT_photos_import_cameras(bpy.types.Operator):
         "set_render_size": bpy.props.BoolProperty(
             name="Set Render Size", description="Set the resolution of the scene to the size of the first photograph"
         ),
+        "draw_overlays": bpy.props.BoolProperty(
+            name="Draw Overlays",
+            description="If a mesh is selected, draw it into a copy of each photograph, to see whether cameras and mesh fit to each other",
+            default=True,
+        ),
     }
 
     @reports_errors
@@ -65,8 +78,33 @@ class FARFIELD_OT_photos_import_cameras(bpy.types.Operator):
         message = f"Imported {format_count(len(cameras), 'camera')}."
         if missing:
             message += f' {format_count(missing, "photograph")} not found in "{folder}".'
-        report_message(self, message, "WARNING" if missing else "INFO")
+        level = "WARNING" if missing else "INFO"
+        if self.draw_overlays:
+            try:
+                message += _draw_overlays(context, parent.children)
+            except FarfieldError as error:  # the cameras are there
+                message, level = f"{message} Overlays were not drawn: {error}", "WARNING"
+        report_message(self, message, level)
         return {"FINISHED"}
+
+
+def _draw_overlays(context: bpy.types.Context, cameras: Sequence[bpy.types.Object]) -> str:
+    """Draw overlays of `cameras` if a mesh is selected, in the background if there is a window. Returns a message, empty without a mesh.
+
+    Raises:
+        FarfieldError: an overlay cannot be drawn.
+    """
+    usable = [item for item in cameras if not is_missing(find_background(item.data).image)]
+    if not usable or not selected_meshes(context) or context.mode != "OBJECT":
+        return ""
+    context.view_layer.update()
+    job = overlays.prepare(context, open_photographs_of(context, usable))
+    if bpy.app.background or context.window is None:
+        return f" {run_to_end(run_job(job))}"
+    if long_work.running_job_message():
+        return f" Overlays were not drawn: {long_work.running_job_message()}."
+    long_work.start_in_background(job, overlays.FARFIELD_OT_photos_draw_overlays.bl_label)
+    return " Overlays are being drawn; open them in the Image Editor."
 
 
 def find_images(folder: Path) -> Path:

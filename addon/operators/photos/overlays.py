@@ -8,6 +8,7 @@ import numpy as np
 from ...bridge.meshes import SourceInstance, concatenate_in_world_space, read_instances
 from ...bridge.photos.photo_images import PhotoSource
 from ...bridge.photos.results import create_overlay_image
+from ...core.errors import GeometryError
 from ...core.jobs.progress import Progress, Steps
 from ...core.photos.overlays import draw_overlay
 from ...core.text import format_count
@@ -36,10 +37,24 @@ class OverlayJob:
 
     def scene_steps(self, core_result: list[np.ndarray]) -> Steps[str]:
         """Create an image for each photograph, in place of an earlier one."""
+        names = []
         for index, (source, picture) in enumerate(zip(self.sources, core_result, strict=True)):
             yield Progress(index / len(self.sources), "Creating images")
-            create_overlay_image(f"{source.camera.name}{SUFFIX}", picture)
-        return f"Drew {format_count(len(self.sources), 'overlay')}; open one in the Image Editor."
+            names.append(create_overlay_image(f"{source.camera.name}{SUFFIX}", picture).name)
+        return f'Drew {format_count(len(names), "overlay")}; open them in the Image Editor, for example "{names[0]}".'
+
+
+def prepare(context: bpy.types.Context, sources: list[PhotoSource]) -> OverlayJob:
+    """Return the job that draws the selected meshes into the photographs `sources`.
+
+    Raises:
+        GeometryError: there is no mesh with faces.
+    """
+    objects, _ = divide_targets(context)
+    instances = read_instances(objects, context.evaluated_depsgraph_get())
+    if not instances:
+        raise GeometryError(f'"{objects[0].name}" has no faces after its modifiers; select another object.')
+    return OverlayJob(instances, sources)
 
 
 class FARFIELD_OT_photos_draw_overlays(start_job.StartJob, bpy.types.Operator):
@@ -57,8 +72,7 @@ class FARFIELD_OT_photos_draw_overlays(start_job.StartJob, bpy.types.Operator):
 
     def prepare(self, context: bpy.types.Context) -> OverlayJob:
         """Read meshes and cameras."""
-        objects, _ = divide_targets(context)
-        return OverlayJob(read_instances(objects, context.evaluated_depsgraph_get()), open_photographs(context))
+        return prepare(context, open_photographs(context))
 
 
 register, unregister = bpy.utils.register_classes_factory((FARFIELD_OT_photos_draw_overlays,))

@@ -44,6 +44,16 @@ def open_photographs(context: bpy.types.Context) -> list[PhotoSource]:
     cameras = find_cameras(context)
     if not cameras:
         raise SettingsError(f"There is no camera with a photograph; {NO_CAMERAS.lower()}.")
+    return open_photographs_of(context, cameras)
+
+
+def open_photographs_of(context: bpy.types.Context, cameras: list[bpy.types.Object]) -> list[PhotoSource]:
+    """Return the photographs of `cameras`, which have background images.
+
+    Raises:
+        SettingsError: a camera cannot be used.
+        FileError, ImageError: a photograph cannot be used.
+    """
     depsgraph = context.evaluated_depsgraph_get()
     return [
         open_background(read_photo_camera(item, context.scene, depsgraph), find_background(item.evaluated_get(depsgraph).data))

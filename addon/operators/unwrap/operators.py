@@ -72,9 +72,6 @@ class FARFIELD_OT_unwrap_overlay(bpy.types.Operator):
             overlay.hide()
         else:
             overlay.show()
-        for window in context.window_manager.windows:
-            for area in window.screen.areas:
-                area.tag_redraw()
         return {"FINISHED"}
 
 
