@@ -15,6 +15,7 @@ from ..operators import image_editors
 from ..operators.photos.import_cameras import FARFIELD_OT_photos_import_cameras
 from ..operators.photos.operators import FARFIELD_OT_photos_merge
 from ..operators.photos.overlays import FARFIELD_OT_photos_draw_overlays
+from ..operators.photos.refinement import FARFIELD_OT_photos_refine
 from ..operators.photos.registration import (
     FARFIELD_OT_photos_add_pairs,
     FARFIELD_OT_photos_register,
@@ -44,6 +45,7 @@ class FARFIELD_PT_photos(ToolPanel, bpy.types.Panel):
         images = [find_background(item.data).image for item in find_cameras(context)]
         draw_photographs(column, len(images), sum(is_missing(image) for image in images))
         column.operator(FARFIELD_OT_photos_draw_overlays.bl_idname, text="Draw Overlays", icon="OVERLAY")
+        column.operator(FARFIELD_OT_photos_refine.bl_idname, text="Refine Cameras", icon="CON_CAMERASOLVER")
         for setting in SETTINGS:
             item = column.column()
             item.active = setting.name not in ONLY_FOR_BEST or group.method == "best"
@@ -90,9 +92,12 @@ class FARFIELD_PT_photos_registration(ToolPanel, bpy.types.Panel):
         count = len(read_pairs(image)[0])
         if count < needed:
             draw_message(layout, f"{count} of {needed} pairs", "INFO")
-        row = layout.row()
-        row.enabled = count >= needed
-        row.operator(FARFIELD_OT_photos_register.bl_idname, text="Register", icon="CON_CAMERASOLVER")
+        row = layout.row(align=True)
+        register_button = row.row(align=True)
+        register_button.enabled = count >= needed
+        register_button.operator(FARFIELD_OT_photos_register.bl_idname, text="Register", icon="CON_CAMERASOLVER")
+        refine_button = row.operator(FARFIELD_OT_photos_refine.bl_idname, text="Refine")
+        refine_button.image, refine_button.lens = image.name, group.lens_camera is None
 
 
 def draw_pairs(layout: bpy.types.UILayout, group: bpy.types.PropertyGroup) -> None:

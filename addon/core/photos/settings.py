@@ -23,5 +23,8 @@ class PhotosSettings(Settings):
     size: int = setting(4096, "Pixels per side of the texture", minimum=16, maximum=32768)
     method: str = setting("average", "How photographs are combined", choices=METHODS)
     exposure: bool = setting(True, "Adjust the brightness and color balance of the photographs to each other")
+    alignment: bool = setting(
+        False, "Warp the photographs a little, so that they show details at the same places. For cameras that are some pixels off"
+    )
     leveling: bool = setting(True, "Correct colors so that regions from different photographs meet without a seam. Used by Best Photograph")
     fill: str = setting("interpolate", "What fills the parts that no photograph shows", choices=FILLS)
