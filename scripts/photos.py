@@ -36,6 +36,7 @@ from farfield.addon.core.photos.photographs import Photograph
 from farfield.addon.core.photos.refinement import refine
 from farfield.addon.core.photos.settings import PhotosSettings
 from farfield.addon.core.settings import add_flags, from_flags
+from farfield.addon.core.text import format_count
 from farfield.addon.core.unwrap.settings import UnwrapSettings
 from farfield.addon.operators.job_run import run_job
 from farfield.addon.operators.unwrap import job as unwrap_job
@@ -123,7 +124,9 @@ def merge_files(given: Namespace, settings: PhotosSettings, texture: Path, scrat
         report = build_report(result, [camera.name for camera in cameras], unwrapped, clock) | {"refined": refined}
         command_line.write_report(given.report.absolute(), report)
     holes = np.count_nonzero(result.holes) / max(np.count_nonzero(result.holes | (result.source >= 0)), 1)
-    return f"Merged {len(cameras)} photographs into {texture.name}; {holes:.1%} of the surface is in no photograph."
+    summary = f"Merged {len(cameras)} photographs into {texture.name}; {holes:.1%} of the surface is in no photograph."
+    count = sum(each["problem"] is None for each in refined)
+    return f"Refined {count} of {format_count(len(refined), 'camera')}. {summary}" if refined else summary
 
 
 def read_objects(path: Path) -> list[bpy.types.Object]:
