@@ -102,7 +102,7 @@ def test_cameras_are_refined(folder):
     assert run(*arguments, "--refine", "2.png").startswith("Refined 1 of 1 camera. Merged 4 photographs")
     [moved] = json.loads((folder / "report.json").read_text(encoding="utf-8"))["refined"]
     assert moved["name"] == "2.png" and moved["problem"] is None and moved["pixels_after"] < 0.2 < 3.0 < moved["pixels_before"]
-    with pytest.raises(FileError, match='--refine names "9.png"'):
+    with pytest.raises(FileError, match=r'--refine names "9\.png"'):
         run(*arguments, "--refine", "9.png")
 
 

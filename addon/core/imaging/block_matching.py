@@ -182,7 +182,7 @@ def _smooth(grid: _Grid) -> np.ndarray:
     """Return displacements (R, C, 2) everywhere, smoothed; those of blocks without a match come from farther and farther around."""
     result, total = np.zeros_like(grid.displacements), np.full((*grid.weights.shape, 1), 1e-9)
     values = np.concatenate([grid.displacements * grid.weights[..., None], grid.weights[..., None]], axis=-1)
-    for deviation, share in ((SMOOTHING, 1.0), (4.0 * SMOOTHING, 1e-2), (16.0 * SMOOTHING, 1e-4)):
-        sums = share * gaussian_filter(values, (deviation, deviation, 0.0), mode="constant")
+    for deviation, fraction in ((SMOOTHING, 1.0), (4.0 * SMOOTHING, 1e-2), (16.0 * SMOOTHING, 1e-4)):
+        sums = fraction * gaussian_filter(values, (deviation, deviation, 0.0), mode="constant")
         result, total = result + sums[..., :2], total + sums[..., 2:]
     return (result / total).astype(np.float32)

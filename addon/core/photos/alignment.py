@@ -1,8 +1,8 @@
 """Alignment of photographs to each other against doubled details: each is warped a little, so that it shows the surface where the mean of
 all photographs does.
 
-Matches of blocks (see `matching`) are smoothed over the photograph. A photograph moves by the share that the others have in the mean of
-all, so that the mean stays where it is.
+Matches of blocks (see `matching`) are smoothed over the photograph. A photograph moves by the fraction that the others have in the mean
+of all, so that the mean stays where it is.
 """
 
 from collections.abc import Sequence
@@ -50,12 +50,12 @@ def align(
 
 
 def smooth_displacements(matches: Matches, size: tuple[int, int]) -> np.ndarray:
-    """Return displacements (h, w, 2) float32 in pixels for cells that divide a photograph of `size` evenly, from the shares of those of
-    `matches`; zero far from all of them."""
+    """Return displacements (h, w, 2) float32 in pixels for cells that divide a photograph of `size` evenly: the smoothed fractions of those
+    of `matches`, and zero far from all of them."""
     cell = max(max(size) / CELLS, MIN_CELL)
     columns, rows = (max(round(side / cell), 1) for side in size)
     x, y = np.clip((matches.positions / np.array(size) * (columns, rows)).astype(np.int64), 0, (columns - 1, rows - 1)).T
-    weighted = np.column_stack([matches.displacements * matches.shares[:, None], np.ones(len(x))]) * matches.confidences[:, None]
+    weighted = np.column_stack([matches.displacements * matches.fractions[:, None], np.ones(len(x))]) * matches.confidences[:, None]
     sums = [
         gaussian_filter(np.bincount(y * columns + x, values, rows * columns).reshape(rows, columns), SMOOTHING, mode="constant")
         for values in weighted.T

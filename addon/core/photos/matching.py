@@ -42,15 +42,15 @@ class Matches(NamedTuple):
     """N places of a photograph that were found again.
 
     points: (N, 3) on the surface. positions: (N, 2) in pixels where the camera projects them. displacements: (N, 2) in pixels from there to
-    where the photograph shows what the others show of the points. confidences: (N,) 0 to 1. shares: (N,) 0 to 1, the weight of the others
-    in the mean of all photographs.
+    where the photograph shows what the others show of the points. confidences: (N,) 0 to 1. fractions: (N,) 0 to 1, the weight of the
+    others in the mean of all photographs.
     """
 
     points: np.ndarray
     positions: np.ndarray
     displacements: np.ndarray
     confidences: np.ndarray
-    shares: np.ndarray
+    fractions: np.ndarray
 
     @property
     def mean_displacement(self) -> float:
@@ -116,11 +116,11 @@ def match_photograph(photograph: GrayPhotograph, others: Sequence[GrayPhotograph
     points, normals = frame.points[seen.indices], frame.normals[seen.indices]
     means, weights = _average(_choose(others, points, normals), points, normals)
     shape = frame.covered.shape
-    reference, shares, indices = np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.full(shape, -1)
+    reference, fractions, indices = np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.full(shape, -1)
     rows, columns = (axis[seen.indices] for axis in np.nonzero(frame.covered))
     shown = np.flatnonzero(weights > 0.0)
     reference[rows[shown], columns[shown]] = means[shown]
-    shares[rows[shown], columns[shown]] = weights[shown] / (weights + seen.weights)[shown]
+    fractions[rows[shown], columns[shown]] = weights[shown] / (weights + seen.weights)[shown]
     indices[rows[shown], columns[shown]] = shown
     positions, is_valid = frame.locate(np.stack(np.meshgrid(*(np.arange(side) + 0.5 for side in shape[::-1])), axis=-1).reshape(-1, 2))
     is_valid &= photograph.contains(positions)
@@ -134,7 +134,7 @@ def match_photograph(photograph: GrayPhotograph, others: Sequence[GrayPhotograph
     (start, is_start), (end, is_end) = frame.locate(centers), frame.locate(centers + found.displacements)
     kept = is_start & is_end
     return Matches(
-        points[indices[rows, columns]][kept], start[kept], (end - start)[kept], found.confidences[kept], shares[rows, columns][kept]
+        points[indices[rows, columns]][kept], start[kept], (end - start)[kept], found.confidences[kept], fractions[rows, columns][kept]
     )
 
 
