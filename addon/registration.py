@@ -10,6 +10,7 @@ from .operators.photos import coverage as photos_coverage
 from .operators.photos import import_cameras as photos_import
 from .operators.photos import operators as photos_operators
 from .operators.photos import overlays as photos_overlays
+from .operators.photos import refinement as photos_refinement
 from .operators.photos import registration as photos_registration
 from .operators.restore import operators as restore_operators
 from .operators.unwrap import operators as unwrap_operators
@@ -31,6 +32,7 @@ MODULES = (
     photos_import,
     photos_overlays,
     photos_coverage,
+    photos_refinement,
     photos_registration,
     restore_operators,
     clipbox_operators,

@@ -2,7 +2,8 @@
 
 Prints JSON. Parts (`--only`): `synthetic` (painted models: PSNR against the paint, and jumps across borders and UV seams), `sceaux`
 (rendered against the photographs, with time and memory), `leave_one_out` (against a photograph that was not used), `growth` (seconds and
-memory by number of photographs), `holes` (holes in known textures), `registering` (cameras from pairs of points). Each run draws other
+memory by number of photographs), `holes` (holes in known textures), `registering` (cameras from pairs of points), `refining` (those
+cameras refined against other photographs), `alignment` (merges of photographs with wrong poses). Each run draws other
 paints, cameras and holes; --seed repeats one. Settings may be tuned on `--set tuning`, so that nothing is concluded from it.
 """
 
@@ -27,6 +28,7 @@ from photos_hole_scores import fill_and_score, punch_holes
 from photos_inputs import SETS, Unwrapped, load_model, load_photographs, read_mesh, unwrap_mesh
 from photos_methods import FARFIELD, PEERS, Textured, run_method
 from photos_models import Shoot, make_paint, photograph_model
+from photos_refining import measure_alignment, measure_refining
 from photos_registering import measure_registering
 from photos_scores import find_truth, score_render, score_seams, score_truth
 
@@ -228,6 +230,8 @@ PARTS = {
     "growth": measure_growth,
     "holes": measure_holes,
     "registering": lambda given: measure_registering(np.random.default_rng([given.seed, 500])),
+    "refining": lambda given: measure_refining(np.random.default_rng([given.seed, 600])),
+    "alignment": lambda given: measure_alignment(given.seed, given.size),
 }
 
 

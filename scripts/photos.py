@@ -8,6 +8,7 @@ UDIM tiles is named like `castle.<UDIM>.png`. Maps of confidence, source and hol
 
 import sys
 from argparse import Namespace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -36,8 +37,10 @@ from farfield.addon.core.photos.merging import PhotoTexture, merge
 from farfield.addon.core.photos.overlays import draw_overlay
 from farfield.addon.core.photos.pages import PageLayout, lay_out_pages
 from farfield.addon.core.photos.photographs import Photograph
+from farfield.addon.core.photos.refinement import refine
 from farfield.addon.core.photos.settings import PhotosSettings
 from farfield.addon.core.settings import add_flags, from_flags
+from farfield.addon.core.text import format_count
 from farfield.addon.core.unwrap.settings import UnwrapSettings
 from farfield.addon.operators.job_run import run_job
 from farfield.addon.operators.unwrap import job as unwrap_job
@@ -73,6 +76,10 @@ def build_parser() -> command_line.Parser:
     )
     parser.add_argument("--overlays", type=command_line.parse_path, help="a folder for pictures of the photographs with the mesh")
     parser.add_argument("--stages", type=command_line.parse_path, help="a folder for pictures of the stages of the merge")
+    parser.add_argument(
+        "--refine", nargs="*", metavar="PHOTOGRAPH", help="refine the cameras of these photographs, or all, against the others first"
+    )
+    parser.add_argument("--refine-lens", action="store_true", help="with --refine, refine focal length and distortion, too")
     parser.add_argument("--report", type=command_line.parse_path, help="write a report of the run to this JSON file")
     add_flags(parser, PhotosSettings)
     return parser
@@ -121,6 +128,10 @@ def merge_files(given: Namespace, settings: PhotosSettings, texture: Path, scrat
     check_files(given, paths.pages)
     with clock.stage("photographs"), mute_stderr():
         photographs = [read_photograph(camera, given.images.absolute()).keep_in(scratch, index) for index, camera in enumerate(cameras)]
+    refined = []
+    if given.refine is not None:
+        with clock.stage("refinement"):
+            photographs, refined = refine_cameras(surface.mesh, photographs, given, scratch, line)
     if given.overlays is not None:
         with clock.stage("overlays"):
             write_overlays(surface.mesh, photographs, given.overlays.absolute())
@@ -137,10 +148,12 @@ def merge_files(given: Namespace, settings: PhotosSettings, texture: Path, scrat
             assign(result, objects, layout, groups, paths)
             write_scene(objects, given.out.absolute())
     if given.report is not None:
-        report = build_report(result, [camera.name for camera in cameras], unwrapped, layout, groups, paths.pages, clock)
+        report = build_report(result, [camera.name for camera in cameras], unwrapped, layout, groups, paths.pages, clock) | {"refined": refined}
         command_line.write_report(given.report.absolute(), report)
     holes = np.count_nonzero(result.holes) / max(np.count_nonzero(result.holes | (result.source >= 0)), 1)
-    return f"Merged {len(cameras)} photographs into {texture.name}; {holes:.1%} of the surface is in no photograph."
+    summary = f"Merged {len(cameras)} photographs into {texture.name}; {holes:.1%} of the surface is in no photograph."
+    count = sum(each["problem"] is None for each in refined)
+    return f"Refined {count} of {format_count(len(refined), 'camera')}. {summary}" if refined else summary
 
 
 def read_objects(path: Path) -> list[bpy.types.Object]:
@@ -160,6 +173,35 @@ def unwrap_missing(objects: list[bpy.types.Object], line: command_line.ProgressL
         run_to_end(run_job(unwrap_job.prepare(bpy.context, missing, UnwrapSettings())), line.show)
         line.clear()
     return [item.name for item in missing]
+
+
+def refine_cameras(
+    mesh: TriangleMesh, photographs: list[Photograph], given: Namespace, scratch: Scratch, line: command_line.ProgressLine
+) -> tuple[list[Photograph], list[dict[str, Any]]]:
+    """Return the photographs with refined cameras, and figures for the report. Raises FileError for a name that is none of a photograph."""
+    names = [photograph.camera.name for photograph in photographs]
+    for name in given.refine:
+        if name not in names:
+            raise FileError(
+                f'--refine names "{name}", but the cameras have no photograph of this name; they have "{names[0]}", for example.'
+            )
+    chosen = [index for index, name in enumerate(names) if not given.refine or name in given.refine]
+    found = run_to_end(refine(mesh, photographs, chosen, scratch, has_free_lens=[given.refine_lens] * len(chosen)), line.show)
+    line.clear()
+    result = list(photographs)
+    for index, each in zip(chosen, found, strict=True):
+        result[index] = replace(photographs[index], camera=each.camera)
+    figures = [
+        {
+            "name": names[index],
+            "pixels_before": None if np.isnan(each.before) else round(each.before, 3),
+            "pixels_after": None if np.isnan(each.after) else round(each.after, 3),
+            "matches": each.matches,
+            "problem": each.problem or None,
+        }
+        for index, each in zip(chosen, found, strict=True)
+    ]
+    return result, figures
 
 
 def write_overlays(mesh: TriangleMesh, photographs: list[Photograph], folder: Path) -> None:

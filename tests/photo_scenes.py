@@ -1,6 +1,7 @@
 """Surfaces, cameras and photographs of them for tests."""
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 from farfield.addon.core.geometry.lenses import Lens, PhotoCamera
 from farfield.addon.core.geometry.mesh import TriangleMesh
@@ -60,6 +61,16 @@ def smooth_texture(seed=1):
         np.sin(2 * np.pi * (a * x + b * y) + c) for a, b, c in zip(*random.uniform(-4, 4, (2, 3)), random.uniform(0, 6, 3), strict=True)
     ]
     return (0.5 + 0.25 * np.stack(waves, axis=-1)).astype(np.float32)
+
+
+def detailed_texture(seed=0, side=256):
+    noise = gaussian_filter(np.random.default_rng(seed).normal(size=(side, side, 3)), (2.0, 2.0, 0.0))
+    return (0.5 + 0.12 * noise / noise.std()).astype(np.float32)
+
+
+def distance_in_pixels(mesh, camera, truth):
+    """How far vertices are projected from where they should be, in the mean."""
+    return float(np.linalg.norm(camera.project(mesh.vertices)[0] - truth.project(mesh.vertices)[0], axis=1).mean())
 
 
 def ring(count, radius=1.2, height=3.0):

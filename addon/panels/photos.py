@@ -17,6 +17,7 @@ from ..operators.photos.coverage import FARFIELD_OT_photos_show_coverage
 from ..operators.photos.import_cameras import FARFIELD_OT_photos_import_cameras
 from ..operators.photos.operators import FARFIELD_OT_photos_merge
 from ..operators.photos.overlays import FARFIELD_OT_photos_draw_overlays
+from ..operators.photos.refinement import FARFIELD_OT_photos_refine
 from ..operators.photos.registration import (
     FARFIELD_OT_photos_add_pairs,
     FARFIELD_OT_photos_register,
@@ -48,6 +49,7 @@ class FARFIELD_PT_photos(ToolPanel, bpy.types.Panel):
         column.operator(FARFIELD_OT_photos_draw_overlays.bl_idname, text="Draw Overlays", icon="OVERLAY")
         is_shown = coverage_overlay.is_shown
         column.operator(FARFIELD_OT_photos_show_coverage.bl_idname, text="Show Coverage", icon="SHADING_SOLID", depress=is_shown)
+        column.operator(FARFIELD_OT_photos_refine.bl_idname, text="Refine Cameras", icon="CON_CAMERASOLVER")
         for setting in SETTINGS:
             item = column.column()
             item.active = setting.name not in ONLY_FOR_BEST or group.method == "best"
@@ -94,9 +96,12 @@ class FARFIELD_PT_photos_registration(ToolPanel, bpy.types.Panel):
         count = len(read_pairs(image)[0])
         if count < needed:
             draw_message(layout, f"{count} of {needed} pairs", "INFO")
-        row = layout.row()
-        row.enabled = count >= needed
-        row.operator(FARFIELD_OT_photos_register.bl_idname, text="Register", icon="CON_CAMERASOLVER")
+        row = layout.row(align=True)
+        register_button = row.row(align=True)
+        register_button.enabled = count >= needed
+        register_button.operator(FARFIELD_OT_photos_register.bl_idname, text="Register", icon="CON_CAMERASOLVER")
+        refine_button = row.operator(FARFIELD_OT_photos_refine.bl_idname, text="Refine")
+        refine_button.image, refine_button.lens = image.name, group.lens_camera is None
 
 
 def draw_pairs(layout: bpy.types.UILayout, group: bpy.types.PropertyGroup) -> None:

@@ -1,6 +1,7 @@
 """`scripts/photos.py`: from files to a texture, its maps, the textured mesh and the report."""
 
 import json
+from dataclasses import replace
 
 import bpy
 import numpy as np
@@ -10,7 +11,7 @@ import photos
 from farfield.addon.core.errors import FileError, GeometryError, ImageError
 from image_data import read_image, write_image
 from lib import command_line
-from photo_scenes import SIZE, grid, photograph, ring, smooth_texture
+from photo_scenes import SIZE, detailed_texture, grid, photograph, ring, smooth_texture
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 
@@ -87,6 +88,22 @@ def test_stages_are_pictures(folder):
     photographed, interpolated = (read_image(folder / "stages" / f"{name}.png")[0] for name in ("photographed", "interpolated"))
     holes = read_image(folder / "t.holes.png")[0][..., 0] > 0
     assert (photographed[holes] == 0).all() and np.array_equal(photographed[~holes], interpolated[~holes])
+
+
+def test_cameras_are_refined(folder):
+    mesh, uvs = grid(10, lambda x, y: 0.1 * np.sin(2 * x + y))
+    cameras = ring(4)
+    for camera in cameras:
+        write_image(folder / "images" / camera.name, photograph(mesh, uvs, detailed_texture(), camera).pixels[::-1])
+    wrong = replace(cameras[2], translation=cameras[2].translation + (0.04, -0.03, 0.0))
+    write_cameras(folder / "moved", [*cameras[:2], wrong, cameras[3]])
+    arguments = (folder / "with uvs.obj", "--cameras", folder / "moved", "--images", folder / "images", "--size", SIZE)
+    arguments = (*arguments, "--texture", folder / "t.png", "--report", folder / "report.json")
+    assert run(*arguments, "--refine", "2.png").startswith("Refined 1 of 1 camera. Merged 4 photographs")
+    [moved] = json.loads((folder / "report.json").read_text(encoding="utf-8"))["refined"]
+    assert moved["name"] == "2.png" and moved["problem"] is None and moved["pixels_after"] < 0.2 < 3.0 < moved["pixels_before"]
+    with pytest.raises(FileError, match=r'--refine names "9\.png"'):
+        run(*arguments, "--refine", "9.png")
 
 
 def test_a_mesh_without_uvs_is_unwrapped(folder):

@@ -18,6 +18,7 @@ from ..geometry.mesh import TriangleMesh, check_points, face_areas_and_normals
 from ..imaging.images import dilate_in_place, sample_bilinear
 from ..jobs.chunks import map_ordered
 from ..jobs.progress import Progress, StageClock, Steps, subprogress
+from .alignment import align
 from .blending import BlendedSurface, blend_gradients, blend_labels, blend_masks, shrink_masks
 from .consistency import rate_photographs
 from .exposure import estimate_gains
@@ -26,6 +27,7 @@ from .hole_borders import interpolate_holes
 from .hole_filling import HoleCounts, HoleFiller
 from .labels import choose_labels
 from .leveling import VertexLabels, find_vertex_labels, solve_corrections
+from .matching import Surface
 from .observations import MAX_OBSERVATIONS, POINTS, Observations, observe, sample_surface
 from .overlaps import check_overlaps
 from .pages import check_texel_count
@@ -127,6 +129,9 @@ def _merge(merger: "_Merger") -> Steps[PhotoTexture]:
     yield Progress(0.2, "Comparing photographs")
     with clock.stage("exposure"):
         merger.compare()
+    if settings.alignment:
+        with clock.stage("alignment"):
+            yield from subprogress(merger.align(), 0.25, 0.3)
     yield Progress(0.3, "Choosing photographs")
     with clock.stage("labels"):
         merger.label()
@@ -218,6 +223,11 @@ class _Merger:
             few = slice(int(np.searchsorted(observed.points, EXPOSURE_POINTS)))
             part = Observations(*(values[few] for values in observed))
             self.gains = estimate_gains(part, len(self.photographs), None if weights is None else weights[few])
+
+    def align(self) -> Steps[None]:
+        """Make the photographs show the surface at the same places."""
+        surface = Surface(self.mesh, self.corner_normals)
+        self.photographs = yield from align(self.photographs, self.views, self.gains, surface, self.scratch)
 
     def label(self) -> None:
         """Choose the photograph of each triangle."""

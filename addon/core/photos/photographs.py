@@ -10,6 +10,7 @@ from ..errors import ImageError
 from ..files.scratch import Scratch
 from ..geometry.lenses import PhotoCamera
 from ..imaging.colors import decode_signed_srgb, encode_signed_srgb
+from ..imaging.images import sample_bilinear
 from ..jobs.chunks import slices
 
 CHUNK = 1 << 18  # positions sampled at once
@@ -21,12 +22,14 @@ CURVE_SIZE = 4096  # entries of the tables that apply gains
 class Photograph:
     """A photograph: its camera, and pixels (H, W, 3) uint8 or float32, sRGB-encoded, row 0 at the bottom.
 
-    mask: (H, W) bool, true at usable pixels, or None.
+    mask: (H, W) bool, true at usable pixels, or None. displacements: (h, w, 2) float32 in pixels for cells that divide the photograph
+    evenly, or None: what belongs to a position is found at this distance from it.
     """
 
     camera: PhotoCamera
     pixels: np.ndarray
     mask: np.ndarray | None = None
+    displacements: np.ndarray | None = None
 
     def check(self) -> None:
         """Check the sizes of pixels and mask.
@@ -54,8 +57,16 @@ class Photograph:
             result.__dict__["_packed"] = scratch.keep(result._packed, group)
         return result
 
+    def displace(self, displacements: np.ndarray) -> "Photograph":
+        """Return the photograph with other displacements."""
+        result = replace(self, displacements=displacements)
+        if "_packed" in self.__dict__:
+            result.__dict__["_packed"] = self._packed
+        return result
+
     def sample(self, positions: np.ndarray) -> np.ndarray:
-        """Return the encoded colors (N, 3) float32 at `positions` (N, 2) in pixels, by bilinear interpolation."""
+        """Return the encoded colors (N, 3) float32 that belong to `positions` (N, 2) in pixels, by bilinear interpolation."""
+        positions = shift_positions(positions, self.displacements, self.camera.lens.size)
         height, width = self.pixels.shape[:2]
         result = np.empty((len(positions), 3), np.float32)
         for part in slices(len(positions), CHUNK):
@@ -87,6 +98,13 @@ class Photograph:
         padded = np.zeros((*self.pixels.shape[:2], 4), np.uint8)
         padded[..., :3] = self.pixels
         return padded.reshape(-1).view(np.uint32)
+
+
+def shift_positions(positions: np.ndarray, displacements: np.ndarray | None, size: tuple[int, int]) -> np.ndarray:
+    """Return `positions` (N, 2) in a photograph of `size` after the `displacements` (h, w, 2) of its cells, if there are any."""
+    if displacements is None:
+        return positions
+    return positions + sample_bilinear(displacements, positions / np.array(size, np.float32) * np.float32(displacements.shape[1::-1]))
 
 
 def apply_gain(encoded: np.ndarray, gain: np.ndarray) -> np.ndarray:

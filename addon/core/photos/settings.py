@@ -39,5 +39,8 @@ class PhotosSettings(Settings):
         "level", "How regions from different photographs are made to meet without a seam. Used by Best Photograph", choices=BLENDINGS
     )
     sharpen: bool = setting(True, "Bring back detail that resampling has blurred")
+    alignment: bool = setting(
+        False, "Warp the photographs a little, so that they show details at the same places. For cameras that are some pixels off"
+    )
     fill: str = setting("interpolate", "What fills the parts that no photograph shows", choices=FILLS)
     materials: str = setting("replace", "What happens to the materials of the meshes", choices=MATERIALS)

@@ -45,7 +45,7 @@ def find_residuals(
     for index, (photograph, view) in enumerate(zip(photographs, views, strict=True)):
         yield Progress(index / len(photographs), "Comparing texture and photographs")
         pixels = _draw_residual(painter, index, view, mesh, texel_corners, texture)
-        residuals.append(replace(photograph, pixels=scratch.keep(pixels, index), mask=None))
+        residuals.append(replace(photograph, pixels=scratch.keep(pixels, index), mask=None, displacements=None))
         scratch.release(index)
     return residuals
 

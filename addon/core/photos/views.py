@@ -64,7 +64,7 @@ class View:
         """Draw the depths of `mesh`; `mask` (H, W) bool is true at usable pixels."""
         self.camera = camera
         self._focal = float(np.mean(camera.lens.focal))
-        self._low, self._size = _frame(camera)
+        self._low, self._size = find_frame(camera)
         self._rotation, self._translation = camera.rotation.T.astype(np.float32), camera.translation.astype(np.float32)
         inverse = self._draw(mesh)
         self._nearest, self._farthest = (
@@ -179,7 +179,7 @@ def _border_quality(positions: np.ndarray, size: tuple[int, int], border: np.nda
     return np.where(distances > SILHOUETTE_PIXELS, np.square(np.minimum(distances / BORDER_PIXELS, 1.0)), 0.0)
 
 
-def _frame(camera: PhotoCamera) -> tuple[np.ndarray, tuple[int, int]]:
+def find_frame(camera: PhotoCamera) -> tuple[np.ndarray, tuple[int, int]]:
     """Return the smallest tangents (2,) of what the photograph shows, and the size in pixels of a pinhole image of it."""
     width, height = camera.lens.size
     x, y = np.linspace(0.0, width, 65), np.linspace(0.0, height, 65)

@@ -1,0 +1,201 @@
+"""Refinement of cameras: each photograph is compared with what the others show of the surface, and its camera moves until both agree.
+
+Matches of blocks (see `matching`) relate points on the surface to where the photograph shows them; robust least squares on pose, focal
+length and the first radial coefficient fit the camera to them. A few rounds follow each other: a better camera finds better matches.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from ..errors import GeometryError, ImageError
+from ..files.scratch import Scratch
+from ..geometry.lenses import Lens, PhotoCamera
+from ..geometry.mesh import TriangleMesh, check_points, face_areas_and_normals
+from ..jobs.progress import Progress, Steps
+from ..text import format_count
+from .exposure import estimate_gains
+from .matching import GrayPhotograph, Matches, Surface, make_gray, match_photograph
+from .observations import observe, sample_surface
+from .photographs import Photograph
+from .texels import corner_normals, vertex_normals
+from .views import View
+
+ROUNDS = 3
+MIN_MATCHES = 12
+MAX_LOST = 0.3  # of the matches: a camera that loses more has not become better
+MIN_GAIN = 0.05  # of the mean displacement
+EXPOSURE_POINTS = 20_000
+SIGMA_ROTATION, SIGMA_SHIFT = 0.1, 0.1  # expected errors, in radians and relative to the distance of the surface
+SIGMA_FOCAL, SIGMA_RADIAL = 0.05, 0.05  # of the logarithm of the focal length, and of the radial coefficient
+MIN_SCALE, MAX_SCALE = 0.2, 3.0  # pixels: errors of matches from which on they count less
+WITHOUT_RADIAL = ("FOV", "INVERSE_RADIAL")  # lens models whose first coefficient is something else
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """What became of a camera.
+
+    camera: the refined one, or the given one if there is a `problem`, which is a sentence then. before, after: mean displacements in pixels
+    to the other photographs. matches: the number of blocks at the end.
+    """
+
+    camera: PhotoCamera
+    before: float
+    after: float
+    matches: int
+    problem: str = ""
+
+
+def refine(
+    mesh: TriangleMesh, photographs: list[Photograph], chosen: Sequence[int], scratch: Scratch, *, has_free_lens: Sequence[bool]
+) -> Steps[list[Refinement]]:
+    """Refine the cameras of the photographs with the indices `chosen` against all others.
+
+    Args:
+        mesh: in world space.
+        photographs: all of them, with cameras that see the mesh. Several chosen ones are refined in turns, with those before them refined.
+        scratch: keeps the images, each in the group of its index.
+        has_free_lens: for each of `chosen`, whether its focal length and first radial coefficient change, too.
+
+    Raises:
+        GeometryError: the mesh is not finite or has no area.
+        ImageError: there is only one photograph, or one does not have the size that its camera says.
+    """
+    if len(photographs) < 2:
+        raise ImageError("There is only one photograph; refinement compares photographs with each other, so add cameras of others.")
+    for photograph in photographs:
+        photograph.check()
+    check_points(mesh.vertices, "mesh")
+    refiner = yield from _Refiner.prepare(mesh, photographs, scratch)
+    return (yield from refiner.refine(list(chosen), list(has_free_lens)))
+
+
+class _Refiner:
+    """The surface, moved to the origin, and the photographs with their present cameras."""
+
+    def __init__(self, surface: Surface, origin: np.ndarray, grays: list[GrayPhotograph], scratch: Scratch) -> None:
+        self._surface, self._origin, self._grays, self._scratch = surface, origin, grays, scratch
+
+    @classmethod
+    def prepare(cls, mesh: TriangleMesh, photographs: list[Photograph], scratch: Scratch) -> Steps["_Refiner"]:
+        """Find out what the photographs show, and adjust their exposures."""
+        areas, _ = face_areas_and_normals(mesh.corners)
+        if not areas.any():
+            raise GeometryError("The faces of the mesh have no area; scale it up.")
+        origin = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
+        mesh = TriangleMesh(mesh.vertices - origin, mesh.triangles)
+        surface = Surface(mesh, corner_normals(mesh, vertex_normals(mesh)))
+        views = []
+        for index, photograph in enumerate(photographs):
+            yield Progress(0.2 * index / len(photographs), "Finding visible faces")
+            views.append(View(_move(photograph.camera, origin), mesh, photograph.mask))
+            views[-1].keep_in(scratch, index)
+            scratch.release(index)
+        yield Progress(0.2, "Comparing photographs")
+        observed = observe(sample_surface(mesh, surface.corner_normals, areas, EXPOSURE_POINTS), photographs, views, scratch)
+        gains = estimate_gains(observed, len(photographs))
+        grays = []
+        for index, (photograph, view, gain) in enumerate(zip(photographs, views, gains, strict=True)):
+            yield Progress(0.22 + 0.08 * index / len(photographs), "Comparing photographs")
+            grays.append(make_gray(photograph, view, gain).keep_in(scratch, index))
+            scratch.release(index)
+        return cls(surface, origin, grays, scratch)
+
+    def refine(self, chosen: list[int], has_free_lens: list[bool]) -> Steps[list[Refinement]]:
+        """Refine the cameras of the photographs `chosen` in turns."""
+        given, start, total = list(self._grays), [], (ROUNDS + 2) * len(chosen)
+        for index in chosen:
+            yield Progress(0.3 + 0.7 * len(start) / total, "Matching photographs")
+            start.append(self._match(index))
+        for turn in range(ROUNDS):
+            for place, (index, is_free) in enumerate(zip(chosen, has_free_lens, strict=True)):
+                yield Progress(0.3 + 0.7 * ((turn + 1) * len(chosen) + place) / total, "Refining cameras")
+                matches = start[0] if turn == 0 and place == 0 else self._match(index)
+                if len(matches.points) >= MIN_MATCHES:
+                    self._place(index, fit_camera(self._grays[index].view.camera, matches, has_free_lens=is_free))
+        results = []
+        for place, (index, matches) in enumerate(zip(chosen, start, strict=True)):
+            yield Progress(0.3 + 0.7 * ((ROUNDS + 1) * len(chosen) + place) / total, "Matching photographs")
+            results.append(self._judge(given[index].view.camera, index, matches, self._match(index)))
+        return results
+
+    def _match(self, index: int) -> Matches:
+        others = self._grays[:index] + self._grays[index + 1 :]
+        matches = match_photograph(self._grays[index], others, self._surface)
+        for group in range(len(self._grays)):
+            self._scratch.release(group)
+        return matches
+
+    def _place(self, index: int, camera: PhotoCamera) -> None:
+        gray = self._grays[index]
+        self._grays[index] = replace(gray, view=View(camera, self._surface.mesh, gray.mask))
+
+    def _judge(self, given: PhotoCamera, index: int, start: Matches, end: Matches) -> Refinement:
+        """Return the result for a photograph from its matches before and after."""
+        found, name = self._grays[index].view.camera, given.name
+        before, after = (matches.mean_displacement if len(matches.points) else float("nan") for matches in (start, end))
+        if len(start.points) < MIN_MATCHES:
+            problem = (
+                f'"{name}" has {format_count(len(start.points), "part")} of the {MIN_MATCHES} that are needed whose details the other '
+                "photographs show, too; it was left as it is."
+            )
+        elif len(end.points) < (1.0 - MAX_LOST) * len(start.points) or not after <= (1.0 - MIN_GAIN) * before:
+            problem = (
+                f'"{name}" does not fit to the other photographs any better ({before:.2f} pixels before, {after:.2f} after); it was left '
+                "as it is."
+            )
+        else:
+            return Refinement(_move(found, -self._origin), before, after, len(end.points))
+        return Refinement(_move(given, -self._origin), before, before, len(start.points), problem)
+
+
+def fit_camera(camera: PhotoCamera, matches: Matches, *, has_free_lens: bool) -> PhotoCamera:
+    """Return the camera that projects the points of `matches` to where the photograph shows them, as well as it can.
+
+    has_free_lens: whether focal length and, if the lens has one, the first radial coefficient change, too.
+    """
+    local = matches.points @ camera.rotation.T + camera.translation
+    distance = float(np.median(local[:, 2]))
+    targets = matches.positions + matches.displacements
+    weights = np.sqrt(matches.confidences)[:, None]
+    sigmas = np.array([SIGMA_ROTATION] * 3 + [SIGMA_SHIFT] * 3 + ([SIGMA_FOCAL, SIGMA_RADIAL] if has_free_lens else []))
+
+    def project(parameters: np.ndarray) -> np.ndarray:
+        moved = Rotation.from_rotvec(parameters[:3]).apply(local) + distance * parameters[3:6]
+        positions, is_valid = _change_lens(camera.lens, parameters[6:]).project(moved)
+        return np.where(is_valid[:, None], positions, matches.positions)
+
+    def errors(parameters: np.ndarray, scale: float) -> np.ndarray:
+        distances = project(parameters) - targets
+        robust = np.sqrt(np.log1p(np.square(distances / scale).sum(axis=1, keepdims=True)))  # Cauchy, of the length
+        directions = distances / np.maximum(np.linalg.norm(distances, axis=1, keepdims=True), 1e-12)
+        return np.concatenate([(weights * robust * directions).ravel(), parameters / sigmas])
+
+    parameters, scale = np.zeros(len(sigmas)), MAX_SCALE
+    for _ in range(3):
+        parameters = least_squares(errors, parameters, args=(scale,), x_scale=sigmas, max_nfev=50).x
+        typical = 1.4826 * float(np.median(np.linalg.norm(project(parameters) - targets, axis=1)))
+        scale = float(np.clip(typical, MIN_SCALE, MAX_SCALE))
+    rotation = Rotation.from_rotvec(parameters[:3]).as_matrix()
+    lens = _change_lens(camera.lens, parameters[6:])
+    return PhotoCamera(camera.name, lens, rotation @ camera.rotation, rotation @ camera.translation + distance * parameters[3:6])
+
+
+def _change_lens(lens: Lens, parameters: np.ndarray) -> Lens:
+    """Return the lens after the logarithm of its focal lengths and its first radial coefficient have changed by `parameters` (2,), if
+    there are any."""
+    if not len(parameters):
+        return lens
+    factor, coefficients = float(np.exp(parameters[0])), lens.coefficients
+    if coefficients and lens.model not in WITHOUT_RADIAL:
+        coefficients = (coefficients[0] + float(parameters[1]), *coefficients[1:])
+    return replace(lens, focal=(lens.focal[0] * factor, lens.focal[1] * factor), coefficients=coefficients)
+
+
+def _move(camera: PhotoCamera, origin: np.ndarray) -> PhotoCamera:
+    """Return the camera in coordinates relative to `origin` (3,)."""
+    return replace(camera, translation=camera.translation + camera.rotation @ origin)
