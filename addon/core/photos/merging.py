@@ -17,6 +17,7 @@ from ..geometry.mesh import TriangleMesh, check_points, face_areas_and_normals
 from ..imaging.images import dilate_in_place, sample_bilinear
 from ..jobs.chunks import map_ordered
 from ..jobs.progress import Progress, StageClock, Steps, subprogress
+from .background import find_surface
 from .consistency import rate_photographs
 from .exposure import estimate_gains
 from .face_visibility import order_by_corner, prepare_surface
@@ -155,8 +156,12 @@ class _Merger:
         for index, photograph in enumerate(self.photographs):
             yield Progress(0.2 * index / len(self.photographs), "Finding visible faces")
             with self.clock.stage("visibility"):
-                self.views.append(View(photograph.camera, self.mesh, photograph.mask))
-                self.views[-1].keep_in(self.scratch, index)
+                view = View(photograph.camera, self.mesh, photograph.mask)
+                shown = find_surface(photograph, self.mesh, self.settings)
+                if shown is not None:
+                    view.exclude(~shown)
+                view.keep_in(self.scratch, index)
+                self.views.append(view)
                 self.photographs[index] = photograph.pack_in(self.scratch, index)
                 self.scratch.release(index)
 

@@ -14,6 +14,12 @@ FILLS = {
     "interpolate": Choice("Interpolate", "Interpolate colors over the surface"),
     "restore": Choice("Restore", "Continue the texture around each hole over the surface, and interpolate what is too small or too large"),
 }
+BACKGROUNDS = {
+    "none": Choice("None", "Use the photographs up to the silhouettes of the mesh"),
+    "auto": Choice("Automatic", "Leave out the color of the border of each photograph, where that is uniform"),
+    "border": Choice("Border", "Leave out the color of the border of each photograph, which may change smoothly across it"),
+    "color": Choice("Color", "Leave out one color"),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,3 +31,12 @@ class PhotosSettings(Settings):
     exposure: bool = setting(True, "Adjust the brightness and color balance of the photographs to each other")
     leveling: bool = setting(True, "Correct colors so that regions from different photographs meet without a seam. Used by Best Photograph")
     fill: str = setting("interpolate", "What fills the parts that no photograph shows", choices=FILLS)
+    background: str = setting("none", "Which pixels show the background: none of them may appear near silhouettes", choices=BACKGROUNDS)
+    background_color: tuple = setting((0.5, 0.5, 0.5), "Color of the background, as displayed. Used by Color", is_color=True)
+    background_threshold: float = setting(
+        0.0,
+        "How far the color of the background may vary, 0 for automatic. Used unless Background is None",
+        minimum=0.0,
+        maximum=1.0,
+        panel_label="Threshold",
+    )
