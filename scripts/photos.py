@@ -21,11 +21,13 @@ import bpy
 import numpy as np
 
 from farfield.addon.bridge.meshes import read_instances
+from farfield.addon.bridge.photos.mask_files import apply_mask_file, check_mask_folder
 from farfield.addon.bridge.photos.photo_files import read_photograph, size_reader
 from farfield.addon.bridge.photos.results import assign_texture, create_texture_image
 from farfield.addon.bridge.photos.surfaces import read_surface
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.files.scratch import Scratch
+from farfield.addon.core.geometry.lenses import PhotoCamera
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import StageClock, run_to_end, subprogress
 from farfield.addon.core.photos.importers import read_cameras
@@ -57,6 +59,7 @@ def build_parser() -> command_line.Parser:
         help="the cameras: a folder of COLMAP, or a transforms.json, .sfm, .out, .nvm, .mvs, .xml or .pairs file",
     )
     parser.add_argument("--images", type=command_line.parse_path, required=True, help="the folder of the photographs")
+    parser.add_argument("--masks", type=command_line.parse_path, help="a folder of masks NAME.png or NAME.jpg.png, white where usable")
     parser.add_argument("--out", type=command_line.parse_path, help="the textured mesh to write: .blend, .obj or .glb")
     parser.add_argument("--texture", type=command_line.parse_path, required=True, help="the texture to write, a PNG file")
     parser.add_argument("--overlays", type=command_line.parse_path, help="a folder for pictures of the photographs with the mesh")
@@ -92,7 +95,7 @@ def merge_files(given: Namespace, settings: PhotosSettings, texture: Path, scrat
     with clock.stage("unwrap"):
         unwrapped = unwrap_missing(objects, line)
     with clock.stage("photographs"), mute_stderr():
-        photographs = [read_photograph(camera, given.images.absolute()).keep_in(scratch, index) for index, camera in enumerate(cameras)]
+        photographs = read_photographs(given, cameras, scratch)
     surface = read_surface(read_instances(objects, bpy.context.evaluated_depsgraph_get()))
     if given.overlays is not None:
         with clock.stage("overlays"):
@@ -114,6 +117,19 @@ def merge_files(given: Namespace, settings: PhotosSettings, texture: Path, scrat
         command_line.write_report(given.report.absolute(), report)
     holes = np.count_nonzero(result.holes) / max(np.count_nonzero(result.holes | (result.source >= 0)), 1)
     return f"Merged {len(cameras)} photographs into {texture.name}; {holes:.1%} of the surface is in no photograph."
+
+
+def read_photographs(given: Namespace, cameras: list[PhotoCamera], scratch: Scratch) -> list[Photograph]:
+    """Read the photographs with their masks, each kept in the group of its index."""
+    photographs = []
+    if given.masks is not None:
+        check_mask_folder(given.masks.absolute(), [camera.name for camera in cameras])
+    for index, camera in enumerate(cameras):
+        photograph = read_photograph(camera, given.images.absolute())
+        if given.masks is not None:
+            photograph = apply_mask_file(photograph, given.masks.absolute())
+        photographs.append(photograph.keep_in(scratch, index))
+    return photographs
 
 
 def read_objects(path: Path) -> list[bpy.types.Object]:

@@ -26,6 +26,8 @@ from .sidebar import ToolPanel, draw_button, draw_message, draw_progress_bar, dr
 
 SETTINGS = describe(PhotosSettings)
 ONLY_FOR_BEST = {"leveling"}  # settings without effect in other methods
+ONLY_FOR_COLOR = {"background_color"}
+ONLY_FOR_BACKGROUND = {"background_threshold"}
 
 
 class FARFIELD_PT_photos(ToolPanel, bpy.types.Panel):
@@ -46,7 +48,7 @@ class FARFIELD_PT_photos(ToolPanel, bpy.types.Panel):
         column.operator(FARFIELD_OT_photos_draw_overlays.bl_idname, text="Draw Overlays", icon="OVERLAY")
         for setting in SETTINGS:
             item = column.column()
-            item.active = setting.name not in ONLY_FOR_BEST or group.method == "best"
+            item.active = is_active(setting.name, group)
             draw_setting(item, group, setting)
         column.prop(group, "maps")
         if draw_progress_bar(layout):
@@ -55,6 +57,15 @@ class FARFIELD_PT_photos(ToolPanel, bpy.types.Panel):
         if reason:
             draw_message(layout, reason, "INFO")
         draw_button(layout, FARFIELD_OT_photos_merge, "Merge", "TEXTURE")
+
+
+def is_active(name: str, group: bpy.types.PropertyGroup) -> bool:
+    """Return whether the setting `name` has an effect."""
+    if name in ONLY_FOR_COLOR:
+        return group.background == "color"
+    if name in ONLY_FOR_BACKGROUND:
+        return group.background != "none"
+    return name not in ONLY_FOR_BEST or group.method == "best"
 
 
 def draw_photographs(layout: bpy.types.UILayout, count: int, missing: int) -> None:
