@@ -203,11 +203,13 @@ def build_report(result: PhotoTexture, names: list[str], unwrapped: list[str], c
         "photographs": [
             {
                 "name": name,
-                "gain": [round(float(value), 4) for value in gain],
+                "gain": [round(float(value), 4) for value in correction.gain],
+                "gamma": round(correction.gamma, 4),
+                "vignetting": [round(value, 4) for value in correction.vignetting],
                 "texels": int(np.count_nonzero(result.source == index)),
                 "faces": int(np.count_nonzero(result.labels == index)),
             }
-            for index, (name, gain) in enumerate(zip(names, result.gains, strict=True))
+            for index, (name, correction) in enumerate(zip(names, result.color_corrections, strict=True))
         ],
         "unwrapped": unwrapped,
         "seconds": {name: round(value, 3) for name, value in clock.seconds.items()},

@@ -26,6 +26,7 @@ from .sidebar import ToolPanel, draw_button, draw_message, draw_progress_bar, dr
 
 SETTINGS = describe(PhotosSettings)
 ONLY_FOR_BEST = {"leveling"}  # settings without effect in other methods
+ONLY_WITH_EXPOSURE = {"gamma", "vignetting"}
 ONLY_FOR_COLOR = {"background_color"}
 ONLY_FOR_BACKGROUND = {"background_threshold"}
 
@@ -61,6 +62,8 @@ class FARFIELD_PT_photos(ToolPanel, bpy.types.Panel):
 
 def is_active(name: str, group: bpy.types.PropertyGroup) -> bool:
     """Return whether the setting `name` has an effect."""
+    if name in ONLY_WITH_EXPOSURE:
+        return group.exposure
     if name in ONLY_FOR_COLOR:
         return group.background == "color"
     if name in ONLY_FOR_BACKGROUND:

@@ -88,7 +88,7 @@ def test_a_background_without_a_uniform_color_changes_nothing():
 def test_parts_of_the_object_in_the_color_of_the_background_stay():
     texture = smooth_texture()
     texture[40:88, 40:88] = COLOR
-    mesh, _, [taken, _], [covered, _] = shoot("uniform", shift=0.0, texture=texture)
+    _, _, [taken, _], [covered, _] = shoot("uniform", shift=0.0, texture=texture)
     background = find_background(taken, covered, PhotosSettings(background="border"))
     assert not (background & binary_erosion(covered, iterations=8)).any(), "only a rim is in reach"
 

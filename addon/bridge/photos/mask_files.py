@@ -24,7 +24,9 @@ def find_mask(folder: Path, name: str) -> Path | None:
 def check_mask_folder(folder: Path, names: list[str]) -> None:
     """Check that `folder` holds a mask of at least one of the photographs `names`. Raises FileError."""
     if not any(find_mask(folder, name) for name in names):
-        raise FileError(f'There is no mask of a photograph in "{folder}"; name the masks like the photographs, "{Path(names[0]).stem}.png".')
+        raise FileError(
+            f'There is no mask of a photograph in "{folder}"; name the masks like the photographs, "{Path(names[0]).stem}.png".'
+        )
 
 
 def apply_mask_file(photograph: Photograph, folder: Path) -> Photograph:
@@ -43,6 +45,7 @@ def apply_mask_file(photograph: Photograph, folder: Path) -> Photograph:
     height, width = photograph.pixels.shape[:2]
     if usable.shape != (height, width):
         raise ImageError(
-            f'The mask "{path}" has {usable.shape[1]} x {usable.shape[0]} pixels, but its photograph {width} x {height}; save it in that size.'
+            f'The mask "{path}" has {usable.shape[1]} x {usable.shape[0]} pixels, but its photograph {width} x {height}; '
+            "save it in that size."
         )
     return replace(photograph, mask=np.ascontiguousarray(usable if photograph.mask is None else usable & photograph.mask))

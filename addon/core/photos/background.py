@@ -170,12 +170,12 @@ def _median_3x3(channel: np.ndarray) -> np.ndarray:
     """Return the medians (H, W) of 3 x 3 pixels: that of the largest minimum, the median median and the smallest maximum of the columns,
     which takes comparisons of whole images only."""
     padded = np.pad(channel, 1, mode="edge")
-    low, middle, high = _sort(padded[:-2], padded[1:-1], padded[2:])
-    columns = [[each[:, start : start + channel.shape[1]] for start in range(3)] for each in (low, middle, high)]
+    low, median, high = _sort(padded[:-2], padded[1:-1], padded[2:])
+    columns = [[each[:, start : start + channel.shape[1]] for start in range(3)] for each in (low, median, high)]
     return _sort(reduce(np.maximum, columns[0]), _sort(*columns[1])[1], reduce(np.minimum, columns[2]))[1]
 
 
 def _sort(first: np.ndarray, second: np.ndarray, third: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the smallest, middle and largest values of three images."""
+    """Return the smallest, median and largest values of three images."""
     low, high = np.minimum(first, second), np.maximum(first, second)
     return np.minimum(low, third), np.maximum(low, np.minimum(high, third)), np.maximum(high, third)

@@ -18,15 +18,15 @@ from ..imaging.images import dilate_in_place, sample_bilinear
 from ..jobs.chunks import map_ordered
 from ..jobs.progress import Progress, StageClock, Steps, subprogress
 from .background import find_surface
+from .color_correction import ColorCorrection, estimate_corrections
 from .consistency import rate_photographs
-from .exposure import estimate_gains
 from .face_visibility import order_by_corner, prepare_surface
 from .hole_filling import HoleCounts, HoleFiller
 from .labels import choose_labels
 from .leveling import VertexLabels, find_vertex_labels, solve_corrections
 from .observations import MAX_OBSERVATIONS, POINTS, Observations, observe, sample_surface
 from .overlaps import check_overlaps
-from .photographs import Photograph, apply_gain
+from .photographs import Photograph
 from .settings import PhotosSettings
 from .stages import CLASS_COLORS, classify_texels, draw_trust
 from .surface import interpolate_colors
@@ -45,7 +45,7 @@ class PhotoTexture:
 
     colors: (H, W, 3) float32, sRGB-encoded, row 0 at the bottom. confidence: (H, W) float32, 0 to 1, the pixels per texel along one axis of
     the best photograph. source: (H, W) int16, the photograph with the largest weight, -1 for none. holes: (H, W) bool, covered texels that
-    no photograph shows. gains: (K, 3). labels: (T,) the photograph of each triangle, -1 for none.
+    no photograph shows. color_corrections: K. labels: (T,) the photograph of each triangle, -1 for none.
     hole_counts: if they were restored. stages: pictures (H, W, 3) by name, if they were requested: `used NAME` for each photograph,
     `classes`, `photographed` and `interpolated`.
     """
@@ -54,11 +54,16 @@ class PhotoTexture:
     confidence: np.ndarray
     source: np.ndarray
     holes: np.ndarray
-    gains: np.ndarray
+    color_corrections: list[ColorCorrection]
     labels: np.ndarray
     hole_counts: HoleCounts | None
     seconds: dict[str, float]
     stages: dict[str, np.ndarray]
+
+    @property
+    def gains(self) -> np.ndarray:
+        """(K, 3) gains of the photographs per channel."""
+        return np.array([correction.gain for correction in self.color_corrections])
 
 
 def merge(
@@ -149,7 +154,7 @@ class _Merger:
         self.corner_normals = corner_normals(self.mesh, self.normals)
         self.edges: Edges = find_edges(mesh.triangles, len(mesh.vertices))
         self.views: list[View] = []
-        self.gains = np.ones((len(photographs), 3))
+        self.color_corrections = [ColorCorrection(photograph.camera.lens, np.ones(3)) for photograph in photographs]
 
     def look(self) -> Steps[None]:
         """Find out what each photograph shows."""
@@ -170,11 +175,11 @@ class _Merger:
         count = min(POINTS, MAX_OBSERVATIONS // len(self.photographs))
         points = sample_surface(self.mesh, self.corner_normals, self.areas, count)
         observed = observe(points, self.photographs, self.views, self.scratch)
-        self._estimate_gains(observed, None)
+        self._estimate_colors(observed, None)
         colors = np.empty_like(observed.colors)
-        for index, gain in enumerate(self.gains):
+        for index, correction in enumerate(self.color_corrections):
             own = observed.photographs == index
-            colors[own] = apply_gain(observed.colors[own], gain)
+            colors[own] = correction.apply(observed.colors[own], observed.positions[own])
         sizes = [photograph.camera.lens.size for photograph in self.photographs]
         weights = np.empty(len(observed.points), np.float32)
         for index, (view, cells, size) in enumerate(zip(self.views, rate_photographs(observed, colors, sizes), sizes, strict=True)):
@@ -184,13 +189,17 @@ class _Merger:
             own = observed.photographs == index
             weights[own] = sample_bilinear(cells[..., None], observed.positions[own] / np.array(size) * cells.shape[::-1])[:, 0]
             self.scratch.release(index)
-        self._estimate_gains(observed, weights)
+        self._estimate_colors(observed, weights)
 
-    def _estimate_gains(self, observed: Observations, weights: np.ndarray | None) -> None:
+    def _estimate_colors(self, observed: Observations, weights: np.ndarray | None) -> None:
         if self.settings.exposure and len(self.photographs) > 1:
             few = slice(int(np.searchsorted(observed.points, EXPOSURE_POINTS)))
             part = Observations(*(values[few] for values in observed))
-            self.gains = estimate_gains(part, len(self.photographs), None if weights is None else weights[few])
+            lenses = [photograph.camera.lens for photograph in self.photographs]
+            given = None if weights is None else weights[few]
+            self.color_corrections = estimate_corrections(
+                part, lenses, given, has_gamma=self.settings.gamma, has_vignetting=self.settings.vignetting
+            )
 
     def label(self) -> None:
         """Choose the photograph of each triangle."""
@@ -222,7 +231,8 @@ class _Merger:
         for index, view in enumerate(self.views):
             seen = view.see(self.mesh.vertices, self.normals)
             smooth = np.zeros((len(self.mesh.vertices), 3), np.float32)
-            smooth[seen.indices] = apply_gain(self.photographs[index].smoothed().sample(seen.positions), self.gains[index])
+            encoded = self.photographs[index].smoothed().sample(seen.positions)
+            smooth[seen.indices] = self.color_corrections[index].apply(encoded, seen.positions)
             is_visible = np.zeros(len(smooth), bool)
             is_visible[seen.indices] = True
             sums[seen.indices] += seen.weights[:, None] * smooth[seen.indices]
@@ -247,7 +257,7 @@ class _Merger:
         with self.clock.stage("faces"):
             surface = prepare_surface(self.mesh, self.normals, self.corner_normals)
             is_cosine = self.settings.method == "paper"
-            painter = TexelPainter(surface, self.photographs, self.views, self.gains, self.scratch, is_cosine=is_cosine)
+            painter = TexelPainter(surface, self.photographs, self.views, self.color_corrections, self.scratch, is_cosine=is_cosine)
             if len(self.pairs.keys):
                 painter.use_labels(self.pairs, self.corrections)
         self.colors, self.confidence = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
@@ -300,7 +310,7 @@ class _Merger:
             confidence=self.confidence.reshape(size, size),
             source=self.source.reshape(size, size),
             holes=(covered & ~found).reshape(size, size),
-            gains=self.gains,
+            color_corrections=self.color_corrections,
             labels=self.labels,
             hole_counts=holes,
             seconds=self.clock.seconds,

@@ -29,10 +29,14 @@ class PhotosSettings(Settings):
     size: int = setting(4096, "Pixels per side of the texture", minimum=16, maximum=32768)
     method: str = setting("average", "How photographs are combined", choices=METHODS)
     exposure: bool = setting(True, "Adjust the brightness and color balance of the photographs to each other")
+    gamma: bool = setting(False, "Adjust the contrast of the photographs to each other, too. Used with Exposure")
+    vignetting: bool = setting(False, "Correct photographs that are darker towards their corners. Used with Exposure")
     leveling: bool = setting(True, "Correct colors so that regions from different photographs meet without a seam. Used by Best Photograph")
     fill: str = setting("interpolate", "What fills the parts that no photograph shows", choices=FILLS)
     background: str = setting("none", "Which pixels show the background: none of them may appear near silhouettes", choices=BACKGROUNDS)
-    background_color: tuple = setting((0.5, 0.5, 0.5), "Color of the background, as displayed. Used by Color", is_color=True)
+    background_color: tuple = setting(
+        (0.5, 0.5, 0.5), "Color of the background, as displayed. Used by Color", is_color=True, panel_label="Color"
+    )
     background_threshold: float = setting(
         0.0,
         "How far the color of the background may vary, 0 for automatic. Used unless Background is None",

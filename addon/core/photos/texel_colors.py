@@ -3,9 +3,10 @@
 import numpy as np
 
 from ..files.scratch import Scratch
+from .color_correction import ColorCorrection
 from .face_visibility import FaceVisibility, ShownSurface
 from .leveling import VertexLabels
-from .photographs import Photograph, apply_gain
+from .photographs import Photograph
 from .texels import TexelTile
 from .views import View
 
@@ -50,14 +51,14 @@ class TexelPainter:
         surface: ShownSurface,
         photographs: list[Photograph],
         views: list[View],
-        gains: np.ndarray,
+        color_corrections: list[ColorCorrection],
         scratch: Scratch,
         *,
         is_cosine: bool,
     ) -> None:
         """Look at all triangles; `is_cosine`: whether photographs are weighted by the cosine between normal and view direction alone.
         `scratch` keeps what belongs to a photograph in its group."""
-        self._surface, self._photographs, self._gains = surface, photographs, gains
+        self._surface, self._photographs, self._color_corrections = surface, photographs, color_corrections
         self.faces, self._scratch = [], scratch
         for index, view in enumerate(views):
             self.faces.append(FaceVisibility(view, surface, is_cosine=is_cosine))
@@ -90,4 +91,4 @@ class TexelPainter:
         return found
 
     def _sample(self, index: int, positions: np.ndarray) -> np.ndarray:
-        return apply_gain(self._photographs[index].sample(positions), self._gains[index])
+        return self._color_corrections[index].apply(self._photographs[index].sample(positions), positions)
