@@ -23,6 +23,7 @@ import bpy
 import numpy as np
 
 from farfield.addon.bridge.meshes import read_instances
+from farfield.addon.bridge.photos.mask_files import apply_mask_file, check_mask_folder
 from farfield.addon.bridge.photos.material_groups import MaterialGroups, assign_to_materials, read_material_groups
 from farfield.addon.bridge.photos.page_images import create_textures
 from farfield.addon.bridge.photos.photo_files import read_photograph, size_reader
@@ -30,12 +31,14 @@ from farfield.addon.bridge.photos.results import assign_texture
 from farfield.addon.bridge.photos.surfaces import read_surface
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.files.scratch import Scratch
+from farfield.addon.core.geometry.lenses import PhotoCamera
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import StageClock, run_to_end, subprogress
 from farfield.addon.core.photos.importers import read_cameras
-from farfield.addon.core.photos.merging import PhotoTexture, merge
+from farfield.addon.core.photos.merging import merge
 from farfield.addon.core.photos.overlays import draw_overlay
 from farfield.addon.core.photos.pages import PageLayout, lay_out_pages
+from farfield.addon.core.photos.photo_texture import PhotoTexture
 from farfield.addon.core.photos.photographs import Photograph
 from farfield.addon.core.photos.refinement import refine
 from farfield.addon.core.photos.settings import PhotosSettings
@@ -67,6 +70,7 @@ def build_parser() -> command_line.Parser:
         help="the cameras: a folder of COLMAP, or a transforms.json, .sfm, .out, .nvm, .mvs, .xml or .pairs file",
     )
     parser.add_argument("--images", type=command_line.parse_path, required=True, help="the folder of the photographs")
+    parser.add_argument("--masks", type=command_line.parse_path, help="a folder of masks NAME.png or NAME.jpg.png, white where usable")
     parser.add_argument("--out", type=command_line.parse_path, help="the textured mesh to write: .blend, .obj or .glb")
     parser.add_argument(
         "--texture",
@@ -127,7 +131,7 @@ def merge_files(given: Namespace, settings: PhotosSettings, texture: Path, scrat
     paths = TexturePaths(texture, layout, None if groups is None else groups.names)
     check_files(given, paths.pages)
     with clock.stage("photographs"), mute_stderr():
-        photographs = [read_photograph(camera, given.images.absolute()).keep_in(scratch, index) for index, camera in enumerate(cameras)]
+        photographs = read_photographs(given, cameras, scratch)
     refined = []
     if given.refine is not None:
         with clock.stage("refinement"):
@@ -148,12 +152,27 @@ def merge_files(given: Namespace, settings: PhotosSettings, texture: Path, scrat
             assign(result, objects, layout, groups, paths)
             write_scene(objects, given.out.absolute())
     if given.report is not None:
-        report = build_report(result, [camera.name for camera in cameras], unwrapped, layout, groups, paths.pages, clock) | {"refined": refined}
+        report = build_report(result, [camera.name for camera in cameras], unwrapped, layout, groups, paths.pages, clock) | {
+            "refined": refined
+        }
         command_line.write_report(given.report.absolute(), report)
     holes = np.count_nonzero(result.holes) / max(np.count_nonzero(result.holes | (result.source >= 0)), 1)
     summary = f"Merged {len(cameras)} photographs into {texture.name}; {holes:.1%} of the surface is in no photograph."
     count = sum(each["problem"] is None for each in refined)
     return f"Refined {count} of {format_count(len(refined), 'camera')}. {summary}" if refined else summary
+
+
+def read_photographs(given: Namespace, cameras: list[PhotoCamera], scratch: Scratch) -> list[Photograph]:
+    """Read the photographs with their masks, each kept in the group of its index."""
+    photographs = []
+    if given.masks is not None:
+        check_mask_folder(given.masks.absolute(), [camera.name for camera in cameras])
+    for index, camera in enumerate(cameras):
+        photograph = read_photograph(camera, given.images.absolute())
+        if given.masks is not None:
+            photograph = apply_mask_file(photograph, given.masks.absolute())
+        photographs.append(photograph.keep_in(scratch, index))
+    return photographs
 
 
 def read_objects(path: Path) -> list[bpy.types.Object]:
@@ -291,11 +310,13 @@ def build_report(
         "photographs": [
             {
                 "name": name,
-                "gain": [round(float(value), 4) for value in gain],
+                "gain": [round(float(value), 4) for value in correction.gain],
+                "gamma": round(correction.gamma, 4),
+                "vignetting": [round(value, 4) for value in correction.vignetting],
                 "texels": int(np.count_nonzero(result.source == index)),
                 "faces": int(np.count_nonzero(result.labels == index)),
             }
-            for index, (name, gain) in enumerate(zip(names, result.gains, strict=True))
+            for index, (name, correction) in enumerate(zip(names, result.color_corrections, strict=True))
         ],
         "unwrapped": unwrapped,
         "seconds": {name: round(value, 3) for name, value in clock.seconds.items()},

@@ -25,18 +25,42 @@ from ..operators.photos.registration import (
     find_image_problem,
 )
 from ..operators.photos.sources import disabled_reason, find_cameras
-from .sidebar import ToolPanel, draw_button, draw_message, draw_progress_bar, draw_setting, settings_column
+from .sidebar import SettingsSubPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, settings_column
 
-SETTINGS = describe(PhotosSettings)
 ONLY_FOR_BEST = {"blending"}  # settings without effect in other methods
+ONLY_WITH_EXPOSURE = {"gamma", "vignetting"}
+ONLY_FOR_COLOR = {"background_color"}
+ONLY_FOR_BACKGROUND = {"background_threshold"}
+NOT_FOR_PAPER = {"sharpen"}
 
 
-class FARFIELD_PT_photos(ToolPanel, bpy.types.Panel):
+class PhotosSettingsPanel(SettingsSubPanel):
+    """Mixin of the panels that show settings of photo textures."""
+
+    settings = describe(PhotosSettings)
+    property_name = "farfield_photos"
+
+    @staticmethod
+    def is_active(name: str, group: bpy.types.PropertyGroup) -> bool:
+        """Return whether the setting `name` has an effect."""
+        if name in ONLY_WITH_EXPOSURE:
+            return group.exposure
+        if name in ONLY_FOR_COLOR:
+            return group.background == "color"
+        if name in ONLY_FOR_BACKGROUND:
+            return group.background != "none"
+        if name in NOT_FOR_PAPER:
+            return group.method != "paper"
+        return name not in ONLY_FOR_BEST or group.method == "best"
+
+
+class FARFIELD_PT_photos(PhotosSettingsPanel, ToolPanel, bpy.types.Panel):
     """The photographs, the settings, and the Merge button or the progress bar."""
 
     bl_idname = "FARFIELD_PT_photos"
     bl_label = "Photo Texture"
     page = "photos"
+    group_name = ""
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -50,17 +74,23 @@ class FARFIELD_PT_photos(ToolPanel, bpy.types.Panel):
         is_shown = coverage_overlay.is_shown
         column.operator(FARFIELD_OT_photos_show_coverage.bl_idname, text="Show Coverage", icon="SHADING_SOLID", depress=is_shown)
         column.operator(FARFIELD_OT_photos_refine.bl_idname, text="Refine Cameras", icon="CON_CAMERASOLVER")
-        for setting in SETTINGS:
-            item = column.column()
-            item.active = setting.name not in ONLY_FOR_BEST or group.method == "best"
-            draw_setting(item, group, setting)
-        column.prop(group, "maps")
+        self.draw_settings(context)
+        settings_column(layout).prop(group, "maps")
         if draw_progress_bar(layout):
             return
         reason = disabled_reason(context)
         if reason:
             draw_message(layout, reason, "INFO")
         draw_button(layout, FARFIELD_OT_photos_merge, "Merge", "TEXTURE")
+
+
+class FARFIELD_PT_photos_photographs(PhotosSettingsPanel, bpy.types.Panel):
+    """Corrections of the photographs, and what is left out of them."""
+
+    bl_idname = "FARFIELD_PT_photos_photographs"
+    bl_label = "Photographs"
+    bl_parent_id = "FARFIELD_PT_photos"
+    bl_options = {"DEFAULT_CLOSED"}
 
 
 def draw_photographs(layout: bpy.types.UILayout, count: int, missing: int) -> None:
@@ -124,5 +154,5 @@ def draw_pairs(layout: bpy.types.UILayout, group: bpy.types.PropertyGroup) -> No
         column.label(text=f"Arrows: errors x {ARROW_SCALE:g}")
 
 
-CLASSES = (FARFIELD_PT_photos, FARFIELD_PT_photos_registration)
+CLASSES = (FARFIELD_PT_photos, FARFIELD_PT_photos_photographs, FARFIELD_PT_photos_registration)
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

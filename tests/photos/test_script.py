@@ -141,3 +141,21 @@ def test_a_mesh_far_away_says_so(folder):
         run(*inputs(folder, "far.obj"), "--texture", folder / "t.png", "--overlays", folder / "overlays")
     written = sorted(path.name for path in (folder / "overlays").iterdir())
     assert written == [f"{index}.overlay.png" for index in range(3)], "they show what is wrong"
+
+
+def test_masked_pixels_are_not_used(folder):
+    """The masks of all photographs but the second exclude everything, which that of the second leaves."""
+    masks = folder / "masks"
+    masks.mkdir()
+    black = np.zeros((240, 300, 1), np.uint8)
+    write_image(masks / "0.png", black)
+    write_image(masks / "2.png.png", black)
+    report = folder / "report.json"
+    run(*inputs(folder), "--masks", masks, "--texture", folder / "t.png", "--report", report)
+    texels = [each["texels"] for each in json.loads(report.read_text(encoding="utf-8"))["photographs"]]
+    assert texels[0] == texels[2] == 0 < texels[1]
+    write_image(masks / "0.png", black[:100])
+    with pytest.raises(ImageError, match=r"has 300 x 100 pixels, but its photograph 300 x 240"):
+        run(*inputs(folder), "--masks", masks, "--texture", folder / "u.png")
+    with pytest.raises(FileError, match="There is no mask of a photograph in"):
+        run(*inputs(folder), "--masks", folder, "--texture", folder / "u.png")

@@ -7,8 +7,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ...core.photos.merging import PhotoTexture
 from ...core.photos.pages import FIRST_TILE, PageLayout
+from ...core.photos.photo_texture import PhotoTexture
 from ..images import create_image
 from ..tiled_images import EXTENSIONS, open_tiles, pack_tiles, save_pixels
 from .results import map_pixels, texture_pixels

@@ -16,7 +16,7 @@ TOLERANCE = 1e-4  # relative residual
 
 
 class PixelLinks(NamedTuple):
-    """Pairs of neighbors among the U used pixels of an image: indices first and second (L,) of used pixels; their rows and columns (U, 2)."""
+    """Pairs of neighbors among the U used pixels of an image: first and second (L,), their indices; positions (U, 2), rows and columns."""
 
     first: np.ndarray
     second: np.ndarray

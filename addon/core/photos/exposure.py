@@ -21,10 +21,8 @@ REGULARIZATION = 1e-3  # relative to the number of comparisons; photographs with
 
 def estimate_gains(observed: Observations, count: int, weights: np.ndarray | None = None) -> np.ndarray:
     """Return gains (K, 3) for `count` photographs; `weights` (N,) of the observations are 1 by default."""
-    usable = (observed.colors.max(axis=1) < MAX_ENCODED) & (True if weights is None else weights > 0.0)
-    given = np.ones(len(observed.points)) if weights is None else weights
-    usable &= _rank(observed.points, usable) < MAX_PER_POINT
-    points, photographs, given = observed.points[usable], observed.photographs[usable], given[usable]
+    usable, given = choose_observations(observed, weights)
+    points, photographs = observed.points[usable], observed.photographs[usable]
     logarithms = np.log(np.maximum(decode_signed_srgb(observed.colors[usable]), MIN_LINEAR))
     gains = np.zeros((count, 3))
     for channel in range(3):
@@ -37,6 +35,14 @@ def estimate_gains(observed: Observations, count: int, weights: np.ndarray | Non
             if np.abs(gains[:, channel] - previous).max() < TOLERANCE:
                 break
     return np.exp(gains)
+
+
+def choose_observations(observed: Observations, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Return which observations (N,) bool are compared, not clipped and few of each point, and the weights (M,) of those."""
+    usable = (observed.colors.max(axis=1) < MAX_ENCODED) & (True if weights is None else weights > 0.0)
+    given = np.ones(len(observed.points)) if weights is None else weights
+    usable &= _rank(observed.points, usable) < MAX_PER_POINT
+    return usable, given[usable]
 
 
 def _rank(points: np.ndarray, usable: np.ndarray) -> np.ndarray:

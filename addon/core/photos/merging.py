@@ -5,8 +5,7 @@ their exposures and then their colors at the vertices have been adjusted to each
 average of all others, and texels that none shows are interpolated over the surface.
 """
 
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,19 +18,22 @@ from ..imaging.images import dilate_in_place, sample_bilinear
 from ..jobs.chunks import map_ordered
 from ..jobs.progress import Progress, StageClock, Steps, subprogress
 from .alignment import align
+from .background import find_surface
 from .blending import BlendedSurface, blend_gradients, blend_labels, blend_masks, shrink_masks
+from .color_correction import ColorCorrection, estimate_corrections
 from .consistency import rate_photographs
-from .exposure import estimate_gains
 from .face_visibility import VISIBLE, order_by_corner, prepare_surface
 from .hole_borders import interpolate_holes
 from .hole_filling import HoleCounts, HoleFiller
 from .labels import choose_labels
-from .leveling import VertexLabels, find_vertex_labels, solve_corrections
+from .leveling import VertexLabels, find_vertex_labels
 from .matching import Surface
 from .observations import MAX_OBSERVATIONS, POINTS, Observations, observe, sample_surface
 from .overlaps import check_overlaps
 from .pages import check_texel_count
-from .photographs import Photograph, apply_gain
+from .photo_texture import PhotoTexture
+from .photographs import Photograph
+from .regions import VertexSurface, color_vertices, rate_faces
 from .settings import PhotosSettings
 from .sharpening import find_residuals
 from .stages import CLASS_COLORS, classify_texels, draw_trust
@@ -40,51 +42,8 @@ from .texel_colors import NO_PHOTOGRAPH, TexelPainter
 from .texels import TexelMap, corner_normals, vertex_normals
 from .views import View
 
-FACE_SAMPLES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])  # barycentric
 EXPOSURE_POINTS = 20_000
 GUTTER = 8  # texels around covered ones that get the mean of their neighbors
-
-
-class TexturePage(NamedTuple):
-    """The images of one page, as in `PhotoTexture`, with as many rows as columns."""
-
-    colors: np.ndarray
-    confidence: np.ndarray
-    source: np.ndarray
-    holes: np.ndarray
-
-    @property
-    def texel_count(self) -> int:
-        """The number of texels on the surface."""
-        return int(np.count_nonzero(self.holes | (self.source != NO_PHOTOGRAPH)))
-
-
-@dataclass(frozen=True)
-class PhotoTexture:
-    """The result of `merge`. Images stack the pages, the first at the bottom: H = P * W.
-
-    colors: (H, W, 3) float32, sRGB-encoded, row 0 at the bottom. confidence: (H, W) float32, 0 to 1, the pixels per texel along one axis of
-    the best photograph. source: (H, W) int16, the photograph with the largest weight, -1 for none. holes: (H, W) bool, covered texels that
-    no photograph shows. gains: (K, 3). labels: (T,) the photograph of each triangle, -1 for none.
-    hole_counts: if they were restored. stages: pictures by name, if they were requested: `used NAME` for each photograph, and
-    `classes`, `photographed` and `interpolated` (H, W, 3).
-    """
-
-    colors: np.ndarray
-    confidence: np.ndarray
-    source: np.ndarray
-    holes: np.ndarray
-    gains: np.ndarray
-    labels: np.ndarray
-    hole_counts: HoleCounts | None
-    seconds: dict[str, float]
-    stages: dict[str, np.ndarray]
-
-    def page(self, index: int) -> TexturePage:
-        """Return the images of one page."""
-        size = self.colors.shape[1]
-        rows = slice(index * size, (index + 1) * size)
-        return TexturePage(self.colors[rows], self.confidence[rows], self.source[rows], self.holes[rows])
 
 
 def merge(
@@ -135,9 +94,6 @@ def _merge(merger: "_Merger") -> Steps[PhotoTexture]:
     yield Progress(0.3, "Choosing photographs")
     with clock.stage("labels"):
         merger.label()
-    yield Progress(0.33, "Adjusting colors")
-    with clock.stage("leveling"):
-        merger.level()
     yield from merger.fill_texels()
     if settings.sharpen and settings.method != "paper":
         yield from merger.sharpen()
@@ -185,15 +141,19 @@ class _Merger:
         self.corner_normals = corner_normals(self.mesh, self.normals)
         self.edges: Edges = find_edges(mesh.triangles, len(mesh.vertices))
         self.views: list[View] = []
-        self.gains = np.ones((len(photographs), 3))
+        self.color_corrections = [ColorCorrection(photograph.camera.lens, np.ones(3)) for photograph in photographs]
 
     def look(self) -> Steps[None]:
         """Find out what each photograph shows."""
         for index, photograph in enumerate(self.photographs):
             yield Progress(0.2 * index / len(self.photographs), "Finding visible faces")
             with self.clock.stage("visibility"):
-                self.views.append(View(photograph.camera, self.mesh, photograph.mask))
-                self.views[-1].keep_in(self.scratch, index)
+                view = View(photograph.camera, self.mesh, photograph.mask)
+                shown = find_surface(photograph, self.mesh, self.settings)
+                if shown is not None:
+                    view.exclude(~shown)
+                view.keep_in(self.scratch, index)
+                self.views.append(view)
                 self.photographs[index] = photograph.pack_in(self.scratch, index)
                 self.scratch.release(index)
 
@@ -202,11 +162,11 @@ class _Merger:
         count = min(POINTS, MAX_OBSERVATIONS // len(self.photographs))
         points = sample_surface(self.mesh, self.corner_normals, self.areas, count)
         observed = observe(points, self.photographs, self.views, self.scratch)
-        self._estimate_gains(observed, None)
+        self._estimate_colors(observed, None)
         colors = np.empty_like(observed.colors)
-        for index, gain in enumerate(self.gains):
+        for index, correction in enumerate(self.color_corrections):
             own = observed.photographs == index
-            colors[own] = apply_gain(observed.colors[own], gain)
+            colors[own] = correction.apply(observed.colors[own], observed.positions[own])
         sizes = [photograph.camera.lens.size for photograph in self.photographs]
         weights = np.empty(len(observed.points), np.float32)
         for index, (view, cells, size) in enumerate(zip(self.views, rate_photographs(observed, colors, sizes), sizes, strict=True)):
@@ -216,67 +176,41 @@ class _Merger:
             own = observed.photographs == index
             weights[own] = sample_bilinear(cells[..., None], observed.positions[own] / np.array(size) * cells.shape[::-1])[:, 0]
             self.scratch.release(index)
-        self._estimate_gains(observed, weights)
+        self._estimate_colors(observed, weights)
 
-    def _estimate_gains(self, observed: Observations, weights: np.ndarray | None) -> None:
+    def _estimate_colors(self, observed: Observations, weights: np.ndarray | None) -> None:
         if self.settings.exposure and len(self.photographs) > 1:
             few = slice(int(np.searchsorted(observed.points, EXPOSURE_POINTS)))
             part = Observations(*(values[few] for values in observed))
-            self.gains = estimate_gains(part, len(self.photographs), None if weights is None else weights[few])
+            lenses = [photograph.camera.lens for photograph in self.photographs]
+            given = None if weights is None else weights[few]
+            self.color_corrections = estimate_corrections(
+                part, lenses, given, has_gamma=self.settings.gamma, has_vignetting=self.settings.vignetting
+            )
 
     def align(self) -> Steps[None]:
         """Make the photographs show the surface at the same places."""
         surface = Surface(self.mesh, self.corner_normals)
-        self.photographs = yield from align(self.photographs, self.views, self.gains, surface, self.scratch)
+        self.photographs = yield from align(
+            self.photographs, self.views, [each.gain for each in self.color_corrections], surface, self.scratch
+        )
 
     def label(self) -> None:
-        """Choose the photograph of each triangle."""
+        """Choose the photograph of each triangle, and compute the colors of vertices."""
+        self.labels = np.full(len(self.mesh.triangles), NO_PHOTOGRAPH, np.int32)
+        surface = VertexSurface(self.mesh, self.normals, self.corner_normals, self.edges)
         if self.settings.method == "best":
-            self.labels = choose_labels(self._rate_faces(), self.edges)
-        else:
-            self.labels = np.full(len(self.mesh.triangles), NO_PHOTOGRAPH, np.int32)
+            self.labels = choose_labels(rate_faces(surface, self.views, self.scratch), self.edges)
         self.pairs: VertexLabels = find_vertex_labels(self.mesh.triangles, self.labels, self.areas, len(self.photographs))
-
-    def _rate_faces(self) -> np.ndarray:
-        """Return how well (T, K) each photograph shows each triangle, 0 if not all of it."""
-        corners, normals = self.mesh.corners, self.corner_normals
-        qualities = np.zeros((len(corners), len(self.views)), np.float32)
-        for index, view in enumerate(self.views):
-            counts = np.zeros(len(corners), np.int32)
-            for barycentric in FACE_SAMPLES:
-                seen = view.see(np.einsum("i,tic->tc", barycentric, corners), _unit(np.einsum("i,tic->tc", barycentric, normals)))
-                counts[seen.indices] += 1
-                qualities[seen.indices, index] += seen.weights / np.float32(len(FACE_SAMPLES))
-            qualities[counts < len(FACE_SAMPLES), index] = 0.0
-            self.scratch.release(index)
-        return qualities
-
-    def level(self) -> None:
-        """Compute the colors of vertices and their corrections."""
-        self.corrections = np.zeros((len(self.pairs.keys), 3), np.float32)
-        colors, visible = np.zeros((len(self.pairs.keys), 3), np.float32), np.zeros(len(self.pairs.keys), bool)
-        sums, weights = np.zeros((len(self.mesh.vertices), 3)), np.zeros(len(self.mesh.vertices))
-        for index, view in enumerate(self.views):
-            seen = view.see(self.mesh.vertices, self.normals)
-            smooth = np.zeros((len(self.mesh.vertices), 3), np.float32)
-            smooth[seen.indices] = apply_gain(self.photographs[index].smoothed().sample(seen.positions), self.gains[index])
-            is_visible = np.zeros(len(smooth), bool)
-            is_visible[seen.indices] = True
-            sums[seen.indices] += seen.weights[:, None] * smooth[seen.indices]
-            weights[seen.indices] += seen.weights
-            own = np.flatnonzero(self.pairs.photographs == index)
-            colors[own], visible[own] = smooth[self.pairs.vertices[own]], is_visible[self.pairs.vertices[own]]
-            self.scratch.release(index)
-        if self.settings.blending == "level" and len(self.pairs.keys):
-            self.corrections = solve_corrections(self.pairs, colors, visible, self.edges)
-        self.vertex_colors = np.where(weights[:, None] > 0.0, sums / np.maximum(weights, 1e-30)[:, None], 0.0)
-        self.bound = weights > 0.0
-        shown = self.pairs.weights * visible
-        totals = np.bincount(self.pairs.vertices, shown, len(self.mesh.vertices))
-        has_label = totals > 0.5
-        for channel in range(3):
-            leveled = np.bincount(self.pairs.vertices, shown * (colors + self.corrections)[:, channel], len(self.mesh.vertices))
-            self.vertex_colors[has_label, channel] = leveled[has_label] / totals[has_label]
+        self.vertex_colors = color_vertices(
+            surface,
+            self.pairs,
+            self.photographs,
+            self.views,
+            self.color_corrections,
+            self.scratch,
+            is_leveled=self.settings.blending == "level",
+        )
 
     def fill_texels(self) -> Steps[None]:
         """Compute the texels, tile by tile."""
@@ -284,9 +218,9 @@ class _Merger:
         with self.clock.stage("faces"):
             surface = prepare_surface(self.mesh, self.normals, self.corner_normals)
             is_cosine = self.settings.method == "paper"
-            self.painter = TexelPainter(surface, self.photographs, self.views, self.gains, self.scratch, is_cosine=is_cosine)
+            self.painter = TexelPainter(surface, self.photographs, self.views, self.color_corrections, self.scratch, is_cosine=is_cosine)
             if len(self.pairs.keys):
-                self.painter.use_labels(self.pairs, self.corrections)
+                self.painter.use_labels(self.pairs, self.vertex_colors.corrections)
         self.colors, self.confidence = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
         self.source = np.full(count, NO_PHOTOGRAPH, np.int16)
         done, total = 0, int(np.count_nonzero(self.map.triangles >= 0))
@@ -322,11 +256,11 @@ class _Merger:
         if not found.any():
             raise GeometryError(_explain_blindness(self.mesh, self.photographs, self.settings.method == "paper"))
         if self.keep_stages:
-            classes = classify_texels(self.map.triangles, found, self.mesh.triangles, self.bound)
+            classes = classify_texels(self.map.triangles, found, self.mesh.triangles, self.vertex_colors.bound)
             self._keep_stage("classes", CLASS_COLORS[classes])
             self._keep_stage("photographed", self.colors)
         if self.settings.fill != "none":
-            colors, known = interpolate_colors(self.vertex_colors, self.bound, self.edges)
+            colors, known = interpolate_colors(self.vertex_colors.colors, self.vertex_colors.bound, self.edges)
             colors[~known] = self.colors[found].mean(axis=0, dtype=np.float64)
             interpolate_holes(self.map, self.colors, found, order_by_corner(colors[self.mesh.triangles]))
             if self.keep_stages:
@@ -375,7 +309,7 @@ class _Merger:
             confidence=self.confidence.reshape(-1, size),
             source=self.source.reshape(-1, size),
             holes=(covered & ~found).reshape(-1, size),
-            gains=self.gains,
+            color_corrections=self.color_corrections,
             labels=self.labels,
             hole_counts=holes,
             seconds=self.clock.seconds,
@@ -407,8 +341,3 @@ def _explain_blindness(mesh: TriangleMesh, photographs: list[Photograph], is_pap
             "Paper."
         )
     return "No photograph shows the front of a face; flip the normals of the mesh, or check the masks of the photographs."
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return vectors / np.where(lengths > 0.0, lengths, 1.0)

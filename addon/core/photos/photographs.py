@@ -107,12 +107,20 @@ def shift_positions(positions: np.ndarray, displacements: np.ndarray | None, siz
     return positions + sample_bilinear(displacements, positions / np.array(size, np.float32) * np.float32(displacements.shape[1::-1]))
 
 
-def apply_gain(encoded: np.ndarray, gain: np.ndarray) -> np.ndarray:
-    """Return encoded colors (N, 3) float32 whose linear values are multiplied by `gain` (3,), to within 1e-3."""
-    curves = encode_signed_srgb(decode_signed_srgb(np.linspace(0.0, 1.0, CURVE_SIZE)[:, None]) * gain).astype(np.float32)
+def apply_gain(encoded: np.ndarray, gain: np.ndarray, gamma: float = 1.0) -> np.ndarray:
+    """Return encoded colors (N, 3) float32 whose linear values are raised to the power `gamma` and multiplied by `gain` (3,), to within
+    1e-3."""
+    curves = _expose(np.linspace(0.0, 1.0, CURVE_SIZE)[:, None], gain, gamma).astype(np.float32)
     indices = np.clip(encoded, 0.0, 1.0) * np.float32(CURVE_SIZE - 1) + np.float32(0.5)
     result = np.stack([np.take(curves[:, channel], indices[:, channel].astype(np.int16)) for channel in range(3)], axis=1)
     outside = np.flatnonzero(((encoded < 0.0) | (encoded > 1.0)).any(axis=1))
     if len(outside):
-        result[outside] = encode_signed_srgb(decode_signed_srgb(encoded[outside]) * gain)
+        result[outside] = _expose(encoded[outside], gain, gamma)
     return result
+
+
+def _expose(encoded: np.ndarray, gain: np.ndarray, gamma: float) -> np.ndarray:
+    linear = decode_signed_srgb(encoded)
+    if gamma != 1.0:
+        linear = np.copysign(np.abs(linear) ** gamma, linear)
+    return encode_signed_srgb(linear * gain)

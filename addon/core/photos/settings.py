@@ -26,6 +26,12 @@ MATERIALS = {
     "replace": Choice("Replace", "One texture and one new material for everything"),
     "keep": Choice("Keep", "A texture for each material, as the base color of a copy of it; UV maps may overlap those of other materials"),
 }
+BACKGROUNDS = {
+    "none": Choice("None", "Use the photographs up to the silhouettes of the mesh"),
+    "auto": Choice("Automatic", "Leave out the color of the border of each photograph, where that is uniform"),
+    "border": Choice("Border", "Leave out the color of the border of each photograph, which may change smoothly across it"),
+    "color": Choice("Color", "Leave out one color"),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,13 +40,35 @@ class PhotosSettings(Settings):
 
     size: int = setting(4096, "Pixels per side of the texture", minimum=16, maximum=32768)
     method: str = setting("average", "How photographs are combined", choices=METHODS)
-    exposure: bool = setting(True, "Adjust the brightness and color balance of the photographs to each other")
     blending: str = setting(
         "level", "How regions from different photographs are made to meet without a seam. Used by Best Photograph", choices=BLENDINGS
     )
-    sharpen: bool = setting(True, "Bring back detail that resampling has blurred")
-    alignment: bool = setting(
-        False, "Warp the photographs a little, so that they show details at the same places. For cameras that are some pixels off"
-    )
     fill: str = setting("interpolate", "What fills the parts that no photograph shows", choices=FILLS)
     materials: str = setting("replace", "What happens to the materials of the meshes", choices=MATERIALS)
+    exposure: bool = setting(True, "Adjust the brightness and color balance of the photographs to each other", group="Photographs")
+    gamma: bool = setting(False, "Adjust the contrast of the photographs to each other, too. Used with Exposure", group="Photographs")
+    vignetting: bool = setting(False, "Correct photographs that are darker towards their corners. Used with Exposure", group="Photographs")
+    alignment: bool = setting(
+        False,
+        "Warp the photographs a little, so that they show details at the same places. For cameras that are some pixels off",
+        group="Photographs",
+    )
+    sharpen: bool = setting(True, "Bring back detail that resampling has blurred. Not used by Paper", group="Photographs")
+    background: str = setting(
+        "none", "Which pixels show the background: none of them may appear near silhouettes", choices=BACKGROUNDS, group="Photographs"
+    )
+    background_color: tuple = setting(
+        (0.5, 0.5, 0.5),
+        "Color of the background, as displayed. Used by Color",
+        is_color=True,
+        panel_label="Color",
+        group="Photographs",
+    )
+    background_threshold: float = setting(
+        0.0,
+        "How far the color of the background may vary, 0 for automatic. Used unless Background is None",
+        minimum=0.0,
+        maximum=1.0,
+        panel_label="Threshold",
+        group="Photographs",
+    )

@@ -5,9 +5,10 @@ from copy import copy
 import numpy as np
 
 from ..files.scratch import Scratch
+from .color_correction import ColorCorrection
 from .face_visibility import FaceVisibility, SeenTexels, ShownSurface
 from .leveling import VertexLabels
-from .photographs import Photograph, apply_gain
+from .photographs import Photograph
 from .texels import TexelTile
 from .views import View
 
@@ -52,14 +53,14 @@ class TexelPainter:
         surface: ShownSurface,
         photographs: list[Photograph],
         views: list[View],
-        gains: np.ndarray,
+        color_corrections: list[ColorCorrection],
         scratch: Scratch,
         *,
         is_cosine: bool,
     ) -> None:
         """Look at all triangles; `is_cosine`: whether photographs are weighted by the cosine between normal and view direction alone.
         `scratch` keeps what belongs to a photograph in its group."""
-        self._surface, self._photographs, self._gains = surface, photographs, gains
+        self._surface, self._photographs, self._color_corrections = surface, photographs, color_corrections
         self.faces, self._scratch = [], scratch
         for index, view in enumerate(views):
             self.faces.append(FaceVisibility(view, surface, is_cosine=is_cosine))
@@ -77,7 +78,7 @@ class TexelPainter:
     def with_photographs(self, photographs: list[Photograph]) -> "TexelPainter":
         """Return a painter that takes `photographs` in place of its own, as they are: without gains and corrections."""
         result = copy(self)
-        result._photographs, result._gains = photographs, None
+        result._photographs, result._color_corrections = photographs, None
         result._corrections = None
         return result
 
@@ -113,4 +114,4 @@ class TexelPainter:
     def sample(self, index: int, positions: np.ndarray) -> np.ndarray:
         """Return the colors (N, 3) of a photograph, with its gain, at `positions` (N, 2) in pixels."""
         colors = self._photographs[index].sample(positions)
-        return colors if self._gains is None else apply_gain(colors, self._gains[index])
+        return colors if self._color_corrections is None else self._color_corrections[index].apply(colors, positions)

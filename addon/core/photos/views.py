@@ -88,6 +88,14 @@ class View:
             found = sample_bilinear(cells[..., None], positions / np.array(self.camera.lens.size) * (columns, rows))[:, 0]
             self._quality[part] *= np.where(found > MIN_TRUST, found, 0.0)
 
+    def exclude(self, pixels: np.ndarray) -> None:
+        """Do not use `pixels` (H, W) bool of the photograph and what is near them. In contrast to a mask, weights do not rise with the
+        distance from them."""
+        distances = distance_transform_edt(~pixels)
+        for part, positions in self._cells():
+            columns, rows = np.clip(positions, 0, np.array(self.camera.lens.size) - 1).astype(np.int64).T
+            self._quality[part] *= distances[rows, columns] > SILHOUETTE_PIXELS
+
     def see(self, points: np.ndarray, normals: np.ndarray) -> Seen:
         """Return how the photograph shows `points` (N, 3) with unit `normals` (N, 3)."""
         local, directions = points.astype(np.float32) @ self._rotation + self._translation, normals.astype(np.float32) @ self._rotation

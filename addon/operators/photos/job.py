@@ -19,9 +19,10 @@ from ...core.geometry.cameras import CameraProjection
 from ...core.geometry.geometry_2d import signed_areas
 from ...core.geometry.mesh import face_areas_and_normals
 from ...core.jobs.progress import Progress, Steps, subprogress
-from ...core.photos.merging import PhotoTexture, merge
+from ...core.photos.merging import merge
 from ...core.photos.overlaps import describe_overlaps, find_overlapping
 from ...core.photos.pages import PageLayout, lay_out_pages
+from ...core.photos.photo_texture import PhotoTexture
 from ...core.photos.settings import PhotosSettings
 from ...core.text import format_count
 from ...core.unwrap.packing import pack_charts
