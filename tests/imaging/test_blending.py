@@ -27,16 +27,16 @@ class TestBands:
     @settings(max_examples=30, deadline=None)
     def test_equal_images_are_their_blend(self, shape, seed):
         random = np.random.default_rng(seed)
-        image, share = random.random((*shape, 3), np.float32), random.random(shape, np.float32)
+        image, fraction = random.random((*shape, 3), np.float32), random.random(shape, np.float32)
         known = np.ones(shape, bool)
-        result = blend_bands([Layer(image, known, share), Layer(image, known, 1.0 - share)], image.shape, 4)
+        result = blend_bands([Layer(image, known, fraction), Layer(image, known, 1.0 - fraction)], image.shape, 4)
         assert result == pytest.approx(image, abs=1e-5)
 
     def test_a_step_becomes_a_ramp_as_wide_as_the_coarsest_band(self):
         shape, left = (40, 256), np.zeros((40, 256), np.float32)
         left[:, :128] = 1.0
         known = np.ones(shape, bool)
-        layers = [Layer(np.full((*shape, 3), value, np.float32), known, share) for value, share in ((0.2, left), (0.8, 1.0 - left))]
+        layers = [Layer(np.full((*shape, 3), value, np.float32), known, fraction) for value, fraction in ((0.2, left), (0.8, 1.0 - left))]
         widths = []
         for levels in (1, 3, 5):
             row = blend_bands(layers, (*shape, 3), levels)[20, :, 0]
@@ -52,19 +52,21 @@ class TestBands:
         pattern = np.broadcast_to((0.5 + 0.3 * (-1.0) ** columns)[None, :, None], (*shape, 1)).astype(np.float32)
         left = np.broadcast_to(columns < 128, shape).astype(np.float32)
         known = np.ones(shape, bool)
-        row = blend_bands([Layer(pattern, known, left), Layer(np.full_like(pattern, 0.5), known, 1.0 - left)], (*shape, 1), 5)[32, :, 0]
+        layers = [Layer(pattern, known, left), Layer(np.full_like(pattern, 0.5), known, 1.0 - left)]
+        row = blend_bands(layers, (*shape, 1), 5)[32, :, 0]
         assert np.abs(row[136:] - 0.5).max() < 0.02 and np.abs(row[:120] - pattern[32, :120, 0]).max() < 0.02
 
     def test_unknown_pixels_have_no_effect(self):
         random = np.random.default_rng(4)
         known = np.zeros((50, 60), bool)
         known[10:40, 5:30] = True
-        share = (known & (np.arange(60) < 20)).astype(np.float32)
+        fraction = (known & (np.arange(60) < 20)).astype(np.float32)
         first, second = (random.random((50, 60, 2), np.float32) for _ in range(2))
         garbage = np.where(known[..., None], first, np.float32(1e3))
         everywhere = np.ones((50, 60), bool)
         results = [
-            blend_bands([Layer(image, known, share), Layer(second, everywhere, 1.0 - share)], first.shape, 4) for image in (first, garbage)
+            blend_bands([Layer(image, known, fraction), Layer(second, everywhere, 1.0 - fraction)], first.shape, 4)
+            for image in (first, garbage)
         ]
         assert np.array_equal(*results)
 

@@ -106,7 +106,7 @@ def test_masked_pixels_do_not_say_what_the_background_is():
 def test_no_background_in_the_texture(method):
     texture = np.full((SIZE, SIZE, 3), 0.2, np.float32)
     mesh, uvs, photographs, _ = shoot("uniform", shift=4.0, texture=texture)
-    settings = PhotosSettings(size=SIZE, method=method, exposure=False, leveling=False)
+    settings = PhotosSettings(size=SIZE, method=method, exposure=False, blending="none")
     wrong = []
     for background in ("none", "auto"):
         result = run_to_end(merge(mesh, uvs, photographs, replace(settings, background=background)))

@@ -52,16 +52,16 @@ class TestSeams:
         """The border between the photographs is a seam of the UV map: colors meet there as they do without it."""
         mesh, uvs = grid(60)
         is_right = mesh.corners[..., 0].mean(axis=1) > 0
-        apart = np.where(is_right[:, None, None], uvs * [0.8, 0.8] + [0.18, 0.1], uvs * [0.8, 0.8] + [0.02, 0.1]).astype(np.float32)
+        separated = np.where(is_right[:, None, None], uvs * [0.8, 0.8] + [0.18, 0.1], uvs * [0.8, 0.8] + [0.02, 0.1]).astype(np.float32)
         gray = np.full((SIZE, SIZE, 3), 0.5, np.float32)
         cameras = [camera_at((x, 0.0, 3.0), (x, 0.0, 0.0), name=f"{x}.png") for x in (-0.7, 0.7)]
         photographs = [photograph(mesh, uvs, gray, camera, gain) for camera, gain in zip(cameras, (0.8, 1.25), strict=True)]
         settings = PhotosSettings(size=SIZE, method="best", blending=blending, exposure=False, sharpen=False)
-        result = run_to_end(merge(mesh, apart, photographs, settings))
-        middle = SIZE // 2
+        result = run_to_end(merge(mesh, separated, photographs, settings))
+        center = SIZE // 2
         left, right = (int((0.5 * 0.8 + offset) * SIZE) for offset in (0.02, 0.18))
-        jump = abs(float(result.colors[middle, left - 2].mean()) - float(result.colors[middle, right + 2].mean()))
-        assert jump < 0.03 < abs(float(result.colors[middle, 20].mean()) - float(result.colors[middle, -20].mean()))
+        jump = abs(float(result.colors[center, left - 2].mean()) - float(result.colors[center, right + 2].mean()))
+        assert jump < 0.03 < abs(float(result.colors[center, 20].mean()) - float(result.colors[center, -20].mean()))
 
 
 class TestMasks:

@@ -45,8 +45,8 @@ def blend_labels(surface: BlendedSurface, labels: np.ndarray) -> Steps[np.ndarra
 
     def blend(window: SurfaceWindow) -> np.ndarray:
         own = labels[window.tile.texels]
-        shares = ((index, (own == index).astype(np.float32)) for index in np.unique(own[own >= 0]))
-        return _blend_shares(surface, window, shares)
+        fractions = ((index, (own == index).astype(np.float32)) for index in np.unique(own[own >= 0]))
+        return _blend_fractions(surface, window, fractions)
 
     return (yield from _blend_windows(surface, blend))
 
@@ -63,14 +63,14 @@ def blend_masks(surface: BlendedSurface, masks: np.ndarray) -> Steps[np.ndarray]
             seen = surface.painter.see(index, tile, points, np.flatnonzero(masks[index][tile.triangles]))
             total[seen.indices] += seen.weights
 
-        def find_shares() -> Iterator[tuple[int, np.ndarray]]:
+        def find_fractions() -> Iterator[tuple[int, np.ndarray]]:
             for index in used:
-                share = np.zeros(len(total), np.float32)
+                fraction = np.zeros(len(total), np.float32)
                 seen = surface.painter.see(index, tile, points, np.flatnonzero(masks[index][tile.triangles]))
-                share[seen.indices] = seen.weights / np.maximum(total[seen.indices], 1e-30)
-                yield index, share
+                fraction[seen.indices] = seen.weights / np.maximum(total[seen.indices], 1e-30)
+                yield index, fraction
 
-        return _blend_shares(surface, window, find_shares())
+        return _blend_fractions(surface, window, find_fractions())
 
     return (yield from _blend_windows(surface, blend))
 
@@ -129,18 +129,18 @@ def _blend_windows(surface: BlendedSurface, blend: Blend) -> Steps[np.ndarray]:
     return result
 
 
-def _blend_shares(surface: BlendedSurface, window: SurfaceWindow, shares: Iterator[tuple[int, np.ndarray]]) -> np.ndarray:
-    """Return the colors (N, 3) of the pixels of a window, given the share (N,) of each used photograph; the rest is that of the colors that
-    the pixels have."""
+def _blend_fractions(surface: BlendedSurface, window: SurfaceWindow, fractions: Iterator[tuple[int, np.ndarray]]) -> np.ndarray:
+    """Return the colors (N, 3) of the pixels of a window, given the fraction (N,) of each used photograph; the rest is that of the colors
+    that the pixels have."""
     tile, points = window.tile, surface.painter.locate(window.tile)
 
     def find_layers() -> Iterator[Layer]:
         rest = surface.known[tile.texels].astype(np.float32)
-        for index, share in shares:
+        for index, fraction in fractions:
             is_seen, colors = _sample(surface.painter, index, window, points)
-            share = np.where(is_seen, share, np.float32(0.0))
-            rest -= share
-            yield Layer(window.to_image(colors), window.to_image(is_seen), window.to_image(share))
+            fraction = np.where(is_seen, fraction, np.float32(0.0))
+            rest -= fraction
+            yield Layer(window.to_image(colors), window.to_image(is_seen), window.to_image(fraction))
         known = surface.known[tile.texels]
         colors = np.where(known[:, None], surface.colors[tile.texels], np.float32(0.0))
         yield Layer(window.to_image(colors), window.to_image(known), window.to_image(np.maximum(rest, 0.0)))

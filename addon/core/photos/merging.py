@@ -35,7 +35,7 @@ from .photo_texture import PhotoTexture
 from .photographs import Photograph
 from .regions import VertexSurface, color_vertices, rate_faces
 from .settings import PhotosSettings
-from .sharpening import find_residuals
+from .sharpening import estimate_noise, find_residuals, sharpen_colors
 from .stages import CLASS_COLORS, classify_texels, draw_trust
 from .surface import interpolate_colors
 from .texel_colors import NO_PHOTOGRAPH, TexelPainter
@@ -219,6 +219,8 @@ class _Merger:
             surface = prepare_surface(self.mesh, self.normals, self.corner_normals)
             is_cosine = self.settings.method == "paper"
             self.painter = TexelPainter(surface, self.photographs, self.views, self.color_corrections, self.scratch, is_cosine=is_cosine)
+            if self.settings.highlights:
+                self.painter.reduce_highlights()
             if len(self.pairs.keys):
                 self.painter.use_labels(self.pairs, self.vertex_colors.corrections)
         self.colors, self.confidence = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
@@ -240,14 +242,16 @@ class _Merger:
             texture = self.colors.reshape(-1, size, 3).copy()
             self._fill_gutter(texture, found)
             corners = self.map.stacked_corners
+            noise = estimate_noise(self.photographs)
             residuals = yield from subprogress(
                 find_residuals(self.painter, self.photographs, self.views, self.mesh, corners, texture, self.scratch), 0.6, 0.8
             )
         done, total = 0, int(np.count_nonzero(self.map.triangles >= 0))
         with self.clock.stage("sharpen"):
             for change in map_ordered(self.painter.with_photographs(residuals).paint, self.map.tiles()):
-                self.colors[change.tile.texels] += change.colors
-                done += len(change.tile.texels)
+                texels = change.tile.texels
+                self.colors[texels] = sharpen_colors(self.colors[texels], change.colors, noise)
+                done += len(texels)
                 yield Progress(0.8 + 0.1 * done / total, "Sharpening")
 
     def interpolate_holes(self) -> None:

@@ -53,6 +53,12 @@ class PhotosSettings(Settings):
         "Warp the photographs a little, so that they show details at the same places. For cameras that are some pixels off",
         group="Photographs",
     )
+    highlights: bool = setting(
+        False,
+        "Give photographs less weight where they are brighter than others, against highlights that move with the camera",
+        label="Reduce Highlights",
+        group="Photographs",
+    )
     sharpen: bool = setting(True, "Bring back detail that resampling has blurred. Not used by Paper", group="Photographs")
     background: str = setting(
         "none", "Which pixels show the background: none of them may appear near silhouettes", choices=BACKGROUNDS, group="Photographs"

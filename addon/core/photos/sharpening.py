@@ -9,6 +9,7 @@ the texture that reproduces the photographs best (iterative back-projection: Ira
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import convolve1d, gaussian_filter
 
 from ..files.scratch import Scratch
 from ..geometry.mesh import TriangleMesh
@@ -22,6 +23,10 @@ from .texel_colors import TexelPainter
 from .views import View
 
 CHUNK_ROWS = 64  # of a photograph at once
+RELAXATION = 1.5  # of the step: one long step comes about as far as two
+NOISE_FILTER = (1.0, -2.0, 1.0)  # along rows and columns
+NOISE_GAIN = 6.0 / np.sqrt(3.0)  # standard deviation of the filtered mean of the channels, for noise of 1 in each
+DETAIL_SIZE = 4.0  # pixels, standard deviation of a Gaussian: coarser differences are no detail
 
 
 def find_residuals(
@@ -50,6 +55,24 @@ def find_residuals(
     return residuals
 
 
+def estimate_noise(photographs: list[Photograph]) -> float:
+    """Return the typical standard deviation of the noise in a channel of the encoded colors of photographs (Immerkaer, "Fast Noise Variance
+    Estimation", 1996, with a median)."""
+    deviations = []
+    for photograph in photographs:
+        gray = photograph.pixels.mean(axis=2, dtype=np.float32)
+        filtered = convolve1d(convolve1d(gray, NOISE_FILTER, axis=0), NOISE_FILTER, axis=1)
+        scale = 255.0 if photograph.pixels.dtype == np.uint8 else 1.0
+        deviations.append(float(np.median(np.abs(filtered))) / (0.6745 * NOISE_GAIN * scale))
+    return float(np.median(deviations))
+
+
+def sharpen_colors(colors: np.ndarray, change: np.ndarray, noise: float) -> np.ndarray:
+    """Return `colors` (N, 3) after the step `change` (N, 3), of which little is left where it is smaller than the `noise`."""
+    power = np.square(change).mean(axis=1, keepdims=True)
+    return colors + np.float32(RELAXATION) * change * (power / (power + np.float32(max(noise, 1e-6) ** 2)))
+
+
 def _draw_residual(
     painter: TexelPainter, index: int, view: View, mesh: TriangleMesh, texel_corners: np.ndarray, texture: np.ndarray
 ) -> np.ndarray:
@@ -71,8 +94,20 @@ def _draw_residual(
         barycentric = np.maximum(barycentric, 0.0)  # the lens moves the center of a pixel within the pinhole image
         barycentric /= barycentric.sum(axis=1, keepdims=True)
         places = np.einsum("ni,nic->nc", barycentric, texels[triangles])
-        result = np.zeros((len(positions), 3), np.float32)
+        result = np.full((len(positions), 3), np.nan, np.float32)
         result[covered] = painter.sample(index, positions[covered]) - sample_bilinear(texture, places)
         return result.reshape(-1, width, 3)
 
-    return np.concatenate(list(map_ordered(compare, slices(height, CHUNK_ROWS))))
+    residual = np.concatenate(list(map_ordered(compare, slices(height, CHUNK_ROWS))))
+    return _keep_detail(residual)
+
+
+def _keep_detail(residual: np.ndarray) -> np.ndarray:
+    """Return a residual (H, W, 3) without what is coarser than details: other exposures and shading. It is 0 where it is not a number."""
+    known = np.isfinite(residual[..., 0])
+    residual[~known] = 0.0
+    weights = gaussian_filter(known.astype(np.float32), DETAIL_SIZE)
+    for channel in range(3):
+        coarse = gaussian_filter(residual[..., channel], DETAIL_SIZE) / np.maximum(weights, 1e-6)
+        residual[..., channel] -= np.where(known, coarse, 0.0)
+    return residual

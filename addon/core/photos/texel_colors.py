@@ -7,6 +7,7 @@ import numpy as np
 from ..files.scratch import Scratch
 from .color_correction import ColorCorrection
 from .face_visibility import FaceVisibility, SeenTexels, ShownSurface
+from .highlights import HighlightDetector
 from .leveling import VertexLabels
 from .photographs import Photograph
 from .texels import TexelTile
@@ -68,12 +69,17 @@ class TexelPainter:
             scratch.release(index)
         self._regions: list[np.ndarray] = []
         self._corrections: np.ndarray | None = None
+        self._highlights: HighlightDetector | None = None
 
     def use_labels(self, pairs: VertexLabels, corrections: np.ndarray) -> None:
         """Texture the triangles around each of the `pairs` of a vertex and a photograph from it, with `corrections` (P, 3) of colors."""
         self._regions = [pairs.find(self._surface.corner_vertices.T, index).astype(np.int32) for index in range(len(self.faces))]
         self._pair_weights = np.append(pairs.weights, np.float32(0.0))  # the last one is that of no pair
         self._corrections = np.concatenate([corrections, np.zeros((1, 3), np.float32)])
+
+    def reduce_highlights(self) -> None:
+        """Give photographs less weight where they show highlights, in averages."""
+        self._highlights = HighlightDetector(self._photographs, self._color_corrections, self._scratch)
 
     def with_photographs(self, photographs: list[Photograph]) -> "TexelPainter":
         """Return a painter that takes `photographs` in place of its own, as they are: without gains and corrections."""
@@ -95,9 +101,15 @@ class TexelPainter:
             found.add(index, seen.indices, colors, blend[seen.indices], seen.resolution)
             self._scratch.release(index)
         rest = np.flatnonzero(found.weights == 0.0)
-        for index, faces in enumerate(self.faces):
-            seen = faces.see(tile, points, rest)
-            found.add(index, seen.indices, self.sample(index, seen.positions), seen.weights, seen.resolution)
+        if self._highlights is None:
+            for index, faces in enumerate(self.faces):
+                seen = faces.see(tile, points, rest)
+                found.add(index, seen.indices, self.sample(index, seen.positions), seen.weights, seen.resolution)
+                self._scratch.release(index)
+            return found
+        every = [faces.see(tile, points, rest) for faces in self.faces]
+        for index, (seen, factors) in enumerate(zip(every, self._highlights.rate(every, len(points)), strict=True)):
+            found.add(index, seen.indices, self.sample(index, seen.positions), seen.weights * factors, seen.resolution)
             self._scratch.release(index)
         return found
 
