@@ -39,7 +39,7 @@ def find_residuals(
     scratch: Scratch,
 ) -> Steps[list[Photograph]]:
     """Return for each photograph by how much (H, W, 3) float32 its colors, as `painter` samples them, differ from those of the `texture`,
-    in place of its pixels; zero where it does not show the mesh.
+    in place of its pixels; zero where it does not show the mesh or is not used.
 
     Args:
         mesh: relative to the cameras of the views. texel_corners: (T, 3, 2), positions in the texture.
@@ -87,7 +87,7 @@ def _draw_residual(
         positions = grid[::-1].reshape(2, -1).T + 0.5
         located = view.locate_in_pinhole(positions)
         columns, lines = np.floor(np.maximum(located, 0.0)).astype(np.int64).T
-        shown = np.where(located[:, 0] >= 0.0, owners[lines, columns], -1)
+        shown = np.where(view.uses(located), owners[lines, columns], -1)
         covered = np.flatnonzero(shown >= 0)
         triangles = shown[covered]
         barycentric = locate_positions(projected.corners[triangles], depths[triangles], located[covered])

@@ -145,6 +145,11 @@ class View:
         is_inside = (directions[:, 2] > 0.0) & (located >= 0.0).all(axis=1) & (located < np.array(self._size)).all(axis=1)
         return np.where(is_inside[:, None], located, -1.0)
 
+    def uses(self, located: np.ndarray) -> np.ndarray:
+        """Return which positions (N, 2) in the pinhole image lie in it, in a part of the photograph that shows the surface."""
+        columns, rows = np.floor(np.maximum(located, 0.0)).astype(np.int64).T
+        return (located[:, 0] >= 0.0) & (self._quality[rows * self._size[0] + columns] > 0.0)
+
     def _find_range(self, across: np.ndarray, up: np.ndarray) -> list[np.ndarray]:
         """Return the nearest and the farthest inverse depths (N,) around positions in the depth buffer (N,), (N,), interpolated between its
         pixels: points of a surface at a grazing angle would otherwise be visible in some pixels and hidden in the next ones."""
