@@ -160,19 +160,29 @@ class Lens:
             positions (N, 2) in pixels from the lower left corner of the image, and whether (N,) bool they are valid: in front of the
             camera, and where the distortion does not fold back.
         """
-        is_front = points[:, 2] > 0.0
-        tangents = points[:, :2] / np.where(is_front, points[:, 2], 1.0)[:, None]
-        limit = self._radius_limit()
-        is_valid = is_front & (np.einsum("ni,ni->n", tangents, tangents) < limit * limit)
-        u, v = MODELS[self.model].distort(*np.where(is_valid[:, None], tangents, 0.0).T, self.coefficients)
-        x, y = self.focal[0] * u + self.center[0], self.size[1] - (self.focal[1] * v + self.center[1])
-        return np.stack([x, y], axis=1), is_valid
+        depths = points[:, 2]
+        is_valid, limit = depths > 0.0, self._radius_limit()
+        inverse = 1.0 / (depths if is_valid.all() else np.where(is_valid, depths, 1.0))
+        u, v = points[:, 0] * inverse, points[:, 1] * inverse
+        if np.isfinite(limit):
+            is_valid &= u * u + v * v < limit * limit
+        if not is_valid.all():
+            u, v = np.where(is_valid, u, 0.0), np.where(is_valid, v, 0.0)
+        if self.coefficients:
+            u, v = MODELS[self.model].distort(u, v, self.coefficients)
+        positions = np.empty((len(points), 2), u.dtype)
+        positions[:, 0] = self.focal[0] * u + self.center[0]
+        positions[:, 1] = (self.size[1] - self.center[1]) - self.focal[1] * v
+        return positions, is_valid
 
     def unproject(self, positions: np.ndarray) -> np.ndarray:
         """Return the unit directions (N, 3) in camera space of `positions` (N, 2) in pixels from the lower left corner by Newton steps."""
         target = (
             np.stack([positions[:, 0] - self.center[0], self.size[1] - positions[:, 1] - self.center[1]]) / np.array(self.focal)[:, None]
         )
+        if not self.coefficients:
+            directions = np.stack([*target, np.ones(len(positions))], axis=1)
+            return directions / np.sqrt(1.0 + target[0] ** 2 + target[1] ** 2)[:, None]
         limit = min(self._radius_limit(), 1e3)
         distort = MODELS[self.model].distort
         current = target.copy()

@@ -99,8 +99,10 @@ def sample_bilinear(image: np.ndarray, positions: np.ndarray) -> np.ndarray:
     low = np.minimum(np.floor(clamped).astype(np.int64), np.maximum(limits - 1, 0))
     high = np.minimum(low + 1, limits)
     x, y = (clamped - low).T[..., None]
-    lower = (1.0 - x) * image[low[:, 1], low[:, 0]] + x * image[low[:, 1], high[:, 0]]
-    upper = (1.0 - x) * image[high[:, 1], low[:, 0]] + x * image[high[:, 1], high[:, 0]]
+    flat, width = image.reshape(-1, image.shape[2]), image.shape[1]
+    lower_rows, upper_rows = low[:, 1] * width, high[:, 1] * width
+    lower = (1.0 - x) * np.take(flat, lower_rows + low[:, 0], axis=0) + x * np.take(flat, lower_rows + high[:, 0], axis=0)
+    upper = (1.0 - x) * np.take(flat, upper_rows + low[:, 0], axis=0) + x * np.take(flat, upper_rows + high[:, 0], axis=0)
     return (1.0 - y) * lower + y * upper
 
 

@@ -145,17 +145,21 @@ class _Merger:
 
     def look(self) -> Steps[None]:
         """Find out what each photograph shows."""
-        for index, photograph in enumerate(self.photographs):
-            yield Progress(0.2 * index / len(self.photographs), "Finding visible faces")
-            with self.clock.stage("visibility"):
-                view = View(photograph.camera, self.mesh, photograph.mask)
-                shown = find_surface(photograph, self.mesh, self.settings)
-                if shown is not None:
-                    view.exclude(~shown)
+        yield Progress(0.0, "Finding visible faces")
+        with self.clock.stage("visibility"):
+            for index, view in enumerate(map_ordered(self._look_from, list(self.photographs))):
                 view.keep_in(self.scratch, index)
                 self.views.append(view)
-                self.photographs[index] = photograph.pack_in(self.scratch, index)
+                self.photographs[index] = self.photographs[index].pack_in(self.scratch, index)
                 self.scratch.release(index)
+                yield Progress(0.2 * (index + 1) / len(self.photographs), "Finding visible faces")
+
+    def _look_from(self, photograph: Photograph) -> View:
+        view = View(photograph.camera, self.mesh, photograph.mask)
+        shown = find_surface(photograph, self.mesh, self.settings)
+        if shown is not None:
+            view.exclude(~shown)
+        return view
 
     def compare(self) -> None:
         """Estimate the gains of the photographs, and which of their parts show something else than the surface."""
@@ -239,8 +243,9 @@ class _Merger:
         """Bring back the detail that resampling has blurred."""
         size, found = self.settings.size, self.source != NO_PHOTOGRAPH
         with self.clock.stage("residuals"):
-            texture = self.colors.reshape(-1, size, 3).copy()
-            self._fill_gutter(texture, found)
+            texture = np.concatenate([self.colors, np.ones((len(found), 1), np.float32)], axis=1)
+            texture[~found] = 0.0
+            texture = texture.reshape(-1, size, 4)
             corners = self.map.stacked_corners
             noise = estimate_noise(self.photographs)
             residuals = yield from subprogress(

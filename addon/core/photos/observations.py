@@ -7,6 +7,7 @@ import numpy as np
 
 from ..files.scratch import Scratch
 from ..geometry.mesh import TriangleMesh
+from ..jobs.chunks import map_ordered
 from .photographs import Photograph
 from .views import View
 
@@ -50,14 +51,14 @@ def observe(points: SurfacePoints, photographs: list[Photograph], views: list[Vi
 
     `scratch` keeps the images of photographs and views, and releases each after its use.
     """
-    indices, labels, positions, colors = [], [], [], []
-    for label, (photograph, view) in enumerate(zip(photographs, views, strict=True)):
-        seen = view.see(points.positions, points.normals)
-        indices.append(seen.indices)
-        labels.append(np.full(len(seen.indices), label))
-        positions.append(seen.positions)
-        colors.append(photograph.smoothed().sample(seen.positions))
+
+    def look(label: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        seen = views[label].see(points.positions, points.normals)
+        colors = photographs[label].smoothed().sample(seen.positions)
         scratch.release(label)
+        return seen.indices, np.full(len(seen.indices), label), seen.positions, colors
+
+    indices, labels, positions, colors = zip(*map_ordered(look, range(len(photographs))), strict=True)
     every = np.concatenate(indices)
     order = np.argsort(every, kind="stable")
     return Observations(every[order], np.concatenate(labels)[order], np.concatenate(positions)[order], np.concatenate(colors)[order])

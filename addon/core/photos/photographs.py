@@ -113,8 +113,8 @@ def apply_gain(encoded: np.ndarray, gain: np.ndarray, gamma: float = 1.0) -> np.
     curves = _expose(np.linspace(0.0, 1.0, CURVE_SIZE)[:, None], gain, gamma).astype(np.float32)
     indices = np.clip(encoded, 0.0, 1.0) * np.float32(CURVE_SIZE - 1) + np.float32(0.5)
     result = np.stack([np.take(curves[:, channel], indices[:, channel].astype(np.int16)) for channel in range(3)], axis=1)
-    outside = np.flatnonzero(((encoded < 0.0) | (encoded > 1.0)).any(axis=1))
-    if len(outside):
+    if encoded.min(initial=0.0) < 0.0 or encoded.max(initial=1.0) > 1.0:
+        outside = np.flatnonzero(((encoded < 0.0) | (encoded > 1.0)).any(axis=1))
         result[outside] = _expose(encoded[outside], gain, gamma)
     return result
 

@@ -26,6 +26,7 @@ CHUNK_ROWS = 64  # of a photograph at once
 RELAXATION = 1.5  # of the step: one long step comes about as far as two
 NOISE_FILTER = (1.0, -2.0, 1.0)  # along rows and columns
 NOISE_GAIN = 6.0 / np.sqrt(3.0)  # standard deviation of the filtered mean of the channels, for noise of 1 in each
+MAX_RESIDUAL = 0.2  # of encoded colors: larger ones come from something else
 DETAIL_SIZE = 4.0  # pixels, standard deviation of a Gaussian: coarser differences are no detail
 
 
@@ -43,15 +44,19 @@ def find_residuals(
 
     Args:
         mesh: relative to the cameras of the views. texel_corners: (T, 3, 2), positions in the texture.
-        texture: (H', W', 3) float32, encoded.
+        texture: (H', W', 4) float32, encoded colors, and 1 where there are some; otherwise all channels are 0.
         scratch: keeps the result, each photograph in the group of its index.
     """
-    residuals = []
-    for index, (photograph, view) in enumerate(zip(photographs, views, strict=True)):
-        yield Progress(index / len(photographs), "Comparing texture and photographs")
-        pixels = _draw_residual(painter, index, view, mesh, texel_corners, texture)
-        residuals.append(replace(photograph, pixels=scratch.keep(pixels, index), mask=None, displacements=None))
+    residuals: list[Photograph] = []
+
+    def draw(index: int) -> np.ndarray:
+        return _draw_residual(painter, index, views[index], mesh, texel_corners, texture)
+
+    for pixels in map_ordered(draw, range(len(photographs))):
+        index = len(residuals)
+        residuals.append(replace(photographs[index], pixels=scratch.keep(pixels, index), mask=None, displacements=None))
         scratch.release(index)
+        yield Progress((index + 1) / len(photographs), "Comparing texture and photographs")
     return residuals
 
 
@@ -95,16 +100,19 @@ def _draw_residual(
         barycentric /= barycentric.sum(axis=1, keepdims=True)
         places = np.einsum("ni,nic->nc", barycentric, texels[triangles])
         result = np.full((len(positions), 3), np.nan, np.float32)
-        result[covered] = painter.sample(index, positions[covered]) - sample_bilinear(texture, places)
+        drawn = sample_bilinear(texture, places)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            result[covered] = painter.sample(index, positions[covered]) - drawn[:, :3] / drawn[:, 3:]
         return result.reshape(-1, width, 3)
 
-    residual = np.concatenate(list(map_ordered(compare, slices(height, CHUNK_ROWS))))
-    return _keep_detail(residual)
+    return _keep_detail(np.concatenate([compare(rows) for rows in slices(height, CHUNK_ROWS)]))
 
 
 def _keep_detail(residual: np.ndarray) -> np.ndarray:
-    """Return a residual (H, W, 3) without what is coarser than details: other exposures and shading. It is 0 where it is not a number."""
-    known = np.isfinite(residual[..., 0])
+    """Return a residual (H, W, 3) without what is coarser than details: other exposures and shading. It is 0 where it is not a number, or
+    too large for a detail that resampling has blurred."""
+    with np.errstate(invalid="ignore"):
+        known = (np.abs(residual) < MAX_RESIDUAL).all(axis=2)
     residual[~known] = 0.0
     weights = gaussian_filter(known.astype(np.float32), DETAIL_SIZE)
     for channel in range(3):
