@@ -24,6 +24,7 @@ def estimate_gains(observed: Observations, count: int, weights: np.ndarray | Non
     usable, given = choose_observations(observed, weights)
     points, photographs = observed.points[usable], observed.photographs[usable]
     logarithms = np.log(np.maximum(decode_signed_srgb(observed.colors[usable]), MIN_LINEAR))
+    rows = np.unique(points, return_inverse=True)[1]
     gains = np.zeros((count, 3))
     for channel in range(3):
         for _ in range(ITERATIONS):
@@ -31,7 +32,7 @@ def estimate_gains(observed: Observations, count: int, weights: np.ndarray | Non
             residuals = adjusted - find_group_medians(points, adjusted[:, None])[:, 0]
             robust = given * np.minimum(1.0, HUBER / np.maximum(np.abs(residuals), 1e-9))
             previous = gains[:, channel].copy()
-            gains[:, channel] = _solve(points, photographs, logarithms[:, channel], robust, count)
+            gains[:, channel] = _solve(rows, photographs, logarithms[:, channel], robust, count)
             if np.abs(gains[:, channel] - previous).max() < TOLERANCE:
                 break
     return np.exp(gains)
@@ -54,9 +55,9 @@ def _rank(points: np.ndarray, usable: np.ndarray) -> np.ndarray:
     return ranks
 
 
-def _solve(points: np.ndarray, photographs: np.ndarray, values: np.ndarray, weights: np.ndarray, count: int) -> np.ndarray:
-    """Return the logarithmic gains (K,) that minimize the weighted variance of each point over the photographs."""
-    rows = np.unique(points, return_inverse=True)[1]
+def _solve(rows: np.ndarray, photographs: np.ndarray, values: np.ndarray, weights: np.ndarray, count: int) -> np.ndarray:
+    """Return the logarithmic gains (K,) that minimize the weighted variance of each point, with the index `rows` (N,), over the
+    photographs."""
     totals = np.bincount(rows, weights)
     matrix = csr_matrix((weights, (rows, photographs)), shape=(len(totals), count))
     normalized = csr_matrix((weights / np.maximum(totals, 1e-30)[rows], (rows, photographs)), shape=(len(totals), count))

@@ -1,8 +1,8 @@
 """One texture from several photographs of a surface (Textures Revisited, section 4).
 
-Each triangle is textured from the photograph that shows it best; photographs are blended within the triangles between two regions, after
-their exposures and then their colors at the vertices have been adjusted to each other. Texels that their photographs do not show get the
-average of all others, and texels that none shows are interpolated over the surface.
+Photographs are adjusted to each other, and their parts that show something else than the surface are left out. Then each texel gets the
+weighted average of the photographs that show it, or each triangle is textured from the photograph that shows it best and the borders
+between such regions are blended. Details are sharpened by comparison with the photographs, and texels that none shows are filled.
 """
 
 from dataclasses import replace
@@ -173,8 +173,10 @@ class _Merger:
             colors[own] = correction.apply(observed.colors[own], observed.positions[own])
         sizes = [photograph.camera.lens.size for photograph in self.photographs]
         weights = np.empty(len(observed.points), np.float32)
-        for index, (view, cells, size) in enumerate(zip(self.views, rate_photographs(observed, colors, sizes), sizes, strict=True)):
-            view.apply_trust(cells)
+        trust = rate_photographs(observed, colors, sizes)
+        for _ in map_ordered(lambda pair: pair[0].apply_trust(pair[1]), zip(self.views, trust, strict=True)):
+            pass
+        for index, (cells, size) in enumerate(zip(trust, sizes, strict=True)):
             if self.keep_stages:
                 self.stages[f"used {self.photographs[index].camera.name}"] = draw_trust(self.photographs[index], cells)
             own = observed.photographs == index

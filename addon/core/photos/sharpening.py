@@ -24,6 +24,7 @@ from .views import View
 
 CHUNK_ROWS = 64  # of a photograph at once
 RELAXATION = 1.5  # of the step: one long step comes about as far as two
+MAX_DARKENING = 0.75
 NOISE_FILTER = (1.0, -2.0, 1.0)  # along rows and columns
 NOISE_GAIN = 6.0 / np.sqrt(3.0)  # standard deviation of the filtered mean of the channels, for noise of 1 in each
 MAX_RESIDUAL = 0.2  # of encoded colors: larger ones come from something else
@@ -73,9 +74,11 @@ def estimate_noise(photographs: list[Photograph]) -> float:
 
 
 def sharpen_colors(colors: np.ndarray, change: np.ndarray, noise: float) -> np.ndarray:
-    """Return `colors` (N, 3) after the step `change` (N, 3), of which little is left where it is smaller than the `noise`."""
+    """Return `colors` (N, 3) after the step `change` (N, 3), of which little is left where it is smaller than the `noise`. No color loses
+    more than MAX_DARKENING of itself, so that none becomes black."""
     power = np.square(change).mean(axis=1, keepdims=True)
-    return colors + np.float32(RELAXATION) * change * (power / (power + np.float32(max(noise, 1e-6) ** 2)))
+    step = np.float32(RELAXATION) * change * (power / (power + np.float32(max(noise, 1e-6) ** 2)))
+    return np.maximum(colors + step, np.float32(1.0 - MAX_DARKENING) * colors)
 
 
 def _draw_residual(
