@@ -130,7 +130,7 @@ class FARFIELD_PT_photos_registration(ToolPanel, bpy.types.Panel):
         register_button = row.row(align=True)
         register_button.enabled = count >= needed
         register_button.operator(FARFIELD_OT_photos_register.bl_idname, text="Register", icon="CON_CAMERASOLVER")
-        refine_button = row.operator(FARFIELD_OT_photos_refine.bl_idname, text="Refine")
+        refine_button = layout.operator(FARFIELD_OT_photos_refine.bl_idname, text="Refine", icon="CON_CAMERASOLVER")
         refine_button.image, refine_button.lens = image.name, group.lens_camera is None
 
 
