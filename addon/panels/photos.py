@@ -126,8 +126,7 @@ class FARFIELD_PT_photos_registration(ToolPanel, bpy.types.Panel):
         count = len(read_pairs(image)[0])
         if count < needed:
             draw_message(layout, f"{count} of {needed} pairs", "INFO")
-        row = layout.row(align=True)
-        register_button = row.row(align=True)
+        register_button = layout.row()
         register_button.enabled = count >= needed
         register_button.operator(FARFIELD_OT_photos_register.bl_idname, text="Register", icon="CON_CAMERASOLVER")
         refine_button = layout.operator(FARFIELD_OT_photos_refine.bl_idname, text="Refine", icon="CON_CAMERASOLVER")
