@@ -146,7 +146,7 @@ class TestAlignment:
     """Merges with photographs that are warped to fit to each other."""
 
     def score(self, photographs, mesh, uvs, texture, *, alignment):
-        result = run_to_end(merge(mesh, uvs, photographs, PhotosSettings(size=2 * SIZE, alignment=alignment)))
+        result = run_to_end(merge(mesh, uvs, photographs, PhotosSettings(size=2 * SIZE, alignment=alignment, sharpen=False)))
         return float(np.sqrt(np.mean((result.colors - texture)[result.source >= 0] ** 2)))
 
     def test_perfect_photographs_give_the_same_texture(self):
