@@ -15,6 +15,7 @@ from ..files.scratch import Scratch
 from ..geometry.lenses import PhotoCamera
 from ..geometry.mesh import TriangleMesh
 from ..imaging.block_matching import match_blocks
+from ..imaging.colors import LUMINANCE
 from ..imaging.images import nearest_known
 from ..imaging.pyramids import reduce_image
 from ..imaging.texture_renders import locate_pixels
@@ -28,7 +29,6 @@ MAX_OTHERS = 8  # photographs that are compared with one: those that show most o
 MARGIN = 32  # pixels around the surface
 PROBES = 4000  # pixels that decide which those are
 CHUNK = 1 << 18  # pixels at once
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 
 
 class Surface(NamedTuple):

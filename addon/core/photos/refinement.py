@@ -92,7 +92,7 @@ class _Refiner:
         views = []
         for index, photograph in enumerate(photographs):
             yield Progress(0.2 * index / len(photographs), "Finding visible faces")
-            views.append(View(_move(photograph.camera, origin), mesh, photograph.mask))
+            views.append(View(photograph.camera.relative_to(origin), mesh, photograph.mask))
             views[-1].keep_in(scratch, index)
             scratch.release(index)
         yield Progress(0.2, "Comparing photographs")
@@ -149,8 +149,8 @@ class _Refiner:
                 "as it is."
             )
         else:
-            return Refinement(_move(found, -self._origin), before, after, len(end.points))
-        return Refinement(_move(given, -self._origin), before, before, len(start.points), problem)
+            return Refinement(found.relative_to(-self._origin), before, after, len(end.points))
+        return Refinement(given.relative_to(-self._origin), before, before, len(start.points), problem)
 
 
 def fit_camera(camera: PhotoCamera, matches: Matches, *, has_free_lens: bool) -> PhotoCamera:
@@ -194,8 +194,3 @@ def _change_lens(lens: Lens, parameters: np.ndarray) -> Lens:
     if coefficients and lens.model not in WITHOUT_RADIAL:
         coefficients = (coefficients[0] + float(parameters[1]), *coefficients[1:])
     return replace(lens, focal=(lens.focal[0] * factor, lens.focal[1] * factor), coefficients=coefficients)
-
-
-def _move(camera: PhotoCamera, origin: np.ndarray) -> PhotoCamera:
-    """Return the camera in coordinates relative to `origin` (3,)."""
-    return replace(camera, translation=camera.translation + camera.rotation @ origin)
