@@ -2,8 +2,8 @@
 
 import io
 import math
+import re
 import struct
-import tokenize
 import zipfile
 import zlib
 from typing import BinaryIO
@@ -19,13 +19,13 @@ READ_ERRORS = (
     EOFError,
     MemoryError,
     RuntimeError,  # an encrypted file, or an unknown compression method
-    SyntaxError,  # a header that is not a Python literal
-    tokenize.TokenError,
     struct.error,
     zipfile.BadZipFile,
     zlib.error,
 )
-HEADER_READERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}  # by version of .npy
+# The header of a .npy file of version 1.0 with a plain data type. NumPy parses it with `ast`, which fails at times when several threads do so
+# in Python 3.11 (CPython issue 106905).
+HEADER = re.compile(rb"\x93NUMPY\x01\x00..\{'descr': '([<>|]?[a-zA-Z]\d{0,3})', 'fortran_order': (True|False), 'shape': \(([\d, ]*)\), \} *\n", re.DOTALL)
 
 
 def write_archive(arrays: dict[str, np.ndarray], *, compressed: bool = False) -> bytes:
@@ -51,9 +51,13 @@ def _read_array(archive: zipfile.ZipFile, name: str, file_size: int) -> np.ndarr
     ratio = 1 if info.compress_type == zipfile.ZIP_STORED else MAX_DEFLATE_RATIO
     if info.file_size > ratio * min(info.compress_size, file_size):
         raise ValueError(f'the size of "{name}" is wrong')
-    content = io.BytesIO(archive.read(info))
-    shape, _, dtype = HEADER_READERS[np.lib.format.read_magic(content)](content)
-    if dtype.hasobject or math.prod(shape) * dtype.itemsize != info.file_size - content.tell():
+    content = archive.read(info)
+    header = HEADER.match(content)
+    if header is None:
         raise ValueError(f'the header of "{name}" is wrong')
-    content.seek(0)
-    return np.lib.format.read_array(content, allow_pickle=False)
+    dtype = np.dtype(header[1].decode("ascii"))
+    shape = tuple(int(count) for count in header[3].split(b",") if count.strip())
+    if dtype.hasobject or math.prod(shape) * dtype.itemsize != len(content) - header.end():
+        raise ValueError(f'the header of "{name}" is wrong')
+    order = "F" if header[2] == b"True" else "C"
+    return np.frombuffer(content, dtype, offset=header.end()).reshape(shape, order=order).copy(order)
