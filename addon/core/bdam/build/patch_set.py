@@ -1,0 +1,85 @@
+"""Patches of one level in ragged arrays, and their files between the levels of a build."""
+
+import io
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from ...arrays import concatenate_ranges
+from ...files.atomic_write import write_bytes_atomically
+
+
+@dataclass(frozen=True)
+class PatchSet:
+    """Patches of one level, in ascending order of their triangles in the bintree.
+
+    indices: (P,) int64, triangles of the bintree. errors: (P,) float32, largest vertical distance to the field in steps.
+    vertex_starts, triangle_starts: (P + 1,) int64. x, y, z: (V,) int32, grid coordinates and heights in steps; the vertices of a patch are
+    sorted by x, then y. slopes: (V, 2) float32, derivatives of the height along x and y in steps per cell at vertices on the boundary of
+    their patch, NaN elsewhere. triangles: (T, 3) int32, vertices counted from the first of the patch, counterclockwise.
+    is_hole: (T,) bool, triangles without any known sample.
+    sample_starts: (P + 1,) int64. samples: (S, 3) int32, samples (x, y, z) that were removed at this level and at finer ones. sample_ages:
+    (S,) int8, how many levels ago. sample_triangles: (S,) int32, triangles that contain them, counted from the first of the patch.
+    """
+
+    indices: np.ndarray
+    errors: np.ndarray
+    vertex_starts: np.ndarray
+    triangle_starts: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    z: np.ndarray
+    slopes: np.ndarray
+    triangles: np.ndarray
+    is_hole: np.ndarray
+    sample_starts: np.ndarray
+    samples: np.ndarray
+    sample_ages: np.ndarray
+    sample_triangles: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+    def select(self, positions: np.ndarray) -> "PatchSet":
+        """Return the patches at `positions` (N,)."""
+        vertex_counts, triangle_counts = np.diff(self.vertex_starts)[positions], np.diff(self.triangle_starts)[positions]
+        vertices = concatenate_ranges(self.vertex_starts[positions], vertex_counts)
+        triangles = concatenate_ranges(self.triangle_starts[positions], triangle_counts)
+        sample_counts = np.diff(self.sample_starts)[positions]
+        samples = concatenate_ranges(self.sample_starts[positions], sample_counts)
+        return PatchSet(
+            self.indices[positions],
+            self.errors[positions],
+            to_starts(vertex_counts),
+            to_starts(triangle_counts),
+            *(array[vertices] for array in (self.x, self.y, self.z, self.slopes)),
+            *(array[triangles] for array in (self.triangles, self.is_hole)),
+            to_starts(sample_counts),
+            *(array[samples] for array in (self.samples, self.sample_ages, self.sample_triangles)),
+        )
+
+    def save(self, path: Path) -> None:
+        """Write the patches to a file, completely or not at all. Raises OSError."""
+        buffer = io.BytesIO()
+        np.savez(buffer, **{field.name: getattr(self, field.name) for field in fields(self)})
+        write_bytes_atomically(path, buffer.getvalue())
+
+    @staticmethod
+    def load(path: Path) -> "PatchSet":
+        """Read patches that `save` has written."""
+        with np.load(path, allow_pickle=False) as archive:
+            return PatchSet(**{field.name: archive[field.name] for field in fields(PatchSet)})
+
+
+def join(parts: list[PatchSet]) -> PatchSet:
+    """Return the patches of several sets, one after the other."""
+    arrays = {field.name: [getattr(part, field.name) for part in parts] for field in fields(PatchSet)}
+    for name in ("vertex_starts", "triangle_starts", "sample_starts"):
+        arrays[name] = [to_starts(np.concatenate([np.diff(starts) for starts in arrays[name]]))]
+    return PatchSet(**{name: np.concatenate(values) for name, values in arrays.items()})
+
+
+def to_starts(counts: np.ndarray) -> np.ndarray:
+    """Return (N + 1,) int64: 0 and the cumulative sums of `counts` (N,)."""
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)

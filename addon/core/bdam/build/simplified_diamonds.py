@@ -1,0 +1,143 @@
+"""Simplification of diamonds to half of their vertices, and their division into the two patches of a level (BDAM, section 5.1)."""
+
+import numpy as np
+
+from ..simplification.collapse_costs import LOCKED
+from ..simplification.decimation import MeshBatch, simplify
+from ..simplification.removed_samples import RemovedSamples
+from ..tree import Tree
+from .diamond_meshes import DiamondMeshes, classify_vertices, triangulate_field, weld_patches
+from .grid_collapses import choose_grid_collapses
+from .height_grid import HeightGrid
+from .patch_set import PatchSet, to_starts
+from .vertical_errors import measure_triangles
+
+MAX_SAMPLE_AGE = 1  # levels; older samples have small distances, and their number doubles with every level
+
+
+def simplify_diamonds(
+    tree: Tree, level: int, triangles: np.ndarray, diamonds: np.ndarray, children: PatchSet | None, grid: HeightGrid
+) -> PatchSet:
+    """Build the patches of some diamonds of a level.
+
+    Args:
+        triangles: (N,) int64, bintree indices of the triangles of this level. diamonds: (D, 2) positions in `triangles`, see
+            `Tree.find_diamonds`. children: the patches of the next level that lie in these diamonds; None for the finest diamonds, which are
+            triangulated from the field.
+
+    Returns:
+        Patches in ascending order of their indices. The error of a patch is the largest of its diamond.
+    """
+    corners = tree.triangle_corners(level, triangles)
+    pairs = np.where(diamonds < 0, diamonds[:, :1], diamonds)
+    if children is None:
+        meshes = triangulate_field(tree, (corners[diamonds[:, 0], 0] + corners[diamonds[:, 0], 1]) // 2, grid)
+    else:
+        diamond_of = np.full(len(triangles), -1, np.int64)
+        for column in range(2):
+            diamond_of[pairs[:, column]] = np.arange(len(diamonds))
+        meshes = weld_patches(tree, children, diamond_of[np.searchsorted(triangles, children.indices >> 1)])
+    lines = classify_vertices(tree, meshes, corners[pairs])
+    excess = np.bincount(meshes.domains, minlength=len(diamonds)) // 2
+    first = choose_grid_collapses(meshes, lines, excess) if children is None else None
+    simplified, removed = simplify(_to_batch(meshes, lines), excess, first)
+    is_recent = _ages_of(meshes, removed.vertices) <= MAX_SAMPLE_AGE
+    samples = RemovedSamples(removed.vertices[is_recent], removed.triangles[is_recent])
+    return _divide(meshes, simplified, samples, triangles, pairs, corners, grid)
+
+
+def _ages_of(meshes: DiamondMeshes, vertices: np.ndarray) -> np.ndarray:
+    """Return how many levels ago vertices (N,) of a batch, see `_to_batch`, were removed."""
+    return np.where(vertices < len(meshes.x), 0, meshes.sample_ages[np.maximum(vertices - len(meshes.x), 0)] if len(meshes.samples) else 0)
+
+
+def _to_batch(meshes: DiamondMeshes, lines: np.ndarray) -> MeshBatch:
+    sample_count = len(meshes.samples)
+    x, y, z = (np.concatenate([values, meshes.samples[:, axis]]) for axis, values in enumerate((meshes.x, meshes.y, meshes.z)))
+    return MeshBatch(
+        x,
+        y,
+        z.astype(np.float32),
+        np.concatenate([lines, np.full(sample_count, LOCKED, np.int8)]),
+        np.concatenate([meshes.domains, meshes.domains[meshes.triangles[meshes.sample_triangles, 0]]]),
+        meshes.triangles,
+        np.arange(len(meshes.x), len(x), dtype=np.int32),
+        meshes.sample_triangles,
+    )
+
+
+def _divide(
+    meshes: DiamondMeshes,
+    simplified: np.ndarray,
+    samples: RemovedSamples,
+    indices: np.ndarray,
+    pairs: np.ndarray,
+    corners: np.ndarray,
+    grid: HeightGrid,
+) -> PatchSet:
+    """Divide simplified diamonds along their hypotenuses; measure them, and find the slopes at the hypotenuses."""
+    points = np.stack([meshes.x, meshes.y], axis=1).astype(np.int64)
+    of_triangle = meshes.domains[simplified[:, 0]]
+    triangle_points = points[simplified]
+    start, end = (corners[pairs[of_triangle, 0], i] for i in (0, 1))
+    direction, middle = end - start, triangle_points.sum(axis=1) - 3 * start
+    is_second = direction[:, 0] * middle[:, 1] < direction[:, 1] * middle[:, 0]
+    patches = pairs[of_triangle, is_second.astype(np.int64)]
+    measured = measure_triangles(triangle_points, meshes.z[simplified], grid)
+    diamond_errors = np.zeros(len(pairs), np.float32)
+    np.maximum.at(diamond_errors, of_triangle, measured.errors)
+    on_hypotenuse = _is_on(points, corners[pairs[meshes.domains, 0]])
+    is_missing = np.isnan(meshes.slopes[:, 0]) & on_hypotenuse
+    slopes = np.where(is_missing[:, None], _mean_slopes(meshes, simplified), meshes.slopes)
+
+    order = np.argsort(patches, kind="stable")
+    patches, simplified = patches[order], simplified[order]
+    present, triangle_counts = np.unique(patches, return_counts=True)
+    size = int(points.max()) + 1
+    keys = (patches[:, None] * size + points[simplified, 0]) * size + points[simplified, 1]
+    unique, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    vertex_starts = np.searchsorted(unique, np.append(present, present[-1] + 1) * size * size)
+    vertices = simplified.reshape(-1)[first]
+    diamond_of = np.zeros(len(indices), np.int64)
+    for column in range(2):
+        diamond_of[pairs[:, column]] = np.arange(len(pairs))
+    triangle_starts = to_starts(triangle_counts)
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    sample_order = np.argsort(rank[samples.triangles], kind="stable")
+    sample_triangles = rank[samples.triangles[sample_order]]
+    all_points = np.concatenate([np.stack([meshes.x, meshes.y, meshes.z], axis=1), meshes.samples])
+    sample_starts = np.searchsorted(sample_triangles, triangle_starts)
+    return PatchSet(
+        indices[present],
+        diamond_errors[diamond_of[present]],
+        vertex_starts.astype(np.int64),
+        triangle_starts,
+        meshes.x[vertices],
+        meshes.y[vertices],
+        meshes.z[vertices],
+        slopes[vertices],
+        (inverse.reshape(-1, 3) - np.repeat(vertex_starts[:-1], triangle_counts)[:, None]).astype(np.int32),
+        measured.is_hole[order],
+        sample_starts.astype(np.int64),
+        all_points[samples.vertices[sample_order]],
+        _ages_of(meshes, samples.vertices[sample_order]).astype(np.int8),
+        (sample_triangles - np.repeat(triangle_starts[:-1], np.diff(sample_starts))).astype(np.int32),
+    )
+
+
+def _is_on(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Return whether `points` (V, 2) are on the hypotenuses of triangles with `corners` (V, 3, 2)."""
+    direction, offset = corners[:, 1] - corners[:, 0], points - corners[:, 0]
+    return direction[:, 0] * offset[:, 1] == direction[:, 1] * offset[:, 0]
+
+
+def _mean_slopes(meshes: DiamondMeshes, triangles: np.ndarray) -> np.ndarray:
+    """Return the derivatives (V, 2) float32 along x and y of the surface at vertices: means of their triangles weighted by area."""
+    (x0, x1, x2), (y0, y1, y2), (z0, z1, z2) = (axis.astype(np.float64)[triangles].T for axis in (meshes.x, meshes.y, meshes.z))
+    area = (x1 - x0) * (y2 - y0) - (y1 - y0) * (x2 - x0)  # the gradients below are multiplied by it
+    along_x = (z1 - z0) * (y2 - y0) - (z2 - z0) * (y1 - y0)
+    along_y = (z2 - z0) * (x1 - x0) - (z1 - z0) * (x2 - x0)
+    corners, count = triangles.reshape(-1), len(meshes.x)
+    sums = [np.bincount(corners, np.repeat(values, 3), minlength=count) for values in (along_x, along_y, area)]
+    return (np.stack(sums[:2], axis=1) / np.maximum(sums[2], 1.0)[:, None]).astype(np.float32)
