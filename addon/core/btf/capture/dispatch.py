@@ -56,7 +56,8 @@ class _ViewFiles:
         return len(self.stores)
 
     def validate_or_remove(self, view: int) -> bool:
-        return all([store.validate_or_remove(view) for store in self.stores])  # a list: every damaged file is removed
+        is_valid = [store.validate_or_remove(view) for store in self.stores]  # a list: every damaged file is removed
+        return all(is_valid)
 
     def count_parts(self, view: int) -> int:
         return sum(store.exists(view) for store in self.stores)
