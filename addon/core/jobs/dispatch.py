@@ -44,8 +44,8 @@ class ItemFiles(Protocol[Item]):
     def validate_or_remove(self, item: Item) -> bool:
         """Return whether an item is finished and undamaged. Damaged files are deleted, so that they do not count from then on."""
 
-    def count_parts(self, item: Item) -> int:
-        """Return how many files of an item exist. Called often."""
+    def count_parts(self, items: Sequence[Item]) -> list[int]:
+        """Return how many files of each of `items` exist. Called often."""
 
 
 def run_missing(
@@ -78,7 +78,7 @@ def run_missing(
     if not missing:
         return 0
     total = files.parts * len(items)
-    finished_before = total - files.parts * len(missing) + sum(map(files.count_parts, missing))
+    finished_before = total - files.parts * len(missing) + sum(files.count_parts(missing))
     with open_subprocess_pool(executor_spec) as pool:
         shards = [Shard(part, held.path, pool.executor.workers_per_machine) for part in split(missing, pool.executor.slots)]
         finished = finished_before
@@ -105,13 +105,14 @@ def run_shards(
     pending = {pool.submit(command(shard)): (shard, False) for shard in shards}
     while pending:
         held.renew()
-        unfinished = [item for item in unfinished if files.count_parts(item) < files.parts]
-        yield sum(files.parts - files.count_parts(item) for item in unfinished)
+        counts = files.count_parts(unfinished)
+        yield files.parts * len(unfinished) - sum(counts)
+        unfinished = _select_unfinished(unfinished, counts, files.parts)
         for future in wait(pending, POLL_SECONDS, FIRST_COMPLETED).done:
             shard, is_retry = pending.pop(future)
             code, error_output = wait_for_exit(future)
             held.renew()  # first: workers also exit when another run has taken over
-            remaining = [item for item in shard.items if files.count_parts(item) < files.parts]
+            remaining = _select_unfinished(shard.items, files.count_parts(shard.items), files.parts)
             if remaining and code == EXIT_EXCEPTION:
                 raise worker_exception(error_output, items_name)
             if code == EXIT_ERROR or (remaining and is_retry):
@@ -131,3 +132,7 @@ def split_evenly(items: Sequence[Item], slots: int, max_items: int) -> list[list
     length, longer_count = divmod(len(items), count)
     starts = [length * index + min(index, longer_count) for index in range(count + 1)]
     return [list(items[start:stop]) for start, stop in pairwise(starts)]
+
+
+def _select_unfinished(items: Sequence[Item], counts: Sequence[int], parts: int) -> list[Item]:
+    return [item for item, count in zip(items, counts, strict=True) if count < parts]

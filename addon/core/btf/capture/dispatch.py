@@ -59,5 +59,5 @@ class _ViewFiles:
         is_valid = [store.validate_or_remove(view) for store in self.stores]  # a list: every damaged file is removed
         return all(is_valid)
 
-    def count_parts(self, view: int) -> int:
-        return sum(store.exists(view) for store in self.stores)
+    def count_parts(self, views: Sequence[int]) -> list[int]:
+        return [sum(store.exists(view) for store in self.stores) for view in views]
