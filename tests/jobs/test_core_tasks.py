@@ -135,6 +135,15 @@ def test_a_second_crash_at_the_same_item_ends_the_run(tmp_path):
         assert run_to_end(pool.run([1, 2], "Tiles")) == [1, 2], "the next run starts new processes"
 
 
+def test_processes_that_end_between_two_runs_are_replaced(tmp_path):
+    with open_pool(tmp_path, "processes:2", "fail") as pool:
+        for _ in range(2):
+            assert run_to_end(pool.run([0, 1, 2, 4], "Tiles")) == [0, 1, 2, 4]
+            for worker in pool._workers:
+                worker.process.kill()
+                worker.process.wait()
+
+
 def test_closing_the_generator_leaves_no_process(tmp_path):
     with open_pool(tmp_path, "processes:2", "hang") as pool:
         steps = start_hanging(tmp_path, pool)

@@ -95,8 +95,12 @@ class ProcessTaskPool:
         with self._lock:  # also because a process on Windows may inherit the pipes of another one that is started at the same time
             if self._is_stopping:
                 raise Cancelled("Cancelled before it was started.")
-            if self._idle:
-                return self._idle.pop()
+            while self._idle:
+                worker = self._idle.pop()
+                if worker.process.poll() is None:
+                    return worker
+                self._workers.discard(worker)  # it has ended by itself, for instance because nobody renewed the heartbeat between two runs
+                worker.wait_for_exit()
             worker = _Worker(self._command, self._folder / f"worker-{self._started_count}")
             self._started_count += 1
             self._workers.add(worker)
