@@ -8,10 +8,7 @@ from pathlib import Path
 import bpy
 import scipy
 
-from ..core.jobs import heartbeat
-
 START_SCRIPT = Path(__file__).with_name("worker_start.py")
-EXIT_RUN_GONE = 3  # exit code of a worker whose run has ended
 
 
 def worker_command(module: str, arguments: list[str]) -> list[str]:
@@ -21,11 +18,6 @@ def worker_command(module: str, arguments: list[str]) -> list[str]:
     if bpy.app.module:
         return [sys.executable, str(START_SCRIPT), *worker_arguments]
     return [bpy.app.binary_path, "--background", "--factory-startup", "--python", str(START_SCRIPT), "--", *worker_arguments]
-
-
-def exit_when_run_ends(heartbeat_file: Path) -> None:
-    """End this process, in any state, when the run with this heartbeat file ends."""
-    heartbeat.watch(heartbeat_file, lambda: os._exit(EXIT_RUN_GONE))
 
 
 def exit_process(code: int) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ...core.btf.capture.capture_spec import LevelCaptureSpec
-from ...core.btf.capture.dispatch import EXIT_ERROR, Shard, encode_error
+from ...core.btf.capture.dispatch import Shard
 from ...core.btf.capture.observations import ID_BUFFER_SCALE, ViewRender, observe, visible_subsamples
 from ...core.btf.capture.reference_images import compute_reference_image, low_order_lights
 from ...core.btf.capture.shard_files import ViewFiles, to_half
@@ -17,9 +17,11 @@ from ...core.btf.capture.shards import ShardStore
 from ...core.btf.capture.visibility_codec import encode_visibility
 from ...core.errors import FarfieldError
 from ...core.geometry.cameras import OrthographicView
+from ...core.jobs.heartbeat import exit_when_run_ends
+from ...core.jobs.worker_errors import EXIT_ERROR, encode_error
 from ..emission import has_emission
 from ..meshes import Source
-from ..worker_processes import exit_when_run_ends, worker_command
+from ..worker_processes import worker_command
 from . import capture
 from .snapshot import Snapshot, open_snapshot, store_folder
 from .surface_capture import open_surface_renderer

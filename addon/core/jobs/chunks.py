@@ -49,7 +49,7 @@ def map_ordered(function: Callable[[Item], Result], items: Iterable[Item]) -> It
     count = min(os.cpu_count() or 1, MAX_THREADS)
     pending: deque[Future[Result]] = deque()
     threads = ThreadPoolExecutor(count, thread_name_prefix="farfield-map")
-    with _blas_thread_limit.limit_to_one():
+    with blas_thread_limit.limit_to_one():
         try:
             for item in items:
                 pending.append(threads.submit(function, item))
@@ -93,4 +93,4 @@ class BlasThreadLimit:
                     self._limit.restore_original_limits()
 
 
-_blas_thread_limit = BlasThreadLimit()  # one for the process, as the limit is
+blas_thread_limit = BlasThreadLimit()  # one for the process, as the limit is

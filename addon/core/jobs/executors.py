@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -35,10 +35,14 @@ class OpenExecutor:
 
 @dataclass(frozen=True)
 class ExecutorSpec:
-    """A parsed executor spec: a number of local processes, or the address of a Dask scheduler."""
+    """A parsed executor spec: a number of local processes, or the address of a Dask scheduler.
+
+    is_serial: whether work that needs no process of its own runs in this one.
+    """
 
     processes: int
     scheduler: str | None
+    is_serial: bool = field(default=False, compare=False)
 
     @property
     def uses_network(self) -> bool:
@@ -65,7 +69,7 @@ def parse_executor(text: str) -> ExecutorSpec:
         )
     serial, count, scheduler = match.groups()
     default_count = min(os.cpu_count() or 1, MAX_DEFAULT_PROCESSES)
-    return ExecutorSpec(1 if serial else int(count) if count else default_count, scheduler)
+    return ExecutorSpec(1 if serial else int(count) if count else default_count, scheduler, bool(serial))
 
 
 @contextmanager

@@ -20,6 +20,7 @@ from ..files.file_access import convert_os_errors
 FILE_SUFFIX = ".heartbeat"
 POLL_SECONDS = 0.25  # between two checks of the file
 TIMEOUT_SECONDS = 60.0  # without a touch until a run counts as dead
+EXIT_RUN_GONE = 3  # exit code of a worker whose run has ended
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,11 @@ def is_alive(folder: Path) -> bool:
 def watch(path: Path, on_end: Callable[[], None]) -> None:
     """Call `on_end` from a new thread once the file at `path` is deleted or no longer touched, or the parent process has died."""
     threading.Thread(target=_watch, args=(path, os.getppid(), on_end), name="farfield-heartbeat", daemon=True).start()
+
+
+def exit_when_run_ends(path: Path) -> None:
+    """End this process, in any state, when the run with the heartbeat file at `path` ends."""
+    watch(path, lambda: os._exit(EXIT_RUN_GONE))
 
 
 def _watch(path: Path, parent: int, on_end: Callable[[], None]) -> None:

@@ -26,7 +26,7 @@ import numpy as np
 from pathlib import Path
 from farfield.addon.core.jobs import heartbeat
 from farfield.addon.core.btf.capture.shards import ShardStore
-from farfield.addon.core.btf.capture.dispatch import EXIT_ERROR, encode_error
+from farfield.addon.core.jobs.worker_errors import EXIT_ERROR, encode_error
 from farfield.addon.core.btf.capture.reference_images import ReferenceImage
 from farfield.addon.core.btf.capture.observations import Observation
 from farfield.addon.core.errors import FileError

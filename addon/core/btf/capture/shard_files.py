@@ -1,6 +1,5 @@
 """Files that hold NumPy arrays of one view. A file appears complete or not at all; a checksum detects damage."""
 
-import hashlib
 import io
 from contextlib import suppress
 from dataclasses import dataclass
@@ -11,14 +10,13 @@ import numpy as np
 from ...errors import FileError
 from ...files.atomic_write import write_bytes_atomically
 from ...files.file_access import error_reason
+from ...files.sealed_files import seal, unseal
 from .array_archives import READ_ERRORS, read_archive, write_archive
-
-DIGEST_BYTES = hashlib.sha256().digest_size
 
 
 @dataclass(frozen=True)
 class ViewFiles:
-    """Files of one kind in `folder`, one per view: NAME-0000.shard, a SHA-256 digest followed by a .npz archive."""
+    """Files of one kind in `folder`, one per view: NAME-0000.shard, a sealed .npz archive."""
 
     folder: Path
     name: str
@@ -33,8 +31,7 @@ class ViewFiles:
         Raises:
             FileError: the file cannot be written.
         """
-        content = write_archive(arrays, compressed=compressed)
-        write_view_file(self.path(view), hashlib.sha256(content).digest() + content)
+        write_view_file(self.path(view), seal(write_archive(arrays, compressed=compressed)))
 
     def read(self, view: int, *names: str) -> list[np.ndarray]:
         """Return the arrays called `names` of `view`. Other arrays are not read.
@@ -53,10 +50,8 @@ class ViewFiles:
     def read_valid(self, view: int, *names: str) -> list[np.ndarray] | None:
         """Return the arrays called `names` of `view`, or None unless the file exists, matches its checksum and contains them."""
         try:
-            content = self.path(view).read_bytes()
-            if hashlib.sha256(content[DIGEST_BYTES:]).digest() != content[:DIGEST_BYTES]:
-                return None
-            return read_archive(io.BytesIO(content), *names)
+            content = unseal(self.path(view).read_bytes())
+            return None if content is None else read_archive(io.BytesIO(content), *names)
         except READ_ERRORS:
             return None
 

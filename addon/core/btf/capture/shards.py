@@ -9,16 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ...errors import FileError
-from ...files.atomic_write import TEMPORARY_SUFFIX, write_bytes_atomically
-from ...files.file_access import convert_os_errors
+from ...jobs.job_folder import open_job_folder, remove_temporary_files
 from .face_id_files import FaceIdFiles
 from .observations import Observation
 from .reference_images import ReferenceImage
 from .shard_files import ViewFiles, to_bytes, to_half, write_view_file
 from .shard_layout import ARRAYS, ShardLayout
 
-JOB_FILE = "job.json"
 FORMAT_VERSION = 7  # of the files; a folder written with another version belongs to another bake
 
 
@@ -40,16 +37,7 @@ class ShardStore:
         Raises:
             FileError: the folder belongs to another bake or cannot be written.
         """
-        job_path, content = self.folder / JOB_FILE, json.dumps({"fingerprint": f"{fingerprint} format={FORMAT_VERSION}"}).encode()
-        with convert_os_errors(f'The work folder "{self.folder}" cannot be used'):
-            self.folder.mkdir(parents=True, exist_ok=True)
-            if not job_path.exists():
-                write_bytes_atomically(job_path, content)
-            is_same = job_path.stat().st_size == len(content) and job_path.read_bytes() == content
-        if not is_same:
-            raise FileError(
-                f'The work folder "{self.folder}" contains a bake of another cloud or with other settings; choose another one or empty it.'
-            )
+        open_job_folder(self.folder, f"{fingerprint} format={FORMAT_VERSION}", "a bake of another cloud or with other settings")
 
     def path(self, view: int) -> Path:
         """Return the path of the file of a view."""
@@ -57,9 +45,7 @@ class ShardStore:
 
     def remove_temporary_files(self) -> None:
         """Delete the unfinished files of dead processes. No process may be writing to the folder."""
-        for path in self.folder.glob(f"*{TEMPORARY_SUFFIX}"):
-            with suppress(OSError):
-                path.unlink()
+        remove_temporary_files(self.folder)
 
     def validate_or_remove(self, view: int) -> bool:
         """Return whether a view is finished and undamaged. A damaged file is deleted, so that `exists` agrees from then on.

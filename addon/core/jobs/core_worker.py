@@ -1,0 +1,72 @@
+"""Worker processes without Blender: plain Python with NumPy and SciPy that runs one module of the core.
+
+Such a process starts in a fraction of the time of a Blender process, and takes a fraction of its memory.
+"""
+
+import json
+import sys
+from functools import lru_cache
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+
+from ..errors import FarfieldError
+from .worker_errors import EXIT_ERROR, encode_error
+
+START_SCRIPT = Path(__file__).with_name("core_worker_start.py")
+WHEELS = ("scipy", "fast_simplification", "threadpoolctl", "tifffile", "xatlas")  # packages of the extension, which Blender's Python lacks
+PACKAGE_PARTS = 4  # of the name of this module below the extension's package: addon.core.jobs.core_worker
+
+
+def core_command(module: str, arguments: list[str]) -> list[str]:
+    """Return the command of a Python process that calls `main(arguments)` of a `module` of the extension, for instance
+    `addon.core.jobs.task_worker`, and exits with the returned code. Neither the module nor anything that it imports may need bpy.
+
+    A FarfieldError becomes a line on stderr and the exit code EXIT_ERROR, see `worker_errors`. The process is the Python of pip's bpy or
+    that of the Blender program, with the packages of the extension. Matrix products use one thread.
+
+    Raises:
+        FarfieldError: this Blender has no Python program.
+    """
+    flags = ["-P"]  # no module in the folder of the script hides another one
+    # As this process: Blender ignores variables and folders that are meant for other Pythons.
+    if sys.flags.ignore_environment:
+        flags.append("-E")
+    if sys.flags.no_user_site:
+        flags.append("-s")
+    if sys.flags.utf8_mode:
+        flags += ["-X", "utf8"]
+    return [_python_program(), *flags, str(START_SCRIPT), module, json.dumps(_wheel_folders()), *arguments]
+
+
+def run_module(module: str, arguments: list[str]) -> int:
+    """Call `main(arguments)` of a `module` of the extension; return the exit code of the process."""
+    try:
+        return import_extension_module(module).main(arguments)
+    except FarfieldError as error:
+        print(encode_error(error), file=sys.stderr, flush=True)
+        return EXIT_ERROR
+
+
+def import_extension_module(module: str):
+    """Import a `module` below the package of the extension, whatever that is called in this process."""
+    package = __name__.rsplit(".", PACKAGE_PARTS)[0]
+    return import_module(f"{package}.{module}")
+
+
+def _python_program() -> str:
+    """Return the path of the Python program of this process. Inside Blender that is one of Blender's own files."""
+    program = Path(sys.executable or "")
+    if not program.name.lower().startswith("python"):
+        raise FarfieldError("This Blender comes without a Python program for worker processes; set Executor to serial.")
+    return str(program)
+
+
+@lru_cache(maxsize=1)
+def _wheel_folders() -> list[str]:
+    """Return the folders that hold the packages of the extension."""
+    folders = set()
+    for spec in filter(None, map(find_spec, WHEELS)):
+        paths = spec.submodule_search_locations or [spec.origin]  # of a package, or of a single file
+        folders |= {str(Path(path).resolve().parent) for path in paths}
+    return sorted(folders)
