@@ -25,7 +25,7 @@ import numpy as np
 
 from farfield.addon.core.clipbox.engine import TerrainEngine, Update, check_viewer, weld
 from farfield.addon.core.clipbox.files.readers import check_path
-from farfield.addon.core.clipbox.layout import choose_origin
+from farfield.addon.core.clipbox.layout import choose_terrain_origin
 from farfield.addon.core.clipbox.mesh_export import write_obj, write_ply
 from farfield.addon.core.clipbox.settings import ClipboxSettings, ConvertSettings
 from farfield.addon.core.errors import FileError, SettingsError
@@ -77,7 +77,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
         engine = build_engine(settings, positions, clock, line)
     line.clear()
     with clock.stage("write"):
-        write_output(out, engine, choose_origin(positions[-1], settings))
+        write_output(out, engine, choose_terrain_origin(positions[-1], settings))
     if given.report is not None:
         command_line.write_report(given.report.absolute(), build_report(engine, clock))
     return f'"{out.name}": {sum(box["triangles"] for box in engine.statistics()):,} triangles in {settings.boxes} boxes.'

@@ -12,7 +12,7 @@ from ...bridge.clipbox.objects import SceneTerrain
 from ...bridge.clipbox.sources import absolute_path
 from ...core.clipbox.engine import NO_SURFACE, TerrainEngine, Update, check_viewer
 from ...core.clipbox.files.readers import BLEND_PREFIX, check_path
-from ...core.clipbox.layout import choose_origin
+from ...core.clipbox.layout import choose_terrain_origin
 from ...core.clipbox.settings import ClipboxSettings
 from ...core.errors import GeometryError
 from ...core.files.file_access import check_readable
@@ -47,7 +47,7 @@ class TerrainJob:
         settings = self.settings
         if not core_result.meshes:
             raise GeometryError(NO_SURFACE)
-        origin = self.terrain.origin if self.terrain is not None else choose_origin(self.viewer, settings)
+        origin = self.terrain.origin if self.terrain is not None else choose_terrain_origin(self.viewer, settings)
         mesh_names = yield from subprogress(terrain_objects.fill_meshes(core_result, origin, settings), 0.0, 0.99)
         yield Progress(0.99, "Showing meshes")
         ground_image = find_ground_image(settings, origin)
