@@ -32,7 +32,8 @@ from farfield.addon.core.errors import FileError, SettingsError
 from farfield.addon.core.files.file_access import check_readable, error_reason
 from farfield.addon.core.jobs.progress import Progress, StageClock, Steps, run_to_end, subprogress
 from farfield.addon.core.settings import add_flags, describe, from_flags
-from farfield.addon.operators.clipbox import convert_to_mesh, engines, following
+from farfield.addon.operators import following
+from farfield.addon.operators.clipbox import convert_to_mesh, engines
 from farfield.addon.operators.clipbox.job import prepare
 from farfield.addon.operators.job_run import run_job
 from lib import command_line, scene_files
