@@ -84,7 +84,7 @@ def test_pending_meshes_that_are_never_shown_become_spare():
     assert len(bpy.data.meshes) == 1
 
 
-def test_pools_do_not_share_meshes():
+def test_pools_have_meshes_of_their_own():
     PendingMeshes("test", "Tile").fill("a", VERTICES, TRIANGLES)
     PendingMeshes("other", "Tile").fill("a", VERTICES, TRIANGLES)
     assert len(mesh_pool.spare_meshes("test")) == len(mesh_pool.spare_meshes("other")) == 1

@@ -255,7 +255,7 @@ def test_terrains_follow_the_camera_in_every_frame(terrain):
     assert terrain.heights() == [10.0, 10.0, 10.0]
 
 
-def test_tools_are_kept_apart(tools, terrain):
+def test_two_tools_do_not_mix(tools, terrain):
     other = create(OtherTiles)
     runs = Following(terrain), Following(other)
     for height, run in enumerate(runs):
