@@ -30,7 +30,8 @@ def viewer_projection(scene: bpy.types.Scene, area: bpy.types.Area | None) -> Pr
     """
     if area is None:
         return camera_projection(scene, scene.camera)
-    space, window = area.spaces.active, next(region for region in area.regions if region.type == "WINDOW")
+    space = area.spaces.active
+    window = [region for region in area.regions if region.type == "WINDOW"][-1]  # of four in a quad view, the one of region_3d
     camera = scene.camera if space.region_3d.view_perspective == "CAMERA" else None
     lens = camera.data if camera is not None and camera.type == "CAMERA" else space
     size = max(window.width, 1), max(window.height, 1)
