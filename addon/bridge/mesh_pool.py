@@ -74,14 +74,18 @@ def fill_mesh(
     if not len(triangles):
         return
     if normals is None:
-        mesh.shade_flat()
+        _write_faces(mesh, "sharp_face", "BOOLEAN", np.ones(len(triangles), bool))  # shade_flat() takes 100 times as long
     else:
         write_attribute(mesh, "custom_normal", "POINT" if normals.ndim == 2 else "CORNER", normals)
     if uvs is not None:
         write_attribute(mesh, "UVMap", "CORNER", uvs)
     if material_indices is not None:
-        indices = mesh.attributes.new("material_index", "INT", "FACE")
-        indices.data.foreach_set("value", np.ascontiguousarray(material_indices, np.int32))
+        _write_faces(mesh, "material_index", "INT", np.ascontiguousarray(material_indices, np.int32))
+
+
+def _write_faces(mesh: bpy.types.Mesh, name: str, data_type: str, values: np.ndarray) -> None:
+    """Create an attribute with one value per face; `values` (T,) has the type that Blender stores."""
+    mesh.attributes.new(name, data_type, "FACE").data.foreach_set("value", values)
 
 
 def claim(name: str) -> bpy.types.Mesh:
@@ -100,11 +104,6 @@ def mark_spare(mesh: bpy.types.Mesh, pool: str) -> None:
 def spare_meshes(pool: str) -> list[bpy.types.Mesh]:
     """Return the spare meshes of a pool."""
     return [mesh for mesh in bpy.data.meshes if mesh.users == 0 and mesh.get(SPARE_KEY) == pool and is_local(mesh)]
-
-
-def remove_spare(pool: str, max_spare: int = 0) -> None:
-    """Remove the spare meshes of a pool but for `max_spare`."""
-    bpy.data.batch_remove(spare_meshes(pool)[max_spare:])
 
 
 def is_local(data_block: bpy.types.ID) -> bool:
