@@ -1,6 +1,6 @@
 """Registration of all operators, properties and panels with Blender, unregistered in reverse order."""
 
-from .operators import documentation, long_work
+from .operators import documentation, follow_handlers, long_work
 from .operators.billboards import operators as billboards_operators
 from .operators.btf import exports as btf_exports
 from .operators.btf import operators as btf_operators
@@ -24,6 +24,7 @@ from .panels import unwrap as unwrap_panels
 MODULES = (
     long_work,
     documentation,
+    follow_handlers,
     billboards_operators,
     btf_operators,
     btf_exports,

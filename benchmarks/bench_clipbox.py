@@ -34,8 +34,8 @@ from farfield.addon.core.clipbox.terrains import spheres
 from farfield.addon.core.clipbox.terrains.generators import build_sampler
 from farfield.addon.core.clipbox.terrains.grids import Grid
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.operators.clipbox.following import Following
 from farfield.addon.operators.clipbox.job import prepare
+from farfield.addon.operators.following import Following
 from farfield.addon.operators.job_run import run_job
 from lib import command_line
 

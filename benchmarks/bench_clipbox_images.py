@@ -23,8 +23,8 @@ import benchmark_cli
 import bpy
 import numpy as np
 
-from farfield.addon.bridge.clipbox.objects import fill_mesh
 from farfield.addon.bridge.cycles_renders import prepare_cycles
+from farfield.addon.bridge.mesh_pool import fill_mesh
 from farfield.addon.bridge.node_builder import NodeBuilder
 from farfield.addon.bridge.render_scene import RenderScene, render_scene
 from farfield.addon.compat import enable_nodes
@@ -162,7 +162,7 @@ def renderer(
 def render_mesh(work: RenderScene, source: WeldedMesh, shade: Callable[[NodeBuilder], None]) -> np.ndarray:
     """Render one mesh."""
     mesh = work.own(bpy.data.meshes.new("Terrain"))
-    fill_mesh(mesh, source.vertices, source.normals, source.triangles)
+    fill_mesh(mesh, source.vertices, source.triangles, source.normals)
     material = work.own(bpy.data.materials.new("Terrain"))
     enable_nodes(material)
     material.node_tree.nodes.clear()

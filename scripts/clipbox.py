@@ -25,14 +25,15 @@ import numpy as np
 
 from farfield.addon.core.clipbox.engine import TerrainEngine, Update, check_viewer, weld
 from farfield.addon.core.clipbox.files.readers import check_path
-from farfield.addon.core.clipbox.layout import choose_origin
+from farfield.addon.core.clipbox.layout import choose_terrain_origin
 from farfield.addon.core.clipbox.mesh_export import write_obj, write_ply
 from farfield.addon.core.clipbox.settings import ClipboxSettings, ConvertSettings
 from farfield.addon.core.errors import FileError, SettingsError
 from farfield.addon.core.files.file_access import check_readable, error_reason
 from farfield.addon.core.jobs.progress import Progress, StageClock, Steps, run_to_end, subprogress
 from farfield.addon.core.settings import add_flags, describe, from_flags
-from farfield.addon.operators.clipbox import convert_to_mesh, engines, following
+from farfield.addon.operators import following
+from farfield.addon.operators.clipbox import convert_to_mesh, engines
 from farfield.addon.operators.clipbox.job import prepare
 from farfield.addon.operators.job_run import run_job
 from lib import command_line, scene_files
@@ -77,7 +78,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
         engine = build_engine(settings, positions, clock, line)
     line.clear()
     with clock.stage("write"):
-        write_output(out, engine, choose_origin(positions[-1], settings))
+        write_output(out, engine, choose_terrain_origin(positions[-1], settings))
     if given.report is not None:
         command_line.write_report(given.report.absolute(), build_report(engine, clock))
     return f'"{out.name}": {sum(box["triangles"] for box in engine.statistics()):,} triangles in {settings.boxes} boxes.'

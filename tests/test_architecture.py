@@ -28,7 +28,7 @@ TOOLS = {"billboards", "btf", "unwrap", "photos", "restore", "texmesh", "bdam", 
 TOOLS_MAY_IMPORT = {"photos": {"restore", "unwrap"}, "btf": {"billboards"}}
 LAST_NETS = {  # may catch Exception
     *("addon/operators/error_reports.py", "addon/operators/long_work.py", "scripts/lib/command_line.py"),
-    *("addon/operators/clipbox/handlers.py", "addon/operators/clipbox/view_following.py"),
+    *("addon/operators/follow_handlers.py", "addon/operators/view_following.py"),
 }
 SHARED_PACKAGES = {"geometry", "imaging", "files", "jobs"}  # below core
 # Not standard terms of the field; see CONTRIBUTING.md, Words.

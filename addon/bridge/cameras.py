@@ -16,8 +16,8 @@ def read_scene_camera(scene: bpy.types.Scene) -> Camera | None:
     if camera is None or camera.type != "CAMERA":
         return None
     render = scene.render
-    width, height = _resolution(render)
-    spans_width = _spans_width(camera.data, width * render.pixel_aspect_x, height * render.pixel_aspect_y)
+    width, height = render_size(render)
+    spans_width = sensor_spans_width(camera.data, width * render.pixel_aspect_x, height * render.pixel_aspect_y)
     pixels = width if spans_width else height
     position = np.array(camera.matrix_world.translation, np.float64)
     if camera.data.type == "ORTHO":
@@ -51,18 +51,18 @@ def read_camera_projection(scene: bpy.types.Scene, camera: bpy.types.Object, dep
     if camera.data.type not in ("PERSP", "ORTHO"):
         raise SettingsError(f'The camera "{camera.name}" is panoramic; choose a perspective or an orthographic one.')
     render = scene.render
-    width, height = _resolution(render)
+    width, height = render_size(render)
     aspect = {"scale_x": render.pixel_aspect_x, "scale_y": render.pixel_aspect_y}
     projection = np.array(camera.calc_matrix_camera(depsgraph, x=width, y=height, **aspect), np.float64)
     return CameraProjection(projection @ np.array(camera.matrix_world.normalized().inverted(), np.float64), (width, height))
 
 
-def _resolution(render: bpy.types.RenderSettings) -> tuple[int, int]:
+def render_size(render: bpy.types.RenderSettings) -> tuple[int, int]:
     """Return width and height of the rendered image in pixels."""
     scale = render.resolution_percentage / 100.0
     return max(int(render.resolution_x * scale), 1), max(int(render.resolution_y * scale), 1)
 
 
-def _spans_width(data: bpy.types.Camera, width: float, height: float) -> bool:
+def sensor_spans_width(data: bpy.types.Camera, width: float, height: float) -> bool:
     """Return whether the field of view, or the orthographic scale, spans the width of the image."""
     return width >= height if data.sensor_fit == "AUTO" else data.sensor_fit == "HORIZONTAL"

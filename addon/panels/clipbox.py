@@ -5,8 +5,7 @@ import bpy
 from ..bridge.clipbox.objects import terrain_of_object
 from ..core.clipbox.settings import BOXES, DETAIL, TERRAIN, ClipboxSettings, ConvertSettings
 from ..core.settings import describe
-from ..operators import long_work
-from ..operators.clipbox import view_following
+from ..operators import long_work, view_following
 from ..operators.clipbox.convert_to_mesh import FARFIELD_OT_clipbox_convert_to_mesh
 from ..operators.clipbox.operators import (
     FARFIELD_OT_clipbox_create,

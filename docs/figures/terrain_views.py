@@ -21,8 +21,8 @@ from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.clipbox.terrains.generators import build_sampler
 from farfield.addon.core.clipbox.terrains.grids import Grid
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.operators.clipbox.following import recenter
 from farfield.addon.operators.clipbox.job import prepare
+from farfield.addon.operators.following import recenter
 from farfield.addon.operators.job_run import run_job
 from lib.studio import look_at_matrix, set_uniform_sky, sun_matrix
 

@@ -9,11 +9,11 @@ import pytest
 
 from farfield.addon.bridge.clipbox import objects as terrain_objects
 from farfield.addon.core.errors import GeometryError, SettingsError
-from farfield.addon.operators import long_work
-from farfield.addon.operators.clipbox import following, handlers, view_following
-from farfield.addon.operators.clipbox.engines import cache
+from farfield.addon.operators import follow_handlers as handlers
+from farfield.addon.operators import following, long_work, view_following
 from farfield.addon.operators.clipbox.operators import FARFIELD_OT_clipbox_follow_view
-from farfield.addon.operators.clipbox.view_following import current
+from farfield.addon.operators.engine_cache import cache
+from farfield.addon.operators.view_following import current
 from scene_terrain import SMALL, camera_at, create, geometry_bytes
 
 pytestmark = pytest.mark.usefixtures("empty_scene")

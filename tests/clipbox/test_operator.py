@@ -17,10 +17,10 @@ from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.clipbox.terrains.generators import Sampler
 from farfield.addon.core.errors import GeometryError
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.operators.clipbox import following
+from farfield.addon.operators import following
 from farfield.addon.operators.clipbox import job as clipbox_job
-from farfield.addon.operators.clipbox.engines import cache
-from farfield.addon.operators.clipbox.following import Following, recenter
+from farfield.addon.operators.engine_cache import cache
+from farfield.addon.operators.following import Following, recenter
 from farfield.addon.operators.job_run import run_job
 from lib import command_line, environment
 from scene_terrain import SMALL, camera_at, create, geometry_bytes

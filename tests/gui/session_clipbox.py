@@ -56,7 +56,7 @@ def session() -> Iterator[float]:
     x, y = yield from user.find_button(FOLLOW)
     user.press("LEFTMOUSE", x, y)
     yield 1.0
-    following_module = module("addon.operators.clipbox.following")
+    following_module = module("addon.operators.following")
     results["followings"] = len(following_module.running())
     (following,) = following_module.running()
     bpy.ops.ed.undo_push(message="Nothing")

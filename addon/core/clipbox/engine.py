@@ -89,6 +89,10 @@ class TerrainEngine:
         """Return whether a move to `viewer` (3,) would change nothing."""
         return bool(self._signatures) and self.boxes.is_centered_on(viewer)
 
+    def is_settled_at(self, viewer: np.ndarray) -> bool:
+        """Return the same as `is_centered_on`, under the name that all engines of terrains share."""
+        return self.is_centered_on(viewer)
+
     @staticmethod
     def has_same_layout(settings: ClipboxSettings, viewer: np.ndarray, other: np.ndarray) -> bool:
         """Return whether the boxes around two viewers (3,) have the same positions."""

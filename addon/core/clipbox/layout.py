@@ -10,6 +10,7 @@ from itertools import product
 
 import numpy as np
 
+from ..geometry.origins import choose_origin
 from .settings import ClipboxSettings
 
 ALIGNMENT = 4  # voxels
@@ -78,13 +79,12 @@ def is_same_layout(layout: BoxLayout, other: BoxLayout) -> bool:
     return all(np.array_equal(origin, other_origin) for origin, other_origin in zip(layout.origins, other.origins, strict=True))
 
 
-def choose_origin(viewer: np.ndarray, settings: ClipboxSettings) -> np.ndarray:
+def choose_terrain_origin(viewer: np.ndarray, settings: ClipboxSettings) -> np.ndarray:
     """Return the terrain position (3,) float64, scene units, that single-precision vertices around a viewer at (3,) are relative to.
 
     It is the origin of the terrain, except along axes on which the viewer is far from it.
     """
-    unit = settings.voxel_size * 2 ** (settings.boxes - 1)
-    return np.where(np.abs(viewer) > MAX_SINGLE_PRECISION * settings.voxel_size, np.rint(viewer / unit) * unit, 0.0)
+    return choose_origin(viewer, settings.voxel_size * 2 ** (settings.boxes - 1), MAX_SINGLE_PRECISION * settings.voxel_size)
 
 
 def visible_blocks(layout: BoxLayout, level: int, side: int) -> list[tuple[int, int, int]]:

@@ -13,6 +13,7 @@ from ...core.clipbox.to_mesh import ConvertedMesh, convert_to_meshes
 from ...core.errors import GeometryError, SettingsError
 from ...core.jobs.progress import Progress, Steps
 from .. import properties, start_job
+from ..engine_cache import cache
 from . import engines, operators
 
 
@@ -44,7 +45,7 @@ class ConvertJob:
         self.object_names = terrain_objects.add_converted_meshes(bpy.context.scene, self.terrain, core_result)
         if not self.settings.keep_terrain:
             terrain_objects.remove(self.terrain)
-            engines.cache.evict_missing()
+            cache.evict_missing()
         triangles = sum(len(part.mesh.triangles) for part in core_result)
         meshes = f"{len(core_result)} mesh{'' if len(core_result) == 1 else 'es'}"
         return f'Converted "{self.terrain.name}" to {meshes} with {triangles:,} triangles.'

@@ -12,11 +12,12 @@ from ...bridge.clipbox.objects import SceneTerrain
 from ...bridge.clipbox.sources import absolute_path
 from ...core.clipbox.engine import NO_SURFACE, TerrainEngine, Update, check_viewer
 from ...core.clipbox.files.readers import BLEND_PREFIX, check_path
-from ...core.clipbox.layout import choose_origin
+from ...core.clipbox.layout import choose_terrain_origin
 from ...core.clipbox.settings import ClipboxSettings
 from ...core.errors import GeometryError
 from ...core.files.file_access import check_readable
 from ...core.jobs.progress import Progress, Steps, subprogress
+from ..engine_cache import cache
 from . import engines
 
 HEIGHT_PERCENTILES = 10, 90  # of the vertices, between which most ground has the color of grass
@@ -47,21 +48,21 @@ class TerrainJob:
         settings = self.settings
         if not core_result.meshes:
             raise GeometryError(NO_SURFACE)
-        origin = self.terrain.origin if self.terrain is not None else choose_origin(self.viewer, settings)
+        origin = self.terrain.origin if self.terrain is not None else choose_terrain_origin(self.viewer, settings)
         mesh_names = yield from subprogress(terrain_objects.fill_meshes(core_result, origin, settings), 0.0, 0.99)
         yield Progress(0.99, "Showing meshes")
         ground_image = find_ground_image(settings, origin)
         if self.terrain is None:
             self.terrain = terrain_objects.create_root(bpy.context.scene, settings, self.viewer, origin)
-            terrain_objects.select(bpy.context.view_layer, self.terrain)
+            self.terrain.select(bpy.context.view_layer)
         elif self.terrain.root is None:
             raise GeometryError(f'The terrain "{self.terrain.name}" was removed during the update.')
-        terrain_objects.store_settings(self.terrain.root, settings)
+        self.terrain.store_settings(settings)
         material = self.terrain.material or create_terrain_material(
             self.terrain.name, self.terrain.root, *height_range(core_result, origin), ground_image, is_forest=settings.terrain == "forest"
         )
         terrain_objects.show_meshes(self.terrain, mesh_names, core_result, material)
-        engines.cache.store(self.terrain, self.engine)
+        cache.store(self.terrain, self.engine)
         self.update = core_result
         triangles = sum(len(mesh.triangles) for mesh in core_result.meshes.values())
         return f'"{self.terrain.name}": {triangles:,} triangles in {settings.boxes} boxes.'

@@ -1,0 +1,111 @@
+"""Meshes that are filled from arrays and shown later, and a bounded pool of spare meshes that are filled again.
+
+A pool is a word. Its spare meshes are those without users whose custom property SPARE_KEY is that word, so that undo, and files that are
+opened, cannot make it wrong.
+"""
+
+from collections.abc import Hashable
+
+import bpy
+import numpy as np
+
+from .mesh_arrays import write_attribute, write_triangles
+
+SPARE_KEY = "farfield_spare_mesh"  # custom property of meshes that are not shown
+MAX_SPARE = 64  # meshes per pool by default
+MAX_REMOVED = 64  # spare meshes that are removed at the start of a change, about 2 ms
+
+
+class PendingMeshes:
+    """Meshes without users that are filled now and shown later. `names` has the mesh names by key.
+
+    Spare meshes are filled first. Meshes that are never shown become spare.
+    """
+
+    def __init__(self, pool: str, mesh_name: str, max_spare: int = MAX_SPARE) -> None:
+        """mesh_name: name of new meshes. max_spare: spare meshes that are kept."""
+        self.names: dict[Hashable, str] = {}
+        self._pool, self._mesh_name = pool, mesh_name
+        spare = spare_meshes(pool)
+        if len(spare) > max_spare:
+            bpy.data.batch_remove(spare[max_spare:][:MAX_REMOVED])
+        self._spare = [mesh.name for mesh in spare[:max_spare]]
+
+    def take(self, key: Hashable) -> bpy.types.Mesh:
+        """Return a mesh with any content that is to be filled for `key`. Its material slots are those of its last use."""
+        mesh = bpy.data.meshes.get((self._spare.pop(), None)) if self._spare else None
+        if mesh is None or mesh.users:  # removed or used meanwhile, or there was none
+            mesh = bpy.data.meshes.new(self._mesh_name)
+        mesh[SPARE_KEY] = self._pool
+        self.names[key] = mesh.name
+        return mesh
+
+    def fill(
+        self,
+        key: Hashable,
+        vertices: np.ndarray,
+        triangles: np.ndarray,
+        normals: np.ndarray | None = None,
+        uvs: np.ndarray | None = None,
+        material_indices: np.ndarray | None = None,
+    ) -> None:
+        """Fill the mesh of `key`; see `fill_mesh`."""
+        fill_mesh(self.take(key), vertices, triangles, normals, uvs, material_indices)
+
+
+def fill_mesh(
+    mesh: bpy.types.Mesh,
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    normals: np.ndarray | None = None,
+    uvs: np.ndarray | None = None,
+    material_indices: np.ndarray | None = None,
+) -> None:
+    """Replace the geometry of a mesh and its attributes; material slots stay.
+
+    Args:
+        vertices: (V, 3), object space.
+        triangles: (T, 3) int.
+        normals: (V, 3) by vertex or (T, 3, 3) by corner, object space; None for flat shading.
+        uvs: (T, 3, 2), the UV map "UVMap"; None for none.
+        material_indices: (T,) int; None for the first material.
+    """
+    write_triangles(mesh, vertices, triangles)
+    if not len(triangles):
+        return
+    if normals is None:
+        _write_faces(mesh, "sharp_face", "BOOLEAN", np.ones(len(triangles), bool))  # shade_flat() takes 100 times as long
+    else:
+        write_attribute(mesh, "custom_normal", "POINT" if normals.ndim == 2 else "CORNER", normals)
+    if uvs is not None:
+        write_attribute(mesh, "UVMap", "CORNER", uvs)
+    if material_indices is not None:
+        _write_faces(mesh, "material_index", "INT", np.ascontiguousarray(material_indices, np.int32))
+
+
+def _write_faces(mesh: bpy.types.Mesh, name: str, data_type: str, values: np.ndarray) -> None:
+    """Create an attribute with one value per face; `values` (T,) has the type that Blender stores."""
+    mesh.attributes.new(name, data_type, "FACE").data.foreach_set("value", values)
+
+
+def claim(name: str) -> bpy.types.Mesh:
+    """Return a pending mesh, which is no longer spare, to be shown."""
+    mesh = bpy.data.meshes[name, None]
+    del mesh[SPARE_KEY]
+    return mesh
+
+
+def mark_spare(mesh: bpy.types.Mesh, pool: str) -> None:
+    """Let the next change fill a mesh that is no longer shown. Linked meshes stay as they are."""
+    if is_local(mesh):
+        mesh[SPARE_KEY] = pool
+
+
+def spare_meshes(pool: str) -> list[bpy.types.Mesh]:
+    """Return the spare meshes of a pool."""
+    return [mesh for mesh in bpy.data.meshes if mesh.users == 0 and mesh.get(SPARE_KEY) == pool and is_local(mesh)]
+
+
+def is_local(data_block: bpy.types.ID) -> bool:
+    """Return whether a data-block belongs to this file. Changes to others crash Blender, or are lost when the file is opened again."""
+    return data_block.is_editable and data_block.override_library is None

@@ -1,0 +1,171 @@
+"""Terrains in a scene: an Empty at the root with the settings as custom properties, and mesh objects as its children.
+
+All objects of a terrain have the frame of its root, and vertices are relative to it. The terrain position at the root, its origin, is
+stored in double precision.
+"""
+
+import json
+from dataclasses import asdict, dataclass
+from typing import Any, ClassVar, Self, TypeVar
+
+import bpy
+import mathutils
+import numpy as np
+
+from ..core.errors import SettingsError
+from ..core.geometry.viewers import Viewer
+from .mesh_pool import is_local
+
+Settings = TypeVar("Settings")
+
+
+@dataclass(frozen=True)
+class TerrainRoot:
+    """A terrain in the scene. References to objects must not be kept while the user works, so it is identified by the name of its root.
+
+    tool: identifier of the tool, which a subclass sets; it is part of the names of custom properties. library_path: the file that the
+    terrain is linked from, None for a terrain of this file. Both can have terrains of the same name.
+    """
+
+    tool: ClassVar[str] = ""
+
+    name: str
+    library_path: str | None = None
+
+    @classmethod
+    def settings_key(cls) -> str:
+        """Return the name of the custom property that has the settings as JSON text."""
+        return f"farfield_{cls.tool}_settings"
+
+    @classmethod
+    def origin_key(cls) -> str:
+        """Return the name of the custom property that has the terrain position at the root."""
+        return f"farfield_{cls.tool}_origin"
+
+    @classmethod
+    def in_scene(cls, scene: bpy.types.Scene) -> list[Self]:
+        """Return all terrains of a scene, linked ones included."""
+        return [cls._of_root(item) for item in scene.objects if cls.settings_key() in item]
+
+    @classmethod
+    def of_object(cls, item: bpy.types.Object | None) -> Self | None:
+        """Return the terrain that an object is the root or a descendant of."""
+        while item is not None:
+            if cls.settings_key() in item:
+                return cls._of_root(item)
+            item = item.parent
+        return None
+
+    @classmethod
+    def _of_root(cls, root: bpy.types.Object) -> Self:
+        return cls(root.name, root.library.filepath if root.library is not None else None)
+
+    @classmethod
+    def create(cls, scene: bpy.types.Scene, name: str, origin: np.ndarray, settings: Any, display_size: float) -> Self:
+        """Create the Empty of a new terrain in a new collection.
+
+        origin: (3,) float64, terrain position at the root. settings: a dataclass of values that JSON can store.
+        """
+        collection = bpy.data.collections.new(name)
+        scene.collection.children.link(collection)
+        root = bpy.data.objects.new(name, None)
+        root.empty_display_size = display_size
+        collection.objects.link(root)
+        root[cls.origin_key()] = origin.tolist()
+        root[cls.settings_key()] = json.dumps(asdict(settings))
+        return cls(root.name)
+
+    @property
+    def root(self) -> bpy.types.Object | None:
+        """The Empty at the root, None if it was removed or renamed."""
+        item = bpy.data.objects.get((self.name, self.library_path))
+        return item if item is not None and self.settings_key() in item else None
+
+    @property
+    def read_only_reason(self) -> str:
+        """Why its objects cannot be changed, an empty string if they can."""
+        if is_local(self.root):
+            return ""
+        kind = "linked from another file" if self.root.override_library is None else "a library override"
+        return f'The terrain "{self.name}" is {kind}; make it local (Object > Relations > Make Local > All)'
+
+    @property
+    def origin(self) -> np.ndarray:
+        """Terrain position (3,) float64, scene units, at the root.
+
+        Raises:
+            SettingsError: the custom property is missing or has another type.
+        """
+        return self.read_position(self.origin_key())
+
+    def read_position(self, key: str) -> np.ndarray:
+        """Return the position (3,) float64 that is stored in a custom property of the root.
+
+        Raises:
+            SettingsError: the custom property is missing or has another type.
+        """
+        try:
+            position = np.array(self.root[key], np.float64)
+        except (KeyError, TypeError, ValueError):
+            position = np.empty(0)
+        if position.shape != (3,) or not np.isfinite(position).all():
+            raise SettingsError(f'The custom property "{key}" of the terrain "{self.name}" is invalid; create the terrain again.')
+        return position
+
+    def read_settings(self, settings_type: type[Settings]) -> Settings:
+        """Return the stored settings.
+
+        Raises:
+            SettingsError: they cannot be read, for example because a newer version wrote them.
+        """
+        try:
+            return settings_type(**json.loads(self.root[self.settings_key()]))
+        except SettingsError as error:
+            raise SettingsError(f'The settings of the terrain "{self.name}" are invalid: {error} Create the terrain again.') from error
+        except (ArithmeticError, RecursionError, TypeError, ValueError) as error:
+            raise SettingsError(f'The settings of the terrain "{self.name}" cannot be read: {error}. Create the terrain again.') from error
+
+    def store_settings(self, settings: Any) -> None:
+        """Store settings, a dataclass of values that JSON can store, in the root."""
+        self.root[self.settings_key()] = json.dumps(asdict(settings))
+
+    def viewer_position(self, matrix: mathutils.Matrix | np.ndarray) -> np.ndarray:
+        """Return the terrain position (3,) float64 of a viewer with the given matrix (4, 4) in world space."""
+        inverse = self._inverse_matrix()
+        return inverse[:3, :3] @ np.array(matrix, np.float64)[:3, 3] + inverse[:3, 3] + self.origin
+
+    def to_terrain_space(self, viewer: Viewer) -> Viewer:
+        """Return a viewer in world space as a viewer in terrain space."""
+        return viewer.transform(self._inverse_matrix(), self.origin)
+
+    def _inverse_matrix(self) -> np.ndarray:
+        """Return the matrix (4, 4) float64 from world space to the frame of the root."""
+        return np.array(self.root.matrix_world.inverted_safe(), np.float64)
+
+    def add_child(self, name: str, mesh: bpy.types.Mesh) -> bpy.types.Object:
+        """Create an object with the frame of the root, in the collections of the root."""
+        root = self.root
+        child = bpy.data.objects.new(name, mesh)
+        child.parent = root
+        collections = [collection for collection in root.users_collection if is_local(collection)]
+        for collection in collections or [scene.collection for scene in root.users_scene]:
+            collection.objects.link(child)
+        return child
+
+    def select(self, view_layer: bpy.types.ViewLayer) -> None:
+        """Select the root, make it active and deselect everything else."""
+        for item in view_layer.objects.selected:
+            item.select_set(False, view_layer=view_layer)
+        self.root.select_set(True, view_layer=view_layer)
+        view_layer.objects.active = self.root
+
+
+def remove_terrain(terrain: TerrainRoot, children: list[bpy.types.Object]) -> None:
+    """Remove a terrain with its mesh objects `children` and, if nothing else is in it, its collection."""
+    root = terrain.root
+    collections, meshes = root.users_collection, [child.data for child in children]
+    bpy.data.batch_remove([*children, root])
+    bpy.data.batch_remove([mesh for mesh in meshes if mesh.users == 0 and is_local(mesh)])
+    for collection in collections:
+        if not collection.all_objects and not collection.children and collection in bpy.data.collections.values():
+            bpy.data.collections.remove(collection)

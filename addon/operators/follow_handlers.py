@@ -1,0 +1,140 @@
+"""What terrains do when the frame changes, after undo and redo, and before another file is opened, for all tools whose terrains follow."""
+
+import sys
+import time
+from typing import Any
+
+import bpy
+
+from ..bridge import viewers
+from ..bridge.terrain_roots import TerrainRoot
+from . import follow_tools, following, view_following
+from .engine_cache import cache
+from .error_reports import describe_error
+from .follow_tools import FollowTool
+
+
+class _FileState:
+    """What the handlers keep until another file is opened. printed: errors. update_started: of Blender's last update of the scene."""
+
+    def __init__(self) -> None:
+        self.printed: set[str] = set()
+        self.update_started = 0.0
+
+
+_state = _FileState()
+
+
+@bpy.app.handlers.persistent
+def follow_active_camera(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
+    """Recenter the terrains that follow the active camera in a new frame, also while an animation renders."""
+    if scene.camera is None:
+        return
+    camera = scene.camera if depsgraph is None else scene.camera.evaluated_get(depsgraph)
+    for tool in follow_tools.registered:
+        for terrain in tool.scene_terrains(scene):
+            if follows_camera(terrain):
+                try:
+                    following.recenter(terrain, tool.to_terrain(terrain, viewers.camera_viewer(scene, camera)))
+                except Exception as error:  # noqa: BLE001 the last resort: nobody else catches the errors of a handler
+                    _print_once(error)
+
+
+def _print_once(error: Exception) -> None:
+    """Print the sentence about an error on stderr, once per file: an animation has many frames."""
+    key = f"{type(error).__name__}: {error}"
+    if key not in _state.printed:
+        _state.printed.add(key)
+        print(describe_error(error, "Follow Active Camera"), file=sys.stderr)
+
+
+@bpy.app.handlers.persistent
+def _after_undo(*_: Any) -> None:
+    """After undo and redo it is unknown what is shown."""
+    for item in following.running():
+        item.pause()
+    cache.invalidate()
+
+
+@bpy.app.handlers.persistent
+def _before_change(*_: Any) -> None:
+    """Blender is about to update the scene."""
+    _state.update_started = time.perf_counter()
+
+
+@bpy.app.handlers.persistent
+def _after_change(*_: Any) -> None:
+    """Objects may have been deleted or renamed."""
+    for item in following.running():
+        item.record_evaluation(time.perf_counter() - _state.update_started)
+    cache.evict_missing()
+
+
+@bpy.app.handlers.persistent
+def _before_load(*_: Any) -> None:
+    """Another file is about to be opened."""
+    view_following.current.stop()
+    following.close_all()
+    cache.clear()
+    _state.printed.clear()
+
+
+def _lock_interface(_item: bpy.types.Object, context: bpy.types.Context) -> None:
+    """Meshes that change while frames render must not be drawn meanwhile."""
+    context.scene.render.use_lock_interface = True
+
+
+HANDLERS: tuple[tuple[str, Any], ...] = (
+    ("frame_change_post", follow_active_camera),
+    ("undo_post", _after_undo),
+    ("redo_post", _after_undo),
+    ("depsgraph_update_pre", _before_change),
+    ("depsgraph_update_post", _after_change),
+    ("load_pre", _before_load),
+)
+
+
+def camera_property(tool: str) -> str:
+    """Return the name of the property *Follow Active Camera* of the roots of a tool's terrains."""
+    return f"farfield_{tool}_follow_camera"
+
+
+def follows_camera(terrain: TerrainRoot) -> bool:
+    """Return whether a terrain follows the active camera."""
+    return getattr(terrain.root, camera_property(terrain.tool))
+
+
+def register_tool(tool: FollowTool) -> None:
+    """Let the terrains of a tool follow, and register their property *Follow Active Camera*."""
+    follow_tools.registered.add(tool)
+    follow_camera = bpy.props.BoolProperty(
+        name="Follow Active Camera",
+        description="Center this terrain on the active camera in every frame, also while an animation renders",
+        update=_lock_interface,
+    )
+    setattr(bpy.types.Object, camera_property(tool.identifier), follow_camera)
+
+
+def unregister_tool(tool: FollowTool) -> None:
+    """Close the followings of a tool's terrains, remove their engines and unregister the property."""
+    if view_following.current.terrain is not None and view_following.current.terrain.tool == tool.identifier:
+        view_following.current.stop()
+    following.close_all(tool.identifier)
+    cache.clear(tool.identifier)
+    follow_tools.registered.remove(tool)
+    delattr(bpy.types.Object, camera_property(tool.identifier))
+
+
+def register() -> None:
+    """Register the handlers."""
+    for name, handler in HANDLERS:
+        getattr(bpy.app.handlers, name).append(handler)
+
+
+def unregister() -> None:
+    """Close all followings and unregister the handlers."""
+    _before_load()
+    for name, handler in HANDLERS:
+        handlers = getattr(bpy.app.handlers, name)
+        if handler in handlers:  # another add-on may have cleared the list
+            handlers.remove(handler)

@@ -1,0 +1,98 @@
+"""What a tool provides so that its terrains follow a viewer, and the list of these tools.
+
+An engine computes changes in a thread; a change fills meshes and shows them in the main thread. Keys, blocks, updates and the viewers that
+engines take are the tool's own types.
+"""
+
+from collections.abc import Hashable, Iterable, Iterator
+from queue import SimpleQueue
+from typing import Any, Protocol
+
+import bpy
+
+from ..bridge.terrain_roots import TerrainRoot
+from ..core.geometry.viewers import Viewer
+from ..core.jobs.progress import Steps
+
+
+class Engine(Protocol):
+    """Computes what is to be shown of one terrain, and knows what is shown. Only one thread at a time uses it.
+
+    finished_blocks: (key, block) pairs that the current move has finished; every move starts with an empty queue.
+    """
+
+    finished_blocks: SimpleQueue[tuple[Hashable, Any]]
+
+    def move(self, viewer: Any) -> Steps[Any]:
+        """Compute the update for a viewer. Runs in a thread, without Blender data. If it is cancelled or fails, the engine stays valid."""
+
+    def is_settled_at(self, viewer: Any) -> bool:
+        """Return whether a move to `viewer` would change nothing. Asked for in every tick."""
+
+    def invalidate(self) -> None:
+        """Forget what is shown: the next update is complete."""
+
+
+class Change(Protocol):
+    """One move of one terrain in the main thread: fills meshes that nobody sees yet, then shows them."""
+
+    def fill(self, key: Hashable, block: Any) -> Iterable[None]:
+        """Fill the mesh of a block. A generator that yields is continued in the next tick if time is over; otherwise return ()."""
+
+    def show(self, update: Any) -> Iterable[None]:
+        """Show the result of the move, after all of its blocks have been filled. Like `fill` it may take several ticks, but what the user
+        sees must switch within its last step. If it is closed before that, the engine is invalidated."""
+
+
+class FollowTool(Protocol):
+    """A tool whose terrains follow. identifier: as in `TerrainRoot.tool`."""
+
+    identifier: str
+
+    def scene_terrains(self, scene: bpy.types.Scene) -> Iterable[TerrainRoot]:
+        """Return all terrains of a scene, linked ones included."""
+
+    def create_engine(self, terrain: TerrainRoot) -> Engine:
+        """Create an engine for a terrain.
+
+        Raises:
+            FarfieldError: its settings or files cannot be read.
+        """
+
+    def is_engine_of(self, engine: Engine, terrain: TerrainRoot) -> bool:
+        """Return whether an engine has the current settings of its terrain."""
+
+    def to_terrain(self, terrain: TerrainRoot, viewer: Viewer) -> Any:
+        """Return a viewer in world space as engines take it, such as `terrain.to_terrain_space(viewer)`."""
+
+    def is_shown_at(self, terrain: TerrainRoot, viewer: Any) -> bool:
+        """Return whether the scene, which undo or another file may have changed, already shows what a move to `viewer` would show. False if
+        that is known to an engine only."""
+
+    def start_change(self, terrain: TerrainRoot, engine: Engine) -> Change:
+        """Return the change of a new move."""
+
+
+class FollowTools:
+    """The registered tools by identifier."""
+
+    def __init__(self) -> None:
+        self._tools: dict[str, FollowTool] = {}
+
+    def __iter__(self) -> Iterator[FollowTool]:
+        return iter(tuple(self._tools.values()))
+
+    def add(self, tool: FollowTool) -> None:
+        """Add a tool."""
+        self._tools[tool.identifier] = tool
+
+    def remove(self, tool: FollowTool) -> None:
+        """Remove a tool."""
+        self._tools.pop(tool.identifier, None)
+
+    def of(self, terrain: TerrainRoot) -> FollowTool:
+        """Return the tool of a terrain."""
+        return self._tools[terrain.tool]
+
+
+registered = FollowTools()

@@ -1,0 +1,185 @@
+"""Terrains that follow a viewer: a thread computes the changes, and the main thread shows them, a few milliseconds at a time."""
+
+import time
+from collections.abc import Iterable, Iterator
+from queue import Empty
+from typing import Any
+
+from ..bridge.terrain_roots import TerrainRoot
+from ..core.errors import GeometryError
+from ..core.jobs.background_thread import BackgroundThread
+from ..core.jobs.progress import run_to_end
+from . import follow_tools
+from .engine_cache import cache, discard_finished_blocks
+from .follow_tools import Engine
+
+MAX_TICK_SECONDS = 0.008  # of the main thread
+
+
+class Following:
+    """Lets one terrain follow a viewer. Its thread owns the engine; the main thread fills pending meshes and shows all of them at once.
+
+    moves: number of moves that were shown. longest_tick: seconds of the main thread. longest_evaluation: seconds that Blender then took to
+    update the scene for what was shown, without drawing.
+    """
+
+    def __init__(self, terrain: TerrainRoot) -> None:
+        """Start to follow.
+
+        Raises:
+            FarfieldError: the terrain is linked, or its settings or files cannot be read.
+        """
+        _check_editable(terrain)
+        self.terrain = terrain
+        self.moves = 0
+        self.longest_tick = self.longest_evaluation = 0.0
+        self._engine = cache.get(terrain)
+        self._move: _Move | None = None
+        self._awaits_evaluation = False
+        _running.append(self)
+
+    def is_settled(self, viewer: Any) -> bool:
+        """Return whether the terrain shows what is right for `viewer`, as its engine takes it, and no move is running."""
+        return self._move is None and self._engine.is_settled_at(viewer)
+
+    def tick(self, viewer: Any, max_seconds: float = MAX_TICK_SECONDS) -> bool:
+        """Continue for at most `max_seconds` to follow `viewer`, as the engine takes it. Returns whether a move was shown.
+
+        Raises:
+            FarfieldError: the terrain was removed, or the engine failed. The scene is unchanged.
+        """
+        started = time.perf_counter()
+        try:
+            return self._advance(viewer, started, max_seconds)
+        finally:
+            self.longest_tick = max(self.longest_tick, time.perf_counter() - started)
+
+    def pause(self) -> None:
+        """Stop the thread, so that the engine can be used elsewhere. The next move repeats the cancelled one."""
+        if self._move is not None:
+            self._move.cancel()
+            self._move = None
+            self._engine.invalidate()
+
+    def close(self) -> None:
+        """Stop following."""
+        self.pause()
+        if self in _running:
+            _running.remove(self)
+
+    def record_evaluation(self, seconds: float) -> None:
+        """Take note that Blender has updated the scene in `seconds`. Counts if a move was shown since the last time."""
+        if self._awaits_evaluation:
+            self._awaits_evaluation = False
+            self.longest_evaluation = max(self.longest_evaluation, seconds)
+
+    def _advance(self, viewer: Any, started: float, max_seconds: float) -> bool:
+        if self._move is None:
+            if not self._engine.is_settled_at(viewer):
+                self._move = _Move(self.terrain, self._engine, viewer)
+            return False
+        is_valid = False
+        try:
+            is_shown = self._move.advance(started, max_seconds)
+            is_valid = True
+        finally:
+            if not is_valid:
+                self.pause()
+        if is_shown:
+            self._move, self._awaits_evaluation = None, True
+            self.moves += 1
+        return is_shown
+
+
+class _Move:
+    """A move whose update is computed in a thread, and its change in the main thread."""
+
+    def __init__(self, terrain: TerrainRoot, engine: Engine, viewer: Any) -> None:
+        self._engine = engine
+        self._change = follow_tools.registered.of(terrain).start_change(terrain, engine)
+        self._filling: Iterator[None] | None = None
+        self._showing: Iterator[None] | None = None
+        discard_finished_blocks(engine)  # of a move that was shown in another way
+        self._thread = BackgroundThread(engine.move(viewer))
+
+    def advance(self, started: float, max_seconds: float) -> bool:
+        """Fill meshes, then show them, until `max_seconds` after `started`. Returns whether they are shown."""
+        is_done, longest_step = self._thread.is_done, 0.0  # in this order: a thread that is done adds no more blocks
+        while (now := time.perf_counter()) - started + longest_step < max_seconds:
+            if self._showing is None and not self._fill():
+                if not is_done or now - started > 0.5 * max_seconds:
+                    return False  # showing the meshes fits the next tick better
+                self._showing = iter(self._change.show(self._thread.result()))
+            if self._showing is not None and next(self._showing, self) is self:
+                return True
+            longest_step = max(longest_step, time.perf_counter() - now)
+        return False
+
+    def cancel(self) -> None:
+        """Stop the thread and forget the change."""
+        self._thread.cancel()
+        self._thread.wait()
+
+    def _fill(self) -> bool:
+        """Take one step to fill meshes. Returns whether there was one to fill."""
+        if self._filling is None:
+            try:
+                key, block = self._engine.finished_blocks.get_nowait()
+            except Empty:
+                return False
+            self._filling = iter(self._change.fill(key, block))
+        if next(self._filling, self) is self:  # it yields None
+            self._filling = None
+        return True
+
+
+_running: list[Following] = []
+
+
+def running() -> tuple[Following, ...]:
+    """Return the followings that have not been closed."""
+    return tuple(_running)
+
+
+def close_all(tool: str = "") -> None:
+    """Close all followings, or those of a tool."""
+    for following in running():
+        if tool in ("", following.terrain.tool):
+            following.close()
+
+
+def recenter(terrain: TerrainRoot, viewer: Any) -> None:
+    """Show what is right for `viewer`, as the terrain's engine takes it, and wait for that. Does nothing if it is already shown.
+
+    Raises:
+        FarfieldError: the terrain is linked, its settings or files cannot be read, or its engine failed.
+    """
+    _check_editable(terrain)
+    tool = follow_tools.registered.of(terrain)
+    if tool.is_shown_at(terrain, viewer):
+        return
+    for following in running():
+        if following.terrain == terrain:
+            following.pause()
+    engine = cache.get(terrain)
+    change = tool.start_change(terrain, engine)
+    is_valid = False
+    try:
+        update = run_to_end(engine.move(viewer))
+        while not engine.finished_blocks.empty():
+            _run(change.fill(*engine.finished_blocks.get_nowait()))
+        _run(change.show(update))
+        is_valid = True
+    finally:
+        if not is_valid:
+            engine.invalidate()
+
+
+def _run(steps: Iterable[None]) -> None:
+    for _ in steps:
+        pass
+
+
+def _check_editable(terrain: TerrainRoot) -> None:
+    if terrain.read_only_reason:
+        raise GeometryError(f"{terrain.read_only_reason}.")
