@@ -17,7 +17,7 @@ class DiamondMeshes:
 
     domains: (V,) int32, diamond of each vertex. x, y, z: (V,) int32. slopes: (V, 2) float32, known on the outer boundary of each diamond, NaN
     elsewhere. triangles: (T, 3) int32. samples: (S, 3) int32, samples (x, y, z) that are not vertices, but whose distances count.
-    sample_ages: (S,) int8, how many levels ago they were removed. sample_triangles: (S,) int32, the triangles that contain them.
+    sample_triangles: (S,) int32, the triangles that contain them.
     """
 
     domains: np.ndarray
@@ -27,7 +27,6 @@ class DiamondMeshes:
     slopes: np.ndarray
     triangles: np.ndarray
     samples: np.ndarray
-    sample_ages: np.ndarray
     sample_triangles: np.ndarray
 
 
@@ -48,7 +47,7 @@ def triangulate_field(tree: Tree, centers: np.ndarray, grid: HeightGrid) -> Diam
     is_boundary = np.broadcast_to(np.abs(offsets).sum(axis=1) == tree.leaf_cells, is_inside.shape)[is_inside]
     slopes = np.full((len(x), 2), np.nan, np.float32)
     slopes[is_boundary] = sample_slopes(x[is_boundary], y[is_boundary], grid)
-    no_samples = np.zeros((0, 3), np.int32), np.zeros(0, np.int8), np.zeros(0, np.int32)
+    no_samples = np.zeros((0, 3), np.int32), np.zeros(0, np.int32)
     return _remove_unused(DiamondMeshes(domains, x, y, grid.read_points(x, y), slopes, triangles, *no_samples))
 
 
@@ -94,7 +93,6 @@ def weld_patches(tree: Tree, patches: PatchSet, domains: np.ndarray) -> DiamondM
         patches.slopes[first],
         inverse.reshape(-1).astype(np.int32)[numbers],
         patches.samples,
-        patches.sample_ages + np.int8(1),
         (patches.sample_triangles + of_sample).astype(np.int32),
     )
 
@@ -149,4 +147,4 @@ def _remove_unused(meshes: DiamondMeshes) -> DiamondMeshes:
         return meshes
     renumbering = np.cumsum(is_used, dtype=np.int32) - 1
     arrays = (array[is_used] for array in (meshes.domains, meshes.x, meshes.y, meshes.z, meshes.slopes))
-    return DiamondMeshes(*arrays, renumbering[meshes.triangles], meshes.samples, meshes.sample_ages, meshes.sample_triangles)
+    return DiamondMeshes(*arrays, renumbering[meshes.triangles], meshes.samples, meshes.sample_triangles)

@@ -27,7 +27,8 @@ def choose_grid_collapses(meshes: DiamondMeshes, lines: np.ndarray, excess: np.n
     across[((lines[odd] != FREE) & (lines[odd] != HORIZONTAL)) | (x_low < 0) | (x_high < 0)] = np.inf
     along[((lines[odd] != FREE) & (lines[odd] != VERTICAL)) | (y_low < 0) | (y_high < 0)] = np.inf
     costs = np.minimum(across, along)
-    targets = np.where(across <= along, x_low, y_low)
+    # At a boundary, the target is the neighbor with which the counterclockwise fan of triangles begins.
+    targets = np.where(across <= along, np.where(y_low < 0, x_high, x_low), np.where(x_high < 0, y_high, y_low))
     domains = meshes.domains[odd]
     order = np.lexsort((costs, domains))
     counts = np.bincount(domains, minlength=len(excess))

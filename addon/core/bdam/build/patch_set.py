@@ -19,8 +19,8 @@ class PatchSet:
     sorted by x, then y. slopes: (V, 2) float32, derivatives of the height along x and y in steps per cell at vertices on the boundary of
     their patch, NaN elsewhere. triangles: (T, 3) int32, vertices counted from the first of the patch, counterclockwise.
     is_hole: (T,) bool, triangles without any known sample.
-    sample_starts: (P + 1,) int64. samples: (S, 3) int32, samples (x, y, z) that were removed at this level and at finer ones. sample_ages:
-    (S,) int8, how many levels ago. sample_triangles: (S,) int32, triangles that contain them, counted from the first of the patch.
+    sample_starts: (P + 1,) int64. samples: (S, 3) int32, some of the samples (x, y, z) that were removed at this level and at finer ones.
+    sample_triangles: (S,) int32, triangles that contain them, counted from the first of the patch.
     """
 
     indices: np.ndarray
@@ -35,7 +35,6 @@ class PatchSet:
     is_hole: np.ndarray
     sample_starts: np.ndarray
     samples: np.ndarray
-    sample_ages: np.ndarray
     sample_triangles: np.ndarray
 
     def __len__(self) -> int:
@@ -56,7 +55,7 @@ class PatchSet:
             *(array[vertices] for array in (self.x, self.y, self.z, self.slopes)),
             *(array[triangles] for array in (self.triangles, self.is_hole)),
             to_starts(sample_counts),
-            *(array[samples] for array in (self.samples, self.sample_ages, self.sample_triangles)),
+            *(array[samples] for array in (self.samples, self.sample_triangles)),
         )
 
     def save(self, path: Path) -> None:

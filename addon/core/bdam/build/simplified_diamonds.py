@@ -12,7 +12,7 @@ from .height_grid import HeightGrid
 from .patch_set import PatchSet, to_starts
 from .vertical_errors import measure_triangles
 
-MAX_SAMPLE_AGE = 1  # levels; older samples have small distances, and their number doubles with every level
+MAX_SAMPLES_PER_TRIANGLE = 6  # that the next level measures; without them errors grow unseen, and all of them would take too long
 
 
 def simplify_diamonds(
@@ -40,15 +40,29 @@ def simplify_diamonds(
     lines = classify_vertices(tree, meshes, corners[pairs])
     excess = np.bincount(meshes.domains, minlength=len(diamonds)) // 2
     first = choose_grid_collapses(meshes, lines, excess) if children is None else None
-    simplified, removed = simplify(_to_batch(meshes, lines), excess, first)
-    is_recent = _ages_of(meshes, removed.vertices) <= MAX_SAMPLE_AGE
-    samples = RemovedSamples(removed.vertices[is_recent], removed.triangles[is_recent])
+    batch = _to_batch(meshes, lines)
+    simplified, removed = simplify(batch, excess, first)
+    samples = _choose_samples(batch, simplified, removed)
     return _divide(meshes, simplified, samples, triangles, pairs, corners, grid)
 
 
-def _ages_of(meshes: DiamondMeshes, vertices: np.ndarray) -> np.ndarray:
-    """Return how many levels ago vertices (N,) of a batch, see `_to_batch`, were removed."""
-    return np.where(vertices < len(meshes.x), 0, meshes.sample_ages[np.maximum(vertices - len(meshes.x), 0)] if len(meshes.samples) else 0)
+def _choose_samples(batch: MeshBatch, triangles: np.ndarray, removed: RemovedSamples) -> RemovedSamples:
+    """Return the samples that the next level measures: of each triangle the one with the largest distance, and a few random ones."""
+    x, y, z = (values[removed.vertices].astype(np.float64) for values in (batch.x, batch.y, batch.z))
+    corners = triangles[removed.triangles]
+    (x0, x1, x2), (y0, y1, y2), (z0, z1, z2) = (values[corners].T.astype(np.float64) for values in (batch.x, batch.y, batch.z))
+    area = (x1 - x0) * (y2 - y0) - (y1 - y0) * (x2 - x0)
+    second, third = ((x - x0) * (y2 - y0) - (y - y0) * (x2 - x0)) / area, ((x1 - x0) * (y - y0) - (y1 - y0) * (x - x0)) / area
+    distances = np.abs(z0 + second * (z1 - z0) + third * (z2 - z0) - z)
+    largest = np.zeros(len(triangles))
+    np.maximum.at(largest, removed.triangles, distances)
+    noise = (removed.vertices.astype(np.uint32) * np.uint32(2654435761)).astype(np.uint64) >> np.uint64(1)
+    noise[distances == largest[removed.triangles]] = 0
+    order = np.argsort(removed.triangles.astype(np.uint64) << np.uint64(32) | noise, kind="stable")
+    counts = np.bincount(removed.triangles, minlength=len(triangles))
+    ranks = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
+    chosen = order[ranks < MAX_SAMPLES_PER_TRIANGLE]
+    return RemovedSamples(removed.vertices[chosen], removed.triangles[chosen])
 
 
 def _to_batch(meshes: DiamondMeshes, lines: np.ndarray) -> MeshBatch:
@@ -121,7 +135,6 @@ def _divide(
         measured.is_hole[order],
         sample_starts.astype(np.int64),
         all_points[samples.vertices[sample_order]],
-        _ages_of(meshes, samples.vertices[sample_order]).astype(np.int8),
         (sample_triangles - np.repeat(triangle_starts[:-1], np.diff(sample_starts))).astype(np.int32),
     )
 

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...arrays import concatenate_ranges
 from .vertex_rings import VertexRings
 
 FREE, HORIZONTAL, VERTICAL, DIAGONAL, ANTIDIAGONAL, LOCKED = range(6)  # what a vertex may move along
+CHUNK_SAMPLES = 1 << 13  # samples that are located at once
 DIRECTIONS = np.array([(0, 0), (1, 0), (0, 1), (1, 1), (1, -1), (0, 0)], np.int32)
 
 
@@ -63,33 +65,54 @@ def find_targets(points: GridPoints, rings: VertexRings, lines: np.ndarray, vert
 
 
 def locate_in_fans(
-    points: GridPoints, rings: VertexRings, vertices: np.ndarray, targets: np.ndarray, samples: np.ndarray
+    points: GridPoints, rings: VertexRings, vertices: np.ndarray, targets: np.ndarray, owners: np.ndarray, samples: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Locate samples in the stars of vertices after the collapse of these vertices.
 
     Args:
-        vertices, targets, samples: (N,) int32. Each sample lies in the star of its vertex.
+        vertices, targets: (V,) int32. samples: (N,) int32. owners: (N,) int, the position in `vertices` of the one whose star contains the
+            sample.
 
     Returns:
-        Corners (N,) int32 of the vertex, whose triangle contains the sample once its corner is the target, and vertical distances (N,)
+        Corners (N,) int32 of the owner, whose triangle contains the sample once its corner is the target, and vertical distances (N,)
         float32 from the sample to this triangle.
     """
-    corners_found, distances = np.full(len(vertices), -1, np.int32), np.full(len(vertices), np.inf, np.float32)
+    corners_found, distances = np.empty(len(samples), np.int32), np.empty(len(samples), np.float32)
+    order = np.argsort(owners, kind="stable")
+    starts = np.searchsorted(owners[order], np.arange(len(vertices) + 1))
     for positions, corners in rings.group_by_degree(vertices):
-        u, s = targets[positions], samples[positions]
-        after, before = rings.next[corners], rings.previous[corners]
-        ax, ay, az = _differences(points, after, u)
-        bx, by, bz = _differences(points, before, u)
-        sx, sy, sz = _differences(points, s, u)
-        after_side, before_side = ax * sy - ay * sx, bx * sy - by * sx
-        areas = ax * by - ay * bx
-        contains = (after_side >= 0) & (before_side <= 0) & (areas > 0)
-        row, column = contains.argmax(axis=0), np.arange(len(u))
-        heights = (after_side[row, column] * bz[row, column] - before_side[row, column] * az[row, column]) / areas[row, column]
-        found = contains[row, column]
-        corners_found[positions] = np.where(found, corners[row, column], -1)
-        distances[positions] = np.where(found, np.abs(heights - sz), np.inf)
+        counts = starts[positions + 1] - starts[positions]
+        members = order[concatenate_ranges(starts[positions], counts)]
+        if not len(members):
+            continue
+        u = targets[positions]
+        corners = _order_fans(rings, corners, u)
+        rays = np.concatenate([rings.next[corners], rings.previous[corners[-1:]]])
+        ray_x, ray_y, ray_z = _differences(points, rays, u)
+        local = np.repeat(np.arange(len(positions)), counts)
+        for first in range(0, len(members), CHUNK_SAMPLES):
+            of_fan, part = local[first : first + CHUNK_SAMPLES], members[first : first + CHUNK_SAMPLES]
+            x, y, z = _differences(points, samples[part], u[of_fan])
+            sides = ray_x[1:, of_fan] * y - ray_y[1:, of_fan] * x  # the first ray ends at the target and has no length
+            sector = ((sides[:-1] >= 0) & (sides[1:] <= 0)).argmax(axis=0)
+            columns = np.arange(len(part))
+            a, b = (sector + 1, of_fan), (sector + 2, of_fan)
+            area = ray_x[a] * ray_y[b] - ray_y[a] * ray_x[b]
+            heights = (sides[sector, columns] * ray_z[b] - sides[sector + 1, columns] * ray_z[a]) / area
+            corners_found[part], distances[part] = corners[a], np.abs(heights - z)
     return corners_found, distances
+
+
+def _order_fans(rings: VertexRings, corners: np.ndarray, targets: np.ndarray) -> np.ndarray:
+    """Return the corners (K, V) of vertices in counterclockwise order, from the triangle after the edge to the target (V,)."""
+    after, before = rings.next[corners], rings.previous[corners]
+    columns = np.arange(corners.shape[1])
+    ordered = np.empty_like(corners)
+    ray = targets
+    for row in range(len(corners)):
+        found = (after == ray).argmax(axis=0)
+        ordered[row], ray = corners[found, columns], before[found, columns]
+    return ordered
 
 
 def _differences(points: GridPoints, ends: np.ndarray, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

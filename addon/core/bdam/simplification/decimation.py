@@ -52,6 +52,7 @@ def simplify(
     points = GridPoints(batch.x, batch.y, batch.z, np.dtype(np.float32 if _largest_extent(batch) <= MAX_EXACT_DIFFERENCE else np.float64))
     is_movable = batch.lines != LOCKED
     costs, targets, last_costs = np.full(count, np.inf, np.float32), np.zeros(count, np.int32), np.zeros(count, np.float32)
+    is_exact = np.zeros(count, bool)
     samples = RemovedSamples(batch.samples, batch.sample_triangles)
     tolerated = TOLERATED_EXCESS * excess
     is_removed = np.zeros(count, bool)
@@ -65,10 +66,16 @@ def simplify(
         if (excess <= tolerated).all():
             break
         rings = build_rings(triangles, count)
-        found, distances = find_targets(points, rings, batch.lines, changed)
-        samples.raise_costs(points, rings, triangles, changed, found, distances)
-        targets[changed], costs[changed], last_costs[changed] = found, distances, distances
+        targets[changed], costs[changed] = find_targets(points, rings, batch.lines, changed)
+        is_exact[changed] = False
+        _, bounds = _rank(costs, domains, excess)
+        raised = np.flatnonzero(~is_exact & (costs <= bounds[domains]) & np.isfinite(costs)).astype(np.int32)
+        costs[raised] = samples.raise_costs(points, rings, triangles, raised, targets[raised], costs[raised])
+        is_exact[raised] = True
+        last_costs[changed] = costs[changed]
+        last_costs[raised] = costs[raised]
         keys, cutoffs = _rank(costs, domains, excess)
+        keys[~is_exact] = np.iinfo(np.uint64).max
         removed = _select_independent(keys, rings, triangles)
         if not len(removed):
             break

@@ -18,20 +18,20 @@ class RemovedSamples:
 
     def raise_costs(
         self, points: GridPoints, rings: VertexRings, triangles: np.ndarray, vertices: np.ndarray, targets: np.ndarray, costs: np.ndarray
-    ) -> None:
-        """Raise the `costs` (N,) of collapsing `vertices` (N,) onto `targets` (N,) to the largest distance of any sample in their stars.
+    ) -> np.ndarray:
+        """Return the `costs` (N,) of collapsing `vertices` (N,) onto `targets` (N,), raised to the largest distance of a sample in their stars.
 
         triangles: (T, 3) int32, the triangles that `self.triangles` and the corners in `rings` refer to.
         """
         positions = np.full(len(points.x), -1, np.int32)
-        movable = np.flatnonzero(np.isfinite(costs))
-        positions[vertices[movable]] = movable
-        for corner in range(3):
-            owners = positions[triangles[self.triangles, corner]]
-            rows = np.flatnonzero(owners >= 0)
-            owners = owners[rows]
-            _, distances = locate_in_fans(points, rings, vertices[owners], targets[owners], self.vertices[rows])
-            np.maximum.at(costs, owners, distances)
+        positions[vertices] = np.arange(len(vertices), dtype=np.int32)
+        costs = costs.copy()
+        owners = positions[triangles[self.triangles]]
+        rows, corners = np.nonzero(owners >= 0)
+        owners = owners[rows, corners]
+        _, distances = locate_in_fans(points, rings, vertices, targets, owners, self.vertices[rows])
+        np.maximum.at(costs, owners, distances)
+        return costs
 
     def update(
         self, points: GridPoints, rings: VertexRings, triangles: np.ndarray, removed: np.ndarray, targets: np.ndarray
@@ -46,7 +46,7 @@ class RemovedSamples:
         affected = np.flatnonzero(owners >= 0)
         owners = np.concatenate([owners[affected], np.arange(len(removed), dtype=np.int32)])
         samples = np.concatenate([self.vertices[affected], removed])
-        corners, _ = locate_in_fans(points, rings, removed[owners], targets[owners], samples)
+        corners, _ = locate_in_fans(points, rings, removed, targets, owners, samples)
         kept = self.triangles.copy()
         kept[affected] = corners[: len(affected)] // 3
         self.vertices = np.concatenate([self.vertices, removed])
