@@ -1,13 +1,11 @@
 """Patches of one level in ragged arrays, and their files between the levels of a build."""
 
-import io
 from dataclasses import dataclass, fields
-from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
 from ...arrays import concatenate_ranges
-from ...files.atomic_write import write_bytes_atomically
 
 
 @dataclass(frozen=True)
@@ -58,16 +56,14 @@ class PatchSet:
             *(array[samples] for array in (self.samples, self.sample_triangles)),
         )
 
-    def save(self, path: Path) -> None:
-        """Write the patches to a file, completely or not at all. Raises OSError."""
-        buffer = io.BytesIO()
-        np.savez(buffer, **{field.name: getattr(self, field.name) for field in fields(self)})
-        write_bytes_atomically(path, buffer.getvalue())
+    def save(self, stream: BinaryIO) -> None:
+        """Write the patches to a stream as a NumPy archive."""
+        np.savez(stream, **{field.name: getattr(self, field.name) for field in fields(self)})
 
     @staticmethod
-    def load(path: Path) -> "PatchSet":
+    def load(stream: BinaryIO) -> "PatchSet":
         """Read patches that `save` has written."""
-        with np.load(path, allow_pickle=False) as archive:
+        with np.load(stream, allow_pickle=False) as archive:
             return PatchSet(**{field.name: archive[field.name] for field in fields(PatchSet)})
 
 

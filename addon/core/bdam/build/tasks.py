@@ -1,0 +1,111 @@
+"""The tasks of a build: one task simplifies some diamonds of a level, or encodes leaves. Called by `core.jobs.task_pool`.
+
+An item is [level, shard]; the reply is null, the results are files in the work folder. A task whose files exist is skipped.
+"""
+
+import io
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from ...files.sealed_files import read_sealed, write_sealed
+from ..store.leaf_grids import leaf_grid
+from ..store.patch_codec import Patch, encode_patch, find_boundary
+from .diamond_meshes import sample_slopes
+from .encoded_patches import EncodedPatches
+from .patch_set import PatchSet, join
+from .simplified_diamonds import simplify_diamonds
+from .work_folder import ADVICE, LevelLayout, WorkFolder
+
+
+def open_tasks(arguments: list[str]) -> Callable[[list[int]], None]:
+    """Return the function of the tasks. arguments: the path of the work folder."""
+    tasks = BuildTasks(WorkFolder.load(Path(arguments[0])))
+    return lambda item: tasks.run(*item)
+
+
+class BuildTasks:
+    """Runs tasks of a build."""
+
+    def __init__(self, folder: WorkFolder) -> None:
+        self._folder = folder
+        self._tree = folder.tree
+        self._layout = lru_cache(maxsize=2)(self._create_layout)
+
+    def run(self, level: int, shard: int) -> None:
+        """Write the files of a shard."""
+        if self._folder.blocks_path(level, shard).exists():
+            return
+        encoded = self._encode_leaves(shard) if level == self._tree.leaf_level else self._simplify(level, shard)
+        write_sealed(self._folder.blocks_path(level, shard), encoded.to_bytes())
+
+    def _create_layout(self, level: int) -> LevelLayout:
+        return LevelLayout.create(self._tree, level, self._folder.parameters.diamonds_per_shard)
+
+    def _encode_leaves(self, shard: int) -> EncodedPatches:
+        layout, grid, level = self._layout(self._tree.leaf_level), self._folder.grid, self._tree.leaf_level
+        indices = layout.indices[layout.shards == shard]
+        corners = self._tree.triangle_corners(level, indices)
+        leaves = [leaf_grid(self._tree, corner) for corner in corners]
+        low, high = corners.min(axis=(0, 1)), np.minimum(corners.max(axis=(0, 1)), [self._tree.columns - 1, self._tree.rows - 1])
+        heights, is_known = grid.read(slice(low[1], high[1] + 1), slice(low[0], high[0] + 1))
+        boundaries = [find_boundary(leaf.x, leaf.y, corner) for leaf, corner in zip(leaves, corners, strict=True)]
+        x, y = (np.concatenate([getattr(leaf, axis)[rows] for leaf, rows in zip(leaves, boundaries, strict=True)]) for axis in "xy")
+        slopes = np.split(sample_slopes(x, y, grid), np.cumsum([len(rows) for rows in boundaries])[:-1])
+        patches = []
+        for leaf, boundary, slope in zip(leaves, boundaries, slopes, strict=True):
+            rows, columns = leaf.y - low[1], leaf.x - low[0]
+            is_hole = ~is_known[rows, columns][leaf.triangles].any(axis=1)
+            patches.append(Patch(leaf.x, leaf.y, heights[rows, columns], boundary, slope, leaf.triangles, is_hole))
+        return self._encode(level, indices, np.zeros(len(indices), np.float32), patches)
+
+    def _simplify(self, level: int, shard: int) -> EncodedPatches:
+        layout = self._layout(level)
+        positions = np.flatnonzero(layout.shards == shard)
+        diamonds = layout.diamonds[layout.shards[layout.diamonds[:, 0]] == shard]
+        local = np.where(diamonds < 0, -1, np.searchsorted(positions, diamonds))
+        indices = layout.indices[positions]
+        children = self._load_children(level, indices) if level + 1 < self._tree.leaf_level else None
+        patches = simplify_diamonds(self._tree, level, indices, local, children, self._folder.grid)
+        if level:
+            buffer = io.BytesIO()
+            patches.save(buffer)
+            write_sealed(self._folder.patches_path(level, shard), buffer.getvalue())
+        corners = self._tree.triangle_corners(level, indices)
+        return self._encode(level, indices, patches.errors, [_extract(patches, row, corner) for row, corner in enumerate(corners)])
+
+    def _load_children(self, level: int, indices: np.ndarray) -> PatchSet:
+        """Return the existing children of triangles (N,), in ascending order."""
+        layout = self._layout(level + 1)
+        wanted = np.isin(layout.indices >> 1, indices)
+        parts = []
+        for shard in np.unique(layout.shards[wanted]):
+            content = read_sealed(self._folder.patches_path(level + 1, int(shard)), ADVICE)
+            patches = PatchSet.load(io.BytesIO(content))
+            parts.append(patches.select(np.flatnonzero(np.isin(patches.indices >> 1, indices))))
+        children = join(parts)
+        return children.select(np.argsort(children.indices))
+
+    def _encode(self, level: int, indices: np.ndarray, errors: np.ndarray, patches: list[Patch]) -> EncodedPatches:
+        lows = self._tree.triangle_corners(level, indices).min(axis=1)
+        is_leaf, slope_step = level == self._tree.leaf_level, self._folder.parameters.slope_step
+        blocks = [encode_patch(patch, low, is_leaf, slope_step) for patch, low in zip(patches, lows, strict=True)]
+        return EncodedPatches(
+            indices,
+            errors,
+            np.array([(patch.z.min(), patch.z.max()) for patch in patches], np.int32),
+            np.array([(len(patch.x), len(patch.triangles)) for patch in patches], np.int32),
+            np.array([len(block) for block in blocks], np.int64),
+            np.frombuffer(b"".join(blocks), np.uint8),
+        )
+
+
+def _extract(patches: PatchSet, row: int, corners: np.ndarray) -> Patch:
+    """Return patch `row` with its corners (3, 2) in the bintree."""
+    vertices = slice(patches.vertex_starts[row], patches.vertex_starts[row + 1])
+    triangles = slice(patches.triangle_starts[row], patches.triangle_starts[row + 1])
+    x, y = patches.x[vertices], patches.y[vertices]
+    boundary = find_boundary(x, y, corners)
+    return Patch(x, y, patches.z[vertices], boundary, patches.slopes[vertices][boundary], patches.triangles[triangles], patches.is_hole[triangles])

@@ -1,0 +1,153 @@
+"""The contents of a patch as bytes.
+
+Vertices are sorted by x, then y. A sweep in this order adds each vertex v on the right of the triangles so far: the triangles whose last vertex
+is v form a fan with neighbors l1, ..., lk of v on its left, from bottom to top. A block contains these streams (see `integer_streams`), all of
+it compressed by Zstandard:
+
+1. unsigned: differences of x to the previous vertex, the first one to the lower left corner of the patch's bounding box
+2. unsigned: y minus that of the box if x differs, otherwise the difference to the previous vertex, less one
+3. unsigned: the number of triangles of each vertex's fan
+4. unsigned: v - l1 of vertices with a fan
+5. signed: l(i+1) - l(i) of all triangles in the order of vertices
+6. signed: differences of heights to the previous vertex, in steps
+7. signed: derivatives along x and y at vertices on the boundary of the patch, in units of the store's slope step
+8. one byte: whether any triangle is a hole; if so one bit per triangle, lowest bit first
+
+Leaves contain all samples, so that streams 1 to 5 are left out.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import zstandard
+
+from ...errors import FileError
+from .leaf_grids import LeafGrid
+from .integer_streams import StreamReader, write_signed, write_unsigned
+
+COMPRESSION_LEVEL = 9
+
+
+@dataclass(frozen=True)
+class Patch:
+    """The contents of a patch.
+
+    x, y, z: (V,) int32, grid coordinates and heights in steps. boundary: (B,) int32, the vertices on the edges of the bintree triangle.
+    slopes: (B, 2) float32, derivatives there along x and y in steps per cell. triangles: (T, 3) int32, counterclockwise. is_hole: (T,) bool.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    z: np.ndarray
+    boundary: np.ndarray
+    slopes: np.ndarray
+    triangles: np.ndarray
+    is_hole: np.ndarray
+
+
+def encode_patch(patch: Patch, corner: np.ndarray, is_leaf: bool, slope_step: float) -> bytes:
+    """Return the block of a patch.
+
+    Args:
+        corner: (2,) int, lower left corner of its bounding box. slope_step: the unit of stored slopes, in steps per cell.
+    """
+    streams, is_hole = [], patch.is_hole
+    if not is_leaf:
+        order, vertices, lower, upper = _sort_fans(patch)
+        is_hole = is_hole[order]
+        steps = np.diff(patch.x, prepend=corner[0])
+        is_new_column = (steps > 0) | (np.arange(len(steps)) == 0)
+        is_first = np.diff(vertices, prepend=-1) != 0
+        streams = [
+            write_unsigned(steps),
+            write_unsigned(np.where(is_new_column, patch.y - corner[1], np.diff(patch.y, prepend=0) - 1)),
+            write_unsigned(np.bincount(vertices, minlength=len(patch.x))),
+            write_unsigned((vertices - lower)[is_first]),
+            write_signed(upper - lower),
+        ]
+    streams.append(write_signed(np.diff(patch.z, prepend=0)))
+    streams.append(write_signed(np.rint(patch.slopes / slope_step).T.ravel()))
+    streams.append(bytes([int(is_hole.any())]))
+    if is_hole.any():
+        streams.append(np.packbits(is_hole, bitorder="little").tobytes())
+    return zstandard.ZstdCompressor(level=COMPRESSION_LEVEL).compress(b"".join(streams))
+
+
+def decode_patch(
+    content: bytes, corners: np.ndarray, vertex_count: int, triangle_count: int, leaf: LeafGrid | None, slope_step: float
+) -> Patch:
+    """Return the patch of a block.
+
+    Args:
+        corners: (3, 2) int, of the bintree triangle. leaf: its samples, None unless it is a leaf. slope_step: see
+            `encode_patch`.
+
+    Raises:
+        FileError: the block is damaged.
+    """
+    try:
+        reader = StreamReader(zstandard.ZstdDecompressor().decompress(content, max_output_size=_max_size(vertex_count, triangle_count)))
+    except zstandard.ZstdError as error:
+        raise FileError(f"a block cannot be decompressed: {error}.") from error
+    if leaf is None:
+        x, y, triangles = _read_mesh(reader, corners.min(axis=0), vertex_count, triangle_count)
+    else:
+        x, y, triangles = leaf.x, leaf.y, leaf.triangles
+    z = np.cumsum(reader.read_signed(len(x)))
+    boundary = find_boundary(x, y, corners)
+    slopes = reader.read_signed(2 * len(boundary)).reshape(2, -1).T * slope_step
+    is_hole = np.zeros(len(triangles), bool)
+    if reader.read_bytes(1)[0]:
+        is_hole = np.unpackbits(reader.read_bytes(-(-len(triangles) // 8)), count=len(triangles), bitorder="little").astype(bool)
+    return Patch(x, y, z.astype(np.int32), boundary, slopes.astype(np.float32), triangles, is_hole)
+
+
+def find_boundary(x: np.ndarray, y: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Return the vertices (B,) int32 that lie on the edges of a triangle with `corners` (3, 2) int."""
+    is_on_edge = np.zeros(len(x), bool)
+    for edge in range(3):
+        start, end = corners[edge], corners[(edge + 1) % 3]
+        is_on_edge |= (end[0] - start[0]) * (y - start[1]) == (end[1] - start[1]) * (x - start[0])
+    return np.flatnonzero(is_on_edge).astype(np.int32)
+
+
+def _read_mesh(
+    reader: StreamReader, corner: np.ndarray, vertex_count: int, triangle_count: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    steps, offsets, counts = (reader.read_unsigned(vertex_count) for _ in range(3))
+    x = corner[0] + np.cumsum(steps)
+    column_starts = np.flatnonzero((steps > 0) | (np.arange(vertex_count) == 0))
+    increments = offsets + 1
+    increments[column_starts] = offsets[column_starts]
+    sums = np.cumsum(increments)
+    y = corner[1] + sums - np.repeat((sums - increments)[column_starts], np.diff(np.append(column_starts, vertex_count)))
+    if counts.sum() != triangle_count:
+        raise FileError("a block contains another number of triangles than its header says.")
+    vertices = np.repeat(np.arange(vertex_count), counts)
+    fan_vertices = np.flatnonzero(counts)
+    first = fan_vertices - reader.read_unsigned(len(fan_vertices))
+    widths = reader.read_signed(triangle_count)
+    fan_starts = (np.cumsum(counts) - counts)[fan_vertices]
+    ends = np.cumsum(widths)
+    upper = ends + np.repeat(first - (ends - widths)[fan_starts], counts[fan_vertices])
+    triangles = np.stack([vertices, upper, upper - widths], axis=1)
+    if triangle_count and (triangles.min() < 0 or triangles.max() >= vertex_count):
+        raise FileError("a block contains triangles of vertices that do not exist.")
+    return x.astype(np.int32), y.astype(np.int32), triangles.astype(np.int32)
+
+
+def _sort_fans(patch: Patch) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the order of the sweep (T,), and in this order the last vertices of the triangles and their lower and upper neighbors."""
+    rows = np.arange(len(patch.triangles))
+    last = patch.triangles.argmax(axis=1)
+    vertices = patch.triangles[rows, last]
+    upper, lower = patch.triangles[rows, (last + 1) % 3], patch.triangles[rows, (last + 2) % 3]
+    with np.errstate(divide="ignore"):
+        direction = (patch.y[lower] - patch.y[vertices]) / (patch.x[vertices] - patch.x[lower]).astype(np.float64)
+    order = np.lexsort((direction, vertices))
+    return order, vertices[order], lower[order], upper[order]
+
+
+def _max_size(vertex_count: int, triangle_count: int) -> int:
+    """Return the largest size in bytes of the streams of a patch; a damaged block cannot claim more memory."""
+    return 64 + 4 * (7 * vertex_count + 2 * triangle_count)
