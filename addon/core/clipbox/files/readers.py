@@ -10,9 +10,10 @@ import numpy as np
 
 from ...errors import FileError, SettingsError
 from ...files.file_access import check_readable, check_unicode
-from .file_data import HEIGHT_BYTES, FileData, HeightMap, Voxels, check_size, to_native_byte_order
+from ...files.height_maps import HEIGHT_BYTES, check_size, to_native_byte_order
+from .file_data import FileData, HeightMap, Voxels
+from .height_tiffs import read_tiff
 from .nifti import read_nifti
-from .tiffs import read_tiff
 
 Readers = Mapping[str, Callable[[Path], FileData]]  # by lower-case extension
 
