@@ -328,6 +328,32 @@ class TestErrors:
             write_tiff(tmp_path / "map.tif", terrain(), "deflate", 1, (48, 64), tags=single), "in parts of 512 MiB, .* save it with tiles"
         )
 
+    def test_positions_that_are_no_numbers_or_too_far_away(self, tmp_path):
+        for number in ("nan", "inf", "1e300"):
+            self.refuse(
+                write_asc(tmp_path / "map.asc", terrain(), f"xllcorner {number}\nyllcorner 0\ncellsize 30\n"), "too far away for its cells"
+            )
+        self.refuse(write_asc(tmp_path / "map.asc", terrain(), "cellsize nan\n"), "has cells of size nan; the size must be positive")
+        (tmp_path / "map.asc").write_text("ncols nan\nnrows 2\ncellsize 1\n1 2 3 4\n")
+        self.refuse(tmp_path / "map.asc", "declares an impossible size")
+
+    def test_a_wrong_byte_anywhere_is_a_sentence_at_worst(self, tmp_path):
+        generator = np.random.default_rng(8)
+        for name, path in all_formats(tmp_path).items():
+            content = path.read_bytes()
+            header = 200 if path.suffix in {".npy", ".asc"} else 0
+            positions = [*generator.integers(0, header or len(content), 40), *range(len(content) - 250, len(content), 5)]
+            for position in positions:
+                changed = bytearray(content)
+                changed[position] ^= int(generator.integers(1, 256))
+                (tmp_path / f"changed{path.suffix}").write_bytes(changed)
+                try:
+                    field = open_field([tmp_path / f"changed{path.suffix}"])
+                    heights = field.read(slice(0, 2), slice(0, 2))
+                    assert heights.shape == (2, 2), name
+                except FarfieldError as error:
+                    assert str(error).endswith(".")
+
     def test_settings(self, tmp_path):
         with pytest.raises(SettingsError, match="at least one elevation model; set Sources"):
             open_field([])

@@ -62,7 +62,7 @@ def test_every_format_gives_the_samples_that_were_written(tmp_path, compression,
 
 
 @pytest.mark.parametrize("predictor", [1, 2, 3])
-def test_channels_stay_apart(tmp_path, predictor):
+def test_channels_are_not_mixed(tmp_path, predictor):
     colors = hills("f4", 3)
     for tile in (None, (16, 48)):
         assert np.array_equal(read_all(write_tiff(tmp_path / "colors.tif", colors, "deflate", predictor, tile)), colors)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FileError
+from ...files.array_files import map_array
 from ...files.file_access import error_reason
 from ...files.height_maps import check_numeric, check_size, find_missing
 from ...files.raw_windows import read_raw_window
@@ -19,9 +20,9 @@ from .placements import Placement, place_map, unplaced
 MAX_SEGMENT_BYTES = 256 << 20  # of a strip or tile that must be decoded as a whole
 MIN_SAMPLES = 2  # along each side
 MAX_SAMPLES = 1 << 20  # along each side
+MAX_OFFSET = 1e11  # cells from the world's zero to the field; beyond, float64 has less than five decimals of a cell
 HGT_NAME = re.compile(r"([NS])(\d\d)([EW])(\d{3})(?![0-9])", re.IGNORECASE)
 HGT_SIDES = {2 * side * side: side for side in (1201, 3601)}  # by bytes of the file
-NUMPY_ERRORS = (EOFError, OverflowError, SyntaxError, TypeError, ValueError)
 FLOAT_IMAGES = (".exr", ".hdr")
 IMAGE_EXTENSIONS = (".png", *FLOAT_IMAGES, ".jpg", ".jpeg", ".webp", ".bmp")
 PNG_SIGNATURE, PNG_DEPTH, PNG_COLOR_TYPE, PNG_PALETTE = b"\x89PNG\r\n\x1a\n", 24, 25, 3  # bytes of the header and their value
@@ -75,6 +76,8 @@ def open_source(path: Path, context: SourceContext) -> HeightSource:
         raise FileError(f'"{path}" has {columns} by {rows} heights; terrain needs at least {MIN_SAMPLES} along each side.')
     if max(source.shape) > MAX_SAMPLES:
         raise FileError(f'"{path}" has {columns:,} by {rows:,} heights; the maximum is {MAX_SAMPLES:,} along each side.')
+    if not all(abs(first) < MAX_OFFSET * step for first, step in zip(source.placement.first, source.placement.step, strict=True)):
+        raise FileError(f'"{path}" has its corner at {source.placement.first}, too far away for its cells; correct its position.')
     return source
 
 
@@ -126,12 +129,7 @@ def _open_hgt_source(path: Path, _context: SourceContext) -> HeightSource:
 
 
 def _open_array_source(path: Path, context: SourceContext) -> HeightSource:
-    try:
-        mapped = np.load(path, mmap_mode="r", allow_pickle=False)
-        if not isinstance(mapped, np.memmap):
-            raise ValueError("an archive")
-    except NUMPY_ERRORS as error:
-        raise FileError(f'"{path}" cannot be read as a NumPy array: it is truncated, damaged or not an array of numbers.') from error
+    mapped = map_array(path)
     if mapped.ndim != 2:
         raise FileError(f'"{path}" contains an array with {mapped.ndim} axes; heights have 2.')
     check_numeric(path, mapped.dtype)

@@ -106,8 +106,6 @@ def _locate(source: HeightSource, reference: HeightSource) -> tuple[int, int]:
     if first.is_geographic:
         offset[0] -= 360.0 * round(offset[0] / 360.0)  # tiles on both sides of 180 degrees
     column, row = (offset[axis] / first.step[axis] for axis in range(2))
-    if max(abs(column), abs(row)) > 2**40:
-        raise FileError(f"{names} are too far apart to be one terrain; build one terrain of each.")
     if max(abs(column - round(column)), abs(row - round(row))) > MAX_DRIFT:
         raise FileError(f"The samples of {names} lie between each other; resample one to the grid of the other.")
     return round(row), round(column)
