@@ -6,8 +6,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
+import pytest
 
-COMPRESSIONS = {"none": 1, "lzw": 5, "deflate": 8, "old_deflate": 32946, "packbits": 32773}
+COMPRESSIONS = {"none": 1, "lzw": 5, "deflate": 8, "old_deflate": 32946, "packbits": 32773, "zstd": 50000}
 FORMATS = {3: "H", 4: "I", 12: "d", 16: "Q"}  # types of tags: short, long, double, long8
 SAMPLE_FORMATS = {"u": 1, "i": 2, "f": 3}
 POINT_KEYS = (1, 1, 0, 3, 1024, 0, 1, 2, 1025, 0, 1, 2, 2048, 0, 1, 4326)  # degrees, pixel-is-point
@@ -16,12 +17,13 @@ UTM_KEYS = (1, 1, 0, 4, 1024, 0, 1, 1, 1025, 0, 1, 1, 3072, 0, 1, 32632, 3076, 0
 
 
 def compress_lzw(data: bytes, max_entries: int = 4094) -> bytes:
-    """Compress with the table of strings that TIFF 6.0, section 13 describes. The table is cleared when it has `max_entries`."""
+    """Compress with the table of strings that TIFF 6.0, section 13 describes. The table is cleared when it has `max_entries`;
+    it remains as it is if these are more than the 4,096 that codes can name."""
     codes, table = [(256, 9)], {}
     last_entry, string = 257, b""
 
     def write(string: bytes) -> None:
-        codes.append((table[string] if len(string) > 1 else string[0], (last_entry + 1).bit_length()))
+        codes.append((table[string] if len(string) > 1 else string[0], min((last_entry + 1).bit_length(), 12)))
 
     for value in data:
         longer = string + bytes([value])
@@ -29,8 +31,9 @@ def compress_lzw(data: bytes, max_entries: int = 4094) -> bytes:
             string = longer
             continue
         write(string)
-        last_entry += 1
-        table[longer] = last_entry
+        if last_entry < 4095:
+            last_entry += 1
+            table[longer] = last_entry
         string = bytes([value])
         if last_entry + 1 >= max_entries:
             codes.append((256, (last_entry + 1).bit_length()))
@@ -39,7 +42,7 @@ def compress_lzw(data: bytes, max_entries: int = 4094) -> bytes:
     if string:
         write(string)
         last_entry += 1
-    codes.append((257, (last_entry + 1).bit_length()))
+    codes.append((257, min((last_entry + 1).bit_length(), 12)))
     bits = "".join(format(code, f"0{width}b") for code, width in codes)
     bits += "0" * (-len(bits) % 8)
     return int(bits, 2).to_bytes(len(bits) // 8, "big")
@@ -62,12 +65,18 @@ def compress_pack_bits(data: bytes) -> bytes:
     return bytes(packed)
 
 
+def compress_zstandard(data: bytes) -> bytes:
+    """Compress with Zstandard (RFC 8878); the test is skipped where its package is missing."""
+    return pytest.importorskip("zstandard").ZstdCompressor().compress(data)
+
+
 COMPRESSORS: Mapping[str, Callable[[bytes], bytes]] = {
     "none": bytes,
     "lzw": compress_lzw,
     "deflate": zlib.compress,
     "old_deflate": zlib.compress,
     "packbits": compress_pack_bits,
+    "zstd": compress_zstandard,
 }
 
 

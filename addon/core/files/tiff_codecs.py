@@ -1,8 +1,9 @@
-"""Compressions and predictors of TIFF segments: deflate, LZW, PackBits, and the predictors 2 and 3.
+"""Compressions and predictors of TIFF segments: deflate, LZW, PackBits, Zstandard, and the predictors 2 and 3.
 
 tifffile has neither LZW nor predictor 3 without the package imagecodecs, which the extension does not include.
 
 Sources: TIFF Revision 6.0, sections 9 (PackBits), 13 (LZW) and 14 (predictor 2); Adobe Photoshop TIFF Technical Note 3 (predictor 3).
+Zstandard, RFC 8878, has a number in libtiff only.
 """
 
 import math
@@ -10,9 +11,9 @@ import zlib
 
 import numpy as np
 
-NONE, LZW, DEFLATE, OLD_DEFLATE, PACK_BITS = 1, 5, 8, 32946, 32773  # values of the tag Compression
+NONE, LZW, DEFLATE, OLD_DEFLATE, PACK_BITS, ZSTANDARD = 1, 5, 8, 32946, 32773, 50000  # values of the tag Compression
 HORIZONTAL, FLOATING_POINT = 2, 3  # values of the tag Predictor; 1 for none
-MAX_RATIOS = {NONE: 1, LZW: 2731, DEFLATE: 1040, OLD_DEFLATE: 1040, PACK_BITS: 64}  # decoded bytes per byte, at most
+MAX_RATIOS = {NONE: 1, LZW: 2731, DEFLATE: 1040, OLD_DEFLATE: 1040, PACK_BITS: 64, ZSTANDARD: 1 << 16}  # decoded bytes per byte, at most
 CLEAR, END, FIRST_ENTRY = 256, 257, 258  # LZW codes
 WIDTH_STARTS = np.array([0, 254, 766, 1790])  # numbers of codes after a Clear at which they become 10, 11 and 12 bits wide
 FIRST_CODES = 4096  # codes that are extracted at once; most writers clear the table after about 3,840
@@ -47,6 +48,8 @@ def decompress(data: bytes, compression: int, size: int) -> bytes:
         decoded = decompress_lzw(data, size)
     elif compression == PACK_BITS:
         decoded = decompress_pack_bits(data, size)
+    elif compression == ZSTANDARD:
+        decoded = decompress_zstandard(data, size)
     else:
         decoded = zlib.decompressobj().decompress(data, size)
     if len(decoded) < size:
@@ -67,6 +70,18 @@ def decompress_pack_bits(data: bytes, size: int) -> bytes:
                 decoded += data[position + 1 : position + 2] * (257 - count)
             position += 2 if count > 128 else 1
     return bytes(decoded[:size])
+
+
+def decompress_zstandard(data: bytes, size: int) -> bytes:
+    """Return at most `size` bytes of a Zstandard segment. Raises ValueError if it is damaged, or the package zstandard is missing."""
+    try:
+        import zstandard  # Blender includes it
+    except ImportError as error:
+        raise ValueError("COMPRESSION.ZSTD requires the package zstandard") from error
+    try:
+        return zstandard.ZstdDecompressor().stream_reader(data).read(size)
+    except zstandard.ZstdError as error:
+        raise ValueError("a Zstandard segment is damaged") from error
 
 
 def decompress_lzw(data: bytes, size: int) -> bytes:

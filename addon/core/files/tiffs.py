@@ -1,7 +1,7 @@
 """Pixels of TIFF files by window: only the strips or tiles that a window touches are read and decoded (TIFF Revision 6.0; BigTIFF).
 
-tifffile parses the header. Uncompressed files, deflate, LZW and PackBits with the predictors 1 to 3 are decoded here, everything else by
-tifffile, as far as it can without the package imagecodecs.
+tifffile parses the header. Uncompressed files, deflate, LZW, PackBits and Zstandard with the predictors 1 to 3 are decoded here, everything
+else by tifffile, as far as it can without the package imagecodecs.
 """
 
 import logging
