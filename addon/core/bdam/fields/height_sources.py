@@ -84,7 +84,8 @@ def open_source(path: Path, context: SourceContext) -> HeightSource:
 def to_heights(values: np.ndarray, no_data: float | None, unit: float) -> np.ndarray:
     """Return samples of a file, of any shape, as heights float32 in meters, NaN where they mean "no data". unit: meters of a sample."""
     with np.errstate(all="ignore"):  # of numbers that are no heights
-        heights = np.multiply(values, unit, dtype=np.float64 if values.itemsize > 2 else np.float32).astype(np.float32)
+        precision = np.float64 if values.itemsize > 2 else np.float32
+        heights = (values if unit == 1.0 else np.multiply(values, unit, dtype=precision)).astype(np.float32)
         heights[find_missing(values, no_data)] = np.nan
     return heights
 
