@@ -9,12 +9,12 @@ import warnings
 import numpy as np
 import pytest
 
-from farfield.addon.core.clipbox.files.file_data import MAX_BYTES
 from farfield.addon.core.clipbox.files.readers import read_file
 from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.clipbox.terrains import generators
 from farfield.addon.core.clipbox.terrains.generators import build_sampler
 from farfield.addon.core.errors import FileError
+from farfield.addon.core.files.height_maps import MAX_BYTES
 from lib import environment
 from terrain_files import nifti, patch_bytes, write_voxels
 

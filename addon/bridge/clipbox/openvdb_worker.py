@@ -8,8 +8,9 @@ from types import ModuleType
 
 import numpy as np
 
-from ...core.clipbox.files.file_data import MAX_BYTES, Voxels, check_size
+from ...core.clipbox.files.file_data import Voxels
 from ...core.errors import FileError
+from ...core.files.height_maps import MAX_BYTES, check_size
 from ..blender_modules import import_blender_module
 
 try:

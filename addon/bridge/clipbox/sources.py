@@ -6,9 +6,10 @@ import bpy
 import numpy as np
 
 from ...core.clipbox.files import readers
-from ...core.clipbox.files.file_data import HeightMap, check_size
+from ...core.clipbox.files.file_data import HeightMap
 from ...core.clipbox.files.readers import BLEND_PREFIX, Readers
 from ...core.errors import FileError
+from ...core.files.height_maps import check_size
 from .openvdb_files import read_vdb
 
 IMAGE_EXTENSIONS = (".png", ".jpg", ".jpeg", ".exr", ".hdr", ".webp", ".bmp")

@@ -12,7 +12,8 @@ from typing import BinaryIO
 import numpy as np
 
 from ...errors import FileError
-from .file_data import CHUNK_SAMPLES, Voxels, are_valid_sizes, check_size, to_native_byte_order
+from ...files.height_maps import CHUNK_SAMPLES, are_valid_sizes, check_size, to_native_byte_order
+from .file_data import Voxels
 
 HEADER_BYTES = 348
 MAX_DATA_OFFSET = 2**26  # bytes of header and extensions; larger offsets in a gzip file are malicious

@@ -2,23 +2,23 @@
 
 import math
 import re
-import tokenize
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 
 from ...errors import FileError, SettingsError
+from ...files.array_files import map_array
 from ...files.file_access import check_readable, check_unicode
-from .file_data import HEIGHT_BYTES, FileData, HeightMap, Voxels, check_size, to_native_byte_order
+from ...files.height_maps import HEIGHT_BYTES, check_size, to_native_byte_order
+from .file_data import FileData, HeightMap, Voxels
+from .height_tiffs import read_tiff
 from .nifti import read_nifti
-from .tiffs import read_tiff
 
 Readers = Mapping[str, Callable[[Path], FileData]]  # by lower-case extension
 
 BLEND_PREFIX = "//"  # of paths relative to the folder of the .blend file
 RAW_NAME = re.compile(r"(?:^|_)(\d+)x(\d+)x(\d+)_(u?int(?:8|16|32)|float(?:32|64))$")
-NUMPY_ERRORS = (EOFError, OverflowError, SyntaxError, TypeError, ValueError, tokenize.TokenError)
 
 
 def read_array(path: Path) -> FileData:
@@ -29,12 +29,7 @@ def read_array(path: Path) -> FileData:
     Raises:
         FileError: it is neither.
     """
-    try:
-        mapped = np.load(path, mmap_mode="r", allow_pickle=False)  # mapped, so that a header with a false size costs no memory
-        if not isinstance(mapped, np.ndarray):
-            raise FileError(f'"{path}" is an archive, not a single array; save the array with numpy.save.')
-    except NUMPY_ERRORS as error:
-        raise FileError(f'"{path}" cannot be read as a NumPy array: it is truncated, damaged or not an array of numbers.') from error
+    mapped = map_array(path)
     if mapped.ndim not in (2, 3):
         raise FileError(f'"{path}" contains an array with {mapped.ndim} axes; heights have 2, voxels 3.')
     check_size(path, mapped.size, max(mapped.dtype.itemsize, HEIGHT_BYTES if mapped.dtype.kind == "f" else 1))

@@ -11,14 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FileError
+from ...files.height_maps import CHUNK_SAMPLES, HEIGHT_BYTES, check_size, find_missing
 from ...jobs.chunks import slices
-from ..files.file_data import CHUNK_SAMPLES, HEIGHT_BYTES, HeightMap, check_size, is_valid
+from ..files.file_data import HeightMap
 from ..files.readers import Readers, read_source
 from .grids import DensityFunction, Grid
 from .pyramids import build_pyramid, interpolate_axis, locate_samples, pyramid_level
 from .terrain_source import TerrainSource
-
-NO_DATA_INT16 = -32768  # many programs write this for unknown elevations without declaring it
 
 
 def build_heights(source: TerrainSource, readers: Readers) -> DensityFunction:
@@ -55,7 +54,7 @@ def _scale_to_scene(height_map: HeightMap, source: TerrainSource) -> tuple[np.nd
     width, depth = height_map.pixel_size or (1.0, 1.0)
     unit = size / max(values.shape[0] * width, values.shape[1] * depth)
     columns = slices(len(values), max(1, CHUNK_SAMPLES // values.shape[1]))
-    smallest = [float(known.min()) for chunk in columns if (known := values[chunk][~_find_missing(values[chunk], height_map.no_data)]).size]
+    smallest = [float(known.min()) for chunk in columns if (known := values[chunk][~find_missing(values[chunk], height_map.no_data)]).size]
     if not smallest:
         raise FileError(f'"{source.source}" contains no valid height.')
     lowest = min(smallest)
@@ -66,15 +65,5 @@ def _scale_to_scene(height_map: HeightMap, source: TerrainSource) -> tuple[np.nd
         with np.errstate(over="ignore", invalid="ignore"):  # of missing heights, which are replaced below
             np.subtract(values[chunk], base, out=heights, dtype=np.float64, casting="same_kind")
             heights *= np.float32(factor)
-        heights[_find_missing(values[chunk], height_map.no_data)] = (lowest - base) * factor
+        heights[find_missing(values[chunk], height_map.no_data)] = (lowest - base) * factor
     return ground, (width * unit, depth * unit)
-
-
-def _find_missing(values: np.ndarray, no_data: float | None) -> np.ndarray:
-    """Return a mask of the `values` that are no valid heights."""
-    missing = ~is_valid(values)
-    if no_data is not None:
-        missing |= values == no_data
-    if values.dtype == np.int16:
-        missing |= values == NO_DATA_INT16
-    return missing

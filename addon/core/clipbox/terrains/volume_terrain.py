@@ -11,8 +11,9 @@ from functools import cached_property
 import numpy as np
 
 from ...errors import FileError
+from ...files.height_maps import CHUNK_SAMPLES, is_valid
 from ...jobs.chunks import slices
-from ..files.file_data import CHUNK_SAMPLES, Voxels, is_valid, min_max_valid
+from ..files.file_data import Voxels, min_max_valid
 from ..files.readers import Readers, read_source
 from .grids import DensityFunction
 from .pyramids import AxisSamples, build_pyramid, interpolate_axis, locate_samples, pyramid_level

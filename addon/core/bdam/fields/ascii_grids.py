@@ -1,0 +1,155 @@
+"""Arc ASCII grids by window. Esri, ArcGIS documentation, Esri ASCII raster format: a header, then the heights row by row from the north.
+
+One pass over the file notes where every row begins; the rows of a window are parsed when they are read.
+"""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import FileError
+from ...files.file_access import error_reason
+from ...files.height_maps import are_valid_sizes
+from ...files.segment_cache import SegmentCache
+from .placements import Placement
+
+MAX_HEADER_BYTES = 4096
+BLOCK_BYTES = 4 << 20  # of the file that are searched at once
+BLOCK_SAMPLES = 1 << 18  # that are parsed at once and kept in the cache
+DEFAULT_NO_DATA = -9999.0  # of the format, where the header has none
+SIZE_KEYS = {"ncols", "nrows"}
+KEYS = SIZE_KEYS | {"xllcorner", "xllcenter", "yllcorner", "yllcenter", "cellsize", "dx", "dy", "nodata_value"}
+MAX_DEGREE_CELL = 0.2  # cells of degrees are smaller, those of meters wider
+WKT_UNIT = re.compile(r'UNIT\s*\[\s*"[^"]*"\s*,\s*([0-9.eE+-]+)')  # the last one of a projection is that of its coordinates
+MAX_WKT_BYTES = 1 << 16
+BAD_NUMBERS = '"{path}" contains something other than numbers in its rows of heights; save it again with decimal points.'
+
+
+@dataclass(frozen=True, eq=False)
+class AsciiGrid:
+    """An open grid. shape: rows and columns. row_offsets: (rows + 1,) int64, bytes where the rows begin, row 0 in the north."""
+
+    path: Path
+    shape: tuple[int, int]
+    placement: Placement
+    no_data: float
+    row_offsets: np.ndarray
+    warnings: tuple[str, ...]
+
+    def read(self, rows: slice, columns: slice, cache: SegmentCache) -> np.ndarray:
+        """Return the numbers (h, w) float64 of a window, row 0 in the north.
+
+        Raises:
+            FileError: there is something other than numbers, or the file has changed.
+        """
+        step = max(1, BLOCK_SAMPLES // self.shape[1])
+        parts = []
+        for block in range(rows.start // step, -(-rows.stop // step)):
+            start, stop = block * step, min((block + 1) * step, self.shape[0])
+            values = cache.get((self.path, block), lambda start=start, stop=stop: self._parse(start, stop))
+            parts.append(values[max(rows.start - start, 0) : min(rows.stop, stop) - start, columns])
+        return np.concatenate(parts) if parts else np.empty((0, columns.stop - columns.start))
+
+    def _parse(self, start: int, stop: int) -> np.ndarray:
+        try:
+            with self.path.open("rb") as file:
+                file.seek(int(self.row_offsets[start]))
+                text = file.read(int(self.row_offsets[stop] - self.row_offsets[start]))
+            return np.array(text.split(), np.float64).reshape(stop - start, self.shape[1])
+        except ValueError as error:
+            raise FileError(BAD_NUMBERS.format(path=self.path)) from error
+        except OSError as error:
+            raise FileError(f'"{self.path}" cannot be read: {error_reason(error)}.') from error
+
+
+def open_ascii_grid(path: Path) -> AsciiGrid:
+    """Read the header of an Arc ASCII grid and find its rows. A file .prj beside it tells degrees, feet and meters apart.
+
+    Raises:
+        FileError: it is no such grid, or has fewer or more numbers than its header declares.
+    """
+    header, start = _read_header(path)
+    rows, columns = int(header["nrows"]), int(header["ncols"])
+    size = path.stat().st_size
+    if rows <= 0 or columns <= 0 or 2 * rows * columns > size - start + 1:
+        raise FileError(f'"{path}" cannot contain {columns:,} by {rows:,} heights in {size:,} bytes; it is truncated, so copy it again.')
+    placement, warnings = _place(path, header)
+    row_offsets = _find_rows(path, start, rows, columns)
+    return AsciiGrid(path, (rows, columns), placement, header.get("nodata_value", DEFAULT_NO_DATA), row_offsets, warnings)
+
+
+def _read_header(path: Path) -> tuple[dict[str, float], int]:
+    """Return the numbers of the header by lower-case keys, and the byte where the heights begin."""
+    with path.open("rb") as file:
+        text = file.read(MAX_HEADER_BYTES)
+    header: dict[str, float] = {}
+    position = 0
+    for match in re.finditer(rb"\s*([A-Za-z_]+)[ \t]+(\S+)[ \t]*(?:\r\n?|\n)", text):
+        key = match[1].decode("ascii").lower()
+        if match.start() != position or key not in KEYS:
+            break
+        try:
+            header[key] = float(match[2])
+        except ValueError as error:
+            raise FileError(f'"{path}" has a header with a wrong number for "{key}"; save it again.') from error
+        position = match.end()
+    is_complete = header.keys() >= SIZE_KEYS and ("cellsize" in header or {"dx", "dy"} <= header.keys())
+    if not is_complete or not all(header[key] == int(header[key]) for key in SIZE_KEYS if abs(header[key]) < 2**53):
+        raise FileError(f'"{path}" is no Arc ASCII grid: its header lacks ncols, nrows or cellsize.')
+    if not all(abs(header[key]) < 2**53 for key in SIZE_KEYS):
+        raise FileError(f'"{path}" is no Arc ASCII grid: its header declares an impossible size.')
+    return header, position
+
+
+def _place(path: Path, header: dict[str, float]) -> tuple[Placement, tuple[str, ...]]:
+    step = (header["cellsize"],) * 2 if "cellsize" in header else (header["dx"], header["dy"])
+    if not are_valid_sizes(step):
+        raise FileError(f'"{path}" has cells of size {step[0]:g}; the size must be positive.')
+    first = tuple(header.get(f"{axis}llcenter", header.get(f"{axis}llcorner", 0.0) + 0.5 * step[index]) for index, axis in enumerate("xy"))
+    is_placed = "xllcorner" in header or "xllcenter" in header
+    unit, is_geographic = _read_projection(path)
+    warnings = ()
+    if unit is None:
+        unit, is_geographic = 1.0, is_placed and max(step) < MAX_DEGREE_CELL and abs(first[0]) <= 360.0 and abs(first[1]) <= 90.0
+        if is_geographic:
+            warnings = (f'"{path}" has no .prj file; its cells are so small that its coordinates are taken as degrees.',)
+    return Placement((first[0] * unit, first[1] * unit), (step[0] * unit, step[1] * unit), is_geographic, None, is_placed), warnings
+
+
+def _read_projection(path: Path) -> tuple[float | None, bool]:
+    """Return meters per unit of the coordinates and whether they are degrees, from a .prj file in WKT; None if there is none."""
+    projection = next((found for found in (path.with_suffix(".prj"), path.with_suffix(".PRJ")) if found.is_file()), None)
+    if projection is None:
+        return None, False
+    with projection.open("rb") as file:
+        text = file.read(MAX_WKT_BYTES).decode("utf-8", "replace").strip()
+    if text.upper().startswith(("GEOGCS", "GEOGCRS", "GEODCRS")):
+        return 1.0, True
+    units = WKT_UNIT.findall(text) if text.upper().startswith(("PROJCS", "PROJCRS", "COMPD_CS")) else []
+    try:
+        unit = float(units[-1]) if units else None
+    except ValueError:
+        return None, False
+    return (unit, False) if unit is not None and are_valid_sizes((unit,)) else (None, False)
+
+
+def _find_rows(path: Path, start: int, rows: int, columns: int) -> np.ndarray:
+    """Return the bytes (rows + 1,) int64 where the rows begin, and the end of the file. A row may run over several lines."""
+    offsets, count, follows_space = [], 0, True
+    with path.open("rb") as file:
+        file.seek(start)
+        position = start
+        while block := file.read(BLOCK_BYTES):
+            is_text = np.frombuffer(block, np.uint8) > ord(" ")
+            begins = is_text.copy()
+            begins[1:] &= ~is_text[:-1]
+            begins[0] &= follows_space
+            words = np.flatnonzero(begins)
+            offsets.append(position + words[-count % columns :: columns])
+            count, follows_space, position = count + len(words), not is_text[-1], position + len(block)
+    if count != rows * columns:
+        advice = "it is truncated, so copy it again" if count < rows * columns else "save it again"
+        raise FileError(f'"{path}" contains {count:,} heights; according to its header it must have {rows * columns:,}: {advice}.')
+    return np.concatenate([*offsets, [position]])

@@ -1,0 +1,149 @@
+"""Where the samples of a file lie, and local frames around them."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import FileError
+from ...files.geotiff import GEOCENTRIC, GEOGRAPHIC, GeoReference
+from ...geometry.map_projections import TransverseMercator
+
+MAX_LONGITUDES = 60.0  # degrees from west to east; the projection stretches what is farther from its central meridian too much
+POLE = 90.0 + 1e-6  # degrees of latitude, and what rounding adds
+ORIGIN_DECIMALS = 6  # of an origin in degrees, about 0.1 m, so that reports show it completely
+METERS_PER_DEGREE = 111_320.0  # along the equator; only for the nominal cell size
+
+
+@dataclass(frozen=True)
+class Placement:
+    """The position of a grid: world = first + step * (column, row), row 0 in the south. All in meters, or in degrees if `is_geographic`.
+
+    code: of the coordinate reference system, such as "EPSG:32632", None if it is unknown. is_placed: whether the file has a position.
+    """
+
+    first: tuple[float, float]
+    step: tuple[float, float]
+    is_geographic: bool = False
+    code: str | None = None
+    is_placed: bool = True
+
+    @property
+    def crs(self) -> str:
+        """The coordinate reference system in words."""
+        unit = "degrees" if self.is_geographic else "meters"
+        return f"{self.code}, {unit}" if self.code else unit
+
+    def position(self, column: float, row: float) -> tuple[float, float]:
+        """Return the world position of grid coordinates."""
+        return self.first[0] + self.step[0] * column, self.first[1] + self.step[1] * row
+
+
+def unplaced(cell_size: float) -> Placement:
+    """Return the placement of a file without a position, whose cells are `cell_size` meters wide."""
+    return Placement((0.0, 0.0), (cell_size, cell_size), is_placed=False)
+
+
+def place_map(path: Path, reference: GeoReference, shape: tuple[int, int], cell_size: float) -> tuple[Placement, bool]:
+    """Return the placement of a map with rows from north to south, and whether its rows run from south to north instead.
+
+    cell_size: meters, for a file without a position.
+
+    Raises:
+        FileError: it is rotated, mirrored, or in units or a coordinate system that are not supported.
+    """
+    if reference.affine is None:
+        return unplaced(cell_size), False
+    if reference.is_rotated:
+        raise FileError(f'"{path}" is rotated on the map; warp it to a grid along the axes of its projection.')
+    if reference.model_type == GEOCENTRIC or reference.horizontal_unit is None:
+        raise FileError(f'"{path}" has coordinates in a system or unit that is not supported; project it to meters or degrees.')
+    width, _, x, _, depth, y = (number * reference.horizontal_unit for number in reference.affine)
+    if width <= 0.0 or depth == 0.0:
+        raise FileError(f'"{path}" is mirrored on the map; warp it to a grid whose columns run from west to east.')
+    first = (x, y if depth > 0.0 else y + (shape[0] - 1) * depth)
+    code = None if reference.epsg is None else f"EPSG:{reference.epsg}"
+    return Placement(first, (width, abs(depth)), reference.model_type == GEOGRAPHIC, code), depth > 0.0
+
+
+@dataclass(frozen=True)
+class ProjectedFrame:
+    """The local frame of a grid in meters: world positions minus an origin in whole meters near the center of the grid."""
+
+    first: tuple[float, float]
+    step: tuple[float, float]
+    origin: tuple[float, float]
+
+    def to_local(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return local meters, float64, of grid coordinates of any shape."""
+        positions = (np.asarray(x, np.float64), np.asarray(y, np.float64))
+        east, north = (self.first[axis] - self.origin[axis] + positions[axis] * self.step[axis] for axis in range(2))
+        return east, north
+
+    def to_grid(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return grid coordinates, float64, of local meters."""
+        positions = (np.asarray(x, np.float64), np.asarray(y, np.float64))
+        columns, rows = ((positions[axis] - (self.first[axis] - self.origin[axis])) / self.step[axis] for axis in range(2))
+        return columns, rows
+
+
+@dataclass(frozen=True)
+class GeographicFrame:
+    """The local frame of a grid in degrees: the transverse Mercator projection with its central meridian through the origin, and scale 1.
+
+    Vertices are projected one by one, so that no height is resampled.
+    """
+
+    first: tuple[float, float]
+    step: tuple[float, float]
+    origin: tuple[float, float]
+
+    def to_local(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return local meters, float64, of grid coordinates of any shape. Those far outside are clamped (`TransverseMercator.project`)."""
+        longitudes = self.first[0] + np.asarray(x, np.float64) * self.step[0]
+        latitudes = self.first[1] + np.asarray(y, np.float64) * self.step[1]
+        east, north = self._projection.project(longitudes, latitudes)
+        return east, north - self._north_of_origin
+
+    def to_grid(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return grid coordinates, float64, of local meters."""
+        longitudes, latitudes = self._projection.unproject(x, np.asarray(y, np.float64) + self._north_of_origin)
+        return (longitudes - self.first[0]) / self.step[0], (latitudes - self.first[1]) / self.step[1]
+
+    @property
+    def _projection(self) -> TransverseMercator:
+        return TransverseMercator(self.origin[0])
+
+    @property
+    def _north_of_origin(self) -> float:
+        return float(self._projection.project(self.origin[0], self.origin[1])[1])
+
+
+Frame = ProjectedFrame | GeographicFrame
+
+
+def create_frame(path: Path, placement: Placement, shape: tuple[int, int]) -> tuple[Frame, float]:
+    """Return the local frame of a grid with its origin near the center, and the nominal size of a cell in meters.
+
+    path: named in errors.
+
+    Raises:
+        FileError: the grid extends beyond a pole, or over too many degrees of longitude.
+    """
+    center = placement.position((shape[1] - 1) / 2.0, (shape[0] - 1) / 2.0)
+    width, depth = placement.step
+    if not placement.is_geographic:
+        origin = (float(round(center[0])), float(round(center[1])))
+        return ProjectedFrame(placement.first, placement.step, origin), math.sqrt(width * depth)
+    north = placement.position(0.0, shape[0] - 1)[1]
+    if max(-placement.first[1], north) > POLE:
+        raise FileError(
+            f'"{path}" has latitudes from {placement.first[1]:g} to {north:g} degrees; its coordinates are no degrees, or wrong.'
+        )
+    longitudes = width * (shape[1] - 1)
+    if longitudes > MAX_LONGITUDES:
+        raise FileError(f'"{path}" covers {longitudes:g} degrees of longitude; the maximum is {MAX_LONGITUDES:g}, so use a part of it.')
+    origin = (round(center[0], ORIGIN_DECIMALS), round(center[1], ORIGIN_DECIMALS))
+    cell_size = METERS_PER_DEGREE * math.sqrt(width * depth * max(math.cos(math.radians(center[1])), 1e-6))
+    return GeographicFrame(placement.first, placement.step, origin), cell_size

@@ -1,0 +1,142 @@
+"""One height field from one or many elevation models."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import FileError, SettingsError
+from ...files.file_access import check_readable
+from ...files.segment_cache import DEFAULT_CACHE_BYTES, SegmentCache
+from ...text import format_count
+from .height_sources import HeightSource, ReadImage, SourceContext, open_source
+from .mosaics import Mosaic, join
+from .placements import Frame, create_frame
+
+CHECK_SAMPLES = 1 << 22  # heights that are read at once when all are checked
+
+
+@dataclass(frozen=True)
+class FieldSettings:
+    """How files without complete metadata are understood.
+
+    cell_size: meters between two samples of a file without a position. image_height: meters between black and white of an image.
+    allow_gaps: whether parts of the rectangle around several files may be missing.
+    """
+
+    cell_size: float = 1.0
+    image_height: float = 100.0
+    allow_gaps: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class TerrainField:
+    """A `HeightField` of one or several files."""
+
+    mosaic: Mosaic
+    frame: Frame
+    cell_size: float
+    height_step: float | None
+    warnings: tuple[str, ...] = field(default=())
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.mosaic.shape
+
+    @property
+    def origin(self) -> tuple[float, float]:
+        """The position of the local zero: meters of the projection, or degrees of longitude and latitude."""
+        return self.frame.origin
+
+    @property
+    def crs(self) -> str:
+        """The coordinate reference system in words."""
+        return self.mosaic.placement.crs
+
+    def read(self, rows: slice, columns: slice) -> np.ndarray:
+        """Return the heights (h, w) float32 of a window within the grid, meters, NaN where unknown. See `HeightField.read`."""
+        return self.mosaic.read(rows, columns)
+
+    def to_local(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return local meters, float64, of grid coordinates."""
+        return self.frame.to_local(x, y)
+
+    def to_grid(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return grid coordinates, float64, of local meters."""
+        return self.frame.to_grid(x, y)
+
+
+def open_field(
+    paths: Iterable[Path],
+    settings: FieldSettings = FieldSettings(),
+    read_image: ReadImage | None = None,
+    cache_bytes: int = DEFAULT_CACHE_BYTES,
+) -> TerrainField:
+    """Open one elevation model, or several that tile one grid, without reading their heights.
+
+    read_image: returns the gray values (H, W) float32 of an image, row 0 at the bottom, 1 for white; None where images cannot be read.
+    cache_bytes: of decoded parts of all files that stay in memory.
+
+    Raises:
+        FileError: a file is no elevation model, is damaged, rotated, too large or too small, or the files do not tile one grid.
+        SettingsError: there is no file, a setting is out of range, or the files leave gaps and these are not allowed.
+    """
+    paths = list(paths)
+    if not paths:
+        raise SettingsError("The terrain needs at least one elevation model; set Sources.", ("sources",))
+    for name, label in (("cell_size", "Cell Size"), ("image_height", "Image Height")):
+        if not 1e-6 < getattr(settings, name) < 1e9:
+            raise SettingsError(f"{label} must be positive and finite.", (name,))
+    context = SourceContext(settings.cell_size, settings.image_height, read_image, SegmentCache(cache_bytes))
+    sources = []
+    for path in paths:
+        check_readable(path)
+        sources.append(open_source(path, context))
+    mosaic = join(sources, settings.allow_gaps)
+    frame, cell_size = create_frame(paths[0], mosaic.placement, mosaic.shape)
+    warnings = [warning for source in sources for warning in source.warnings]
+    if not mosaic.placement.is_placed:
+        warnings.append(f'"{paths[0]}" has no position on a map; its cells are taken as {settings.cell_size:g} m wide (Cell Size).')
+    return TerrainField(mosaic, frame, cell_size, _common_step(sources), tuple(warnings))
+
+
+def check_heights(terrain: TerrainField) -> tuple[str, ...]:
+    """Return warnings about the heights of a field: neighbors that differ in the samples that they have in common.
+
+    It reads these samples, and as much of the field as it takes to find a known height. Call it once before a build; workers need not.
+
+    Raises:
+        FileError: no height is known, or a file is damaged.
+    """
+    if not any(np.isfinite(heights).any() for heights in _read_all(terrain)):
+        names = ", ".join(f'"{source.path}"' for source in terrain.mosaic.sources[:3])
+        raise FileError(f"{names} contains no known height: all are marked as missing; use another file.")
+    differing = 0
+    for first, second, (rows, columns) in terrain.mosaic.find_common_edges():
+        heights, others = (_read_part(terrain.mosaic, index, rows, columns) for index in (first, second))
+        differing += int((heights != others)[np.isfinite(heights) & np.isfinite(others)].sum())
+    if not differing:
+        return ()
+    return (f"{format_count(differing, 'height')} on common edges of neighboring files differ; those of the file named first are used.",)
+
+
+def _read_all(terrain: TerrainField) -> Iterator[np.ndarray]:
+    """Yield the heights of the files in strips."""
+    for source in terrain.mosaic.sources:
+        step = max(1, CHECK_SAMPLES // source.shape[1])
+        for start in range(0, source.shape[0], step):
+            yield source.read(slice(start, min(start + step, source.shape[0])), slice(0, source.shape[1]))
+
+
+def _read_part(mosaic: Mosaic, index: int, rows: slice, columns: slice) -> np.ndarray:
+    """Return heights of one source in a window of the common grid that lies within it."""
+    row, column = mosaic.corners[index].tolist()
+    return mosaic.sources[index].read(slice(rows.start - row, rows.stop - row), slice(columns.start - column, columns.stop - column))
+
+
+def _common_step(sources: Sequence[HeightSource]) -> float | None:
+    """Return the vertical step of all sources, None if they have none or different ones."""
+    steps = {source.height_step for source in sources}
+    return steps.pop() if len(steps) == 1 else None

@@ -1,0 +1,36 @@
+"""A cache of decoded parts of files that is limited in bytes."""
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from threading import Lock
+
+import numpy as np
+
+DEFAULT_CACHE_BYTES = 64 << 20
+
+
+class SegmentCache:
+    """Keeps the arrays that were used last, `max_bytes` of them at most. Several files and threads can share one."""
+
+    def __init__(self, max_bytes: int = DEFAULT_CACHE_BYTES) -> None:
+        self._max_bytes, self._lock = max_bytes, Lock()
+        self._arrays: OrderedDict[Hashable, np.ndarray] = OrderedDict()
+        self.byte_count = 0
+
+    def get(self, key: Hashable, create: Callable[[], np.ndarray]) -> np.ndarray:
+        """Return the array of a key, which `create` returns if it is not kept. It must not be changed.
+
+        Two threads that need the same array at the same time both create it. An array of more than `max_bytes` is not kept.
+        """
+        with self._lock:
+            if key in self._arrays:
+                self._arrays.move_to_end(key)
+                return self._arrays[key]
+        array = create()
+        with self._lock:
+            if key not in self._arrays and array.nbytes <= self._max_bytes:
+                self._arrays[key] = array
+                self.byte_count += array.nbytes
+                while self.byte_count > self._max_bytes:
+                    self.byte_count -= self._arrays.popitem(last=False)[1].nbytes
+        return array
