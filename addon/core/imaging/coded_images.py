@@ -30,7 +30,7 @@ DEFAULT_QUALITY = 85
 MAX_PIXELS = 2**29  # of an image that is decoded at once: 23,170 x 23,170 pixels
 MAX_RATIO = 35_000  # of decoded bytes to those of a JPEG or PNG file, see image_files.py
 PNG_COMPRESSION = 3  # zlib level; higher ones cost much time and save little in photographs
-WEBP_METHOD = 0  # the fastest; method 4 takes two to three times as long for files that are 1 to 2 % smaller at most
+WEBP_METHOD = 0  # the fastest; method 4 takes two to three times as long for files that are a few percent smaller
 RAW_MAGIC, RAW_HEADER = b"FFPIXELS", struct.Struct("<8sHHI")
 PLUGINS = (  # first bytes, and the reader, called directly: Image.open would apply a limit that is global to the process
     (b"\xff\xd8\xff", JpegImagePlugin.JpegImageFile),

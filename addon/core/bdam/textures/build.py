@@ -117,7 +117,7 @@ def _build_tile(folder: Path, plan: TexturePlan, level: int, i: int, j: int, ima
     if not window[REACHED, REACHED, 3].any():
         _write_blocks(path, TILE_KIND, [])
         return
-    blocks = [encode_tile(extend_colors(window)[TILE, TILE], window[TILE, TILE, 3], plan.image_format, plan.quality)]
+    blocks = [encode_tile(extend_colors(window)[TILE, TILE], window[TILE, TILE, 3], plan.image_format, plan.coding_quality)]
     if level:
         own, weights = window[OWN, OWN], (grid.inside(level, 1, rows[OWN]), grid.inside(level, 0, columns[OWN]))
         _write_blocks(path.with_suffix(".piece"), PIECE_KIND, [_pack_piece(halve(own, *weights))])

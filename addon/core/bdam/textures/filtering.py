@@ -9,7 +9,7 @@ from ...imaging.colors import LUMINANCE, decode_signed_srgb, encode_signed_srgb
 from ...imaging.images import dilate_in_place
 
 LINEAR = decode_signed_srgb(np.arange(256) / 255.0).astype(np.float32)  # scene-linear values by sRGB byte
-QUARTERS = np.round(LINEAR * (65535 / 4)).astype(np.uint16)  # a quarter of the scale of ENCODED: the sum of four fits into 16 bits
+QUARTERS = np.round(LINEAR * (65535 // 4)).astype(np.uint16)  # a quarter of the scale of ENCODED: the sum of four fits into 16 bits
 ENCODED = np.round(255.0 * encode_signed_srgb(np.arange(65536) / 65535.0)).astype(np.uint8)  # sRGB bytes by scene-linear value * 65535
 EXTENSION = 8  # texels; a block of JPEG with a known texel is filled to its last texel
 DETAIL_FRACTION = 1e-3  # of the texels, which exceed the detail of a tile

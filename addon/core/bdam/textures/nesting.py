@@ -83,15 +83,16 @@ def balance(index: TileIndex, is_refined: np.ndarray) -> np.ndarray:
 
 
 def select_cut(index: TileIndex, is_refined: np.ndarray) -> np.ndarray:
-    """Return the numbers of the tiles of the cut: those that are not refined, or have no children, below refined ancestors."""
+    """Return the numbers of the tiles of the cut: those below refined ancestors that are not refined, or of the finest level.
+
+    Where children of a refined tile do not exist, nothing is known, and the cut has no tile there.
+    """
     parents = index.parents()
-    has_children = np.zeros(len(index), bool)
-    has_children[parents[parents >= 0]] = True
     is_open = np.zeros(len(index), bool)
     is_visited = parents < 0
     for level in range(index.level_count):
         numbers = index.numbers(level)
         if level:
             is_visited[numbers] = is_open[parents[numbers]] & (parents[numbers] >= 0)
-        is_open[numbers] = is_visited[numbers] & is_refined[numbers] & has_children[numbers]
+        is_open[numbers] = is_visited[numbers] & is_refined[numbers] & (level < index.level_count - 1)
     return np.flatnonzero(is_visited & ~is_open)

@@ -14,6 +14,8 @@ from .grid import MAX_LEVELS, TextureGrid
 
 PLAN_FILE = "plan.json"
 MAX_PLAN_BYTES = 1 << 16
+# The overlap of WebP tiles, unlike that of JPEG tiles, is coded differently in each; below 95 the seams exceed 8/255 in photographs.
+DEFAULT_QUALITIES = {"jpeg": DEFAULT_QUALITY, "webp": 95, "raw": DEFAULT_QUALITY}
 
 
 @dataclass(frozen=True)
@@ -23,15 +25,20 @@ class TexturePlan:
     Attributes:
         grid: the tiles.
         image_format: coding of tiles: jpeg, webp or raw.
-        quality: of jpeg and webp, 1 to 100.
+        quality: of jpeg and webp, 1 to 100; None is that of DEFAULT_QUALITIES.
         error: error of a tile in `nest_errors`: `magnification`, the size of its texels, or `feature`, the same only where replacing the
             texels of the next finer level loses visible detail; the largest size of the features that the tile loses.
     """
 
     grid: TextureGrid
     image_format: ImageFormat = "jpeg"
-    quality: int = DEFAULT_QUALITY
+    quality: int | None = None
     error: str = "magnification"
+
+    @property
+    def coding_quality(self) -> int:
+        """The quality that tiles are coded with."""
+        return DEFAULT_QUALITIES[self.image_format] if self.quality is None else self.quality
 
     def to_json(self) -> bytes:
         """Return the plan as JSON text."""
@@ -88,9 +95,9 @@ def check_plan(plan: TexturePlan) -> None:
     Raises:
         SettingsError: one is out of range.
     """
-    if plan.image_format not in ("jpeg", "webp", "raw"):
+    if plan.image_format not in DEFAULT_QUALITIES:
         raise SettingsError(f'Texture Format is "{plan.image_format}"; choose jpeg, webp or raw.', ("image_format",))
-    if not 1 <= plan.quality <= 100:
+    if not 1 <= plan.coding_quality <= 100:
         raise SettingsError(f"Texture Quality is {plan.quality}; choose 1 to 100.", ("quality",))
     if plan.error not in ("magnification", "feature"):
         raise SettingsError(f'Texture Error is "{plan.error}"; choose magnification or feature.', ("error",))

@@ -41,7 +41,7 @@ def resample(grid: TextureGrid, level: int, columns: np.ndarray, rows: np.ndarra
 
 
 def _weigh(grid: TextureGrid, level: int, axis: int, texels: np.ndarray, image: PlacedImage) -> Axis | None:
-    """Return the weights of an image's pixels along an axis, or None if no texel lies in it. Pixels beyond its border repeat the last."""
+    """Return the weights of an image's pixels along an axis, or None if no texel lies in it. Pixels beyond its border do not count."""
     count, step = image.source.shape[1 - axis], image.step[axis]
     positions = (grid.centers(level, axis, texels) - image.corner[axis]) / step  # in pixels from the corner
     tolerance = 1e-9 * count  # of rounding: the field ends where the last pixel ends
@@ -52,7 +52,7 @@ def _weigh(grid: TextureGrid, level: int, axis: int, texels: np.ndarray, image: 
     centers = np.clip(positions, 0.0, count) - 0.5
     first = np.ceil(centers - radius).astype(np.int64)
     taps = first[:, None] + np.arange(int(np.floor(2.0 * radius)) + 1)
-    weights = np.maximum(1.0 - np.abs(taps - centers[:, None]) / radius, 0.0)
+    weights = np.maximum(1.0 - np.abs(taps - centers[:, None]) / radius, 0.0) * ((taps >= 0) & (taps < count))
     weights /= weights.sum(axis=1, keepdims=True)
     pixels = np.clip(taps, 0, count - 1)
     low, high = int(pixels[is_inside].min()), int(pixels[is_inside].max()) + 1

@@ -1,8 +1,10 @@
 """Texture tiles as blocks of bytes.
 
-A block is the coded color image, or with alpha in WebP and raw tiles the coded image. JPEG has no alpha: where a tile has unknown or
-transparent texels, the JPEG image is followed by a PNG image of alpha and 4 bytes, the size of that image, uint32, little-endian. A block
-without alpha ends with 4 zero bytes, so that both are read alike.
+| bytes | content, little-endian |
+|---|---|
+| 0-3, 4-7 | sizes of the two coded images, uint32 |
+| 8- | the color image: JPEG, WebP or raw pixels, the latter two with alpha where the tile has it |
+| rest | alpha as a PNG image with one channel: of JPEG tiles with unknown or transparent texels, otherwise nothing |
 """
 
 import struct
@@ -13,7 +15,7 @@ import numpy as np
 from ...errors import ImageError
 from ...imaging.coded_images import ImageFormat, decode, encode, encode_gray
 
-ALPHA_SIZE = struct.Struct("<I")
+SIZES = struct.Struct("<II")
 
 
 class CodedTile(NamedTuple):
@@ -25,12 +27,12 @@ class CodedTile(NamedTuple):
 
 def encode_tile(colors: np.ndarray, alpha: np.ndarray, image_format: ImageFormat, quality: int) -> bytes:
     """Return a tile as a block: `colors` (H, W, 3) and `alpha` (H, W) uint8. Alpha is left out where it is 255 everywhere."""
-    if (alpha == 255).all():
-        return encode(colors, image_format, quality) + ALPHA_SIZE.pack(0)
-    if image_format != "jpeg":
-        return encode(np.dstack([colors, alpha]), image_format, quality) + ALPHA_SIZE.pack(0)
-    alpha_image = encode_gray(alpha)
-    return encode(colors, image_format, quality) + alpha_image + ALPHA_SIZE.pack(len(alpha_image))
+    has_alpha = bool((alpha < 255).any())
+    is_separate = has_alpha and image_format == "jpeg"
+    image = np.dstack([colors, alpha]) if has_alpha and not is_separate else colors
+    color_image = encode(image, image_format, quality)
+    alpha_image = encode_gray(alpha) if is_separate else b""
+    return SIZES.pack(len(color_image), len(alpha_image)) + color_image + alpha_image
 
 
 def split_block(block: bytes) -> CodedTile:
@@ -39,12 +41,11 @@ def split_block(block: bytes) -> CodedTile:
     Raises:
         ImageError: the block is damaged.
     """
-    end = len(block) - ALPHA_SIZE.size
-    alpha_size = ALPHA_SIZE.unpack_from(block, end)[0] if end > 0 else 0
-    if end <= alpha_size:
+    color_size, alpha_size = SIZES.unpack_from(block) if len(block) >= SIZES.size else (0, 0)
+    end = SIZES.size + color_size
+    if end + alpha_size != len(block):
         raise ImageError("The block of a texture tile is damaged; build the store again.")
-    color = block[: end - alpha_size]
-    return CodedTile(color, block[end - alpha_size : end] if alpha_size else None)
+    return CodedTile(block[SIZES.size : end], block[end:] if alpha_size else None)
 
 
 def decode_tile(block: bytes, max_pixels: int) -> np.ndarray:
