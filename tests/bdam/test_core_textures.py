@@ -42,7 +42,7 @@ def photograph(size, seed=0) -> np.ndarray:
     return np.moveaxis(np.broadcast_to(values, (3, size, size)), 0, -1).clip(0, 255).astype(np.uint8)
 
 
-def shared_texels(store, number, direction):
+def common_texels(store, number, direction):
     """The texels that a tile and its neighbor along x or y both hold, from each of the two; None without a neighbor."""
     neighbor = store.index.find(store.index.levels[number], store.index.tiles[[number]] + direction)[0]
     if neighbor < 0:
@@ -52,8 +52,8 @@ def shared_texels(store, number, direction):
     return (opaque[0][:, STEP:], opaque[1][:, : 2 * BORDER]) if direction[0] else (opaque[0][STEP:], opaque[1][: 2 * BORDER])
 
 
-def all_shared_texels(store):
-    pairs = [shared_texels(store, number, direction) for number in range(len(store)) for direction in ((1, 0), (0, 1))]
+def all_common_texels(store):
+    pairs = [common_texels(store, number, direction) for number in range(len(store)) for direction in ((1, 0), (0, 1))]
     return [pair for pair in pairs if pair is not None]
 
 
@@ -121,11 +121,11 @@ def test_uv_leads_to_the_same_color_in_every_tile_of_a_level(tmp_path):
 
 @pytest.mark.parametrize("image_format", ["raw", "jpeg"])
 @pytest.mark.parametrize("kind", ["photograph", "with holes"])
-def test_texels_that_tiles_share_are_equal(tmp_path, image_format, kind):
+def test_texels_that_two_tiles_hold_are_equal(tmp_path, image_format, kind):
     pixels = photograph(1000)
     pixels = with_holes(pixels) if kind == "with holes" else pixels
     with build(tmp_path, pixels, image_format=image_format) as store:
-        pairs = all_shared_texels(store)
+        pairs = all_common_texels(store)
         assert len(pairs) == 4
         for first, second in pairs:
             assert np.array_equal(first[..., 3], second[..., 3])
@@ -133,9 +133,9 @@ def test_texels_that_tiles_share_are_equal(tmp_path, image_format, kind):
             assert np.array_equal(first[is_known], second[is_known])
 
 
-def test_shared_texels_of_webp_tiles_differ_little(tmp_path):
+def test_common_texels_of_webp_tiles_differ_little(tmp_path):
     with build(tmp_path, photograph(1000), image_format="webp") as store:
-        differences = np.concatenate([np.abs(first.astype(int) - second).ravel() for first, second in all_shared_texels(store)])
+        differences = np.concatenate([np.abs(first.astype(int) - second).ravel() for first, second in all_common_texels(store)])
         assert differences.mean() <= 1.5 and np.percentile(differences, 99.9) <= 8
 
 

@@ -47,7 +47,7 @@ def largest_step(index: TileIndex, cut: np.ndarray) -> int:
 def random_tree(seed: int):
     generator = np.random.default_rng(seed)
     index = full_index(generator if seed % 2 else None)
-    own = generator.exponential(1.0, len(index)) * 2.0 ** -index.levels * (generator.random(len(index)) < 0.8)
+    own = generator.exponential(1.0, len(index)) * 2.0**-index.levels * (generator.random(len(index)) < 0.8)
     heights = np.sort(generator.uniform(-500, 2500, (len(index), 2)), axis=1)
     centers, radii = nest_spheres(index, GRID, heights, (-100.0, 50.0))
     return generator, index, nest_errors(index, own.astype(np.float32)), centers, radii, own, heights
@@ -75,18 +75,18 @@ def test_nothing_shrinks_towards_the_root_and_everything_contains_its_relatives(
         assert (errors[numbers][:, None] >= np.where(exists, errors[relatives], 0.0)).all()
         distances = np.linalg.norm(centers[numbers][:, None] - centers[relatives], axis=2)
         assert (~exists | (distances + radii[relatives] <= radii[numbers][:, None])).all()
-    side = np.array(GRID.spacing) * (GRID.size / 2.0 ** index.levels)[:, None]
+    side = np.array(GRID.spacing) * (GRID.size / 2.0**index.levels)[:, None]
     for corner in ((0, 0), (0, 1), (1, 0), (1, 1)):
         for height in heights.T:
             points = np.column_stack([(-100.0, 50.0) + (index.tiles + corner) * side, height])
             assert (np.linalg.norm(points - centers, axis=1) <= radii * (1 + 1e-12)).all()
 
 
-@given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.02, 0.9))
-def test_balancing_makes_any_test_of_tiles_a_valid_cut(seed, share):
+@given(seed=st.integers(0, 2**32 - 1), fraction=st.floats(0.02, 0.9))
+def test_balancing_makes_any_test_of_tiles_a_valid_cut(seed, fraction):
     generator = np.random.default_rng(seed)
     index = full_index(generator if seed % 2 else None)
-    wanted = generator.random(len(index)) < share
+    wanted = generator.random(len(index)) < fraction
     balanced = balance(index, wanted)
     assert (balanced >= wanted).all()
     assert largest_step(index, select_cut(index, balanced)) <= 1
@@ -123,7 +123,7 @@ def test_tiles_are_found_by_level_and_position():
 
 
 @pytest.mark.parametrize("count", [1, 2, 8])
-def test_the_curve_visits_every_square_of_tiles_as_a_whole(count):
+def test_the_curve_visits_every_square_of_tiles_at_once(count):
     tiles = np.stack(np.meshgrid(np.arange(count), np.arange(count)), -1).reshape(-1, 2)
     ordered = tiles[order_along_curve(tiles)]
     assert ordered[:4].tolist() == [[0, 0], [1, 0], [0, 1], [1, 1]][: len(ordered)]

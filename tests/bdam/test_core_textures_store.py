@@ -75,7 +75,12 @@ def test_any_damage_of_the_structure_is_found_when_the_store_is_opened(store_fol
 def test_files_that_do_not_belong_together_are_refused(store_folder):
     with BlockReader(store_folder / STRUCTURE_FILE, STRUCTURE_KIND) as reader:
         blocks = [reader.read(number, "") for number in range(5)]
-    for changed in ([blocks[0], *(block[: len(block) * 4 // 5] for block in blocks[1:])], [b"{}", *blocks[1:]], blocks[:4], [blocks[0]] * 5):
+    for changed in (
+        [blocks[0], *(block[: len(block) * 4 // 5] for block in blocks[1:])],
+        [b"{}", *blocks[1:]],
+        blocks[:4],
+        [blocks[0]] * 5,
+    ):
         with BlockWriter(store_folder / STRUCTURE_FILE, STRUCTURE_KIND) as writer:
             for block in changed:
                 writer.append(block)

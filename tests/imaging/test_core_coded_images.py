@@ -13,7 +13,9 @@ from PIL import Image
 from farfield.addon.core.errors import ImageError
 from farfield.addon.core.imaging.coded_images import FORMATS, RAW_HEADER, RAW_MAGIC, decode, encode, encode_gray, read_coded_image
 
-SMOOTH = np.stack([np.add.outer(np.arange(96), np.arange(64)), np.full((96, 64), 90), np.tile(np.arange(64) * 2, (96, 1))], 2).astype(np.uint8)
+SMOOTH = np.stack([np.add.outer(np.arange(96), np.arange(64)), np.full((96, 64), 90), np.tile(np.arange(64) * 2, (96, 1))], 2).astype(
+    np.uint8
+)
 NOISE = np.random.default_rng(3).integers(0, 256, (24, 40, 4), np.uint8)
 
 
@@ -67,7 +69,7 @@ def test_equal_images_give_equal_bytes(image_format):
     assert encode(SMOOTH, image_format) == encode(SMOOTH.copy(), image_format)
 
 
-def test_jpeg_images_that_share_blocks_share_their_pixels():
+def test_jpeg_images_with_common_blocks_have_common_pixels():
     wide = np.random.default_rng(1).integers(0, 256, (32, 56, 3), np.uint8)
     left, right = decode(encode(wide[:, :32], "jpeg", 60)), decode(encode(wide[:, 24:], "jpeg", 60))
     assert np.array_equal(left[:, 24:], right[:, :8])

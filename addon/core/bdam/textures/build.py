@@ -10,6 +10,7 @@ Tiles of one level do not depend on each other, so they can be spread in any way
 the tiles that are missing; damaged files are built again.
 """
 
+import uuid
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -183,7 +184,7 @@ def _count_intact_blocks(path: Path, kind: str) -> int:
 
 def _write_blocks(path: Path, kind: str, blocks: list[bytes]) -> None:
     """Write a file of blocks that appears at `path` complete. It is not forced to the disk: a checksum tells whether it got there."""
-    temporary = path.with_name(path.name + TEMPORARY_SUFFIX)
+    temporary = path.with_name(f"{path.name}.{uuid.uuid4().hex}{TEMPORARY_SUFFIX}")  # two workers may build the same tile
     with BlockWriter(temporary, kind) as writer:
         for block in blocks:
             writer.append(block)

@@ -32,6 +32,7 @@ from .tile_blocks import CodedTile, decode_tile, split_block
 from .tile_index import TileIndex
 
 TILES_FILE, STRUCTURE_FILE = "textures.tiles", "textures.structure"
+PROGRESS_TILES = 128  # between two steps of `write_textures`
 TILES_KIND, STRUCTURE_KIND = "TEXTURES", "TEXTREE"
 MIN_FEATURE_CONTRAST = 6.0  # of detail that counts as a feature, in units of 1/255; about twice what can be told apart
 
@@ -48,8 +49,10 @@ def write_textures(folder: Path, out: Path) -> Steps[int]:
     levels, tiles, details = [], [], []
     with BlockWriter(out / TILES_FILE, TILES_KIND) as writer:
         for level in range(plan.grid.level_count):
-            yield Progress(level / plan.grid.level_count, "Texture store")
-            for i, j in list_tiles(plan.grid, level).tolist():
+            candidates = list_tiles(plan.grid, level)
+            for number, (i, j) in enumerate(candidates.tolist()):
+                if number % PROGRESS_TILES == 0:
+                    yield Progress((level + number / len(candidates)) / plan.grid.level_count, "Texture store")
                 with BlockReader(tile_path(folder, level, i, j), TILE_KIND) as reader:
                     if not len(reader):
                         continue
