@@ -5,6 +5,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from farfield.addon.core.bdam.textures import resampling
 from farfield.addon.core.bdam.textures.build import build_textures, build_tiles, discard_pieces, list_tiles, missing_tiles, tile_path
 from farfield.addon.core.bdam.textures.filtering import ENCODED, LINEAR, QUARTERS, encode_linear
 from farfield.addon.core.bdam.textures.grid import BORDER, STEP, TILE_SIZE, TextureGrid, count_levels, tile_uv
@@ -122,8 +123,11 @@ def test_uv_leads_to_the_same_color_in_every_tile_of_a_level(tmp_path):
 @pytest.mark.parametrize("image_format", ["raw", "jpeg"])
 @pytest.mark.parametrize("kind", ["photograph", "with holes"])
 def test_texels_that_two_tiles_hold_are_equal(tmp_path, image_format, kind):
-    pixels = photograph(1000)
-    pixels = with_holes(pixels) if kind == "with holes" else pixels
+    pixels = photograph(2 * STEP)
+    if kind == "with holes":
+        pixels = with_holes(pixels)
+        pixels[STEP - 3 : STEP + 140, 200:400] = 0  # one row of the blocks that both tiles hold remains
+        pixels[200:400, STEP - 3 : STEP + 140] = 0
     with build(tmp_path, pixels, image_format=image_format) as store:
         pairs = all_common_texels(store)
         assert len(pairs) == 4
@@ -192,6 +196,28 @@ def test_an_interrupted_build_goes_on_and_repairs_what_is_damaged(tmp_path):
     assert (tmp_path / "again" / "textures.tiles").read_bytes() == expected
     with pytest.raises(FileError, match="other settings"):
         run_to_end(build_textures(folder, TexturePlan(plan.grid, "jpeg"), images))
+
+
+def test_a_lone_faint_texel_is_known_up_to_the_root(tmp_path):
+    pixels = np.zeros((4 * STEP, 4 * STEP, 4), np.uint8)
+    pixels[1234, 987] = 80, 90, 100, 1
+    with build(tmp_path, pixels, levels=3) as store:
+        assert store.index.tiles.tolist() == [[0, 0], [0, 1], [1, 2]]
+        root = store.read(0)
+        row, column = BORDER + 1234 // 4, BORDER + 987 // 4
+        assert root[row, column].tolist() == [80, 90, 100, 1] and root[..., 3].sum() == 1
+
+
+def test_a_texel_is_the_same_in_every_window_however_its_pixels_are_read(monkeypatch):
+    monkeypatch.setattr(resampling, "STRIP_PIXELS", 5_000)
+    pixels = with_holes(photograph(1000))
+    grid = TextureGrid(SIZE + 1, SIZE + 1, SIZE, (2.0, 2.0), 1)
+    for image in (pixels, pixels[..., :3]):
+        images = [stretch_over_field(ArraySource(image), SIZE + 1, SIZE + 1)]
+        everything = resampling.resample(grid, 0, np.arange(STEP), np.arange(STEP), images)
+        for start in (17, 101, 250):
+            part = np.arange(start, start + 250)
+            assert np.array_equal(resampling.resample(grid, 0, part, part, images), everything[start : start + 250, start : start + 250])
 
 
 def test_holes_stay_holes_without_a_fringe(tmp_path):
