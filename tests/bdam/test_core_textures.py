@@ -266,9 +266,9 @@ def test_a_field_smaller_than_its_square_has_no_tiles_and_no_transparency_beyond
 def test_images_lie_side_by_side_and_upside_down(tmp_path):
     """Two images that are halves of one give what that one gives, whatever the direction of their rows and columns."""
     pixels = photograph(2 * STEP)
-    middle, step = STEP, SIZE / (2 * STEP)
-    left = PlacedImage(ArraySource(pixels[::-1, :middle]), (0.0, SIZE), (step, -step))
-    right = PlacedImage(ArraySource(pixels[:, : middle - 1 : -1]), (SIZE, 0.0), (-step, step))
+    half, step = STEP, SIZE / (2 * STEP)
+    left = PlacedImage(ArraySource(pixels[::-1, :half]), (0.0, SIZE), (step, -step))
+    right = PlacedImage(ArraySource(pixels[:, : half - 1 : -1]), (SIZE, 0.0), (-step, step))
     (tmp_path / "one").mkdir()
     (tmp_path / "two").mkdir()
     with build(tmp_path / "one", pixels) as one, build(tmp_path / "two", None, images=[left, right]) as two:
