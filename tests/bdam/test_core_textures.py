@@ -259,7 +259,7 @@ def test_a_field_smaller_than_its_square_has_no_tiles_and_no_transparency_beyond
         assert all(store.read(number).shape[2] == 3 for number in range(len(store))), "the border is opaque"
         number = int(store.index.find(2, np.array([[2, 1]]))[0])
         tile = store.read(number)
-        last = tile[:, BORDER + STEP // 2 - 1 + 1]  # the field ends in the middle of this tile, at column 40 of 48
+        last = tile[:, BORDER + STEP // 2]  # the field ends at column 40 of the columns 32 to 48 of this tile
         assert (tile[:, BORDER + STEP // 2 + 1 :] == last[:, None]).all()
 
 
