@@ -26,7 +26,7 @@ from typing import NamedTuple, NoReturn
 
 ROOT = Path(__file__).resolve().parents[2]
 REQUIRED_MODULES = ("numpy", "scipy")  # by every tool
-BUNDLED_MODULES = ("xatlas", "fast_simplification", "threadpoolctl", "tifffile")  # in the locks and the zip, each for some of the tools
+BUNDLED_MODULES = ("xatlas", "fast_simplification", "threadpoolctl", "tifffile", "PIL")  # in the locks and the zip, for some tools
 STAMP_FILE = "farfield-lock"  # in an environment: the digest of the lock that it was created from, or UNFINISHED
 UNFINISHED = "unfinished"
 IS_WINDOWS = os.name == "nt"

@@ -96,7 +96,7 @@ def test_zip_contains_the_wheels_of_both_pythons_but_not_numpy(archive):
     assert {name.removeprefix("./") for name in manifest["wheels"]} == wheels
     assert len(manifest["platforms"]) == 1
     bundled = {(name.split("/")[1].split("-")[0].lower(), name.split("-")[2]) for name in wheels}
-    binary_wheels = {(package, python) for package in ("scipy", "xatlas", "fast_simplification") for python in ("cp311", "cp313")}
+    binary_wheels = {(package, python) for package in ("scipy", "xatlas", "fast_simplification", "pillow") for python in ("cp311", "cp313")}
     assert bundled == binary_wheels | {("threadpoolctl", "py3"), ("tifffile", "py3")}
 
 

@@ -1,0 +1,1 @@
+"""Height-field terrain of any size: BDAM, batched dynamic adaptive meshes (Cignoni et al., Eurographics 2003)."""

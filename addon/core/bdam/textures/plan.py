@@ -1,0 +1,109 @@
+"""The plan of a build of texture tiles, and its file."""
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import FileError, SettingsError
+from ...files.atomic_write import write_bytes_atomically
+from ...files.file_access import convert_os_errors
+from ...imaging.coded_images import DEFAULT_QUALITY, ImageFormat
+from .grid import MAX_LEVELS, TextureGrid
+
+PLAN_FILE = "plan.json"
+MAX_PLAN_BYTES = 1 << 16
+# The overlap of WebP tiles, unlike that of JPEG tiles, is coded differently in each; below 95 the seams exceed 8/255 in photographs.
+DEFAULT_QUALITIES = {"jpeg": DEFAULT_QUALITY, "webp": 95, "raw": DEFAULT_QUALITY}
+
+
+@dataclass(frozen=True)
+class TexturePlan:
+    """What a build of the quadtree does: the same plan and the same images give the same bytes.
+
+    Attributes:
+        grid: the tiles.
+        image_format: coding of tiles: jpeg, webp or raw.
+        quality: of jpeg and webp, 1 to 100; None is that of DEFAULT_QUALITIES.
+        error: error of a tile in `nest_errors`: `magnification`, the size of its texels, or `feature`, the same only where replacing the
+            texels of the next finer level loses visible detail; the largest size of the features that the tile loses.
+    """
+
+    grid: TextureGrid
+    image_format: ImageFormat = "jpeg"
+    quality: int | None = None
+    error: str = "magnification"
+
+    @property
+    def coding_quality(self) -> int:
+        """The quality that tiles are coded with."""
+        return DEFAULT_QUALITIES[self.image_format] if self.quality is None else self.quality
+
+    def to_json(self) -> bytes:
+        """Return the plan as JSON text."""
+        return json.dumps(asdict(self), indent=1).encode()
+
+
+def parse_plan(content: bytes) -> TexturePlan | None:
+    """Return the plan that JSON text describes, None if it describes none."""
+    try:
+        fields = json.loads(content)
+        grid = fields.pop("grid")
+        plan = TexturePlan(TextureGrid(**{**grid, "spacing": tuple(grid["spacing"])}), **fields)
+        check_plan(plan)
+        return plan
+    except (ValueError, TypeError, KeyError, AttributeError, SettingsError):
+        return None
+
+
+def read_plan(folder: Path) -> TexturePlan:
+    """Return the plan of the build in a folder.
+
+    Raises:
+        FileError: the folder has no plan, or its plan is damaged.
+    """
+    path = folder / PLAN_FILE
+    with convert_os_errors(f'Cannot read "{path}"'), path.open("rb") as file:
+        plan = parse_plan(file.read(MAX_PLAN_BYTES))
+    if plan is None:
+        raise FileError(f'"{path}" is damaged; delete its folder and build again.')
+    return plan
+
+
+def start_build(folder: Path, plan: TexturePlan) -> None:
+    """Write the plan to the folder of a build, which is created, or check that the build there has the same plan.
+
+    Raises:
+        SettingsError: the plan is not valid.
+        FileError: the folder holds a build of another plan, or cannot be written.
+    """
+    check_plan(plan)
+    path = folder / PLAN_FILE
+    if path.is_file():
+        if read_plan(folder) != plan:
+            raise FileError(f'"{folder}" holds an unfinished build with other settings; delete the folder.')
+        return
+    with convert_os_errors(f'Cannot write in "{folder}"'):
+        folder.mkdir(parents=True, exist_ok=True)
+        write_bytes_atomically(path, plan.to_json())
+
+
+def check_plan(plan: TexturePlan) -> None:
+    """Check the settings of a plan.
+
+    Raises:
+        SettingsError: one is out of range.
+    """
+    if plan.image_format not in DEFAULT_QUALITIES:
+        raise SettingsError(f'Texture Format is "{plan.image_format}"; choose jpeg, webp or raw.', ("image_format",))
+    if not 1 <= plan.coding_quality <= 100:
+        raise SettingsError(f"Texture Quality is {plan.quality}; choose 1 to 100.", ("quality",))
+    if plan.error not in ("magnification", "feature"):
+        raise SettingsError(f'Texture Error is "{plan.error}"; choose magnification or feature.', ("error",))
+    grid = plan.grid
+    counts = (grid.columns, grid.rows, grid.size, grid.level_count)
+    if not all(isinstance(count, int) for count in counts) or min(grid.extent) < 1 or max(grid.extent) > grid.size:
+        raise SettingsError(f"A field of {grid.columns} x {grid.rows} samples does not fit into a square of {grid.size} cells.")
+    if not 1 <= grid.level_count <= MAX_LEVELS or not all(0.0 < spacing < np.inf for spacing in grid.spacing):
+        raise SettingsError(f"Texture cannot have {grid.level_count} levels at a spacing of {grid.spacing} m; check the field.")

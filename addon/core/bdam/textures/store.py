@@ -1,0 +1,186 @@
+"""The texture tiles of a finished terrain store.
+
+`textures.tiles` is a file of blocks (`store/blocks.py`, kind TEXTURES): the tiles, coded as `tile_blocks` describes, by level from the
+coarsest on and along Morton's curve. `textures.structure` is a file of blocks of kind TEXTREE:
+
+| block | content, little-endian |
+|---|---|
+| 0 | JSON text: the fields of `TexturePlan` |
+| 1 | levels of the tiles, N int32, ascending |
+| 2 | positions of the tiles, N x 2 int32: i, j |
+| 3 | own errors in meters, N float32 |
+| 4 | nested errors in meters, N float32, see `nesting` |
+
+Tile n of these arrays is block n of the other file.
+"""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import TypeVar
+
+import numpy as np
+
+from ...errors import FileError, ImageError
+from ...jobs.progress import Progress, Steps
+from ..store.blocks import BlockReader, BlockWriter
+from .build import TILE_KIND, list_tiles, tile_path
+from .grid import TILE_SIZE, TextureGrid
+from .nesting import nest_errors
+from .plan import parse_plan, read_plan
+from .tile_blocks import CodedTile, decode_tile, split_block
+from .tile_index import TileIndex
+
+TILES_FILE, STRUCTURE_FILE = "textures.tiles", "textures.structure"
+PROGRESS_TILES = 128  # between two steps of `write_textures`
+TILES_KIND, STRUCTURE_KIND = "TEXTURES", "TEXTREE"
+MIN_FEATURE_CONTRAST = 6.0  # of detail that counts as a feature, in units of 1/255; about twice what can be told apart
+
+Decoded = TypeVar("Decoded")
+
+
+def write_textures(folder: Path, out: Path) -> Steps[int]:
+    """Write the files of a store to the existing folder `out` from the finished build in `folder`. Returns the number of tiles.
+
+    Raises:
+        FileError: a tile is missing or damaged, or a file cannot be written.
+    """
+    plan = read_plan(folder)
+    levels, tiles, details = [], [], []
+    with BlockWriter(out / TILES_FILE, TILES_KIND) as writer:
+        for level in range(plan.grid.level_count):
+            candidates = list_tiles(plan.grid, level)
+            for number, (i, j) in enumerate(candidates.tolist()):
+                if number % PROGRESS_TILES == 0:
+                    yield Progress((level + number / len(candidates)) / plan.grid.level_count, "Texture store")
+                with BlockReader(tile_path(folder, level, i, j), TILE_KIND) as reader:
+                    if not len(reader):
+                        continue
+                    label = f"texture tile {level}/{i}/{j}"
+                    writer.append(reader.read(0, label))
+                    details.append(np.frombuffer(reader.read(1, label), "<f4")[0] if len(reader) > 1 else np.inf)
+                levels.append(level)
+                tiles.append((i, j))
+        writer.finish()
+    index = TileIndex(np.array(levels, np.int32), np.array(tiles, np.int32).reshape(-1, 2), plan.grid.level_count)
+    own = measure_own_errors(index, plan.grid, np.array(details, np.float32))
+    nested = nest_errors(index, own)
+    with BlockWriter(out / STRUCTURE_FILE, STRUCTURE_KIND) as writer:
+        writer.append(plan.to_json())
+        for array, dtype in ((index.levels, "<i4"), (index.tiles, "<i4"), (own, "<f4"), (nested, "<f4")):
+            writer.append(array.astype(dtype).tobytes())
+        writer.finish()
+    yield Progress(1.0, "Texture store written")
+    return len(index)
+
+
+def measure_own_errors(index: TileIndex, grid: TextureGrid, details: np.ndarray) -> np.ndarray:
+    """Return the error of each tile by itself, in meters, (N,) float32.
+
+    It is the size of the tile's texels, and 0 at the finest level and where no child has visible detail. With the nesting over descendants
+    it is then the size of the largest feature that disappears when the tile replaces the finest texels: features up to that size live in
+    the texels of the next finer level.
+
+    details: (N,) float32, the contrast that each tile loses when it is replaced by its parent (`filtering.measure_detail`); inf if it was
+        not measured, which gives the magnification error.
+    """
+    sizes = np.array([grid.texel_meters(level) for level in range(grid.level_count)], np.float32)
+    parents = index.parents()
+    is_visible = (details >= MIN_FEATURE_CONTRAST) & (parents >= 0)
+    errors = np.zeros(len(index), np.float32)
+    lossy = np.unique(parents[is_visible])
+    errors[lossy] = sizes[index.levels[lossy]]
+    return errors
+
+
+class TextureStore:
+    """The texture tiles of a store, read by number. Threads may share it.
+
+    Attributes:
+        plan: the settings and the grid of the build.
+        index: levels and positions of the tiles.
+        own_errors, errors: (N,) float32, meters, without and with nesting.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Open the store in a folder; its tiles are not read.
+
+        Raises:
+            FileError: a file is missing, damaged or of a newer version, or the two do not belong together.
+        """
+        path = folder / STRUCTURE_FILE
+        with BlockReader(path, STRUCTURE_KIND) as reader:
+            if len(reader) != 5:
+                raise _damaged(path)
+            blocks = [reader.read(number, "structure of textures") for number in range(5)]
+        count = len(blocks[1]) // 4
+        if [len(block) for block in blocks[1:]] != [4 * count, 8 * count, 4 * count, 4 * count]:
+            raise _damaged(path)
+        plan = parse_plan(blocks[0])
+        if plan is None:
+            raise _damaged(path)
+        self.plan = plan
+        levels, tiles = np.frombuffer(blocks[1], "<i4"), np.frombuffer(blocks[2], "<i4").reshape(-1, 2)
+        self.index = TileIndex(levels, tiles, self.plan.grid.level_count)
+        self.own_errors, self.errors = np.frombuffer(blocks[3], "<f4"), np.frombuffer(blocks[4], "<f4")
+        self._blocks = BlockReader(folder / TILES_FILE, TILES_KIND)
+        if len(self._blocks) != count:
+            self._blocks.close()
+            raise _damaged(path)
+
+    def __enter__(self) -> "TextureStore":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    @property
+    def grid(self) -> TextureGrid:
+        """The layout of the tiles."""
+        return self.plan.grid
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """The sizes in bytes of the coded tiles, (N,) uint32."""
+        return self._blocks.sizes
+
+    def label(self, number: int) -> str:
+        """Return the name of a tile in messages."""
+        i, j = self.index.tiles[number]
+        return f"texture tile {self.index.levels[number]}/{i}/{j}"
+
+    def read(self, number: int) -> np.ndarray:
+        """Return a tile (512, 512, 3), or (512, 512, 4) with alpha, uint8, sRGB-encoded, straight alpha, row 0 the southern one.
+
+        Raises:
+            FileError: the tile is damaged; the message names it.
+        """
+        return self._decode(number, lambda block: decode_tile(block, TILE_SIZE**2))
+
+    def read_coded(self, number: int) -> CodedTile:
+        """Return a tile as the coded images that are stored; see `read`."""
+        return self._decode(number, split_block)
+
+    def verify(self) -> Iterator[int]:
+        """Yield the numbers of damaged tiles; the others can be used. Reads all tiles."""
+        yield from self._blocks.verify()
+
+    def close(self) -> None:
+        """Close the file of tiles."""
+        self._blocks.close()
+
+    def _decode(self, number: int, decode: Callable[[bytes], Decoded]) -> Decoded:
+        block = self._blocks.read(number, self.label(number))
+        try:
+            return decode(block)
+        except ImageError as error:
+            raise FileError(
+                f'The {self.label(number)} in "{self._blocks.path}" is damaged; build it again, or go on without it.'
+            ) from error
+
+
+def _damaged(path: Path) -> FileError:
+    return FileError(f'"{path}" is damaged, or belongs to another store; build it again.')

@@ -1,0 +1,344 @@
+"""The texture quadtree shows the images: at every level, across tiles, at holes and at the border of the field."""
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from farfield.addon.core.bdam.textures import resampling
+from farfield.addon.core.bdam.textures.build import build_textures, build_tiles, discard_pieces, list_tiles, missing_tiles, tile_path
+from farfield.addon.core.bdam.textures.filtering import ENCODED, LINEAR, QUARTERS, encode_linear
+from farfield.addon.core.bdam.textures.grid import BORDER, STEP, TILE_SIZE, TextureGrid, count_levels, tile_uv
+from farfield.addon.core.bdam.textures.images import ArraySource, PlacedImage, open_coded_image, place_by_affine, stretch_over_field
+from farfield.addon.core.bdam.textures.plan import TexturePlan, start_build
+from farfield.addon.core.bdam.textures.store import TextureStore, write_textures
+from farfield.addon.core.errors import FileError, ImageError, SettingsError
+from farfield.addon.core.files.scratch import Scratch
+from farfield.addon.core.imaging.coded_images import encode
+from farfield.addon.core.imaging.images import sample_bilinear
+from farfield.addon.core.jobs.progress import run_to_end
+
+SIZE = 64  # cells
+
+
+def build(folder, pixels, *, columns=SIZE + 1, rows=SIZE + 1, levels=2, image_format="raw", images=None, **settings) -> TextureStore:
+    """The store of an image that is stretched over a field, or of several `images`."""
+    grid = TextureGrid(columns, rows, SIZE, (2.0, 2.0), levels)
+    images = images or [stretch_over_field(ArraySource(pixels), columns, rows)]
+    run_to_end(build_textures(folder / "work", TexturePlan(grid, image_format, **settings), images))
+    (folder / "store").mkdir(exist_ok=True)
+    run_to_end(write_textures(folder / "work", folder / "store"))
+    return TextureStore(folder / "store")
+
+
+@lru_cache
+def photograph(size, seed=0) -> np.ndarray:
+    """Noise whose contrast grows with its scale, as in photographs, with hard edges."""
+    generator = np.random.default_rng(seed)
+    spectrum = np.fft.rfft2(generator.standard_normal((3, size, size)))
+    frequency = np.maximum(np.hypot(np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size)), 1 / size)
+    values = np.fft.irfft2(spectrum / frequency**1.3, s=(size, size))
+    values = 118 + 40 * (0.8 * values[:1] + 0.2 * values[1:2]) / values.std() + np.arange(-1, 2)[:, None, None] * 15
+    values[:, ::97] += 60
+    return np.moveaxis(np.broadcast_to(values, (3, size, size)), 0, -1).clip(0, 255).astype(np.uint8)
+
+
+def common_texels(store, number, direction):
+    """The texels that a tile and its neighbor along x or y both hold, from each of the two; None without a neighbor."""
+    neighbor = store.index.find(store.index.levels[number], store.index.tiles[[number]] + direction)[0]
+    if neighbor < 0:
+        return None
+    first, second = store.read(int(number)), store.read(int(neighbor))
+    opaque = [np.dstack([tile, np.full((TILE_SIZE, TILE_SIZE), 255, np.uint8)])[..., :4] for tile in (first, second)]
+    return (opaque[0][:, STEP:], opaque[1][:, : 2 * BORDER]) if direction[0] else (opaque[0][STEP:], opaque[1][: 2 * BORDER])
+
+
+def all_common_texels(store):
+    pairs = [common_texels(store, number, direction) for number in range(len(store)) for direction in ((1, 0), (0, 1))]
+    return [pair for pair in pairs if pair is not None]
+
+
+def with_holes(pixels, seed=1):
+    """An image with alpha: half-transparent stripes, and large and small holes with other colors in them."""
+    generator = np.random.default_rng(seed)
+    size = len(pixels)
+    alpha = np.full((size, size, 1), 255, np.uint8)
+    alpha[:, size // 3 : size // 3 + 20] = 130
+    for side in (3, 9, 30, 120):
+        for row, column in generator.integers(0, size - side, (12, 2)):
+            alpha[row : row + side, column : column + side] = 0
+    return np.concatenate([np.where(alpha > 0, pixels, generator.integers(0, 256, 3)), alpha], 2).astype(np.uint8)
+
+
+def test_every_byte_survives_linear_light():
+    codes = np.arange(256)
+    assert np.array_equal(encode_linear(LINEAR), codes)
+    assert np.array_equal(ENCODED[4 * QUARTERS.astype(int)], codes)
+
+
+def test_one_color_stays_that_color_at_every_level(tmp_path):
+    color = np.array([3, 97, 250], np.uint8)
+    with build(tmp_path, np.broadcast_to(color, (700, 700, 3)), levels=3) as store:
+        assert np.bincount(store.index.levels).tolist() == [1, 4, 16]
+        assert all((store.read(number) == color).all() for number in range(len(store)))
+
+
+def test_means_are_those_of_linear_light(tmp_path):
+    pixels = np.zeros((2 * STEP, 2 * STEP, 3), np.uint8)
+    pixels[::2, ::2] = pixels[1::2, 1::2] = 255
+    with build(tmp_path, pixels) as store:
+        finest, root = store.read(1), store.read(0)
+        assert set(np.unique(finest)) == {0, 255}, "texels that lie on pixels are those pixels"
+        assert (root[BORDER:-BORDER, BORDER:-BORDER] == 188).all(), "half of the light of white"
+
+
+def test_a_coarse_texel_is_the_mean_of_all_pixels_below_it(tmp_path):
+    pixels = photograph(2 * STEP)
+    with build(tmp_path, pixels) as store:
+        means = LINEAR[pixels].reshape(STEP, 2, STEP, 2, 3).mean((1, 3))
+        inner = store.read(0)[BORDER:-BORDER, BORDER:-BORDER].astype(int)
+        assert np.abs(inner - encode_linear(means)).max() <= 1
+
+
+def test_uv_leads_to_the_same_color_in_every_tile_of_a_level(tmp_path):
+    """A ramp along x and y is linear, so that its interpolated colors tell where the texture says that a position is."""
+    size = 1200
+    ramp = np.zeros((size, size, 3), np.float32)
+    centers = (np.arange(size) + 0.5) / size
+    ramp[..., 0], ramp[..., 1] = centers, centers[:, None]
+    with build(tmp_path, ramp, levels=3) as store:
+        generator = np.random.default_rng(2)
+        for number in range(len(store)):
+            level, tile = int(store.index.levels[number]), store.index.tiles[number]
+            side = SIZE / 2**level
+            positions = (tile + generator.random((200, 2))) * side
+            positions[:50, 0] = (tile[0] + generator.integers(0, 2, 50)) * side
+            inner = ((positions > 0.1) & (positions < SIZE - 0.1)).all(axis=1)
+            uv = tile_uv(store.grid, level, tile, positions)
+            assert uv.min() > BORDER / TILE_SIZE - 1e-9 and uv.max() < 1 - BORDER / TILE_SIZE + 1e-9
+            colors = sample_bilinear(LINEAR[store.read(number)].astype(np.float64), uv * TILE_SIZE)
+            assert np.abs(colors[inner, :2] - positions[inner] / SIZE).max() < 0.006, "8 bits, and the halved texels"
+
+
+@pytest.mark.parametrize("image_format", ["raw", "jpeg"])
+@pytest.mark.parametrize("kind", ["photograph", "with holes"])
+def test_texels_that_two_tiles_hold_are_equal(tmp_path, image_format, kind):
+    pixels = photograph(2 * STEP)
+    if kind == "with holes":
+        pixels = with_holes(pixels)
+        pixels[STEP - 3 : STEP + 140, 200:400] = 0  # one row of the blocks that both tiles hold remains
+        pixels[200:400, STEP - 3 : STEP + 140] = 0
+    with build(tmp_path, pixels, image_format=image_format) as store:
+        pairs = all_common_texels(store)
+        assert len(pairs) == 4
+        for first, second in pairs:
+            assert np.array_equal(first[..., 3], second[..., 3])
+            is_known = first[..., 3] > 0
+            assert np.array_equal(first[is_known], second[is_known])
+
+
+def test_common_texels_of_webp_tiles_differ_little(tmp_path):
+    with build(tmp_path, photograph(1000), image_format="webp") as store:
+        differences = np.concatenate([np.abs(first.astype(int) - second).ravel() for first, second in all_common_texels(store)])
+        assert differences.mean() <= 1.5 and np.percentile(differences, 99.9) <= 8
+
+
+@pytest.mark.parametrize("image_format", ["jpeg", "webp"])
+def test_coded_tiles_need_few_bytes(tmp_path, image_format):
+    pixels = photograph(2 * STEP)
+    with build(tmp_path, pixels, image_format=image_format) as store:
+        size = sum(path.stat().st_size for path in (tmp_path / "store").iterdir())
+        assert size <= 0.7 * (2 * STEP) ** 2
+        i, j = store.index.tiles[2] * STEP
+        inner = store.read(2)[BORDER:-BORDER, BORDER:-BORDER].astype(int)
+        assert np.abs(inner - pixels[j : j + STEP, i : i + STEP]).mean() < 4.0
+
+
+def test_any_split_and_order_of_the_work_gives_the_same_bytes(tmp_path):
+    pixels = with_holes(photograph(1000))
+    with build(tmp_path, pixels, image_format="jpeg", error="feature") as store:
+        plan = store.plan
+    images = [stretch_over_field(ArraySource(pixels), SIZE + 1, SIZE + 1)]
+    start_build(tmp_path / "other", plan)
+    generator = np.random.default_rng(0)
+    for level in (1, 0):
+        tiles = generator.permutation(list_tiles(plan.grid, level))
+        assert len(missing_tiles(tmp_path / "other", level)) == len(tiles)
+        for part in np.array_split(tiles, 3):
+            build_tiles(tmp_path / "other", level, part, images)
+        assert len(missing_tiles(tmp_path / "other", level)) == 0
+        discard_pieces(tmp_path / "other", level + 1)
+    (tmp_path / "again").mkdir()
+    run_to_end(write_textures(tmp_path / "other", tmp_path / "again"))
+    for path in (tmp_path / "store").iterdir():
+        assert path.read_bytes() == (tmp_path / "again" / path.name).read_bytes()
+
+
+def test_an_interrupted_build_goes_on_and_repairs_what_is_damaged(tmp_path):
+    pixels = photograph(600)
+    build(tmp_path, pixels, levels=3).close()
+    expected = (tmp_path / "store" / "textures.tiles").read_bytes()
+    plan = TexturePlan(TextureGrid(SIZE + 1, SIZE + 1, SIZE, (2.0, 2.0), 3), "raw")
+    images = [stretch_over_field(ArraySource(pixels), SIZE + 1, SIZE + 1)]
+    folder = tmp_path / "interrupted"
+    steps = build_textures(folder, plan, images)
+    for _ in range(3):
+        next(steps)
+    steps.close()
+    damaged = tile_path(folder, 2, 1, 1)
+    damaged.write_bytes(damaged.read_bytes()[:-1])
+    tile_path(folder, 2, 0, 0).with_suffix(".piece").unlink(missing_ok=True)
+    run_to_end(build_textures(folder, plan, images))
+    tile_path(folder, 1, 0, 0).unlink()  # whose pieces were deleted
+    run_to_end(build_textures(folder, plan, images))
+    (tmp_path / "again").mkdir()
+    run_to_end(write_textures(folder, tmp_path / "again"))
+    assert (tmp_path / "again" / "textures.tiles").read_bytes() == expected
+    with pytest.raises(FileError, match="other settings"):
+        run_to_end(build_textures(folder, TexturePlan(plan.grid, "jpeg"), images))
+
+
+def test_a_lone_faint_texel_is_known_up_to_the_root(tmp_path):
+    pixels = np.zeros((4 * STEP, 4 * STEP, 4), np.uint8)
+    pixels[1234, 987] = 80, 90, 100, 1
+    with build(tmp_path, pixels, levels=3) as store:
+        assert store.index.tiles.tolist() == [[0, 0], [0, 1], [1, 2]]
+        root = store.read(0)
+        row, column = BORDER + 1234 // 4, BORDER + 987 // 4
+        assert root[row, column].tolist() == [80, 90, 100, 1] and root[..., 3].sum() == 1
+
+
+def test_a_texel_is_the_same_in_every_window_however_its_pixels_are_read(monkeypatch):
+    monkeypatch.setattr(resampling, "STRIP_PIXELS", 5_000)
+    monkeypatch.setattr(resampling, "encode_premultiplied", lambda image: image)  # floats show what bytes hide
+    pixels = with_holes(photograph(1000))
+    grid = TextureGrid(SIZE + 1, SIZE + 1, SIZE, (2.0, 2.0), 1)
+    for image in (pixels, pixels[..., :3]):
+        images = [stretch_over_field(ArraySource(image), SIZE + 1, SIZE + 1)]
+        everything = resampling.resample(grid, 0, np.arange(STEP), np.arange(STEP), images)
+        for start in (17, 101, 250):
+            part = np.arange(start, start + 250)
+            assert np.array_equal(resampling.resample(grid, 0, part, part, images), everything[start : start + 250, start : start + 250])
+
+
+def test_holes_stay_holes_without_a_fringe(tmp_path):
+    pixels = np.zeros((2 * STEP, 2 * STEP, 4), np.uint8)
+    pixels[..., :3] = (200, 120, 40)
+    pixels[..., 3] = 255
+    pixels[300:500, 200:701] = 0
+    with build(tmp_path, pixels) as store:
+        for number in range(len(store)):
+            tile = store.read(number)
+            assert (tile[..., :3] == (200, 120, 40)).all(), "colors reach into the hole"
+        root = store.read(0)[BORDER:-BORDER, BORDER:-BORDER, 3]
+        assert (root[150:250, 100:350] == 0).all() and (root[150:250, 350] == 128).all()
+        root[150:250, 100:351] = 255
+        assert (root == 255).all()
+
+
+def test_tiles_without_a_known_texel_are_not_stored(tmp_path):
+    pixels = np.full((2 * STEP, 2 * STEP, 4), 255, np.uint8)
+    pixels[STEP:, STEP:, 3] = 0
+    with build(tmp_path, pixels) as store:
+        # The last one has a texel of its neighbors within reach of interpolation.
+        assert store.index.find(1, np.array([[0, 0], [1, 0], [0, 1], [1, 1]])).tolist() == [1, 2, 3, 4]
+    pixels[STEP - 1 :, STEP - 1 :, 3] = 0
+    (tmp_path / "other").mkdir()
+    with build(tmp_path / "other", pixels) as store:
+        assert store.index.find(1, np.array([[0, 0], [1, 0], [0, 1], [1, 1]])).tolist() == [1, 2, 3, -1]
+    pixels[STEP - 1 :, :, 3] = 0
+    (tmp_path / "half").mkdir()
+    with build(tmp_path / "half", pixels) as store:
+        assert np.bincount(store.index.levels).tolist() == [1, 2]
+
+
+def test_a_field_smaller_than_its_square_has_no_tiles_and_no_transparency_beyond_its_border(tmp_path):
+    pixels = photograph(600)
+    with build(tmp_path, pixels, columns=41, rows=24, levels=3) as store:
+        assert np.bincount(store.index.levels).tolist() == [1, 2, 6]
+        assert all(store.read(number).shape[2] == 3 for number in range(len(store))), "the border is opaque"
+        number = int(store.index.find(2, np.array([[2, 1]]))[0])
+        tile = store.read(number)
+        last = tile[:, BORDER + STEP // 2]  # the field ends at column 40 of the columns 32 to 48 of this tile
+        assert (tile[:, BORDER + STEP // 2 + 1 :] == last[:, None]).all()
+
+
+def test_images_lie_side_by_side_and_upside_down(tmp_path):
+    """Two images that are halves of one give what that one gives, whatever the direction of their rows and columns."""
+    pixels = photograph(2 * STEP)
+    half, step = STEP, SIZE / (2 * STEP)
+    left = PlacedImage(ArraySource(pixels[::-1, :half]), (0.0, SIZE), (step, -step))
+    right = PlacedImage(ArraySource(pixels[:, : half - 1 : -1]), (SIZE, 0.0), (-step, step))
+    (tmp_path / "one").mkdir()
+    (tmp_path / "two").mkdir()
+    with build(tmp_path / "one", pixels) as one, build(tmp_path / "two", None, images=[left, right]) as two:
+        assert len(one) == len(two)
+        for number in range(len(one)):
+            assert np.array_equal(one.read(number), two.read(number))
+
+
+def test_later_images_lie_over_earlier_ones(tmp_path):
+    below = stretch_over_field(ArraySource(np.full((10, 10, 3), 60, np.uint8)), SIZE + 1, SIZE + 1)
+    patch = np.full((8, 8, 4), (250, 0, 0, 128), np.uint8)
+    above = PlacedImage(ArraySource(patch), (16.0, 16.0), (1.0, 1.0))
+    with build(tmp_path, None, levels=1, images=[below, above]) as store:
+        tile = store.read(0)
+        assert tile.shape[2] == 3
+        covered = BORDER + 20 * STEP // SIZE
+        mixed = 128 / 255 * LINEAR[250] + 127 / 255 * LINEAR[60]
+        assert tile[covered, covered].tolist() == [*encode_linear(np.float32([mixed, 127 / 255 * LINEAR[60]])), tile[covered, covered, 2]]
+        assert (tile[covered, -1] == 60).all() and tile[covered, covered, 0] > 60
+
+
+def test_large_images_are_averaged_not_sampled(tmp_path):
+    pixels = np.zeros((2100, 3000, 3), np.uint8)
+    pixels[::2] = 255
+    with build(tmp_path, pixels, levels=1) as store:
+        assert np.abs(store.read(0)[2 * BORDER : -2 * BORDER].astype(int) - 188).max() <= 4, "apart from the first and the last pixels"
+
+
+def test_unknown_values_of_float_images_are_holes(tmp_path):
+    pixels = np.full((100, 100, 3), 0.25, np.float32)
+    pixels[:50] = np.nan
+    with build(tmp_path, pixels, levels=1) as store:
+        tile = store.read(0)
+        assert (tile[:200, :, 3] == 0).all() and (tile[-200:, :, 3] == 255).all()
+        assert (tile[..., :3] == ENCODED[16384]).all()
+
+
+def test_images_of_files_are_decoded_once(tmp_path):
+    pixels = photograph(300)
+    (tmp_path / "aerial.png").write_bytes(encode(pixels, "png"))
+    with Scratch(max_memory=1000) as scratch:
+        source = open_coded_image(tmp_path / "aerial.png", scratch)
+        assert source.shape == pixels.shape
+        assert np.array_equal(source.read(slice(10, 20), slice(5, 9)), pixels[10:20, 5:9])
+
+
+def test_georeferenced_images_lie_where_their_affine_map_says():
+    source = ArraySource(np.zeros((50, 100, 3), np.uint8))
+    image = place_by_affine(source, np.array([[0.5, 0.0, 1010.0], [0.0, -0.25, 2030.0]]), (1000.0, 2000.0), (10.0, 5.0))
+    assert image.corner == (1.0, 6.0) and image.step == (0.05, -0.05)
+    assert np.allclose(image.bounds, ((1.0, 6.0), (3.5, 6.0)))
+    with pytest.raises(ImageError, match="rotated"):
+        place_by_affine(source, np.array([[0.5, 0.1, 0.0], [0.1, -0.5, 0.0]]), (0.0, 0.0), (1.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    "pixel, depth, levels", [(8192 / 16384, 9, 6), (8192 / 16384, 3, 4), (8192 / 504, 9, 1), (8192 / 1000, 9, 2), (8192 / 1100, 9, 3)]
+)
+def test_the_finest_texels_are_as_small_as_pixels(pixel, depth, levels):
+    assert count_levels(8192, depth, pixel) == levels
+
+
+@pytest.mark.parametrize("settings", [{"quality": 0}, {"image_format": "gif"}, {"error": "none"}])
+def test_plans_out_of_range_are_refused(tmp_path, settings):
+    with pytest.raises(SettingsError):
+        start_build(tmp_path, TexturePlan(TextureGrid(9, 9, 8, (1.0, 1.0), 1), **settings))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("pixels", [np.zeros((4, 4), np.uint8), np.zeros((4, 4, 2), np.uint8), np.zeros((4, 4, 3), np.int32)])
+def test_arrays_that_are_no_images_are_refused(pixels):
+    with pytest.raises(ImageError):
+        ArraySource(pixels)
