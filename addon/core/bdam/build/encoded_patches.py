@@ -1,7 +1,7 @@
 """Encoded patches of a shard, with what the structure of a store says about them."""
 
 import io
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -32,3 +32,7 @@ class EncodedPatches:
         """Return what `to_bytes` has written."""
         with np.load(io.BytesIO(content), allow_pickle=False) as archive:
             return EncodedPatches(**{field.name: archive[field.name] for field in fields(EncodedPatches)})
+
+    def without_blocks(self) -> "EncodedPatches":
+        """Return the same patches without their contents."""
+        return replace(self, blocks=np.zeros(0, np.uint8))

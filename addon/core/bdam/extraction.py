@@ -1,0 +1,125 @@
+"""View-dependent cuts through the bintrees (BDAM, section 4), found level by level for all patches at once.
+
+A patch is refined if its error, seen from the point of its bounding box nearest to the viewer, is larger than the tolerance. Errors and boxes
+are nested, and equal for the two patches of a diamond, so that every such cut is consistent: the patches fit without cracks.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..geometry.viewers import Viewer
+from .store.structure import Level
+from .store.terrain_store import TerrainStore
+
+
+@dataclass(frozen=True)
+class CutSettings:
+    """How a cut is chosen.
+
+    tolerance: pixels. exaggeration: factor of heights. culls: whether patches outside of the view stay coarse.
+    """
+
+    tolerance: float = 1.0
+    exaggeration: float = 1.0
+    culls: bool = False
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Patches that cover the terrain once.
+
+    levels, rows: (N,) int64, the patches, see `TerrainStore.levels`. max_error: pixels, the largest error of a patch that could be refined.
+    """
+
+    levels: np.ndarray
+    rows: np.ndarray
+    max_error: float
+
+    def __len__(self) -> int:
+        return len(self.levels)
+
+
+def extract_cut(store: TerrainStore, viewer: Viewer, settings: CutSettings) -> Cut:
+    """Return the coarsest cut whose error is at most the tolerance for a viewer in the local frame."""
+    rows, levels_found, rows_found, largest = np.arange(len(store.levels[0].indices)), [], [], 0.0
+    planes = viewer.frustum_planes() if settings.culls else None
+    for level, patches in enumerate(store.levels):
+        if not len(rows):
+            break
+        errors = project_errors(patches, rows, viewer, settings.exaggeration)
+        is_refined = errors > settings.tolerance
+        if planes is not None:
+            is_refined &= _are_visible(patches, rows, planes, settings.exaggeration)
+        if level == len(store.levels) - 1:
+            is_refined[:] = False
+        kept = rows[~is_refined]
+        largest = max(largest, float(errors[~is_refined].max(initial=0.0)))
+        levels_found.append(np.full(len(kept), level))
+        rows_found.append(kept)
+        if level < len(store.children):
+            children = store.children[level][rows[is_refined]].ravel()
+            rows = children[children >= 0]
+    return Cut(np.concatenate(levels_found), np.concatenate(rows_found), largest)
+
+
+def extract_uniform_cut(store: TerrainStore, max_error: float) -> Cut:
+    """Return the coarsest cut whose patches have an error of at most `max_error` meters everywhere."""
+    rows, levels_found, rows_found, largest = np.arange(len(store.levels[0].indices)), [], [], 0.0
+    for level, patches in enumerate(store.levels):
+        is_refined = patches.errors[rows] > max_error
+        kept = rows[~is_refined]
+        largest = max(largest, float(patches.errors[kept].max(initial=0.0)))
+        levels_found.append(np.full(len(kept), level))
+        rows_found.append(kept)
+        if level < len(store.children):
+            children = store.children[level][rows[is_refined]].ravel()
+            rows = children[children >= 0]
+    return Cut(np.concatenate(levels_found), np.concatenate(rows_found), largest)
+
+
+def project_errors(patches: Level, rows: np.ndarray, viewer: Viewer, exaggeration: float) -> np.ndarray:
+    """Return upper bounds (N,) in pixels of what the errors of patches, which are vertical, cover anywhere in the image.
+
+    A vertical length at the depth d covers at most k / d pixels, where k is largest in a corner of the image. The depth is at least that of the
+    nearest corner of a box, and at least the distance to the box times the cosine of the angle to a corner of the image.
+    """
+    errors = patches.errors[rows] * exaggeration
+    low, high = _boxes(patches, rows, exaggeration)
+    offsets = np.maximum(np.maximum(low - viewer.position, viewer.position - high), 0.0)
+    distances = np.sqrt((offsets * offsets).sum(axis=1)) / viewer.scale_range[0]
+    projection = viewer.projection
+    if projection.kind == "panoramic":
+        return _scale(errors * viewer.scale_range[1], viewer.pixels_per_unit_at(distances))
+    up = viewer.inverse[:3, 2]
+    left, right, bottom, top = projection.window
+    density = max(projection.pixel_densities)
+    if projection.kind == "orthographic":
+        return _scale(errors, np.full(len(errors), density * np.hypot(up[0], up[1])))
+    corners = np.array([(x, y) for x in (left, right) for y in (bottom, top)])
+    largest = density * np.hypot(up[0] + corners[:, 0] * up[2], up[1] + corners[:, 1] * up[2]).max()
+    nearest = np.where(viewer.inverse[2, :3] > 0.0, high, low)
+    depths = -(nearest @ viewer.inverse[2, :3] + viewer.inverse[2, 3])
+    depths = np.maximum(depths, distances / np.sqrt(1.0 + (corners**2).sum(axis=1).max()))
+    with np.errstate(divide="ignore"):
+        return _scale(errors, largest / depths)
+
+
+def _scale(errors: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Return the products, 0 for patches without error wherever they are."""
+    return np.multiply(errors, pixels, out=np.zeros(len(errors)), where=errors > 0.0)
+
+
+def _are_visible(patches: Level, rows: np.ndarray, planes: np.ndarray, exaggeration: float) -> np.ndarray:
+    """Return whether boxes may overlap the frustum with `planes` (P, 4), positive inside."""
+    low, high = _boxes(patches, rows, exaggeration)
+    is_visible = np.ones(len(rows), bool)
+    for plane in planes:
+        farthest = np.where(plane[:3] > 0.0, high, low)
+        is_visible &= farthest @ plane[:3] + plane[3] >= 0.0
+    return is_visible
+
+
+def _boxes(patches: Level, rows: np.ndarray, exaggeration: float) -> tuple[np.ndarray, np.ndarray]:
+    scale = np.array([1.0, 1.0, exaggeration])
+    return patches.low[rows] * scale, patches.high[rows] * scale

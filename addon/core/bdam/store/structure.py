@@ -1,0 +1,127 @@
+"""The structure file of a store: everything but the contents of patches and texture tiles.
+
+A file of blocks (see `blocks`) of the kind `bdamstru`. Block 0 is a JSON object, see `StoreHeader`. Then follow, for every level from 0, five
+blocks with little-endian arrays over the N patches of the level in ascending order of their bintree indices:
+
+| block | content |
+|---|---|
+| 5 level + 1 | bintree indices, N uint64 |
+| 5 level + 2 | errors in meters, N float32: nested, and equal for the two patches of a diamond |
+| 5 level + 3 | lowest and highest height in steps, N x 2 int32 |
+| 5 level + 4 | numbers of vertices and triangles, N x 2 uint32 |
+| 5 level + 5 | bounding boxes in the local frame, N x 6 float32: lowest x, y, z and highest x, y, z in meters; nested like the errors |
+
+The patches of level 0, then of level 1 and so on, are the blocks of the geometry file in the same order.
+"""
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import FileError
+from ..fields.placements import Frame, GeographicFrame, ProjectedFrame
+from ..tree import Tree
+from .blocks import BlockReader, BlockWriter
+
+KIND, STRUCTURE_FILE = "bdamstru", "structure.bdam"
+VERSION = 1  # of the contents of the header
+ARRAYS_PER_LEVEL = 5
+FRAMES = {"projected": ProjectedFrame, "geographic": GeographicFrame}
+
+
+@dataclass(frozen=True)
+class StoreHeader:
+    """What is the same for a whole store.
+
+    rows, columns, leaf_cells: see `Tree`. height_step: meters between two stored heights. slope_step: unit of stored slopes, in steps per
+    cell. cell_size: nominal meters between two samples. crs: the coordinate reference system in words. frame: "projected" or "geographic".
+    first, step, origin: of the frame, see `fields.placements`. has_texture: whether there is a folder of textures.
+    """
+
+    rows: int
+    columns: int
+    leaf_cells: int
+    height_step: float
+    slope_step: float
+    cell_size: float
+    crs: str
+    frame: str
+    first: tuple[float, float]
+    step: tuple[float, float]
+    origin: tuple[float, float]
+    has_texture: bool = False
+
+    @property
+    def tree(self) -> Tree:
+        """The bintrees."""
+        return Tree(self.rows, self.columns, self.leaf_cells)
+
+    def create_frame(self) -> Frame:
+        """Return the local frame."""
+        return FRAMES[self.frame](tuple(self.first), tuple(self.step), tuple(self.origin))
+
+
+@dataclass(frozen=True)
+class Level:
+    """The patches of a level.
+
+    indices: (N,) int64. errors: (N,) float32, meters. heights: (N, 2) int32, steps. counts: (N, 2) int64, vertices and triangles. low, high:
+    (N, 3) float32, bounding boxes in local meters.
+    """
+
+    indices: np.ndarray
+    errors: np.ndarray
+    heights: np.ndarray
+    counts: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+def write_structure(folder: Path, header: StoreHeader, levels: list[Level]) -> None:
+    """Write the structure file of a store. Raises FileError."""
+    with BlockWriter(folder / STRUCTURE_FILE, KIND) as writer:
+        writer.append(json.dumps({"version": VERSION, **asdict(header)}, sort_keys=True).encode())
+        for level in levels:
+            writer.append(level.indices.astype("<u8").tobytes())
+            writer.append(level.errors.astype("<f4").tobytes())
+            writer.append(level.heights.astype("<i4").tobytes())
+            writer.append(level.counts.astype("<u4").tobytes())
+            writer.append(np.concatenate([level.low, level.high], axis=1).astype("<f4").tobytes())
+        writer.finish()
+
+
+def read_structure(folder: Path) -> tuple[StoreHeader, list[Level]]:
+    """Read the structure file of a store.
+
+    Raises:
+        FileError: it is missing, damaged, or of a newer version.
+    """
+    path = folder / STRUCTURE_FILE
+    with BlockReader(path, KIND) as reader:
+        try:
+            content = json.loads(reader.read(0, "header"))
+            version = content.pop("version")
+            if version > VERSION:
+                raise FileError(f'"{path}" was written by a newer Farfield (version {version} of the store); update Farfield.')
+            header = StoreHeader(**content)
+            levels = list(_read_levels(reader, header))
+        except (IndexError, KeyError, TypeError, ValueError) as error:
+            raise FileError(f'"{path}" is damaged or no structure of a terrain ({error}); build the terrain again.') from error
+    return header, levels
+
+
+def _read_levels(reader: BlockReader, header: StoreHeader) -> Iterator[Level]:
+    for level in range(header.tree.leaf_level + 1):
+        blocks = [reader.read(ARRAYS_PER_LEVEL * level + number, f"level {level}") for number in range(1, ARRAYS_PER_LEVEL + 1)]
+        boxes = np.frombuffer(blocks[4], "<f4").reshape(-1, 6)
+        yield Level(
+            np.frombuffer(blocks[0], "<u8").astype(np.int64),
+            np.frombuffer(blocks[1], "<f4"),
+            np.frombuffer(blocks[2], "<i4").reshape(-1, 2),
+            np.frombuffer(blocks[3], "<u4").reshape(-1, 2).astype(np.int64),
+            boxes[:, :3],
+            boxes[:, 3:],
+        )
