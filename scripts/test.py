@@ -31,6 +31,7 @@ def main() -> int:
     import pytest
 
     os.chdir(environment.ROOT)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the processes share the cores; waiting threads of BLAS would keep them busy
     variables = dict(os.environ)  # conftest.py changes them
     print(f"Farfield's tests with bpy {version('bpy')}, Python {platform.python_version()}, NumPy {version('numpy')}", flush=True)
     recorder = crash_recorder.CrashRecorder()
