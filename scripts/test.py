@@ -14,6 +14,8 @@ import platform
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from lib import crash_recorder, environment
@@ -23,6 +25,20 @@ environment.ensure(extra_modules=("pytest", "pytest_timeout", "xdist", "hypothes
 
 # A crash of Blender ends the run: xdist may wait forever for the replacement of a worker.
 PARALLEL_OPTIONS = ("-n", "auto", "--maxprocesses", "4", "--dist", "loadfile", "--no-loadscope-reorder", "--max-worker-restart", "0")
+
+
+@contextmanager
+def use_bytecode_folder() -> Iterator[None]:
+    """Let the processes of this run use the same compiled modules, in a temporary folder where Python may write none beside the modules; otherwise
+    each of the processes, some hundreds, compiles everything again."""
+    if not sys.dont_write_bytecode or sys.pycache_prefix:
+        yield
+        return
+    with tempfile.TemporaryDirectory(prefix="farfield-tests-") as folder:
+        os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+        os.environ["PYTHONPYCACHEPREFIX"] = folder
+        sys.dont_write_bytecode, sys.pycache_prefix = False, folder
+        yield
 
 
 def main() -> int:
@@ -52,4 +68,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with use_bytecode_folder():
+        sys.exit(main())
