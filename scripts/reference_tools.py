@@ -4,7 +4,7 @@
     python3 scripts/reference_tools.py texture-tools    Lagrange and PyMeshLab, for benchmarks/bench_photos.py
 
 Farfield itself does not need them. They require other package versions than Blender, so each set has an environment of its own.
-`find_python` returns its Python. PyMeshLab needs a display with OpenGL for textures, and libraries of Qt: on a machine without a screen, the
+`find_python` returns its Python. PyMeshLab needs a display with OpenGL for textures, and libraries of Qt: without a screen, the
 Debian packages xvfb and libqt5gui5.
 """
 
@@ -38,7 +38,9 @@ REFERENCE_TOOLS = ToolSet(
     REQUIREMENTS / "reference-tools-sources.txt",
     "import btf_extractor, cv2.xphoto, flip_evaluator, patchmatch, skimage; assert patchmatch.patchmatch_available",
 )
-TEXTURE_TOOLS = ToolSet("texture-tools", REQUIREMENTS / "texture-tools.txt", None, "import lagrange.texproc, PIL, pymeshlab", ("xvfb", "libqt5gui5"))
+TEXTURE_TOOLS = ToolSet(
+    "texture-tools", REQUIREMENTS / "texture-tools.txt", None, "import lagrange.texproc, PIL, pymeshlab", ("xvfb", "libqt5gui5")
+)
 TOOL_SETS = {tools.name: tools for tools in (REFERENCE_TOOLS, TEXTURE_TOOLS)}
 
 

@@ -3,8 +3,8 @@
     blender --python docs/figures/window_screenshots.py -- FOLDER open|closed TOOL
 
 FOLDER receives the screenshots and index.json with the rectangle of each that shows the sidebar, the editor or the window. For the tools
-restore and photos it contains the files that docs/screenshots.py writes. The second argument is the state of the sub-panels. A window shows the panel
-of one tool only, since Blender remembers which panels are open. See docs/screenshots.py.
+restore and photos it contains the files that docs/screenshots.py writes. The second argument is the state of the sub-panels. A window shows
+the panel of one tool only, since Blender remembers which panels are open. See docs/screenshots.py.
 """
 
 import json

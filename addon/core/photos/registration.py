@@ -141,9 +141,7 @@ class _Fit:
         """Return the distances (S, N) of all pairs to their projections with each start, as the larger of both coordinates."""
         return np.array([np.abs(self.project(start) - self.positions).max(axis=1) for start in starts]).reshape(-1, len(self.points))
 
-    def refine_best(
-        self, starts: list[np.ndarray], distances: np.ndarray, kept: np.ndarray, count: int = STARTS
-    ) -> np.ndarray | None:
+    def refine_best(self, starts: list[np.ndarray], distances: np.ndarray, kept: np.ndarray, count: int = STARTS) -> np.ndarray | None:
         """Return the parameters that fit the kept pairs best, by robust least squares from the `count` starts with the smallest median
         distance; None if none fits."""
         scores = np.median(distances[:, kept], axis=1)
