@@ -29,8 +29,8 @@ PARALLEL_OPTIONS = ("-n", "auto", "--maxprocesses", "4", "--dist", "loadfile", "
 
 @contextmanager
 def use_bytecode_folder() -> Iterator[None]:
-    """Let the processes of this run use the same compiled modules, in a temporary folder where Python may write none beside the modules; otherwise
-    each of the processes, some hundreds, compiles everything again."""
+    """Let the processes of this run use the same compiled modules, in a temporary folder where Python may write none beside the modules;
+    otherwise each of the processes, some hundreds, compiles everything again."""
     if not sys.dont_write_bytecode or sys.pycache_prefix:
         yield
         return
