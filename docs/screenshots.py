@@ -28,7 +28,7 @@ from lib.contact_sheet import write_png
 SIZES = {"closed": (1280, 720), "open": (1280, 1400)}  # of the window, by the state of the sub-panels
 IMAGE_EDITOR_SIZES = {"closed": (960, 660), "open": (960, 1400)}  # with the tool restore, whose screenshots show the image as well
 RESTORE_PIXELS = 400
-TOOLS = ("billboards", "btf", "unwrap", "restore", "clipbox")
+TOOLS = ("billboards", "btf", "unwrap", "restore", "photos", "clipbox")
 SECONDS = 200
 DRIVER = FOLDER / "figures" / "window_screenshots.py"
 PAGES = {  # image of the docs -> screenshots side by side
@@ -36,6 +36,7 @@ PAGES = {  # image of the docs -> screenshots side by side
     "panel_btf.png": ("btf-settings", "btf-baked"),
     "panel_unwrap.png": ("unwrap-settings", "unwrap-figures"),
     "panel_restore.png": ("restore-mask", "restore-result"),
+    "panel_photos.png": ("photos-mesh", "photos-photographs"),
     "panel_clipbox.png": ("clipbox-settings", "clipbox-active"),
     "window.png": ("window",),
 }
@@ -74,7 +75,7 @@ def take_screenshots(subpanels: str, tool: str) -> dict[str, np.ndarray]:
         resources, folder = Path(scratch, "resources"), Path(scratch, "screenshots")
         folder.mkdir()
         blender_window.install(resources)
-        if tool == "restore":
+        if tool in ("restore", "photos"):
             weave, scratches = create_scratched_weave(RESTORE_PIXELS)
             write_png(folder / "weave.png", weave)
             write_png(folder / "mask.png", np.repeat(scratches[..., None].astype(np.float32), 3, axis=2))

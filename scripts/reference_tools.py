@@ -4,7 +4,8 @@
     python3 scripts/reference_tools.py texture-tools    Lagrange and PyMeshLab, for benchmarks/bench_photos.py
 
 Farfield itself does not need them. They require other package versions than Blender, so each set has an environment of its own.
-`find_python` returns its Python. PyMeshLab needs a display with OpenGL for textures.
+`find_python` returns its Python. PyMeshLab needs a display with OpenGL for textures, and libraries of Qt: without a screen, the
+Debian packages xvfb and libqt5gui5.
 """
 
 import hashlib
@@ -21,12 +22,14 @@ REQUIREMENTS = environment.ROOT / "requirements"
 
 
 class ToolSet(NamedTuple):
-    """Tools in one environment: locks of wheels, and of source packages that are built with them, if any; `check` is run at the end."""
+    """Tools in one environment: locks of wheels, and of source packages that are built with them, if any; `check` is run at the end.
+    `debian_packages` are needed to run them, and are not installed here."""
 
     name: str
     lock: Path
     sources_lock: Path | None
     check: str
+    debian_packages: tuple[str, ...] = ()
 
 
 REFERENCE_TOOLS = ToolSet(
@@ -35,7 +38,9 @@ REFERENCE_TOOLS = ToolSet(
     REQUIREMENTS / "reference-tools-sources.txt",
     "import btf_extractor, cv2.xphoto, flip_evaluator, patchmatch, skimage; assert patchmatch.patchmatch_available",
 )
-TEXTURE_TOOLS = ToolSet("texture-tools", REQUIREMENTS / "texture-tools.txt", None, "import lagrange.texproc, PIL, pymeshlab")
+TEXTURE_TOOLS = ToolSet(
+    "texture-tools", REQUIREMENTS / "texture-tools.txt", None, "import lagrange.texproc, PIL, pymeshlab", ("xvfb", "libqt5gui5")
+)
 TOOL_SETS = {tools.name: tools for tools in (REFERENCE_TOOLS, TEXTURE_TOOLS)}
 
 
@@ -63,7 +68,7 @@ def install(tools: ToolSet = REFERENCE_TOOLS) -> None:
         (folder / environment.STAMP_FILE).write_text(_digest(tools), encoding="utf-8")
     except (OSError, subprocess.CalledProcessError) as error:
         shutil.rmtree(folder, ignore_errors=True)
-        _fail(tools, f"{error}; see the lines above")
+        _fail(tools, f"{error}; see the lines above{_describe_needs(tools)}")
 
 
 def _folder(tools: ToolSet) -> Path:
@@ -84,6 +89,10 @@ def _fail(tools: ToolSet, reason: str) -> None:
     sys.exit(2)
 
 
+def _describe_needs(tools: ToolSet) -> str:
+    return f"; they need the Debian packages {' and '.join(tools.debian_packages)}" if tools.debian_packages else ""
+
+
 def main() -> None:
     unknown = [name for name in sys.argv[1:] if name not in TOOL_SETS]
     if unknown:
@@ -92,7 +101,7 @@ def main() -> None:
     for name in sys.argv[1:] or [REFERENCE_TOOLS.name]:
         if find_python(TOOL_SETS[name]) is None:
             install(TOOL_SETS[name])
-        print(f"The {name} are installed in {_folder(TOOL_SETS[name])}")
+        print(f"The {name} are installed in {_folder(TOOL_SETS[name])}{_describe_needs(TOOL_SETS[name])}")
 
 
 if __name__ == "__main__":

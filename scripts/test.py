@@ -14,6 +14,8 @@ import platform
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from lib import crash_recorder, environment
@@ -25,12 +27,27 @@ environment.ensure(extra_modules=("pytest", "pytest_timeout", "xdist", "hypothes
 PARALLEL_OPTIONS = ("-n", "auto", "--maxprocesses", "4", "--dist", "loadfile", "--no-loadscope-reorder", "--max-worker-restart", "0")
 
 
+@contextmanager
+def use_bytecode_folder() -> Iterator[None]:
+    """Let the processes of this run use the same compiled modules, in a temporary folder where Python may write none beside the modules;
+    otherwise each of the processes, some hundreds, compiles everything again."""
+    if not sys.dont_write_bytecode or sys.pycache_prefix:
+        yield
+        return
+    with tempfile.TemporaryDirectory(prefix="farfield-tests-") as folder:
+        os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+        os.environ["PYTHONPYCACHEPREFIX"] = folder
+        sys.dont_write_bytecode, sys.pycache_prefix = False, folder
+        yield
+
+
 def main() -> int:
     from importlib.metadata import version
 
     import pytest
 
     os.chdir(environment.ROOT)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the processes share the cores; waiting threads of BLAS would keep them busy
     variables = dict(os.environ)  # conftest.py changes them
     print(f"Farfield's tests with bpy {version('bpy')}, Python {platform.python_version()}, NumPy {version('numpy')}", flush=True)
     recorder = crash_recorder.CrashRecorder()
@@ -51,4 +68,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with use_bytecode_folder():
+        sys.exit(main())

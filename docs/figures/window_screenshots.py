@@ -2,9 +2,9 @@
 
     blender --python docs/figures/window_screenshots.py -- FOLDER open|closed TOOL
 
-FOLDER receives the screenshots and index.json with the rectangle of each that shows the sidebar, the editor or the window. For the tool
-restore it contains the files that docs/screenshots.py writes. The second argument is the state of the sub-panels. A window shows the panel
-of one tool only, since Blender remembers which panels are open. See docs/screenshots.py.
+FOLDER receives the screenshots and index.json with the rectangle of each that shows the sidebar, the editor or the window. For the tools
+restore and photos it contains the files that docs/screenshots.py writes. The second argument is the state of the sub-panels. A window shows
+the panel of one tool only, since Blender remembers which panels are open. See docs/screenshots.py.
 """
 
 import json
@@ -14,6 +14,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
+import numpy as np
+from mathutils import Matrix, Quaternion
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 
@@ -22,6 +24,7 @@ from lib.window_session import open_panel, run_steps, wait_for_job
 FOLDER, SUBPANELS, TOOL = sys.argv[sys.argv.index("--") + 1 :]
 SETTLE_SECONDS = 1.5  # until Blender has drawn a change
 THEMES = {"dark": "Blender_Dark.xml", "light": "Blender_Light.xml"}
+PHOTOGRAPHS = 8
 ALWAYS_OPEN = ("_levels", "_lighting")  # sub-panels that show results
 
 report: dict = {"error": None, "boxes": {}}
@@ -145,6 +148,21 @@ def visit_unwrap(_scene: bpy.types.Scene) -> Iterator[float]:
     yield from shoot("unwrap-figures")
 
 
+def visit_photos(scene: bpy.types.Scene) -> Iterator[float]:
+    """Before and after photographs have cameras."""
+    bpy.data.objects.remove(bpy.data.objects["Camera"])
+    yield from shoot("photos-mesh")
+    image = bpy.data.images.load(str(Path(FOLDER, "weave.png")))
+    for index in range(PHOTOGRAPHS):
+        camera = bpy.data.objects.new(f"Photograph {index}", bpy.data.cameras.new(f"Photograph {index}"))
+        turn = Quaternion((0.0, 0.0, 1.0), 2.0 * np.pi * index / PHOTOGRAPHS)
+        camera.matrix_world = turn.to_matrix().to_4x4() @ Matrix.Translation((0.0, -6.0, 0.0)) @ Matrix.Rotation(0.5 * np.pi, 4, "X")
+        camera.data.show_background_images = True
+        camera.data.background_images.new().image = image
+        scene.collection.objects.link(camera)
+    yield from shoot("photos-photographs")
+
+
 def visit_clipbox(scene: bpy.types.Scene) -> Iterator[float]:
     """Before and after *Create*."""
     yield from shoot("clipbox-settings")
@@ -181,6 +199,7 @@ VISITS = {
     "billboards": visit_billboards,
     "btf": visit_btf,
     "unwrap": visit_unwrap,
+    "photos": visit_photos,
     "restore": visit_restore,
     "clipbox": visit_clipbox,
 }

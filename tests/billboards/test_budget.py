@@ -29,13 +29,18 @@ def build_test_cloud(mesh, **settings):
     return run_to_end(build_cloud(mesh, BillboardSettings(**settings), "mesh"))
 
 
-def tree(leaves=80):
-    """Return a curved trunk of 384 triangles, one connected surface, under a ball of loose cards."""
-    trunk = shapes.cylinder(radius=0.5, length=2.0, sides=24, cuts=8)
+def tree(leaves=80, sides=24, cuts=8):
+    """Return a curved trunk of 2 x `sides` x `cuts` triangles, one connected surface, under a ball of loose cards."""
+    trunk = shapes.cylinder(radius=0.5, length=2.0, sides=sides, cuts=cuts)
     bent = (
         trunk.vertices + np.column_stack([0.3 * np.sin(2.0 * trunk.vertices[:, 2]), np.zeros((len(trunk.vertices), 2))]) - [0.0, 0.0, 2.0]
     )
     return concatenate([TriangleMesh(bent, trunk.triangles), shapes.leaf_cards(leaves, size=0.05)])
+
+
+def bush():
+    """Return a small tree, for promises that do not depend on the number of triangles."""
+    return tree(leaves=20, sides=12, cuts=4)
 
 
 def count_quads(mesh, level):
@@ -159,7 +164,7 @@ def test_budget_above_the_number_of_faces_is_allowed():
 
 
 def test_equal_input_gives_equal_clouds():
-    first, second = (build_test_cloud(tree(40), quads=40, levels=2) for _ in range(2))
+    first, second = (build_test_cloud(bush(), quads=20, levels=2) for _ in range(2))
     for level, repeated in zip(first.levels, second.levels, strict=True):
         assert level.error == repeated.error
         assert np.array_equal(level.quads.centers, repeated.quads.centers)
@@ -169,12 +174,12 @@ def test_equal_input_gives_equal_clouds():
 @pytest.mark.parametrize(
     ("mesh", "settings"),
     [
-        (tree(40), {"levels": 3}),
-        (tree(40), {"levels": 2, "method": "hough", "error": 0.04}),
+        (bush(), {"levels": 3}),
+        (bush(), {"levels": 2, "method": "hough", "error": 0.04}),
         (shapes.box(cuts=2), {"levels": 2, "method": "decimate", "error": 0.1}),
-        (tree(40), {"levels": 2, "quads": 40}),
-        (tree(40), {"levels": 2, "texture_mb": 0.1}),
-        (tree(40), {"levels": 2, "quads": 40, "loose_fraction": 0.1}),
+        (bush(), {"levels": 2, "quads": 20}),
+        (bush(), {"levels": 2, "texture_mb": 0.1}),
+        (bush(), {"levels": 2, "quads": 20, "loose_fraction": 0.1}),
     ],
     ids=["clusters", "hough", "decimate", "quads", "texture", "one error"],
 )
@@ -195,8 +200,8 @@ def test_proximity_graph_is_built_once_per_group(monkeypatch):
         return original(corners, count)
 
     monkeypatch.setattr(primitives_module, "neighbor_pairs", record_size)
-    mesh = tree(40)
-    build_test_cloud(mesh, quads=60, levels=2)
+    mesh = bush()
+    build_test_cloud(mesh, quads=30, levels=2)
     assert len(sizes) == 2 and sum(sizes) == len(mesh.triangles)
 
 

@@ -20,7 +20,8 @@ SMALL = {
     "samples": 1,
     "components": 2,
     "alpha_components": 2,
-    "shadows_per_side": 4,
+    "shadows_per_side": 2,
+    "shadow_components": 2,
 }
 
 
@@ -47,7 +48,7 @@ def build_cloud(source: bpy.types.Object) -> SceneCloud:
         item.select_set(False)
     bpy.context.view_layer.objects.active = source
     source.select_set(True)
-    bpy.ops.farfield.billboards_build(error=6.0, levels=2, samples=1, keep_source_visible=True)
+    bpy.ops.farfield.billboards_build(error=10.0, levels=2, samples=1, keep_source_visible=True)
     return clouds_in(bpy.context.scene)[0]
 
 

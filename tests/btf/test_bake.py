@@ -31,9 +31,10 @@ BAKE = {
     "components": 8,
     "alpha_components": 8,
     "shadows_per_side": 8,
+    "shadow_components": 8,
+    "executor": "serial",  # starting processes would take longer than their renders
 }
-# One worker process: starting a second one would take longer than its renders.
-QUICK_BAKE = {**BAKE, "views_per_side": 2, "lights_per_side": 2, "samples": 1, "executor": "serial"}
+QUICK_BAKE = {**BAKE, "views_per_side": 2, "lights_per_side": 2, "samples": 1}
 
 
 @pytest.fixture(autouse=True)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from farfield.addon.core.imaging.colors import decode_signed_srgb
@@ -46,6 +46,7 @@ def paint_disk(x, y, colors):
     colors[2, disk(x, y, 40.0)] = [0.9, 0.1, 0.8]
 
 
+@settings(max_examples=15)
 @given(count=st.integers(1, 6), noise=st.floats(0.0, 0.03), seed=st.integers(0, 2**31))
 def test_photographs_that_agree_are_trusted(count, noise, seed):
     assert min(trust.min() for trust in rate(count=count, noise=noise, seed=seed)) > 0.7

@@ -3,12 +3,15 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from farfield.addon.core.imaging.colors import decode_signed_srgb, encode_signed_srgb
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.photos.merging import merge
 from farfield.addon.core.photos.settings import PhotosSettings
 from photo_scenes import SIZE, grid, photograph, ring, smooth_texture
+
+pytestmark = pytest.mark.usefixtures("few_observations")
 
 
 def add_highlight(photo, center, radius=0.6, strength=0.06):

@@ -17,6 +17,8 @@ from farfield.addon.core.photos.settings import PhotosSettings
 from farfield.addon.core.photos.texels import TexelMap
 from photo_scenes import SIZE, camera_at, grid, photograph, ring, smooth_texture
 
+pytestmark = pytest.mark.usefixtures("few_observations")
+
 
 def two_islands():
     """The wavy square, its left half as an island in the left half of the texture, its right half in the right half, with a gap."""

@@ -92,6 +92,7 @@ def test_names_do_not_break_lines():
     assert (outcome.returncode, outcome.stderr) == (2, '"line break" is empty.\n')
 
 
+@pytest.mark.once
 @pytest.mark.skipif(os.name == "nt", reason="Windows has neither")
 @pytest.mark.parametrize("flags", [[], ["--verbose"], ["--help"]])
 def test_nobody_reads_the_result(flags):
@@ -102,6 +103,7 @@ def test_nobody_reads_the_result(flags):
     assert (outcome.returncode, outcome.stderr) == (0, "")
 
 
+@pytest.mark.once
 @pytest.mark.skipif(os.name == "nt", reason="Windows has neither")
 def test_standard_output_that_is_closed_or_full():
     options = {"stderr": subprocess.PIPE, "text": True, "check": False, "env": variables()}
@@ -119,6 +121,7 @@ def test_too_little_memory_is_invalid_input():
     assert outcome.returncode == 2 and "memory" in outcome.stderr and outcome.stderr.strip().count("\n") == 0
 
 
+@pytest.mark.once
 @pytest.mark.skipif(os.name == "nt", reason="Windows sends no signals to one process")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", None)])
 def test_signals_cancel_and_clean_up(number, tmp_path):
@@ -141,6 +144,7 @@ def test_signals_cancel_and_clean_up(number, tmp_path):
     assert not list(place.iterdir()) and not list(temporary.glob("farfield-*"))
 
 
+@pytest.mark.once
 @pytest.mark.skipif(not Path("/proc/self/ns/pid").exists(), reason="the process is found by its number elsewhere too, but slower")
 def test_the_next_run_cleans_up_after_a_killed_one(tmp_path):
     with subprocess.Popen(command("wait", "--path", tmp_path), stderr=subprocess.PIPE, text=True) as process:
@@ -151,6 +155,7 @@ def test_the_next_run_cleans_up_after_a_killed_one(tmp_path):
         assert list(tmp_path.iterdir()) == [folder]
 
 
+@pytest.mark.once
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no such devices")
 class TestReport:
     """--report on devices, pipes and open files."""

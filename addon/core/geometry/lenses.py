@@ -6,6 +6,7 @@ these to pixels by focal lengths and a center. The models and the order of their
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from ..errors import FileError
 ITERATIONS = 50
 MAX_RESIDUAL = 1e-12  # of tangents, at which the inverse has converged
 DERIVATIVE_STEP = 1e-6
+RADII = np.tan(np.linspace(0.0, 0.5 * np.pi, 4097)[:-1])  # of tangents, where growth of the distorted radius is checked
 MIN_RADIUS = 1e-9  # below, the direction of a tangent does not matter
 
 Distortion = Callable[[np.ndarray, np.ndarray, tuple[float, ...]], tuple[np.ndarray, np.ndarray]]
@@ -211,12 +213,16 @@ class Lens:
 
     def _radius_limit(self) -> float:
         """Return the length of tangents up to which the distorted radius grows; infinite if it always does."""
-        if self.model in ("SIMPLE_PINHOLE", "PINHOLE", "FOV"):
-            return np.inf
-        radii = np.tan(np.linspace(0.0, 0.5 * np.pi, 4097)[:-1])
-        distorted = np.hypot(*MODELS[self.model].distort(radii, np.zeros_like(radii), self.coefficients))
-        falls = np.flatnonzero(np.diff(distorted) <= 0.0)
-        return float(radii[falls[0]]) if len(falls) else np.inf
+        return _find_radius_limit(self.model, self.coefficients)
+
+
+@lru_cache(maxsize=64)  # fits project with the same lens again and again
+def _find_radius_limit(model: str, coefficients: tuple[float, ...]) -> float:
+    if model in ("SIMPLE_PINHOLE", "PINHOLE", "FOV"):
+        return np.inf
+    distorted = np.hypot(*MODELS[model].distort(RADII, np.zeros_like(RADII), coefficients))
+    falls = np.flatnonzero(np.diff(distorted) <= 0.0)
+    return float(RADII[falls[0]]) if len(falls) else np.inf
 
 
 @dataclass(frozen=True)

@@ -65,10 +65,11 @@ def register(name: str, points: np.ndarray, positions: np.ndarray, size: tuple[i
     if np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[1] <= 1e-6 * fit.scale:
         raise GeometryError(f'The points of "{name}" lie on one line; add pairs beside it.')
     starts = fit.find_starts()
+    distances = fit.measure_distances(starts)
     kept = np.ones(len(points), bool)
-    parameters = fit.refine_best(starts, kept)
+    parameters = fit.refine_best(starts, distances, kept)
     while parameters is not None and kept.sum() > fit.pairs_to_judge:
-        found = _find_wrong(fit, starts, parameters, kept)
+        found = _find_wrong(fit, starts, distances, parameters, kept)
         if found is None:
             break
         kept[found[0]], parameters = False, found[1]
@@ -78,20 +79,27 @@ def register(name: str, points: np.ndarray, positions: np.ndarray, size: tuple[i
     return Registration(camera, fit.project(parameters) - positions, ~kept)
 
 
-def _find_wrong(fit: "_Fit", starts: list[np.ndarray], parameters: np.ndarray, kept: np.ndarray) -> tuple[int, np.ndarray] | None:
+def _find_wrong(
+    fit: "_Fit", starts: list[np.ndarray], distances: np.ndarray, parameters: np.ndarray, kept: np.ndarray
+) -> tuple[int, np.ndarray] | None:
     """Return the index of the pair without which the others fit much better, with the parameters of that fit; None if there is none."""
+    mean_square, smallest = fit.mean_square(parameters, kept), (0.5 * SIGMA_PIXELS) ** 2
+    if mean_square <= MIN_GAIN * smallest:  # no other fit is so much better
+        return None
+    starts = [parameters, *starts]
+    distances = np.concatenate([fit.measure_distances(starts[:1]), distances])
     candidates = []
     for index in np.flatnonzero(kept):
         others = kept.copy()
         others[index] = False
-        refined = fit.refine_best([parameters, *starts], others, STARTS_WITHOUT_PAIR)
+        refined = fit.refine_best(starts, distances, others, STARTS_WITHOUT_PAIR)
         if refined is not None:
             candidates.append((fit.mean_square(refined, others), index, refined))
     if not candidates:
         return None
     error, index, refined = min(candidates, key=lambda candidate: candidate[0])
     distance = np.linalg.norm(fit.project(refined)[index] - fit.positions[index])
-    is_wrong = distance > MIN_WRONG_PIXELS and fit.mean_square(parameters, kept) > MIN_GAIN * max(error, (0.5 * SIGMA_PIXELS) ** 2)
+    is_wrong = distance > MIN_WRONG_PIXELS and mean_square > MIN_GAIN * max(error, smallest)
     return (int(index), refined) if is_wrong else None
 
 
@@ -129,9 +137,14 @@ class _Fit:
         errors = (self.project(parameters) - self.positions)[kept]
         return float((errors**2).sum() / max(2 * kept.sum() - self.parameter_count, 1))
 
-    def refine_best(self, starts: list[np.ndarray], kept: np.ndarray, count: int = STARTS) -> np.ndarray | None:
-        """Return the parameters that fit the kept pairs best, by robust least squares from the `count` best starts; None if none fits."""
-        scores = [np.median(np.abs(self.project(start) - self.positions)[kept].max(axis=1)) for start in starts]
+    def measure_distances(self, starts: list[np.ndarray]) -> np.ndarray:
+        """Return the distances (S, N) of all pairs to their projections with each start, as the larger of both coordinates."""
+        return np.array([np.abs(self.project(start) - self.positions).max(axis=1) for start in starts]).reshape(-1, len(self.points))
+
+    def refine_best(self, starts: list[np.ndarray], distances: np.ndarray, kept: np.ndarray, count: int = STARTS) -> np.ndarray | None:
+        """Return the parameters that fit the kept pairs best, by robust least squares from the `count` starts with the smallest median
+        distance; None if none fits."""
+        scores = np.median(distances[:, kept], axis=1)
         refined = [self._refine(starts[index], kept) for index in np.argsort(scores)[:count]]
         refined = [parameters for parameters in refined if (np.abs(self.project(parameters) - self.positions)[kept] < BEHIND_PIXELS).all()]
         return min(refined, key=lambda parameters: self._cost(parameters, kept)) if refined else None

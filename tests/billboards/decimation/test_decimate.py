@@ -78,8 +78,8 @@ def test_flat_sheet_becomes_few_triangles():
 @pytest.mark.parametrize("unit", [1e-4, 1e4])
 def test_triangles_of_sphere_follow_from_curvature(unit):
     """A triangle on both sides of a sphere may have edges of sqrt(12 r e), so an area of 4 pi r^2 needs about 2.4 r / e triangles."""
-    vertices, triangles = sphere(7)
-    error = 0.12
+    vertices, triangles = sphere(6)
+    error = 0.16
     decimated = run_to_end(decimate_to_error(unit * vertices, triangles, unit * error, BOUND))
     check_bounds(decimated, unit * vertices, triangles, unit * error)
     assert 0.8 * 2.4 / error <= len(decimated.triangles) <= 2.0 * 2.4 / error
@@ -88,9 +88,9 @@ def test_triangles_of_sphere_follow_from_curvature(unit):
 
 
 def test_duplicate_and_non_manifold_faces_are_allowed():
-    vertices, triangles = sheet(10, lambda x, y: 0.1 * np.sin(6.0 * x + y))
+    vertices, triangles = sheet(8, lambda x, y: 0.1 * np.sin(6.0 * x + y))
     fin = np.array([[0.5, 0.0, 0.5], [0.5, 1.0, 0.5]])
-    extra = np.array([[55, 65, len(vertices)], [55, 65, len(vertices) + 1]], np.int32)
+    extra = np.array([[36, 45, len(vertices)], [36, 45, len(vertices) + 1]], np.int32)
     soup = np.concatenate([triangles, triangles[:7], extra])
     points = np.concatenate([vertices, fin])
     decimated = run_to_end(decimate_to_error(points, soup, 0.03, BOUND))

@@ -1,7 +1,7 @@
 """Disc-shaped distant lights: response of the lobes to them, from lookup tables."""
 
 from copy import copy
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -63,28 +63,37 @@ class DiscLights:
         return np.clip(np.rint(cosines + half), 0, TABLE_COSINES - 1).astype(np.int32)
 
     @cached_property
-    def _angles(self) -> np.ndarray:
-        return np.arccos(np.linspace(-1.0, 1.0, TABLE_COSINES))
-
-    @cached_property
     def _diffuse_table(self) -> np.ndarray:
         """Diffuse response by the angle between normal and disc center."""
         z = 1.0 - (np.arange(DISC_SAMPLES) + 0.5) / DISC_SAMPLES * (1.0 - np.cos(self.radius))
         azimuths = np.arange(DISC_SAMPLES) * np.pi * (3.0 - np.sqrt(5.0))
         x = np.sqrt(1.0 - z**2) * np.cos(azimuths)
-        cosines = np.maximum(np.outer(np.sin(self._angles), x) + np.outer(np.cos(self._angles), z), 0.0)
+        angles = _table_angles()
+        cosines = np.maximum(np.outer(np.sin(angles), x) + np.outer(np.cos(angles), z), 0.0)
         return (cosines.mean(axis=1) / np.pi).astype(np.float32)
 
     @cached_property
     def _specular_table(self) -> np.ndarray:
         """Fraction of the lobe inside the disc, over the disc's solid angle, by roughness and by the angle between the mirror direction and
         the disc center."""
-        ring_angles = np.pi * ((np.arange(RING_COUNT) + 0.5) / RING_COUNT) ** 2  # dense near the mirror direction, for smooth lobes
-        ring_widths = np.pi * np.diff((np.arange(RING_COUNT + 1) / RING_COUNT) ** 2)
-        angles = self._angles[:, None]
-        # A point of a ring around the mirror direction is inside the disc where its angle to the disc's center is at most the radius.
-        cosines = (np.cos(self.radius) - np.cos(angles) * np.cos(ring_angles)) / np.maximum(np.sin(angles) * np.sin(ring_angles), 1e-9)
-        inside_fractions = np.arccos(np.clip(cosines, -1.0, 1.0)) / np.pi
-        alpha = TABLE_ROUGHNESSES[:, None] ** 4
-        lobes = alpha / (np.cos(0.5 * ring_angles) ** 2 * (alpha - 1.0) + 1.0) ** 2 * np.sin(ring_angles) * ring_widths
-        return (lobes / lobes.sum(axis=1, keepdims=True) @ inside_fractions.T / self._solid_angle).astype(np.float32)
+        return _build_specular_table(self._solid_angle)
+
+
+@lru_cache(maxsize=2)  # a bake uses one, for all levels of a cloud
+def _build_specular_table(solid_angle: float) -> np.ndarray:
+    ring_angles = np.pi * ((np.arange(RING_COUNT) + 0.5) / RING_COUNT) ** 2  # dense near the mirror direction, for smooth lobes
+    ring_widths = np.pi * np.diff((np.arange(RING_COUNT + 1) / RING_COUNT) ** 2)
+    angles = _table_angles()[:, None]
+    # A point of a ring around the mirror direction is inside the disc where its angle to the disc's center is at most the radius.
+    cosines = np.cos(disc_radius(solid_angle)) - np.cos(angles) * np.cos(ring_angles)
+    cosines /= np.maximum(np.sin(angles) * np.sin(ring_angles), 1e-9)
+    inside_fractions = np.arccos(np.clip(cosines, -1.0, 1.0)) / np.pi
+    alpha = TABLE_ROUGHNESSES[:, None] ** 4
+    lobes = alpha / (np.cos(0.5 * ring_angles) ** 2 * (alpha - 1.0) + 1.0) ** 2 * np.sin(ring_angles) * ring_widths
+    table = (lobes / lobes.sum(axis=1, keepdims=True) @ inside_fractions.T / solid_angle).astype(np.float32)
+    table.flags.writeable = False
+    return table
+
+
+def _table_angles() -> np.ndarray:
+    return np.arccos(np.linspace(-1.0, 1.0, TABLE_COSINES))
