@@ -1,9 +1,11 @@
 """View-dependent cuts through the bintrees (BDAM, section 4), found level by level for all patches at once.
 
-A patch is refined if its error, seen from the point of its bounding box nearest to the viewer, is larger than the tolerance. Errors and boxes
-are nested, and equal for the two patches of a diamond, so that every such cut is consistent: the patches fit without cracks.
+A patch is refined if its error, seen from the point of its bounding box nearest to the viewer, is larger than the tolerance. A cut fits without
+cracks if the two patches of a diamond are refined together. The paper achieves that by errors and spheres which are nested across diamonds;
+here, refinement spreads to the other patches of diamonds instead, which needs fewer patches because bounding boxes stay small.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,41 +43,66 @@ class Cut:
 
 
 def extract_cut(store: TerrainStore, viewer: Viewer, settings: CutSettings) -> Cut:
-    """Return the coarsest cut whose error is at most the tolerance for a viewer in the local frame."""
-    rows, levels_found, rows_found, largest = np.arange(len(store.levels[0].indices)), [], [], 0.0
+    """Return the coarsest consistent cut whose errors are at most the tolerance for a viewer in the local frame."""
     planes = viewer.frustum_planes() if settings.culls else None
-    for level, patches in enumerate(store.levels):
-        if not len(rows):
-            break
-        errors = project_errors(patches, rows, viewer, settings.exaggeration)
-        is_refined = errors > settings.tolerance
+
+    def measure(level: int, rows: np.ndarray) -> np.ndarray:
+        errors = project_errors(store.levels[level], rows, viewer, settings.exaggeration)
         if planes is not None:
-            is_refined &= _are_visible(patches, rows, planes, settings.exaggeration)
-        if level == len(store.levels) - 1:
-            is_refined[:] = False
-        kept = rows[~is_refined]
-        largest = max(largest, float(errors[~is_refined].max(initial=0.0)))
-        levels_found.append(np.full(len(kept), level))
-        rows_found.append(kept)
-        if level < len(store.children):
-            children = store.children[level][rows[is_refined]].ravel()
-            rows = children[children >= 0]
-    return Cut(np.concatenate(levels_found), np.concatenate(rows_found), largest)
+            errors[~_are_visible(store.levels[level], rows, planes, settings.exaggeration)] = 0.0
+        return errors
+
+    return _extract(store, measure, settings.tolerance)
 
 
 def extract_uniform_cut(store: TerrainStore, max_error: float) -> Cut:
-    """Return the coarsest cut whose patches have an error of at most `max_error` meters everywhere."""
-    rows, levels_found, rows_found, largest = np.arange(len(store.levels[0].indices)), [], [], 0.0
-    for level, patches in enumerate(store.levels):
-        is_refined = patches.errors[rows] > max_error
-        kept = rows[~is_refined]
-        largest = max(largest, float(patches.errors[kept].max(initial=0.0)))
-        levels_found.append(np.full(len(kept), level))
-        rows_found.append(kept)
-        if level < len(store.children):
-            children = store.children[level][rows[is_refined]].ravel()
-            rows = children[children >= 0]
-    return Cut(np.concatenate(levels_found), np.concatenate(rows_found), largest)
+    """Return the coarsest consistent cut whose patches have an error of at most `max_error` meters everywhere."""
+    return _extract(store, lambda level, rows: store.levels[level].errors[rows].astype(np.float64), max_error)
+
+
+def _extract(store: TerrainStore, measure: Callable[[int, np.ndarray], np.ndarray], tolerance: float) -> Cut:
+    """Return the coarsest consistent cut whose patches have at most this error according to `measure(level, rows)`."""
+    visited, errors, refined = [np.arange(len(store.levels[0].indices))], [], []
+    for level in range(len(store.levels)):
+        errors.append(measure(level, visited[level]))
+        if level == len(store.levels) - 1:
+            break
+        refined.append(visited[level][errors[level] > tolerance])
+        children = store.children[level][refined[level]].ravel()
+        visited.append(children[children >= 0])
+        if not len(visited[-1]):
+            errors.append(np.zeros(0))
+            break
+    refined = _complete_diamonds(store, refined)
+    levels, rows = [], []
+    active = visited[0]
+    largest = 0.0
+    for level in range(len(visited)):
+        is_refined = np.isin(active, refined[level]) if level < len(refined) else np.zeros(len(active), bool)
+        kept = active[~is_refined]
+        levels.append(np.full(len(kept), level))
+        rows.append(kept)
+        largest = max(largest, float(measure(level, kept).max(initial=0.0)))
+        if level < len(refined):
+            children = store.children[level][active[is_refined]].ravel()
+            active = children[children >= 0]
+    return Cut(np.concatenate(levels), np.concatenate(rows), largest)
+
+
+def _complete_diamonds(store: TerrainStore, refined: list[np.ndarray]) -> list[np.ndarray]:
+    """Return the rows to refine at each level, such that the parents of refined patches and the other patches of their diamonds are refined.
+
+    refined: rows (N,) at each level from 0.
+    """
+    complete: list[np.ndarray] = [np.zeros(0, np.int64)] * len(refined)
+    parents = np.zeros(0, np.int64)
+    for level in range(len(refined) - 1, -1, -1):
+        rows = np.concatenate([refined[level], parents])
+        rows = np.unique(np.concatenate([rows, store.partners[level][rows]]))
+        complete[level] = rows
+        if level:
+            parents = np.searchsorted(store.levels[level - 1].indices, store.levels[level].indices[rows] >> 1)
+    return complete
 
 
 def project_errors(patches: Level, rows: np.ndarray, viewer: Viewer, exaggeration: float) -> np.ndarray:

@@ -26,5 +26,6 @@ class BdamSettings(Settings):
     image_height: float = setting(100.0, "Meters between black and white of a source that is an image", minimum=1e-3, maximum=1e6)
     allow_gaps: bool = setting(False, "Accept several sources that do not fill their common rectangle; the gaps become holes")
     executor: str = setting(
-        "processes", "Where patches are built: serial, processes, processes:N, or dask:tcp://HOST:PORT. Dask needs a work folder that all share"
+        "processes",
+        "Where patches are built: serial, processes, processes:N, or dask:tcp://HOST:PORT. Dask needs a work folder that all share",
     )

@@ -89,6 +89,8 @@ class Tree:
         for edge in range(3):
             start, end = corners[:, edge], corners[:, (edge + 1) % 3]
             direction = end - start
-            farthest = np.stack([np.where(direction[:, 1] < 0, high[:, 0], low[:, 0]), np.where(direction[:, 0] > 0, high[:, 1], low[:, 1])], axis=1)
+            farthest = np.stack(
+                [np.where(direction[:, 1] < 0, high[:, 0], low[:, 0]), np.where(direction[:, 0] > 0, high[:, 1], low[:, 1])], axis=1
+            )
             overlaps &= direction[:, 0] * (farthest - start)[:, 1] - direction[:, 1] * (farthest - start)[:, 0] > 0
         return overlaps

@@ -111,7 +111,9 @@ def classify_vertices(tree: Tree, meshes: DiamondMeshes, corners: np.ndarray) ->
     direction = end - start
     on_hypotenuse = direction[:, 0] * (y - start[:, 1]) == direction[:, 1] * (x - start[:, 0])
     along = np.where(
-        direction[:, 1] == 0, HORIZONTAL, np.where(direction[:, 0] == 0, VERTICAL, np.where(direction[:, 0] == direction[:, 1], DIAGONAL, ANTIDIAGONAL))
+        direction[:, 1] == 0,
+        HORIZONTAL,
+        np.where(direction[:, 0] == 0, VERTICAL, np.where(direction[:, 0] == direction[:, 1], DIAGONAL, ANTIDIAGONAL)),
     )
     lines[on_hypotenuse] = along[on_hypotenuse]
     for is_on_border, line in ((_is_inner_border(x, tree.columns, tree), VERTICAL), (_is_inner_border(y, tree.rows, tree), HORIZONTAL)):

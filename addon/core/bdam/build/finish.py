@@ -52,7 +52,7 @@ def _write_leading(writer: BlockWriter, blocks: dict[int, memoryview], layout: L
 
 
 def _nest(tree: Tree, layouts: list[LevelLayout], parts: list[list[EncodedPatches]], header: StoreHeader, frame: Frame) -> list[Level]:
-    """Return the levels with errors and boxes that are nested and equal for the patches of a diamond."""
+    """Return the levels with errors and boxes that include those of the finer patches in the same triangle."""
     levels: list[Level] = []
     for level in range(len(layouts) - 1, -1, -1):
         layout = layouts[level]
@@ -68,16 +68,11 @@ def _nest(tree: Tree, layouts: list[LevelLayout], parts: list[list[EncodedPatche
             np.maximum.at(errors, parents, finer.errors)
             np.minimum.at(low, parents, finer.low)
             np.maximum.at(high, parents, finer.high)
-        first, second = layout.diamonds[layout.diamonds[:, 1] >= 0].T
-        for array, combine in ((errors, np.maximum), (low, np.minimum), (high, np.maximum)):
-            array[first] = array[second] = combine(array[first], array[second])
         levels.append(Level(layout.indices, errors, heights, counts, low, high))
     return levels[::-1]
 
 
-def _bound(
-    tree: Tree, level: int, indices: np.ndarray, heights: np.ndarray, frame: Frame
-) -> tuple[np.ndarray, np.ndarray]:
+def _bound(tree: Tree, level: int, indices: np.ndarray, heights: np.ndarray, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
     """Return the lowest and highest local coordinates (N, 3) float32 of patches with `heights` (N, 2) in meters, rounded outwards."""
     corners = np.minimum(tree.triangle_corners(level, indices), [tree.columns - 1, tree.rows - 1]).astype(np.float64)
     weights = np.linspace(0.0, 1.0, EDGE_POINTS, endpoint=False)[:, None]

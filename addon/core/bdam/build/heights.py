@@ -50,7 +50,8 @@ def write_heights(field: HeightField, path: Path, height_step: float) -> Steps[N
             steps = np.rint(heights / height_step)
             if np.abs(steps).max() > MAX_STEPS:
                 raise SettingsError(
-                    f"Height Step, {height_step:g} m, is too small for heights of {np.abs(heights).max():,.0f} m; raise it.", ("height_step",)
+                    f"Height Step, {height_step:g} m, is too small for heights of {np.abs(heights).max():,.0f} m; raise it.",
+                    ("height_step",),
                 )
             file.write(encode_heights(steps, is_known).astype("<i4").tobytes())
         file.flush()

@@ -108,4 +108,6 @@ def _extract(patches: PatchSet, row: int, corners: np.ndarray) -> Patch:
     triangles = slice(patches.triangle_starts[row], patches.triangle_starts[row + 1])
     x, y = patches.x[vertices], patches.y[vertices]
     boundary = find_boundary(x, y, corners)
-    return Patch(x, y, patches.z[vertices], boundary, patches.slopes[vertices][boundary], patches.triangles[triangles], patches.is_hole[triangles])
+    return Patch(
+        x, y, patches.z[vertices], boundary, patches.slopes[vertices][boundary], patches.triangles[triangles], patches.is_hole[triangles]
+    )

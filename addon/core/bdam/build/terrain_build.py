@@ -148,5 +148,3 @@ def _replace_store(out: Path) -> Iterator[Path]:
         if out.exists():
             shutil.rmtree(out)
         new.rename(out)
-
-

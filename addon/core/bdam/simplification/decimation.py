@@ -15,7 +15,9 @@ from .vertex_rings import VertexRings, build_rings
 
 MAX_ROUNDS = 40
 MAX_EXACT_DIFFERENCE = 1 << 11  # products of differences up to this are exact in float32
-STALE_COST_RATIO = 2.0  # a changed vertex is evaluated again only if its last cost was below this many times the cost of the last chosen one
+STALE_COST_RATIO = (
+    2.0  # a changed vertex is evaluated again only if its last cost was below this many times the cost of the last chosen one
+)
 SELECTION_PASSES = 4
 TOLERATED_EXCESS = 0.02  # of the vertices to be removed, above which another round runs
 
@@ -39,9 +41,7 @@ class MeshBatch:
     sample_triangles: np.ndarray
 
 
-def simplify(
-    batch: MeshBatch, excess: np.ndarray, first: tuple[np.ndarray, np.ndarray] | None = None
-) -> tuple[np.ndarray, RemovedSamples]:
+def simplify(batch: MeshBatch, excess: np.ndarray, first: tuple[np.ndarray, np.ndarray] | None = None) -> tuple[np.ndarray, RemovedSamples]:
     """Return the triangles (N, 3) int32 of the simplified meshes, with the vertices of the input, and the samples that they approximate.
 
     Args:

@@ -33,9 +33,7 @@ class RemovedSamples:
         np.maximum.at(costs, owners, distances)
         return costs
 
-    def update(
-        self, points: GridPoints, rings: VertexRings, triangles: np.ndarray, removed: np.ndarray, targets: np.ndarray
-    ) -> None:
+    def update(self, points: GridPoints, rings: VertexRings, triangles: np.ndarray, removed: np.ndarray, targets: np.ndarray) -> None:
         """Add the `removed` vertices (N,) int32, which collapse onto `targets` (N,), and move the samples in their stars.
 
         Call it before `triangles` (T, 3) int32 are changed. No two of the removed vertices share a triangle.

@@ -6,10 +6,10 @@ blocks with little-endian arrays over the N patches of the level in ascending or
 | block | content |
 |---|---|
 | 5 level + 1 | bintree indices, N uint64 |
-| 5 level + 2 | errors in meters, N float32: nested, and equal for the two patches of a diamond |
+| 5 level + 2 | errors in meters, N float32: the largest of the diamond and of the finer patches in the same triangle |
 | 5 level + 3 | lowest and highest height in steps, N x 2 int32 |
 | 5 level + 4 | numbers of vertices and triangles, N x 2 uint32 |
-| 5 level + 5 | bounding boxes in the local frame, N x 6 float32: lowest x, y, z and highest x, y, z in meters; nested like the errors |
+| 5 level + 5 | bounding boxes in the local frame, N x 6 float32: lowest and highest x, y, z in meters, with finer patches |
 
 The patches of level 0, then of level 1 and so on, are the blocks of the geometry file in the same order.
 """

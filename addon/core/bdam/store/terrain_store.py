@@ -20,8 +20,8 @@ class TerrainStore:
     """An open store. Threads may share it.
 
     header: see `StoreHeader`. tree: the bintrees. levels: the patches of each level from the coarsest to the finest. children: for each
-    level but the last, (N, 2) int64, the rows of the two children of each patch in the next level, -1 where there is none. textures: None
-    without textures.
+    level but the last, (N, 2) int64, the rows of the two children of each patch in the next level, -1 where there is none. partners: for each
+    level, (N,) int64, the row of the other patch of the diamond, or of the patch itself where there is none. textures: None without textures.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -32,7 +32,9 @@ class TerrainStore:
         """
         self.folder = folder
         if not (folder / STRUCTURE_FILE).is_file():
-            raise FileError(f'"{folder}" is no terrain built by Farfield: it contains no file "{STRUCTURE_FILE}"; choose the folder of a terrain.')
+            raise FileError(
+                f'"{folder}" is no terrain built by Farfield: it contains no file "{STRUCTURE_FILE}"; choose the folder of a terrain.'
+            )
         self.header, self.levels = read_structure(folder)
         self.tree = self.header.tree
         self.frame = self.header.create_frame()
@@ -41,6 +43,7 @@ class TerrainStore:
         if self._geometry.count != self._starts[-1]:
             raise FileError(f'"{folder / GEOMETRY_FILE}" and "{STRUCTURE_FILE}" belong to different terrains; build the terrain again.')
         self.children = [self._find_children(level) for level in range(len(self.levels) - 1)]
+        self.partners = [self._find_partners(level) for level in range(len(self.levels))]
         self.textures = TextureStore(folder / TEXTURE_FOLDER) if self.header.has_texture else None
 
     def __enter__(self) -> "TerrainStore":
@@ -100,3 +103,11 @@ class TerrainStore:
         wanted = 2 * parents[:, None] + np.arange(2)
         rows = np.minimum(np.searchsorted(candidates, wanted), len(candidates) - 1)
         return np.where(candidates[rows] == wanted, rows, -1)
+
+    def _find_partners(self, level: int) -> np.ndarray:
+        indices = self.levels[level].indices
+        partners = np.arange(len(indices))
+        diamonds = self.tree.find_diamonds(level, indices)
+        first, second = diamonds[diamonds[:, 1] >= 0].T
+        partners[first], partners[second] = second, first
+        return partners
