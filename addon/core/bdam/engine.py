@@ -14,6 +14,7 @@ from .cut_meshes import PatchCache
 from .extraction import Cut, CutSettings, IsForced, extract_cut
 from .patch_squares import find_leaf_squares
 from .settings import BdamViewSettings
+from .store.structure import STRUCTURE_FILE
 from .store.terrain_store import TerrainStore
 from .texture_cuts import TextureCut, TextureSelector
 from .textures.image_files import to_image_files
@@ -77,6 +78,7 @@ class BdamEngine:
         """
         self.folder, self.settings = folder, settings
         self.store = TerrainStore(folder)
+        self._identity = f"{folder}|{(folder / STRUCTURE_FILE).stat().st_mtime_ns}"
         self.finished_blocks: SimpleQueue[tuple[TileKey, TileBlock]] = SimpleQueue()
         self.figures: Figures | None = None
         self._cache = PatchCache(self.store)
@@ -89,6 +91,28 @@ class BdamEngine:
         self._viewer: Viewer | None = None
         self._clearance = 0.0
         self._warnings: dict[TileKey, tuple[str, ...]] = {}
+
+    @property
+    def identity(self) -> str:
+        """Identifies the store and its content."""
+        return self._identity
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest corner (3,) float64 of the terrain in local meters, without exaggeration."""
+        roots = self.store.levels[0]
+        return roots.low.min(axis=0).astype(np.float64), roots.high.max(axis=0).astype(np.float64)
+
+    @property
+    def heights(self) -> tuple[float, float]:
+        """Lowest and highest height in meters, with exaggeration."""
+        low, high = self.store.height_range
+        return low * self.settings.exaggeration, high * self.settings.exaggeration
+
+    def texture_label(self, number: int) -> str:
+        """Return the name of a texture tile: level, column and row."""
+        index = self.store.textures.index
+        return f"{index.levels[number]} {index.tiles[number, 0]} {index.tiles[number, 1]}"
 
     def move(self, viewer: Viewer) -> Steps[Update]:
         """Compute the tiles that change for a viewer in the local frame. If it is cancelled or fails, the engine stays valid."""
