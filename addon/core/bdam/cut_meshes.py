@@ -55,6 +55,11 @@ class PatchCache:
         self._bytes = 0
         self._lock = threading.Lock()
 
+    @property
+    def byte_count(self) -> int:
+        """Bytes of the patches that are kept."""
+        return self._bytes
+
     def get(self, level: int, row: int) -> PatchMesh:
         """Return the mesh of a patch.
 

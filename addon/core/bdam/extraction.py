@@ -6,7 +6,7 @@ here, refinement spreads to the other patches of diamonds instead, which needs f
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,12 +19,14 @@ from .store.terrain_store import TerrainStore
 class CutSettings:
     """How a cut is chosen.
 
-    tolerance: pixels. exaggeration: factor of heights. culls: whether patches outside of the view stay coarse.
+    tolerance: pixels. exaggeration: factor of heights. culls: whether patches outside of the view stay coarse. margin: by which the view
+    that culls is larger on every side, as a fraction of its size.
     """
 
     tolerance: float = 1.0
     exaggeration: float = 1.0
     culls: bool = False
+    margin: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -42,17 +44,44 @@ class Cut:
         return len(self.levels)
 
 
-def extract_cut(store: TerrainStore, viewer: Viewer, settings: CutSettings) -> Cut:
-    """Return the coarsest consistent cut whose errors are at most the tolerance for a viewer in the local frame."""
-    planes = viewer.frustum_planes() if settings.culls else None
+IsForced = Callable[[int, np.ndarray], np.ndarray]  # from a level and rows (N,) to whether these patches must be refined, (N,) bool
 
-    def measure(level: int, rows: np.ndarray) -> np.ndarray:
-        errors = project_errors(store.levels[level], rows, viewer, settings.exaggeration)
-        if planes is not None:
-            errors[~_are_visible(store.levels[level], rows, planes, settings.exaggeration)] = 0.0
+
+def extract_cut(store: TerrainStore, viewer: Viewer, settings: CutSettings, is_forced: IsForced | None = None) -> Cut:
+    """Return the coarsest consistent cut whose errors are at most the tolerance for a viewer in the local frame.
+
+    is_forced: patches that must be refined whatever their error, such as those that are larger than the texture tiles in the same place. If
+        it is true of a patch, it should be true of the parent, too: only children of refined patches are asked for.
+    """
+    measure = ProjectedErrors(store, viewer, settings)
+    return _extract(store, measure, settings.tolerance, is_forced)
+
+
+class ProjectedErrors:
+    """The errors in pixels that decide about a cut for a viewer in the local frame; 0 for patches that are culled."""
+
+    def __init__(self, store: TerrainStore, viewer: Viewer, settings: CutSettings) -> None:
+        self._store, self._viewer, self._exaggeration = store, viewer, settings.exaggeration
+        self._planes = view_planes(viewer, settings.margin) if settings.culls else None
+
+    def __call__(self, level: int, rows: np.ndarray) -> np.ndarray:
+        """Return the errors (N,) float64 of patches, given by their level and rows (N,)."""
+        patches = self._store.levels[level]
+        errors = project_errors(patches, rows, self._viewer, self._exaggeration)
+        if self._planes is not None:
+            low, high = _boxes(patches, rows, self._exaggeration)
+            errors[~are_boxes_visible(low, high, self._planes)] = 0.0
         return errors
 
-    return _extract(store, measure, settings.tolerance)
+
+def view_planes(viewer: Viewer, margin: float) -> np.ndarray:
+    """Return the planes (P, 4), positive inside, of the frustum of an image that is larger on every side by a fraction of its size."""
+    if viewer.projection.kind == "panoramic":
+        return viewer.frustum_planes()
+    left, right, bottom, top = viewer.projection.window
+    x, y = margin * (right - left), margin * (top - bottom)
+    window = (left - x, right + x, bottom - y, top + y)
+    return replace(viewer, projection=replace(viewer.projection, window=window)).frustum_planes()
 
 
 def extract_uniform_cut(store: TerrainStore, max_error: float) -> Cut:
@@ -60,14 +89,19 @@ def extract_uniform_cut(store: TerrainStore, max_error: float) -> Cut:
     return _extract(store, lambda level, rows: store.levels[level].errors[rows].astype(np.float64), max_error)
 
 
-def _extract(store: TerrainStore, measure: Callable[[int, np.ndarray], np.ndarray], tolerance: float) -> Cut:
-    """Return the coarsest consistent cut whose patches have at most this error according to `measure(level, rows)`."""
+def _extract(
+    store: TerrainStore, measure: Callable[[int, np.ndarray], np.ndarray], tolerance: float, is_forced: IsForced | None = None
+) -> Cut:
+    """Return the coarsest consistent cut whose patches have at most this error according to `measure(level, rows)`, without forced ones."""
     visited, errors, refined = [np.arange(len(store.levels[0].indices))], [], []
     for level in range(len(store.levels)):
         errors.append(measure(level, visited[level]))
         if level == len(store.levels) - 1:
             break
-        refined.append(visited[level][errors[level] > tolerance])
+        is_refined = errors[level] > tolerance
+        if is_forced is not None:
+            is_refined |= is_forced(level, visited[level])
+        refined.append(visited[level][is_refined])
         children = store.children[level][refined[level]].ravel()
         visited.append(children[children >= 0])
         if not len(visited[-1]):
@@ -137,10 +171,9 @@ def _scale(errors: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     return np.multiply(errors, pixels, out=np.zeros(len(errors)), where=errors > 0.0)
 
 
-def _are_visible(patches: Level, rows: np.ndarray, planes: np.ndarray, exaggeration: float) -> np.ndarray:
-    """Return whether boxes may overlap the frustum with `planes` (P, 4), positive inside."""
-    low, high = _boxes(patches, rows, exaggeration)
-    is_visible = np.ones(len(rows), bool)
+def are_boxes_visible(low: np.ndarray, high: np.ndarray, planes: np.ndarray) -> np.ndarray:
+    """Return whether boxes with the corners `low` and `high` (N, 3) may overlap the frustum with `planes` (P, 4), positive inside."""
+    is_visible = np.ones(len(low), bool)
     for plane in planes:
         farthest = np.where(plane[:3] > 0.0, high, low)
         is_visible &= farthest @ plane[:3] + plane[3] >= 0.0

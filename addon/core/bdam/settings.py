@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from ..settings import Choice, Settings, setting
+from ..settings import Choice, Settings, Unit, setting
 
 LEAVES = {
     "16": Choice("16", "Patches of about 256 triangles, as in the paper: finer steps of detail, more patches"),
@@ -28,4 +28,33 @@ class BdamSettings(Settings):
     executor: str = setting(
         "processes",
         "Where patches are built: serial, processes, processes:N, or dask:tcp://HOST:PORT. Dask needs a work folder that all share",
+    )
+
+
+SHADINGS = {
+    "texture": Choice("Texture", "Images that the terrain was built with; without images, by slope"),
+    "slope": Choice("Slope", "Rock where the ground is steep, grass where it is flat, snow in the heights"),
+    "height": Choice("Height", "Colors of a map by height"),
+    "level": Choice("Level", "A color per level of detail"),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class BdamViewSettings(Settings):
+    """How a large terrain is shown."""
+
+    has_flags = False
+
+    tolerance: float = setting(1.0, "Largest error of the terrain in the image, in pixels", minimum=0.1, maximum=100.0)
+    triangle_budget: int = setting(
+        0,
+        "Largest number of triangles; the tolerance is raised until the terrain has no more. 0 for no limit",
+        minimum=0,
+        maximum=100_000_000,
+        unit=Unit.COUNT,
+    )
+    exaggeration: float = setting(1.0, "Factor of all heights", minimum=0.01, maximum=100.0)
+    shading: str = setting("texture", "What the colors of the terrain show", choices=SHADINGS)
+    culling: bool = setting(
+        True, "Keep the terrain coarse where the 3D Viewport does not show it. Renders always have all of it, for shadows and reflections"
     )

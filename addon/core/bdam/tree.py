@@ -11,6 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 
+def bisect(corners: np.ndarray, is_second: np.ndarray) -> np.ndarray:
+    """Return the corners (N, 3, 2) of the first or second child of triangles with `corners` (N, 3, 2); see `Tree.triangle_corners`."""
+    start, end, apex = corners.transpose(1, 0, 2)
+    center, is_second = (start + end) // 2, is_second[:, None]
+    return np.stack([np.where(is_second, end, apex), np.where(is_second, apex, start), center], axis=1)
+
+
 @dataclass(frozen=True)
 class Tree:
     """The bintrees over a field of `rows` x `columns` samples.
@@ -51,10 +58,7 @@ class Tree:
         roots = np.array([[(side, side), (0, 0), (side, 0)], [(0, 0), (side, side), (0, side)]], np.int64)
         corners = roots[indices >> level]
         for bit in range(level - 1, -1, -1):
-            start, end, apex = corners.transpose(1, 0, 2)
-            middle = (start + end) // 2
-            is_second = ((indices >> bit) & 1).astype(bool)[:, None]
-            corners = np.stack([np.where(is_second, end, apex), np.where(is_second, apex, start), middle], axis=1)
+            corners = bisect(corners, ((indices >> bit) & 1).astype(bool))
         return corners
 
     def existing_triangles(self, level: int) -> np.ndarray:

@@ -124,10 +124,13 @@ class Viewer:
     """A camera that looks at a terrain.
 
     matrix: (4, 4) float64, camera space to the space of the terrain (or of the world). Any affine matrix; terrains may be scaled.
+    is_interactive: whether it is a 3D Viewport in use, where terrain outside of the image may be coarse. Renders need it for shadows and
+    reflections.
     """
 
     matrix: np.ndarray
     projection: Projection
+    is_interactive: bool = False
 
     @property
     def position(self) -> np.ndarray:

@@ -1,0 +1,29 @@
+"""Large terrain in a scene: tiles as objects, welded exactly, with their normals, textures and materials."""
+
+import bpy
+import numpy as np
+import pytest
+
+from bdam.small_stores import add_texture, build_store, colors, hills
+from farfield.addon.bridge.bdam import objects as terrain_objects
+from farfield.addon.bridge.bdam.objects import SceneTerrain, TerrainChange
+from farfield.addon.bridge.bdam.textures import TEXTURE_KEY
+from farfield.addon.bridge.images import packed_bytes, read_pixels
+from farfield.addon.bridge.mesh_arrays import read_positions
+from farfield.addon.core.bdam.engine import BdamEngine
+from farfield.addon.core.bdam.settings import BdamViewSettings
+from farfield.addon.core.geometry.viewers import Projection, Viewer
+from farfield.addon.core.jobs.progress import run_to_end
+
+pytestmark = pytest.mark.usefixtures("empty_scene")
+
+
+def test_smoke(tmp_path):
+    folder = add_texture(build_store(tmp_path / "terrain", hills()), colors())
+    assert bpy.ops.farfield.bdam_load(directory=str(folder)) == {"FINISHED"}
+    (terrain,) = SceneTerrain.in_scene(bpy.context.scene)
+    print(terrain.figures, terrain.tiles().keys(), [m.name for m in bpy.data.materials], [(i.name, i.size[:], i.packed_file.size) for i in bpy.data.images])
+    assert bpy.ops.farfield.bdam_update(shading="slope") == {"FINISHED"}
+    print([m.name for m in bpy.data.materials])
+    assert bpy.ops.farfield.bdam_remove() == {"FINISHED"}
+    print(len(bpy.data.objects), [m.name for m in bpy.data.materials], len(bpy.data.images), len(bpy.data.meshes))
