@@ -84,7 +84,8 @@ def add_texture(folder: Path, image: np.ndarray, image_format: str = "jpeg") -> 
     tree = header.tree
     placed = stretch_over_field(ArraySource(image), header.columns, header.rows)
     level_count = count_levels(tree.side, tree.depth, placed.pixel)
-    grid = TextureGrid(header.columns, header.rows, tree.side, header.step, level_count)
+    spacing = header.step if header.frame == "projected" else (header.cell_size, header.cell_size)
+    grid = TextureGrid(header.columns, header.rows, tree.side, tuple(spacing), level_count)
     work, out = folder.with_name(f"{folder.name} textures"), folder / TEXTURE_FOLDER
     out.mkdir()
     run_to_end(build_textures(work, TexturePlan(grid, image_format), [placed]))

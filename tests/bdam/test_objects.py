@@ -22,7 +22,12 @@ def test_smoke(tmp_path):
     folder = add_texture(build_store(tmp_path / "terrain", hills()), colors())
     assert bpy.ops.farfield.bdam_load(directory=str(folder)) == {"FINISHED"}
     (terrain,) = SceneTerrain.in_scene(bpy.context.scene)
-    print(terrain.figures, terrain.tiles().keys(), [m.name for m in bpy.data.materials], [(i.name, i.size[:], i.packed_file.size) for i in bpy.data.images])
+    print(
+        terrain.figures,
+        terrain.tiles().keys(),
+        [m.name for m in bpy.data.materials],
+        [(i.name, i.size[:], i.packed_file.size) for i in bpy.data.images],
+    )
     assert bpy.ops.farfield.bdam_update(shading="slope") == {"FINISHED"}
     print([m.name for m in bpy.data.materials])
     assert bpy.ops.farfield.bdam_remove() == {"FINISHED"}

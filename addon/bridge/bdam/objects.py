@@ -185,9 +185,7 @@ class TerrainChange:
         heights = self._engine.heights
         general = "slope" if shading == "texture" else shading
         by_number = {number: self._textures.find(number) for number in set(update.tiles.values()) if number is not None}
-        return {
-            key: by_number.get(number) or self._terrain.ensure_material(general, heights) for key, number in update.tiles.items()
-        }
+        return {key: by_number.get(number) or self._terrain.ensure_material(general, heights) for key, number in update.tiles.items()}
 
 
 def fill_tile_mesh(mesh: bpy.types.Mesh, source: TileMesh) -> Iterator[None]:

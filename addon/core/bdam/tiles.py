@@ -174,4 +174,3 @@ def _find_range(codes: np.ndarray, key: TileKey, depth: int) -> slice:
     first = int(morton_keys(np.array([[i, j]]))[0]) << 2 * (depth - level)
     start, stop = np.searchsorted(codes, [first, first + (1 << 2 * (depth - level))])
     return slice(int(start), int(stop))
-

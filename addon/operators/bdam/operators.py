@@ -42,7 +42,9 @@ class FARFIELD_OT_bdam_load(start_job.StartJob, bpy.types.Operator):
             name="Relative Path", description="Store the path relative to this file, so that both can be moved together", default=True
         ),
         "frame_view": bpy.props.BoolProperty(
-            name="Frame Terrain", description="Show the whole terrain in this 3D Viewport, and extend its clipping range", default=True
+            name="Frame Terrain",
+            description="Show the whole terrain in this 3D Viewport, extend its clipping range, and outline no objects",
+            default=True,
         ),
     }
 

@@ -13,8 +13,9 @@ ROTATION = mathutils.Euler((1.05, 0.0, 0.0))  # from the south, and down
 def frame_terrain(space: bpy.types.SpaceView3D, low: np.ndarray, high: np.ndarray, exaggeration: float) -> None:
     """Let a 3D Viewport show a terrain between two corners (3,) of its bounding box, and extend its clipping range.
 
-    A view through the camera stays as it is.
+    In Solid shading it no longer outlines objects, which would draw lines between tiles. A view through the camera stays as it is.
     """
+    space.shading.show_object_outline = False
     scale = np.array([1.0, 1.0, exaggeration])
     center, size = 0.5 * (low + high) * scale, float(np.linalg.norm((high - low) * scale))
     space.clip_end = max(space.clip_end, MIN_CLIP_END * size)
