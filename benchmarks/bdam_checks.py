@@ -91,9 +91,8 @@ def measure_screen_error(given: Namespace, workplace: Workplace) -> dict[str, An
             for culls in (False, True):
                 tolerance = float(random.choice(TOLERANCES))
                 mesh = build_cut_mesh(cache, extract_cut(store, viewer, CutSettings(tolerance, exaggeration, culls)))
-                distances, is_visible = project_displacements(
-                    viewer, scaled, exaggeration * interpolate_heights(mesh, heights.shape).ravel()
-                )
+                shown = exaggeration * interpolate_heights(mesh, heights.shape).ravel()
+                distances, is_visible = project_displacements(viewer, scaled, shown)
                 distances = distances[is_visible]
                 figures["samples"] += len(distances)
                 figures["within"] += int((distances <= tolerance + TOLERANCE_SLACK).sum())
@@ -123,7 +122,6 @@ def interpolate_heights(mesh: CutMesh, shape: tuple[int, int]) -> np.ndarray:
     lengths = np.maximum(right - left + 1, 0)
     column, row, of_triangle = concatenate_ranges(left, lengths), np.repeat(row, lengths), np.repeat(of_triangle, lengths)
     heights = np.full(shape, np.nan)
-    heights[row, column] = (
-        z0[of_triangle] + slope_x[of_triangle] * (column - x0[of_triangle]) + slope_y[of_triangle] * (row - y0[of_triangle])
-    )
+    dx, dy = column - x0[of_triangle], row - y0[of_triangle]
+    heights[row, column] = z0[of_triangle] + slope_x[of_triangle] * dx + slope_y[of_triangle] * dy
     return heights

@@ -49,9 +49,8 @@ def main(arguments: list[str], _line: command_line.ProgressLine) -> str:
     before, started, cpu = memory_mb("VmRSS"), time.perf_counter(), cpu_seconds()
     figures = WORK[given.work](given)
     costs = {"seconds": round(time.perf_counter() - started, 2), "cpu_seconds": round(cpu_seconds() - cpu, 2)}
-    return json.dumps(
-        costs | {"peak_memory_above_imports_mb": round(memory_mb("VmHWM") - before, 1), "imports_mb": round(before, 1)} | figures
-    )
+    memory = {"peak_memory_above_imports_mb": round(memory_mb("VmHWM") - before, 1), "imports_mb": round(before, 1)}
+    return json.dumps(costs | memory | figures)
 
 
 def build(given: Namespace) -> dict[str, Any]:
@@ -134,7 +133,10 @@ def summarize(values: list[float]) -> dict[str, float]:
 
 
 def memory_mb(name: str) -> float:
-    """Return the resident memory (VmRSS) or its peak (VmHWM) of this process in MB (10^6 bytes); where the system does not tell, the peak."""
+    """Return the resident memory (VmRSS) or its peak (VmHWM) of this process in MB (10^6 bytes).
+
+    Where the system does not tell them apart, both are the peak.
+    """
     status = Path("/proc/self/status")
     if not status.is_file():
         return command_line.peak_memory_mb()
@@ -142,12 +144,12 @@ def memory_mb(name: str) -> float:
     return int(values[name].split()[0]) * 1024 / 1e6
 
 
-WORK = {
-    "build": build,
-    "textures": build_texture_tiles,
-    "fly": fly,
-    "render": lambda given: render_view(given.path, given.out, given.mesh, given.size, given.seed),
-}
+def render(given: Namespace) -> dict[str, Any]:
+    """Render a frame of the fly-over."""
+    return render_view(given.path, given.out, given.mesh, given.size, given.seed)
+
+
+WORK = {"build": build, "textures": build_texture_tiles, "fly": fly, "render": render}
 
 if __name__ == "__main__":
     command_line.run(main)

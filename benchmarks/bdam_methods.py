@@ -163,8 +163,10 @@ def open_field_for_methods(heights: np.ndarray, height_step: float, cell_size: f
 
 
 def interpolate_vertices(curve: list[Triangulation], error: float) -> float | None:
-    """Return how many vertices a method needs for an error, by interpolation between its meshes with the next smaller and larger errors (log
-    of both); None if they do not enclose it."""
+    """Return how many vertices a method needs for an error, None if the errors of its meshes do not enclose it.
+
+    The logarithms are interpolated between the coarsest mesh with a smaller error and the finest one with a larger error.
+    """
     finer = [mesh for mesh in curve if mesh.error <= error]
     coarser = [mesh for mesh in curve if mesh.error > error]
     if not finer or not coarser:

@@ -4,8 +4,9 @@ Reads requests from the standard input, one JSON object per line, and answers ea
 
     {"method": "pydelatin" or "pymartini", "input": FILE.npy, "max_error": E, "output": FILE.npz}
 
-The input has heights (N, N) float32. The output has points (V, 2) int64, columns and rows, and counterclockwise triangles (T, 3) int32. The
-answer has the seconds and the CPU seconds without input and output. pymartini measures a field once for all errors; the answers repeat its time.
+The input has heights (N, N) float32. The output has points (V, 2) int64, columns and rows, and counterclockwise triangles (T, 3) int32.
+The answer has the seconds and the CPU seconds without input and output. pymartini measures a field once for all errors; each answer
+contains the time for that.
 """
 
 import json

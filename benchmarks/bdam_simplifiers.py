@@ -123,7 +123,7 @@ def measure_uniform_cut(given: Namespace, workplace: Workplace) -> dict[str, Any
 
 
 def measure_view_cut(given: Namespace, workplace: Workplace) -> dict[str, Any]:
-    """Compare view-dependent cuts at one pixel with the pymartini mesh whose measured error is one pixel at its point nearest to the viewer.
+    """Compare view-dependent cuts at one pixel with the pymartini mesh whose measured error is one pixel at its nearest visible point.
 
     Both cover the whole field: nothing outside of the view is coarser.
     """
@@ -159,8 +159,11 @@ def measure_view_cut(given: Namespace, workplace: Workplace) -> dict[str, Any]:
 
 
 def list_fields(given: Namespace, size: int) -> Iterator[tuple[str, np.ndarray, float, float]]:
-    """Yield the name, heights (H, W), step and cell size in meters of the fields: fractals that the seed of this run makes, and parts of real
-    elevation models. With --set tuning, a fixed fractal and N46E008 only; settings may be tuned on those."""
+    """Yield the name, heights (H, W), step and cell size in meters of fields.
+
+    They are fractals that the seed of this run makes, and parts of real elevation models. With --set tuning, they are a fixed fractal and
+    N46E008; settings may be tuned on those.
+    """
     if given.set == "tuning":
         yield f"fractal-tuning-{size}", FractalTerrain(size, 1).read_all(), HEIGHT_STEP, CELL_SIZE
         names: tuple[str, ...] = ("N46E008",)

@@ -19,8 +19,11 @@ BAND_ROWS = 128
 
 @dataclass(frozen=True)
 class Noise:
-    """Fractional Brownian motion on an infinite grid with a standard deviation of about 1: octaves of random numbers on lattices, smoothed by
-    cubic B-splines. hurst: how fast the octaves weaken; rough terrain has a small one."""
+    """Fractional Brownian motion on an infinite grid with a standard deviation of about 1.
+
+    It is the sum of octaves of random numbers on lattices, smoothed by cubic B-splines. hurst: how fast the octaves weaken; that of rough
+    terrain is small. largest, smallest: cells between the points of the lattices.
+    """
 
     seed: int
     hurst: float
@@ -105,7 +108,7 @@ class AerialImage:
         rows, columns = slice(*rows.indices(self.size)), slice(*columns.indices(self.size))
         cover, shade, grain = (
             Noise(self.seed + index, hurst, largest).read(rows, self.size)[:, columns]
-            for index, (hurst, largest) in enumerate(((0.8, 512), (0.5, 64), (0.0, 2)))
+            for index, (hurst, largest) in enumerate(((0.8, 512), (0.1, 256), (0.0, 2)))
         )
         y, x = np.arange(rows.start, rows.stop)[:, None] // 96, np.arange(columns.start, columns.stop) // 160
         parcels = np.sin(12.9898 * x + 78.233 * y + self.seed % 97) * 43758.5453 % 1.0  # one pseudorandom number per parcel
@@ -113,7 +116,7 @@ class AerialImage:
         forest_part = np.clip(4.0 * cover, 0.0, 1.0)[..., None]
         open_land = np.where((cover < -0.4)[..., None], crops * (0.6 + 0.6 * parcels[..., None]), soil)
         colors = open_land * (1.0 - forest_part) + forest * forest_part
-        colors = colors * (1.0 + 0.18 * shade[..., None]) + 0.012 * grain[..., None]
+        colors = colors * (1.0 + 0.2 * shade[..., None]) + 0.012 * grain[..., None]
         return np.rint(255.0 * np.clip(colors, 0.0, 1.0)).astype(np.uint8)
 
 
@@ -124,8 +127,10 @@ def split_bands(size: int) -> Iterator[slice]:
 
 
 def read_real(path: Path) -> tuple[np.ndarray, float]:
-    """Return the heights (H, W) float32 in meters of an elevation model, voids filled with their nearest height, row 0 in the south, and the
-    meters between two heights."""
+    """Return the heights (H, W) float32 in meters of an elevation model, row 0 in the south, and the meters between two heights.
+
+    Voids are filled with their nearest height.
+    """
     field = open_field([path])
     rows, columns = field.shape
     heights = field.read(slice(0, rows), slice(0, columns))

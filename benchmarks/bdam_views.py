@@ -44,8 +44,10 @@ def draw_viewer(random: np.random.Generator, store: TerrainStore, heights: np.nd
 
 
 def project_displacements(viewer: Viewer, positions: np.ndarray, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far in pixels (N,) the image of positions (N, 3) moves if their heights become `heights` (N,), and whether each position is
-    in the image (N,). Positions behind others count as in the image."""
+    """Return how far in pixels (N,) the images of positions (N, 3) move if their heights become `heights` (N,).
+
+    Also returns whether each position is in the image (N,); positions that are hidden by others count as in it.
+    """
     pixels, depths = viewer.project(positions)
     moved = positions.copy()
     moved[:, 2] = heights
