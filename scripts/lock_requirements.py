@@ -49,6 +49,7 @@ REFERENCE_TOOLS = [  # see reference_tools.py, with what btf-extractor needs to 
     # Inpainting. Newer versions of opencv have no wheels for macOS 12.
     *["opencv-contrib-python-headless==4.10.0.84", "pypatchmatch==2.2.0", "scikit-image==0.26.0", "scipy==1.17.1"],
     *["lazy-loader==0.6", "networkx==3.6.1", "packaging==26.3", "tifffile==2026.3.3"],  # what scikit-image needs
+    *["pydelatin==0.4.0", "pymartini==0.6.0"],  # triangulations of height fields
 ]
 TEXTURE_TOOLS = [  # textures from photographs, see reference_tools.py
     *["adobe-lagrange==6.49.0", "colorama==0.4.6", "nanobind-backend==1.0.0", "numpy==1.26.4", "pillow==13.0.0"],

@@ -1,8 +1,9 @@
 """Install third-party reference tools that tests and benchmarks compare with.
 
-    python3 scripts/reference_tools.py                  btf-extractor, flip-evaluator, OpenCV, PyPatchMatch and scikit-image
+    python3 scripts/reference_tools.py                  what most tests and benchmarks need, see below
     python3 scripts/reference_tools.py texture-tools    Lagrange and PyMeshLab, for benchmarks/bench_photos.py
 
+The first set contains btf-extractor, flip-evaluator, OpenCV, pydelatin, pymartini, PyPatchMatch and scikit-image.
 Farfield itself does not need them. They require other package versions than Blender, so each set has an environment of its own.
 `find_python` returns its Python. PyMeshLab needs a display with OpenGL for textures, and libraries of Qt: without a screen, the
 Debian packages xvfb and libqt5gui5.
@@ -36,7 +37,7 @@ REFERENCE_TOOLS = ToolSet(
     "reference-tools",
     REQUIREMENTS / "reference-tools.txt",
     REQUIREMENTS / "reference-tools-sources.txt",
-    "import btf_extractor, cv2.xphoto, flip_evaluator, patchmatch, skimage; assert patchmatch.patchmatch_available",
+    "import btf_extractor, cv2.xphoto, flip_evaluator, patchmatch, pydelatin, pymartini, skimage; assert patchmatch.patchmatch_available",
 )
 TEXTURE_TOOLS = ToolSet(
     "texture-tools", REQUIREMENTS / "texture-tools.txt", None, "import lagrange.texproc, PIL, pymeshlab", ("xvfb", "libqt5gui5")

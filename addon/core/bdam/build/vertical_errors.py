@@ -26,16 +26,16 @@ class Measurement:
 
 
 def measure_triangles(corners: np.ndarray, heights: np.ndarray, grid: HeightGrid) -> Measurement:
-    """Measure triangles whose corners are samples of the field.
+    """Measure triangles within the field.
 
     Args:
-        corners: (T, 3, 2) int, grid coordinates (x, y). heights: (T, 3) in steps.
+        corners: (T, 3, 2), grid coordinates (x, y), integers if they are samples. heights: (T, 3) in steps.
     """
     errors, has_known = np.zeros(len(corners), np.float32), np.zeros(len(corners), bool)
     if not len(corners):
         return Measurement(errors, ~has_known)
-    left, right = int(corners[..., 0].min()), int(corners[..., 0].max()) + 1
-    low, high = corners[..., 1].min(axis=1), corners[..., 1].max(axis=1)
+    left, right = int(corners[..., 0].min()), int(np.ceil(corners[..., 0].max())) + 1
+    low, high = np.ceil(corners[..., 1].min(axis=1)).astype(np.int64), np.floor(corners[..., 1].max(axis=1)).astype(np.int64)
     planes = _Planes(corners, heights)
     for band in split_rows(int(low.min()), int(high.max()) + 1, right - left):
         first, last = np.maximum(low, band.start), np.minimum(high, band.stop - 1)

@@ -1,0 +1,155 @@
+"""Work that `bench_bdam.py` measures in a process of its own, or kills: `python3 benchmarks/bdam_measured.py WORK ...`.
+
+Prints the figures as JSON. Memory is the peak above that of the process after its imports, which contain bpy.
+"""
+
+import json
+import sys
+import time
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "scripts"))
+
+from lib import environment
+
+environment.ensure()
+environment.import_farfield()
+
+import numpy as np
+from bdam_renders import render_view
+from bdam_stores import cpu_seconds, store_bytes
+from bdam_terrains import CELL_SIZE, AerialImage, FractalTerrain
+from bdam_textures import build_texture_store
+from bdam_views import fly_over
+
+from farfield.addon.core.bdam.build.terrain_build import build_terrain
+from farfield.addon.core.bdam.cut_meshes import PatchCache, merge_patches
+from farfield.addon.core.bdam.extraction import CutSettings, extract_cut
+from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field
+from farfield.addon.core.bdam.settings import BdamSettings
+from farfield.addon.core.bdam.store.terrain_store import TerrainStore
+from farfield.addon.core.bdam.textures.store import TextureStore
+from farfield.addon.core.jobs.progress import run_to_end
+from lib import command_line
+
+
+def main(arguments: list[str], _line: command_line.ProgressLine) -> str:
+    """Do the work; returns the measurements as JSON."""
+    parser = command_line.Parser(prog="bdam_measured.py", description="Work that bench_bdam.py measures.")
+    parser.add_argument("work", choices=list(WORK))
+    parser.add_argument("path", type=command_line.parse_path, help="an elevation model, a folder for textures, or a store")
+    parser.add_argument("--out", type=command_line.parse_path, help="the store to build, or the picture")
+    parser.add_argument("--mesh", choices=("full", "cut"), help="what is rendered")
+    parser.add_argument("--executor", default="processes", help="of the build")
+    parser.add_argument("--size", type=int, default=0, help="samples per side of the terrain that is flown over or textured")
+    parser.add_argument("--seed", type=int, default=0, help="of that terrain")
+    given = parser.parse_args(arguments)
+    before, started, cpu = memory_mb("VmRSS"), time.perf_counter(), cpu_seconds()
+    figures = WORK[given.work](given)
+    costs = {"seconds": round(time.perf_counter() - started, 2), "cpu_seconds": round(cpu_seconds() - cpu, 2)}
+    memory = {"peak_memory_above_imports_mb": round(memory_mb("VmHWM") - before, 1), "imports_mb": round(before, 1)}
+    return json.dumps(costs | memory | figures)
+
+
+def build(given: Namespace) -> dict[str, Any]:
+    """Build the store of an elevation model."""
+    terrain = open_field([given.path], FieldSettings(cell_size=CELL_SIZE))
+    run_to_end(build_terrain(terrain, [given.path], given.out, BdamSettings(executor=given.executor, cell_size=CELL_SIZE)))
+    return {}
+
+
+def build_texture_tiles(given: Namespace) -> dict[str, Any]:
+    """Build the texture quadtree of an image with twice as many pixels per side as samples, in this process."""
+    source = AerialImage(2 * (given.size - 1), given.seed)
+    out = build_texture_store(given.path, source, "jpeg")
+    with TextureStore(out) as store:
+        tiles = len(store)
+    generating = time_reading(source)
+    return {
+        "tiles": tiles,
+        "bytes": store_bytes(out),
+        "texels": source.size**2,
+        "cpu_seconds_of_making_the_image_once": round(generating, 2),
+    }
+
+
+def time_reading(source: AerialImage) -> float:
+    """Return the CPU seconds that it takes to compute an image, which are no part of a build."""
+    started = time.process_time()
+    for start in range(0, source.size, 512):
+        source.read(slice(start, min(start + 512, source.size)), slice(0, source.size))
+    return time.process_time() - started
+
+
+def fly(given: Namespace) -> dict[str, Any]:
+    """Extract the cuts of a fly-over, and build their meshes."""
+    figures: dict[str, Any] = {}
+    with TerrainStore(given.path) as store:
+        viewers = list(fly_over(FractalTerrain(given.size, given.seed), store))
+        for culls in (False, True):
+            settings, cache = CutSettings(culls=culls), PatchCache(store)
+            seconds, patches, triangles, tiles, mesh_seconds = [], [], [], [], []
+            for viewer in viewers:
+                started = time.perf_counter()
+                cut = extract_cut(store, viewer, settings)
+                seconds.append(time.perf_counter() - started)
+                started = time.perf_counter()
+                meshes = [cache.get(int(level), int(row)) for level, row in zip(cut.levels, cut.rows, strict=True)]
+                merge_patches(meshes, cut.levels)
+                mesh_seconds.append(time.perf_counter() - started)
+                patches.append(len(cut))
+                triangles.append(sum(len(mesh.triangles) for mesh in meshes))
+                tiles.append(count_tiles(store, cut.levels, cut.rows))
+            figures["culled" if culls else "everywhere"] = {
+                "extraction_ms": summarize([1e3 * value for value in seconds]),
+                "whole_mesh_ms": summarize([1e3 * value for value in mesh_seconds]),
+                "patches": summarize(patches),
+                "triangles": summarize(triangles),
+                "squares": summarize(tiles),
+            }
+    return {"frames": len(viewers)} | figures
+
+
+def count_tiles(store: TerrainStore, levels: np.ndarray, rows: np.ndarray) -> int:
+    """Return the number of squares of the quadtree that contain the patches of a cut: each patch counts for the square of its own level."""
+    squares = set()
+    for level in np.unique(levels):
+        corners = store.tree.triangle_corners(int(level), store.levels[level].indices[rows[levels == level]])
+        side = store.tree.side >> (int(level) // 2)
+        squares |= {(int(level) // 2, *square) for square in (corners.sum(axis=1) // (3 * side)).tolist()}
+    return len(squares)
+
+
+def summarize(values: list[float]) -> dict[str, float]:
+    """Return the mean, the median, the 95th percentile and the largest of values."""
+    return {
+        "mean": round(float(np.mean(values)), 2),
+        "median": round(float(np.median(values)), 2),
+        "95th": round(float(np.percentile(values, 95.0)), 2),
+        "max": round(float(np.max(values)), 2),
+    }
+
+
+def memory_mb(name: str) -> float:
+    """Return the resident memory (VmRSS) or its peak (VmHWM) of this process in MB (10^6 bytes).
+
+    Where the system does not tell them apart, both are the peak.
+    """
+    status = Path("/proc/self/status")
+    if not status.is_file():
+        return command_line.peak_memory_mb()
+    values = dict(line.split(":", 1) for line in status.read_text(encoding="ascii").splitlines() if ":" in line)
+    return int(values[name].split()[0]) * 1024 / 1e6
+
+
+def render(given: Namespace) -> dict[str, Any]:
+    """Render a frame of the fly-over."""
+    return render_view(given.path, given.out, given.mesh, given.size, given.seed)
+
+
+WORK = {"build": build, "textures": build_texture_tiles, "fly": fly, "render": render}
+
+if __name__ == "__main__":
+    command_line.run(main)

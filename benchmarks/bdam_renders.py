@@ -1,0 +1,114 @@
+"""Pictures of a full grid and of a view-dependent cut in Cycles, for `bench_bdam.py`."""
+
+import tempfile
+import time
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from bdam_builds import measure_process
+from bdam_stores import Workplace, build_fractal
+from bdam_terrains import FractalTerrain
+from bdam_views import FIELD_OF_VIEW, SIZE, fly_over
+
+from farfield.addon.bridge.cycles_renders import prepare_cycles
+from farfield.addon.bridge.mesh_pool import fill_mesh
+from farfield.addon.bridge.render_scene import RenderScene, render_scene
+from farfield.addon.core.bdam.cut_meshes import PatchCache, build_cut_mesh
+from farfield.addon.core.bdam.extraction import CutSettings, extract_cut
+from farfield.addon.core.bdam.store.terrain_store import TerrainStore
+from farfield.addon.core.geometry.viewers import Viewer
+from farfield.addon.core.imaging.colors import encode_signed_srgb
+from lib.flip_metric import mean_flip
+
+MAX_SIZE = 4097  # a full grid of more samples does not fit into the memory of small machines
+SAMPLES = 32
+FRAME = 100  # of the fly-over
+SUN_DIRECTION, SUN_STRENGTH, SKY = (0.5, -0.4, 0.5), 3.0, 0.3
+FLIP_BOUND = 0.02
+
+
+def measure_full_grid(given: Namespace, workplace: Workplace) -> dict[str, Any]:
+    """Compare a full grid with the cut at one pixel: seconds and memory of processes that make the mesh and render it, and FLIP of the
+    pictures."""
+    size = min(given.size, MAX_SIZE)
+    build_fractal(workplace, FractalTerrain(size, given.seed)).close()
+    figures: dict[str, Any] = {"size": size, "samples_per_pixel": SAMPLES, "flip_bound": FLIP_BOUND}
+    pictures = []
+    with tempfile.TemporaryDirectory(prefix="farfield-benchmark-") as folder:
+        for mesh in ("full", "cut"):
+            out = Path(folder) / f"{mesh}.npy"
+            flags = ["--mesh", mesh, "--out", str(out), "--size", str(size), "--seed", str(given.seed)]
+            figures[mesh] = measure_process(["render", str(workplace.folder / f"fractal-{size}"), *flags])
+            pictures.append(np.load(out, allow_pickle=False))
+    full, cut = figures["full"], figures["cut"]
+    for name in ("seconds", "mesh_seconds", "render_seconds", "cpu_seconds", "peak_memory_above_imports_mb"):
+        figures[f"{name}_full_over_cut"] = round(full[name] / cut[name], 2)
+    flips = mean_flip([(pictures[0], pictures[1])])
+    return figures | {"flip": "skipped: the reference tools are not installed" if flips is None else round(flips[0], 4)}
+
+
+def render_view(store_folder: Path, out: Path, mesh: str, size: int, seed: int) -> dict[str, Any]:
+    """Render one frame of the fly-over of a fractal terrain, and write the picture (H, W, 3) float32, sRGB from 0 to 1.
+
+    mesh: "full", all samples, with the smooth normals of Blender; "cut", the cut at one pixel.
+    """
+    terrain = FractalTerrain(size, seed)
+    with TerrainStore(store_folder) as store, render_scene("Farfield Terrain") as work:
+        viewer = list(fly_over(terrain, store))[FRAME]
+        started = time.perf_counter()
+        data = work.own(bpy.data.meshes.new("Terrain"))
+        if mesh == "full":
+            fill_with_grid(data, terrain, store)
+        else:
+            cut = build_cut_mesh(PatchCache(store), extract_cut(store, viewer, CutSettings()))
+            fill_mesh(data, cut.positions, cut.triangles, cut.normals)
+        work.add_object(data)
+        mesh_seconds = time.perf_counter() - started
+        prepare_view(work, viewer)
+        picture = work.render()[..., :3]
+        np.save(out, np.clip(encode_signed_srgb(picture), 0.0, 1.0).astype(np.float32))
+        render_seconds = work.render_seconds
+        triangles = len(data.loop_triangles) or len(data.polygons)
+    return {"triangles": triangles, "mesh_seconds": round(mesh_seconds, 2), "render_seconds": round(render_seconds, 2)}
+
+
+def fill_with_grid(mesh: bpy.types.Mesh, terrain: FractalTerrain, store: TerrainStore) -> None:
+    """Give a mesh all samples of a terrain, in quads with smooth shading, as tools do that import whole elevation models."""
+    heights = terrain.read_all()
+    side = terrain.size
+    y, x = np.mgrid[:side, :side]
+    vertices = np.stack([*store.frame.to_local(x.ravel(), y.ravel()), heights.ravel()], axis=1).astype(np.float32)
+    numbers = np.arange(side * side, dtype=np.int32).reshape(side, side)
+    quads = np.stack([numbers[:-1, :-1], numbers[:-1, 1:], numbers[1:, 1:], numbers[1:, :-1]], axis=-1).reshape(-1, 4)
+    mesh.vertices.add(len(vertices))
+    mesh.vertices.foreach_set("co", vertices.ravel())
+    mesh.loops.add(quads.size)
+    mesh.loops.foreach_set("vertex_index", quads.ravel())
+    mesh.polygons.add(len(quads))
+    mesh.polygons.foreach_set("loop_start", np.arange(0, quads.size, 4, dtype=np.int32))
+    mesh.update(calc_edges=True)
+
+
+def prepare_view(work: RenderScene, viewer: Viewer) -> None:
+    """Set up Cycles, a sun, a sky, and the camera of a viewer."""
+    prepare_cycles(work.scene, SAMPLES, 8)
+    work.scene.render.film_transparent = False
+    work.scene.world = work.own(work.add_world(SKY))
+    work.scene.render.resolution_x, work.scene.render.resolution_y = SIZE
+    camera = work.camera.data
+    camera.type, camera.sensor_fit = "PERSP", "HORIZONTAL"
+    camera.angle = np.radians(FIELD_OF_VIEW)
+    camera.clip_start, camera.clip_end = viewer.projection.near, viewer.projection.far
+    work.camera.matrix_world = viewer.matrix.T
+    light = work.own(bpy.data.lights.new("Sun", "SUN"))
+    light.energy = SUN_STRENGTH
+    sun = work.add_object(light)
+    direction = np.array(SUN_DIRECTION) / np.linalg.norm(SUN_DIRECTION)
+    right = np.cross([0.0, 0.0, 1.0], direction)
+    right /= np.linalg.norm(right)
+    matrix = np.eye(4)
+    matrix[:3, 0], matrix[:3, 1], matrix[:3, 2] = right, np.cross(direction, right), direction
+    sun.matrix_world = matrix.T
