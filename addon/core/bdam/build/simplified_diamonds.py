@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from ..simplification.collapse_costs import LOCKED
 from ..simplification.decimation import MeshBatch, simplify
 from ..simplification.removed_samples import RemovedSamples
 from ..tree import Tree
@@ -40,7 +39,7 @@ def simplify_diamonds(
     lines = classify_vertices(tree, meshes, corners[pairs])
     excess = np.bincount(meshes.domains, minlength=len(diamonds)) // 2
     first = choose_grid_collapses(meshes, lines, excess) if children is None else None
-    batch = _to_batch(meshes, lines)
+    batch = _to_batch(meshes, lines, int(np.ptp(corners[0], axis=0).max()))
     simplified, removed = simplify(batch, excess, first)
     samples = _choose_samples(batch, simplified, removed)
     return _divide(meshes, simplified, samples, triangles, pairs, corners, grid)
@@ -65,19 +64,9 @@ def _choose_samples(batch: MeshBatch, triangles: np.ndarray, removed: RemovedSam
     return RemovedSamples(removed.vertices[chosen], removed.triangles[chosen])
 
 
-def _to_batch(meshes: DiamondMeshes, lines: np.ndarray) -> MeshBatch:
-    sample_count = len(meshes.samples)
+def _to_batch(meshes: DiamondMeshes, lines: np.ndarray, extent: int) -> MeshBatch:
     x, y, z = (np.concatenate([values, meshes.samples[:, axis]]) for axis, values in enumerate((meshes.x, meshes.y, meshes.z)))
-    return MeshBatch(
-        x,
-        y,
-        z.astype(np.float32),
-        np.concatenate([lines, np.full(sample_count, LOCKED, np.int8)]),
-        np.concatenate([meshes.domains, meshes.domains[meshes.triangles[meshes.sample_triangles, 0]]]),
-        meshes.triangles,
-        np.arange(len(meshes.x), len(x), dtype=np.int32),
-        meshes.sample_triangles,
-    )
+    return MeshBatch(x, y, z.astype(np.float32), lines, meshes.domains, meshes.triangles, meshes.sample_triangles, extent)
 
 
 def _divide(
