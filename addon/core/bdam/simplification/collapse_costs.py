@@ -21,14 +21,17 @@ INFINITY_BITS = np.float32(np.inf).view(np.int32)
 class GridPoints:
     """Samples of a height field.
 
-    x, y: (V,) int32, grid coordinates. z: (V,) float32, heights in any unit. real: the dtype in which products of coordinate differences
-    are exact.
+    x, y: (V,), integers as float32 or float64, such that products of differences are exact. z: (V,) float32, heights in any unit.
     """
 
     x: np.ndarray
     y: np.ndarray
     z: np.ndarray
-    real: np.dtype
+
+    @property
+    def real(self) -> np.dtype:
+        """The dtype of the coordinates."""
+        return self.x.dtype
 
     def subtract(self, ends: np.ndarray, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the components of the vectors from vertices `starts` (N,) to `ends` (N,) or (K, N)."""
@@ -36,7 +39,7 @@ class GridPoints:
         x -= self.x.take(starts)
         y -= self.y.take(starts)
         z -= self.z.take(starts)
-        return x.astype(self.real), y.astype(self.real), z
+        return x, y, z
 
 
 def find_targets(points: GridPoints, rings: VertexRings, lines: np.ndarray, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

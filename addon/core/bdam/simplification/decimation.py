@@ -19,6 +19,9 @@ from .removed_samples import RemovedSamples
 from .vertex_rings import VertexRings, build_rings
 
 MAX_ROUNDS = 40
+import os
+BOOST = float(os.environ.get("BOOST","1.3"))
+TAIL=int(os.environ.get("TAIL","0"))
 MAX_EXACT_DIFFERENCE = 1 << 11  # products of differences up to this are exact in float32
 STALE_COST_RATIO = 2.0  # a changed vertex is evaluated again only if its last cost was below this many times the cutoff
 TOLERATED_EXCESS = 0.02  # of the vertices to be removed, above which another round runs
@@ -69,15 +72,15 @@ class _Decimation:
 
     def __init__(self, batch: MeshBatch, excess: np.ndarray) -> None:
         self.lines, self.domains = batch.lines, batch.domains
-        self.points = GridPoints(batch.x, batch.y, batch.z, np.dtype(np.float32 if batch.extent <= MAX_EXACT_DIFFERENCE else np.float64))
         self.triangles = np.ascontiguousarray(batch.triangles.T)
         count = len(batch.lines)
+        starts = np.searchsorted(batch.domains, np.arange(len(excess)))
+        self.points = _to_points(batch, starts)
         self.samples = RemovedSamples(np.arange(count, len(batch.x), dtype=np.int32), batch.sample_triangles.copy())
         self._excess, self._tolerated = excess, TOLERATED_EXCESS * excess
         self._is_estimate = batch.lines != LOCKED
         self._costs, self._targets = np.where(self._is_estimate, 0.0, np.inf).astype(np.float32), np.zeros(count, np.int32)
         self._cutoffs = np.full(len(excess), np.inf, np.float32)
-        starts = np.searchsorted(batch.domains, np.arange(len(excess)))
         self._numbers = (np.arange(count) - starts[batch.domains]).astype(np.uint32)  # within the domain
 
     @property
@@ -92,7 +95,6 @@ class _Decimation:
         stale = np.flatnonzero(self._is_estimate & (self._costs <= limits.take(self.domains))).astype(np.int32)
         self._targets[stale], self._costs[stale] = find_targets(self.points, rings, self.lines, stale)
         self._is_estimate[stale] = False
-        self._update_cutoffs()
         is_cheap = (self._costs <= self._cutoffs.take(self.domains)) & (self._costs < np.inf)
         cheap = np.flatnonzero(is_cheap & ~self._is_estimate).astype(np.int32)
         keys = order_by_cost(self._costs.take(cheap), self._numbers.take(cheap))
@@ -129,7 +131,7 @@ class _Decimation:
         """Find the costs that as many vertices have as are to be removed. They are 0 where none are."""
         is_unfinished = self.is_unfinished
         used = np.flatnonzero((self._costs < np.inf) & is_unfinished.take(self.domains))
-        cutoffs = find_cutoffs(self._costs.take(used), self.domains.take(used), self._excess)
+        cutoffs = find_cutoffs(self._costs.take(used), self.domains.take(used), (self._excess * BOOST).astype(np.int64))
         self._cutoffs = np.where(is_unfinished, cutoffs, np.float32(-1.0))
 
     def _mark_changes(self, removed: np.ndarray, fans: CollapsedFans, rings: VertexRings, is_accepted: np.ndarray) -> None:
@@ -153,3 +155,11 @@ class _Decimation:
         is_kept[star[~fans.is_kept[is_replaced]] % count] = False
         self.triangles = np.compress(is_kept, self.triangles, axis=1)
         self.samples.triangles = (np.cumsum(is_kept, dtype=np.int32) - np.int32(1)).take(self.samples.triangles)
+
+
+def _to_points(batch: MeshBatch, starts: np.ndarray) -> GridPoints:
+    """Return coordinates relative to the first vertex of each domain, at `starts` (D,)."""
+    real = np.float32 if batch.extent <= MAX_EXACT_DIFFERENCE else np.float64
+    domains = np.concatenate([batch.domains, batch.domains[batch.triangles[batch.sample_triangles, 0]]])
+    starts = np.minimum(starts, len(batch.x) - 1)
+    return GridPoints(*((axis - axis[starts][domains]).astype(real) for axis in (batch.x, batch.y)), batch.z)
