@@ -23,7 +23,7 @@ import os
 BOOST = float(os.environ.get("BOOST","1.3"))
 TAIL=int(os.environ.get("TAIL","0"))
 MAX_EXACT_DIFFERENCE = 1 << 11  # products of differences up to this are exact in float32
-STALE_COST_RATIO = 2.0  # a changed vertex is evaluated again only if its last cost was below this many times the cutoff
+STALE_COST_RATIO = 1.2  # a changed vertex is evaluated again only if its last cost was below this many times the cutoff
 TOLERATED_EXCESS = 0.02  # of the vertices to be removed, above which another round runs
 
 

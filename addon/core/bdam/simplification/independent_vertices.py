@@ -3,7 +3,7 @@
 import numpy as np
 
 SELECTION_PASSES = 4
-NO_KEY = np.iinfo(np.uint64).max
+NO_RANK = np.iinfo(np.uint32).max
 
 
 def order_by_cost(costs: np.ndarray, numbers: np.ndarray) -> np.ndarray:
@@ -26,26 +26,24 @@ def select_independent(vertices: np.ndarray, keys: np.ndarray, triangles: np.nda
 
     Each pass selects the vertices whose keys are the smallest in all of their triangles, and drops their neighbors.
     """
-    vertex_keys = np.full(vertex_count, NO_KEY)
-    vertex_keys[vertices] = keys
+    ranks = np.full(vertex_count, NO_RANK, np.uint32)
+    ranks[vertices[np.argsort(keys)]] = np.arange(len(vertices), dtype=np.uint32)
     selected = []
     for _ in range(SELECTION_PASSES):
-        corner_keys = [vertex_keys.take(row) for row in triangles]
-        smallest = np.minimum(np.minimum(*corner_keys[:2]), corner_keys[2])
-        is_active = smallest != NO_KEY
+        corner_ranks = ranks.take(triangles)
+        smallest = corner_ranks.min(axis=0)
+        is_active = smallest != NO_RANK
         is_blocked = np.zeros(vertex_count, bool)
-        for row, keys_of_row in zip(triangles, corner_keys, strict=True):
-            is_blocked[row[keys_of_row != smallest]] = True
-        is_selected = ~is_blocked.take(vertices)
-        selected.append(vertices[is_selected])
+        is_blocked[triangles[corner_ranks != smallest]] = True
+        selected.append(vertices[~is_blocked.take(vertices)])
+        if len(selected) == SELECTION_PASSES:
+            break
         is_taken = np.zeros(vertex_count, bool)
         is_taken[selected[-1]] = True
         touches = is_taken.take(triangles).any(axis=0)
-        vertex_keys[triangles[:, touches]] = NO_KEY
-        vertices = vertices[vertex_keys.take(vertices) != NO_KEY]
-        if not len(vertices):
-            break
-        triangles = triangles[:, is_active & ~touches]
+        ranks[np.compress(touches, triangles, axis=1)] = NO_RANK
+        vertices = vertices[ranks.take(vertices) != NO_RANK]
+        triangles = np.compress(is_active & ~touches, triangles, axis=1)
     return np.concatenate(selected)
 
 
