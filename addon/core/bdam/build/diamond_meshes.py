@@ -13,7 +13,7 @@ from .patch_set import PatchSet
 
 @dataclass(frozen=True)
 class DiamondMeshes:
-    """The meshes of D diamonds without common vertices.
+    """The meshes of D diamonds without common vertices. Vertices are in ascending order of their diamonds, then x, then y.
 
     domains: (V,) int32, diamond of each vertex. x, y, z: (V,) int32. slopes: (V, 2) float32, known on the outer boundary of each diamond, NaN
     elsewhere. triangles: (T, 3) int32. samples: (S, 3) int32, samples (x, y, z) that are not vertices, but whose distances count.
@@ -59,9 +59,9 @@ def diamond_template(leaf_cells: int) -> tuple[np.ndarray, np.ndarray]:
     The diagonals of the cells alternate: they meet at samples with an even sum of coordinates, as the hypotenuses of the bintree do.
     """
     side = 2 * leaf_cells + 1
-    y, x = np.mgrid[-leaf_cells : leaf_cells + 1, -leaf_cells : leaf_cells + 1].astype(np.int32)
+    x, y = np.mgrid[-leaf_cells : leaf_cells + 1, -leaf_cells : leaf_cells + 1].astype(np.int32)
     number = np.arange(side * side, dtype=np.int32).reshape(side, side)
-    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]
+    a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
     is_even = ((x + y)[:-1, :-1] % 2 == 0)[..., None]
     first = np.where(is_even, np.stack([a, b, c], axis=-1), np.stack([a, b, d], axis=-1))
     second = np.where(is_even, np.stack([a, c, d], axis=-1), np.stack([b, c, d], axis=-1))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..simplification.collapse_costs import LOCKED
+from ...arrays import concatenate_ranges
 from ..simplification.decimation import MeshBatch, simplify
 from ..simplification.removed_samples import RemovedSamples
 from ..tree import Tree
@@ -40,7 +40,7 @@ def simplify_diamonds(
     lines = classify_vertices(tree, meshes, corners[pairs])
     excess = np.bincount(meshes.domains, minlength=len(diamonds)) // 2
     first = choose_grid_collapses(meshes, lines, excess) if children is None else None
-    batch = _to_batch(meshes, lines)
+    batch = _to_batch(meshes, lines, int(np.ptp(corners[0], axis=0).max()))
     simplified, removed = simplify(batch, excess, first)
     samples = _choose_samples(batch, simplified, removed)
     return _divide(meshes, simplified, samples, triangles, pairs, corners, grid)
@@ -65,19 +65,9 @@ def _choose_samples(batch: MeshBatch, triangles: np.ndarray, removed: RemovedSam
     return RemovedSamples(removed.vertices[chosen], removed.triangles[chosen])
 
 
-def _to_batch(meshes: DiamondMeshes, lines: np.ndarray) -> MeshBatch:
-    sample_count = len(meshes.samples)
+def _to_batch(meshes: DiamondMeshes, lines: np.ndarray, extent: int) -> MeshBatch:
     x, y, z = (np.concatenate([values, meshes.samples[:, axis]]) for axis, values in enumerate((meshes.x, meshes.y, meshes.z)))
-    return MeshBatch(
-        x,
-        y,
-        z.astype(np.float32),
-        np.concatenate([lines, np.full(sample_count, LOCKED, np.int8)]),
-        np.concatenate([meshes.domains, meshes.domains[meshes.triangles[meshes.sample_triangles, 0]]]),
-        meshes.triangles,
-        np.arange(len(meshes.x), len(x), dtype=np.int32),
-        meshes.sample_triangles,
-    )
+    return MeshBatch(x, y, z.astype(np.float32), lines, meshes.domains, meshes.triangles, meshes.sample_triangles, extent)
 
 
 def _divide(
@@ -104,14 +94,22 @@ def _divide(
     is_missing = np.isnan(meshes.slopes[:, 0]) & on_hypotenuse
     slopes = np.where(is_missing[:, None], _mean_slopes(meshes, simplified), meshes.slopes)
 
+    patch_count, side = len(indices), is_second.astype(np.int64)
+    is_used = np.zeros((2, len(meshes.x)), bool)
+    is_used[side[:, None], simplified] = True
+    vertex_sides, vertices = np.nonzero(is_used)
+    patches_of_vertices = pairs[meshes.domains[vertices], vertex_sides]
+    vertex_order = np.argsort(patches_of_vertices, kind="stable")
+    vertices, vertex_sides = vertices[vertex_order], vertex_sides[vertex_order]
+    vertex_counts = np.bincount(patches_of_vertices, minlength=patch_count)
+    local = np.empty(is_used.shape, np.int32)
+    local[vertex_sides, vertices] = concatenate_ranges(0, vertex_counts)
+
     order = np.argsort(patches, kind="stable")
-    patches, simplified = patches[order], simplified[order]
-    present, triangle_counts = np.unique(patches, return_counts=True)
-    size = int(points.max()) + 1
-    keys = (patches[:, None] * size + points[simplified, 0]) * size + points[simplified, 1]
-    unique, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
-    vertex_starts = np.searchsorted(unique, np.append(present, present[-1] + 1) * size * size)
-    vertices = simplified.reshape(-1)[first]
+    triangle_counts = np.bincount(patches, minlength=patch_count)
+    local_triangles = local[side[:, None], simplified][order]
+    present = np.flatnonzero(triangle_counts)
+    vertex_counts, triangle_counts = vertex_counts[present], triangle_counts[present]
     diamond_of = np.zeros(len(indices), np.int64)
     for column in range(2):
         diamond_of[pairs[:, column]] = np.arange(len(pairs))
@@ -125,13 +123,13 @@ def _divide(
     return PatchSet(
         indices[present],
         diamond_errors[diamond_of[present]],
-        vertex_starts.astype(np.int64),
+        to_starts(vertex_counts),
         triangle_starts,
         meshes.x[vertices],
         meshes.y[vertices],
         meshes.z[vertices],
         slopes[vertices],
-        (inverse.reshape(-1, 3) - np.repeat(vertex_starts[:-1], triangle_counts)[:, None]).astype(np.int32),
+        local_triangles,
         measured.is_hole[order],
         sample_starts.astype(np.int64),
         all_points[samples.vertices[sample_order]],
