@@ -79,8 +79,8 @@ def triangulate_right(steps: np.ndarray, triangle_count: int) -> tuple[np.ndarra
     errors = []
     for level in range(tree.leaf_level, -1, -1):
         start, end = levels[level][:, 0], levels[level][:, 1]
-        middle = (start + end) // 2
-        own = np.abs(0.5 * (steps[start[:, 1], start[:, 0]] + steps[end[:, 1], end[:, 0]]) - steps[middle[:, 1], middle[:, 0]])
+        midpoints = (start + end) // 2
+        own = np.abs(0.5 * (steps[start[:, 1], start[:, 0]] + steps[end[:, 1], end[:, 0]]) - steps[midpoints[:, 1], midpoints[:, 0]])
         if errors:
             own = np.maximum(own, errors[-1].reshape(-1, 2).max(axis=1))
         first, second = (diamonds := tree.find_diamonds(level, np.arange(2 << level)))[diamonds[:, 1] >= 0].T
