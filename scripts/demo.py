@@ -83,7 +83,7 @@ FULL = DemoPreset(
     forest_width=340,
     forest_samples=6,
     photos=PhotosPreset(photograph_width=1200, samples=8, texture_size=2048, view_pixels=128),
-    terrain=TerrainPreset(size=513, frames=5, width=320, samples=8),
+    terrain=TerrainPreset(size=513, frames=5, width=256, samples=8),
 )
 QUICK = DemoPreset(
     leaves=1000,
