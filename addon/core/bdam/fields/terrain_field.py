@@ -12,7 +12,7 @@ from ...files.segment_cache import DEFAULT_CACHE_BYTES, SegmentCache
 from ...text import format_count
 from .height_sources import HeightSource, ReadImage, SourceContext, open_source
 from .mosaics import Mosaic, join
-from .placements import Frame, create_frame
+from .placements import Frame, Placement, create_frame
 
 CHECK_SAMPLES = 1 << 22  # heights that are read at once when all are checked
 
@@ -49,6 +49,11 @@ class TerrainField:
     def origin(self) -> tuple[float, float]:
         """The position of the local zero: meters of the projection, or degrees of longitude and latitude."""
         return self.frame.origin
+
+    @property
+    def placement(self) -> Placement:
+        """Where the grid lies on the map."""
+        return self.mosaic.placement
 
     @property
     def crs(self) -> str:
