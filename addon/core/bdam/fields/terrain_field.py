@@ -1,7 +1,7 @@
 """One height field from one or many elevation models."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -125,6 +125,11 @@ def check_heights(terrain: TerrainField) -> tuple[str, ...]:
     if not differing:
         return ()
     return (f"{format_count(differing, 'height')} on common edges of neighboring files differ; those of the file named first are used.",)
+
+
+def warn_of_heights(terrain: TerrainField) -> TerrainField:
+    """Return the field with the warnings of `check_heights` too. Raises FileError."""
+    return replace(terrain, warnings=(*terrain.warnings, *check_heights(terrain)))
 
 
 def _read_all(terrain: TerrainField) -> Iterator[np.ndarray]:
