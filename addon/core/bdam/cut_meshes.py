@@ -121,6 +121,16 @@ def merge_patches(meshes: list[PatchMesh], levels: np.ndarray) -> CutMesh:
     )
 
 
+def remove_unused(mesh: CutMesh) -> CutMesh:
+    """Return a mesh without vertices that only triangles in holes have used."""
+    is_used = np.zeros(len(mesh.ids), bool)
+    is_used[mesh.triangles] = True
+    if is_used.all():
+        return mesh
+    numbers = np.cumsum(is_used, dtype=np.int32) - 1
+    return CutMesh(mesh.ids[is_used], mesh.positions[is_used], mesh.normals[is_used], numbers[mesh.triangles], mesh.levels)
+
+
 def build_cut_mesh(cache: PatchCache, cut: Cut) -> CutMesh:
     """Return the mesh of a whole cut.
 

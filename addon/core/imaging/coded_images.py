@@ -108,6 +108,28 @@ def read_coded_image(path: Path, max_pixels: int = MAX_PIXELS) -> np.ndarray:
         raise ImageError(f'"{path.name}": {error}') from error
 
 
+def read_coded_shape(path: Path) -> tuple[int, int, int]:
+    """Return the rows, columns and channels (3 or 4) of a JPEG, WebP or PNG file. Only its header is read.
+
+    Raises:
+        ImageError: see `decode`; the message names the file.
+        OSError: the file cannot be read.
+    """
+    with path.open("rb") as file:
+        plugin = _find_plugin(file.read(12))
+        file.seek(0)
+        try:
+            if plugin is None:
+                raise ImageError("The image is no JPEG, WebP or PNG; save it in one of these formats.")
+            with plugin(file) as image:
+                _check_opened(image, path.stat().st_size, MAX_PIXELS)
+                return image.size[1], image.size[0], len(_rgb_mode(image))
+        except ImageError as error:
+            raise ImageError(f'"{path.name}": {error}') from error
+        except DAMAGES as error:
+            raise ImageError(f'"{path.name}": The image is damaged or truncated; open it in an image editor and save it again.') from error
+
+
 def _find_plugin(start: bytes) -> "type[ImageFile] | None":
     """Return the reader of a file with these first 12 bytes, None if there is none. It is called directly: Image.open would apply a limit
     that is global to the process."""
@@ -137,6 +159,14 @@ def _save(image: np.ndarray, image_format: str, quality: int) -> bytes:
 
 def _decode_opened(image: "ImageFile", data_size: int, max_pixels: int) -> np.ndarray:
     """Return the pixels of an image whose header was read. Raises ImageError, or one of DAMAGES."""
+    _check_opened(image, data_size, max_pixels)
+    mode = _rgb_mode(image)
+    pixels = image if image.mode == mode else image.convert(mode)
+    return np.asarray(pixels)[::-1].copy()
+
+
+def _check_opened(image: "ImageFile", data_size: int, max_pixels: int) -> None:
+    """Check the header of an image. Raises ImageError, or one of DAMAGES."""
     width, height = image.size
     if width * height > max_pixels:
         raise ImageError(f"The image has {width} x {height} pixels, more than {max_pixels:,}; use a smaller one, or a TIFF file.")
@@ -146,9 +176,10 @@ def _decode_opened(image: "ImageFile", data_size: int, max_pixels: int) -> np.nd
         raise ImageError("The file contains several images; save one image per file.")
     if image.mode not in MODES:
         raise ImageError(f"The image has pixels of type {image.mode}; save it as RGB or RGBA with 8 bits per channel.")
-    mode = "RGBA" if "transparency" in image.info else MODES[image.mode]
-    pixels = image if image.mode == mode else image.convert(mode)
-    return np.asarray(pixels)[::-1].copy()
+
+
+def _rgb_mode(image: "ImageFile") -> str:
+    return "RGBA" if "transparency" in image.info else MODES[image.mode]
 
 
 def _decode_raw(data: bytes | memoryview, max_pixels: int) -> np.ndarray:

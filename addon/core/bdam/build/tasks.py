@@ -1,6 +1,7 @@
-"""The tasks of a build: one task simplifies some diamonds of a level, or encodes leaves. Called by `core.jobs.task_pool`.
+"""The tasks of a build: one task simplifies some diamonds of a level, encodes leaves, or makes texture tiles.
 
-An item is [level, shard]; the reply is null, the results are files in the work folder. A task whose files exist is skipped.
+`core.jobs.task_pool` calls them. An item is [level, shard], or ["texture", level, [[i, j], ...]] with tiles of the texture quadtree; the
+reply is null, the results are files in the work folder. A task whose shard exists is skipped.
 """
 
 import io
@@ -17,13 +18,22 @@ from .diamond_meshes import sample_slopes
 from .encoded_patches import EncodedPatches
 from .patch_set import PatchSet, join
 from .simplified_diamonds import simplify_diamonds
+from .texture_tasks import TEXTURE_TASK, TextureTasks
 from .work_folder import ADVICE, LevelLayout, WorkFolder
 
 
-def open_tasks(arguments: list[str]) -> Callable[[list[int]], None]:
+def open_tasks(arguments: list[str]) -> Callable[[list], None]:
     """Return the function of the tasks. arguments: the path of the work folder."""
-    tasks = BuildTasks(WorkFolder.load(Path(arguments[0])))
-    return lambda item: tasks.run(*item)
+    folder = WorkFolder.load(Path(arguments[0]))
+    patches, textures = BuildTasks(folder), TextureTasks(folder)
+
+    def run(item: list) -> None:
+        if item[0] == TEXTURE_TASK:
+            textures.run(*item[1:])
+        else:
+            patches.run(*item)
+
+    return run
 
 
 class BuildTasks:
