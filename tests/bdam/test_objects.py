@@ -1,19 +1,10 @@
 """Large terrain in a scene: tiles as objects, welded exactly, with their normals, textures and materials."""
 
 import bpy
-import numpy as np
 import pytest
 
 from bdam.small_stores import add_texture, build_store, colors, hills
-from farfield.addon.bridge.bdam import objects as terrain_objects
-from farfield.addon.bridge.bdam.objects import SceneTerrain, TerrainChange
-from farfield.addon.bridge.bdam.textures import TEXTURE_KEY
-from farfield.addon.bridge.images import packed_bytes, read_pixels
-from farfield.addon.bridge.mesh_arrays import read_positions
-from farfield.addon.core.bdam.engine import BdamEngine
-from farfield.addon.core.bdam.settings import BdamViewSettings
-from farfield.addon.core.geometry.viewers import Projection, Viewer
-from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.bridge.bdam.objects import SceneTerrain
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 

@@ -203,7 +203,7 @@ def fill_tile_mesh(mesh: bpy.types.Mesh, source: TileMesh) -> Iterator[None]:
 def remove(terrain: SceneTerrain) -> None:
     """Remove a terrain with its tiles, its materials and, if nothing else is in it, its collection."""
     root = terrain.root
-    own = [root[key] for key in root.keys() if key.startswith(MATERIAL_POINTERS) and isinstance(root[key], bpy.types.Material)]
+    own = [root[key] for key in list(root.keys()) if key.startswith(MATERIAL_POINTERS) and isinstance(root[key], bpy.types.Material)]
     tiles = list(terrain.tiles().values())
     for tile in tiles:
         tile.data.materials.clear()

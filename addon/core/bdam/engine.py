@@ -53,8 +53,8 @@ class Figures:
 class Update:
     """The changes of a move, beside the tiles in `BdamEngine.finished_blocks`.
 
-    tiles: all that are shown afterwards, with the number of their texture. is_complete: whether all of them were finished by this move, since
-    nothing is known of what was shown before. warnings: sentences about damaged parts that are missing.
+    tiles: all that are shown afterwards, with the number of their texture. is_complete: whether all of them were finished by this move,
+    since nothing is known of what was shown before. warnings: sentences about damaged parts that are missing.
     """
 
     tiles: dict[TileKey, int | None]

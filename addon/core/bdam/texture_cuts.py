@@ -1,8 +1,8 @@
 """Cuts through the quadtree of texture tiles for a viewer (BDAM, section 4), of a limited number of tiles.
 
-Each tile has the number of pixels that its texels cover where the viewer is nearest to it, and is refined if that exceeds the tolerance. The
-number is raised to those of the tiles that `textures.nesting` names, so that every threshold gives a valid cut; the one that gives few enough
-tiles is found by sorting.
+Each tile has the number of pixels that its texels cover where the viewer is nearest to it, and is refined if that exceeds the tolerance.
+The number is raised to those of the tiles that `textures.nesting` names, so that every threshold gives a valid cut; the one that gives few
+enough tiles is found by sorting.
 """
 
 from dataclasses import dataclass

@@ -5,7 +5,6 @@ import numpy as np
 
 from ..simplification.collapse_costs import FREE, HORIZONTAL, LOCKED, VERTICAL
 from .diamond_meshes import DiamondMeshes
-from .height_grid import HeightGrid
 
 FRACTION = 0.6  # of the vertices to be removed
 

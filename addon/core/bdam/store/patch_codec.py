@@ -22,8 +22,8 @@ import numpy as np
 import zstandard
 
 from ...errors import FileError
-from .leaf_grids import LeafGrid
 from .integer_streams import StreamReader, write_signed, write_unsigned
+from .leaf_grids import LeafGrid
 
 COMPRESSION_LEVEL = 9
 

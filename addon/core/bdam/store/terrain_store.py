@@ -11,7 +11,7 @@ from ..textures.store import TextureStore
 from .blocks import BlockReader
 from .leaf_grids import leaf_grid
 from .patch_codec import Patch, decode_patch
-from .structure import STRUCTURE_FILE, Level, read_structure
+from .structure import STRUCTURE_FILE, read_structure
 
 GEOMETRY_FILE, GEOMETRY_KIND, TEXTURE_FOLDER = "geometry.bdam", "bdamgeom", "textures"
 
