@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 from bdam_stores import Workplace, build_fractal, store_bytes, write_fractal
-from bdam_terrains import FractalTerrain
+from bdam_terrains import AerialImage, FractalTerrain
 
 from farfield.addon.core.errors import FarfieldError
 
 SCRIPT = Path(__file__).resolve().parent / "bdam_measured.py"
 POLL_SECONDS = 0.1
 GROWTH = 4  # times the side
+KILL_FROM = 0.3  # of the seconds of a build; before, it loads Blender
 ORPHAN_SECONDS = 20.0  # workers end within this time after their build was killed
 BOUNDS = {"worker_mb": 250.0, "parent_mb": 150.0, "growth": 17.0, "geometry_seconds": 360.0, "texture_seconds": 180.0}
 DISK_BOUNDS = {"bytes_per_sample": 8.0, "bytes_per_texel": 0.7}
@@ -39,16 +40,21 @@ def measure_build(given: Namespace, workplace: Workplace) -> dict[str, Any]:
         figures[str(size)] = measure_process(command) | {"bytes_per_sample": round(store_bytes(store) / size**2, 2)}
     small, large = (figures[str(size)] for size in sizes)
     figures["growth"] = {name: round(large[name] / small[name], 2) for name in ("seconds", "cpu_seconds")}
-    figures["texture"] = measure_texture_build(given)
+    figures["texture"] = measure_texture_build(given, workplace)
     return figures
 
 
-def measure_texture_build(given: Namespace) -> dict[str, Any]:
+def measure_texture_build(given: Namespace, workplace: Workplace) -> dict[str, Any]:
     """Measure the build of the texture quadtree of an image of 2N x 2N pixels."""
-    with tempfile.TemporaryDirectory(prefix="farfield-benchmark-") as folder:
-        figures = measure_process(["textures", folder, "--size", str(given.size), "--seed", str(given.seed)])
-    note = "by the texture package in one process: builds of terrains do not contain it yet; the seconds contain the making of the image"
-    return figures | {"bytes_per_texel": round(figures["bytes"] / figures["texels"], 3), "note": note}
+    image = AerialImage(2 * (given.size - 1), given.seed)
+    source, out = workplace.folder / f"image-{image.size}.tif", workplace.folder / f"textures-{image.size}"
+    if not source.exists():
+        image.write(source)
+    shutil.rmtree(out, ignore_errors=True)
+    figures = measure_process(["textures", str(source), "--out", str(out)])
+    note = "by the texture package in one process: builds of terrains do not contain it yet"
+    workplace.texture = figures | {"bytes_per_texel": round(figures["bytes"] / figures["texels"], 3), "note": note}
+    return workplace.texture
 
 
 def measure_disk(given: Namespace, workplace: Workplace) -> dict[str, Any]:
@@ -58,7 +64,7 @@ def measure_disk(given: Namespace, workplace: Workplace) -> dict[str, Any]:
         levels = [int(np.sum(level.counts[:, 0])) for level in store.levels]
     samples = given.size**2
     geometry = {name: round(size / samples, 3) for name, size in sizes.items()}
-    texture = measure_texture_build(given)
+    texture = workplace.texture or measure_texture_build(given, workplace)
     return {
         "bounds": DISK_BOUNDS,
         "bytes_per_sample": round(sum(sizes.values()) / samples, 3),
@@ -92,24 +98,36 @@ def measure_kills(given: Namespace, workplace: Workplace) -> dict[str, Any]:
     started = time.perf_counter()
     _finish(command(undisturbed))
     seconds = time.perf_counter() - started
-    figures: dict[str, Any] = {"size": size, "kills": 0, "orphans": 0, "resumed_with_tasks": []}
-    for _ in range(given.kills):
-        process = subprocess.Popen(command(killed), start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        time.sleep(float(random.uniform(0.15, 0.95)) * seconds)
-        if process.poll() is not None:
-            break  # it was finished before
-        workers = list(find_descendants(process.pid))
-        process.kill()
-        process.wait()
-        figures["kills"] += 1
-        figures["orphans"] += count_living(workers)
-        figures["resumed_with_tasks"].append(len(list(killed.with_name("killed.build").glob("blocks-*"))))
+    expected = read_files(undisturbed)
+    figures: dict[str, Any] = {"size": size, "kills": 0, "orphans": 0, "finished_tasks": [], "builds": 0, "builds_with_same_bytes": 0}
+    while figures["kills"] < given.kills or not killed.exists():
         if killed.exists():
-            break
-    _finish(command(killed))
-    figures["same_bytes"] = read_files(undisturbed) == read_files(killed)
+            shutil.rmtree(killed)
+        if figures["kills"] < given.kills:
+            delay = float(random.uniform(KILL_FROM, 1.0)) * seconds
+            outcome = _kill(command(killed), delay)
+            if outcome is not None:
+                figures["kills"] += 1
+                figures["orphans"] += outcome
+                figures["finished_tasks"].append(len(list(killed.with_name("killed.build").glob("blocks-*"))))
+        else:
+            _finish(command(killed))
+        if killed.exists():
+            figures["builds"] += 1
+            figures["builds_with_same_bytes"] += read_files(killed) == expected
     figures["left_over"] = sorted(path.name for path in workplace.folder.glob("killed*") if path != killed)
     return figures
+
+
+def _kill(command: list[str], delay: float) -> int | None:
+    """Start a build, kill its process after `delay` seconds, and return how many of its workers live on; None if it ended before."""
+    process = subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    time.sleep(delay)
+    workers = find_descendants(process.pid)
+    was_running = process.poll() is None
+    process.kill()
+    process.wait()
+    return count_living(workers) if was_running else None
 
 
 def measure_process(arguments: list[str]) -> dict[str, Any]:
@@ -119,6 +137,8 @@ def measure_process(arguments: list[str]) -> dict[str, Any]:
         peaks: dict[int, float] = {}
         while process.poll() is None:
             for child in find_descendants(process.pid):
+                if read_command(child) == read_command(process.pid):
+                    continue  # it has the memory of its parent until it runs another program
                 peaks[child] = max(peaks.get(child, 0.0), read_peak_mb(child))
             time.sleep(POLL_SECONDS)
         for stream in (stdout, stderr):
@@ -145,6 +165,13 @@ def read_peak_mb(process: int) -> float:
             if line.startswith("VmHWM:"):
                 return int(line.split()[1]) * 1024 / 1e6
     return 0.0
+
+
+def read_command(process: int) -> bytes:
+    """Return the command line of a process, nothing if it has ended. Only works on Linux."""
+    with suppress(OSError):
+        return Path(f"/proc/{process}/cmdline").read_bytes()
+    return b""
 
 
 def count_living(processes: list[int]) -> int:

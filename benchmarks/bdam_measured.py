@@ -20,7 +20,7 @@ environment.import_farfield()
 import numpy as np
 from bdam_renders import render_view
 from bdam_stores import cpu_seconds, store_bytes
-from bdam_terrains import CELL_SIZE, AerialImage, FractalTerrain
+from bdam_terrains import CELL_SIZE, FractalTerrain, ImageFile
 from bdam_textures import build_texture_store
 from bdam_views import fly_over
 
@@ -39,11 +39,11 @@ def main(arguments: list[str], _line: command_line.ProgressLine) -> str:
     """Do the work; returns the measurements as JSON."""
     parser = command_line.Parser(prog="bdam_measured.py", description="Work that bench_bdam.py measures.")
     parser.add_argument("work", choices=list(WORK))
-    parser.add_argument("path", type=command_line.parse_path, help="an elevation model, a folder for textures, or a store")
-    parser.add_argument("--out", type=command_line.parse_path, help="the store to build, or the picture")
+    parser.add_argument("path", type=command_line.parse_path, help="an elevation model, an image, or a store")
+    parser.add_argument("--out", type=command_line.parse_path, help="the store to build, the folder for textures, or the picture")
     parser.add_argument("--mesh", choices=("full", "cut"), help="what is rendered")
     parser.add_argument("--executor", default="processes", help="of the build")
-    parser.add_argument("--size", type=int, default=0, help="samples per side of the terrain that is flown over or textured")
+    parser.add_argument("--size", type=int, default=0, help="samples per side of the terrain that is flown over")
     parser.add_argument("--seed", type=int, default=0, help="of that terrain")
     given = parser.parse_args(arguments)
     before, started, cpu = memory_mb("VmRSS"), time.perf_counter(), cpu_seconds()
@@ -61,26 +61,12 @@ def build(given: Namespace) -> dict[str, Any]:
 
 
 def build_texture_tiles(given: Namespace) -> dict[str, Any]:
-    """Build the texture quadtree of an image with twice as many pixels per side as samples, in this process."""
-    source = AerialImage(2 * (given.size - 1), given.seed)
-    out = build_texture_store(given.path, source, "jpeg")
+    """Build the texture quadtree of an image in this process."""
+    source = ImageFile(given.path)
+    out = build_texture_store(given.out, source, "jpeg")
     with TextureStore(out) as store:
         tiles = len(store)
-    generating = time_reading(source)
-    return {
-        "tiles": tiles,
-        "bytes": store_bytes(out),
-        "texels": source.size**2,
-        "cpu_seconds_of_making_the_image_once": round(generating, 2),
-    }
-
-
-def time_reading(source: AerialImage) -> float:
-    """Return the CPU seconds that it takes to compute an image, which are no part of a build."""
-    started = time.process_time()
-    for start in range(0, source.size, 512):
-        source.read(slice(start, min(start + 512, source.size)), slice(0, source.size))
-    return time.process_time() - started
+    return {"tiles": tiles, "bytes": store_bytes(out), "texels": source.shape[0] * source.shape[1]}
 
 
 def fly(given: Namespace) -> dict[str, Any]:

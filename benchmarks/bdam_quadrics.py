@@ -4,8 +4,9 @@
 
 The input has heights (N, N) in steps of STEP cells; TARGET is a number of triangles. The package has global state, holds the interpreter
 lock, and compares errors with absolute thresholds, for which a cell is scaled to UNITS_PER_CELL. Walls below the border of the field
-keep the border in place. Positions are rounded to a lattice of 1/8 cell along both axes and of 1/8 step, so that patches could weld. The output has
-points (V, 2) float64, heights (V,) float64 and triangles (T, 3) int32. Prints the seconds and CPU seconds without input and output as JSON.
+keep the border in place. Positions are rounded to a lattice of 1/8 cell along both axes and of 1/8 step, so that patches could weld. The
+output has points (V, 2) float64, heights (V,) float64 and triangles (T, 3) int32. Prints the seconds and CPU seconds without input and
+output as JSON.
 """
 
 import json

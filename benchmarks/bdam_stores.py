@@ -4,6 +4,7 @@ import os
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tifffile
@@ -18,11 +19,15 @@ from farfield.addon.core.jobs.progress import run_to_end
 
 @dataclass
 class Workplace:
-    """A folder for elevation models and stores. executor: of builds. costs: seconds of the builds by name."""
+    """A folder for elevation models and stores.
+
+    executor: of builds. costs: seconds of the builds by name. texture: the figures of the last build of textures.
+    """
 
     folder: Path
     executor: str
     costs: dict[str, dict[str, float]] = field(default_factory=dict)
+    texture: dict[str, Any] | None = None
 
 
 def build_store(workplace: Workplace, name: str, heights: np.ndarray, cell_size: float) -> TerrainStore:

@@ -9,12 +9,14 @@ import tifffile
 from scipy import ndimage, sparse
 
 from farfield.addon.core.bdam.build.height_grid import HeightGrid, encode_heights
-from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field
+from farfield.addon.core.bdam.fields.terrain_field import open_field
+from farfield.addon.core.files.raw_windows import read_raw_window
 
 CELL_SIZE, HEIGHT_STEP, MAX_HEIGHT = 20.0, 0.1, 4400.0  # meters, as the Puget Sound of the paper
 MEAN_HEIGHT, DEVIATION = 1800.0, 750.0  # meters, before heights are clipped
 LARGEST_FEATURE = 1024  # cells; larger terrains have more mountains, not larger ones
 BAND_ROWS = 128
+BLOCK = 128  # side of a block of random numbers
 
 
 @dataclass(frozen=True)
@@ -30,9 +32,9 @@ class Noise:
     largest: int = LARGEST_FEATURE
     smallest: int = 1
 
-    def read(self, rows: slice, columns: int) -> np.ndarray:
-        """Return rows (h, columns) float32."""
-        total = np.zeros((rows.stop - rows.start, columns), np.float32)
+    def read(self, rows: slice, columns: slice) -> np.ndarray:
+        """Return a window (h, w) float32."""
+        total = np.zeros((rows.stop - rows.start, columns.stop - columns.start), np.float32)
         weight_sum, spacing, octave = 0.0, self.largest, 0
         while spacing >= self.smallest:
             weight = (spacing / self.largest) ** self.hurst
@@ -41,15 +43,26 @@ class Noise:
             spacing, octave = spacing // 2, octave + 1
         return total / np.float32(np.sqrt(weight_sum) * SPLINE_DEVIATION)
 
-    def _read_octave(self, octave: int, spacing: int, rows: slice, columns: int) -> np.ndarray:
-        count = (columns - 1) // spacing + 4
-        first, last = rows.start // spacing, (rows.stop - 1) // spacing + 3
-        lattice = np.stack(
-            [np.random.default_rng([self.seed, octave, row]).standard_normal(count, np.float32) for row in range(first, last + 1)]
+    def _read_octave(self, octave: int, spacing: int, rows: slice, columns: slice) -> np.ndarray:
+        ranges = [(axis.start // spacing, (axis.stop - 1) // spacing + 4) for axis in (rows, columns)]
+        lattice = self._read_lattice(octave, *ranges)
+        along, across = (
+            _spline_weights(np.arange(axis.start, axis.stop), spacing, first, last - first)
+            for axis, (first, last) in zip((rows, columns), ranges, strict=True)
         )
-        across = _spline_weights(np.arange(columns), spacing, 0, count)
-        along = _spline_weights(np.arange(rows.start, rows.stop), spacing, first, len(lattice))
         return along @ (across @ lattice.T).T
+
+    def _read_lattice(self, octave: int, rows: tuple[int, int], columns: tuple[int, int]) -> np.ndarray:
+        """Return random numbers (h, w) float32 of a window, which are drawn in blocks."""
+        blocks = [range(first // BLOCK, (last - 1) // BLOCK + 1) for first, last in (rows, columns)]
+        drawn = np.block(
+            [
+                [np.random.default_rng([self.seed, octave, j, i]).standard_normal((BLOCK, BLOCK), np.float32) for i in blocks[1]]
+                for j in blocks[0]
+            ]
+        )
+        row, column = rows[0] - blocks[0].start * BLOCK, columns[0] - blocks[1].start * BLOCK
+        return drawn[row : row + rows[1] - rows[0], column : column + columns[1] - columns[0]]
 
 
 SPLINE_DEVIATION = 0.48  # of white noise with a deviation of 1 after smoothing along both axes, the mean over all phases
@@ -75,7 +88,7 @@ class FractalTerrain:
 
     def read(self, rows: slice) -> np.ndarray:
         """Return rows (h, size) float32, meters."""
-        heights = MEAN_HEIGHT + DEVIATION * Noise(self.seed, self.hurst).read(rows, self.size)
+        heights = MEAN_HEIGHT + DEVIATION * Noise(self.seed, self.hurst).read(rows, slice(0, self.size))
         return (np.rint(np.clip(heights, 0.0, MAX_HEIGHT) / HEIGHT_STEP) * HEIGHT_STEP).astype(np.float32)
 
     def read_all(self) -> np.ndarray:
@@ -92,8 +105,10 @@ class FractalTerrain:
 
 @dataclass(frozen=True)
 class AerialImage:
-    """A synthetic aerial photograph of `size` x `size` pixels, an `ImageSource`: soil, forest, fields with sharp borders, and sensor noise.
-    Row 0 is in the south. It is computed when it is read, and windows of it always agree."""
+    """A synthetic aerial photograph of `size` x `size` pixels: soil, forest, fields with sharp borders, and the noise of a sensor.
+
+    It is computed when it is read, an `ImageSource`. Row 0 is in the south.
+    """
 
     size: int
     seed: int
@@ -107,7 +122,7 @@ class AerialImage:
         """Return a window (h, w, 3) uint8, sRGB-encoded."""
         rows, columns = slice(*rows.indices(self.size)), slice(*columns.indices(self.size))
         cover, shade, grain = (
-            Noise(self.seed + index, hurst, largest).read(rows, self.size)[:, columns]
+            Noise(self.seed + index, hurst, largest).read(rows, columns)
             for index, (hurst, largest) in enumerate(((0.8, 512), (0.1, 256), (0.0, 2)))
         )
         y, x = np.arange(rows.start, rows.stop)[:, None] // 96, np.arange(columns.start, columns.stop) // 160
@@ -118,6 +133,30 @@ class AerialImage:
         colors = open_land * (1.0 - forest_part) + forest * forest_part
         colors = colors * (1.0 + 0.2 * shade[..., None]) + 0.012 * grain[..., None]
         return np.rint(255.0 * np.clip(colors, 0.0, 1.0)).astype(np.uint8)
+
+    def write(self, path: Path) -> None:
+        """Write a TIFF file without compression, row by row; its first row is the northern one."""
+        pixels = tifffile.memmap(path, shape=self.shape, dtype=np.uint8, photometric="rgb")
+        for rows in split_bands(self.size):
+            pixels[self.size - rows.stop : self.size - rows.start] = self.read(rows, slice(0, self.size))[::-1]
+        pixels.flush()
+
+
+class ImageFile:
+    """An image that `AerialImage.write` has written, an `ImageSource` that reads windows only."""
+
+    def __init__(self, path: Path) -> None:
+        pixels = tifffile.memmap(path, mode="r")
+        self.shape, self._path, self._offset = pixels.shape, path, pixels.offset
+
+    def read(self, rows: slice, columns: slice) -> np.ndarray:
+        """Return a window (h, w, 3) uint8."""
+        height, width, channels = self.shape
+        (top, bottom, _), (left, right, _) = rows.indices(height), columns.indices(width)
+        with self._path.open("rb") as file:
+            flipped, spread = slice(height - bottom, height - top), slice(channels * left, channels * right)
+            window = read_raw_window(file, self._offset, np.dtype(np.uint8), channels * width, flipped, spread)
+        return window[::-1].reshape(bottom - top, right - left, channels)
 
 
 def split_bands(size: int) -> Iterator[slice]:
@@ -139,11 +178,6 @@ def read_real(path: Path) -> tuple[np.ndarray, float]:
         nearest = ndimage.distance_transform_edt(is_void, return_distances=False, return_indices=True)
         heights = heights[tuple(nearest)]
     return heights, field.height_step or HEIGHT_STEP
-
-
-def open_fractal(path: Path) -> object:
-    """Open a file that `FractalTerrain.write` has written as a field."""
-    return open_field([path], FieldSettings(cell_size=CELL_SIZE))
 
 
 def write_grid(heights: np.ndarray, height_step: float, path: Path) -> HeightGrid:

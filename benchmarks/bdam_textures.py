@@ -14,7 +14,7 @@ from scipy import ndimage
 from farfield.addon.core.bdam.settings import BdamSettings
 from farfield.addon.core.bdam.textures.build import build_textures
 from farfield.addon.core.bdam.textures.grid import TILE_SIZE, TextureGrid, count_levels, tile_uv
-from farfield.addon.core.bdam.textures.images import stretch_over_field
+from farfield.addon.core.bdam.textures.images import ImageSource, stretch_over_field
 from farfield.addon.core.bdam.textures.plan import TexturePlan
 from farfield.addon.core.bdam.textures.store import TextureStore, write_textures
 from farfield.addon.core.bdam.tree import Tree
@@ -26,17 +26,17 @@ POINTS_PER_EDGE = 2000
 BOUNDS = {"raw": 0.0, "mean": 1.5, "99.9th": 8.0}  # of 255
 
 
-def create_plan(samples: int, image: AerialImage, image_format: ImageFormat = "jpeg") -> TexturePlan:
+def create_plan(samples: int, image: ImageSource, image_format: ImageFormat) -> TexturePlan:
     """Return the plan of an image over a square field of `samples` x `samples`."""
     tree = Tree(samples, samples, int(BdamSettings().leaf))
-    pixel = (samples - 1) / image.size
+    pixel = (samples - 1) / image.shape[1]
     grid = TextureGrid(samples, samples, tree.side, (CELL_SIZE, CELL_SIZE), count_levels(tree.side, tree.depth, pixel))
     return TexturePlan(grid, image_format)
 
 
-def build_texture_store(folder: Path, image: AerialImage, image_format: ImageFormat) -> Path:
-    """Build the tiles of an image with two pixels per cell; return the folder of the store."""
-    samples = image.size // 2 + 1
+def build_texture_store(folder: Path, image: ImageSource, image_format: ImageFormat) -> Path:
+    """Build the tiles of a square image with two pixels per cell; return the folder of the store."""
+    samples = image.shape[1] // 2 + 1
     out = folder / image_format
     if not out.exists():
         work = folder / f"{image_format}-work"
