@@ -39,9 +39,9 @@ def triangulate_field(tree: Tree, centers: np.ndarray, grid: HeightGrid) -> Diam
     offsets, template = diamond_template(tree.leaf_cells)
     x, y = (centers[:, None] + offsets).transpose(2, 0, 1)
     is_inside = (x >= 0) & (y >= 0) & (x < tree.columns) & (y < tree.rows)
-    in_field = is_inside[:, template].all(axis=2)
-    numbers = np.cumsum(is_inside.ravel(), dtype=np.int32).reshape(is_inside.shape) - 1
-    triangles = numbers[:, template][in_field]
+    numbers = np.cumsum(is_inside.ravel(), dtype=np.int32).reshape(is_inside.shape) - np.int32(1)
+    triangles = numbers.take(template, axis=1)
+    triangles = triangles.reshape(-1, 3) if is_inside.all() else triangles[is_inside.take(template, axis=1).all(axis=2)]
     x, y = x[is_inside].astype(np.int32), y[is_inside].astype(np.int32)
     domains = np.broadcast_to(np.arange(len(centers), dtype=np.int32)[:, None], is_inside.shape)[is_inside]
     is_boundary = np.broadcast_to(np.abs(offsets).sum(axis=1) == tree.leaf_cells, is_inside.shape)[is_inside]
@@ -97,33 +97,36 @@ def weld_patches(tree: Tree, patches: PatchSet, domains: np.ndarray) -> DiamondM
     )
 
 
-def classify_vertices(tree: Tree, meshes: DiamondMeshes, corners: np.ndarray) -> np.ndarray:
-    """Return what the vertices of diamonds may move along, (V,) int8 constants of `collapse_costs`.
+def classify_vertices(tree: Tree, meshes: DiamondMeshes, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Find what the vertices of diamonds of one level may move along.
 
     The outer boundary of a diamond is locked. The vertices of its hypotenuse and of the border of the field stay on these lines.
 
     Args:
-        corners: (D, 2, 3, 2) int64, corners of the triangles of each diamond; the second triangle of single ones repeats the first.
+        corners: (D, 3, 2) int64, corners of the first triangle of each diamond.
+
+    Returns:
+        Constants of `collapse_costs`, (V,) int8, and on which side of the hypotenuse vertices are, (V,) int32: positive on that of the first
+        triangle, 0 on the hypotenuse.
     """
-    x, y = meshes.x.astype(np.int64), meshes.y.astype(np.int64)
-    lines = np.full(len(x), FREE, np.int8)
-    start, end = (corners[meshes.domains, 0, end] for end in (0, 1))
-    direction = end - start
-    on_hypotenuse = direction[:, 0] * (y - start[:, 1]) == direction[:, 1] * (x - start[:, 0])
-    along = np.where(
-        direction[:, 1] == 0,
-        HORIZONTAL,
-        np.where(direction[:, 0] == 0, VERTICAL, np.where(direction[:, 0] == direction[:, 1], DIAGONAL, ANTIDIAGONAL)),
-    )
-    lines[on_hypotenuse] = along[on_hypotenuse]
-    for is_on_border, line in ((_is_inner_border(x, tree.columns, tree), VERTICAL), (_is_inner_border(y, tree.rows, tree), HORIZONTAL)):
-        lines = np.where(is_on_border, np.where((lines == FREE) | (lines == line), line, LOCKED), lines).astype(np.int8)
-    for triangle in range(2):
-        for leg in (1, 2):
-            start = corners[meshes.domains, triangle, leg]
-            direction = corners[meshes.domains, triangle, (leg + 1) % 3] - start
-            lines[direction[:, 0] * (y - start[:, 1]) == direction[:, 1] * (x - start[:, 0])] = LOCKED
-    return lines
+    center_x, center_y = ((corners[:, 0] + corners[:, 1]) // 2).T.astype(np.int32)
+    direction = corners[:, 1] - corners[:, 0]
+    sign_x, sign_y = np.sign(direction).T.astype(np.int32)
+    x, y = meshes.x - center_x.take(meshes.domains), meshes.y - center_y.take(meshes.domains)
+    sides = y * sign_x.take(meshes.domains) - x * sign_y.take(meshes.domains)
+    along = np.choose(sign_x * sign_y + 1, (ANTIDIAGONAL, np.where(sign_y == 0, HORIZONTAL, VERTICAL), DIAGONAL)).astype(np.int8)
+    lines = np.where(sides == 0, along.take(meshes.domains), np.int8(FREE))
+    for is_on_border, line in (
+        (_is_inner_border(meshes.x, tree.columns, tree), VERTICAL),
+        (_is_inner_border(meshes.y, tree.rows, tree), HORIZONTAL),
+    ):
+        lines[is_on_border] = np.where((lines[is_on_border] == FREE) | (lines[is_on_border] == line), line, LOCKED)
+    # The triangles of a level have the same size, and diamonds are squares: axis-parallel ones with diagonal hypotenuses, or rotated ones.
+    half = np.abs(direction[0]).max() // 2
+    x, y = np.abs(x), np.abs(y)
+    distances = x + y if direction[0].min() == 0 or direction[0].max() == 0 else np.maximum(x, y)
+    lines[distances == half] = LOCKED
+    return lines, sides
 
 
 def _is_inner_border(positions: np.ndarray, count: int, tree: Tree) -> np.ndarray:

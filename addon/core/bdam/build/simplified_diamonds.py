@@ -37,13 +37,13 @@ def simplify_diamonds(
         for column in range(2):
             diamond_of[pairs[:, column]] = np.arange(len(diamonds))
         meshes = weld_patches(tree, children, diamond_of[np.searchsorted(triangles, children.indices >> 1)])
-    lines = classify_vertices(tree, meshes, corners[pairs])
+    lines, sides = classify_vertices(tree, meshes, corners[pairs[:, 0]])
     excess = np.bincount(meshes.domains, minlength=len(diamonds)) // 2
     first = choose_grid_collapses(meshes, lines, excess) if children is None else None
     batch = _to_batch(meshes, lines, int(np.ptp(corners[0], axis=0).max()))
     simplified, removed = simplify(batch, excess, first)
     samples = _choose_samples(batch, simplified, removed)
-    return _divide(meshes, simplified, samples, triangles, pairs, corners, grid)
+    return _divide(meshes, sides, simplified, samples, triangles, pairs, grid)
 
 
 def _choose_samples(batch: MeshBatch, triangles: np.ndarray, removed: RemovedSamples) -> RemovedSamples:
@@ -72,29 +72,22 @@ def _to_batch(meshes: DiamondMeshes, lines: np.ndarray, extent: int) -> MeshBatc
 
 def _divide(
     meshes: DiamondMeshes,
+    sides: np.ndarray,
     simplified: np.ndarray,
     samples: RemovedSamples,
     indices: np.ndarray,
     pairs: np.ndarray,
-    corners: np.ndarray,
     grid: HeightGrid,
 ) -> PatchSet:
     """Divide simplified diamonds along their hypotenuses; measure them, and find the slopes at the hypotenuses."""
-    points = np.stack([meshes.x, meshes.y], axis=1).astype(np.int64)
     of_triangle = meshes.domains[simplified[:, 0]]
-    triangle_points = points[simplified]
-    start, end = (corners[pairs[of_triangle, 0], i] for i in (0, 1))
-    direction, middle = end - start, triangle_points.sum(axis=1) - 3 * start
-    is_second = direction[:, 0] * middle[:, 1] < direction[:, 1] * middle[:, 0]
-    patches = pairs[of_triangle, is_second.astype(np.int64)]
-    measured = measure_triangles(triangle_points, meshes.z[simplified], grid)
+    side = (sides.take(simplified).sum(axis=1) < 0).astype(np.int64)
+    patches = pairs[of_triangle, side]
+    measured = measure_triangles(np.stack([meshes.x.take(simplified), meshes.y.take(simplified)], axis=2), meshes.z.take(simplified), grid)
     diamond_errors = np.zeros(len(pairs), np.float32)
     np.maximum.at(diamond_errors, of_triangle, measured.errors)
-    on_hypotenuse = _is_on(points, corners[pairs[meshes.domains, 0]])
-    is_missing = np.isnan(meshes.slopes[:, 0]) & on_hypotenuse
-    slopes = np.where(is_missing[:, None], _mean_slopes(meshes, simplified), meshes.slopes)
-
-    patch_count, side = len(indices), is_second.astype(np.int64)
+    slopes = _add_slopes(meshes, simplified, np.isnan(meshes.slopes[:, 0]) & (sides == 0))
+    patch_count = len(indices)
     is_used = np.zeros((2, len(meshes.x)), bool)
     is_used[side[:, None], simplified] = True
     vertex_sides, vertices = np.nonzero(is_used)
@@ -137,18 +130,16 @@ def _divide(
     )
 
 
-def _is_on(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Return whether `points` (V, 2) are on the hypotenuses of triangles with `corners` (V, 3, 2)."""
-    direction, offset = corners[:, 1] - corners[:, 0], points - corners[:, 0]
-    return direction[:, 0] * offset[:, 1] == direction[:, 1] * offset[:, 0]
-
-
-def _mean_slopes(meshes: DiamondMeshes, triangles: np.ndarray) -> np.ndarray:
-    """Return the derivatives (V, 2) float32 along x and y of the surface at vertices: means of their triangles weighted by area."""
-    (x0, x1, x2), (y0, y1, y2), (z0, z1, z2) = (axis.astype(np.float64)[triangles].T for axis in (meshes.x, meshes.y, meshes.z))
+def _add_slopes(meshes: DiamondMeshes, triangles: np.ndarray, is_missing: np.ndarray) -> np.ndarray:
+    """Return the slopes (V, 2) float32 with those of the vertices `is_missing` (V,), if triangles use them: means of the gradients of their
+    triangles weighted by area."""
+    triangles = triangles[is_missing.take(triangles).any(axis=1)]
+    (x0, x1, x2), (y0, y1, y2), (z0, z1, z2) = (axis.astype(np.float64).take(triangles.T) for axis in (meshes.x, meshes.y, meshes.z))
     area = (x1 - x0) * (y2 - y0) - (y1 - y0) * (x2 - x0)  # the gradients below are multiplied by it
     along_x = (z1 - z0) * (y2 - y0) - (z2 - z0) * (y1 - y0)
     along_y = (z2 - z0) * (x1 - x0) - (z1 - z0) * (x2 - x0)
     corners, count = triangles.reshape(-1), len(meshes.x)
-    sums = [np.bincount(corners, np.repeat(values, 3), minlength=count) for values in (along_x, along_y, area)]
-    return (np.stack(sums[:2], axis=1) / np.maximum(sums[2], 1.0)[:, None]).astype(np.float32)
+    sums = [np.bincount(corners, np.repeat(values, 3), minlength=count)[is_missing] for values in (along_x, along_y, area)]
+    slopes = meshes.slopes.copy()
+    slopes[is_missing] = np.stack(sums[:2], axis=1) / np.maximum(sums[2], 1.0)[:, None]
+    return slopes

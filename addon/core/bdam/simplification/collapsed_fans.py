@@ -89,7 +89,10 @@ def arrange_fans(points: GridPoints, rings: VertexRings, vertices: np.ndarray, t
         if degree > 2:
             inner[-1, ~is_border] = np.inf  # the last triangle vanishes unless the vertex is on a border
         angles[positions, : degree - 2] = inner.T
-    joined = (np.concatenate(arrays) if arrays else np.zeros(0, dtype) for arrays, dtype in ((owners, np.int32), (star, np.int32), (is_kept, bool)))
+    joined = (
+        np.concatenate(arrays) if arrays else np.zeros(0, dtype)
+        for arrays, dtype in ((owners, np.int32), (star, np.int32), (is_kept, bool))
+    )
     return CollapsedFans(vertices, targets, corner_rows, *joined, *xyz, angles)
 
 

@@ -19,11 +19,9 @@ from .removed_samples import RemovedSamples
 from .vertex_rings import VertexRings, build_rings
 
 MAX_ROUNDS = 40
-import os
-BOOST = float(os.environ.get("BOOST","1.3"))
-TAIL=int(os.environ.get("TAIL","0"))
 MAX_EXACT_DIFFERENCE = 1 << 11  # products of differences up to this are exact in float32
 STALE_COST_RATIO = 1.2  # a changed vertex is evaluated again only if its last cost was below this many times the cutoff
+CANDIDATE_RATIO = 1.3  # of vertices within the cutoff to those to be removed; more need fewer rounds, but cost quality
 TOLERATED_EXCESS = 0.02  # of the vertices to be removed, above which another round runs
 
 
@@ -46,9 +44,7 @@ class MeshBatch:
     extent: int
 
 
-def simplify(
-    batch: MeshBatch, excess: np.ndarray, first: tuple[np.ndarray, np.ndarray] | None = None
-) -> tuple[np.ndarray, RemovedSamples]:
+def simplify(batch: MeshBatch, excess: np.ndarray, first: tuple[np.ndarray, np.ndarray] | None = None) -> tuple[np.ndarray, RemovedSamples]:
     """Return the triangles (N, 3) int32 of the simplified meshes, with the vertices of the input, and the samples that they approximate.
 
     Args:
@@ -128,10 +124,10 @@ class _Decimation:
         self._replace_stars(fans, is_accepted)
 
     def _update_cutoffs(self) -> None:
-        """Find the costs that as many vertices have as are to be removed. They are 0 where none are."""
+        """Find the costs up to which vertices of unfinished domains collapse, from as many vertices as are to be removed and some more."""
         is_unfinished = self.is_unfinished
         used = np.flatnonzero((self._costs < np.inf) & is_unfinished.take(self.domains))
-        cutoffs = find_cutoffs(self._costs.take(used), self.domains.take(used), (self._excess * BOOST).astype(np.int64))
+        cutoffs = find_cutoffs(self._costs.take(used), self.domains.take(used), (CANDIDATE_RATIO * self._excess).astype(np.int64))
         self._cutoffs = np.where(is_unfinished, cutoffs, np.float32(-1.0))
 
     def _mark_changes(self, removed: np.ndarray, fans: CollapsedFans, rings: VertexRings, is_accepted: np.ndarray) -> None:
