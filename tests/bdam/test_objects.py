@@ -3,8 +3,8 @@
 import bpy
 import pytest
 
-from bdam.small_stores import add_texture, build_store, colors, hills
 from farfield.addon.bridge.bdam.objects import SceneTerrain
+from small_terrain_stores import add_texture, build_store, colors, hills
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 

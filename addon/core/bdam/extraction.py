@@ -1,8 +1,8 @@
 """View-dependent cuts through the bintrees (BDAM, section 4), found level by level for all patches at once.
 
-A patch is refined if its error, seen from the point of its bounding box nearest to the viewer, is larger than the tolerance. A cut fits without
-cracks if the two patches of a diamond are refined together. The paper achieves that by errors and spheres which are nested across diamonds;
-here, refinement spreads to the other patches of diamonds instead, which needs fewer patches because bounding boxes stay small.
+A patch is refined if its error, seen from the point of its bounding box nearest to the viewer, is larger than the tolerance. A cut fits
+without cracks if the two patches of a diamond are refined together. The paper achieves that by errors and spheres which are nested across
+diamonds; here, refinement spreads to the other patches of diamonds instead, which needs fewer patches because bounding boxes stay small.
 """
 
 from collections.abc import Callable, Sequence
@@ -156,7 +156,8 @@ def _build_cut(store: TerrainStore, refined: list[np.ndarray], measure: Measure)
 
 
 def _complete_diamonds(store: TerrainStore, refined: list[np.ndarray]) -> list[np.ndarray]:
-    """Return the rows to refine at each level, such that the parents of refined patches and the other patches of their diamonds are refined.
+    """Return the rows to refine at each level, such that the parents of refined patches and the other patches of their diamonds are
+    refined.
 
     refined: rows (N,) at each level from 0.
     """
@@ -174,8 +175,8 @@ def _complete_diamonds(store: TerrainStore, refined: list[np.ndarray]) -> list[n
 def project_errors(patches: Level, rows: np.ndarray, viewer: Viewer, exaggeration: float) -> np.ndarray:
     """Return upper bounds (N,) in pixels of what the errors of patches, which are vertical, cover anywhere in the image.
 
-    A vertical length at the depth d covers at most k / d pixels, where k is largest in a corner of the image. The depth is at least that of the
-    nearest corner of a box, and at least the distance to the box times the cosine of the angle to a corner of the image.
+    A vertical length at the depth d covers at most k / d pixels, where k is largest in a corner of the image. The depth is at least that
+    of the nearest corner of a box, and at least the distance to the box times the cosine of the angle to a corner of the image.
     """
     errors = patches.errors[rows] * exaggeration
     low, high = _boxes(patches, rows, exaggeration)

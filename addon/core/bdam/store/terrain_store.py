@@ -20,8 +20,9 @@ class TerrainStore:
     """An open store. Threads may share it.
 
     header: see `StoreHeader`. tree: the bintrees. levels: the patches of each level from the coarsest to the finest. children: for each
-    level but the last, (N, 2) int64, the rows of the two children of each patch in the next level, -1 where there is none. partners: for each
-    level, (N,) int64, the row of the other patch of the diamond, or of the patch itself where there is none. textures: None without textures.
+    level but the last, (N, 2) int64, the rows of the two children of each patch in the next level, -1 where there is none. partners: for
+    each level, (N,) int64, the row of the other patch of the diamond, or of the patch itself where there is none. textures: None without
+    textures.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -70,7 +71,7 @@ class TerrainStore:
         corners = self.tree.corners_of(level, index)
         leaf = leaf_grid(self.tree, corners) if level == self.tree.leaf_level else None
         try:
-            return decode_patch(content, corners, *(int(count) for count in patches.counts[row]), leaf, self.header.slope_step)
+            return decode_patch(content, corners, *(int(count) for count in patches.counts[row]), leaf, self.header.gradient_step)
         except FileError as error:
             raise FileError(f'Patch {level}/{index} of "{self.folder}" is damaged: {error}') from error
 
