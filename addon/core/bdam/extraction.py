@@ -60,20 +60,17 @@ def extract_cut(store: TerrainStore, viewer: Viewer, settings: CutSettings, is_f
 
 
 def extract_union_cut(
-    store: TerrainStore, viewers: Sequence[Viewer], settings: CutSettings, are_forced: Sequence[IsForced | None] = ()
+    store: TerrainStore, viewers: Sequence[Viewer], settings: CutSettings, is_forced: IsForced | None = None
 ) -> Steps[Cut]:
     """Return the coarsest consistent cut whose errors are at most the tolerance for every one of `viewers` in the local frame.
 
-    What any viewer refines is refined. `max_error` is the largest for any viewer.
-
-    Args:
-        viewers: at least one. are_forced: see `extract_cut`, for each viewer; empty for none.
+    What any viewer refines is refined. `max_error` is the largest for any viewer. is_forced: see `extract_cut`.
     """
     refined = [np.zeros(0, np.int64)] * (len(store.levels) - 1)
     measures = [ProjectedErrors(store, viewer, settings) for viewer in viewers]
     for number, measure in enumerate(measures):
         yield Progress(0.5 * number / len(measures), "Choosing patches")
-        wanted = _find_refined(store, measure, settings.tolerance, are_forced[number] if are_forced else None)
+        wanted = _find_refined(store, measure, settings.tolerance, is_forced)
         for level, rows in enumerate(wanted):
             refined[level] = np.union1d(refined[level], rows)
     cut = _build_cut(store, _complete_diamonds(store, refined), lambda _level, rows: np.zeros(len(rows)))

@@ -74,3 +74,48 @@ class BdamViewSettings(Settings):
     culling: bool = setting(
         True, "Keep the terrain coarse where the 3D Viewport does not show it. Renders always have all of it, for shadows and reflections"
     )
+
+
+TARGETS = {
+    "origins": Choice("Origins", "Put the origins of the selected objects on the ground"),
+    "bottoms": Choice("Bottoms", "Put the centers of the lower sides of bounding boxes on the ground"),
+    "points": Choice("Points", "Put all vertices of the selected meshes and all points of the selected point clouds on the ground"),
+}
+SURFACES = {
+    "finest": Choice("Finest Data", "The ground as it is in the store, with all samples"),
+    "shown": Choice("As Shown", "The triangles of the terrain in the scene, as coarse as they are now"),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroundSettings(Settings):
+    """How *Drop to Ground* places objects."""
+
+    has_flags = False
+
+    target: str = setting("origins", "What is put on the ground", choices=TARGETS)
+    surface: str = setting("finest", "The ground that is used", choices=SURFACES)
+    align: bool = setting(False, "Rotate objects until their Z axes are perpendicular to the ground. Not for Points", label="Align to Normal")
+    offset: float = setting(0.0, "Height above the ground", minimum=-1e6, maximum=1e6, unit=Unit.LENGTH)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FreezeSettings(Settings):
+    """The objects that *Freeze* and *Freeze Camera Path* create."""
+
+    has_flags = False
+
+    joined: bool = setting(False, "Create one object instead of one per tile")
+    keep_terrain: bool = setting(False, "Keep the terrain in addition to its meshes")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FreezePathSettings(Settings):
+    """The frames of *Freeze Camera Path*."""
+
+    has_flags = False
+
+    scene_range: bool = setting(True, "Use all frames of the scene, or of its preview range", label="Scene Frame Range")
+    first_frame: int = setting(1, "First frame, unless the frame range of the scene is used", minimum=-1_000_000, maximum=1_000_000)
+    last_frame: int = setting(250, "Last frame, unless the frame range of the scene is used", minimum=-1_000_000, maximum=1_000_000)
+    frame_step: int = setting(1, "Use every frame, or every second, third, and so on; frames between may be too coarse", minimum=1, maximum=1000)

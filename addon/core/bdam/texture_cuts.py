@@ -5,6 +5,7 @@ The number is raised to those of the tiles that `textures.nesting` names, so tha
 enough tiles is found by sorting.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,7 +52,20 @@ class TextureSelector:
             return TextureCut({(0, 0, 0): None})
         pixels = self._nest(self._measure(viewer, settings))
         threshold = max(settings.tolerance, self._find_threshold(pixels, max_count))
-        is_refined = pixels > threshold
+        return self._cut_below(pixels > threshold)
+
+    def unite(self, cuts: Sequence[TextureCut]) -> TextureCut:
+        """Return the coarsest cut that is nowhere coarser than any of `cuts`, at least one, which `choose` has returned."""
+        if not (self._index.levels == 0).any():
+            return cuts[0]
+        is_refined = np.zeros(len(self._index), bool)
+        for cut in cuts:
+            for level, squares in enumerate(cut.refined):
+                is_refined[self._index.find(level, squares)] = True
+        return self._cut_below(is_refined)
+
+    def _cut_below(self, is_refined: np.ndarray) -> TextureCut:
+        """Return the cut below the tiles (N,) bool that are refined, with their ancestors and relatives."""
         numbers: dict[tuple[int, int, int], int | None] = {}
         refined = []
         chosen = select_cut(self._index, is_refined)
