@@ -48,8 +48,8 @@ class TileMesh:
     """The mesh of a tile, without holes.
 
     location: (3,) float64, position of the mesh in local meters with exaggeration. vertices: (V, 3) float32, relative to it. normals:
-    (V, 3) float32. triangles: (T, 3) int32. uvs: (V, 2) float32 in the texture tile, None without texture. levels: (T,) int8 of the patches.
-    ids: (V,) int64, see `PatchMesh`. damages: sentences about patches that cannot be read and are missing in the mesh.
+    (V, 3) float32. triangles: (T, 3) int32. uvs: (V, 2) float32 in the texture tile, None without texture. levels: (T,) int8, of the
+    patches. ids: (V,) int64, see `PatchMesh`. damages: sentences about patches that cannot be read and are missing in the mesh.
     """
 
     location: np.ndarray
