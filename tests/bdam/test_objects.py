@@ -7,7 +7,6 @@ import mathutils
 import numpy as np
 import pytest
 
-from small_terrain_stores import add_texture, build_store, colors, hills
 from farfield.addon.bridge.bdam import objects as terrain_objects
 from farfield.addon.bridge.bdam.materials import LEVEL_ATTRIBUTE
 from farfield.addon.bridge.bdam.objects import SceneTerrain, TerrainChange
@@ -18,6 +17,7 @@ from farfield.addon.core.bdam.settings import BdamViewSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 from farfield.addon.core.geometry.viewers import Projection, Viewer
 from farfield.addon.core.jobs.progress import run_to_end
+from small_terrain_stores import add_texture, build_store, colors, hills
 
 pytest.importorskip("PIL")
 pytestmark = pytest.mark.usefixtures("empty_scene")

@@ -5,11 +5,11 @@ import shutil
 import bpy
 import pytest
 
-from small_terrain_stores import build_store, hills
 from farfield.addon.bridge.bdam.objects import STORE_KEY, SceneTerrain
 from farfield.addon.operators import follow_handlers, following, view_following
 from farfield.addon.operators.bdam.follow_tool import TOOL
 from farfield.addon.operators.engine_cache import cache
+from small_terrain_stores import build_store, hills
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 LABEL = "Größe 山"  # not ASCII
