@@ -41,7 +41,8 @@ def main(arguments: list[str], _line: command_line.ProgressLine) -> str:
     parser.add_argument("work", choices=list(WORK))
     parser.add_argument("path", type=command_line.parse_path, help="an elevation model, an image, or a store")
     parser.add_argument("--out", type=command_line.parse_path, help="the store to build, the folder for textures, or the picture")
-    parser.add_argument("--mesh", choices=("full", "cut"), help="what is rendered")
+    parser.add_argument("--tolerance", type=float, default=1.0, help="pixels, of the cut that is rendered; 0 for all samples")
+    parser.add_argument("--render-seed", type=int, default=0, help="of the noise of the render")
     parser.add_argument("--executor", default="processes", help="of the build")
     parser.add_argument("--size", type=int, default=0, help="samples per side of the terrain that is flown over")
     parser.add_argument("--seed", type=int, default=0, help="of that terrain")
@@ -132,7 +133,7 @@ def memory_mb(name: str) -> float:
 
 def render(given: Namespace) -> dict[str, Any]:
     """Render a frame of the fly-over."""
-    return render_view(given.path, given.out, given.mesh, given.size, given.seed)
+    return render_view(given.path, given.out, given.tolerance, FractalTerrain(given.size, given.seed), given.render_seed)
 
 
 WORK = {"build": build, "textures": build_texture_tiles, "fly": fly, "render": render}

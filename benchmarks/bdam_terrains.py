@@ -131,7 +131,7 @@ class AerialImage:
         forest_part = np.clip(4.0 * cover, 0.0, 1.0)[..., None]
         open_land = np.where((cover < -0.4)[..., None], crops * (0.6 + 0.6 * parcels[..., None]), soil)
         colors = open_land * (1.0 - forest_part) + forest * forest_part
-        colors = colors * (1.0 + 0.2 * shade[..., None]) + 0.012 * grain[..., None]
+        colors = colors * (1.0 + 0.45 * shade[..., None]) + 0.02 * grain[..., None]
         return np.rint(255.0 * np.clip(colors, 0.0, 1.0)).astype(np.uint8)
 
     def write(self, path: Path) -> None:

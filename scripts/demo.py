@@ -83,7 +83,7 @@ FULL = DemoPreset(
     forest_width=340,
     forest_samples=6,
     photos=PhotosPreset(photograph_width=1200, samples=8, texture_size=2048, view_pixels=128),
-    terrain=TerrainPreset(size=513, frames=5, width=256, samples=8),
+    terrain=TerrainPreset(size=513, frames=5, width=240, samples=8),
 )
 QUICK = DemoPreset(
     leaves=1000,
@@ -112,7 +112,8 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     """Run the demo and return its result in one line; raises FarfieldError for an invalid input or folder."""
     parser = command_line.Parser(
         prog="demo.py",
-        description="Grow a tree, build its billboard cloud, make it relightable, plant a forest, make a texture from photographs, and fly over terrain.",
+        description="Grow a tree, build its billboard cloud, make it relightable, plant a forest, make a texture from photographs, and "
+        "fly over a terrain.",
     )
     parser.add_argument("--input", type=Path, help="your own mesh instead of the tree: .blend .obj .ply .stl .glb .gltf .fbx .usd")
     parser.add_argument("--quick", action="store_true", help="fewer leaves, a larger error and fewer renders; takes about a minute")

@@ -82,5 +82,7 @@ def _photos(report: dict[str, Any]) -> list[str]:
 def _terrain(report: dict[str, Any]) -> list[str]:
     triangles = f"{min(report['triangles']):,} to {max(report['triangles']):,}"
     stages = ", ".join(f"{stage} {seconds:.1f}" for stage, seconds in report["seconds"].items())
-    summary = f"{report['samples']:,} samples, {report['bytes_per_sample']} bytes each; {triangles} triangles in a frame. Seconds: {stages}."
+    summary = (
+        f"{report['samples']:,} samples, {report['bytes_per_sample']} bytes each; {triangles} triangles in a frame. Seconds: {stages}."
+    )
     return ["## Large terrain", "", "![a flight over a terrain](terrain.png)", "", summary]

@@ -64,7 +64,9 @@ class TerrainDemo:
         """Return the contact sheet of the flight (H, W, 3)."""
         title = f"{self.size:,} x {self.size:,} samples within one pixel; {2 * (self.size - 1) ** 2:,} triangles at full resolution"
         rows = list(self.images.values())
-        return draw_contact_sheet(title, rows, [f"by {name}" for name in self.images], [[f"{count:,} triangles"] for count in self.triangles])
+        return draw_contact_sheet(
+            title, rows, [f"by {name}" for name in self.images], [[f"{count:,} triangles"] for count in self.triangles]
+        )
 
 
 def build_and_fly(preset: TerrainPreset, folder: Path) -> Steps[TerrainDemo]:
@@ -100,8 +102,8 @@ def build_and_fly(preset: TerrainPreset, folder: Path) -> Steps[TerrainDemo]:
 
 
 def fractal_heights(size: int, seed: int) -> np.ndarray:
-    """Return heights (size, size) float32 in meters, row 0 in the south: fractional Brownian motion by spectral synthesis, folded at half of
-    its height so that ridges form."""
+    """Return heights (size, size) float32 in meters, row 0 in the south: fractional Brownian motion by spectral synthesis, folded at half
+    of its height so that ridges form."""
     period = size + size // 8  # so that opposite borders do not match
     frequencies = np.hypot(np.fft.fftfreq(period)[:, None], np.fft.rfftfreq(period))
     frequencies[0, 0] = np.inf

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from bdam.small_stores import CELL_SIZE, add_texture, build_store, colors, hills
 from farfield.addon.core.bdam.engine import BdamEngine, Update
 from farfield.addon.core.bdam.extraction import CutSettings
 from farfield.addon.core.bdam.patch_squares import find_leaf_squares, square_boxes
@@ -20,6 +19,7 @@ from farfield.addon.core.bdam.tiles import MAX_TILES, TileMesh, locate_tile
 from farfield.addon.core.geometry.viewers import Projection, Viewer
 from farfield.addon.core.imaging.coded_images import encode
 from farfield.addon.core.jobs.progress import run_to_end
+from small_terrain_stores import CELL_SIZE, add_texture, build_store, colors, hills
 
 pytest.importorskip("PIL")
 pytest.importorskip("zstandard")
@@ -182,7 +182,7 @@ def test_only_changed_tiles_are_filled_again(folders, kind):
     assert complete.is_complete and scene.filled == len(complete.tiles)
 
 
-def test_standing_still_is_settled_and_moving_is_not(folders):
+def test_a_viewer_at_rest_is_settled_and_one_that_moves_is_not(folders):
     engine = engine_of(folders)
     viewer = look_at((-600.0, -900.0, 800.0), (0.0, 0.0, 0.0), is_interactive=True)
     assert not engine.is_settled_at(viewer)

@@ -1,16 +1,17 @@
 """View-dependent cuts through the bintrees (BDAM, section 4), found level by level for all patches at once.
 
-A patch is refined if its error, seen from the point of its bounding box nearest to the viewer, is larger than the tolerance. A cut fits without
-cracks if the two patches of a diamond are refined together. The paper achieves that by errors and spheres which are nested across diamonds;
-here, refinement spreads to the other patches of diamonds instead, which needs fewer patches because bounding boxes stay small.
+A patch is refined if its error, seen from the point of its bounding box nearest to the viewer, is larger than the tolerance. A cut fits
+without cracks if the two patches of a diamond are refined together. The paper achieves that by errors and spheres which are nested across
+diamonds; here, refinement spreads to the other patches of diamonds instead, which needs fewer patches because bounding boxes stay small.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..geometry.viewers import Viewer
+from ..jobs.progress import Progress, Steps
 from .store.structure import Level
 from .store.terrain_store import TerrainStore
 
@@ -44,6 +45,7 @@ class Cut:
         return len(self.levels)
 
 
+Measure = Callable[[int, np.ndarray], np.ndarray]  # from a level and rows (N,) to the errors (N,) of patches
 IsForced = Callable[[int, np.ndarray], np.ndarray]  # from a level and rows (N,) to whether these patches must be refined, (N,) bool
 
 
@@ -55,6 +57,31 @@ def extract_cut(store: TerrainStore, viewer: Viewer, settings: CutSettings, is_f
     """
     measure = ProjectedErrors(store, viewer, settings)
     return _extract(store, measure, settings.tolerance, is_forced)
+
+
+def extract_union_cut(
+    store: TerrainStore, viewers: Sequence[Viewer], settings: CutSettings, are_forced: Sequence[IsForced | None] = ()
+) -> Steps[Cut]:
+    """Return the coarsest consistent cut whose errors are at most the tolerance for every one of `viewers` in the local frame.
+
+    What any viewer refines is refined. `max_error` is the largest for any viewer.
+
+    Args:
+        viewers: at least one. are_forced: see `extract_cut`, for each viewer; empty for none.
+    """
+    refined = [np.zeros(0, np.int64)] * (len(store.levels) - 1)
+    measures = [ProjectedErrors(store, viewer, settings) for viewer in viewers]
+    for number, measure in enumerate(measures):
+        yield Progress(0.5 * number / len(measures), "Choosing patches")
+        wanted = _find_refined(store, measure, settings.tolerance, are_forced[number] if are_forced else None)
+        for level, rows in enumerate(wanted):
+            refined[level] = np.union1d(refined[level], rows)
+    cut = _build_cut(store, _complete_diamonds(store, refined), lambda _level, rows: np.zeros(len(rows)))
+    largest = 0.0
+    for number, measure in enumerate(measures):
+        yield Progress(0.5 + 0.5 * number / len(measures), "Measuring errors")
+        largest = max([largest, *(float(measure(level, cut.rows[cut.levels == level]).max()) for level in np.unique(cut.levels).tolist())])
+    return replace(cut, max_error=largest)
 
 
 class ProjectedErrors:
@@ -89,29 +116,32 @@ def extract_uniform_cut(store: TerrainStore, max_error: float) -> Cut:
     return _extract(store, lambda level, rows: store.levels[level].errors[rows].astype(np.float64), max_error)
 
 
-def _extract(
-    store: TerrainStore, measure: Callable[[int, np.ndarray], np.ndarray], tolerance: float, is_forced: IsForced | None = None
-) -> Cut:
+def _extract(store: TerrainStore, measure: Measure, tolerance: float, is_forced: IsForced | None = None) -> Cut:
     """Return the coarsest consistent cut whose patches have at most this error according to `measure(level, rows)`, without forced ones."""
-    visited, errors, refined = [np.arange(len(store.levels[0].indices))], [], []
-    for level in range(len(store.levels)):
-        errors.append(measure(level, visited[level]))
-        if level == len(store.levels) - 1:
-            break
-        is_refined = errors[level] > tolerance
+    return _build_cut(store, _complete_diamonds(store, _find_refined(store, measure, tolerance, is_forced)), measure)
+
+
+def _find_refined(store: TerrainStore, measure: Measure, tolerance: float, is_forced: IsForced | None) -> list[np.ndarray]:
+    """Return the rows (N,) int64, at each level from 0, of the patches that a cut must refine because of their own error or force."""
+    visited, refined = np.arange(len(store.levels[0].indices)), []
+    for level in range(len(store.levels) - 1):
+        is_refined = measure(level, visited) > tolerance
         if is_forced is not None:
-            is_refined |= is_forced(level, visited[level])
-        refined.append(visited[level][is_refined])
+            is_refined |= is_forced(level, visited)
+        refined.append(visited[is_refined])
         children = store.children[level][refined[level]].ravel()
-        visited.append(children[children >= 0])
-        if not len(visited[-1]):
-            errors.append(np.zeros(0))
+        visited = children[children >= 0]
+        if not len(visited):
             break
-    refined = _complete_diamonds(store, refined)
+    return refined
+
+
+def _build_cut(store: TerrainStore, refined: list[np.ndarray], measure: Measure) -> Cut:
+    """Return the cut below patches to be refined, in rows (N,) at each level, that `_complete_diamonds` has completed."""
     levels, rows = [], []
-    active = visited[0]
+    active = np.arange(len(store.levels[0].indices))
     largest = 0.0
-    for level in range(len(visited)):
+    for level in range(len(store.levels)):
         is_refined = np.isin(active, refined[level]) if level < len(refined) else np.zeros(len(active), bool)
         kept = active[~is_refined]
         levels.append(np.full(len(kept), level))
@@ -120,11 +150,14 @@ def _extract(
         if level < len(refined):
             children = store.children[level][active[is_refined]].ravel()
             active = children[children >= 0]
+        if not len(active):
+            break
     return Cut(np.concatenate(levels), np.concatenate(rows), largest)
 
 
 def _complete_diamonds(store: TerrainStore, refined: list[np.ndarray]) -> list[np.ndarray]:
-    """Return the rows to refine at each level, such that the parents of refined patches and the other patches of their diamonds are refined.
+    """Return the rows to refine at each level, such that the parents of refined patches and the other patches of their diamonds are
+    refined.
 
     refined: rows (N,) at each level from 0.
     """
@@ -142,8 +175,8 @@ def _complete_diamonds(store: TerrainStore, refined: list[np.ndarray]) -> list[n
 def project_errors(patches: Level, rows: np.ndarray, viewer: Viewer, exaggeration: float) -> np.ndarray:
     """Return upper bounds (N,) in pixels of what the errors of patches, which are vertical, cover anywhere in the image.
 
-    A vertical length at the depth d covers at most k / d pixels, where k is largest in a corner of the image. The depth is at least that of the
-    nearest corner of a box, and at least the distance to the box times the cosine of the angle to a corner of the image.
+    A vertical length at the depth d covers at most k / d pixels, where k is largest in a corner of the image. The depth is at least that
+    of the nearest corner of a box, and at least the distance to the box times the cosine of the angle to a corner of the image.
     """
     errors = patches.errors[rows] * exaggeration
     low, high = _boxes(patches, rows, exaggeration)

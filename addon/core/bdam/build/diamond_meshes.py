@@ -15,8 +15,9 @@ from .patch_set import PatchSet
 class DiamondMeshes:
     """The meshes of D diamonds without common vertices. Vertices are in ascending order of their diamonds, then x, then y.
 
-    domains: (V,) int32, diamond of each vertex. x, y, z: (V,) int32. slopes: (V, 2) float32, known on the outer boundary of each diamond, NaN
-    elsewhere. triangles: (T, 3) int32. samples: (S, 3) int32, samples (x, y, z) that are not vertices, but whose distances count.
+    domains: (V,) int32, diamond of each vertex. x, y, z: (V,) int32. gradients: (V, 2) float32, known on the outer boundary of each
+    diamond, NaN elsewhere. triangles: (T, 3) int32. samples: (S, 3) int32, samples (x, y, z) that are not vertices, but whose distances
+    count.
     sample_triangles: (S,) int32, the triangles that contain them.
     """
 
@@ -24,7 +25,7 @@ class DiamondMeshes:
     x: np.ndarray
     y: np.ndarray
     z: np.ndarray
-    slopes: np.ndarray
+    gradients: np.ndarray
     triangles: np.ndarray
     samples: np.ndarray
     sample_triangles: np.ndarray
@@ -45,10 +46,10 @@ def triangulate_field(tree: Tree, centers: np.ndarray, grid: HeightGrid) -> Diam
     x, y = x[is_inside].astype(np.int32), y[is_inside].astype(np.int32)
     domains = np.broadcast_to(np.arange(len(centers), dtype=np.int32)[:, None], is_inside.shape)[is_inside]
     is_boundary = np.broadcast_to(np.abs(offsets).sum(axis=1) == tree.leaf_cells, is_inside.shape)[is_inside]
-    slopes = np.full((len(x), 2), np.nan, np.float32)
-    slopes[is_boundary] = sample_slopes(x[is_boundary], y[is_boundary], grid)
+    gradients = np.full((len(x), 2), np.nan, np.float32)
+    gradients[is_boundary] = sample_gradients(x[is_boundary], y[is_boundary], grid)
     no_samples = np.zeros((0, 3), np.int32), np.zeros(0, np.int32)
-    return _remove_unused(DiamondMeshes(domains, x, y, grid.read_points(x, y), slopes, triangles, *no_samples))
+    return _remove_unused(DiamondMeshes(domains, x, y, grid.read_points(x, y), gradients, triangles, *no_samples))
 
 
 @cache
@@ -90,7 +91,7 @@ def weld_patches(tree: Tree, patches: PatchSet, domains: np.ndarray) -> DiamondM
         patches.x[first],
         patches.y[first],
         patches.z[first],
-        patches.slopes[first],
+        patches.gradients[first],
         inverse.reshape(-1).astype(np.int32)[numbers],
         patches.samples,
         (patches.sample_triangles + of_sample).astype(np.int32),
@@ -106,8 +107,8 @@ def classify_vertices(tree: Tree, meshes: DiamondMeshes, corners: np.ndarray) ->
         corners: (D, 3, 2) int64, corners of the first triangle of each diamond.
 
     Returns:
-        Constants of `collapse_costs`, (V,) int8, and on which side of the hypotenuse vertices are, (V,) int32: positive on that of the first
-        triangle, 0 on the hypotenuse.
+        Constants of `collapse_costs`, (V,) int8, and on which side of the hypotenuse vertices are, (V,) int32: positive on that of the
+        first triangle, 0 on the hypotenuse.
     """
     center_x, center_y = ((corners[:, 0] + corners[:, 1]) // 2).T.astype(np.int32)
     direction = corners[:, 1] - corners[:, 0]
@@ -134,14 +135,14 @@ def _is_inner_border(positions: np.ndarray, count: int, tree: Tree) -> np.ndarra
     return (positions == count - 1) & (count - 1 < tree.side)
 
 
-def sample_slopes(x: np.ndarray, y: np.ndarray, grid: HeightGrid) -> np.ndarray:
+def sample_gradients(x: np.ndarray, y: np.ndarray, grid: HeightGrid) -> np.ndarray:
     """Return the derivatives (N, 2) float32 of the field at samples (N,), by central differences, in steps per cell."""
-    slopes = np.empty((len(x), 2), np.float32)
+    gradients = np.empty((len(x), 2), np.float32)
     for axis, (dx, dy, count) in enumerate(((1, 0, grid.columns), (0, 1, grid.rows))):
         position = (x, y)[axis]
         span = np.minimum(position + 1, count - 1) - np.maximum(position - 1, 0)
-        slopes[:, axis] = (grid.read_points(x + dx, y + dy) - grid.read_points(x - dx, y - dy)) / span
-    return slopes
+        gradients[:, axis] = (grid.read_points(x + dx, y + dy) - grid.read_points(x - dx, y - dy)) / span
+    return gradients
 
 
 def _remove_unused(meshes: DiamondMeshes) -> DiamondMeshes:
@@ -151,5 +152,5 @@ def _remove_unused(meshes: DiamondMeshes) -> DiamondMeshes:
     if is_used.all():
         return meshes
     renumbering = np.cumsum(is_used, dtype=np.int32) - 1
-    arrays = (array[is_used] for array in (meshes.domains, meshes.x, meshes.y, meshes.z, meshes.slopes))
+    arrays = (array[is_used] for array in (meshes.domains, meshes.x, meshes.y, meshes.z, meshes.gradients))
     return DiamondMeshes(*arrays, renumbering[meshes.triangles], meshes.samples, meshes.sample_triangles)

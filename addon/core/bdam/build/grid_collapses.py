@@ -1,5 +1,5 @@
-"""The first collapses of a regular grid. Samples with an odd sum of coordinates have four neighbors and share no triangle, so their costs are
-found at once and any number of them can be removed in one step."""
+"""The first collapses of a regular grid. Samples with an odd sum of coordinates have four neighbors and share no triangle, so their costs
+are found at once and any number of them can be removed in one step."""
 
 import numpy as np
 

@@ -22,8 +22,8 @@ def simplify_diamonds(
 
     Args:
         triangles: (N,) int64, bintree indices of the triangles of this level. diamonds: (D, 2) positions in `triangles`, see
-            `Tree.find_diamonds`. children: the patches of the next level that lie in these diamonds; None for the finest diamonds, which are
-            triangulated from the field.
+            `Tree.find_diamonds`. children: the patches of the next level that lie in these diamonds; None for the finest diamonds, which
+            are triangulated from the field.
 
     Returns:
         Patches in ascending order of their indices. The error of a patch is the largest of its diamond.
@@ -79,14 +79,14 @@ def _divide(
     pairs: np.ndarray,
     grid: HeightGrid,
 ) -> PatchSet:
-    """Divide simplified diamonds along their hypotenuses; measure them, and find the slopes at the hypotenuses."""
+    """Divide simplified diamonds along their hypotenuses; measure them, and find the gradients at the hypotenuses."""
     of_triangle = meshes.domains[simplified[:, 0]]
     side = (sides.take(simplified).sum(axis=1) < 0).astype(np.int64)
     patches = pairs[of_triangle, side]
     measured = measure_triangles(np.stack([meshes.x.take(simplified), meshes.y.take(simplified)], axis=2), meshes.z.take(simplified), grid)
     diamond_errors = np.zeros(len(pairs), np.float32)
     np.maximum.at(diamond_errors, of_triangle, measured.errors)
-    slopes = _add_slopes(meshes, simplified, np.isnan(meshes.slopes[:, 0]) & (sides == 0))
+    gradients = _add_gradients(meshes, simplified, np.isnan(meshes.gradients[:, 0]) & (sides == 0))
     patch_count = len(indices)
     is_used = np.zeros((2, len(meshes.x)), bool)
     is_used[side[:, None], simplified] = True
@@ -121,7 +121,7 @@ def _divide(
         meshes.x[vertices],
         meshes.y[vertices],
         meshes.z[vertices],
-        slopes[vertices],
+        gradients[vertices],
         local_triangles,
         measured.is_hole[order],
         sample_starts.astype(np.int64),
@@ -130,9 +130,9 @@ def _divide(
     )
 
 
-def _add_slopes(meshes: DiamondMeshes, triangles: np.ndarray, is_missing: np.ndarray) -> np.ndarray:
-    """Return the slopes (V, 2) float32 with those of the vertices `is_missing` (V,), if triangles use them: means of the gradients of their
-    triangles weighted by area."""
+def _add_gradients(meshes: DiamondMeshes, triangles: np.ndarray, is_missing: np.ndarray) -> np.ndarray:
+    """Return the gradients (V, 2) float32 with those of the vertices `is_missing` (V,), if triangles use them: means of the gradients of
+    their triangles weighted by area."""
     triangles = triangles[is_missing.take(triangles).any(axis=1)]
     (x0, x1, x2), (y0, y1, y2), (z0, z1, z2) = (axis.astype(np.float64).take(triangles.T) for axis in (meshes.x, meshes.y, meshes.z))
     area = (x1 - x0) * (y2 - y0) - (y1 - y0) * (x2 - x0)  # the gradients below are multiplied by it
@@ -140,6 +140,6 @@ def _add_slopes(meshes: DiamondMeshes, triangles: np.ndarray, is_missing: np.nda
     along_y = (z2 - z0) * (x1 - x0) - (z1 - z0) * (x2 - x0)
     corners, count = triangles.reshape(-1), len(meshes.x)
     sums = [np.bincount(corners, np.repeat(values, 3), minlength=count)[is_missing] for values in (along_x, along_y, area)]
-    slopes = meshes.slopes.copy()
-    slopes[is_missing] = np.stack(sums[:2], axis=1) / np.maximum(sums[2], 1.0)[:, None]
-    return slopes
+    gradients = meshes.gradients.copy()
+    gradients[is_missing] = np.stack(sums[:2], axis=1) / np.maximum(sums[2], 1.0)[:, None]
+    return gradients

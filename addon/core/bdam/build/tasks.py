@@ -14,7 +14,7 @@ import numpy as np
 from ...files.sealed_files import read_sealed, write_sealed
 from ..store.leaf_grids import leaf_grid
 from ..store.patch_codec import Patch, encode_patch, find_boundary
-from .diamond_meshes import sample_slopes
+from .diamond_meshes import sample_gradients
 from .encoded_patches import EncodedPatches
 from .patch_set import PatchSet, join
 from .simplified_diamonds import simplify_diamonds
@@ -63,9 +63,9 @@ class BuildTasks:
         heights, is_known = grid.read(slice(low[1], high[1] + 1), slice(low[0], high[0] + 1))
         boundaries = [find_boundary(leaf.x, leaf.y, corner) for leaf, corner in zip(leaves, corners, strict=True)]
         x, y = (np.concatenate([getattr(leaf, axis)[rows] for leaf, rows in zip(leaves, boundaries, strict=True)]) for axis in "xy")
-        slopes = np.split(sample_slopes(x, y, grid), np.cumsum([len(rows) for rows in boundaries])[:-1])
+        gradients = np.split(sample_gradients(x, y, grid), np.cumsum([len(rows) for rows in boundaries])[:-1])
         patches = []
-        for leaf, boundary, slope in zip(leaves, boundaries, slopes, strict=True):
+        for leaf, boundary, slope in zip(leaves, boundaries, gradients, strict=True):
             rows, columns = leaf.y - low[1], leaf.x - low[0]
             is_hole = ~is_known[rows, columns][leaf.triangles].any(axis=1)
             patches.append(Patch(leaf.x, leaf.y, heights[rows, columns], boundary, slope, leaf.triangles, is_hole))
@@ -100,8 +100,8 @@ class BuildTasks:
 
     def _encode(self, level: int, indices: np.ndarray, errors: np.ndarray, patches: list[Patch]) -> EncodedPatches:
         lows = self._tree.triangle_corners(level, indices).min(axis=1)
-        is_leaf, slope_step = level == self._tree.leaf_level, self._folder.parameters.slope_step
-        blocks = [encode_patch(patch, low, is_leaf, slope_step) for patch, low in zip(patches, lows, strict=True)]
+        is_leaf, gradient_step = level == self._tree.leaf_level, self._folder.parameters.gradient_step
+        blocks = [encode_patch(patch, low, is_leaf, gradient_step) for patch, low in zip(patches, lows, strict=True)]
         return EncodedPatches(
             indices,
             errors,
@@ -119,5 +119,5 @@ def _extract(patches: PatchSet, row: int, corners: np.ndarray) -> Patch:
     x, y = patches.x[vertices], patches.y[vertices]
     boundary = find_boundary(x, y, corners)
     return Patch(
-        x, y, patches.z[vertices], boundary, patches.slopes[vertices][boundary], patches.triangles[triangles], patches.is_hole[triangles]
+        x, y, patches.z[vertices], boundary, patches.gradients[vertices][boundary], patches.triangles[triangles], patches.is_hole[triangles]
     )

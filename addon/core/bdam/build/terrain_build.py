@@ -30,7 +30,7 @@ TASKS_MODULE = "addon.core.bdam.build.tasks"
 FORMAT_VERSION = 2  # of the files in a work folder
 FILLED_FILE = "heights.filled"  # marks that holes were filled
 DIAMONDS_PER_SHARD = {16: 256, 32: 64, 64: 16}  # by cells of a leaf: about as many samples
-SLOPE_STEP = 1.0 / 64.0  # meters of height per meter
+GRADIENT_STEP = 1.0 / 64.0  # meters of height per meter
 READ_END, FINISH_START = 0.05, 0.95  # of the progress
 TEXEL_COST = 0.05  # seconds of a texel relative to those of a sample, for the progress
 
@@ -58,7 +58,7 @@ def build_terrain(
     folder = work_folder_path(out)
     check_free_space(out, _estimate(header, textures, settings), folder)
     leaf_cells = header.leaf_cells
-    parameters = BuildParameters(header.rows, header.columns, leaf_cells, header.slope_step, DIAMONDS_PER_SHARD[leaf_cells])
+    parameters = BuildParameters(header.rows, header.columns, leaf_cells, header.gradient_step, DIAMONDS_PER_SHARD[leaf_cells])
     work = WorkFolder(folder, parameters)
     fingerprint = _fingerprint(header, [*sources, *images], textures, settings)
     open_job_folder(folder, fingerprint, "the build of another terrain or with other settings")
@@ -152,7 +152,7 @@ def _create_header(field: TerrainField, settings: BdamSettings, has_texture: boo
         columns,
         int(settings.leaf),
         height_step,
-        SLOPE_STEP * field.cell_size / height_step,
+        GRADIENT_STEP * field.cell_size / height_step,
         field.cell_size,
         field.crs,
         kind,

@@ -1,7 +1,7 @@
 """Half-edge collapses in a height field, and the vertical distances from the removed vertices to the new triangles.
 
-A collapse moves a vertex onto one of its neighbors, the target. Its star is replaced by a fan of triangles around the target, which is valid
-if all of them are counterclockwise in the plane.
+A collapse moves a vertex onto one of its neighbors, the target. Its star is replaced by a fan of triangles around the target, which is
+valid if all of them are counterclockwise in the plane.
 """
 
 from dataclasses import dataclass
@@ -77,7 +77,8 @@ def _measure_collapses(
     """Measure the collapse of vertices onto the vertices `after` them.
 
     Args:
-        after, before: (K, N) int32, the other vertices of the triangles of each vertex. a, b: their components (K, N), relative to the vertex.
+        after, before: (K, N) int32, the other vertices of the triangles of each vertex. a, b: their components (K, N), relative to the
+        vertex.
 
     Returns:
         Distances (K, N) float32 from the vertices to the new triangles, and whether all of these are counterclockwise.

@@ -18,10 +18,10 @@ class CollapsedFans:
     """The fans of triangles around the targets (N,) of collapsed vertices, counterclockwise, in rows of ROW_LENGTH.
 
     corners: (N, 16) int32, the corners of the vertices whose triangles become those of the fan. counts: (N,) int32, triangles of each fan.
-    owners: (C,) int32 and star: (C,) int32, the vertices' positions and all corners of their stars. is_kept: (C,) bool, whether the triangle of
-    a corner becomes one of the fan; the others vanish.
-    x, y, z: (N, 16), the vectors from the target to the counts + 1 ends of its rays. angles: (N, 16), see `_pseudo_angles`, of the rays from
-    the second to the one before the last, then infinity.
+    owners: (C,) int32 and star: (C,) int32, the vertices' positions and all corners of their stars. is_kept: (C,) bool, whether the
+    triangle of a corner becomes one of the fan; the others vanish.
+    x, y, z: (N, 16), the vectors from the target to the counts + 1 ends of its rays. angles: (N, 16), see `_pseudo_angles`, of the rays
+    from the second to the one before the last, then infinity.
     """
 
     vertices: np.ndarray

@@ -1,8 +1,8 @@
 """Simplification of height fields by rounds of independent half-edge collapses, for thousands of separate domains at once.
 
-Every vertex that remains is a sample of the field. In each round, the cheapest vertices of every domain that share no triangle collapse. The
-cost of a collapse is the largest vertical distance to the new triangles from the vertex and from all samples removed before it in its star.
-Only the distance of the vertex is known beforehand; the samples are located when a vertex is chosen, which then collapses or is more
+Every vertex that remains is a sample of the field. In each round, the cheapest vertices of every domain that share no triangle collapse.
+The cost of a collapse is the largest vertical distance to the new triangles from the vertex and from all samples removed before it in its
+star. Only the distance of the vertex is known beforehand; the samples are located when a vertex is chosen, which then collapses or is more
 expensive from now on. After Cignoni et al., BDAM, 2003, section 5.2, with vertical distances in place of quadrics.
 
 The result for a domain does not depend on the other domains.
@@ -29,8 +29,9 @@ TOLERATED_EXCESS = 0.02  # of the vertices to be removed, above which another ro
 class MeshBatch:
     """Separate meshes, the domains, which are simplified at once.
 
-    x, y: (V + S,) int32, grid coordinates. z: (V + S,) float32. lines: (V,) int8, the constraints of `collapse_costs`. domains: (V,) int32, 0
-    to D - 1, ascending. triangles: (T, 3) int32, counterclockwise. sample_triangles: (S,) int32, the triangles that contain the points after
+    x, y: (V + S,) int32, grid coordinates. z: (V + S,) float32. lines: (V,) int8, the constraints of `collapse_costs`. domains: (V,)
+    int32, 0 to D - 1, ascending. triangles: (T, 3) int32, counterclockwise. sample_triangles: (S,) int32, the triangles that contain the
+    points after
     the vertices: samples, whose distances count. extent: the largest difference of coordinates in any domain.
     """
 

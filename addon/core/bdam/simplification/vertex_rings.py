@@ -1,7 +1,7 @@
 """Incident triangles of vertices, in arrays whose last axis runs over vertices.
 
-NumPy loops over the last axis, so arrays of shape (degree, vertices) are several times as fast as (vertices, degree). Vertices are therefore
-processed in groups of equal degree. Triangles are stored as (3, T) for the same reason.
+NumPy loops over the last axis, so arrays of shape (degree, vertices) are several times as fast as (vertices, degree). Vertices are
+therefore processed in groups of equal degree. Triangles are stored as (3, T) for the same reason.
 """
 
 from collections.abc import Iterator
