@@ -108,7 +108,9 @@ def test_heights_at_samples_are_the_samples(stores, name):
 @pytest.mark.parametrize("name", ["whole", "geographic"])
 def test_heights_are_unknown_outside(stores, name):
     margin = 1e-3
-    x, y = np.meshgrid([-1e9, -1.0, -margin, 0.0, COLUMNS - 1.0, COLUMNS - 1.0 + margin, 1e9], [-1e5, -margin, ROWS / 2, ROWS - 1.0 + margin])
+    x, y = np.meshgrid(
+        [-1e9, -1.0, -margin, 0.0, COLUMNS - 1.0, COLUMNS - 1.0 + margin, 1e9], [-1e5, -margin, ROWS / 2, ROWS - 1.0 + margin]
+    )
     is_inside = (x >= 0.0) & (x <= COLUMNS - 1.0) & (y >= 0.0) & (y <= ROWS - 1.0)
     frame = stores[name].frame
     x, y = (x, y) if name == "whole" else (np.clip(x, -100.0, 1000.0), np.clip(y, -100.0, 1000.0))
