@@ -1,6 +1,8 @@
 """Registration of all operators, properties and panels with Blender, unregistered in reverse order."""
 
 from .operators import documentation, follow_handlers, long_work
+from .operators.bdam import build as bdam_build
+from .operators.bdam import operators as bdam_operators
 from .operators.billboards import operators as billboards_operators
 from .operators.btf import exports as btf_exports
 from .operators.btf import operators as btf_operators
@@ -14,6 +16,7 @@ from .operators.photos import refinement as photos_refinement
 from .operators.photos import registration as photos_registration
 from .operators.restore import operators as restore_operators
 from .operators.unwrap import operators as unwrap_operators
+from .panels import bdam as bdam_panels
 from .panels import billboards as billboards_panels
 from .panels import btf as btf_panels
 from .panels import clipbox as clipbox_panels
@@ -38,12 +41,15 @@ MODULES = (
     restore_operators,
     clipbox_operators,
     clipbox_convert,
+    bdam_operators,
+    bdam_build,
     billboards_panels,
     btf_panels,
     unwrap_panels,
     photos_panels,
     restore_panels,
     clipbox_panels,
+    bdam_panels,
 )
 
 

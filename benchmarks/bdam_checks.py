@@ -108,8 +108,8 @@ def interpolate_heights(mesh: CutMesh, shape: tuple[int, int]) -> np.ndarray:
     y, x = divmod(mesh.ids[mesh.triangles], shape[1])
     (x0, x1, x2), (y0, y1, y2), (z0, z1, z2) = x.T, y.T, mesh.positions[:, 2][mesh.triangles].T
     area = (x1 - x0) * (y2 - y0) - (y1 - y0) * (x2 - x0)
-    slope_x = ((z1 - z0) * (y2 - y0) - (z2 - z0) * (y1 - y0)) / area
-    slope_y = ((z2 - z0) * (x1 - x0) - (z1 - z0) * (x2 - x0)) / area
+    gradient_x = ((z1 - z0) * (y2 - y0) - (z2 - z0) * (y1 - y0)) / area
+    gradient_y = ((z2 - z0) * (x1 - x0) - (z1 - z0) * (x2 - x0)) / area
     counts = y.max(axis=1) - y.min(axis=1) + 1
     of_triangle, row = np.repeat(np.arange(len(y)), counts), concatenate_ranges(y.min(axis=1), counts)
     left, right = np.zeros(len(row), np.int64), np.full(len(row), shape[1] - 1)
@@ -123,5 +123,5 @@ def interpolate_heights(mesh: CutMesh, shape: tuple[int, int]) -> np.ndarray:
     column, row, of_triangle = concatenate_ranges(left, lengths), np.repeat(row, lengths), np.repeat(of_triangle, lengths)
     heights = np.full(shape, np.nan)
     dx, dy = column - x0[of_triangle], row - y0[of_triangle]
-    heights[row, column] = z0[of_triangle] + slope_x[of_triangle] * dx + slope_y[of_triangle] * dy
+    heights[row, column] = z0[of_triangle] + gradient_x[of_triangle] * dx + gradient_y[of_triangle] * dy
     return heights

@@ -38,8 +38,8 @@ def halve_field(heights: np.ndarray) -> Iterator[Simplified]:
     while count > 2 * MIN_VERTICES:
         excess = np.array([count // 2])
         if count == len(x):
-            no_slopes, no_samples = np.full((count, 2), np.nan, np.float32), np.zeros((0, 3), np.int32)
-            meshes = DiamondMeshes(domains, x, y, z.astype(np.int32), no_slopes, triangles, no_samples, np.zeros(0, np.int32))
+            no_gradients, no_samples = np.full((count, 2), np.nan, np.float32), np.zeros((0, 3), np.int32)
+            meshes = DiamondMeshes(domains, x, y, z.astype(np.int32), no_gradients, triangles, no_samples, np.zeros(0, np.int32))
             first = choose_grid_collapses(meshes, lines, excess)
         batch = MeshBatch(x, y, z.astype(np.float32), lines, domains, triangles, samples, sample_triangles)
         triangles, removed = simplify(batch, excess, first)

@@ -105,12 +105,12 @@ class Field:
         """
         best, low, high = self._ask("pymartini", 0.0), 0.0, max_error
         for _ in range(MARTINI_BISECTIONS):
-            middle = 0.5 * (low + high)
-            mesh = self._ask("pymartini", middle)
+            midpoints = 0.5 * (low + high)
+            mesh = self._ask("pymartini", midpoints)
             if mesh.error <= max_error:
-                low, best = middle, min(best, mesh, key=lambda each: each.vertices)
+                low, best = midpoints, min(best, mesh, key=lambda each: each.vertices)
             else:
-                high = middle
+                high = midpoints
         return best
 
     def _ask(self, method: str, max_error: float) -> Triangulation:

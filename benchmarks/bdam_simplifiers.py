@@ -17,7 +17,7 @@ from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 
 ANCHORS = (8, 32, 128, 512)  # samples per vertex of Farfield's meshes whose errors the others must reach
 FRACTAL_DEGREES = (0.75, 0.85, 0.95)  # roughness of the fractals that judge; the first ones are rougher
-REAL_CELL = 90.0  # meters, of three arc seconds; only scales the slopes for quadrics
+REAL_CELL = 90.0  # meters, of three arc seconds; only scales the gradients for quadrics
 UNIFORM_ERRORS = (1.0, 2.0, 4.0, 8.0, 16.0)  # meters
 VIEWS = 5
 BOUNDS = {"alone": 1.15, "uniform_pydelatin": 1.8, "uniform_pymartini": 0.9, "view": 0.5}

@@ -2,10 +2,10 @@
 
 From the scene of the demo: tree (the tree and its cloud), levels (all levels, their quads, and each level at its switch distance), wood
 (hundreds of trees, each with the level for its distance) and crossfade (a camera that moves away from one tree). Copied from the demo's
-folder: relighting, forest and photos. Independent of the demo: head (a closed surface with a procedural material), relight (its relightable
-cloud under several Sun directions), unwrap (this surface with a checker on three UV maps), restore (a texture with a hole, restored with
-several settings), landscape (mountains in nested boxes), copses (voxel trees in nested boxes) and walk (twelve frames of a walk through
-caves).
+folder: relighting, forest, photos and terrain. Independent of the demo: head (a closed surface with a procedural material), relight (its
+relightable cloud under several Sun directions), unwrap (this surface with a checker on three UV maps), restore (a texture with a hole,
+restored with several settings), landscape (mountains in nested boxes), copses (voxel trees in nested boxes) and walk (twelve frames of a
+walk through caves), cliffs (a terrain with cliffs as a network of triangles and as right triangles).
 """
 
 import shutil
@@ -28,6 +28,7 @@ from figures.crossfade_strip import draw_crossfade_strip
 from figures.forest_lods import render_forest
 from figures.relight_strip import draw_relight_strip
 from figures.restore_comparison import draw_restore_comparison
+from figures.terrain_cuts import compare_meshes
 from figures.unwrap_comparison import unwrap_copies
 
 import billboards
@@ -45,6 +46,7 @@ from lib.demo_materials import create_material
 from lib.studio import bounding_sphere, open_studio
 
 VIEW_DIRECTION = np.array([0.55, -0.80, 0.22]) / np.linalg.norm([0.55, -0.80, 0.22])  # from the object towards the camera
+VIEW_FROM_ABOVE = np.array([0.35, -0.60, 0.72]) / np.linalg.norm([0.35, -0.60, 0.72])
 TREE_PIXELS = 600
 LEVEL_PIXELS = 250
 HEAD_PIXELS = 290
@@ -59,6 +61,7 @@ RELIGHT_ROUGHNESS = 0.3
 RESTORE_PIXELS = 240
 WOOD_WIDTH = 660
 LANDSCAPE_WIDTH = 720
+CLIFFS_PIXELS = 520
 WALK_WIDTH = 184
 WALK_ROWS = ("1 to 4", "5 to 8", "9 to 12")
 
@@ -205,6 +208,19 @@ def walk(_scene: Path, path: Path, samples: int) -> None:
     write(path, draw_contact_sheet("Twelve frames of a walk", rows, WALK_ROWS, [[]] * 4))
 
 
+def cliffs(_scene: Path, path: Path, samples: int) -> None:
+    """Render a terrain with cliffs at full resolution, as a cut with few triangles, and as right triangles."""
+    meshes = compare_meshes()
+    material, *_, surface = create_material("Rock")
+    surface.inputs["Base Color"].default_value = (0.36, 0.31, 0.25, 1.0)
+    for mesh in meshes:
+        mesh.item.data.materials.append(material)
+    images = crop_over_paper(render_groups([[mesh.item] for mesh in meshes], CLIFFS_PIXELS, samples, VIEW_FROM_ABOVE))
+    names = "all samples", "Farfield", "right triangles"
+    columns = [[name, f"{mesh.triangles:,} triangles, error {mesh.error:.0f} m"] for name, mesh in zip(names, meshes, strict=True)]
+    write(path, draw_contact_sheet("The same terrain with flat shading", [images], [""], columns))
+
+
 def read_png(path: Path) -> np.ndarray:
     """Return the values (H, W, 3) of an image file without color conversion, row 0 at the bottom."""
     image = bpy.data.images.load(str(path))
@@ -239,9 +255,11 @@ FIGURES = {
     "landscape": landscape,
     "copses": copses,
     "walk": walk,
+    "cliffs": cliffs,
     "relighting": copy_from_demo,
     "forest": copy_from_demo,
     "photos": copy_from_demo,
+    "terrain": copy_from_demo,
 }
 
 
@@ -258,11 +276,13 @@ def open_demo_cloud(scene: Path) -> SceneCloud:
     return clouds[0]
 
 
-def render_groups(groups: Sequence[Sequence[bpy.types.Object]], pixels: int, samples: int) -> list[np.ndarray]:
-    """Render each group of objects (pixels, pixels, 4) from VIEW_DIRECTION, all scaled so that the first group fits."""
+def render_groups(
+    groups: Sequence[Sequence[bpy.types.Object]], pixels: int, samples: int, direction: np.ndarray = VIEW_DIRECTION
+) -> list[np.ndarray]:
+    """Render each group of objects (pixels, pixels, 4) from a unit `direction`, all scaled so that the first group fits."""
     center, radius = bounding_sphere(groups[0])
     with open_studio([item for items in groups for item in items], samples) as studio:
-        return [studio.render(items, VIEW_DIRECTION, center, 2.0 * radius / pixels, pixels) for items in groups]
+        return [studio.render(items, direction, center, 2.0 * radius / pixels, pixels) for items in groups]
 
 
 def crop_over_paper(renders: Sequence[np.ndarray]) -> list[np.ndarray]:

@@ -26,10 +26,10 @@ import numpy as np
 from farfield.addon.core.clipbox.engine import TerrainEngine, Update, check_viewer, weld
 from farfield.addon.core.clipbox.files.readers import check_path
 from farfield.addon.core.clipbox.layout import choose_terrain_origin
-from farfield.addon.core.clipbox.mesh_export import write_obj, write_ply
 from farfield.addon.core.clipbox.settings import ClipboxSettings, ConvertSettings
 from farfield.addon.core.errors import FileError, SettingsError
 from farfield.addon.core.files.file_access import check_readable, error_reason
+from farfield.addon.core.geometry.mesh_files import write_obj, write_ply
 from farfield.addon.core.jobs.progress import Progress, StageClock, Steps, run_to_end, subprogress
 from farfield.addon.core.settings import add_flags, describe, from_flags
 from farfield.addon.operators import following
@@ -202,9 +202,9 @@ def write_output(out: Path, engine: TerrainEngine, origin: np.ndarray) -> None:
     mesh = weld(list(engine.extract_all()))
     with atomic_file(out) as temporary:
         if extension == ".obj":
-            write_obj(temporary, mesh, origin)
+            write_obj(temporary, mesh.vertices, mesh.normals, mesh.triangles, origin)
         else:
-            write_ply(temporary, mesh)
+            write_ply(temporary, mesh.vertices, mesh.normals, mesh.triangles)
 
 
 def build_report(engine: TerrainEngine, clock: StageClock) -> dict[str, Any]:

@@ -2,9 +2,9 @@
 
 Grows a tree, builds its billboard cloud with three levels of detail, compares every level with the tree in Cycles, bakes relightable
 textures for one of them, compares it under other Sun directions, and plants a forest of it. Then photographs another model with eight
-virtual cameras, merges the photographs into a texture, and compares it with the truth. Writes to out/demo/: the scene (demo.blend), contact
-sheets (contact-sheet.png, relighting.png), the forest (forest.blend, forest.png), the model with its cameras (photos.blend, photos.png) and
-the results (report.json, report.md).
+virtual cameras, merges the photographs into a texture, and compares it with the truth. Last, builds a fractal terrain and flies over it.
+Writes to out/demo/: the scene (demo.blend), contact sheets (contact-sheet.png, relighting.png), the forest (forest.blend, forest.png), the
+model with its cameras (photos.blend, photos.png), the terrain (terrain/, terrain.png) and the results (report.json, report.md).
 --input uses your own mesh instead of the tree; --quick uses fewer leaves, a larger error, and fewer and smaller renders.
 """
 
@@ -38,6 +38,7 @@ from lib.demo_forest import DAY, TREE_COUNT, render_day, write_forest
 from lib.demo_photos import PhotosPreset, photograph_and_merge
 from lib.demo_relighting import RelightingPreset, bake_and_compare
 from lib.demo_report import to_markdown
+from lib.demo_terrain import TerrainPreset, build_and_fly
 from lib.demo_tree import grow_tree
 from lib.studio import SUN_ANGLE, SUN_STRENGTH, bounding_sphere, look_at_matrix, open_studio, set_uniform_sky, sun_matrix
 
@@ -61,6 +62,7 @@ class DemoPreset:
     forest_width: int
     forest_samples: int
     photos: PhotosPreset
+    terrain: TerrainPreset
 
 
 FULL = DemoPreset(
@@ -81,6 +83,7 @@ FULL = DemoPreset(
     forest_width=340,
     forest_samples=6,
     photos=PhotosPreset(photograph_width=1200, samples=8, texture_size=2048, view_pixels=128),
+    terrain=TerrainPreset(size=513, frames=5, width=240, samples=8),
 )
 QUICK = DemoPreset(
     leaves=1000,
@@ -100,15 +103,17 @@ QUICK = DemoPreset(
     forest_width=240,
     forest_samples=2,
     photos=PhotosPreset(photograph_width=400, samples=2, texture_size=512, view_pixels=128),
+    terrain=TerrainPreset(size=129, frames=2, width=160, samples=2),
 )
-BUILD_END, COMPARISON_END, RELIGHTING_END, FOREST_END = 0.2, 0.35, 0.7, 0.9  # fractions of the progress
+BUILD_END, COMPARISON_END, RELIGHTING_END, FOREST_END, PHOTOS_END = 0.18, 0.32, 0.65, 0.83, 0.92  # fractions of the progress
 
 
 def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     """Run the demo and return its result in one line; raises FarfieldError for an invalid input or folder."""
     parser = command_line.Parser(
         prog="demo.py",
-        description="Grow a tree, build its billboard cloud, make it relightable, plant a forest, and make a texture from photographs.",
+        description="Grow a tree, build its billboard cloud, make it relightable, plant a forest, make a texture from photographs, and "
+        "fly over a terrain.",
     )
     parser.add_argument("--input", type=Path, help="your own mesh instead of the tree: .blend .obj .ply .stl .glb .gltf .fbx .usd")
     parser.add_argument("--quick", action="store_true", help="fewer leaves, a larger error and fewer renders; takes about a minute")
@@ -135,6 +140,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
         write_cloud(folder, title, cloud, comparisons[0], close_up)
         report |= make_relightable(folder, cloud, preset, upper_hemisphere=given.input is None, line=line)
         report["photos"] = texture_from_photographs(folder, preset.photos, line)
+        report["terrain"] = fly_over_terrain(folder, preset.terrain, line)
         command_line.write_report(folder / "report.json", report)
         (folder / "report.md").write_text(to_markdown(title, report), encoding="utf-8")
     return f"{title}; images, report and scenes in {out}"
@@ -234,9 +240,16 @@ def make_relightable(
 
 def texture_from_photographs(folder: Path, preset: PhotosPreset, line: command_line.ProgressLine) -> dict[str, Any]:
     """Photograph a model, which replaces the scene, merge, and compare. Writes sheet and scene to `folder`; returns the figures."""
-    result = run_to_end(subprogress(photograph_and_merge(preset), FOREST_END, 1.0), line.show)
+    result = run_to_end(subprogress(photograph_and_merge(preset), FOREST_END, PHOTOS_END), line.show)
     write_png(folder / "photos.png", result.draw_sheet())
     scene_files.save_scene(folder / "photos.blend")
+    return result.to_report()
+
+
+def fly_over_terrain(folder: Path, preset: TerrainPreset, line: command_line.ProgressLine) -> dict[str, Any]:
+    """Build a terrain and fly over it; its scene replaces the former one. Writes store and sheet to `folder`; returns the figures."""
+    result = run_to_end(subprogress(build_and_fly(preset, folder), PHOTOS_END, 1.0), line.show)
+    write_png(folder / "terrain.png", result.draw_sheet())
     return result.to_report()
 
 

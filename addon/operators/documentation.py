@@ -12,6 +12,7 @@ PAGE_OF_OPERATORS = {  # a pattern of `fnmatch` to the page and section that des
     "bpy.ops.farfield.unwrap*": "unwrap#operators",
     "bpy.ops.farfield.photos*": "photos#operators",
     "bpy.ops.farfield.clipbox*": "clipbox#operators",
+    "bpy.ops.farfield.bdam*": "bdam#operators",
 }
 
 

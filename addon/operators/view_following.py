@@ -1,6 +1,7 @@
 """*Follow View*: a timer keeps a terrain centered on a 3D Viewport. A modal operator would prevent Blender from autosaving."""
 
 import sys
+from dataclasses import replace
 
 import bpy
 
@@ -77,7 +78,7 @@ class ViewFollowing:
             self._end(f'The terrain "{terrain.name}" was removed or renamed; it no longer follows the view.')
             return False
         if not _is_scene_in_use():
-            viewer = view_of_area(*_find_viewport(self._area_address))
+            viewer = replace(view_of_area(*_find_viewport(self._area_address)), is_interactive=True)
             if self._following.tick(follow_tools.registered.of(terrain).to_terrain(terrain, viewer), self._max_seconds):
                 long_work.redraw_sidebars(bpy.context.window_manager)
         return True

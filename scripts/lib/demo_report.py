@@ -13,6 +13,8 @@ def to_markdown(heading: str, report: dict[str, Any]) -> str:
         lines += [*_relighting(report["relighting"]), "", *_forest(report["forest"]), ""]
     if "photos" in report:
         lines += [*_photos(report["photos"]), ""]
+    if "terrain" in report:
+        lines += [*_terrain(report["terrain"]), ""]
     stages = ", ".join(f"{stage} {seconds:.1f}" for stage, seconds in report["seconds"].items())
     lines += [f"Seconds: {stages}. Peak memory: {report['peak_memory_mb']:,.0f} MB.", ""]
     return "\n".join(lines)
@@ -75,3 +77,12 @@ def _photos(report: dict[str, Any]) -> list[str]:
     rows += [f"| {index + 1} | {view['psnr']:.1f} dB | {view['ssim']:.3f} |" for index, view in enumerate(report["views"])]
     stages = ", ".join(f"{stage} {seconds:.1f}" for stage, seconds in report["seconds"].items())
     return [*rows, "", f"Seconds: {stages}."]
+
+
+def _terrain(report: dict[str, Any]) -> list[str]:
+    triangles = f"{min(report['triangles']):,} to {max(report['triangles']):,}"
+    stages = ", ".join(f"{stage} {seconds:.1f}" for stage, seconds in report["seconds"].items())
+    summary = (
+        f"{report['samples']:,} samples, {report['bytes_per_sample']} bytes each; {triangles} triangles in a frame. Seconds: {stages}."
+    )
+    return ["## Large terrain", "", "![a flight over a terrain](terrain.png)", "", summary]

@@ -55,6 +55,11 @@ class PatchCache:
         self._bytes = 0
         self._lock = threading.Lock()
 
+    @property
+    def byte_count(self) -> int:
+        """Bytes of the patches that are kept."""
+        return self._bytes
+
     def get(self, level: int, row: int) -> PatchMesh:
         """Return the mesh of a patch.
 
@@ -80,16 +85,16 @@ def build_patch_mesh(store: TerrainStore, patch: Patch) -> PatchMesh:
     """Return the mesh of a patch. Normals on its boundary come from the store, so that neighbors agree; the others from its triangles."""
     positions = store.to_local(patch)
     ids = patch.y.astype(np.int64) * store.header.columns + patch.x
-    slopes = vertex_slopes(patch)
-    slopes[patch.boundary] = patch.slopes
+    gradients = vertex_gradients(patch)
+    gradients[patch.boundary] = patch.gradients
     step_x, step_y = _cell_sizes(store, patch)
     scale = store.header.height_step
-    normals = np.stack([-slopes[:, 0] * (scale / step_x), -slopes[:, 1] * (scale / step_y), np.ones(len(slopes))], axis=1)
+    normals = np.stack([-gradients[:, 0] * (scale / step_x), -gradients[:, 1] * (scale / step_y), np.ones(len(gradients))], axis=1)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return PatchMesh(ids, positions, normals.astype(np.float32), patch.triangles[~patch.is_hole])
 
 
-def vertex_slopes(patch: Patch) -> np.ndarray:
+def vertex_gradients(patch: Patch) -> np.ndarray:
     """Return the derivatives (V, 2) float64 of the height along x and y, in steps per cell: means of triangles weighted by area."""
     (x0, x1, x2), (y0, y1, y2), (z0, z1, z2) = (axis.astype(np.float64)[patch.triangles].T for axis in (patch.x, patch.y, patch.z))
     area = (x1 - x0) * (y2 - y0) - (y1 - y0) * (x2 - x0)
@@ -114,6 +119,16 @@ def merge_patches(meshes: list[PatchMesh], levels: np.ndarray) -> CutMesh:
         inverse.reshape(-1).astype(np.int32)[triangles],
         np.repeat(levels.astype(np.int8), counts),
     )
+
+
+def remove_unused(mesh: CutMesh) -> CutMesh:
+    """Return a mesh without vertices that only triangles in holes have used."""
+    is_used = np.zeros(len(mesh.ids), bool)
+    is_used[mesh.triangles] = True
+    if is_used.all():
+        return mesh
+    numbers = np.cumsum(is_used, dtype=np.int32) - 1
+    return CutMesh(mesh.ids[is_used], mesh.positions[is_used], mesh.normals[is_used], numbers[mesh.triangles], mesh.levels)
 
 
 def build_cut_mesh(cache: PatchCache, cut: Cut) -> CutMesh:

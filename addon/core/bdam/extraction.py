@@ -1,16 +1,17 @@
 """View-dependent cuts through the bintrees (BDAM, section 4), found level by level for all patches at once.
 
-A patch is refined if its error, seen from the point of its bounding box nearest to the viewer, is larger than the tolerance. A cut fits without
-cracks if the two patches of a diamond are refined together. The paper achieves that by errors and spheres which are nested across diamonds;
-here, refinement spreads to the other patches of diamonds instead, which needs fewer patches because bounding boxes stay small.
+A patch is refined if its error, seen from the point of its bounding box nearest to the viewer, is larger than the tolerance. A cut fits
+without cracks if the two patches of a diamond are refined together. The paper achieves that by errors and spheres which are nested across
+diamonds; here, refinement spreads to the other patches of diamonds instead, which needs fewer patches because bounding boxes stay small.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..geometry.viewers import Viewer
+from ..jobs.progress import Progress, Steps
 from .store.structure import Level
 from .store.terrain_store import TerrainStore
 
@@ -19,12 +20,14 @@ from .store.terrain_store import TerrainStore
 class CutSettings:
     """How a cut is chosen.
 
-    tolerance: pixels. exaggeration: factor of heights. culls: whether patches outside of the view stay coarse.
+    tolerance: pixels. exaggeration: factor of heights. culls: whether patches outside of the view stay coarse. margin: by which the view
+    that culls is larger on every side, as a fraction of its size.
     """
 
     tolerance: float = 1.0
     exaggeration: float = 1.0
     culls: bool = False
+    margin: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -42,17 +45,70 @@ class Cut:
         return len(self.levels)
 
 
-def extract_cut(store: TerrainStore, viewer: Viewer, settings: CutSettings) -> Cut:
-    """Return the coarsest consistent cut whose errors are at most the tolerance for a viewer in the local frame."""
-    planes = viewer.frustum_planes() if settings.culls else None
+Measure = Callable[[int, np.ndarray], np.ndarray]  # from a level and rows (N,) to the errors (N,) of patches
+IsForced = Callable[[int, np.ndarray], np.ndarray]  # from a level and rows (N,) to whether these patches must be refined, (N,) bool
 
-    def measure(level: int, rows: np.ndarray) -> np.ndarray:
-        errors = project_errors(store.levels[level], rows, viewer, settings.exaggeration)
-        if planes is not None:
-            errors[~_are_visible(store.levels[level], rows, planes, settings.exaggeration)] = 0.0
+
+def extract_cut(store: TerrainStore, viewer: Viewer, settings: CutSettings, is_forced: IsForced | None = None) -> Cut:
+    """Return the coarsest consistent cut whose errors are at most the tolerance for a viewer in the local frame.
+
+    is_forced: patches that must be refined whatever their error, such as those that are larger than the texture tiles in the same place. If
+        it is true of a patch, it should be true of the parent, too: only children of refined patches are asked for.
+    """
+    measure = ProjectedErrors(store, viewer, settings)
+    return _extract(store, measure, settings.tolerance, is_forced)
+
+
+def extract_union_cut(
+    store: TerrainStore, viewers: Sequence[Viewer], settings: CutSettings, are_forced: Sequence[IsForced | None] = ()
+) -> Steps[Cut]:
+    """Return the coarsest consistent cut whose errors are at most the tolerance for every one of `viewers` in the local frame.
+
+    What any viewer refines is refined. `max_error` is the largest for any viewer.
+
+    Args:
+        viewers: at least one. are_forced: see `extract_cut`, for each viewer; empty for none.
+    """
+    refined = [np.zeros(0, np.int64)] * (len(store.levels) - 1)
+    measures = [ProjectedErrors(store, viewer, settings) for viewer in viewers]
+    for number, measure in enumerate(measures):
+        yield Progress(0.5 * number / len(measures), "Choosing patches")
+        wanted = _find_refined(store, measure, settings.tolerance, are_forced[number] if are_forced else None)
+        for level, rows in enumerate(wanted):
+            refined[level] = np.union1d(refined[level], rows)
+    cut = _build_cut(store, _complete_diamonds(store, refined), lambda _level, rows: np.zeros(len(rows)))
+    largest = 0.0
+    for number, measure in enumerate(measures):
+        yield Progress(0.5 + 0.5 * number / len(measures), "Measuring errors")
+        largest = max([largest, *(float(measure(level, cut.rows[cut.levels == level]).max()) for level in np.unique(cut.levels).tolist())])
+    return replace(cut, max_error=largest)
+
+
+class ProjectedErrors:
+    """The errors in pixels that decide about a cut for a viewer in the local frame; 0 for patches that are culled."""
+
+    def __init__(self, store: TerrainStore, viewer: Viewer, settings: CutSettings) -> None:
+        self._store, self._viewer, self._exaggeration = store, viewer, settings.exaggeration
+        self._planes = view_planes(viewer, settings.margin) if settings.culls else None
+
+    def __call__(self, level: int, rows: np.ndarray) -> np.ndarray:
+        """Return the errors (N,) float64 of patches, given by their level and rows (N,)."""
+        patches = self._store.levels[level]
+        errors = project_errors(patches, rows, self._viewer, self._exaggeration)
+        if self._planes is not None:
+            low, high = _boxes(patches, rows, self._exaggeration)
+            errors[~are_boxes_visible(low, high, self._planes)] = 0.0
         return errors
 
-    return _extract(store, measure, settings.tolerance)
+
+def view_planes(viewer: Viewer, margin: float) -> np.ndarray:
+    """Return the planes (P, 4), positive inside, of the frustum of an image that is larger on every side by a fraction of its size."""
+    if viewer.projection.kind == "panoramic":
+        return viewer.frustum_planes()
+    left, right, bottom, top = viewer.projection.window
+    x, y = margin * (right - left), margin * (top - bottom)
+    window = (left - x, right + x, bottom - y, top + y)
+    return replace(viewer, projection=replace(viewer.projection, window=window)).frustum_planes()
 
 
 def extract_uniform_cut(store: TerrainStore, max_error: float) -> Cut:
@@ -60,24 +116,32 @@ def extract_uniform_cut(store: TerrainStore, max_error: float) -> Cut:
     return _extract(store, lambda level, rows: store.levels[level].errors[rows].astype(np.float64), max_error)
 
 
-def _extract(store: TerrainStore, measure: Callable[[int, np.ndarray], np.ndarray], tolerance: float) -> Cut:
-    """Return the coarsest consistent cut whose patches have at most this error according to `measure(level, rows)`."""
-    visited, errors, refined = [np.arange(len(store.levels[0].indices))], [], []
-    for level in range(len(store.levels)):
-        errors.append(measure(level, visited[level]))
-        if level == len(store.levels) - 1:
-            break
-        refined.append(visited[level][errors[level] > tolerance])
+def _extract(store: TerrainStore, measure: Measure, tolerance: float, is_forced: IsForced | None = None) -> Cut:
+    """Return the coarsest consistent cut whose patches have at most this error according to `measure(level, rows)`, without forced ones."""
+    return _build_cut(store, _complete_diamonds(store, _find_refined(store, measure, tolerance, is_forced)), measure)
+
+
+def _find_refined(store: TerrainStore, measure: Measure, tolerance: float, is_forced: IsForced | None) -> list[np.ndarray]:
+    """Return the rows (N,) int64, at each level from 0, of the patches that a cut must refine because of their own error or force."""
+    visited, refined = np.arange(len(store.levels[0].indices)), []
+    for level in range(len(store.levels) - 1):
+        is_refined = measure(level, visited) > tolerance
+        if is_forced is not None:
+            is_refined |= is_forced(level, visited)
+        refined.append(visited[is_refined])
         children = store.children[level][refined[level]].ravel()
-        visited.append(children[children >= 0])
-        if not len(visited[-1]):
-            errors.append(np.zeros(0))
+        visited = children[children >= 0]
+        if not len(visited):
             break
-    refined = _complete_diamonds(store, refined)
+    return refined
+
+
+def _build_cut(store: TerrainStore, refined: list[np.ndarray], measure: Measure) -> Cut:
+    """Return the cut below patches to be refined, in rows (N,) at each level, that `_complete_diamonds` has completed."""
     levels, rows = [], []
-    active = visited[0]
+    active = np.arange(len(store.levels[0].indices))
     largest = 0.0
-    for level in range(len(visited)):
+    for level in range(len(store.levels)):
         is_refined = np.isin(active, refined[level]) if level < len(refined) else np.zeros(len(active), bool)
         kept = active[~is_refined]
         levels.append(np.full(len(kept), level))
@@ -86,11 +150,14 @@ def _extract(store: TerrainStore, measure: Callable[[int, np.ndarray], np.ndarra
         if level < len(refined):
             children = store.children[level][active[is_refined]].ravel()
             active = children[children >= 0]
+        if not len(active):
+            break
     return Cut(np.concatenate(levels), np.concatenate(rows), largest)
 
 
 def _complete_diamonds(store: TerrainStore, refined: list[np.ndarray]) -> list[np.ndarray]:
-    """Return the rows to refine at each level, such that the parents of refined patches and the other patches of their diamonds are refined.
+    """Return the rows to refine at each level, such that the parents of refined patches and the other patches of their diamonds are
+    refined.
 
     refined: rows (N,) at each level from 0.
     """
@@ -108,8 +175,8 @@ def _complete_diamonds(store: TerrainStore, refined: list[np.ndarray]) -> list[n
 def project_errors(patches: Level, rows: np.ndarray, viewer: Viewer, exaggeration: float) -> np.ndarray:
     """Return upper bounds (N,) in pixels of what the errors of patches, which are vertical, cover anywhere in the image.
 
-    A vertical length at the depth d covers at most k / d pixels, where k is largest in a corner of the image. The depth is at least that of the
-    nearest corner of a box, and at least the distance to the box times the cosine of the angle to a corner of the image.
+    A vertical length at the depth d covers at most k / d pixels, where k is largest in a corner of the image. The depth is at least that
+    of the nearest corner of a box, and at least the distance to the box times the cosine of the angle to a corner of the image.
     """
     errors = patches.errors[rows] * exaggeration
     low, high = _boxes(patches, rows, exaggeration)
@@ -137,10 +204,9 @@ def _scale(errors: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     return np.multiply(errors, pixels, out=np.zeros(len(errors)), where=errors > 0.0)
 
 
-def _are_visible(patches: Level, rows: np.ndarray, planes: np.ndarray, exaggeration: float) -> np.ndarray:
-    """Return whether boxes may overlap the frustum with `planes` (P, 4), positive inside."""
-    low, high = _boxes(patches, rows, exaggeration)
-    is_visible = np.ones(len(rows), bool)
+def are_boxes_visible(low: np.ndarray, high: np.ndarray, planes: np.ndarray) -> np.ndarray:
+    """Return whether boxes with the corners `low` and `high` (N, 3) may overlap the frustum with `planes` (P, 4), positive inside."""
+    is_visible = np.ones(len(low), bool)
     for plane in planes:
         farthest = np.where(plane[:3] > 0.0, high, low)
         is_visible &= farthest @ plane[:3] + plane[3] >= 0.0

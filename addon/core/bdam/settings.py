@@ -2,12 +2,22 @@
 
 from dataclasses import dataclass
 
-from ..settings import Choice, Settings, setting
+from ..settings import Choice, Settings, Unit, setting
 
 LEAVES = {
     "16": Choice("16", "Patches of about 256 triangles, as in the paper: finer steps of detail, more patches"),
     "32": Choice("32", "Patches of about 1,000 triangles"),
     "64": Choice("64", "Patches of about 4,000 triangles: fewer and larger steps of detail"),
+}
+
+TEXTURE_FORMATS = {
+    "jpeg": Choice("JPEG", "Small files, with alpha beside them; tiles meet without seams"),
+    "webp": Choice("WebP", "Smaller files; faint seams"),
+    "raw": Choice("Raw", "Exact colors in files of 0.8 to 1 MB per tile"),
+}
+TEXTURE_ERRORS = {
+    "magnification": Choice("Magnification", "The size of texels: all images are as sharp as the screen"),
+    "feature": Choice("Feature", "The size of the largest visible detail that is lost: fewer tiles where images are blurred or even"),
 }
 
 
@@ -25,7 +35,42 @@ class BdamSettings(Settings):
     cell_size: float = setting(1.0, "Meters between two samples of a source without a position", minimum=1e-3, maximum=1e6)
     image_height: float = setting(100.0, "Meters between black and white of a source that is an image", minimum=1e-3, maximum=1e6)
     allow_gaps: bool = setting(False, "Accept several sources that do not fill their common rectangle; the gaps become holes")
+    fill_holes: bool = setting(False, "Fill unknown heights smoothly from those around them, instead of leaving holes")
+    texture_format: str = setting("jpeg", "How texture tiles are coded", choices=TEXTURE_FORMATS)
+    texture_quality: int = setting(
+        0, "Quality of JPEG and WebP tiles, 1 to 100. 0 for 85 of JPEG and 95 of WebP", minimum=0, maximum=100, unit=Unit.COUNT
+    )
+    texture_error: str = setting("magnification", "What decides how fine textures must be", choices=TEXTURE_ERRORS)
     executor: str = setting(
         "processes",
         "Where patches are built: serial, processes, processes:N, or dask:tcp://HOST:PORT. Dask needs a work folder that all share",
+    )
+
+
+SHADINGS = {
+    "texture": Choice("Texture", "Images that the terrain was built with; without images, by slope"),
+    "slope": Choice("Slope", "Rock where the ground is steep, grass where it is flat, snow in the heights"),
+    "height": Choice("Height", "Colors of a map by height"),
+    "level": Choice("Level", "A color per level of detail"),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class BdamViewSettings(Settings):
+    """How a large terrain is shown."""
+
+    has_flags = False
+
+    tolerance: float = setting(1.0, "Largest error of the terrain in the image, in pixels", minimum=0.1, maximum=100.0)
+    triangle_budget: int = setting(
+        0,
+        "Largest number of triangles; the tolerance is raised until the terrain has no more. 0 for no limit",
+        minimum=0,
+        maximum=100_000_000,
+        unit=Unit.COUNT,
+    )
+    exaggeration: float = setting(1.0, "Factor of all heights", minimum=0.01, maximum=100.0)
+    shading: str = setting("texture", "What the colors of the terrain show", choices=SHADINGS)
+    culling: bool = setting(
+        True, "Keep the terrain coarse where the 3D Viewport does not show it. Renders always have all of it, for shadows and reflections"
     )

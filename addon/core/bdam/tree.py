@@ -1,7 +1,7 @@
 """The pair of right-triangle bintrees over the root square (BDAM, section 3).
 
-Level 0 has two triangles, the halves of the root square. A triangle with the index i is bisected from its right angle to the midpoint of its
-hypotenuse into the triangles 2 i and 2 i + 1 of the next level. At even levels the legs are parallel to the axes, at odd levels the
+Level 0 has two triangles, the halves of the root square. A triangle with the index i is bisected from its right angle to the midpoint of
+its hypotenuse into the triangles 2 i and 2 i + 1 of the next level. At even levels the legs are parallel to the axes, at odd levels the
 hypotenuse is. Ascending indices of a level follow a space-filling curve (Sierpinski's).
 The two triangles on both sides of a hypotenuse form a diamond; at the boundary of the root square a diamond has one triangle.
 """
@@ -11,12 +11,19 @@ from dataclasses import dataclass
 import numpy as np
 
 
+def bisect(corners: np.ndarray, is_second: np.ndarray) -> np.ndarray:
+    """Return the corners (N, 3, 2) of the first or second child of triangles with `corners` (N, 3, 2); see `Tree.triangle_corners`."""
+    start, end, apex = corners.transpose(1, 0, 2)
+    center, is_second = (start + end) // 2, is_second[:, None]
+    return np.stack([np.where(is_second, end, apex), np.where(is_second, apex, start), center], axis=1)
+
+
 @dataclass(frozen=True)
 class Tree:
     """The bintrees over a field of `rows` x `columns` samples.
 
-    leaf_cells: cells along a leg of a leaf, even. The root square begins at the sample (0, 0) and may extend beyond the field; triangles that
-    do not overlap the field do not exist.
+    leaf_cells: cells along a leg of a leaf, even. The root square begins at the sample (0, 0) and may extend beyond the field; triangles
+    that do not overlap the field do not exist.
     """
 
     rows: int
@@ -42,7 +49,8 @@ class Tree:
         return self.leaf_cells << self.depth
 
     def triangle_corners(self, level: int, indices: np.ndarray) -> np.ndarray:
-        """Return the corners (N, 3, 2) int64 in grid coordinates (x, y): both ends of the hypotenuse, then the right angle, counterclockwise.
+        """Return the corners (N, 3, 2) int64 in grid coordinates (x, y): both ends of the hypotenuse, then the right angle,
+        counterclockwise.
 
         Args:
             indices: (N,) int, 0 to 2**(level + 1) - 1.
@@ -51,11 +59,17 @@ class Tree:
         roots = np.array([[(side, side), (0, 0), (side, 0)], [(0, 0), (side, side), (0, side)]], np.int64)
         corners = roots[indices >> level]
         for bit in range(level - 1, -1, -1):
-            start, end, apex = corners.transpose(1, 0, 2)
-            middle = (start + end) // 2
-            is_second = ((indices >> bit) & 1).astype(bool)[:, None]
-            corners = np.stack([np.where(is_second, end, apex), np.where(is_second, apex, start), middle], axis=1)
+            corners = bisect(corners, ((indices >> bit) & 1).astype(bool))
         return corners
+
+    def corners_of(self, level: int, index: int) -> np.ndarray:
+        """Return the corners (3, 2) int64 of one triangle; see `triangle_corners`, which takes 20 times as long for one."""
+        side = self.side
+        start, end, apex = ((0, 0), (side, side), (0, side)) if index >> level else ((side, side), (0, 0), (side, 0))
+        for bit in range(level - 1, -1, -1):
+            center = (start[0] + end[0]) // 2, (start[1] + end[1]) // 2
+            start, end, apex = (end, apex, center) if index >> bit & 1 else (apex, start, center)
+        return np.array([start, end, apex], np.int64)
 
     def existing_triangles(self, level: int) -> np.ndarray:
         """Return the ascending indices (N,) int64 of the triangles of a level that overlap the field with a positive area."""

@@ -50,7 +50,7 @@ class Scratch:
             free = shutil.disk_usage(self._folder).free
             if free < array.nbytes + MIN_FREE:
                 place = self._folder.parent
-                raise FileError(f'The disk of "{place}" has only {free / 1e6:,.0f} MB left; free some space, or use fewer photographs.')
+                raise FileError(f'The disk of "{place}" has only {free / 1e6:,.0f} MB left; free some space, or use fewer images.')
             path = self._folder / str(self._count)
             array.tofile(path)
             mapped = np.memmap(path, array.dtype, "r+", shape=array.shape)

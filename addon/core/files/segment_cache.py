@@ -3,10 +3,19 @@
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from threading import Lock
-
-import numpy as np
+from typing import Protocol, TypeVar
 
 DEFAULT_CACHE_BYTES = 64 << 20
+
+
+class HasBytes(Protocol):
+    """An array, or an object of several arrays. nbytes: of all of them."""
+
+    @property
+    def nbytes(self) -> int: ...
+
+
+Segment = TypeVar("Segment", bound=HasBytes)
 
 
 class SegmentCache:
@@ -14,10 +23,10 @@ class SegmentCache:
 
     def __init__(self, max_bytes: int = DEFAULT_CACHE_BYTES) -> None:
         self._max_bytes, self._lock = max_bytes, Lock()
-        self._arrays: OrderedDict[Hashable, np.ndarray] = OrderedDict()
+        self._arrays: OrderedDict[Hashable, HasBytes] = OrderedDict()
         self.byte_count = 0
 
-    def get(self, key: Hashable, create: Callable[[], np.ndarray]) -> np.ndarray:
+    def get(self, key: Hashable, create: Callable[[], Segment]) -> Segment:
         """Return the array of a key, which `create` returns if it is not kept. It must not be changed.
 
         Two threads that need the same array at the same time both create it. An array of more than `max_bytes` is not kept.

@@ -13,6 +13,7 @@ import numpy as np
 from ..errors import SettingsError
 
 Kind = Literal["perspective", "orthographic", "panoramic"]
+MIN_HORIZONTAL = 1e-9  # of the direction of a camera; a smaller part does not tell where its right is
 FULL_SPHERE = (-math.pi, math.pi, -0.5 * math.pi, 0.5 * math.pi)  # radians
 
 
@@ -101,6 +102,26 @@ def projection_from_matrix(matrix: np.ndarray, size: tuple[int, int], near: floa
     return Projection("orthographic" if is_orthographic else "perspective", (left, right, bottom, top), size, near, far)
 
 
+def look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Return the matrix (4, 4) float64 of a camera at `position` (3,) that looks at `target` (3,), with z upwards in the image, or with y
+    upwards if it looks straight down or up.
+
+    Raises:
+        SettingsError: both are the same position, or not finite.
+    """
+    direction = np.asarray(position, np.float64) - target
+    length = np.linalg.norm(direction)
+    if not 0.0 < length < np.inf:
+        raise SettingsError("The camera must look at another position than its own; choose two different finite positions.")
+    direction /= length
+    is_vertical = np.hypot(direction[0], direction[1]) < MIN_HORIZONTAL
+    right = np.cross([0.0, 1.0, 0.0] if is_vertical else [0.0, 0.0, 1.0], direction)
+    right /= np.linalg.norm(right)
+    matrix = np.eye(4)
+    matrix[:3] = np.column_stack([right, np.cross(direction, right), direction, position])
+    return matrix
+
+
 def camera_window(
     extent: float, spans_width: bool, shift: tuple[float, float], size: tuple[int, int], pixel_aspect: tuple[float, float] = (1.0, 1.0)
 ) -> tuple[float, float, float, float]:
@@ -124,10 +145,13 @@ class Viewer:
     """A camera that looks at a terrain.
 
     matrix: (4, 4) float64, camera space to the space of the terrain (or of the world). Any affine matrix; terrains may be scaled.
+    is_interactive: whether it is a 3D Viewport in use, where terrain outside of the image may be coarse. Renders need it for shadows and
+    reflections.
     """
 
     matrix: np.ndarray
     projection: Projection
+    is_interactive: bool = False
 
     @property
     def position(self) -> np.ndarray:

@@ -16,27 +16,24 @@ import io
 import struct
 import zlib
 from pathlib import Path
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
-from PIL import Image, JpegImagePlugin, PngImagePlugin, WebPImagePlugin
-from PIL.ImageFile import ImageFile
 
 from ..errors import ImageError
+
+if TYPE_CHECKING:
+    from PIL.ImageFile import ImageFile
 
 ImageFormat = Literal["jpeg", "webp", "png", "raw"]
 FORMATS: tuple[ImageFormat, ...] = get_args(ImageFormat)
 DEFAULT_QUALITY = 85
 MAX_PIXELS = 2**29  # of an image that is decoded at once: 23,170 x 23,170 pixels
 MAX_RATIO = 35_000  # of decoded bytes to those of a JPEG or PNG file, see image_files.py
+MAX_CODED_RATIO = 2  # of the bytes of a coded image to those of its pixels
 PNG_COMPRESSION = 3  # zlib level; higher ones cost much time and save little in photographs
 WEBP_METHOD = 0  # the fastest; method 4 takes two to three times as long for files that are a few percent smaller
 RAW_MAGIC, RAW_HEADER = b"FFPIXELS", struct.Struct("<8sHHI")
-PLUGINS = (  # first bytes, and the reader, called directly: Image.open would apply a limit that is global to the process
-    (b"\xff\xd8\xff", JpegImagePlugin.JpegImageFile),
-    (b"\x89PNG\r\n\x1a\n", PngImagePlugin.PngImageFile),
-    (b"RIFF", WebPImagePlugin.WebPImageFile),
-)
 MODES = {"1": "RGB", "L": "RGB", "P": "RGB", "RGB": "RGB", "LA": "RGBA", "PA": "RGBA", "RGBA": "RGBA", "RGBX": "RGB"}
 DAMAGES = (
     OSError,
@@ -89,9 +86,8 @@ def decode(data: bytes | memoryview, max_pixels: int = MAX_PIXELS) -> np.ndarray
     """
     if bytes(data[: len(RAW_MAGIC)]) == RAW_MAGIC:
         return _decode_raw(data, max_pixels)
-    start = bytes(data[:12])
-    plugin = next((plugin for magic, plugin in PLUGINS if start.startswith(magic)), None)
-    if plugin is None or (start.startswith(b"RIFF") and start[8:] != b"WEBP"):
+    plugin = _find_plugin(bytes(data[:12]))
+    if plugin is None:
         raise ImageError("The image is no JPEG, WebP or PNG; save it in one of these formats.")
     try:
         with plugin(io.BytesIO(data)) as image:
@@ -113,8 +109,46 @@ def read_coded_image(path: Path, max_pixels: int = MAX_PIXELS) -> np.ndarray:
         raise ImageError(f'"{path.name}": {error}') from error
 
 
+def read_coded_shape(path: Path) -> tuple[int, int, int]:
+    """Return the rows, columns and channels (3 or 4) of a JPEG, WebP or PNG file. Only its header is read.
+
+    Raises:
+        ImageError: see `decode`; the message names the file.
+        OSError: the file cannot be read.
+    """
+    with path.open("rb") as file:
+        plugin = _find_plugin(file.read(12))
+        file.seek(0)
+        try:
+            if plugin is None:
+                raise ImageError("The image is no JPEG, WebP or PNG; save it in one of these formats.")
+            with plugin(file) as image:
+                _check_opened(image, path.stat().st_size, MAX_PIXELS)
+                return image.size[1], image.size[0], len(_rgb_mode(image))
+        except ImageError as error:
+            raise ImageError(f'"{path.name}": {error}') from error
+        except DAMAGES as error:
+            raise ImageError(f'"{path.name}": The image is damaged or truncated; open it in an image editor and save it again.') from error
+
+
+def _find_plugin(start: bytes) -> "type[ImageFile] | None":
+    """Return the reader of a file with these first 12 bytes, None if there is none. It is called directly: Image.open would apply a limit
+    that is global to the process."""
+    from PIL import JpegImagePlugin, PngImagePlugin, WebPImagePlugin  # here, so that importing the core needs only NumPy and SciPy
+
+    if start.startswith(b"\xff\xd8\xff"):
+        return JpegImagePlugin.JpegImageFile
+    if start.startswith(b"\x89PNG\r\n\x1a\n"):
+        return PngImagePlugin.PngImageFile
+    return WebPImagePlugin.WebPImageFile if start.startswith(b"RIFF") and start[8:] == b"WEBP" else None
+
+
 def _save(image: np.ndarray, image_format: str, quality: int) -> bytes:
     """Return an image with row 0 at the top as a file in memory."""
+    from PIL import Image, ImageFile
+
+    # Pillow codes optimized JPEG images into one buffer, which is too small for noise at high quality by default.
+    ImageFile.MAXBLOCK = max(ImageFile.MAXBLOCK, MAX_CODED_RATIO * image.size)
     picture = Image.fromarray(np.ascontiguousarray(image, np.uint8))
     file = io.BytesIO()
     if image_format == "jpeg":
@@ -126,8 +160,16 @@ def _save(image: np.ndarray, image_format: str, quality: int) -> bytes:
     return file.getvalue()
 
 
-def _decode_opened(image: ImageFile, data_size: int, max_pixels: int) -> np.ndarray:
+def _decode_opened(image: "ImageFile", data_size: int, max_pixels: int) -> np.ndarray:
     """Return the pixels of an image whose header was read. Raises ImageError, or one of DAMAGES."""
+    _check_opened(image, data_size, max_pixels)
+    mode = _rgb_mode(image)
+    pixels = image if image.mode == mode else image.convert(mode)
+    return np.asarray(pixels)[::-1].copy()
+
+
+def _check_opened(image: "ImageFile", data_size: int, max_pixels: int) -> None:
+    """Check the header of an image. Raises ImageError, or one of DAMAGES."""
     width, height = image.size
     if width * height > max_pixels:
         raise ImageError(f"The image has {width} x {height} pixels, more than {max_pixels:,}; use a smaller one, or a TIFF file.")
@@ -137,9 +179,10 @@ def _decode_opened(image: ImageFile, data_size: int, max_pixels: int) -> np.ndar
         raise ImageError("The file contains several images; save one image per file.")
     if image.mode not in MODES:
         raise ImageError(f"The image has pixels of type {image.mode}; save it as RGB or RGBA with 8 bits per channel.")
-    mode = "RGBA" if "transparency" in image.info else MODES[image.mode]
-    pixels = image if image.mode == mode else image.convert(mode)
-    return np.asarray(pixels)[::-1].copy()
+
+
+def _rgb_mode(image: "ImageFile") -> str:
+    return "RGBA" if "transparency" in image.info else MODES[image.mode]
 
 
 def _decode_raw(data: bytes | memoryview, max_pixels: int) -> np.ndarray:

@@ -5,7 +5,8 @@ import numpy as np
 
 from ...bridge.clipbox.objects import SceneTerrain, terrain_of_object
 from ...core.clipbox.settings import ClipboxSettings
-from .. import follow_handlers, following, long_work, properties, start_job
+from .. import follow_handlers, properties, start_job
+from ..terrain_polls import disabled_reason
 from ..view_following import FollowViewOperator, context_viewport, view_of_area
 from .follow_tool import TOOL
 from .job import TerrainJob, prepare
@@ -71,16 +72,6 @@ class FARFIELD_OT_clipbox_follow_view(FollowViewOperator, bpy.types.Operator):
     def disabled_reason(cls, context: bpy.types.Context) -> str:
         """Return why the active terrain cannot follow now, or an empty string."""
         return disabled_reason(context) or disabled_reason_of_active(context)
-
-
-def disabled_reason(context: bpy.types.Context) -> str:
-    """Return why no terrain can be created now, or an empty string."""
-    if context.mode != "OBJECT":
-        return "Switch to Object Mode"
-    if not context.scene.is_editable:
-        return "The scene is linked from another file"
-    is_following = bool(following.running())
-    return long_work.running_job_message() or ("A terrain is following the view; press Stop Following first" if is_following else "")
 
 
 def disabled_reason_of_active(context: bpy.types.Context) -> str:

@@ -13,10 +13,11 @@ from .patch_set import PatchSet
 
 @dataclass(frozen=True)
 class DiamondMeshes:
-    """The meshes of D diamonds without common vertices.
+    """The meshes of D diamonds without common vertices. Vertices are in ascending order of their diamonds, then x, then y.
 
-    domains: (V,) int32, diamond of each vertex. x, y, z: (V,) int32. slopes: (V, 2) float32, known on the outer boundary of each diamond, NaN
-    elsewhere. triangles: (T, 3) int32. samples: (S, 3) int32, samples (x, y, z) that are not vertices, but whose distances count.
+    domains: (V,) int32, diamond of each vertex. x, y, z: (V,) int32. gradients: (V, 2) float32, known on the outer boundary of each
+    diamond, NaN elsewhere. triangles: (T, 3) int32. samples: (S, 3) int32, samples (x, y, z) that are not vertices, but whose distances
+    count.
     sample_triangles: (S,) int32, the triangles that contain them.
     """
 
@@ -24,7 +25,7 @@ class DiamondMeshes:
     x: np.ndarray
     y: np.ndarray
     z: np.ndarray
-    slopes: np.ndarray
+    gradients: np.ndarray
     triangles: np.ndarray
     samples: np.ndarray
     sample_triangles: np.ndarray
@@ -39,16 +40,16 @@ def triangulate_field(tree: Tree, centers: np.ndarray, grid: HeightGrid) -> Diam
     offsets, template = diamond_template(tree.leaf_cells)
     x, y = (centers[:, None] + offsets).transpose(2, 0, 1)
     is_inside = (x >= 0) & (y >= 0) & (x < tree.columns) & (y < tree.rows)
-    in_field = is_inside[:, template].all(axis=2)
-    numbers = np.cumsum(is_inside.ravel(), dtype=np.int32).reshape(is_inside.shape) - 1
-    triangles = numbers[:, template][in_field]
+    numbers = np.cumsum(is_inside.ravel(), dtype=np.int32).reshape(is_inside.shape) - np.int32(1)
+    triangles = numbers.take(template, axis=1)
+    triangles = triangles.reshape(-1, 3) if is_inside.all() else triangles[is_inside.take(template, axis=1).all(axis=2)]
     x, y = x[is_inside].astype(np.int32), y[is_inside].astype(np.int32)
     domains = np.broadcast_to(np.arange(len(centers), dtype=np.int32)[:, None], is_inside.shape)[is_inside]
     is_boundary = np.broadcast_to(np.abs(offsets).sum(axis=1) == tree.leaf_cells, is_inside.shape)[is_inside]
-    slopes = np.full((len(x), 2), np.nan, np.float32)
-    slopes[is_boundary] = sample_slopes(x[is_boundary], y[is_boundary], grid)
+    gradients = np.full((len(x), 2), np.nan, np.float32)
+    gradients[is_boundary] = sample_gradients(x[is_boundary], y[is_boundary], grid)
     no_samples = np.zeros((0, 3), np.int32), np.zeros(0, np.int32)
-    return _remove_unused(DiamondMeshes(domains, x, y, grid.read_points(x, y), slopes, triangles, *no_samples))
+    return _remove_unused(DiamondMeshes(domains, x, y, grid.read_points(x, y), gradients, triangles, *no_samples))
 
 
 @cache
@@ -59,9 +60,9 @@ def diamond_template(leaf_cells: int) -> tuple[np.ndarray, np.ndarray]:
     The diagonals of the cells alternate: they meet at samples with an even sum of coordinates, as the hypotenuses of the bintree do.
     """
     side = 2 * leaf_cells + 1
-    y, x = np.mgrid[-leaf_cells : leaf_cells + 1, -leaf_cells : leaf_cells + 1].astype(np.int32)
+    x, y = np.mgrid[-leaf_cells : leaf_cells + 1, -leaf_cells : leaf_cells + 1].astype(np.int32)
     number = np.arange(side * side, dtype=np.int32).reshape(side, side)
-    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]
+    a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
     is_even = ((x + y)[:-1, :-1] % 2 == 0)[..., None]
     first = np.where(is_even, np.stack([a, b, c], axis=-1), np.stack([a, b, d], axis=-1))
     second = np.where(is_even, np.stack([a, c, d], axis=-1), np.stack([b, c, d], axis=-1))
@@ -90,40 +91,43 @@ def weld_patches(tree: Tree, patches: PatchSet, domains: np.ndarray) -> DiamondM
         patches.x[first],
         patches.y[first],
         patches.z[first],
-        patches.slopes[first],
+        patches.gradients[first],
         inverse.reshape(-1).astype(np.int32)[numbers],
         patches.samples,
         (patches.sample_triangles + of_sample).astype(np.int32),
     )
 
 
-def classify_vertices(tree: Tree, meshes: DiamondMeshes, corners: np.ndarray) -> np.ndarray:
-    """Return what the vertices of diamonds may move along, (V,) int8 constants of `collapse_costs`.
+def classify_vertices(tree: Tree, meshes: DiamondMeshes, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Find what the vertices of diamonds of one level may move along.
 
     The outer boundary of a diamond is locked. The vertices of its hypotenuse and of the border of the field stay on these lines.
 
     Args:
-        corners: (D, 2, 3, 2) int64, corners of the triangles of each diamond; the second triangle of single ones repeats the first.
+        corners: (D, 3, 2) int64, corners of the first triangle of each diamond.
+
+    Returns:
+        Constants of `collapse_costs`, (V,) int8, and on which side of the hypotenuse vertices are, (V,) int32: positive on that of the
+        first triangle, 0 on the hypotenuse.
     """
-    x, y = meshes.x.astype(np.int64), meshes.y.astype(np.int64)
-    lines = np.full(len(x), FREE, np.int8)
-    start, end = (corners[meshes.domains, 0, end] for end in (0, 1))
-    direction = end - start
-    on_hypotenuse = direction[:, 0] * (y - start[:, 1]) == direction[:, 1] * (x - start[:, 0])
-    along = np.where(
-        direction[:, 1] == 0,
-        HORIZONTAL,
-        np.where(direction[:, 0] == 0, VERTICAL, np.where(direction[:, 0] == direction[:, 1], DIAGONAL, ANTIDIAGONAL)),
-    )
-    lines[on_hypotenuse] = along[on_hypotenuse]
-    for is_on_border, line in ((_is_inner_border(x, tree.columns, tree), VERTICAL), (_is_inner_border(y, tree.rows, tree), HORIZONTAL)):
-        lines = np.where(is_on_border, np.where((lines == FREE) | (lines == line), line, LOCKED), lines).astype(np.int8)
-    for triangle in range(2):
-        for leg in (1, 2):
-            start = corners[meshes.domains, triangle, leg]
-            direction = corners[meshes.domains, triangle, (leg + 1) % 3] - start
-            lines[direction[:, 0] * (y - start[:, 1]) == direction[:, 1] * (x - start[:, 0])] = LOCKED
-    return lines
+    center_x, center_y = ((corners[:, 0] + corners[:, 1]) // 2).T.astype(np.int32)
+    direction = corners[:, 1] - corners[:, 0]
+    sign_x, sign_y = np.sign(direction).T.astype(np.int32)
+    x, y = meshes.x - center_x.take(meshes.domains), meshes.y - center_y.take(meshes.domains)
+    sides = y * sign_x.take(meshes.domains) - x * sign_y.take(meshes.domains)
+    along = np.choose(sign_x * sign_y + 1, (ANTIDIAGONAL, np.where(sign_y == 0, HORIZONTAL, VERTICAL), DIAGONAL)).astype(np.int8)
+    lines = np.where(sides == 0, along.take(meshes.domains), np.int8(FREE))
+    for is_on_border, line in (
+        (_is_inner_border(meshes.x, tree.columns, tree), VERTICAL),
+        (_is_inner_border(meshes.y, tree.rows, tree), HORIZONTAL),
+    ):
+        lines[is_on_border] = np.where((lines[is_on_border] == FREE) | (lines[is_on_border] == line), line, LOCKED)
+    # The triangles of a level have the same size, and diamonds are squares: axis-parallel ones with diagonal hypotenuses, or rotated ones.
+    half = np.abs(direction[0]).max() // 2
+    x, y = np.abs(x), np.abs(y)
+    distances = x + y if direction[0].min() == 0 or direction[0].max() == 0 else np.maximum(x, y)
+    lines[distances == half] = LOCKED
+    return lines, sides
 
 
 def _is_inner_border(positions: np.ndarray, count: int, tree: Tree) -> np.ndarray:
@@ -131,14 +135,14 @@ def _is_inner_border(positions: np.ndarray, count: int, tree: Tree) -> np.ndarra
     return (positions == count - 1) & (count - 1 < tree.side)
 
 
-def sample_slopes(x: np.ndarray, y: np.ndarray, grid: HeightGrid) -> np.ndarray:
+def sample_gradients(x: np.ndarray, y: np.ndarray, grid: HeightGrid) -> np.ndarray:
     """Return the derivatives (N, 2) float32 of the field at samples (N,), by central differences, in steps per cell."""
-    slopes = np.empty((len(x), 2), np.float32)
+    gradients = np.empty((len(x), 2), np.float32)
     for axis, (dx, dy, count) in enumerate(((1, 0, grid.columns), (0, 1, grid.rows))):
         position = (x, y)[axis]
         span = np.minimum(position + 1, count - 1) - np.maximum(position - 1, 0)
-        slopes[:, axis] = (grid.read_points(x + dx, y + dy) - grid.read_points(x - dx, y - dy)) / span
-    return slopes
+        gradients[:, axis] = (grid.read_points(x + dx, y + dy) - grid.read_points(x - dx, y - dy)) / span
+    return gradients
 
 
 def _remove_unused(meshes: DiamondMeshes) -> DiamondMeshes:
@@ -148,5 +152,5 @@ def _remove_unused(meshes: DiamondMeshes) -> DiamondMeshes:
     if is_used.all():
         return meshes
     renumbering = np.cumsum(is_used, dtype=np.int32) - 1
-    arrays = (array[is_used] for array in (meshes.domains, meshes.x, meshes.y, meshes.z, meshes.slopes))
+    arrays = (array[is_used] for array in (meshes.domains, meshes.x, meshes.y, meshes.z, meshes.gradients))
     return DiamondMeshes(*arrays, renumbering[meshes.triangles], meshes.samples, meshes.sample_triangles)

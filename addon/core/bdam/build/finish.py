@@ -17,8 +17,8 @@ from .work_folder import ADVICE, LevelLayout, WorkFolder
 EDGE_POINTS = 5  # of each edge of a triangle that are projected, because edges are curved in the local frame of a geographic grid
 
 
-def write_geometry(work: WorkFolder, layouts: list[LevelLayout], header: StoreHeader, out: Path) -> Steps[None]:
-    """Write the structure and geometry files of a store to the folder `out` from the results of all tasks.
+def write_geometry(work: WorkFolder, layouts: list[LevelLayout], header: StoreHeader, out: Path) -> Steps[list[Level]]:
+    """Write the structure and geometry files of a store to the folder `out` from the results of all tasks. Returns the levels.
 
     Raises:
         FileError: a file cannot be read or written.
@@ -41,6 +41,7 @@ def write_geometry(work: WorkFolder, layouts: list[LevelLayout], header: StoreHe
         writer.finish()
     levels = _nest(work.tree, layouts, parts, header, header.create_frame())
     write_structure(out, header, levels)
+    return levels
 
 
 def _write_leading(writer: BlockWriter, blocks: dict[int, memoryview], layout: LevelLayout, shard: int) -> None:

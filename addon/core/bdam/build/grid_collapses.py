@@ -1,11 +1,10 @@
-"""The first collapses of a regular grid. Samples with an odd sum of coordinates have four neighbors and share no triangle, so their costs are
-found at once and any number of them can be removed in one step."""
+"""The first collapses of a regular grid. Samples with an odd sum of coordinates have four neighbors and share no triangle, so their costs
+are found at once and any number of them can be removed in one step."""
 
 import numpy as np
 
 from ..simplification.collapse_costs import FREE, HORIZONTAL, LOCKED, VERTICAL
 from .diamond_meshes import DiamondMeshes
-from .height_grid import HeightGrid
 
 FRACTION = 0.6  # of the vertices to be removed
 

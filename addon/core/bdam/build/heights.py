@@ -5,12 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ...errors import SettingsError
-from ...files.atomic_write import write_bytes_atomically
+from ...errors import FileError, SettingsError
 from ...files.file_access import convert_os_errors
+from ...files.sealed_files import read_sealed, write_sealed
 from ...jobs.progress import Progress, Steps
 from ..fields.height_field import HeightField
 from .height_grid import encode_heights, split_rows
+from .work_folder import ADVICE
 
 MAX_STEPS = 2**29  # stored heights lie between minus and plus this many steps
 STEPS_PER_CELL = 200.0  # of sources with real numbers: 0.1 m for cells of 20 m
@@ -28,17 +29,18 @@ def choose_height_step(field: HeightField, wanted: float) -> float:
     return max(factor * magnitude for factor in (1.0, 2.0, 5.0) if factor * magnitude <= step * (1.0 + 1e-9))
 
 
-def write_heights(field: HeightField, path: Path, height_step: float) -> Steps[None]:
-    """Write the heights of a field as a `HeightGrid` to `path`. Does nothing if that was finished before.
+def write_heights(field: HeightField, path: Path, height_step: float) -> Steps[int]:
+    """Write the heights of a field as a `HeightGrid` to `path`, unless that was finished before. Returns the number of unknown heights.
 
     Raises:
-        FileError: a source is damaged, or the file cannot be written.
+        FileError: a source is damaged, all heights are unknown, or the file cannot be written.
         SettingsError: the step is too small for the heights.
     """
     done = path.with_suffix(DONE_SUFFIX)
     if done.exists():
-        return
+        return int(read_sealed(done, ADVICE))
     rows, columns = field.shape
+    holes = 0
     previous = np.zeros(columns)
     with convert_os_errors(f'Cannot write "{path}"'), path.open("wb") as file:
         for band in split_rows(0, rows, columns):
@@ -46,6 +48,7 @@ def write_heights(field: HeightField, path: Path, height_step: float) -> Steps[N
             heights = field.read(band, slice(0, columns)).astype(np.float64)
             is_known = np.isfinite(heights)
             if not is_known.all():
+                holes += int(is_known.size - np.count_nonzero(is_known))
                 previous = _interpolate_rows(heights, is_known, previous)
             steps = np.rint(heights / height_step)
             if np.abs(steps).max() > MAX_STEPS:
@@ -54,8 +57,10 @@ def write_heights(field: HeightField, path: Path, height_step: float) -> Steps[N
                     ("height_step",),
                 )
             file.write(encode_heights(steps, is_known).astype("<i4").tobytes())
-        file.flush()
-    write_bytes_atomically(done, b"")
+    if holes == rows * columns:
+        raise FileError("The elevation model contains no known height: all are marked as missing; use another file.")
+    write_sealed(done, str(holes).encode())
+    return holes
 
 
 def _interpolate_rows(heights: np.ndarray, is_known: np.ndarray, previous: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ class PatchSet:
 
     indices: (P,) int64, triangles of the bintree. errors: (P,) float32, largest vertical distance to the field in steps.
     vertex_starts, triangle_starts: (P + 1,) int64. x, y, z: (V,) int32, grid coordinates and heights in steps; the vertices of a patch are
-    sorted by x, then y. slopes: (V, 2) float32, derivatives of the height along x and y in steps per cell at vertices on the boundary of
+    sorted by x, then y. gradients: (V, 2) float32, derivatives of the height along x and y in steps per cell at vertices on the boundary of
     their patch, NaN elsewhere. triangles: (T, 3) int32, vertices counted from the first of the patch, counterclockwise.
     is_hole: (T,) bool, triangles without any known sample.
     sample_starts: (P + 1,) int64. samples: (S, 3) int32, some of the samples (x, y, z) that were removed at this level and at finer ones.
@@ -28,7 +28,7 @@ class PatchSet:
     x: np.ndarray
     y: np.ndarray
     z: np.ndarray
-    slopes: np.ndarray
+    gradients: np.ndarray
     triangles: np.ndarray
     is_hole: np.ndarray
     sample_starts: np.ndarray
@@ -50,7 +50,7 @@ class PatchSet:
             self.errors[positions],
             to_starts(vertex_counts),
             to_starts(triangle_counts),
-            *(array[vertices] for array in (self.x, self.y, self.z, self.slopes)),
+            *(array[vertices] for array in (self.x, self.y, self.z, self.gradients)),
             *(array[triangles] for array in (self.triangles, self.is_hole)),
             to_starts(sample_counts),
             *(array[samples] for array in (self.samples, self.sample_triangles)),

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..simplification.collapse_costs import LOCKED
+from ...arrays import concatenate_ranges
 from ..simplification.decimation import MeshBatch, simplify
 from ..simplification.removed_samples import RemovedSamples
 from ..tree import Tree
@@ -22,8 +22,8 @@ def simplify_diamonds(
 
     Args:
         triangles: (N,) int64, bintree indices of the triangles of this level. diamonds: (D, 2) positions in `triangles`, see
-            `Tree.find_diamonds`. children: the patches of the next level that lie in these diamonds; None for the finest diamonds, which are
-            triangulated from the field.
+            `Tree.find_diamonds`. children: the patches of the next level that lie in these diamonds; None for the finest diamonds, which
+            are triangulated from the field.
 
     Returns:
         Patches in ascending order of their indices. The error of a patch is the largest of its diamond.
@@ -37,13 +37,13 @@ def simplify_diamonds(
         for column in range(2):
             diamond_of[pairs[:, column]] = np.arange(len(diamonds))
         meshes = weld_patches(tree, children, diamond_of[np.searchsorted(triangles, children.indices >> 1)])
-    lines = classify_vertices(tree, meshes, corners[pairs])
+    lines, sides = classify_vertices(tree, meshes, corners[pairs[:, 0]])
     excess = np.bincount(meshes.domains, minlength=len(diamonds)) // 2
     first = choose_grid_collapses(meshes, lines, excess) if children is None else None
-    batch = _to_batch(meshes, lines)
+    batch = _to_batch(meshes, lines, int(np.ptp(corners[0], axis=0).max()))
     simplified, removed = simplify(batch, excess, first)
     samples = _choose_samples(batch, simplified, removed)
-    return _divide(meshes, simplified, samples, triangles, pairs, corners, grid)
+    return _divide(meshes, sides, simplified, samples, triangles, pairs, grid)
 
 
 def _choose_samples(batch: MeshBatch, triangles: np.ndarray, removed: RemovedSamples) -> RemovedSamples:
@@ -65,53 +65,44 @@ def _choose_samples(batch: MeshBatch, triangles: np.ndarray, removed: RemovedSam
     return RemovedSamples(removed.vertices[chosen], removed.triangles[chosen])
 
 
-def _to_batch(meshes: DiamondMeshes, lines: np.ndarray) -> MeshBatch:
-    sample_count = len(meshes.samples)
+def _to_batch(meshes: DiamondMeshes, lines: np.ndarray, extent: int) -> MeshBatch:
     x, y, z = (np.concatenate([values, meshes.samples[:, axis]]) for axis, values in enumerate((meshes.x, meshes.y, meshes.z)))
-    return MeshBatch(
-        x,
-        y,
-        z.astype(np.float32),
-        np.concatenate([lines, np.full(sample_count, LOCKED, np.int8)]),
-        np.concatenate([meshes.domains, meshes.domains[meshes.triangles[meshes.sample_triangles, 0]]]),
-        meshes.triangles,
-        np.arange(len(meshes.x), len(x), dtype=np.int32),
-        meshes.sample_triangles,
-    )
+    return MeshBatch(x, y, z.astype(np.float32), lines, meshes.domains, meshes.triangles, meshes.sample_triangles, extent)
 
 
 def _divide(
     meshes: DiamondMeshes,
+    sides: np.ndarray,
     simplified: np.ndarray,
     samples: RemovedSamples,
     indices: np.ndarray,
     pairs: np.ndarray,
-    corners: np.ndarray,
     grid: HeightGrid,
 ) -> PatchSet:
-    """Divide simplified diamonds along their hypotenuses; measure them, and find the slopes at the hypotenuses."""
-    points = np.stack([meshes.x, meshes.y], axis=1).astype(np.int64)
+    """Divide simplified diamonds along their hypotenuses; measure them, and find the gradients at the hypotenuses."""
     of_triangle = meshes.domains[simplified[:, 0]]
-    triangle_points = points[simplified]
-    start, end = (corners[pairs[of_triangle, 0], i] for i in (0, 1))
-    direction, middle = end - start, triangle_points.sum(axis=1) - 3 * start
-    is_second = direction[:, 0] * middle[:, 1] < direction[:, 1] * middle[:, 0]
-    patches = pairs[of_triangle, is_second.astype(np.int64)]
-    measured = measure_triangles(triangle_points, meshes.z[simplified], grid)
+    side = (sides.take(simplified).sum(axis=1) < 0).astype(np.int64)
+    patches = pairs[of_triangle, side]
+    measured = measure_triangles(np.stack([meshes.x.take(simplified), meshes.y.take(simplified)], axis=2), meshes.z.take(simplified), grid)
     diamond_errors = np.zeros(len(pairs), np.float32)
     np.maximum.at(diamond_errors, of_triangle, measured.errors)
-    on_hypotenuse = _is_on(points, corners[pairs[meshes.domains, 0]])
-    is_missing = np.isnan(meshes.slopes[:, 0]) & on_hypotenuse
-    slopes = np.where(is_missing[:, None], _mean_slopes(meshes, simplified), meshes.slopes)
+    gradients = _add_gradients(meshes, simplified, np.isnan(meshes.gradients[:, 0]) & (sides == 0))
+    patch_count = len(indices)
+    is_used = np.zeros((2, len(meshes.x)), bool)
+    is_used[side[:, None], simplified] = True
+    vertex_sides, vertices = np.nonzero(is_used)
+    patches_of_vertices = pairs[meshes.domains[vertices], vertex_sides]
+    vertex_order = np.argsort(patches_of_vertices, kind="stable")
+    vertices, vertex_sides = vertices[vertex_order], vertex_sides[vertex_order]
+    vertex_counts = np.bincount(patches_of_vertices, minlength=patch_count)
+    local = np.empty(is_used.shape, np.int32)
+    local[vertex_sides, vertices] = concatenate_ranges(0, vertex_counts)
 
     order = np.argsort(patches, kind="stable")
-    patches, simplified = patches[order], simplified[order]
-    present, triangle_counts = np.unique(patches, return_counts=True)
-    size = int(points.max()) + 1
-    keys = (patches[:, None] * size + points[simplified, 0]) * size + points[simplified, 1]
-    unique, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
-    vertex_starts = np.searchsorted(unique, np.append(present, present[-1] + 1) * size * size)
-    vertices = simplified.reshape(-1)[first]
+    triangle_counts = np.bincount(patches, minlength=patch_count)
+    local_triangles = local[side[:, None], simplified][order]
+    present = np.flatnonzero(triangle_counts)
+    vertex_counts, triangle_counts = vertex_counts[present], triangle_counts[present]
     diamond_of = np.zeros(len(indices), np.int64)
     for column in range(2):
         diamond_of[pairs[:, column]] = np.arange(len(pairs))
@@ -125,13 +116,13 @@ def _divide(
     return PatchSet(
         indices[present],
         diamond_errors[diamond_of[present]],
-        vertex_starts.astype(np.int64),
+        to_starts(vertex_counts),
         triangle_starts,
         meshes.x[vertices],
         meshes.y[vertices],
         meshes.z[vertices],
-        slopes[vertices],
-        (inverse.reshape(-1, 3) - np.repeat(vertex_starts[:-1], triangle_counts)[:, None]).astype(np.int32),
+        gradients[vertices],
+        local_triangles,
         measured.is_hole[order],
         sample_starts.astype(np.int64),
         all_points[samples.vertices[sample_order]],
@@ -139,18 +130,16 @@ def _divide(
     )
 
 
-def _is_on(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Return whether `points` (V, 2) are on the hypotenuses of triangles with `corners` (V, 3, 2)."""
-    direction, offset = corners[:, 1] - corners[:, 0], points - corners[:, 0]
-    return direction[:, 0] * offset[:, 1] == direction[:, 1] * offset[:, 0]
-
-
-def _mean_slopes(meshes: DiamondMeshes, triangles: np.ndarray) -> np.ndarray:
-    """Return the derivatives (V, 2) float32 along x and y of the surface at vertices: means of their triangles weighted by area."""
-    (x0, x1, x2), (y0, y1, y2), (z0, z1, z2) = (axis.astype(np.float64)[triangles].T for axis in (meshes.x, meshes.y, meshes.z))
+def _add_gradients(meshes: DiamondMeshes, triangles: np.ndarray, is_missing: np.ndarray) -> np.ndarray:
+    """Return the gradients (V, 2) float32 with those of the vertices `is_missing` (V,), if triangles use them: means of the gradients of
+    their triangles weighted by area."""
+    triangles = triangles[is_missing.take(triangles).any(axis=1)]
+    (x0, x1, x2), (y0, y1, y2), (z0, z1, z2) = (axis.astype(np.float64).take(triangles.T) for axis in (meshes.x, meshes.y, meshes.z))
     area = (x1 - x0) * (y2 - y0) - (y1 - y0) * (x2 - x0)  # the gradients below are multiplied by it
     along_x = (z1 - z0) * (y2 - y0) - (z2 - z0) * (y1 - y0)
     along_y = (z2 - z0) * (x1 - x0) - (z1 - z0) * (x2 - x0)
     corners, count = triangles.reshape(-1), len(meshes.x)
-    sums = [np.bincount(corners, np.repeat(values, 3), minlength=count) for values in (along_x, along_y, area)]
-    return (np.stack(sums[:2], axis=1) / np.maximum(sums[2], 1.0)[:, None]).astype(np.float32)
+    sums = [np.bincount(corners, np.repeat(values, 3), minlength=count)[is_missing] for values in (along_x, along_y, area)]
+    gradients = meshes.gradients.copy()
+    gradients[is_missing] = np.stack(sums[:2], axis=1) / np.maximum(sums[2], 1.0)[:, None]
+    return gradients

@@ -1,6 +1,7 @@
-"""The tasks of a build: one task simplifies some diamonds of a level, or encodes leaves. Called by `core.jobs.task_pool`.
+"""The tasks of a build: one task simplifies some diamonds of a level, encodes leaves, or makes texture tiles.
 
-An item is [level, shard]; the reply is null, the results are files in the work folder. A task whose files exist is skipped.
+`core.jobs.task_pool` calls them. An item is [level, shard], or ["texture", level, [[i, j], ...]] with tiles of the texture quadtree; the
+reply is null, the results are files in the work folder. A task whose shard exists is skipped.
 """
 
 import io
@@ -13,17 +14,26 @@ import numpy as np
 from ...files.sealed_files import read_sealed, write_sealed
 from ..store.leaf_grids import leaf_grid
 from ..store.patch_codec import Patch, encode_patch, find_boundary
-from .diamond_meshes import sample_slopes
+from .diamond_meshes import sample_gradients
 from .encoded_patches import EncodedPatches
 from .patch_set import PatchSet, join
 from .simplified_diamonds import simplify_diamonds
+from .texture_tasks import TEXTURE_TASK, TextureTasks
 from .work_folder import ADVICE, LevelLayout, WorkFolder
 
 
-def open_tasks(arguments: list[str]) -> Callable[[list[int]], None]:
+def open_tasks(arguments: list[str]) -> Callable[[list], None]:
     """Return the function of the tasks. arguments: the path of the work folder."""
-    tasks = BuildTasks(WorkFolder.load(Path(arguments[0])))
-    return lambda item: tasks.run(*item)
+    folder = WorkFolder.load(Path(arguments[0]))
+    patches, textures = BuildTasks(folder), TextureTasks(folder)
+
+    def run(item: list) -> None:
+        if item[0] == TEXTURE_TASK:
+            textures.run(*item[1:])
+        else:
+            patches.run(*item)
+
+    return run
 
 
 class BuildTasks:
@@ -53,9 +63,9 @@ class BuildTasks:
         heights, is_known = grid.read(slice(low[1], high[1] + 1), slice(low[0], high[0] + 1))
         boundaries = [find_boundary(leaf.x, leaf.y, corner) for leaf, corner in zip(leaves, corners, strict=True)]
         x, y = (np.concatenate([getattr(leaf, axis)[rows] for leaf, rows in zip(leaves, boundaries, strict=True)]) for axis in "xy")
-        slopes = np.split(sample_slopes(x, y, grid), np.cumsum([len(rows) for rows in boundaries])[:-1])
+        gradients = np.split(sample_gradients(x, y, grid), np.cumsum([len(rows) for rows in boundaries])[:-1])
         patches = []
-        for leaf, boundary, slope in zip(leaves, boundaries, slopes, strict=True):
+        for leaf, boundary, slope in zip(leaves, boundaries, gradients, strict=True):
             rows, columns = leaf.y - low[1], leaf.x - low[0]
             is_hole = ~is_known[rows, columns][leaf.triangles].any(axis=1)
             patches.append(Patch(leaf.x, leaf.y, heights[rows, columns], boundary, slope, leaf.triangles, is_hole))
@@ -90,8 +100,8 @@ class BuildTasks:
 
     def _encode(self, level: int, indices: np.ndarray, errors: np.ndarray, patches: list[Patch]) -> EncodedPatches:
         lows = self._tree.triangle_corners(level, indices).min(axis=1)
-        is_leaf, slope_step = level == self._tree.leaf_level, self._folder.parameters.slope_step
-        blocks = [encode_patch(patch, low, is_leaf, slope_step) for patch, low in zip(patches, lows, strict=True)]
+        is_leaf, gradient_step = level == self._tree.leaf_level, self._folder.parameters.gradient_step
+        blocks = [encode_patch(patch, low, is_leaf, gradient_step) for patch, low in zip(patches, lows, strict=True)]
         return EncodedPatches(
             indices,
             errors,
@@ -109,5 +119,5 @@ def _extract(patches: PatchSet, row: int, corners: np.ndarray) -> Patch:
     x, y = patches.x[vertices], patches.y[vertices]
     boundary = find_boundary(x, y, corners)
     return Patch(
-        x, y, patches.z[vertices], boundary, patches.slopes[vertices][boundary], patches.triangles[triangles], patches.is_hole[triangles]
+        x, y, patches.z[vertices], boundary, patches.gradients[vertices][boundary], patches.triangles[triangles], patches.is_hole[triangles]
     )

@@ -1,78 +1,149 @@
-"""The build of a terrain: heights, then patches level by level from the finest to the coarsest, then the store (BDAM, section 5)."""
+"""The build of a terrain: heights, textures, patches level by level from the finest to the coarsest, and the store (BDAM, 5)."""
 
 import hashlib
 import json
-import shutil
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from ...errors import FileError
-from ...files.atomic_write import atomic_write
+from ...errors import FarfieldError
 from ...files.file_access import convert_os_errors
 from ...files.sealed_files import validate_or_remove, write_sealed
-from ...jobs import heartbeat
+from ...jobs.executors import parse_executor
 from ...jobs.job_folder import open_job_folder, remove_temporary_files
-from ...jobs.progress import Progress, Steps, subprogress
-from ...jobs.task_pool import open_task_pool
+from ...jobs.progress import Progress, StageClock, Steps, subprogress
+from ...jobs.task_pool import TaskPool, open_task_pool
 from ..fields.placements import GeographicFrame
 from ..fields.terrain_field import TerrainField
 from ..settings import BdamSettings
-from ..store.structure import STRUCTURE_FILE, StoreHeader
+from ..store.structure import Level, StoreHeader
+from .build_report import BuildReport
+from .disk_space import check_free_space, estimate_bytes, folder_bytes
 from .finish import write_geometry
 from .heights import choose_height_step, write_heights
+from .hole_filling import fill_holes
+from .store_target import check_target, delete_work_folder, hold, replace_store, work_folder_path
+from .texture_stage import TextureWork, build_texture_tiles, plan_textures, write_texture_store
 from .work_folder import HEIGHTS_FILE, PARAMETERS_FILE, BuildParameters, LevelLayout, WorkFolder
 
 TASKS_MODULE = "addon.core.bdam.build.tasks"
-FORMAT_VERSION = 1  # of the files in a work folder
-WORK_SUFFIX = ".build"
+FORMAT_VERSION = 2  # of the files in a work folder
+FILLED_FILE = "heights.filled"  # marks that holes were filled
 DIAMONDS_PER_SHARD = {16: 256, 32: 64, 64: 16}  # by cells of a leaf: about as many samples
-SLOPE_STEP = 1.0 / 64.0  # meters of height per meter
+GRADIENT_STEP = 1.0 / 64.0  # meters of height per meter
 READ_END, FINISH_START = 0.05, 0.95  # of the progress
+TEXEL_COST = 0.05  # seconds of a texel relative to those of a sample, for the progress
 
 
-def build_terrain(field: TerrainField, sources: Sequence[Path], out: Path, settings: BdamSettings) -> Steps[None]:
+def build_terrain(
+    field: TerrainField, sources: Sequence[Path], out: Path, settings: BdamSettings, images: Sequence[Path] = ()
+) -> Steps[BuildReport]:
     """Build the store of a field in the folder `out`.
 
     Finished parts are kept in a folder beside it, from which the same build resumes; it is deleted at the end.
 
-    sources: the files of the field; with their sizes and times they tell whether a work folder belongs to this build.
+    sources: the files of the field; with their sizes and times they tell whether a work folder belongs to this build. images: files of its
+    texture, see `ground_images.place_images`; later ones lie over earlier ones.
 
     Raises:
-        FileError: a source is damaged, `out` contains other files, or a file cannot be written.
+        FileError: a source or an image is damaged or does not fit, `out` contains other files, or there is no room.
         SettingsError: a setting is invalid.
         FarfieldError: a worker fails twice.
     """
     check_target(out)
-    header = _create_header(field, settings)
-    folder = out.with_name(out.name + WORK_SUFFIX)
+    parse_executor(settings.executor)
+    clock = StageClock()
+    header = _create_header(field, settings, has_texture=bool(images))
+    textures = plan_textures(field, header.tree, images, settings)
+    folder = work_folder_path(out)
+    check_free_space(out, _estimate(header, textures, settings), folder)
     leaf_cells = header.leaf_cells
-    parameters = BuildParameters(header.rows, header.columns, leaf_cells, header.slope_step, DIAMONDS_PER_SHARD[leaf_cells])
+    parameters = BuildParameters(header.rows, header.columns, leaf_cells, header.gradient_step, DIAMONDS_PER_SHARD[leaf_cells])
     work = WorkFolder(folder, parameters)
-    open_job_folder(folder, _fingerprint(header, sources), "the build of another terrain or with other settings")
-    with _hold(folder) as held:
+    fingerprint = _fingerprint(header, [*sources, *images], textures, settings)
+    open_job_folder(folder, fingerprint, "the build of another terrain or with other settings")
+    with hold(folder) as held:
         remove_temporary_files(folder)
         write_sealed(folder / PARAMETERS_FILE, work.parameters_content)
-        yield from subprogress(write_heights(field, folder / HEIGHTS_FILE, header.height_step), 0.0, READ_END)
-        layouts = yield from subprogress(_build_levels(work, settings.executor, held), READ_END, FINISH_START)
-        with _replace_store(out) as target:
+        with clock.stage("heights"):
+            holes = yield from subprogress(_read_heights(field, work, header, settings), 0.0, READ_END)
+        with open_task_pool(settings.executor, TASKS_MODULE, [str(folder)], held, "parts") as pool:
+            texture_end = READ_END + (FINISH_START - READ_END) * _texture_fraction(header, textures)
+            if textures is not None:
+                with clock.stage("textures"):
+                    has_holes = bool(holes) and not settings.fill_holes
+                    yield from subprogress(build_texture_tiles(textures, work, pool, has_holes), READ_END, texture_end)
+            with clock.stage("patches"):
+                layouts = yield from subprogress(_build_levels(work, pool), texture_end, FINISH_START)
+        tiles = 0
+        with clock.stage("store"), replace_store(out) as target:
             target.mkdir()
-            yield from subprogress(write_geometry(work, layouts, header, target), FINISH_START, 1.0)
-    with convert_os_errors(f'The terrain is finished, but its work folder "{folder}" cannot be deleted'):
-        shutil.rmtree(folder)
+            levels = yield from subprogress(write_geometry(work, layouts, header, target), FINISH_START, 1.0)
+            if textures is not None:
+                tiles = yield from subprogress(write_texture_store(work, target), FINISH_START, 1.0)
+    delete_work_folder(folder)
+    return _create_report(field, header, levels, holes, tiles, out, clock, textures)
 
 
-def check_target(out: Path) -> None:
-    """Raise FileError unless the folder `out` is missing, empty, or a terrain, which a build replaces."""
-    with convert_os_errors(f'"{out}" cannot be used'):
-        if out.exists() and not out.is_dir():
-            raise FileError(f'"{out}" is a file; choose a folder for the terrain.')
-        if out.is_dir() and not (out / STRUCTURE_FILE).exists() and any(out.iterdir()):
-            raise FileError(f'"{out}" contains other files; choose an empty or a new folder for the terrain.')
+def _read_heights(field: TerrainField, work: WorkFolder, header: StoreHeader, settings: BdamSettings) -> Steps[int]:
+    """Write the heights to the work folder, filled if the settings say so. Returns the number of unknown samples.
+
+    A source that cannot be read leaves no work folder behind, since nothing in it is of use.
+    """
+    path = work.path / HEIGHTS_FILE
+    try:
+        holes = yield from subprogress(write_heights(field, path, header.height_step), 0.0, 0.8 if settings.fill_holes else 1.0)
+    except FarfieldError:
+        delete_work_folder(work.path)
+        raise
+    filled = work.path / FILLED_FILE
+    if settings.fill_holes and holes and not filled.exists():
+        yield from subprogress(fill_holes(work.grid), 0.8, 1.0)
+        write_sealed(filled, b"")
+    return holes
 
 
-def _create_header(field: TerrainField, settings: BdamSettings) -> StoreHeader:
+def _estimate(header: StoreHeader, textures: TextureWork | None, settings: BdamSettings) -> int:
+    """Return about how many bytes the build needs on the disk."""
+    raw_bytes = 0 if textures is None else sum(image.raw_bytes for image in textures.images)
+    texels = 0 if textures is None else textures.texels
+    return estimate_bytes(header.rows * header.columns, settings.fill_holes, texels, settings.texture_format, raw_bytes)
+
+
+def _texture_fraction(header: StoreHeader, textures: TextureWork | None) -> float:
+    """Return which part of the time for textures and patches textures take, roughly."""
+    cost = 0.0 if textures is None else TEXEL_COST * textures.texels
+    return cost / (cost + header.rows * header.columns)
+
+
+def _create_report(
+    field: TerrainField,
+    header: StoreHeader,
+    levels: list[Level],
+    holes: int,
+    tiles: int,
+    out: Path,
+    clock: StageClock,
+    textures: TextureWork | None,
+) -> BuildReport:
+    with convert_os_errors(f'"{out}" cannot be read'):
+        size = folder_bytes(out)
+    return BuildReport(
+        origin=tuple(header.origin),
+        crs=header.crs,
+        rows=header.rows,
+        columns=header.columns,
+        holes=holes,
+        patches=sum(len(level.indices) for level in levels),
+        triangles=sum(int(level.counts[:, 1].sum()) for level in levels),
+        tiles=tiles,
+        bytes=size,
+        seconds=dict(clock.seconds),
+        warnings=(*field.warnings, *(() if textures is None else textures.warnings)),
+    )
+
+
+def _create_header(field: TerrainField, settings: BdamSettings, has_texture: bool) -> StoreHeader:
     rows, columns = field.shape
     height_step = choose_height_step(field, settings.height_step)
     kind = "geographic" if isinstance(field.frame, GeographicFrame) else "projected"
@@ -81,44 +152,64 @@ def _create_header(field: TerrainField, settings: BdamSettings) -> StoreHeader:
         columns,
         int(settings.leaf),
         height_step,
-        SLOPE_STEP * field.cell_size / height_step,
+        GRADIENT_STEP * field.cell_size / height_step,
         field.cell_size,
         field.crs,
         kind,
         field.frame.first,
         field.frame.step,
         field.frame.origin,
+        has_texture,
     )
 
 
-def _fingerprint(header: StoreHeader, sources: Sequence[Path]) -> str:
+def _fingerprint(header: StoreHeader, files: Sequence[Path], textures: TextureWork | None, settings: BdamSettings) -> str:
     with convert_os_errors("A source cannot be read"):
-        files = [(str(path.resolve()), path.stat().st_size, path.stat().st_mtime_ns) for path in sources]
-    content = json.dumps([FORMAT_VERSION, asdict(header), files], sort_keys=True)
+        described = [(str(path.resolve()), path.stat().st_size, path.stat().st_mtime_ns) for path in files]
+    texture = None if textures is None else [asdict(textures.plan), [asdict(image) for image in textures.images]]
+    content = json.dumps([FORMAT_VERSION, asdict(header), described, texture, settings.fill_holes], sort_keys=True)
     return hashlib.sha256(content.encode("utf-8", "surrogatepass")).hexdigest()
 
 
-def _build_levels(work: WorkFolder, executor: str, held: heartbeat.Heartbeat) -> Steps[list[LevelLayout]]:
+def _build_levels(work: WorkFolder, pool: TaskPool) -> Steps[list[LevelLayout]]:
     """Run the tasks of all levels, from the leaves to the roots. Returns the layouts from level 0."""
     tree = work.tree
     layouts = [LevelLayout.create(tree, level, work.parameters.diamonds_per_shard) for level in range(tree.leaf_level + 1)]
     counts = [layout.count for layout in layouts]
-    with open_task_pool(executor, TASKS_MODULE, [str(work.path)], held, "patches") as pool:
-        done = 0
-        for level in range(tree.leaf_level, -1, -1):
-            items = [[level, shard] for shard in range(counts[level]) if not _is_finished(work, level, shard)]
-            start = (done + counts[level] - len(items)) / sum(counts)
-            done += counts[level]
-            if items:
-                label = f"Level {level} of {tree.leaf_level}"
-                yield from subprogress(pool.run(items, label), start, done / sum(counts))
-            yield Progress(done / sum(counts), f"Level {level} of {tree.leaf_level}")
-            _remove_finer_patches(work, level + 2)
+    missing = _find_missing(work, counts)
+    done = 0
+    for level in range(tree.leaf_level, -1, -1):
+        items = [[level, shard] for shard in missing[level]]
+        start = (done + counts[level] - len(items)) / sum(counts)
+        done += counts[level]
+        if items:
+            label = f"Level {level} of {tree.leaf_level}"
+            yield from subprogress(pool.run(items, label), start, done / sum(counts))
+        yield Progress(done / sum(counts), f"Level {level} of {tree.leaf_level}")
+        _remove_finer_patches(work, level + 2)
     return layouts
 
 
-def _is_finished(work: WorkFolder, level: int, shard: int) -> bool:
-    return validate_or_remove(work.blocks_path(level, shard))
+def _find_missing(work: WorkFolder, counts: list[int]) -> list[list[int]]:
+    """Return the shards to build at each level: those without intact blocks, and those without intact patches that a coarser level needs.
+
+    Patches of fine levels are deleted early. If blocks of a coarse level are damaged, they must be made again, too.
+    """
+    missing: list[list[int]] = []
+    needs_patches = False
+    for level, count in enumerate(counts):
+        missing.append([])
+        for shard in range(count):
+            blocks = work.blocks_path(level, shard)
+            is_intact = validate_or_remove(blocks)
+            if needs_patches and level < work.tree.leaf_level and not validate_or_remove(work.patches_path(level, shard)):
+                is_intact = False
+                with convert_os_errors(f'"{blocks}" cannot be deleted'):
+                    blocks.unlink(missing_ok=True)
+            if not is_intact:
+                missing[-1].append(shard)
+        needs_patches = bool(missing[-1])
+    return missing
 
 
 def _remove_finer_patches(work: WorkFolder, level: int) -> None:
@@ -126,25 +217,3 @@ def _remove_finer_patches(work: WorkFolder, level: int) -> None:
     for path in work.path.glob(f"patches-{level:02d}-*.shard"):
         with convert_os_errors(f'"{path}" cannot be deleted'):
             path.unlink(missing_ok=True)
-
-
-@contextmanager
-def _hold(folder: Path) -> Iterator[heartbeat.Heartbeat]:
-    """Own a work folder until the end of the block."""
-    held = heartbeat.take_over(folder)
-    try:
-        yield held
-    finally:
-        held.close()
-
-
-@contextmanager
-def _replace_store(out: Path) -> Iterator[Path]:
-    """Yield a temporary folder that becomes `out` at the end. A terrain that was there before is deleted then."""
-    with atomic_write(out.with_name(f"{out.name}.new")) as temporary:
-        yield temporary
-    new = out.with_name(f"{out.name}.new")
-    with convert_os_errors(f'The terrain is finished in "{new}", but "{out}" cannot be replaced'):
-        if out.exists():
-            shutil.rmtree(out)
-        new.rename(out)

@@ -8,8 +8,8 @@ import numpy as np
 from ...arrays import concatenate_ranges
 from .height_grid import HeightGrid, split_rows
 
-MAX_SPANS = 1 << 16  # rows of triangles at once
-MAX_SAMPLES = 1 << 19  # samples at once
+MAX_SPANS = 1 << 14  # rows of triangles at once
+MAX_SAMPLES = 1 << 16  # samples at once
 TOLERANCE = 1e-6  # cells beyond an edge that count as on it
 
 
@@ -91,12 +91,18 @@ class _Planes:
             stop = max(int(np.searchsorted(ends, (ends[start - 1] if start else 0) + MAX_SAMPLES, side="right")), start + 1)
             part = slice(start, stop)
             counts, of_triangle = lengths[part], triangles[part]
-            x = concatenate_ranges(left[part], counts)
-            base = self._offset[of_triangle] + self._gradient_y[of_triangle] * y[part]
-            flat = np.repeat((y[part] - origin[1]) * window.shape[1] - origin[0], counts) + x
-            planes = np.repeat(self._gradient_x[of_triangle], counts) * x + np.repeat(base, counts)
-            distances = np.abs(planes - window.reshape(-1)[flat]).astype(np.float32)
+            gradient = self._gradient_x[of_triangle]
+            base = self._offset[of_triangle] + self._gradient_y[of_triangle] * y[part] + gradient * left[part]
             starts = np.cumsum(counts) - counts
+            steps = np.arange(counts.sum(), dtype=np.int32)
+            steps -= np.repeat(starts.astype(np.int32), counts)  # from the first sample of each span
+            flat = np.repeat(((y[part] - origin[1]) * window.shape[1] - origin[0] + left[part]).astype(np.int32), counts)
+            flat += steps
+            distances = np.repeat(gradient.astype(np.float32), counts)
+            distances *= steps.astype(np.float32)
+            distances += np.repeat(base.astype(np.float32), counts)
+            distances -= window.reshape(-1).take(flat).astype(np.float32)
+            np.abs(distances, out=distances)
             known = np.ones(len(of_triangle), bool)
             if is_known is not None:
                 sample_is_known = is_known.reshape(-1)[flat]

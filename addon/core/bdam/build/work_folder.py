@@ -19,14 +19,14 @@ ADVICE = "start the build again"
 class BuildParameters:
     """What the tasks of a build need to know.
 
-    rows, columns: of the field. leaf_cells: cells along a leg of a leaf. slope_step: unit of stored slopes, in steps per cell.
+    rows, columns: of the field. leaf_cells: cells along a leg of a leaf. gradient_step: unit of stored gradients, in steps per cell.
     diamonds_per_shard: how many diamonds a task simplifies.
     """
 
     rows: int
     columns: int
     leaf_cells: int
-    slope_step: float
+    gradient_step: float
     diamonds_per_shard: int
 
 

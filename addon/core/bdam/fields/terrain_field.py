@@ -1,7 +1,7 @@
 """One height field from one or many elevation models."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ from ...files.segment_cache import DEFAULT_CACHE_BYTES, SegmentCache
 from ...text import format_count
 from .height_sources import HeightSource, ReadImage, SourceContext, open_source
 from .mosaics import Mosaic, join
-from .placements import Frame, create_frame
+from .placements import Frame, Placement, create_frame
 
 CHECK_SAMPLES = 1 << 22  # heights that are read at once when all are checked
 
@@ -49,6 +49,11 @@ class TerrainField:
     def origin(self) -> tuple[float, float]:
         """The position of the local zero: meters of the projection, or degrees of longitude and latitude."""
         return self.frame.origin
+
+    @property
+    def placement(self) -> Placement:
+        """Where the grid lies on the map."""
+        return self.mosaic.placement
 
     @property
     def crs(self) -> str:
@@ -120,6 +125,11 @@ def check_heights(terrain: TerrainField) -> tuple[str, ...]:
     if not differing:
         return ()
     return (f"{format_count(differing, 'height')} on common edges of neighboring files differ; those of the file named first are used.",)
+
+
+def warn_of_heights(terrain: TerrainField) -> TerrainField:
+    """Return the field with the warnings of `check_heights` too. Raises FileError."""
+    return replace(terrain, warnings=(*terrain.warnings, *check_heights(terrain)))
 
 
 def _read_all(terrain: TerrainField) -> Iterator[np.ndarray]:

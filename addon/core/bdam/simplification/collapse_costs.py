@@ -1,33 +1,45 @@
-"""Costs of half-edge collapses in a height field: vertical distances from what is removed to the new triangles.
+"""Half-edge collapses in a height field, and the vertical distances from the removed vertices to the new triangles.
 
-A collapse moves a vertex onto one of its neighbors, the target. Its star is replaced by a fan of triangles around the target, which is valid
-if all of them are counterclockwise in the plane.
+A collapse moves a vertex onto one of its neighbors, the target. Its star is replaced by a fan of triangles around the target, which is
+valid if all of them are counterclockwise in the plane.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from ...arrays import concatenate_ranges
 from .vertex_rings import VertexRings
 
 FREE, HORIZONTAL, VERTICAL, DIAGONAL, ANTIDIAGONAL, LOCKED = range(6)  # what a vertex may move along
-CHUNK_SAMPLES = 1 << 13  # samples that are located at once
 DIRECTIONS = np.array([(0, 0), (1, 0), (0, 1), (1, 1), (1, -1), (0, 0)], np.int32)
+MAX_ENTRIES = 1 << 15  # of a (targets, triangles, vertices) array
+TARGET_BITS = np.int32(15)  # the low bits of a cost store the row of its target; MAX_DEGREE is less
+INFINITY_BITS = np.float32(np.inf).view(np.int32)
 
 
 @dataclass(frozen=True)
 class GridPoints:
     """Samples of a height field.
 
-    x, y: (V,) int32, grid coordinates. z: (V,) float32, heights in any unit. real: the dtype in which products of coordinate differences
-    are exact.
+    x, y: (V,), integers as float32 or float64, such that products of differences are exact. z: (V,) float32, heights in any unit.
     """
 
     x: np.ndarray
     y: np.ndarray
     z: np.ndarray
-    real: np.dtype
+
+    @property
+    def real(self) -> np.dtype:
+        """The dtype of the coordinates."""
+        return self.x.dtype
+
+    def subtract(self, ends: np.ndarray, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the components of the vectors from vertices `starts` (N,) to `ends` (N,) or (K, N)."""
+        x, y, z = self.x.take(ends), self.y.take(ends), self.z.take(ends)
+        x -= self.x.take(starts)
+        y -= self.y.take(starts)
+        z -= self.z.take(starts)
+        return x, y, z
 
 
 def find_targets(points: GridPoints, rings: VertexRings, lines: np.ndarray, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -37,86 +49,59 @@ def find_targets(points: GridPoints, rings: VertexRings, lines: np.ndarray, vert
         lines: (V,) int8, FREE or the line along which a vertex may move. vertices: (N,) int32.
 
     Returns:
-        Targets (N,) int32 and distances (N,) float32, infinite where no target is valid.
+        Targets (N,) int32 and distances (N,) float32 with a relative precision of 2e-6, infinite where no target is valid.
     """
     targets, costs = np.zeros(len(vertices), np.int32), np.full(len(vertices), np.inf, np.float32)
-    for positions, corners in rings.group_by_degree(vertices):
-        v = vertices[positions]
-        after, before = rings.next[corners], rings.previous[corners]
-        ax, ay, az = _differences(points, after, v)
-        bx, by, bz = _differences(points, before, v)
-        areas = ax * by - ay * bx
-        line_x, line_y = (component.astype(points.real) for component in DIRECTIONS[lines[v]].T)
-        best_cost, best_target = np.full(len(v), np.inf, np.float32), np.zeros(len(v), np.int32)
-        for target, x, y, z in zip(after, ax, ay, az, strict=True):
-            to_after, to_before = x * ay - y * ax, x * by - y * bx
-            new_areas = areas + to_after - to_before
-            kept = (after != target) & (before != target)
-            is_valid = ((new_areas > 0) | ~kept).all(axis=0) & (line_x * y == line_y * x)
-            contains = kept & (to_after >= 0) & (to_before <= 0)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                heights = (areas * z - to_before * az + to_after * bz) / new_areas
-            cost = np.where(contains, np.abs(heights), 0.0).max(axis=0)
-            is_better = is_valid & (cost < best_cost)
-            best_cost = np.where(is_better, cost, best_cost)
-            best_target = np.where(is_better, target, best_target)
-        targets[positions], costs[positions] = best_target, best_cost
+    for positions, corners in rings.group_by_degree(vertices, MAX_ENTRIES, 2):
+        v = vertices.take(positions)
+        after, before = rings.next.take(corners), rings.previous.take(corners)
+        ax, ay, az = points.subtract(after, v)
+        distances, is_valid = _measure_collapses(after, before, (ax, ay, az), points.subtract(before, v))
+        of_line = lines.take(v)
+        if of_line.any():
+            line_x, line_y = (component.astype(points.real) for component in DIRECTIONS[of_line].T)
+            is_valid &= ax * line_y == ay * line_x
+        # Costs that are not negative sort like their bits, so one minimum finds the cost and its row.
+        bits = np.where(is_valid, distances.view(np.int32), INFINITY_BITS)
+        bits &= ~TARGET_BITS
+        bits |= np.arange(len(after), dtype=np.int32)[:, None]
+        best = bits.min(axis=0)
+        targets[positions] = after[best & TARGET_BITS, np.arange(len(v))]
+        costs[positions] = (best & ~TARGET_BITS).view(np.float32)
     return targets, costs
 
 
-def locate_in_fans(
-    points: GridPoints, rings: VertexRings, vertices: np.ndarray, targets: np.ndarray, owners: np.ndarray, samples: np.ndarray
+def _measure_collapses(
+    after: np.ndarray, before: np.ndarray, a: tuple[np.ndarray, np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Locate samples in the stars of vertices after the collapse of these vertices.
+    """Measure the collapse of vertices onto the vertices `after` them.
 
     Args:
-        vertices, targets: (V,) int32. samples: (N,) int32. owners: (N,) int, the position in `vertices` of the one whose star contains the
-            sample.
+        after, before: (K, N) int32, the other vertices of the triangles of each vertex. a, b: their components (K, N), relative to the
+        vertex.
 
     Returns:
-        Corners (N,) int32 of the owner, whose triangle contains the sample once its corner is the target, and vertical distances (N,)
-        float32 from the sample to this triangle.
+        Distances (K, N) float32 from the vertices to the new triangles, and whether all of these are counterclockwise.
     """
-    corners_found, distances = np.empty(len(samples), np.int32), np.empty(len(samples), np.float32)
-    order = np.argsort(owners, kind="stable")
-    starts = np.searchsorted(owners[order], np.arange(len(vertices) + 1))
-    for positions, corners in rings.group_by_degree(vertices):
-        counts = starts[positions + 1] - starts[positions]
-        members = order[concatenate_ranges(starts[positions], counts)]
-        if not len(members):
-            continue
-        u = targets[positions]
-        corners = _order_fans(rings, corners, u)
-        rays = np.concatenate([rings.next[corners], rings.previous[corners[-1:]]])
-        ray_x, ray_y, ray_z = _differences(points, rays, u)
-        local = np.repeat(np.arange(len(positions)), counts)
-        for first in range(0, len(members), CHUNK_SAMPLES):
-            of_fan, part = local[first : first + CHUNK_SAMPLES], members[first : first + CHUNK_SAMPLES]
-            x, y, z = _differences(points, samples[part], u[of_fan])
-            sides = ray_x[1:, of_fan] * y - ray_y[1:, of_fan] * x  # the first ray ends at the target and has no length
-            sector = ((sides[:-1] >= 0) & (sides[1:] <= 0)).argmax(axis=0)
-            columns = np.arange(len(part))
-            a, b = (sector + 1, of_fan), (sector + 2, of_fan)
-            area = ray_x[a] * ray_y[b] - ray_y[a] * ray_x[b]
-            heights = (sides[sector, columns] * ray_z[b] - sides[sector + 1, columns] * ray_z[a]) / area
-            corners_found[part], distances[part] = corners[a], np.abs(heights - z)
-    return corners_found, distances
-
-
-def _order_fans(rings: VertexRings, corners: np.ndarray, targets: np.ndarray) -> np.ndarray:
-    """Return the corners (K, V) of vertices in counterclockwise order, from the triangle after the edge to the target (V,)."""
-    after, before = rings.next[corners], rings.previous[corners]
-    columns = np.arange(corners.shape[1])
-    ordered = np.empty_like(corners)
-    ray = targets
-    for row in range(len(corners)):
-        found = (after == ray).argmax(axis=0)
-        ordered[row], ray = corners[found, columns], before[found, columns]
-    return ordered
-
-
-def _differences(points: GridPoints, ends: np.ndarray, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the vectors from `starts` (N,) to `ends` (K, N) or (N,)."""
-    x = (points.x[ends] - points.x[starts]).astype(points.real)
-    y = (points.y[ends] - points.y[starts]).astype(points.real)
-    return x, y, points.z[ends] - points.z[starts]
+    (ax, ay, az), (bx, by, bz) = a, b
+    areas = ax * by - ay * bx
+    to_after = ax[:, None] * ay  # (targets, triangles, vertices)
+    to_after -= ay[:, None] * ax
+    to_before = ax[:, None] * by
+    to_before -= ay[:, None] * bx
+    new_areas = to_after - to_before
+    new_areas += areas
+    # The triangles that contain the target collapse to an exact area of 0: two, or one at the first edge of a border.
+    is_border = after.sum(axis=0, dtype=np.int64) != before.sum(axis=0, dtype=np.int64)
+    kept_count = np.add.reduce((new_areas > 0).view(np.int8), axis=1, dtype=np.int8)
+    is_valid = kept_count == len(after) - 2 + is_border
+    contains = to_after >= 0
+    contains &= to_before <= 0
+    heights = areas * az[:, None]
+    to_before *= az
+    heights -= to_before
+    to_after *= bz
+    heights += to_after
+    heights *= contains
+    heights /= np.maximum(new_areas, np.ones_like(new_areas), out=new_areas)  # areas are integers
+    return np.abs(heights, out=heights).max(axis=1).astype(np.float32), is_valid

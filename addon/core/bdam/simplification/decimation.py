@@ -1,8 +1,11 @@
 """Simplification of height fields by rounds of independent half-edge collapses, for thousands of separate domains at once.
 
-Every vertex that remains is a sample of the field. In each round, the cheapest vertices of every domain that share no triangle collapse. The
-cost of a collapse is the largest vertical distance to the new triangles from the vertex and from all samples removed before it in its star.
-After Cignoni et al., BDAM, 2003, section 5.2, with vertical distances in place of quadrics.
+Every vertex that remains is a sample of the field. In each round, the cheapest vertices of every domain that share no triangle collapse.
+The cost of a collapse is the largest vertical distance to the new triangles from the vertex and from all samples removed before it in its
+star. Only the distance of the vertex is known beforehand; the samples are located when a vertex is chosen, which then collapses or is more
+expensive from now on. After Cignoni et al., BDAM, 2003, section 5.2, with vertical distances in place of quadrics.
+
+The result for a domain does not depend on the other domains.
 """
 
 from dataclasses import dataclass
@@ -10,15 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from .collapse_costs import LOCKED, GridPoints, find_targets
+from .collapsed_fans import CollapsedFans, arrange_fans
+from .independent_vertices import find_cutoffs, order_by_cost, select_cheapest, select_independent
 from .removed_samples import RemovedSamples
 from .vertex_rings import VertexRings, build_rings
 
 MAX_ROUNDS = 40
 MAX_EXACT_DIFFERENCE = 1 << 11  # products of differences up to this are exact in float32
-STALE_COST_RATIO = (
-    2.0  # a changed vertex is evaluated again only if its last cost was below this many times the cost of the last chosen one
-)
-SELECTION_PASSES = 4
+STALE_COST_RATIO = 1.2  # a changed vertex is evaluated again only if its last cost was below this many times the cutoff
+CANDIDATE_RATIO = 1.3  # of vertices within the cutoff to those to be removed; more need fewer rounds, but cost quality
 TOLERATED_EXCESS = 0.02  # of the vertices to be removed, above which another round runs
 
 
@@ -26,9 +29,10 @@ TOLERATED_EXCESS = 0.02  # of the vertices to be removed, above which another ro
 class MeshBatch:
     """Separate meshes, the domains, which are simplified at once.
 
-    x, y: (V,) int32, grid coordinates. z: (V,) float32. lines: (V,) int8, the constraints of `collapse_costs`. domains: (V,) int32, 0 to
-    D - 1. triangles: (T, 3) int32, counterclockwise. samples: (S,) int32, locked vertices that belong to no triangle, but whose distances
-    count. sample_triangles: (S,) int32, the triangles that contain them.
+    x, y: (V + S,) int32, grid coordinates. z: (V + S,) float32. lines: (V,) int8, the constraints of `collapse_costs`. domains: (V,)
+    int32, 0 to D - 1, ascending. triangles: (T, 3) int32, counterclockwise. sample_triangles: (S,) int32, the triangles that contain the
+    points after
+    the vertices: samples, whose distances count. extent: the largest difference of coordinates in any domain.
     """
 
     x: np.ndarray
@@ -37,8 +41,8 @@ class MeshBatch:
     lines: np.ndarray
     domains: np.ndarray
     triangles: np.ndarray
-    samples: np.ndarray
     sample_triangles: np.ndarray
+    extent: int
 
 
 def simplify(batch: MeshBatch, excess: np.ndarray, first: tuple[np.ndarray, np.ndarray] | None = None) -> tuple[np.ndarray, RemovedSamples]:
@@ -48,114 +52,111 @@ def simplify(batch: MeshBatch, excess: np.ndarray, first: tuple[np.ndarray, np.n
         excess: (D,) int, how many vertices to remove from each domain. Fewer are removed where locked vertices prevent it. first: vertices
             (N,) int32 that share no triangle, and their targets (N,) int32, to collapse at the start.
     """
-    count, domains, triangles = len(batch.x), batch.domains, batch.triangles
-    points = GridPoints(batch.x, batch.y, batch.z, np.dtype(np.float32 if _largest_extent(batch) <= MAX_EXACT_DIFFERENCE else np.float64))
-    is_movable = batch.lines != LOCKED
-    costs, targets, last_costs = np.full(count, np.inf, np.float32), np.zeros(count, np.int32), np.zeros(count, np.float32)
-    is_exact = np.zeros(count, bool)
-    samples = RemovedSamples(batch.samples, batch.sample_triangles)
-    tolerated = TOLERATED_EXCESS * excess
-    is_removed = np.zeros(count, bool)
+    state = _Decimation(batch, excess)
     if first is not None:
-        samples.update(points, build_rings(triangles, count), triangles, *first)
-        triangles = _collapse(triangles, *first, samples)
-        excess = excess - np.bincount(domains[first[0]], minlength=len(excess))
-        is_removed[first[0]] = True
-    changed = np.flatnonzero(is_movable & ~is_removed).astype(np.int32)
+        vertices, targets = first
+        state.collapse(vertices, targets, build_rings(state.triangles, len(batch.lines)), is_checked=False)
+    idle_rounds = 0
     for _ in range(MAX_ROUNDS):
-        if (excess <= tolerated).all():
+        if idle_rounds == 2 or not state.is_unfinished.any():  # the second idle round shows that new cutoffs change nothing
             break
-        rings = build_rings(triangles, count)
-        targets[changed], costs[changed] = find_targets(points, rings, batch.lines, changed)
-        is_exact[changed] = False
-        _, bounds = _rank(costs, domains, excess)
-        raised = np.flatnonzero(~is_exact & (costs <= bounds[domains]) & np.isfinite(costs)).astype(np.int32)
-        costs[raised] = samples.raise_costs(points, rings, triangles, raised, targets[raised], costs[raised])
-        is_exact[raised] = True
-        last_costs[changed] = costs[changed]
-        last_costs[raised] = costs[raised]
-        keys, cutoffs = _rank(costs, domains, excess)
-        keys[~is_exact] = np.iinfo(np.uint64).max
-        removed = _select_independent(keys, rings, triangles)
-        if not len(removed):
-            break
-        removed = _limit(removed, keys, domains, excess)
-        samples.update(points, rings, triangles, removed, targets[removed])
-        is_removed = np.zeros(count, bool)
-        is_removed[removed] = True
-        is_changed = np.zeros(count, bool)
-        is_changed[triangles[is_removed[triangles].any(axis=1)]] = True
-        triangles = _collapse(triangles, removed, targets[removed], samples)
-        excess = excess - np.bincount(domains[removed], minlength=len(excess))
-        changed = is_changed & ~is_removed & is_movable
-        costs[is_removed | changed] = np.inf
-        changed = np.flatnonzero(changed & (last_costs <= STALE_COST_RATIO * cutoffs[domains])).astype(np.int32)
-    return triangles, samples
+        idle_rounds = 0 if state.run_round() else idle_rounds + 1
+    return np.ascontiguousarray(state.triangles.T), state.samples
 
 
-def _largest_extent(batch: MeshBatch) -> int:
-    """Return the largest extent of a domain along x or y."""
-    order = np.argsort(batch.domains, kind="stable")
-    starts = np.flatnonzero(np.diff(batch.domains[order], prepend=-1))
-    ordered = ((axis[order]) for axis in (batch.x, batch.y))
-    return max((int((np.maximum.reduceat(axis, starts) - np.minimum.reduceat(axis, starts)).max()) for axis in ordered), default=0)
+class _Decimation:
+    """The current meshes, and costs of vertices. Those of vertices whose stars have changed are estimates until they are needed."""
+
+    def __init__(self, batch: MeshBatch, excess: np.ndarray) -> None:
+        self.lines, self.domains = batch.lines, batch.domains
+        self.triangles = np.ascontiguousarray(batch.triangles.T)
+        count = len(batch.lines)
+        starts = np.searchsorted(batch.domains, np.arange(len(excess)))
+        self.points = _to_points(batch, starts)
+        self.samples = RemovedSamples(np.arange(count, len(batch.x), dtype=np.int32), batch.sample_triangles.copy())
+        self._excess, self._tolerated = excess, TOLERATED_EXCESS * excess
+        self._is_estimate = batch.lines != LOCKED
+        self._costs, self._targets = np.where(self._is_estimate, 0.0, np.inf).astype(np.float32), np.zeros(count, np.int32)
+        self._cutoffs = np.full(len(excess), np.inf, np.float32)
+        self._numbers = (np.arange(count) - starts[batch.domains]).astype(np.uint32)  # within the domain
+
+    @property
+    def is_unfinished(self) -> np.ndarray:
+        """Whether vertices of a domain have to be removed, (D,) bool."""
+        return self._excess > self._tolerated
+
+    def run_round(self) -> bool:
+        """Collapse independent vertices of all unfinished domains. Return whether there was anything to do."""
+        rings = build_rings(self.triangles, len(self.lines))
+        limits = np.where(self.is_unfinished, STALE_COST_RATIO * self._cutoffs, -1.0).astype(np.float32)
+        stale = np.flatnonzero(self._is_estimate & (self._costs <= limits.take(self.domains))).astype(np.int32)
+        self._targets[stale], self._costs[stale] = find_targets(self.points, rings, self.lines, stale)
+        self._is_estimate[stale] = False
+        is_cheap = (self._costs <= self._cutoffs.take(self.domains)) & (self._costs < np.inf)
+        cheap = np.flatnonzero(is_cheap & ~self._is_estimate).astype(np.int32)
+        keys = order_by_cost(self._costs.take(cheap), self._numbers.take(cheap))
+        chosen = select_independent(cheap, keys, self.triangles, len(self.lines))
+        chosen = select_cheapest(chosen, self._costs.take(chosen), self.domains.take(chosen), self._excess)
+        if len(chosen):
+            self.collapse(chosen, self._targets.take(chosen), rings)
+        return len(stale) > 0 or len(chosen) > 0
+
+    def collapse(self, vertices: np.ndarray, targets: np.ndarray, rings: VertexRings, is_checked: bool = True) -> None:
+        """Collapse `vertices` (N,) int32, which share no triangle, onto `targets` (N,) int32.
+
+        With `is_checked`, vertices are left out if samples make them more expensive than the cutoffs, which rise with these costs.
+        """
+        triangle_count = self.triangles.shape[1]
+        fans = arrange_fans(self.points, rings, vertices, targets)
+        located = self.samples.locate(self.points, fans, triangle_count)
+        is_accepted = np.ones(len(vertices), bool)
+        if is_checked:
+            costs = self._costs.take(vertices)
+            np.maximum.at(costs, located.owners, located.distances)
+            self._costs[vertices] = costs
+            self._update_cutoffs()
+            is_accepted = costs <= self._cutoffs.take(self.domains.take(vertices))
+        accepted = np.flatnonzero(is_accepted).astype(np.int32)
+        removed = vertices.take(accepted)
+        self.samples.move(located, is_accepted)
+        self.samples.add(removed, fans.locate(self.points, accepted, removed)[0] % triangle_count)
+        self._excess = self._excess - np.bincount(self.domains.take(removed), minlength=len(self._excess))
+        self._mark_changes(removed, fans, rings, is_accepted)
+        self._replace_stars(fans, is_accepted)
+
+    def _update_cutoffs(self) -> None:
+        """Find the costs up to which vertices of unfinished domains collapse, from as many vertices as are to be removed and some more."""
+        is_unfinished = self.is_unfinished
+        used = np.flatnonzero((self._costs < np.inf) & is_unfinished.take(self.domains))
+        cutoffs = find_cutoffs(self._costs.take(used), self.domains.take(used), (CANDIDATE_RATIO * self._excess).astype(np.int64))
+        self._cutoffs = np.where(is_unfinished, cutoffs, np.float32(-1.0))
+
+    def _mark_changes(self, removed: np.ndarray, fans: CollapsedFans, rings: VertexRings, is_accepted: np.ndarray) -> None:
+        star = fans.star[is_accepted.take(fans.owners)]
+        is_changed = np.zeros(len(self.lines), bool)
+        is_changed[rings.next.take(star)] = True
+        is_changed[rings.previous.take(star)] = True
+        is_changed &= self.lines != LOCKED
+        self._is_estimate |= is_changed
+        self._costs[is_changed & (self._costs == np.inf)] = 0.0  # a target may have become valid
+        self._costs[removed] = np.inf
+        self._is_estimate[removed] = False
+
+    def _replace_stars(self, fans: CollapsedFans, is_accepted: np.ndarray) -> None:
+        """Move the corners of vertices to their targets, and remove the triangles that vanish."""
+        count = self.triangles.shape[1]
+        is_replaced = is_accepted.take(fans.owners)
+        star = fans.star[is_replaced]
+        self.triangles.reshape(-1)[star] = fans.targets.take(fans.owners[is_replaced])
+        is_kept = np.ones(count, bool)
+        is_kept[star[~fans.is_kept[is_replaced]] % count] = False
+        self.triangles = np.compress(is_kept, self.triangles, axis=1)
+        self.samples.triangles = (np.cumsum(is_kept, dtype=np.int32) - np.int32(1)).take(self.samples.triangles)
 
 
-def _rank(costs: np.ndarray, domains: np.ndarray, excess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return keys (V,) uint64 that order vertices by cost, the largest number for those that are not among the cheapest of their domain, and
-    the cost (D,) of the most expensive one that is."""
-    keys = np.full(len(costs), np.iinfo(np.uint64).max)
-    candidates = np.flatnonzero(np.isfinite(costs) & (excess[domains] > 0))
-    cost_bits = costs[candidates].view(np.uint32).astype(np.uint64)  # floats that are not negative sort like their bits
-    of_domain = domains[candidates].astype(np.uint64)
-    combined = np.sort(of_domain << np.uint64(32) | cost_bits)
-    counts = np.bincount(domains[candidates], minlength=len(excess))
-    ends = np.cumsum(counts)
-    last = ends - counts + np.minimum(np.maximum(excess, 1), counts) - 1
-    cutoff_bits = np.zeros(len(excess), np.uint64)
-    has_candidates = counts > 0
-    cutoff_bits[has_candidates] = combined[last[has_candidates]] & np.uint64(0xFFFFFFFF)
-    is_cheap = cost_bits <= cutoff_bits[domains[candidates]]
-    cheap = candidates[is_cheap]
-    noise = (cheap.astype(np.uint32) * np.uint32(2654435761)).astype(np.uint64)  # breaks ties, otherwise flat areas shrink row by row
-    keys[cheap] = cost_bits[is_cheap] << np.uint64(32) | noise
-    return keys, cutoff_bits.astype(np.uint32).view(np.float32)
-
-
-def _select_independent(keys: np.ndarray, rings: VertexRings, triangles: np.ndarray) -> np.ndarray:
-    """Return vertices (N,) int32 with small keys, no two of which share a triangle."""
-    keys, none = keys.copy(), np.iinfo(np.uint64).max
-    degrees = rings.degrees
-    is_selected = np.zeros(len(keys), bool)
-    for _ in range(SELECTION_PASSES):
-        corner_keys = keys[triangles]
-        smallest = corner_keys.argmin(axis=1)
-        rows = np.arange(len(triangles))
-        has_any = corner_keys[rows, smallest] != none
-        wins = np.bincount(triangles[rows, smallest][has_any], minlength=len(keys))
-        is_minimum = (wins == degrees) & (keys != none) & (degrees > 0)
-        is_selected |= is_minimum
-        keys[triangles[is_minimum[triangles].any(axis=1)]] = none
-    return np.flatnonzero(is_selected).astype(np.int32)
-
-
-def _limit(removed: np.ndarray, keys: np.ndarray, domains: np.ndarray, excess: np.ndarray) -> np.ndarray:
-    """Return the cheapest of the vertices `removed`, at most `excess` (D,) of each domain."""
-    of_domain = domains[removed]
-    counts = np.bincount(of_domain, minlength=len(excess))
-    if (counts <= excess).all():
-        return removed
-    order = np.lexsort((keys[removed], of_domain))
-    ranks = np.arange(len(removed)) - np.repeat(np.cumsum(counts) - counts, counts)
-    return np.sort(removed[order[ranks < excess[of_domain[order]]]])
-
-
-def _collapse(triangles: np.ndarray, removed: np.ndarray, targets: np.ndarray, samples: RemovedSamples) -> np.ndarray:
-    """Return the triangles after the collapse of `removed` onto `targets`; the triangles of the samples are renumbered."""
-    renumbering = np.arange(triangles.max() + 1, dtype=np.int32)
-    renumbering[removed] = targets
-    moved = renumbering[triangles]
-    a, b, c = moved.T
-    is_kept = (a != b) & (b != c) & (c != a)
-    samples.triangles = (np.cumsum(is_kept, dtype=np.int32) - 1)[samples.triangles]
-    return moved[is_kept]
+def _to_points(batch: MeshBatch, starts: np.ndarray) -> GridPoints:
+    """Return coordinates relative to the first vertex of each domain, at `starts` (D,)."""
+    real = np.float32 if batch.extent <= MAX_EXACT_DIFFERENCE else np.float64
+    domains = np.concatenate([batch.domains, batch.domains[batch.triangles[batch.sample_triangles, 0]]])
+    starts = np.minimum(starts, len(batch.x) - 1)
+    return GridPoints(*((axis - axis[starts][domains]).astype(real) for axis in (batch.x, batch.y)), batch.z)

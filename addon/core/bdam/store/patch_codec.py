@@ -1,8 +1,8 @@
 """The contents of a patch as bytes.
 
-Vertices are sorted by x, then y. A sweep in this order adds each vertex v on the right of the triangles so far: the triangles whose last vertex
-is v form a fan with neighbors l1, ..., lk of v on its left, from bottom to top. A block contains these streams (see `integer_streams`), all of
-it compressed by Zstandard:
+Vertices are sorted by x, then y. A sweep in this order adds each vertex v on the right of the triangles so far: the triangles whose last
+vertex is v form a fan with neighbors l1, ..., lk of v on its left, from bottom to top. A block contains these streams (see
+`integer_streams`), all of it compressed by Zstandard:
 
 1. unsigned: differences of x to the previous vertex, the first one to the lower left corner of the patch's bounding box
 2. unsigned: y minus that of the box if x differs, otherwise the difference to the previous vertex, less one
@@ -10,7 +10,7 @@ it compressed by Zstandard:
 4. unsigned: v - l1 of vertices with a fan
 5. signed: l(i+1) - l(i) of all triangles in the order of vertices
 6. signed: differences of heights to the previous vertex, in steps
-7. signed: derivatives along x and y at vertices on the boundary of the patch, in units of the store's slope step
+7. signed: derivatives along x and y at vertices on the boundary of the patch, in units of the store's gradient step
 8. one byte: whether any triangle is a hole; if so one bit per triangle, lowest bit first
 
 Leaves contain all samples, so that streams 1 to 5 are left out.
@@ -22,8 +22,8 @@ import numpy as np
 import zstandard
 
 from ...errors import FileError
-from .leaf_grids import LeafGrid
 from .integer_streams import StreamReader, write_signed, write_unsigned
+from .leaf_grids import LeafGrid
 
 COMPRESSION_LEVEL = 9
 
@@ -33,23 +33,24 @@ class Patch:
     """The contents of a patch.
 
     x, y, z: (V,) int32, grid coordinates and heights in steps. boundary: (B,) int32, the vertices on the edges of the bintree triangle.
-    slopes: (B, 2) float32, derivatives there along x and y in steps per cell. triangles: (T, 3) int32, counterclockwise. is_hole: (T,) bool.
+    gradients: (B, 2) float32, derivatives there along x and y in steps per cell. triangles: (T, 3) int32, counterclockwise. is_hole: (T,)
+    bool.
     """
 
     x: np.ndarray
     y: np.ndarray
     z: np.ndarray
     boundary: np.ndarray
-    slopes: np.ndarray
+    gradients: np.ndarray
     triangles: np.ndarray
     is_hole: np.ndarray
 
 
-def encode_patch(patch: Patch, corner: np.ndarray, is_leaf: bool, slope_step: float) -> bytes:
+def encode_patch(patch: Patch, corner: np.ndarray, is_leaf: bool, gradient_step: float) -> bytes:
     """Return the block of a patch.
 
     Args:
-        corner: (2,) int, lower left corner of its bounding box. slope_step: the unit of stored slopes, in steps per cell.
+        corner: (2,) int, lower left corner of its bounding box. gradient_step: the unit of stored gradients, in steps per cell.
     """
     streams, is_hole = [], patch.is_hole
     if not is_leaf:
@@ -66,7 +67,7 @@ def encode_patch(patch: Patch, corner: np.ndarray, is_leaf: bool, slope_step: fl
             write_signed(upper - lower),
         ]
     streams.append(write_signed(np.diff(patch.z, prepend=0)))
-    streams.append(write_signed(np.rint(patch.slopes / slope_step).T.ravel()))
+    streams.append(write_signed(np.rint(patch.gradients / gradient_step).T.ravel()))
     streams.append(bytes([int(is_hole.any())]))
     if is_hole.any():
         streams.append(np.packbits(is_hole, bitorder="little").tobytes())
@@ -74,12 +75,12 @@ def encode_patch(patch: Patch, corner: np.ndarray, is_leaf: bool, slope_step: fl
 
 
 def decode_patch(
-    content: bytes, corners: np.ndarray, vertex_count: int, triangle_count: int, leaf: LeafGrid | None, slope_step: float
+    content: bytes, corners: np.ndarray, vertex_count: int, triangle_count: int, leaf: LeafGrid | None, gradient_step: float
 ) -> Patch:
     """Return the patch of a block.
 
     Args:
-        corners: (3, 2) int, of the bintree triangle. leaf: its samples, None unless it is a leaf. slope_step: see
+        corners: (3, 2) int, of the bintree triangle. leaf: its samples, None unless it is a leaf. gradient_step: see
             `encode_patch`.
 
     Raises:
@@ -95,11 +96,11 @@ def decode_patch(
         x, y, triangles = leaf.x, leaf.y, leaf.triangles
     z = np.cumsum(reader.read_signed(len(x)))
     boundary = find_boundary(x, y, corners)
-    slopes = reader.read_signed(2 * len(boundary)).reshape(2, -1).T * slope_step
+    gradients = reader.read_signed(2 * len(boundary)).reshape(2, -1).T * gradient_step
     is_hole = np.zeros(len(triangles), bool)
     if reader.read_bytes(1)[0]:
         is_hole = np.unpackbits(reader.read_bytes(-(-len(triangles) // 8)), count=len(triangles), bitorder="little").astype(bool)
-    return Patch(x, y, z.astype(np.int32), boundary, slopes.astype(np.float32), triangles, is_hole)
+    return Patch(x, y, z.astype(np.int32), boundary, gradients.astype(np.float32), triangles, is_hole)
 
 
 def find_boundary(x: np.ndarray, y: np.ndarray, corners: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
 """The structure file of a store: everything but the contents of patches and texture tiles.
 
-A file of blocks (see `blocks`) of the kind `bdamstru`. Block 0 is a JSON object, see `StoreHeader`. Then follow, for every level from 0, five
-blocks with little-endian arrays over the N patches of the level in ascending order of their bintree indices:
+A file of blocks (see `blocks`) of the kind `bdamstru`. Block 0 is a JSON object, see `StoreHeader`. Then follow, for every level from 0,
+five blocks with little-endian arrays over the N patches of the level in ascending order of their bintree indices:
 
 | block | content |
 |---|---|
@@ -36,8 +36,9 @@ FRAMES = {"projected": ProjectedFrame, "geographic": GeographicFrame}
 class StoreHeader:
     """What is the same for a whole store.
 
-    rows, columns, leaf_cells: see `Tree`. height_step: meters between two stored heights. slope_step: unit of stored slopes, in steps per
-    cell. cell_size: nominal meters between two samples. crs: the coordinate reference system in words. frame: "projected" or "geographic".
+    rows, columns, leaf_cells: see `Tree`. height_step: meters between two stored heights. gradient_step: unit of stored gradients, in
+    steps per cell. cell_size: nominal meters between two samples. crs: the coordinate reference system in words. frame: "projected" or
+    "geographic".
     first, step, origin: of the frame, see `fields.placements`. has_texture: whether there is a folder of textures.
     """
 
@@ -45,7 +46,7 @@ class StoreHeader:
     columns: int
     leaf_cells: int
     height_step: float
-    slope_step: float
+    gradient_step: float
     cell_size: float
     crs: str
     frame: str
@@ -68,8 +69,8 @@ class StoreHeader:
 class Level:
     """The patches of a level.
 
-    indices: (N,) int64. errors: (N,) float32, meters. heights: (N, 2) int32, steps. counts: (N, 2) int64, vertices and triangles. low, high:
-    (N, 3) float32, bounding boxes in local meters.
+    indices: (N,) int64. errors: (N,) float32, meters. heights: (N, 2) int32, steps. counts: (N, 2) int64, vertices and triangles. low,
+    high: (N, 3) float32, bounding boxes in local meters.
     """
 
     indices: np.ndarray

@@ -11,7 +11,7 @@ from ..textures.store import TextureStore
 from .blocks import BlockReader
 from .leaf_grids import leaf_grid
 from .patch_codec import Patch, decode_patch
-from .structure import STRUCTURE_FILE, Level, read_structure
+from .structure import STRUCTURE_FILE, read_structure
 
 GEOMETRY_FILE, GEOMETRY_KIND, TEXTURE_FOLDER = "geometry.bdam", "bdamgeom", "textures"
 
@@ -20,8 +20,9 @@ class TerrainStore:
     """An open store. Threads may share it.
 
     header: see `StoreHeader`. tree: the bintrees. levels: the patches of each level from the coarsest to the finest. children: for each
-    level but the last, (N, 2) int64, the rows of the two children of each patch in the next level, -1 where there is none. partners: for each
-    level, (N,) int64, the row of the other patch of the diamond, or of the patch itself where there is none. textures: None without textures.
+    level but the last, (N, 2) int64, the rows of the two children of each patch in the next level, -1 where there is none. partners: for
+    each level, (N,) int64, the row of the other patch of the diamond, or of the patch itself where there is none. textures: None without
+    textures.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -67,10 +68,10 @@ class TerrainStore:
         patches, index = self.levels[level], int(self.levels[level].indices[row])
         label = self.label(level, row)
         content = self._geometry.read(int(self._starts[level]) + row, label)
-        corners = self.tree.triangle_corners(level, patches.indices[row : row + 1])[0]
+        corners = self.tree.corners_of(level, index)
         leaf = leaf_grid(self.tree, corners) if level == self.tree.leaf_level else None
         try:
-            return decode_patch(content, corners, *(int(count) for count in patches.counts[row]), leaf, self.header.slope_step)
+            return decode_patch(content, corners, *(int(count) for count in patches.counts[row]), leaf, self.header.gradient_step)
         except FileError as error:
             raise FileError(f'Patch {level}/{index} of "{self.folder}" is damaged: {error}') from error
 

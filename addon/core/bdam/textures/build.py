@@ -58,7 +58,7 @@ def missing_tiles(folder: Path, level: int) -> np.ndarray:
     return tiles[is_missing]
 
 
-def build_tiles(folder: Path, level: int, tiles: np.ndarray, images: Sequence[PlacedImage] = ()) -> None:
+def build_tiles(folder: Path, level: int, tiles: np.ndarray, images: Sequence[PlacedImage] = (), mask: PlacedImage | None = None) -> None:
     """Build tiles of a level, in any order and by any number of processes at once.
 
     Args:
@@ -66,13 +66,14 @@ def build_tiles(folder: Path, level: int, tiles: np.ndarray, images: Sequence[Pl
         level: all tiles of the finer level must be built.
         tiles: (N, 2) integers, i and j.
         images: needed by the finest level only; later ones lie over earlier ones.
+        mask: see `resampling.resample`; needed by the finest level only.
 
     Raises:
         FileError: an image or a piece cannot be read, or a file cannot be written.
     """
     plan = read_plan(folder)
     for i, j in np.asarray(tiles).tolist():
-        _build_tile(folder, plan, level, i, j, images)
+        _build_tile(folder, plan, level, i, j, images, mask)
 
 
 def discard_pieces(folder: Path, level: int) -> None:
@@ -109,11 +110,13 @@ def tile_path(folder: Path, level: int, i: int, j: int) -> Path:
     return folder / f"{level}-{i}-{j}.tile"
 
 
-def _build_tile(folder: Path, plan: TexturePlan, level: int, i: int, j: int, images: Sequence[PlacedImage]) -> None:
+def _build_tile(
+    folder: Path, plan: TexturePlan, level: int, i: int, j: int, images: Sequence[PlacedImage], mask: PlacedImage | None
+) -> None:
     grid = plan.grid
     columns, rows = (np.arange(STEP * number - MARGIN, STEP * (number + 1) + MARGIN) for number in (i, j))
     is_finest = level == grid.level_count - 1
-    window = resample(grid, level, columns, rows, images) if is_finest else _join_pieces(folder, grid, level, i, j)
+    window = resample(grid, level, columns, rows, images, mask) if is_finest else _join_pieces(folder, grid, level, i, j)
     path = tile_path(folder, level, i, j)
     if not window[REACHED, REACHED, 3].any():
         _write_blocks(path, TILE_KIND, [])

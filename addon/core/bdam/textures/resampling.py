@@ -16,13 +16,17 @@ from .grid import TextureGrid
 from .images import PlacedImage
 
 STRIP_PIXELS = 1 << 20  # about how many pixels are read at once
+FULL_COVERAGE = 1.0 - 1e-5  # by a mask; less is no rounding
 Axis = tuple[csr_array, np.ndarray, int, int]  # weights (N, pixels), whether each texel is in the image (N,), first pixel, end
 
 
-def resample(grid: TextureGrid, level: int, columns: np.ndarray, rows: np.ndarray, images: Sequence[PlacedImage]) -> np.ndarray:
+def resample(
+    grid: TextureGrid, level: int, columns: np.ndarray, rows: np.ndarray, images: Sequence[PlacedImage], mask: PlacedImage | None = None
+) -> np.ndarray:
     """Return the texels (len(rows), len(columns), 4) uint8 of `images` at a level; see `filtering` for their meaning.
 
-    columns, rows: indices of texels along x and y. Those beyond the border of the field repeat what lies on it.
+    columns, rows: indices of texels along x and y. Those beyond the border of the field repeat what lies on it. mask: an image over the
+    whole field whose alpha, filtered like the images, is multiplied with theirs.
 
     Raises:
         FileError: an image cannot be read.
@@ -37,6 +41,10 @@ def resample(grid: TextureGrid, level: int, columns: np.ndarray, rows: np.ndarra
         result = layer if result is None else result * (1.0 - layer[..., 3:]) + layer
     if result is None:
         return np.zeros((len(rows), len(columns), 4), np.uint8)
+    if mask is not None:
+        axes = _weigh(grid, level, 0, columns, mask), _weigh(grid, level, 1, rows, mask)
+        coverage = _filter_window(mask, *axes, _strip_rows(grid, level, mask))[..., 3:]
+        result = np.where(coverage > FULL_COVERAGE, result, result * coverage)
     return encode_premultiplied(result)
 
 

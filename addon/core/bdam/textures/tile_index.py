@@ -7,7 +7,7 @@ EDGE_NEIGHBORHOOD = np.array([(i, j) for i in range(-1, 3) for j in range(-1, 3)
 
 def order_along_curve(tiles: np.ndarray) -> np.ndarray:
     """Return the order (N,) int64 of `tiles` (N, 2), columns i and j, along Morton's curve: near tiles are near in files."""
-    return np.argsort(_morton_keys(tiles), kind="stable")
+    return np.argsort(morton_keys(tiles), kind="stable")
 
 
 class TileIndex:
@@ -60,8 +60,8 @@ def _tile_keys(levels: np.ndarray, tiles: np.ndarray) -> np.ndarray:
     return (levels.astype(np.int64) << 40) | (tiles[:, 1] << 20) | tiles[:, 0]
 
 
-def _morton_keys(tiles: np.ndarray) -> np.ndarray:
-    """Return the bits of i and j of `tiles` (N, 2), interleaved, (N,) int64."""
+def morton_keys(tiles: np.ndarray) -> np.ndarray:
+    """Return the bits of i and j of `tiles` (N, 2), interleaved, (N,) int64: tiles within a coarser one have consecutive keys."""
     bits = tiles.astype(np.int64)
     for shift, mask in (
         (16, 0x0000FFFF0000FFFF),

@@ -1,0 +1,120 @@
+"""Materials of large terrain: images of the ground, colors by slope, height or level of detail. All are shader nodes of Blender."""
+
+import bpy
+
+from ...compat import enable_nodes
+from ..node_builder import NodeBuilder
+from ..node_groups import ensure_shared_group
+
+GROUND_GROUP, GROUND_VERSION = "Farfield Terrain Ground", 1
+LEVEL_ATTRIBUTE = "terrain_level"  # of faces: the level of the patch
+MATERIAL_KEY = "farfield_bdam_material"  # custom property of the material of a terrain: its shading
+ROUGHNESS = 0.95
+GOLDEN_FRACTION = 0.381966  # between two levels; multiples of the golden ratio are far from each other
+ROCK, GRASS, SNOW = (0.17, 0.14, 0.115), (0.075, 0.11, 0.03), (0.8, 0.83, 0.88)
+MAX_GRASS_NORMAL, MIN_ROCK_NORMAL = 0.85, 0.7  # z of the normal, between which grass becomes rock
+MIN_SNOW_NORMAL = 0.6  # steeper ground has no snow
+SNOW_HEIGHTS = 0.6, 0.72  # fractions of the height range, between which snow begins
+MAP_COLORS = (  # of a map by height: fraction of the height range and scene-linear color
+    (0.0, (0.03, 0.13, 0.04)), (0.15, (0.13, 0.28, 0.07)), (0.35, (0.6, 0.55, 0.22)), (0.55, (0.42, 0.21, 0.07)),
+    (0.75, (0.24, 0.13, 0.08)), (0.9, (0.55, 0.52, 0.5)), (1.0, (0.9, 0.9, 0.92)),
+)  # fmt: skip
+
+
+def create_material(name: str, shading: str, root: bpy.types.Object, heights: tuple[float, float]) -> bpy.types.Material:
+    """Create the material of a terrain below `root` for a shading other than "texture": "slope", "height" or "level".
+
+    heights: lowest and highest height above the root, with exaggeration.
+    """
+    material, builder = _start(name)
+    material[MATERIAL_KEY] = shading
+    if shading == "level":
+        color = _color_by_level(builder)
+    else:
+        position = builder.node("ShaderNodeTexCoord", {"object": root}).outputs["Object"]
+        span = max(heights[1] - heights[0], 1e-6)
+        fraction = builder.math("DIVIDE", builder.math("SUBTRACT", builder.separate(position)[2], heights[0]), span)
+        fraction.node.label = "Height"
+        color = _color_by_height(builder, fraction) if shading == "height" else _color_by_normal(builder, fraction)
+    _finish(builder, color, None)
+    return material
+
+
+def create_texture_material(name: str, color: bpy.types.Image, alpha: bpy.types.Image | None) -> bpy.types.Material:
+    """Create the material of one texture tile. alpha: None if the color image contains it."""
+    material, builder = _start(name)
+    image = builder.node("ShaderNodeTexImage", {"image": color, "extension": "EXTEND", "label": "Texture"})
+    opacity = image.outputs["Alpha"] if color.channels == 4 and color.depth == 32 else None
+    if alpha is not None:
+        opacity = builder.node("ShaderNodeTexImage", {"image": alpha, "extension": "EXTEND", "label": "Alpha"}).outputs["Color"]
+    _finish(builder, image.outputs["Color"], opacity)
+    return material
+
+
+def _start(name: str) -> tuple[bpy.types.Material, NodeBuilder]:
+    material = bpy.data.materials.new(name)
+    enable_nodes(material)
+    material.node_tree.nodes.clear()
+    return material, NodeBuilder(material.node_tree)
+
+
+def _finish(builder: NodeBuilder, color: bpy.types.NodeSocket, opacity: bpy.types.NodeSocket | None) -> None:
+    """Connect a color, and an opacity if there is one, to the surface."""
+    group = builder.node("ShaderNodeGroup", {"node_tree": _ensure_ground_group(), "width": 200.0})
+    group.inputs["Alpha"].default_value, group.inputs["Roughness"].default_value = 1.0, ROUGHNESS
+    builder.connect(color, group.inputs["Color"])
+    if opacity is not None:
+        builder.connect(opacity, group.inputs["Alpha"])
+    builder.connect(group.outputs["Shader"], builder.node("ShaderNodeOutputMaterial").inputs["Surface"])
+    builder.arrange()
+
+
+def _ensure_ground_group() -> bpy.types.NodeTree:
+    """Return the group from color to surface that all materials of terrains share."""
+    inputs = (("Color", "Color"), ("Alpha", "Float"), ("Roughness", "Float"))
+    return ensure_shared_group(GROUND_GROUP, GROUND_VERSION, inputs, (("Shader", "Shader"),), _fill_ground_group)
+
+
+def _fill_ground_group(builder: NodeBuilder) -> None:
+    inputs = builder.node("NodeGroupInput").outputs
+    principled = builder.node("ShaderNodeBsdfPrincipled")
+    builder.connect(inputs["Color"], principled.inputs["Base Color"])
+    builder.connect(inputs["Alpha"], principled.inputs["Alpha"])
+    builder.connect(inputs["Roughness"], principled.inputs["Roughness"])
+    principled.inputs["Specular IOR Level"].default_value = 0.2
+    builder.connect(principled.outputs[0], builder.node("NodeGroupOutput").inputs["Shader"])
+
+
+def _color_by_level(builder: NodeBuilder) -> bpy.types.NodeSocket:
+    """Return a color of its own for every level of detail."""
+    node = builder.node("ShaderNodeCombineColor", {"mode": "HSV"})
+    level = builder.attribute(LEVEL_ATTRIBUTE, is_scalar=True)
+    builder.connect(builder.math("FRACT", builder.math("MULTIPLY", level, GOLDEN_FRACTION)), node.inputs[0])
+    node.inputs[1].default_value, node.inputs[2].default_value = 0.65, 0.8
+    return node.outputs[0]
+
+
+def _color_by_height(builder: NodeBuilder, fraction: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+    """Return the color of a map for a fraction of the height range."""
+    node = builder.node("ShaderNodeValToRGB", {"label": "Colors by Height"})
+    elements = node.color_ramp.elements
+    while len(elements) < len(MAP_COLORS):
+        elements.new(1.0)
+    for element, (position, color) in zip(elements, MAP_COLORS, strict=True):
+        element.position, element.color = position, (*color, 1.0)
+    builder.connect(fraction, node.inputs[0])
+    return node.outputs[0]
+
+
+def _color_by_normal(builder: NodeBuilder, fraction: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+    """Return rock, grass or snow by the normal and by the fraction of the height range."""
+    normal = builder.node("ShaderNodeNewGeometry").outputs["Normal"]
+    normal_z = builder.separate(builder.vector_transform(normal, "NORMAL", "WORLD", "OBJECT"))[2]
+    ground = builder.mix(_ramp(builder, normal_z, MIN_ROCK_NORMAL, MAX_GRASS_NORMAL), ROCK, GRASS)
+    is_high, is_flat = _ramp(builder, fraction, *SNOW_HEIGHTS), _ramp(builder, normal_z, MIN_SNOW_NORMAL, MIN_ROCK_NORMAL)
+    return builder.mix(builder.math("MULTIPLY", is_high, is_flat), ground, SNOW)
+
+
+def _ramp(builder: NodeBuilder, value: bpy.types.NodeSocket, start: float, end: float) -> bpy.types.NodeSocket:
+    """Return 0 below `start`, 1 above `end`, and a line between."""
+    return builder.math("MULTIPLY", builder.math("SUBTRACT", value, start), 1.0 / (end - start), clamp=True)

@@ -1,0 +1,226 @@
+"""Large terrain in a scene: an Empty at the root, and one mesh object per tile as its children.
+
+A tile's vertices are relative to its object, whose location is a position near the center of the tile that single precision represents
+exactly, like the vertices: common vertices of two tiles have exactly the same position unless the root is rotated or scaled.
+"""
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import bpy
+import numpy as np
+
+from ...core.bdam.engine import BdamEngine, Figures, TileBlock, Update
+from ...core.bdam.settings import BdamViewSettings
+from ...core.bdam.tiles import TileKey, TileMesh
+from ...core.errors import FileError
+from ..mesh_arrays import write_attribute, write_triangles
+from ..mesh_pool import PendingMeshes, claim, mark_spare
+from ..terrain_roots import TerrainRoot, remove_terrain
+from .materials import LEVEL_ATTRIBUTE, MATERIAL_KEY, create_material
+from .textures import TextureMaterials, mark_used, remove_unused
+
+STORE_KEY = "farfield_bdam_store"  # custom property of the root: the folder of the store
+FIGURES_KEY, WARNINGS_KEY = "farfield_bdam_figures", "farfield_bdam_warnings"  # of the root: of the last change, as JSON text
+TILE_KEY = "farfield_bdam_tile"  # of the objects of tiles
+MATERIAL_POINTERS = "farfield_bdam_material_"  # of the root, followed by a shading: the material
+TERRAIN_NAME = "Large Terrain"
+POOL = "bdam"
+BLEND_PREFIX = "//"
+DISPLAY_FRACTION = 0.05  # size of the Empty relative to that of the terrain
+
+
+@dataclass(frozen=True)
+class SceneTerrain(TerrainRoot):
+    """A terrain in the scene."""
+
+    tool: ClassVar[str] = "bdam"
+
+    @property
+    def settings(self) -> BdamViewSettings:
+        """How it is shown.
+
+        Raises:
+            SettingsError: the settings cannot be read, for example because a newer version wrote them.
+        """
+        return self.read_settings(BdamViewSettings)
+
+    @property
+    def folder(self) -> Path:
+        """The folder of its store.
+
+        Raises:
+            FileError: the path is relative to a .blend file that was never saved, or there is no such folder.
+        """
+        return resolve_folder(str(self.root.get(STORE_KEY, "")), self.root.library, f'The store of the terrain "{self.name}"')
+
+    @property
+    def figures(self) -> Figures | None:
+        """Figures of what is shown, None if they are unknown."""
+        try:
+            return Figures(**json.loads(self.root[FIGURES_KEY]))
+        except (KeyError, TypeError, ValueError):
+            return None
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences about damaged parts of the store that are not shown."""
+        try:
+            return tuple(str(sentence) for sentence in json.loads(self.root[WARNINGS_KEY]))
+        except (KeyError, TypeError, ValueError):
+            return ()
+
+    def tiles(self) -> dict[str, bpy.types.Object]:
+        """Return its objects by `tile_name`."""
+        return {str(child[TILE_KEY]): child for child in self.root.children if TILE_KEY in child and child.type == "MESH"}
+
+    def ensure_material(self, shading: str, heights: tuple[float, float]) -> bpy.types.Material:
+        """Return its material for a shading; create it if there is none. heights: see `create_material`."""
+        key = f"{MATERIAL_POINTERS}{shading}"
+        material = self.root.get(key)
+        if not isinstance(material, bpy.types.Material):
+            material = create_material(f"{self.name} {shading.title()}", shading, self.root, heights)
+            self.root[key] = material
+        return material
+
+
+def resolve_folder(path: str, library: bpy.types.Library | None, subject: str) -> Path:
+    """Return the folder of a store from a path that may be relative to a .blend file ("//").
+
+    library: the file that the path is linked from, None for this file. subject: begins the sentence of an error.
+
+    Raises:
+        FileError: the path is relative to a .blend file that was never saved, or there is no such folder.
+    """
+    if path.startswith(BLEND_PREFIX):
+        if library is None and not bpy.data.filepath:
+            raise FileError(f'{subject} is at "{path}", relative to a file that was never saved; save the file or choose the folder again.')
+        path = bpy.path.abspath(path, library=library)
+    folder = Path(path).absolute()
+    if not path or not folder.is_dir():
+        raise FileError(f'{subject} is missing: there is no folder "{folder if path else ""}"; set Store to where it is now.')
+    return folder
+
+
+def store_path(folder: str) -> str:
+    """Return the path to store for a folder as a user has given it: relative to the .blend file if it was ("//"), else absolute."""
+    return folder if folder.startswith(BLEND_PREFIX) else str(Path(folder).absolute())
+
+
+def create_root(scene: bpy.types.Scene, path: str, engine: BdamEngine) -> SceneTerrain:
+    """Create the Empty of a new terrain in a new collection. path: of the store, see `store_path`."""
+    low, high = engine.bounds
+    terrain = SceneTerrain.create(scene, TERRAIN_NAME, np.zeros(3), engine.settings, DISPLAY_FRACTION * float((high - low)[:2].max()))
+    terrain.root[STORE_KEY] = path
+    terrain.root.id_properties_ui(STORE_KEY).update(subtype="DIR_PATH", description="Folder of the store of this terrain")
+    return terrain
+
+
+def tile_name(key: TileKey) -> str:
+    """Return the name of a tile within its terrain: level, column and row of its square."""
+    return " ".join(str(number) for number in key)
+
+
+class TerrainChange:
+    """One move of one terrain: fills meshes, then shows them."""
+
+    def __init__(self, terrain: SceneTerrain, engine: BdamEngine) -> None:
+        """terrain: may be a terrain that is created later, see `show_in`."""
+        self._terrain, self._engine = terrain, engine
+        self._meshes = PendingMeshes(POOL, TERRAIN_NAME)
+        self._locations: dict[TileKey, np.ndarray] = {}
+        self._textures = TextureMaterials(engine.identity)
+
+    def fill(self, key: TileKey, block: TileBlock) -> Iterator[None]:
+        """Fill the mesh of a tile and create the material of its texture, in several steps."""
+        mesh, source = self._meshes.take(key), block.mesh
+        self._locations[key] = source.location
+        yield from fill_tile_mesh(mesh, source)
+        if block.texture is not None:
+            yield
+            number, tile = block.texture
+            self._textures.ensure(number, f"{self._terrain.name} {self._engine.texture_label(number)}", tile)
+
+    def show(self, update: Update) -> Iterator[None]:
+        """Show all meshes at once. The meshes that they replace become spare."""
+        return self.show_in(self._terrain, update)
+
+    def show_in(self, terrain: SceneTerrain, update: Update) -> Iterator[None]:
+        """Show all meshes in a terrain; see `show`."""
+        self._terrain = terrain
+        origin, shading = terrain.origin, self._engine.settings.shading
+        objects = terrain.tiles()
+        new = {tile_name(key): key for key in self._meshes.names}
+        wanted = {tile_name(key) for key in update.tiles}
+        materials = self._find_materials(update, shading)
+        yield
+        for name, key in new.items():
+            mesh = claim(self._meshes.names[key])
+            if name in objects:
+                _release(objects[name].data)
+                objects[name].data = mesh
+            else:
+                objects[name] = terrain.add_child(f"{terrain.name} {name}", mesh)
+                objects[name][TILE_KEY] = name
+            objects[name].location = (self._locations[key] - origin).tolist()
+        for key, material in materials.items():
+            name = tile_name(key)
+            if name in objects:
+                _assign(objects[name].data, material)
+        removed = [item for name, item in objects.items() if name not in wanted]
+        for item in removed:
+            _release(item.data)
+        bpy.data.batch_remove(removed)
+        mark_used([material for key, material in materials.items() if update.tiles[key] is not None])
+        remove_unused()
+        terrain.root[FIGURES_KEY], terrain.root[WARNINGS_KEY] = json.dumps(asdict(update.figures)), json.dumps(update.warnings)
+        if not wanted <= objects.keys():
+            self._engine.invalidate()  # the user has deleted tiles; the next move restores them
+
+    def _find_materials(self, update: Update, shading: str) -> dict[TileKey, bpy.types.Material]:
+        """Return the material of every tile; tiles without texture are shaded by slope."""
+        heights = self._engine.heights
+        general = "slope" if shading == "texture" else shading
+        by_number = {number: self._textures.find(number) for number in set(update.tiles.values()) if number is not None}
+        return {key: by_number.get(number) or self._terrain.ensure_material(general, heights) for key, number in update.tiles.items()}
+
+
+def fill_tile_mesh(mesh: bpy.types.Mesh, source: TileMesh) -> Iterator[None]:
+    """Replace the geometry of a mesh by that of a tile, in several steps."""
+    write_triangles(mesh, source.vertices, source.triangles)
+    if not len(source.triangles):
+        return
+    yield
+    write_attribute(mesh, "custom_normal", "POINT", source.normals)
+    mesh.attributes.new(LEVEL_ATTRIBUTE, "INT", "FACE").data.foreach_set("value", source.levels.astype(np.int32))
+    if source.uvs is not None:
+        write_attribute(mesh, "UVMap", "CORNER", source.uvs[source.triangles])
+
+
+def remove(terrain: SceneTerrain) -> None:
+    """Remove a terrain with its tiles, its materials and, if nothing else is in it, its collection."""
+    root = terrain.root
+    own = [root[key] for key in list(root.keys()) if key.startswith(MATERIAL_POINTERS) and isinstance(root[key], bpy.types.Material)]
+    tiles = list(terrain.tiles().values())
+    for tile in tiles:
+        tile.data.materials.clear()
+    remove_terrain(terrain, tiles)
+    bpy.data.batch_remove([material for material in own if material.users == 0 and MATERIAL_KEY in material])
+    remove_unused(0, len(bpy.data.materials))
+
+
+def _assign(mesh: bpy.types.Mesh, material: bpy.types.Material) -> None:
+    """Set the only material of a mesh, if it has another one."""
+    if not mesh.materials:
+        mesh.materials.append(material)
+    elif mesh.materials[0] != material:
+        mesh.materials[0] = material
+
+
+def _release(mesh: bpy.types.Mesh) -> None:
+    """Let the next change fill a mesh that is no longer shown, and let its material go."""
+    mesh.materials.clear()
+    mark_spare(mesh, POOL)

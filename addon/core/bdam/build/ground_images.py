@@ -1,0 +1,187 @@
+"""Images of the ground: where they lie on a field, and their pixels by window, as the tasks of a build need them.
+
+GeoTIFF files are read by window from where they are. JPEG, PNG and WebP files cannot be: the parent process decodes them once into raw
+files in the work folder, which workers read by window without mapping them.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import FileError, ImageError
+from ...files.atomic_write import TEMPORARY_SUFFIX
+from ...files.file_access import check_readable, convert_os_errors, error_reason
+from ...files.geotiff import GeoReference
+from ...files.raw_windows import read_raw_window
+from ...files.segment_cache import SegmentCache
+from ...files.tiffs import TiffImage, open_tiff
+from ...imaging.coded_images import read_coded_image, read_coded_shape
+from ..fields.placements import Placement, place_map
+from ..textures.images import PlacedImage
+from ..textures.world_files import find_world_file, read_world_file
+from .tiff_colors import TiffColors, check_colors
+
+TIFF_EXTENSIONS, CODED_EXTENSIONS = (".tif", ".tiff"), (".jpg", ".jpeg", ".png", ".webp")
+
+
+@dataclass(frozen=True)
+class GroundImage:
+    """An image file and its place on the field. It consists of types of JSON, for the tasks of a build.
+
+    path: absolute. raw: name in the work folder of the file with the decoded pixels, None for TIFF files. shape: rows, columns, channels.
+    corner, step: see `PlacedImage`.
+    """
+
+    path: str
+    raw: str | None
+    shape: tuple[int, int, int]
+    corner: tuple[float, float]
+    step: tuple[float, float]
+
+    @property
+    def raw_bytes(self) -> int:
+        """The size of the raw file, 0 for TIFF files."""
+        return int(np.prod(self.shape)) if self.raw else 0
+
+
+class RawPixels:
+    """An image source: a file with bytes (H, W, C) row by row."""
+
+    def __init__(self, path: Path, shape: tuple[int, int, int]) -> None:
+        self.shape, self._path = shape, path
+
+    def read(self, rows: slice, columns: slice) -> np.ndarray:
+        """Return a window (h, w, C) uint8. Raises FileError."""
+        pixel = np.dtype((np.void, self.shape[2]))
+        try:
+            with self._path.open("rb", buffering=0) as file:
+                window = np.ascontiguousarray(read_raw_window(file, 0, pixel, self.shape[1], rows, columns))
+        except EOFError as error:
+            raise FileError(f'"{self._path}" is truncated; delete its folder and build the terrain again.') from error
+        except OSError as error:
+            raise FileError(f'"{self._path}" cannot be read: {error_reason(error)}; build the terrain again.') from error
+        return window.view(np.uint8).reshape(*window.shape, self.shape[2])
+
+
+def place_images(paths: Sequence[Path], field: Placement, shape: tuple[int, int]) -> list[GroundImage]:
+    """Find where image files lie on a field with rows and columns `shape`. Only their headers are read.
+
+    An image with a position must have the coordinate reference system of the field; that of a world file is taken to be the same. A single
+    image without a position is stretched over the whole field.
+
+    Raises:
+        FileError: an image cannot be read, is rotated, lies elsewhere or in another coordinate reference system, or one of several
+            images has no position.
+    """
+    return [_place_image(path, index, len(paths) == 1, field, shape) for index, path in enumerate(paths)]
+
+
+def decode_image(image: GroundImage, folder: Path) -> None:
+    """Decode an image into its raw file in `folder`, unless it is a TIFF file or that was done before.
+
+    Raises:
+        FileError: the image is damaged or has changed, or the file cannot be written.
+    """
+    if image.raw is None:
+        return
+    path = folder / image.raw
+    if path.is_file() and path.stat().st_size == image.raw_bytes:
+        return
+    with _convert_image_errors(Path(image.path)):
+        pixels = read_coded_image(Path(image.path))
+    if pixels.shape != tuple(image.shape):
+        raise FileError(f'"{image.path}" has changed since the build began; start the build again.')
+    temporary = path.with_name(path.name + TEMPORARY_SUFFIX)
+    with convert_os_errors(f'Cannot write "{path}"'):
+        pixels.tofile(temporary)
+        temporary.replace(path)
+
+
+def open_image(image: GroundImage, folder: Path, cache: SegmentCache) -> PlacedImage:
+    """Open an image for a task. folder: the work folder. cache: keeps decoded parts of TIFF files.
+
+    Raises:
+        FileError: it cannot be read.
+    """
+    if image.raw is not None:
+        source = RawPixels(folder / image.raw, tuple(image.shape))
+    else:
+        source = TiffColors(_open_color_tiff(Path(image.path)), cache)
+    return PlacedImage(source, tuple(image.corner), tuple(image.step))
+
+
+def _place_image(path: Path, index: int, is_single: bool, field: Placement, shape: tuple[int, int]) -> GroundImage:
+    check_readable(path)
+    extension = path.suffix.lower()
+    reference, raw = None, None
+    if extension in TIFF_EXTENSIONS:
+        tiff = _open_color_tiff(path)
+        size = *tiff.shape, TiffColors.count_channels(tiff)
+        reference = tiff.georeference if tiff.georeference.affine is not None else None
+    elif extension in CODED_EXTENSIONS:
+        raw = f"image-{index:04d}.raw"
+        with _convert_image_errors(path):
+            size = read_coded_shape(path)
+    else:
+        endings = ", ".join((*TIFF_EXTENSIONS, *CODED_EXTENSIONS))
+        raise FileError(f'"{path}" cannot be used as a texture; its name must end in one of {endings}.')
+    world_file = None if reference is not None else find_world_file(path)
+    if world_file is not None:
+        reference = GeoReference(affine=read_world_file(world_file))
+    if reference is not None:
+        corner, step = _place_on_map(path, reference, world_file is None, size[:2], field, shape)
+    elif is_single:
+        corner, step = (0.0, float(shape[0] - 1)), ((shape[1] - 1) / size[1], -(shape[0] - 1) / size[0])
+    else:
+        raise FileError(f'"{path}" has no position, so it cannot be joined with other images; add a world file, or use a GeoTIFF.')
+    if raw is not None:  # its first row is the southern one
+        corner, step = (corner[0], corner[1] + step[1] * size[0]), (step[0], -step[1])
+    return GroundImage(str(path.absolute()), raw, size, corner, step)
+
+
+def _place_on_map(
+    path: Path, reference: GeoReference, is_declared: bool, size: tuple[int, int], field: Placement, shape: tuple[int, int]
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return the outer corner of the first pixel and the steps of an image in grid coordinates. is_declared: whether it has a coordinate
+    reference system of its own."""
+    if not field.is_placed:
+        raise FileError(f'"{path}" has a position on a map but the elevation model has none; use an elevation model with a position.')
+    placement, is_south_up = place_map(path, reference, size, 1.0)
+    is_other = placement.is_geographic != field.is_geographic or (None not in (placement.code, field.code) and placement.code != field.code)
+    if is_declared and is_other:
+        raise FileError(
+            f'"{path}" and the elevation model have different projections ({placement.crs} and {field.crs}); warp the image to that of '
+            "the elevation model."
+        )
+    first, step = list(placement.first), placement.step
+    if field.is_geographic:
+        center = field.position((shape[1] - 1) / 2.0, 0.0)[0]
+        first[0] -= 360.0 * round((first[0] + 0.5 * step[0] * size[1] - center) / 360.0)
+    scale = tuple(step[axis] / field.step[axis] for axis in range(2))
+    corner = tuple((first[axis] - 0.5 * step[axis] - field.first[axis]) / field.step[axis] for axis in range(2))
+    counts, ends = (size[1], size[0]), (shape[1] - 1, shape[0] - 1)
+    if not all(corner[axis] < ends[axis] and corner[axis] + scale[axis] * counts[axis] > 0.0 for axis in range(2)):
+        raise FileError(f'"{path}" lies beside the elevation model; check its position, or leave it out.')
+    if is_south_up:
+        return corner, scale
+    return (corner[0], corner[1] + scale[1] * size[0]), (scale[0], -scale[1])
+
+
+def _open_color_tiff(path: Path) -> TiffImage:
+    tiff = open_tiff(path)
+    check_colors(tiff)
+    return tiff
+
+
+@contextmanager
+def _convert_image_errors(path: Path) -> Iterator[None]:
+    """Raise a FileError that names the whole path instead of an ImageError or an OSError in the block."""
+    try:
+        yield
+    except ImageError as error:
+        raise FileError(f'"{path}" cannot be used as a texture: {error}') from error
+    except OSError as error:
+        raise FileError(f'"{path}" cannot be read: {error_reason(error)}.') from error

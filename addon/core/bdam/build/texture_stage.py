@@ -1,0 +1,115 @@
+"""The textures of a build: what is built from which images, in tasks from the finest level to the coarsest."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...files.file_access import convert_os_errors
+from ...jobs.progress import Progress, Steps, subprogress
+from ...jobs.task_pool import TaskPool
+from ..fields.terrain_field import TerrainField
+from ..settings import BdamSettings
+from ..store.terrain_store import TEXTURE_FOLDER
+from ..textures.build import discard_pieces, list_tiles, missing_tiles
+from ..textures.grid import MAX_COARSER, TextureGrid, count_levels
+from ..textures.plan import TexturePlan, check_plan, start_build
+from ..textures.store import write_textures
+from ..tree import Tree
+from .ground_images import GroundImage, decode_image, place_images
+from .texture_tasks import TEXTURE_TASK, textures_folder, write_images_file
+from .work_folder import WorkFolder
+
+TILES_PER_TASK = 8
+DECODE_END = 0.1  # of the progress
+
+
+@dataclass(frozen=True)
+class TextureWork:
+    """The textures that a build makes. images: later ones lie over earlier ones."""
+
+    plan: TexturePlan
+    images: tuple[GroundImage, ...]
+
+    @property
+    def texels(self) -> int:
+        """The number of texels of the finest level."""
+        return int(np.prod(self.plan.grid.texel_counts(self.plan.grid.level_count - 1)))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences for the user."""
+        grid = self.plan.grid
+        texel = grid.texel(grid.level_count - 1)
+        finer = [image for image in self.images if min(map(abs, image.step)) * (1.0 + MAX_COARSER) < texel]
+        if not finer:
+            return ()
+        pixel, meters = min(map(abs, finer[0].step)) * max(grid.spacing), grid.texel_meters(grid.level_count - 1)
+        sizes = f"pixels of {pixel:.3g} m, finer than the smallest texels of {meters:.3g} m"
+        return (f'"{finer[0].path}" has {sizes}; choose a smaller Patch Size for finer texels.',)
+
+
+def plan_textures(field: TerrainField, tree: Tree, paths: Sequence[Path], settings: BdamSettings) -> TextureWork | None:
+    """Return what to build from the images `paths`, None if there is none.
+
+    Raises:
+        FileError: see `place_images`.
+    """
+    if not paths:
+        return None
+    images = place_images(paths, field.placement, field.shape)
+    pixel = min(min(map(abs, image.step)) for image in images)
+    level_count = count_levels(tree.side, tree.depth, pixel)
+    grid = TextureGrid(tree.columns, tree.rows, tree.side, _measure_cell(field), level_count)
+    plan = TexturePlan(grid, settings.texture_format, settings.texture_quality or None, settings.texture_error)
+    check_plan(plan)
+    return TextureWork(plan, tuple(images))
+
+
+def build_texture_tiles(textures: TextureWork, work: WorkFolder, pool: TaskPool, has_holes: bool) -> Steps[None]:
+    """Build all tiles; goes on with what an interrupted build has left.
+
+    has_holes: whether texels where heights are unknown become transparent.
+
+    Raises:
+        FarfieldError: an image or a file cannot be read or written, or a worker fails.
+    """
+    folder, grid = textures_folder(work), textures.plan.grid
+    start_build(folder, textures.plan)
+    finest = grid.level_count - 1
+    if len(missing_tiles(folder, finest)):
+        for index, image in enumerate(textures.images):
+            yield Progress(DECODE_END * index / len(textures.images), "Decoding images")
+            decode_image(image, work.path)
+    write_images_file(work, textures.images, has_holes)
+    counts = [len(list_tiles(grid, level)) for level in range(grid.level_count)]
+    total, done = sum(counts), 0
+    for level in range(finest, -1, -1):
+        missing = missing_tiles(folder, level).tolist()
+        start = (done + counts[level] - len(missing)) / total
+        done += counts[level]
+        items = [[TEXTURE_TASK, level, missing[first : first + TILES_PER_TASK]] for first in range(0, len(missing), TILES_PER_TASK)]
+        if items:
+            ends = (DECODE_END + (1.0 - DECODE_END) * fraction for fraction in (start, done / total))
+            yield from subprogress(pool.run(items, f"Texture level {level} of {finest}"), *ends)
+        discard_pieces(folder, level + 1)
+    for image in textures.images:
+        if image.raw is not None:
+            with convert_os_errors(f'A file in "{work.path}" cannot be deleted'):
+                (work.path / image.raw).unlink(missing_ok=True)
+
+
+def write_texture_store(work: WorkFolder, store: Path) -> Steps[int]:
+    """Write the textures to the folder of a store; return the number of tiles. Raises FileError."""
+    out = store / TEXTURE_FOLDER
+    with convert_os_errors(f'"{out}" cannot be created'):
+        out.mkdir()
+    return (yield from write_textures(textures_folder(work), out))
+
+
+def _measure_cell(field: TerrainField) -> tuple[float, float]:
+    """Return the meters between neighboring samples along x and y in the middle of a field."""
+    x, y = ((count - 1) / 2.0 for count in field.shape[::-1])
+    east, north = field.to_local(np.array([x, x + 1.0, x]), np.array([y, y, y + 1.0]))
+    return tuple(float(np.hypot(east[index] - east[0], north[index] - north[0])) for index in (1, 2))

@@ -1,0 +1,251 @@
+"""The part of a large terrain that a viewer needs, tile by tile: what changes from one position of the viewer to the next."""
+
+from collections import OrderedDict
+from dataclasses import dataclass, replace
+from pathlib import Path
+from queue import SimpleQueue
+
+import numpy as np
+
+from ..errors import FarfieldError
+from ..geometry.viewers import Viewer
+from ..jobs.progress import Progress, Steps
+from .cut_meshes import PatchCache
+from .extraction import Cut, CutSettings, IsForced, extract_cut
+from .patch_squares import find_leaf_squares
+from .settings import BdamViewSettings
+from .store.structure import STRUCTURE_FILE
+from .store.terrain_store import TerrainStore
+from .texture_cuts import TextureCut, TextureSelector
+from .textures.image_files import to_image_files
+from .textures.tile_blocks import CodedTile
+from .tiles import MAX_TILES, Tile, TileGrouping, TileKey, TileMesh, build_tile_mesh
+
+SETTLED_FRACTION = 0.02  # of the distance to the terrain, and of the image, by which the viewer may move before the cut changes
+CULLING_MARGIN = 0.15  # of the image
+STEPS_PER_OCTAVE, MAX_OCTAVES = 8, 20  # of the tolerances that a triangle budget chooses from
+MIN_TEXTURE_TILES = 4
+MAX_TEXTURE_BYTES = 32 << 20  # of coded textures that are kept
+
+
+@dataclass(frozen=True)
+class TileBlock:
+    """A tile to be shown. texture: the number and the image files of its texture, None without."""
+
+    mesh: TileMesh
+    texture: tuple[int, CodedTile] | None
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Figures of what is shown. tolerance: pixels, raised by a triangle budget. max_error: pixels. byte_count: of patches and textures that
+    the engine keeps in memory."""
+
+    triangles: int
+    patches: int
+    tiles: int
+    tolerance: float
+    max_error: float
+    byte_count: int
+
+
+@dataclass(frozen=True)
+class Update:
+    """The changes of a move, beside the tiles in `BdamEngine.finished_blocks`.
+
+    tiles: all that are shown afterwards, with the number of their texture. is_complete: whether all of them were finished by this move,
+    since nothing is known of what was shown before. warnings: sentences about damaged parts that are missing.
+    """
+
+    tiles: dict[TileKey, int | None]
+    is_complete: bool
+    figures: Figures
+    warnings: tuple[str, ...]
+
+
+class BdamEngine:
+    """Computes the tiles of one store for viewers in its local frame. Only one thread at a time may use it.
+
+    settings: how the terrain is shown; if they are replaced, `invalidate` must be called. finished_blocks: tiles that the current move has
+    finished; every move starts with an empty queue. figures: of the last move, None before it.
+    """
+
+    def __init__(self, folder: Path, settings: BdamViewSettings) -> None:
+        """Open the store in `folder`.
+
+        Raises:
+            FileError: it is missing, damaged or of a newer version.
+        """
+        self.folder, self.settings = folder, settings
+        self.store = TerrainStore(folder)
+        self._identity = f"{folder}|{(folder / STRUCTURE_FILE).stat().st_mtime_ns}"
+        self.finished_blocks: SimpleQueue[tuple[TileKey, TileBlock]] = SimpleQueue()
+        self.figures: Figures | None = None
+        self._cache = PatchCache(self.store)
+        self._leaf_squares = find_leaf_squares(self.store)
+        self._grouping = TileGrouping(self.store, self._leaf_squares)
+        self._textures = TextureSelector(self.store, self._leaf_squares) if self.store.textures is not None else None
+        self._coded: OrderedDict[int, CodedTile] = OrderedDict()
+        self._budget_step = 0
+        self._shown: dict[TileKey, tuple] = {}
+        self._viewer: Viewer | None = None
+        self._clearance = 0.0
+        self._warnings: dict[TileKey, tuple[str, ...]] = {}
+
+    @property
+    def identity(self) -> str:
+        """Identifies the store and its content."""
+        return self._identity
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest corner (3,) float64 of the terrain in local meters, without exaggeration."""
+        roots = self.store.levels[0]
+        return roots.low.min(axis=0).astype(np.float64), roots.high.max(axis=0).astype(np.float64)
+
+    @property
+    def heights(self) -> tuple[float, float]:
+        """Lowest and highest height in meters, with exaggeration."""
+        low, high = self.store.height_range
+        return low * self.settings.exaggeration, high * self.settings.exaggeration
+
+    def texture_label(self, number: int) -> str:
+        """Return the name of a texture tile: level, column and row."""
+        index = self.store.textures.index
+        return f"{index.levels[number]} {index.tiles[number, 0]} {index.tiles[number, 1]}"
+
+    def move(self, viewer: Viewer) -> Steps[Update]:
+        """Compute the tiles that change for a viewer in the local frame. If it is cancelled or fails, the engine stays valid."""
+        self.finished_blocks = SimpleQueue()
+        yield Progress(0.0, "Choosing patches")
+        texture_cut, cut, tolerance = self._choose(viewer)
+        tiles = self._grouping.group(cut, texture_cut.numbers)
+        changed = [key for key, tile in tiles.items() if self._shown.get(key) != tile.signature]
+        warnings = {key: sentences for key, sentences in self._warnings.items() if key in tiles}
+        for index, key in enumerate(changed):
+            yield Progress(index / len(changed), "Reading patches")
+            block, warnings[key] = self._build_block(key, tiles[key])
+            self.finished_blocks.put((key, block))
+        is_complete = not self._shown
+        self._shown = {key: tile.signature for key, tile in tiles.items()}
+        self._viewer, self._clearance, self._warnings = viewer, self._measure_clearance(cut, viewer), warnings
+        self.figures = Figures(
+            self._count_triangles(cut), len(cut), len(tiles), tolerance, cut.max_error, self._cache.byte_count + self._coded_bytes()
+        )
+        sentences = tuple(dict.fromkeys(sentence for key in tiles for sentence in warnings.get(key, ())))
+        return Update({key: tile.texture for key, tile in tiles.items()}, is_complete, self.figures, sentences)
+
+    def is_settled_at(self, viewer: Viewer) -> bool:
+        """Return whether what is shown is right for a viewer in the local frame: whether it has hardly moved since the last move."""
+        last = self._viewer
+        if not self._shown or last is None or last.is_interactive != viewer.is_interactive:
+            return False
+        distance = float(np.linalg.norm(viewer.position - last.position))
+        if distance > SETTLED_FRACTION * self._clearance or viewer.projection.kind != last.projection.kind:
+            return False
+        if np.abs(viewer.matrix[:3, :3] - last.matrix[:3, :3]).max() > SETTLED_FRACTION * np.abs(last.matrix[:3, :3]).max():
+            return False
+        if viewer.projection.size != last.projection.size:
+            return False
+        window, last_window = np.array(viewer.projection.window), np.array(last.projection.window)
+        return bool(np.abs(window - last_window).max() <= SETTLED_FRACTION * np.ptp(last_window))
+
+    def invalidate(self) -> None:
+        """Forget what is shown: the next update is complete."""
+        self._shown, self._warnings = {}, {}
+
+    def _choose(self, viewer: Viewer) -> tuple[TextureCut, Cut, float]:
+        """Return the texture cut, the cut, and its tolerance in pixels."""
+        settings = self.settings
+        tolerance = settings.tolerance / (1.0 + SETTLED_FRACTION) if viewer.is_interactive else settings.tolerance
+        cut_settings = CutSettings(tolerance, settings.exaggeration, settings.culling and viewer.is_interactive, CULLING_MARGIN)
+        is_forced = None
+        texture_cut = TextureCut({(0, 0, 0): None})
+        if self._textures is not None and settings.shading == "texture":
+            texture_cut = self._textures.choose(viewer, cut_settings, self._max_texture_tiles())
+            is_forced = self._textures.is_forced(texture_cut)
+        cut = extract_cut(self.store, viewer, cut_settings, is_forced)
+        if settings.triangle_budget and self._count_triangles(cut) > settings.triangle_budget:
+            cut, tolerance = self._fit_budget(viewer, cut_settings, is_forced)
+        return texture_cut, cut, tolerance
+
+    def _max_texture_tiles(self) -> int:
+        """Return how many texture tiles may be shown: those whose smallest cut has half the triangles of the budget."""
+        if not self.settings.triangle_budget:
+            return MAX_TILES
+        triangles = 2 * self.store.tree.leaf_cells**2  # of the two patches of a tile
+        return min(max(self.settings.triangle_budget // (2 * triangles), MIN_TEXTURE_TILES), MAX_TILES)
+
+    def _fit_budget(self, viewer: Viewer, settings: CutSettings, is_forced: IsForced | None) -> tuple[Cut, float]:
+        """Return the cut of the smallest tolerance of a fixed series with which it fits into the triangle budget, and that tolerance.
+
+        The series does not depend on earlier moves, so the same view is always shown in the same way. The search begins at the last result.
+        """
+        cuts: dict[int, Cut] = {}
+
+        def fits(step: int) -> bool:
+            cuts[step] = extract_cut(self.store, viewer, replace(settings, tolerance=self._budget_tolerance(settings, step)), is_forced)
+            return self._count_triangles(cuts[step]) <= self.settings.triangle_budget
+
+        last = STEPS_PER_OCTAVE * MAX_OCTAVES
+        start = min(max(self._budget_step, 1), last)
+        fits_start = fits(start)
+        low, high = (0, start) if fits_start else (start, last)
+        width = 1
+        while high - low > 1:
+            step = high - width if fits_start else low + width
+            if not low < step < high:
+                step = (low + high) // 2
+            is_low_enough = fits(step)
+            low, high = (low, step) if is_low_enough else (step, high)
+            width = 2 * width if is_low_enough == fits_start else last  # once the result is between two steps, bisect
+        if high not in cuts:
+            fits(high)
+        self._budget_step = high
+        return cuts[high], self._budget_tolerance(settings, high)
+
+    def _budget_tolerance(self, settings: CutSettings, step: int) -> float:
+        return settings.tolerance * 2.0 ** (step / STEPS_PER_OCTAVE)
+
+    def _build_block(self, key: TileKey, tile: Tile) -> tuple[TileBlock, tuple[str, ...]]:
+        """Return a tile, and sentences about its damaged parts."""
+        mesh = build_tile_mesh(self.store, self._cache, key, tile, self.settings.exaggeration)
+        if tile.texture is None:
+            return TileBlock(mesh, None), mesh.damages
+        try:
+            return TileBlock(mesh, (tile.texture, self._read_texture(tile.texture))), mesh.damages
+        except FarfieldError as error:
+            return TileBlock(mesh, None), (*mesh.damages, str(error))
+
+    def _read_texture(self, number: int) -> CodedTile:
+        """Return the image files of a texture tile. Keeps those used last.
+
+        Raises:
+            FileError, ImageError: it is damaged.
+        """
+        if number in self._coded:
+            self._coded.move_to_end(number)
+        else:
+            self._coded[number] = to_image_files(self.store.textures.read_coded(number))
+            while self._coded_bytes() > MAX_TEXTURE_BYTES and len(self._coded) > 1:
+                self._coded.popitem(last=False)
+        return self._coded[number]
+
+    def _coded_bytes(self) -> int:
+        return sum(len(tile.color) + len(tile.alpha or b"") for tile in self._coded.values())
+
+    def _count_triangles(self, cut: Cut) -> int:
+        """Return the number of triangles of a cut, holes included."""
+        levels = np.unique(cut.levels).tolist()
+        return sum(int(self.store.levels[level].counts[cut.rows[cut.levels == level], 1].sum()) for level in levels)
+
+    def _measure_clearance(self, cut: Cut, viewer: Viewer) -> float:
+        """Return the distance in meters from a viewer to the nearest patch, at least the size of a cell."""
+        nearest = np.inf
+        scale = np.array([1.0, 1.0, self.settings.exaggeration])
+        for level in np.unique(cut.levels).tolist():
+            patches, rows = self.store.levels[level], cut.rows[cut.levels == level]
+            low, high = patches.low[rows] * scale, patches.high[rows] * scale
+            offsets = np.maximum(np.maximum(low - viewer.position, viewer.position - high), 0.0)
+            nearest = min(nearest, float(np.sqrt((offsets * offsets).sum(axis=1)).min()))
+        return max(nearest, self.store.header.cell_size)

@@ -1,0 +1,123 @@
+"""Cuts through the quadtree of texture tiles for a viewer (BDAM, section 4), of a limited number of tiles.
+
+Each tile has the number of pixels that its texels cover where the viewer is nearest to it, and is refined if that exceeds the tolerance.
+The number is raised to those of the tiles that `textures.nesting` names, so that every threshold gives a valid cut; the one that gives few
+enough tiles is found by sorting.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..geometry.viewers import Viewer
+from .extraction import CutSettings, IsForced, are_boxes_visible, view_planes
+from .patch_squares import contains_squares, square_boxes
+from .store.terrain_store import TerrainStore
+from .textures.nesting import select_cut
+
+
+@dataclass(frozen=True)
+class TextureCut:
+    """Squares of the quadtree that cover the terrain once.
+
+    numbers: of their tiles by (level, i, j); None where there is no texture. refined: for each level from 0, the squares (M, 2) int32 that
+    are refined.
+    """
+
+    numbers: dict[tuple[int, int, int], int | None]
+    refined: tuple[np.ndarray, ...] = ()
+
+
+class TextureSelector:
+    """Chooses the texture tiles of one store. leaf_squares: see `patch_squares.find_leaf_squares`."""
+
+    def __init__(self, store: TerrainStore, leaf_squares: list[np.ndarray]) -> None:
+        self._index, self._errors = store.textures.index, store.textures.errors.astype(np.float64)
+        self._leaf_squares, self._depth = leaf_squares, store.tree.depth
+        self._min_distance = store.header.cell_size
+        self._relatives = [self._index.relatives(level) for level in range(self._index.level_count - 1)]
+        self._low, self._high = np.empty((len(self._index), 3)), np.empty((len(self._index), 3))
+        for level in range(self._index.level_count):
+            numbers = self._index.numbers(level)
+            boxes = square_boxes(store, leaf_squares, level, self._index.tiles[numbers])
+            self._low[numbers], self._high[numbers] = boxes
+        self._squares = [self._find_squares(level) for level in range(self._index.level_count)]
+        self._added = self._count_added()
+
+    def choose(self, viewer: Viewer, settings: CutSettings, max_count: int) -> TextureCut:
+        """Return the cut for a viewer in the local frame, with at most `max_count` tiles, whose texels cover at most `settings.tolerance`
+        pixels as far as that number allows."""
+        if not (self._index.levels == 0).any():
+            return TextureCut({(0, 0, 0): None})
+        pixels = self._nest(self._measure(viewer, settings))
+        threshold = max(settings.tolerance, self._find_threshold(pixels, max_count))
+        is_refined = pixels > threshold
+        numbers: dict[tuple[int, int, int], int | None] = {}
+        refined = []
+        chosen = select_cut(self._index, is_refined)
+        for number in chosen.tolist():
+            numbers[int(self._index.levels[number]), *self._index.tiles[number].tolist()] = number
+        for level in range(self._index.level_count - 1):
+            tiles = self._index.tiles[self._index.numbers(level)][is_refined[self._index.numbers(level)]]
+            refined.append(tiles)
+            children = _children(tiles)
+            is_unknown = (self._index.find(level + 1, children) < 0) & contains_squares(children, self._squares[level + 1])
+            numbers.update({(level + 1, i, j): None for i, j in children[is_unknown].tolist()})
+        return TextureCut(numbers, tuple(refined))
+
+    def is_forced(self, cut: TextureCut) -> IsForced:
+        """Return the criterion that patches must be refined until each one lies within one square of the cut."""
+
+        def test(level: int, rows: np.ndarray) -> np.ndarray:
+            square_level = level // 2
+            if square_level >= len(cut.refined) or not len(cut.refined[square_level]):
+                return np.zeros(len(rows), bool)
+            return contains_squares(self._leaf_squares[level][rows] >> (self._depth - square_level), cut.refined[square_level])
+
+        return test
+
+    def _find_squares(self, level: int) -> np.ndarray:
+        """Return the squares (M, 2) of a level that contain terrain."""
+        return np.unique(self._leaf_squares[2 * level] >> (self._depth - level), axis=0)
+
+    def _count_added(self) -> np.ndarray:
+        """Return by how many squares a cut grows when each tile is refined, (N,) int64."""
+        added = np.zeros(len(self._index), np.int64)
+        for level in range(self._index.level_count - 1):
+            numbers = self._index.numbers(level)
+            exists = contains_squares(_children(self._index.tiles[numbers]), self._squares[level + 1])
+            added[numbers] = exists.reshape(-1, 4).sum(axis=1) - 1
+        return added
+
+    def _measure(self, viewer: Viewer, settings: CutSettings) -> np.ndarray:
+        """Return the pixels (N,) that the error of each tile covers; 0 for tiles that are culled or at the finest level."""
+        scale = np.array([1.0, 1.0, settings.exaggeration])
+        low, high = self._low * scale, self._high * scale
+        offsets = np.maximum(np.maximum(low - viewer.position, viewer.position - high), 0.0)
+        distances = np.maximum(np.sqrt((offsets * offsets).sum(axis=1)), self._min_distance)
+        pixels = self._errors * viewer.pixels_per_unit_at(distances)
+        if settings.culls:
+            pixels[~are_boxes_visible(low, high, view_planes(viewer, settings.margin))] = 0.0
+        pixels[(self._index.levels == self._index.level_count - 1) | (high[:, 0] < low[:, 0])] = 0.0
+        return pixels
+
+    def _nest(self, pixels: np.ndarray) -> np.ndarray:
+        """Return the pixels (N,) raised to the largest of the tiles that refinement depends on; see `nesting.balance`."""
+        for level in range(self._index.level_count - 2, -1, -1):
+            numbers, relatives = self._index.numbers(level), self._relatives[level]
+            if relatives.size:
+                below = np.where(relatives >= 0, pixels[relatives], 0.0).max(axis=1)
+                pixels[numbers] = np.maximum(pixels[numbers], below)
+        return pixels
+
+    def _find_threshold(self, pixels: np.ndarray, max_count: int) -> float:
+        """Return the smallest of the `pixels` (N,) such that refining all tiles above it gives at most `max_count` tiles."""
+        order = np.argsort(-pixels, kind="stable")
+        counts = 1 + np.cumsum(self._added[order])
+        is_too_many = (counts > max_count) & (pixels[order] > 0.0)
+        return float(pixels[order][np.argmax(is_too_many)]) if is_too_many.any() else 0.0
+
+
+def _children(squares: np.ndarray) -> np.ndarray:
+    """Return the four children (4 N, 2) of each of `squares` (N, 2)."""
+    return (2 * squares[:, None] + np.array([(0, 0), (1, 0), (0, 1), (1, 1)])).reshape(-1, 2)

@@ -1,0 +1,176 @@
+"""Tiles of a cut: squares of the quadtree whose patches are shown as one mesh.
+
+A tile lies within one texture tile, or has no texture. Squares with many triangles are split further, so that little has to be filled again
+when some patches change.
+"""
+
+import heapq
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import FileError
+from .cut_meshes import CutMesh, PatchCache, merge_patches
+from .extraction import Cut
+from .store.terrain_store import TerrainStore
+from .textures.grid import BORDER, STEP, TILE_SIZE
+from .textures.tile_index import morton_keys
+
+MAX_TILES = 64
+MAX_TILE_TRIANGLES = 6000  # of tiles that are not split
+KEPT_SPLIT = 2.0  # factor of the triangles of squares that were split before, so that few tiles change
+LATTICE = 2.0**-14  # cells between two positions that vertices can have, so that tiles meet exactly in single precision
+
+TileKey = tuple[int, int, int]  # level of the quadtree, i along x, j along y
+
+
+@dataclass(frozen=True)
+class Tile:
+    """Which patches a tile shows, and its texture.
+
+    levels, rows: (N,) int64, patches in the order of the bintrees. texture: the number of its texture tile, None without. square: of the
+    texture tile.
+    """
+
+    levels: np.ndarray
+    rows: np.ndarray
+    texture: int | None
+    square: TileKey
+
+    @property
+    def signature(self) -> tuple[bytes, bytes, int | None]:
+        """What is different if the tile must be filled again."""
+        return self.levels.tobytes(), self.rows.tobytes(), self.texture
+
+
+@dataclass(frozen=True)
+class TileMesh:
+    """The mesh of a tile, without holes.
+
+    location: (3,) float64, position of the mesh in local meters with exaggeration. vertices: (V, 3) float32, relative to it. normals:
+    (V, 3) float32. triangles: (T, 3) int32. uvs: (V, 2) float32 in the texture tile, None without texture. levels: (T,) int8, of the
+    patches. ids: (V,) int64, see `PatchMesh`. damages: sentences about patches that cannot be read and are missing in the mesh.
+    """
+
+    location: np.ndarray
+    vertices: np.ndarray
+    normals: np.ndarray
+    triangles: np.ndarray
+    uvs: np.ndarray | None
+    levels: np.ndarray
+    ids: np.ndarray
+    damages: tuple[str, ...] = ()
+
+
+class TileGrouping:
+    """Groups the patches of cuts into tiles. It remembers the last grouping, so that the next one differs little.
+
+    leaf_squares: see `patch_squares.find_leaf_squares`.
+    """
+
+    def __init__(self, store: TerrainStore, leaf_squares: list[np.ndarray]) -> None:
+        self._store, self._leaf_squares = store, leaf_squares
+        self._split: set[TileKey] = set()
+
+    def group(self, cut: Cut, textures: dict[TileKey, int | None]) -> dict[TileKey, Tile]:
+        """Return the tiles of a cut by their squares: within the squares of `textures`, which cover the terrain, at most MAX_TILES."""
+        depth = self._store.tree.depth
+        squares = np.empty((len(cut), 2), np.int64)
+        counts = np.empty(len(cut), np.int64)
+        for level in np.unique(cut.levels).tolist():
+            is_level = cut.levels == level
+            squares[is_level] = self._leaf_squares[level][cut.rows[is_level]]
+            counts[is_level] = self._store.levels[level].counts[cut.rows[is_level], 1]
+        codes = morton_keys(squares)
+        order = np.lexsort((cut.rows, cut.levels, codes))
+        codes, sums = codes[order], np.concatenate([[0], np.cumsum(counts[order])])
+        heap: list[tuple[float, TileKey, slice, TileKey]] = []
+
+        def add(key: TileKey, source: TileKey) -> None:
+            part = _find_range(codes, key, depth)
+            if part.stop > part.start:
+                weight = float(sums[part.stop] - sums[part.start]) * (KEPT_SPLIT if key in self._split else 1.0)
+                heapq.heappush(heap, (-weight, key, part, source))
+
+        for key in textures:
+            add(key, key)
+        split, final = set(), []
+        while heap:
+            weight, key, part, source = heapq.heappop(heap)
+            is_large = -weight > MAX_TILE_TRIANGLES and key[0] < depth and part.stop - part.start > 1
+            if is_large and len(heap) + len(final) + 4 <= MAX_TILES:
+                split.add(key)
+                for child in _children(key):
+                    add(child, source)
+            else:
+                final.append((key, part, source))
+        self._split = split
+        levels, rows = cut.levels[order], cut.rows[order]
+        return {key: Tile(levels[part], rows[part], textures[source], source) for key, part, source in final}
+
+
+def build_tile_mesh(store: TerrainStore, cache: PatchCache, key: TileKey, tile: Tile, exaggeration: float) -> TileMesh:
+    """Return the mesh of a tile, without patches that are damaged."""
+    patches, levels, damages = [], [], []
+    for level, row in zip(tile.levels.tolist(), tile.rows.tolist(), strict=True):
+        try:
+            patches.append(cache.get(level, row))
+            levels.append(level)
+        except FileError as error:
+            damages.append(str(error))
+    location = locate_tile(store, key)
+    if not patches:
+        no_vertices, no_triangles = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32)
+        return TileMesh(location, no_vertices, no_vertices, no_triangles, None, np.zeros(0, np.int8), np.zeros(0, np.int64), tuple(damages))
+    mesh = _remove_unused(merge_patches(patches, np.array(levels)))
+    step = _lattice_step(store) * LATTICE
+    vertices = np.rint(mesh.positions * [1.0, 1.0, exaggeration] / step) * step - location
+    normals = mesh.normals * np.array([1.0, 1.0, 1.0 / exaggeration], np.float32)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    uvs = None if tile.texture is None else _texture_uvs(store, mesh, tile.square)
+    return TileMesh(location, vertices.astype(np.float32), normals, mesh.triangles, uvs, mesh.levels, mesh.ids, tuple(damages))
+
+
+def _remove_unused(mesh: CutMesh) -> CutMesh:
+    """Return a mesh without vertices that only triangles in holes have used."""
+    is_used = np.zeros(len(mesh.ids), bool)
+    is_used[mesh.triangles] = True
+    if is_used.all():
+        return mesh
+    numbers = np.cumsum(is_used, dtype=np.int32) - 1
+    return CutMesh(mesh.ids[is_used], mesh.positions[is_used], mesh.normals[is_used], numbers[mesh.triangles], mesh.levels)
+
+
+def locate_tile(store: TerrainStore, key: TileKey) -> np.ndarray:
+    """Return the position (3,) float64 in local meters that the vertices of a tile are relative to: near its center, at height 0, exact in
+    single precision."""
+    side = store.tree.side / (1 << key[0])
+    x, y = ((number + 0.5) * side for number in key[1:])
+    center = store.frame.to_local(np.array(min(x, store.header.columns)), np.array(min(y, store.header.rows)))
+    step = _lattice_step(store)
+    return np.array([*(np.rint(float(value) / step) * step for value in center), 0.0])
+
+
+def _lattice_step(store: TerrainStore) -> float:
+    """Return the largest power of two, in meters, that is not larger than a cell."""
+    return float(2.0 ** np.floor(np.log2(store.header.cell_size)))
+
+
+def _texture_uvs(store: TerrainStore, mesh: CutMesh, square: TileKey) -> np.ndarray:
+    """Return the UV coordinates (V, 2) float32 of vertices in the texture tile of a square; see `textures.grid`."""
+    grid = np.stack([mesh.ids % store.header.columns, mesh.ids // store.header.columns], axis=1)
+    level, *position = square
+    return ((BORDER + STEP * (grid * (2.0**level / store.tree.side) - position)) / TILE_SIZE).astype(np.float32)
+
+
+def _children(key: TileKey) -> list[TileKey]:
+    level, i, j = key
+    return [(level + 1, 2 * i + x, 2 * j + y) for y in (0, 1) for x in (0, 1)]
+
+
+def _find_range(codes: np.ndarray, key: TileKey, depth: int) -> slice:
+    """Return where the ascending `codes` (N,) of squares of the finest level lie within a square."""
+    level, i, j = key
+    first = int(morton_keys(np.array([[i, j]]))[0]) << 2 * (depth - level)
+    start, stop = np.searchsorted(codes, [first, first + (1 << 2 * (depth - level))])
+    return slice(int(start), int(stop))

@@ -1,0 +1,71 @@
+"""Which of many triangles in the plane contains a point."""
+
+import numpy as np
+
+TOLERANCE = 1e-9  # of barycentric coordinates: points on an edge are in both triangles in spite of rounding
+TRIANGLES_PER_BUCKET = 2.0
+
+
+class TriangleSearch:
+    """Triangles in a grid of buckets, each with the triangles whose bounding boxes overlap it."""
+
+    def __init__(self, positions: np.ndarray, triangles: np.ndarray) -> None:
+        """positions: (V, 2) float64. triangles: (T, 3) int, counterclockwise, at least one; those without area contain nothing."""
+        corners = positions[triangles]
+        self._low = corners.min(axis=(0, 1))
+        extent = np.maximum(corners.max(axis=(0, 1)) - self._low, np.finfo(np.float64).tiny)
+        self._count = max(1, int((len(triangles) / TRIANGLES_PER_BUCKET) ** 0.5))
+        self._scale = self._count / extent
+        self._origins = corners[:, 0]
+        self._edges = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        (ux, uy), (vx, vy) = (edge.T for edge in self._edges)
+        self._areas = ux * vy - uy * vx
+        first, last = self._bucket_positions(corners.min(axis=1)), self._bucket_positions(corners.max(axis=1))
+        widths, heights = (last - first + 1).T
+        counts = widths * heights
+        members = np.repeat(np.arange(len(triangles)), counts)
+        offsets = np.arange(len(members)) - np.repeat(np.cumsum(counts) - counts, counts)
+        columns, rows = first[members, 0] + offsets % widths[members], first[members, 1] + offsets // widths[members]
+        buckets = rows * self._count + columns
+        self._members = members[np.argsort(buckets, kind="stable")].astype(np.int32)
+        self._starts = np.concatenate([[0], np.cumsum(np.bincount(buckets, minlength=self._count**2))])
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the arrays."""
+        arrays = (self._origins, *self._edges, self._areas, self._members, self._starts)
+        return sum(array.nbytes for array in arrays)
+
+    def find(self, points: np.ndarray) -> np.ndarray:
+        """Return for each of `points` (N, 2) float64 the index of a triangle that contains it, (N,) int64, or -1.
+
+        On a common edge it is the triangle that the point is deepest in. The memory needed grows with N.
+        """
+        buckets = self._bucket_positions(points)
+        buckets = buckets[:, 1] * self._count + buckets[:, 0]
+        counts = self._starts[buckets + 1] - self._starts[buckets]
+        of_point = np.repeat(np.arange(len(points)), counts)
+        offsets = np.arange(len(of_point)) - np.repeat(np.cumsum(counts) - counts, counts)
+        candidates = self._members[self._starts[buckets][of_point] + offsets]
+        depths = self._measure_depths(points[of_point], candidates)
+        is_inside = depths >= -TOLERANCE
+        of_point, candidates, depths = of_point[is_inside], candidates[is_inside], depths[is_inside]
+        order = np.lexsort((-depths, of_point))
+        inside, first = np.unique(of_point[order], return_index=True)
+        found = np.full(len(points), -1, np.int64)
+        found[inside] = candidates[order][first]
+        return found
+
+    def _bucket_positions(self, points: np.ndarray) -> np.ndarray:
+        """Return columns and rows (N, 2) int64 of the buckets of points, of the nearest ones outside of the grid."""
+        return np.clip((points - self._low) * self._scale, 0, self._count - 1).astype(np.int64)
+
+    def _measure_depths(self, points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+        """Return the smallest of the barycentric coordinates (N,) of points in one triangle each, minus infinity without area."""
+        x, y = (points - self._origins[triangles]).T
+        (ux, uy), (vx, vy) = (edge[triangles].T for edge in self._edges)
+        areas = self._areas[triangles]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            second, third = (x * vy - y * vx) / areas, (ux * y - uy * x) / areas
+        depths = np.minimum(np.minimum(second, third), 1.0 - second - third)
+        return np.where(areas > 0.0, depths, -np.inf)

@@ -1,0 +1,71 @@
+"""The job behind *Load* and *Update*."""
+
+from dataclasses import dataclass
+
+import bpy
+
+from ...bridge.bdam import objects as terrain_objects
+from ...bridge.bdam.objects import SceneTerrain, TerrainChange
+from ...core.bdam.engine import BdamEngine, Update
+from ...core.bdam.settings import BdamViewSettings
+from ...core.errors import GeometryError
+from ...core.geometry.viewers import Viewer
+from ...core.jobs.progress import Progress, Steps
+from ..engine_cache import cache
+
+
+@dataclass
+class ShowJob:
+    """Shows a terrain for one viewer: a new terrain, or `terrain` with other settings. Afterwards `terrain` is the result.
+
+    viewer: in the local frame of the store. path: of the store, as a new terrain keeps it.
+    """
+
+    core_fraction = 0.5
+
+    engine: BdamEngine
+    viewer: Viewer
+    path: str
+    terrain: SceneTerrain | None = None
+
+    def core_steps(self) -> Steps[Update]:
+        """Choose and read the patches."""
+        return self.engine.move(self.viewer)
+
+    def scene_steps(self, core_result: Update) -> Steps[str]:
+        """Fill meshes, then show them. Returns the message for the user.
+
+        Raises:
+            GeometryError: the terrain was removed during the update.
+        """
+        is_new = self.terrain is None
+        if not is_new and self.terrain.root is None:
+            raise GeometryError(f'The terrain "{self.terrain.name}" was removed during the update.')
+        label = SceneTerrain(terrain_objects.TERRAIN_NAME) if is_new else self.terrain
+        change = TerrainChange(label, self.engine)
+        blocks, count = self.engine.finished_blocks, self.engine.finished_blocks.qsize()
+        while not blocks.empty():
+            yield Progress(1.0 - blocks.qsize() / (count + 1), "Creating meshes")
+            for _ in change.fill(*blocks.get_nowait()):
+                pass
+        yield Progress(count / (count + 1), "Showing meshes")
+        if is_new:
+            self.terrain = terrain_objects.create_root(bpy.context.scene, self.path, self.engine)
+            self.terrain.select(bpy.context.view_layer)
+        elif self.terrain.root is None:
+            raise GeometryError(f'The terrain "{self.terrain.name}" was removed during the update.')
+        self.terrain.store_settings(self.engine.settings)
+        for _ in change.show_in(self.terrain, core_result):
+            pass
+        cache.store(self.terrain, self.engine)
+        message = f'"{self.terrain.name}": {core_result.figures.triangles:,} triangles in {core_result.figures.tiles} tiles.'
+        return " ".join([message, *core_result.warnings[:1]])
+
+
+def prepare_update(terrain: SceneTerrain, settings: BdamViewSettings, viewer: Viewer) -> ShowJob:
+    """Return the job that shows all of a terrain again for a viewer in world space.
+
+    Raises:
+        FileError, SettingsError: the store or the position of the terrain cannot be read.
+    """
+    return ShowJob(BdamEngine(terrain.folder, settings), terrain.to_terrain_space(viewer), terrain.root[terrain_objects.STORE_KEY], terrain)

@@ -1,0 +1,165 @@
+"""Operators of the tool `bdam` in the scene: load a terrain, update it, let it follow the view, remove it."""
+
+from contextlib import suppress
+
+import bpy
+
+from ...bridge.bdam import objects as terrain_objects
+from ...bridge.bdam.objects import SceneTerrain
+from ...core.bdam.engine import BdamEngine
+from ...core.bdam.settings import BdamViewSettings
+from ...core.errors import FileError
+from .. import follow_handlers, properties, start_job
+from ..engine_cache import cache
+from ..error_reports import report_message, reports_errors
+from ..long_work import poll_with_reason
+from ..terrain_polls import disabled_reason
+from ..view_following import FollowViewOperator, context_viewport, view_of_area
+from .follow_tool import TOOL
+from .job import ShowJob, prepare_update
+from .view_frames import frame_terrain
+
+
+class FARFIELD_PG_bdam_view(bpy.types.PropertyGroup):
+    """How terrains are shown, stored per scene."""
+
+    __annotations__ = properties.build_annotations(BdamViewSettings, set())
+
+
+class FARFIELD_OT_bdam_load(start_job.StartJob, bpy.types.Operator):
+    """Load a terrain that was built before, as this view needs it"""
+
+    bl_idname = "farfield.bdam_load"
+    bl_label = "Load Large Terrain"
+    bl_options = {"REGISTER", "UNDO"}
+    settings_types, panel_property = (BdamViewSettings,), "farfield_bdam_view"
+    __annotations__ = start_job.setting_properties(*settings_types) | {
+        "directory": bpy.props.StringProperty(
+            name="Store", description="Folder of the terrain", subtype="DIR_PATH", options={"SKIP_SAVE", "PATH_SUPPORTS_BLEND_RELATIVE"}
+        ),
+        "filter_folder": bpy.props.BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"}),
+        "use_relative_path": bpy.props.BoolProperty(
+            name="Relative Path", description="Store the path relative to this file, so that both can be moved together", default=True
+        ),
+        "frame_view": bpy.props.BoolProperty(
+            name="Frame Terrain",
+            description="Show the whole terrain in this 3D Viewport, extend its clipping range, and outline no objects",
+            default=True,
+        ),
+    }
+
+    @classmethod
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
+        """Return why no terrain can be loaded now, or an empty string."""
+        return disabled_reason(context)
+
+    @reports_errors
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Open the file browser."""
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def prepare(self, context: bpy.types.Context) -> ShowJob:
+        """Open the store and read the view."""
+        if not self.directory:
+            raise FileError("No folder is given; choose the folder of a terrain.")
+        folder = terrain_objects.resolve_folder(self.directory, None, "The terrain")
+        path = terrain_objects.store_path(self.directory)
+        if self.use_relative_path and bpy.data.filepath:
+            with suppress(ValueError):  # on another drive
+                path = bpy.path.relpath(str(folder))
+        engine = BdamEngine(folder, *self.read_settings(context))
+        area = context_viewport(context)
+        if self.frame_view and area is not None:
+            frame_terrain(area.spaces.active, *engine.bounds, engine.settings.exaggeration)
+        return ShowJob(engine, view_of_area(context.scene, area), path)
+
+
+class FARFIELD_OT_bdam_update(start_job.StartJob, bpy.types.Operator):
+    """Show the active terrain as this view needs it, with the current settings"""
+
+    bl_idname = "farfield.bdam_update"
+    bl_label = "Update Large Terrain"
+    bl_options = {"REGISTER", "UNDO"}
+    settings_types, panel_property = (BdamViewSettings,), "farfield_bdam_view"
+    __annotations__ = start_job.setting_properties(*settings_types)
+
+    @classmethod
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
+        """Return why no terrain can be updated now, or an empty string."""
+        return disabled_reason(context) or disabled_reason_of_active(context)
+
+    def prepare(self, context: bpy.types.Context) -> ShowJob:
+        """Read the settings, the view and the active terrain."""
+        terrain = SceneTerrain.of_object(context.active_object)
+        return prepare_update(terrain, *self.read_settings(context), view_of_area(context.scene, context_viewport(context)))
+
+
+class FARFIELD_OT_bdam_follow_view(FollowViewOperator, bpy.types.Operator):
+    """Keep the active terrain as detailed as this view needs it, or the active camera if the view looks through it. Press again to stop"""
+
+    bl_idname = "farfield.bdam_follow_view"
+    bl_label = "Follow View with Large Terrain"
+
+    @classmethod
+    def active_terrain(cls, context: bpy.types.Context) -> SceneTerrain | None:
+        """Return the terrain that the active object belongs to."""
+        return SceneTerrain.of_object(context.active_object)
+
+    @classmethod
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
+        """Return why the active terrain cannot follow now, or an empty string."""
+        return disabled_reason(context) or disabled_reason_of_active(context)
+
+
+class FARFIELD_OT_bdam_remove(bpy.types.Operator):
+    """Remove the active terrain from the scene. Its store stays as it is"""
+
+    bl_idname = "farfield.bdam_remove"
+    bl_label = "Remove Large Terrain"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Return whether a terrain that can be removed is active."""
+        return poll_with_reason(cls, disabled_reason(context) or disabled_reason_of_active(context))
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Remove the terrain with its meshes, materials and images."""
+        terrain = SceneTerrain.of_object(context.active_object)
+        name = terrain.name
+        terrain_objects.remove(terrain)
+        cache.evict_missing()
+        report_message(self, f'"{name}" was removed.')
+        return {"FINISHED"}
+
+
+def disabled_reason_of_active(context: bpy.types.Context) -> str:
+    """Return why the active object is not a terrain that can be changed, or an empty string."""
+    terrain = SceneTerrain.of_object(context.active_object)
+    return "Select a large terrain" if terrain is None else terrain.read_only_reason
+
+
+CLASSES = (
+    FARFIELD_PG_bdam_view,
+    FARFIELD_OT_bdam_load,
+    FARFIELD_OT_bdam_update,
+    FARFIELD_OT_bdam_follow_view,
+    FARFIELD_OT_bdam_remove,
+)
+register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
+
+
+def register() -> None:
+    """Register the classes, add the settings to scenes, and let terrains follow."""
+    register_classes()
+    bpy.types.Scene.farfield_bdam_view = bpy.props.PointerProperty(type=FARFIELD_PG_bdam_view)
+    follow_handlers.register_tool(TOOL)
+
+
+def unregister() -> None:
+    """Stop following, remove the settings from scenes, and unregister the classes."""
+    follow_handlers.unregister_tool(TOOL)
+    del bpy.types.Scene.farfield_bdam_view
+    unregister_classes()

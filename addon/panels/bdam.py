@@ -1,0 +1,127 @@
+"""Panel *Large Terrain* in the sidebar tab *Farfield*."""
+
+import bpy
+
+from ..bridge.bdam.objects import STORE_KEY, SceneTerrain
+from ..core.bdam.settings import BdamSettings, BdamViewSettings
+from ..core.settings import describe
+from ..operators import follow_handlers, view_following
+from ..operators.bdam.build import KINDS, FARFIELD_OT_bdam_add_files, FARFIELD_OT_bdam_build, FARFIELD_OT_bdam_remove_file
+from ..operators.bdam.operators import (
+    FARFIELD_OT_bdam_follow_view,
+    FARFIELD_OT_bdam_load,
+    FARFIELD_OT_bdam_remove,
+    FARFIELD_OT_bdam_update,
+)
+from ..operators.terrain_polls import disabled_reason
+from .sidebar import SettingsSubPanel, SidebarPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, draw_table, format_megabytes
+
+PANEL = "FARFIELD_PT_bdam"
+MAX_LISTED = 8  # files of a build
+
+
+class FARFIELD_PT_bdam(ToolPanel, bpy.types.Panel):
+    """The buttons or the progress bar."""
+
+    bl_idname = PANEL
+    bl_label = "Large Terrain"
+    page = "bdam"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the buttons. While a job runs, the progress bar replaces them."""
+        layout = self.layout
+        if draw_progress_bar(layout):
+            return
+        reason = disabled_reason(context)
+        if reason:
+            draw_message(layout, reason, "INFO")
+        if view_following.current.error:
+            draw_message(layout, view_following.current.error, "ERROR")
+        draw_button(layout, FARFIELD_OT_bdam_load, "Load", "FILE_FOLDER")
+        terrain, is_following = SceneTerrain.of_object(context.active_object), view_following.current.terrain is not None
+        if terrain is None and not is_following:
+            return
+        if terrain is not None and terrain.read_only_reason:
+            draw_message(layout, terrain.read_only_reason, "INFO")
+        column = layout.column(align=True)
+        column.operator(FARFIELD_OT_bdam_update.bl_idname, text="Update", icon="FILE_REFRESH")
+        text, icon = ("Stop Following", "CANCEL") if is_following else ("Follow View", "VIEW_PERSPECTIVE")
+        column.operator(FARFIELD_OT_bdam_follow_view.bl_idname, text=text, icon=icon, depress=is_following)
+        if terrain is not None:
+            column.prop(terrain.root, follow_handlers.camera_property(terrain.tool))
+            layout.prop(terrain.root, f'["{STORE_KEY}"]', text="Store")
+            layout.operator(FARFIELD_OT_bdam_remove.bl_idname, text="Remove", icon="TRASH")
+
+
+class FARFIELD_PT_bdam_build(SettingsSubPanel, bpy.types.Panel):
+    """Files and settings of the next build."""
+
+    bl_idname = "FARFIELD_PT_bdam_build"
+    bl_label = "Build"
+    bl_parent_id = PANEL
+    bl_options = {"DEFAULT_CLOSED"}
+    settings, property_name, group_name = describe(BdamSettings), "farfield_bdam_build", ""
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the files, the settings and the button."""
+        group, layout = context.scene.farfield_bdam_build, self.layout
+        for kind, label, _ in KINDS:
+            column = layout.column(align=True)
+            column.label(text=label)
+            for index, file in enumerate(list(group.files(kind))[:MAX_LISTED]):
+                row = column.row(align=True)
+                row.label(text=bpy.path.basename(file.name), icon="FILE")
+                button = row.operator(FARFIELD_OT_bdam_remove_file.bl_idname, text="", icon="X", emboss=False)
+                button.kind, button.index = kind, index
+            row = column.row(align=True)
+            row.operator(FARFIELD_OT_bdam_add_files.bl_idname, text="Add", icon="ADD").kind = kind
+            if len(group.files(kind)) > MAX_LISTED:
+                column.label(text=f"and {len(group.files(kind)) - MAX_LISTED:,} more files")
+                row.operator(FARFIELD_OT_bdam_remove_file.bl_idname, text="", icon="TRASH").kind = kind
+        layout.prop(group, "store")
+        self.draw_settings(context)
+        draw_button(layout, FARFIELD_OT_bdam_build, "Build", "RNDCURVE")
+
+
+class FARFIELD_PT_bdam_display(SettingsSubPanel, bpy.types.Panel):
+    """How terrains are shown."""
+
+    bl_idname = "FARFIELD_PT_bdam_display"
+    bl_label = "Display"
+    bl_parent_id = PANEL
+    settings, property_name, group_name = describe(BdamViewSettings), "farfield_bdam_view", ""
+
+
+class FARFIELD_PT_bdam_figures(SidebarPanel, bpy.types.Panel):
+    """Figures of the active terrain."""
+
+    bl_idname = "FARFIELD_PT_bdam_figures"
+    bl_label = "Figures"
+    bl_parent_id = PANEL
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Return whether a terrain is active that shows something."""
+        terrain = SceneTerrain.of_object(context.active_object)
+        return terrain is not None and terrain.figures is not None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw what is shown, and what is damaged."""
+        terrain = SceneTerrain.of_object(context.active_object)
+        figures = terrain.figures
+        for sentence in terrain.warnings:
+            draw_message(self.layout, sentence, "ERROR")
+        rows = [
+            ("Triangles", f"{figures.triangles:,}"),
+            ("Patches", f"{figures.patches:,}"),
+            ("Tiles", str(figures.tiles)),
+            ("Tolerance", f"{figures.tolerance:.2f} px"),
+            ("Memory", f"{format_megabytes(figures.byte_count)} MB"),
+        ]
+        draw_table(self.layout, ("", "Shown"), rows)
+
+
+CLASSES = (FARFIELD_PT_bdam, FARFIELD_PT_bdam_build, FARFIELD_PT_bdam_display, FARFIELD_PT_bdam_figures)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -1,0 +1,94 @@
+"""Tiny stores of large terrain, built from arrays in this process in about half a second."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from farfield.addon.core.bdam.build.terrain_build import build_terrain
+from farfield.addon.core.bdam.fields.placements import ProjectedFrame
+from farfield.addon.core.bdam.settings import BdamSettings
+from farfield.addon.core.bdam.store.structure import read_structure, write_structure
+from farfield.addon.core.bdam.store.terrain_store import TEXTURE_FOLDER
+from farfield.addon.core.bdam.textures.build import build_textures
+from farfield.addon.core.bdam.textures.grid import TextureGrid, count_levels
+from farfield.addon.core.bdam.textures.images import ArraySource, stretch_over_field
+from farfield.addon.core.bdam.textures.plan import TexturePlan
+from farfield.addon.core.bdam.textures.store import write_textures
+from farfield.addon.core.jobs.progress import run_to_end
+
+CELL_SIZE = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class ArrayField:
+    """A `HeightField` of heights (rows, columns) in meters, NaN where unknown, with its local zero at the sample nearest to the center."""
+
+    heights: np.ndarray
+    cell_size: float = CELL_SIZE
+    height_step: float | None = None
+    crs: str = "meters"
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.heights.shape
+
+    @property
+    def origin(self) -> tuple[float, float]:
+        return self.frame.origin
+
+    @property
+    def frame(self) -> ProjectedFrame:
+        rows, columns = self.heights.shape
+        center = self.cell_size * ((columns - 1) // 2), self.cell_size * ((rows - 1) // 2)
+        return ProjectedFrame((0.0, 0.0), (self.cell_size, self.cell_size), center)
+
+    def read(self, rows: slice, columns: slice) -> np.ndarray:
+        return self.heights[rows, columns].astype(np.float32)
+
+    def to_local(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return self.frame.to_local(x, y)
+
+    def to_grid(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return self.frame.to_grid(x, y)
+
+
+def hills(rows: int = 129, columns: int = 129, seed: int = 1) -> np.ndarray:
+    """Smooth heights (rows, columns) in meters with detail of several sizes."""
+    random = np.random.default_rng(seed)
+    y, x = np.mgrid[0:rows, 0:columns].astype(np.float64)
+    heights = np.zeros((rows, columns))
+    for octave in range(5):
+        frequency = 2.0**octave / 60.0
+        angle, phase = random.uniform(0.0, 2.0 * np.pi, 2)
+        heights += 100.0 * 0.5**octave * np.sin(2.0 * np.pi * frequency * (x * np.cos(angle) + y * np.sin(angle)) + phase)
+    return heights
+
+
+def colors(size: int = 1024) -> np.ndarray:
+    """A photograph of the ground (size, size, 3) uint8, row 0 in the south, with detail in every place."""
+    y, x = np.mgrid[0:size, 0:size]
+    return np.stack([x * 255 // size, y * 255 // size, np.where((x // 8 + y // 8) % 2, 60, 200)], axis=-1).astype(np.uint8)
+
+
+def build_store(folder: Path, heights: np.ndarray, leaf: str = "16", height_step: float = 0.01) -> Path:
+    """Build the store of heights (rows, columns) in `folder`, without texture."""
+    run_to_end(build_terrain(ArrayField(heights), [], folder, BdamSettings(leaf=leaf, height_step=height_step, executor="serial")))
+    return folder
+
+
+def add_texture(folder: Path, image: np.ndarray, image_format: str = "jpeg") -> Path:
+    """Add an image (H, W, 3 or 4) uint8, row 0 in the south, over the whole field to a store."""
+    header, levels = read_structure(folder)
+    tree = header.tree
+    placed = stretch_over_field(ArraySource(image), header.columns, header.rows)
+    level_count = count_levels(tree.side, tree.depth, placed.pixel)
+    spacing = header.step if header.frame == "projected" else (header.cell_size, header.cell_size)
+    grid = TextureGrid(header.columns, header.rows, tree.side, tuple(spacing), level_count)
+    work, out = folder.with_name(f"{folder.name} textures"), folder / TEXTURE_FOLDER
+    out.mkdir()
+    run_to_end(build_textures(work, TexturePlan(grid, image_format), [placed]))
+    run_to_end(write_textures(work, out))
+    write_structure(folder, replace(header, has_texture=True), levels)
+    return folder
