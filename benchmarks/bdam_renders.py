@@ -26,7 +26,7 @@ from lib.flip_metric import mean_flip
 MAX_SIZE = 4097  # a full grid of more samples does not fit into the memory of small machines
 SAMPLES = 32
 FRAME = 100  # of the fly-over
-SUN_DIRECTION, SUN_STRENGTH, SKY = (0.5, -0.4, 0.5), 3.0, 0.3
+SUN_DIRECTION, SUN_STRENGTH, SKY = (0.5, -0.4, 0.5), 2.0, 0.3
 FLIP_BOUND = 0.02
 TOLERANCES = (1.0, 0.5, 0.25)  # pixels
 COSTS = ("seconds", "mesh_seconds", "render_seconds", "cpu_seconds", "peak_memory_above_imports_mb")
