@@ -137,7 +137,7 @@ def test_triangles_without_a_known_sample_are_holes(stores):
     assert np.allclose(heights[complete], interpolate(store, stored(hills(ROWS, COLUMNS)), points[complete])[0], rtol=0.0, atol=1e-7)
 
 
-@pytest.mark.parametrize("name", ["complete", "hole", "geographic"])
+@pytest.mark.parametrize("name", ["whole", "hole", "geographic"])
 @pytest.mark.parametrize("max_error", [0.5, 5.0, 50.0])
 def test_heights_of_a_cut_are_those_of_its_mesh(stores, name, max_error):
     store = stores[name]
