@@ -133,8 +133,8 @@ def test_triangles_without_a_known_sample_are_holes(stores):
     corners = corners_at(*store.frame.to_grid(*points.T))
     is_known = known[corners[..., 1], corners[..., 0]]
     assert np.array_equal(np.isnan(heights), ~is_known.any(axis=1)) and np.isnan(heights).sum() > 50
-    whole = is_known.all(axis=1)
-    assert np.allclose(heights[whole], interpolate(store, stored(hills(ROWS, COLUMNS)), points[whole])[0], rtol=0.0, atol=1e-7)
+    complete = is_known.all(axis=1)
+    assert np.allclose(heights[complete], interpolate(store, stored(hills(ROWS, COLUMNS)), points[complete])[0], rtol=0.0, atol=1e-7)
 
 
 @pytest.mark.parametrize("name", ["whole", "hole", "geographic"])
