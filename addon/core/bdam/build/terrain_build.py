@@ -29,7 +29,7 @@ from .work_folder import HEIGHTS_FILE, PARAMETERS_FILE, BuildParameters, LevelLa
 TASKS_MODULE = "addon.core.bdam.build.tasks"
 FORMAT_VERSION = 2  # of the files in a work folder
 FILLED_FILE = "heights.filled"  # marks that holes were filled
-DIAMONDS_PER_SHARD = {16: 256, 32: 64, 64: 16}  # by cells of a leaf: about as many samples
+DIAMONDS_PER_SHARD = {16: 96, 32: 24, 64: 6}  # by cells of a leaf: as many samples; workers need up to 240 MB
 GRADIENT_STEP = 1.0 / 64.0  # meters of height per meter
 READ_END, FINISH_START = 0.05, 0.95  # of the progress
 TEXEL_COST = 0.05  # seconds of a texel relative to those of a sample, for the progress
