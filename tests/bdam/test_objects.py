@@ -183,7 +183,7 @@ def test_deleted_tiles_come_back(folder):
     assert set(terrain.tiles()) == expected
 
 
-def test_several_terrains_have_separate_tiles_and_materials(folder):
+def test_several_terrains_have_their_own_tiles_and_materials_of_shadings(folder):
     (first, _), (second, _) = create(folder, shading="height"), create(folder, shading="height")
     assert first.name != second.name and first.tiles().keys() == second.tiles().keys()
     assert not {tile.name for tile in first.tiles().values()} & {tile.name for tile in second.tiles().values()}
