@@ -1,6 +1,7 @@
 """Registration of all operators, properties and panels with Blender, unregistered in reverse order."""
 
 from .operators import documentation, follow_handlers, long_work
+from .operators.bdam import build as bdam_build
 from .operators.bdam import operators as bdam_operators
 from .operators.billboards import operators as billboards_operators
 from .operators.btf import exports as btf_exports
@@ -41,6 +42,7 @@ MODULES = (
     clipbox_operators,
     clipbox_convert,
     bdam_operators,
+    bdam_build,
     billboards_panels,
     btf_panels,
     unwrap_panels,

@@ -16,6 +16,7 @@ import numpy as np
 from bdam_stores import Workplace, build_fractal, store_bytes, write_fractal
 from bdam_terrains import AerialImage, FractalTerrain
 
+from farfield.addon.core.bdam.store.terrain_store import TEXTURE_FOLDER
 from farfield.addon.core.errors import FarfieldError
 
 SCRIPT = Path(__file__).resolve().parent / "bdam_measured.py"
@@ -45,15 +46,17 @@ def measure_build(given: Namespace, workplace: Workplace) -> dict[str, Any]:
 
 
 def measure_texture_build(given: Namespace, workplace: Workplace) -> dict[str, Any]:
-    """Measure the build of the texture quadtree of an image of 2N x 2N pixels."""
+    """Measure a build with the texture of an image of 2N x 2N pixels. Its stages tell the seconds of geometry and texture apart."""
     image = AerialImage(2 * (given.size - 1), given.seed)
-    source, out = workplace.folder / f"image-{image.size}.tif", workplace.folder / f"textures-{image.size}"
+    terrain = write_fractal(workplace, FractalTerrain(given.size, given.seed))
+    source, store = workplace.folder / f"image-{image.size}.tif", workplace.folder / f"textured-{given.size}"
     if not source.exists():
         image.write(source)
-    shutil.rmtree(out, ignore_errors=True)
-    figures = measure_process(["textures", str(source), "--out", str(out)])
-    note = "by the texture package in one process: builds of terrains do not contain it yet"
-    workplace.texture = figures | {"bytes_per_texel": round(figures["bytes"] / figures["texels"], 3), "note": note}
+    shutil.rmtree(store, ignore_errors=True)
+    command = ["build", str(terrain), "--image", str(source), "--out", str(store), "--executor", workplace.executor]
+    figures = measure_process(command)
+    size = store_bytes(store / TEXTURE_FOLDER)
+    workplace.texture = figures | {"pixels": image.size, "bytes_per_texel": round(size / image.size**2, 3)}
     return workplace.texture
 
 

@@ -41,9 +41,11 @@ def halve_field(heights: np.ndarray) -> Iterator[Simplified]:
             no_gradients, no_samples = np.full((count, 2), np.nan, np.float32), np.zeros((0, 3), np.int32)
             meshes = DiamondMeshes(domains, x, y, z.astype(np.int32), no_gradients, triangles, no_samples, np.zeros(0, np.int32))
             first = choose_grid_collapses(meshes, lines, excess)
-        batch = MeshBatch(x, y, z.astype(np.float32), lines, domains, triangles, samples, sample_triangles)
+        points = (np.concatenate([axis, axis[samples]]) for axis in (x, y, z.astype(np.float32)))
+        batch = MeshBatch(*points, lines, domains, triangles, sample_triangles, max(rows, columns))
         triangles, removed = simplify(batch, excess, first)
-        samples, sample_triangles, first = removed.vertices, removed.triangles, None
+        vertices = np.concatenate([np.arange(len(x), dtype=np.int32), samples])  # the simplifier numbers samples after all vertices
+        samples, sample_triangles, first = vertices[removed.vertices], removed.triangles, None
         count = len(np.unique(triangles))
         yield Simplified(triangles, time.perf_counter() - started[0], time.process_time() - started[1])
 

@@ -19,9 +19,8 @@ environment.import_farfield()
 
 import numpy as np
 from bdam_renders import render_view
-from bdam_stores import cpu_seconds, store_bytes
-from bdam_terrains import CELL_SIZE, FractalTerrain, ImageFile
-from bdam_textures import build_texture_store
+from bdam_stores import cpu_seconds
+from bdam_terrains import CELL_SIZE, FractalTerrain
 from bdam_views import fly_over
 
 from farfield.addon.core.bdam.build.terrain_build import build_terrain
@@ -30,7 +29,6 @@ from farfield.addon.core.bdam.extraction import CutSettings, extract_cut
 from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field
 from farfield.addon.core.bdam.settings import BdamSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
-from farfield.addon.core.bdam.textures.store import TextureStore
 from farfield.addon.core.jobs.progress import run_to_end
 from lib import command_line
 
@@ -39,9 +37,11 @@ def main(arguments: list[str], _line: command_line.ProgressLine) -> str:
     """Do the work; returns the measurements as JSON."""
     parser = command_line.Parser(prog="bdam_measured.py", description="Work that bench_bdam.py measures.")
     parser.add_argument("work", choices=list(WORK))
-    parser.add_argument("path", type=command_line.parse_path, help="an elevation model, an image, or a store")
-    parser.add_argument("--out", type=command_line.parse_path, help="the store to build, the folder for textures, or the picture")
-    parser.add_argument("--mesh", choices=("full", "cut"), help="what is rendered")
+    parser.add_argument("path", type=command_line.parse_path, help="an elevation model, or a store")
+    parser.add_argument("--out", type=command_line.parse_path, help="the store to build, or the picture")
+    parser.add_argument("--tolerance", type=float, default=1.0, help="pixels, of the cut that is rendered; 0 for all samples")
+    parser.add_argument("--render-seed", type=int, default=0, help="of the noise of the render")
+    parser.add_argument("--image", type=command_line.parse_path, help="the texture of the build")
     parser.add_argument("--executor", default="processes", help="of the build")
     parser.add_argument("--size", type=int, default=0, help="samples per side of the terrain that is flown over")
     parser.add_argument("--seed", type=int, default=0, help="of that terrain")
@@ -54,19 +54,13 @@ def main(arguments: list[str], _line: command_line.ProgressLine) -> str:
 
 
 def build(given: Namespace) -> dict[str, Any]:
-    """Build the store of an elevation model."""
+    """Build the store of an elevation model, with the texture of an image if there is one."""
     terrain = open_field([given.path], FieldSettings(cell_size=CELL_SIZE))
-    run_to_end(build_terrain(terrain, [given.path], given.out, BdamSettings(executor=given.executor, cell_size=CELL_SIZE)))
-    return {}
-
-
-def build_texture_tiles(given: Namespace) -> dict[str, Any]:
-    """Build the texture quadtree of an image in this process."""
-    source = ImageFile(given.path)
-    out = build_texture_store(given.out, source, "jpeg")
-    with TextureStore(out) as store:
-        tiles = len(store)
-    return {"tiles": tiles, "bytes": store_bytes(out), "texels": source.shape[0] * source.shape[1]}
+    images = [] if given.image is None else [given.image]
+    settings = BdamSettings(executor=given.executor, cell_size=CELL_SIZE)
+    report = run_to_end(build_terrain(terrain, [given.path], given.out, settings, images))
+    stages = {stage: round(seconds, 2) for stage, seconds in report.seconds.items()}
+    return {"stages": stages, "tiles": report.tiles, "triangles": report.triangles}
 
 
 def fly(given: Namespace) -> dict[str, Any]:
@@ -132,10 +126,10 @@ def memory_mb(name: str) -> float:
 
 def render(given: Namespace) -> dict[str, Any]:
     """Render a frame of the fly-over."""
-    return render_view(given.path, given.out, given.mesh, given.size, given.seed)
+    return render_view(given.path, given.out, given.tolerance, FractalTerrain(given.size, given.seed), given.render_seed)
 
 
-WORK = {"build": build, "textures": build_texture_tiles, "fly": fly, "render": render}
+WORK = {"build": build, "fly": fly, "render": render}
 
 if __name__ == "__main__":
     command_line.run(main)

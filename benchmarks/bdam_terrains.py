@@ -10,7 +10,6 @@ from scipy import ndimage, sparse
 
 from farfield.addon.core.bdam.build.height_grid import HeightGrid, encode_heights
 from farfield.addon.core.bdam.fields.terrain_field import open_field
-from farfield.addon.core.files.raw_windows import read_raw_window
 
 CELL_SIZE, HEIGHT_STEP, MAX_HEIGHT = 20.0, 0.1, 4400.0  # meters, as the Puget Sound of the paper
 MEAN_HEIGHT, DEVIATION = 1800.0, 750.0  # meters, before heights are clipped
@@ -131,7 +130,7 @@ class AerialImage:
         forest_part = np.clip(4.0 * cover, 0.0, 1.0)[..., None]
         open_land = np.where((cover < -0.4)[..., None], crops * (0.6 + 0.6 * parcels[..., None]), soil)
         colors = open_land * (1.0 - forest_part) + forest * forest_part
-        colors = colors * (1.0 + 0.2 * shade[..., None]) + 0.012 * grain[..., None]
+        colors = colors * (1.0 + 0.45 * shade[..., None]) + 0.02 * grain[..., None]
         return np.rint(255.0 * np.clip(colors, 0.0, 1.0)).astype(np.uint8)
 
     def write(self, path: Path) -> None:
@@ -140,23 +139,6 @@ class AerialImage:
         for rows in split_bands(self.size):
             pixels[self.size - rows.stop : self.size - rows.start] = self.read(rows, slice(0, self.size))[::-1]
         pixels.flush()
-
-
-class ImageFile:
-    """An image that `AerialImage.write` has written, an `ImageSource` that reads windows only."""
-
-    def __init__(self, path: Path) -> None:
-        pixels = tifffile.memmap(path, mode="r")
-        self.shape, self._path, self._offset = pixels.shape, path, pixels.offset
-
-    def read(self, rows: slice, columns: slice) -> np.ndarray:
-        """Return a window (h, w, 3) uint8."""
-        height, width, channels = self.shape
-        (top, bottom, _), (left, right, _) = rows.indices(height), columns.indices(width)
-        with self._path.open("rb") as file:
-            flipped, spread = slice(height - bottom, height - top), slice(channels * left, channels * right)
-            window = read_raw_window(file, self._offset, np.dtype(np.uint8), channels * width, flipped, spread)
-        return window[::-1].reshape(bottom - top, right - left, channels)
 
 
 def split_bands(size: int) -> Iterator[slice]:

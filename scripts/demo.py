@@ -112,8 +112,8 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     """Run the demo and return its result in one line; raises FarfieldError for an invalid input or folder."""
     parser = command_line.Parser(
         prog="demo.py",
-        description="Grow a tree, build its billboard cloud, make it relightable, plant a forest, make a texture from photographs, and fly over "
-        "a terrain.",
+        description="Grow a tree, build its billboard cloud, make it relightable, plant a forest, make a texture from photographs, and "
+        "fly over a terrain.",
     )
     parser.add_argument("--input", type=Path, help="your own mesh instead of the tree: .blend .obj .ply .stl .glb .gltf .fbx .usd")
     parser.add_argument("--quick", action="store_true", help="fewer leaves, a larger error and fewer renders; takes about a minute")

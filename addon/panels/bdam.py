@@ -3,9 +3,10 @@
 import bpy
 
 from ..bridge.bdam.objects import STORE_KEY, SceneTerrain
-from ..core.bdam.settings import BdamViewSettings
+from ..core.bdam.settings import BdamSettings, BdamViewSettings
 from ..core.settings import describe
 from ..operators import follow_handlers, view_following
+from ..operators.bdam.build import KINDS, FARFIELD_OT_bdam_add_files, FARFIELD_OT_bdam_build, FARFIELD_OT_bdam_remove_file
 from ..operators.bdam.operators import (
     FARFIELD_OT_bdam_follow_view,
     FARFIELD_OT_bdam_load,
@@ -16,6 +17,7 @@ from ..operators.terrain_polls import disabled_reason
 from .sidebar import SettingsSubPanel, SidebarPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, draw_table, format_megabytes
 
 PANEL = "FARFIELD_PT_bdam"
+MAX_LISTED = 8  # files of a build
 
 
 class FARFIELD_PT_bdam(ToolPanel, bpy.types.Panel):
@@ -50,6 +52,36 @@ class FARFIELD_PT_bdam(ToolPanel, bpy.types.Panel):
             column.prop(terrain.root, follow_handlers.camera_property(terrain.tool))
             layout.prop(terrain.root, f'["{STORE_KEY}"]', text="Store")
             layout.operator(FARFIELD_OT_bdam_remove.bl_idname, text="Remove", icon="TRASH")
+
+
+class FARFIELD_PT_bdam_build(SettingsSubPanel, bpy.types.Panel):
+    """Files and settings of the next build."""
+
+    bl_idname = "FARFIELD_PT_bdam_build"
+    bl_label = "Build"
+    bl_parent_id = PANEL
+    bl_options = {"DEFAULT_CLOSED"}
+    settings, property_name, group_name = describe(BdamSettings), "farfield_bdam_build", ""
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the files, the settings and the button."""
+        group, layout = context.scene.farfield_bdam_build, self.layout
+        for kind, label, _ in KINDS:
+            column = layout.column(align=True)
+            column.label(text=label)
+            for index, file in enumerate(list(group.files(kind))[:MAX_LISTED]):
+                row = column.row(align=True)
+                row.label(text=bpy.path.basename(file.name), icon="FILE")
+                button = row.operator(FARFIELD_OT_bdam_remove_file.bl_idname, text="", icon="X", emboss=False)
+                button.kind, button.index = kind, index
+            row = column.row(align=True)
+            row.operator(FARFIELD_OT_bdam_add_files.bl_idname, text="Add", icon="ADD").kind = kind
+            if len(group.files(kind)) > MAX_LISTED:
+                column.label(text=f"and {len(group.files(kind)) - MAX_LISTED:,} more files")
+                row.operator(FARFIELD_OT_bdam_remove_file.bl_idname, text="", icon="TRASH").kind = kind
+        layout.prop(group, "store")
+        self.draw_settings(context)
+        draw_button(layout, FARFIELD_OT_bdam_build, "Build", "RNDCURVE")
 
 
 class FARFIELD_PT_bdam_display(SettingsSubPanel, bpy.types.Panel):
@@ -91,5 +123,5 @@ class FARFIELD_PT_bdam_figures(SidebarPanel, bpy.types.Panel):
         draw_table(self.layout, ("", "Shown"), rows)
 
 
-CLASSES = (FARFIELD_PT_bdam, FARFIELD_PT_bdam_display, FARFIELD_PT_bdam_figures)
+CLASSES = (FARFIELD_PT_bdam, FARFIELD_PT_bdam_build, FARFIELD_PT_bdam_display, FARFIELD_PT_bdam_figures)
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -182,7 +182,7 @@ def test_only_changed_tiles_are_filled_again(folders, kind):
     assert complete.is_complete and scene.filled == len(complete.tiles)
 
 
-def test_a_viewer_at_rest_is_settled_and_one_that_moves_is_not(folders):
+def test_a_viewer_that_stays_is_settled_and_one_that_moves_is_not(folders):
     engine = engine_of(folders)
     viewer = look_at((-600.0, -900.0, 800.0), (0.0, 0.0, 0.0), is_interactive=True)
     assert not engine.is_settled_at(viewer)

@@ -108,7 +108,9 @@ def test_heights_at_samples_are_the_samples(stores, name):
 @pytest.mark.parametrize("name", ["whole", "geographic"])
 def test_heights_are_unknown_outside(stores, name):
     margin = 1e-3
-    x, y = np.meshgrid([-1e9, -1.0, -margin, 0.0, COLUMNS - 1.0, COLUMNS - 1.0 + margin, 1e9], [-1e5, -margin, ROWS / 2, ROWS - 1.0 + margin])
+    x, y = np.meshgrid(
+        [-1e9, -1.0, -margin, 0.0, COLUMNS - 1.0, COLUMNS - 1.0 + margin, 1e9], [-1e5, -margin, ROWS / 2, ROWS - 1.0 + margin]
+    )
     is_inside = (x >= 0.0) & (x <= COLUMNS - 1.0) & (y >= 0.0) & (y <= ROWS - 1.0)
     frame = stores[name].frame
     x, y = (x, y) if name == "whole" else (np.clip(x, -100.0, 1000.0), np.clip(y, -100.0, 1000.0))
@@ -131,8 +133,8 @@ def test_triangles_without_a_known_sample_are_holes(stores):
     corners = corners_at(*store.frame.to_grid(*points.T))
     is_known = known[corners[..., 1], corners[..., 0]]
     assert np.array_equal(np.isnan(heights), ~is_known.any(axis=1)) and np.isnan(heights).sum() > 50
-    whole = is_known.all(axis=1)
-    assert np.allclose(heights[whole], interpolate(store, stored(hills(ROWS, COLUMNS)), points[whole])[0], rtol=0.0, atol=1e-7)
+    complete = is_known.all(axis=1)
+    assert np.allclose(heights[complete], interpolate(store, stored(hills(ROWS, COLUMNS)), points[complete])[0], rtol=0.0, atol=1e-7)
 
 
 @pytest.mark.parametrize("name", ["whole", "hole", "geographic"])

@@ -75,6 +75,12 @@ def test_jpeg_images_with_common_blocks_have_common_pixels():
     assert np.array_equal(left[:, 24:], right[:, :8])
 
 
+@pytest.mark.parametrize("quality", [85, 100])
+def test_noise_can_be_coded(quality):
+    noise = np.random.default_rng(0).integers(0, 256, (512, 512, 3)).astype(np.uint8)
+    assert decode(encode(noise, "jpeg", quality)).shape == noise.shape
+
+
 def test_images_have_no_metadata():
     with Image.open(io.BytesIO(encode(SMOOTH, "jpeg"))) as picture:
         assert not picture.getexif() and "icc_profile" not in picture.info

@@ -10,7 +10,7 @@ GROUND_GROUP, GROUND_VERSION = "Farfield Terrain Ground", 1
 LEVEL_ATTRIBUTE = "terrain_level"  # of faces: the level of the patch
 MATERIAL_KEY = "farfield_bdam_material"  # custom property of the material of a terrain: its shading
 ROUGHNESS = 0.95
-HUE_INCREMENT = 0.381966  # between two levels; multiples of the golden ratio are far from each other
+LEVEL_COLOR_STEP = 0.381966  # between two levels; multiples of the golden ratio are far from each other
 ROCK, GRASS, SNOW = (0.17, 0.14, 0.115), (0.075, 0.11, 0.03), (0.8, 0.83, 0.88)
 MAX_GRASS_NORMAL, MIN_ROCK_NORMAL = 0.85, 0.7  # z of the normal, between which grass becomes rock
 MIN_SNOW_NORMAL = 0.6  # steeper ground has no snow
@@ -89,7 +89,7 @@ def _color_by_level(builder: NodeBuilder) -> bpy.types.NodeSocket:
     """Return a color of its own for every level of detail."""
     node = builder.node("ShaderNodeCombineColor", {"mode": "HSV"})
     level = builder.attribute(LEVEL_ATTRIBUTE, is_scalar=True)
-    builder.connect(builder.math("FRACT", builder.math("MULTIPLY", level, HUE_INCREMENT)), node.inputs[0])
+    builder.connect(builder.math("FRACT", builder.math("MULTIPLY", level, LEVEL_COLOR_STEP)), node.inputs[0])
     node.inputs[1].default_value, node.inputs[2].default_value = 0.65, 0.8
     return node.outputs[0]
 

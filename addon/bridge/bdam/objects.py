@@ -26,7 +26,7 @@ from .textures import TextureMaterials, mark_used, remove_unused
 STORE_KEY = "farfield_bdam_store"  # custom property of the root: the folder of the store
 FIGURES_KEY, WARNINGS_KEY = "farfield_bdam_figures", "farfield_bdam_warnings"  # of the root: of the last change, as JSON text
 TILE_KEY = "farfield_bdam_tile"  # of the objects of tiles
-MATERIAL_POINTERS = "farfield_bdam_material_"  # of the root, followed by a shading: the material
+MATERIAL_NAMES = "farfield_bdam_material_"  # of the root, followed by a shading: the name of the material
 TERRAIN_NAME = "Large Terrain"
 POOL = "bdam"
 BLEND_PREFIX = "//"
@@ -79,12 +79,17 @@ class SceneTerrain(TerrainRoot):
 
     def ensure_material(self, shading: str, heights: tuple[float, float]) -> bpy.types.Material:
         """Return its material for a shading; create it if there is none. heights: see `create_material`."""
-        key = f"{MATERIAL_POINTERS}{shading}"
-        material = self.root.get(key)
-        if not isinstance(material, bpy.types.Material):
+        key = f"{MATERIAL_NAMES}{shading}"
+        material = bpy.data.materials.get((str(self.root.get(key, "")), None)) or self._shown_material(shading)
+        if material is None or material.get(MATERIAL_KEY) != shading:
             material = create_material(f"{self.name} {shading.title()}", shading, self.root, heights)
-            self.root[key] = material
+        self.root[key] = material.name
         return material
+
+    def _shown_material(self, shading: str) -> bpy.types.Material | None:
+        """Return the material of a shading that a tile has, which the user may have renamed; None if there is none."""
+        materials = [tile.data.materials[0] for tile in self.tiles().values() if tile.data.materials]
+        return next((item for item in materials if item is not None and item.get(MATERIAL_KEY) == shading), None)
 
 
 def resolve_folder(path: str, library: bpy.types.Library | None, subject: str) -> Path:
@@ -203,12 +208,14 @@ def fill_tile_mesh(mesh: bpy.types.Mesh, source: TileMesh) -> Iterator[None]:
 def remove(terrain: SceneTerrain) -> None:
     """Remove a terrain with its tiles, its materials and, if nothing else is in it, its collection."""
     root = terrain.root
-    own = [root[key] for key in list(root.keys()) if key.startswith(MATERIAL_POINTERS) and isinstance(root[key], bpy.types.Material)]
     tiles = list(terrain.tiles().values())
+    names = {str(root[key]) for key in list(root.keys()) if key.startswith(MATERIAL_NAMES)}
+    names |= {material.name for tile in tiles for material in tile.data.materials if material is not None}
     for tile in tiles:
         tile.data.materials.clear()
     remove_terrain(terrain, tiles)
-    bpy.data.batch_remove([material for material in own if material.users == 0 and MATERIAL_KEY in material])
+    own = [bpy.data.materials.get((name, None)) for name in names]
+    bpy.data.batch_remove([item for item in own if item is not None and item.users == 0 and MATERIAL_KEY in item])
     remove_unused(0, len(bpy.data.materials))
 
 

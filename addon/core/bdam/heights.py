@@ -1,12 +1,13 @@
 """Heights and normals of a terrain at any positions.
 
-They are those of the triangles: of the finest ones by default, which interpolate the samples of the field, or of a cut. Triangles are found in
-grid coordinates and evaluated in the local frame. In a geographic frame, whose triangles are straight in the local frame only, a point within
-about L^2 / 8 R (0.02 mm for L = 30 m, 2 cm for L = 1 km, R the radius of the earth) of an edge of length L may be evaluated on the plane
-of the triangle on the other side.
+They are those of the triangles: of the finest ones by default, which interpolate the samples of the field, or of a cut. Triangles are
+found in grid coordinates and evaluated in the local frame. In a geographic frame, whose triangles are straight in the local frame only, a
+point within about L^2 / 8 R (0.02 mm for L = 30 m, 2 cm for L = 1 km, R the radius of the earth) of an edge of length L may be evaluated
+on the plane of the triangle on the other side.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -20,7 +21,8 @@ from .triangle_search import TriangleSearch
 
 MAX_POINTS = 1 << 17  # that are evaluated at once
 NUDGE = 1e-6  # cells by which points on edges are moved to be inside of a triangle
-# Towards the inside of each of the eight triangles around a sample. All borders of patches and of leaf triangles are along or between these.
+# Towards the inside of each of the eight triangles around a sample. All borders of patches and of leaf triangles are along or between
+# these.
 NUDGES = [NUDGE * np.array([x, y]) for x, y in ((2, 1), (1, 2), (-1, 2), (-2, 1), (-2, -1), (-1, -2), (1, -2), (2, -1))]
 # Corners of the two triangles of a cell in counterclockwise order, by the parity of x + y at its lower left corner
 CELL_CORNERS = np.array([[[(0, 0), (1, 0), (1, 1)], [(0, 0), (1, 1), (0, 1)]], [[(0, 0), (1, 0), (0, 1)], [(1, 0), (1, 1), (0, 1)]]])
@@ -94,7 +96,7 @@ class HeightQuery:
         order = order[levels[order] >= 0]
         is_start = np.diff(levels[order], prepend=-1).astype(bool) | np.diff(rows[order], prepend=-1).astype(bool)
         bounds = np.append(np.flatnonzero(is_start), len(order)).tolist()
-        for start, stop in zip(bounds[:-1], bounds[1:], strict=True):
+        for start, stop in pairwise(bounds):
             members = order[start:stop]
             patch = self._read(int(levels[members[0]]), int(rows[members[0]]))
             if patch is not None:

@@ -30,6 +30,7 @@ FORMATS: tuple[ImageFormat, ...] = get_args(ImageFormat)
 DEFAULT_QUALITY = 85
 MAX_PIXELS = 2**29  # of an image that is decoded at once: 23,170 x 23,170 pixels
 MAX_RATIO = 35_000  # of decoded bytes to those of a JPEG or PNG file, see image_files.py
+MAX_CODED_RATIO = 2  # of the bytes of a coded image to those of its pixels
 PNG_COMPRESSION = 3  # zlib level; higher ones cost much time and save little in photographs
 WEBP_METHOD = 0  # the fastest; method 4 takes two to three times as long for files that are a few percent smaller
 RAW_MAGIC, RAW_HEADER = b"FFPIXELS", struct.Struct("<8sHHI")
@@ -144,8 +145,10 @@ def _find_plugin(start: bytes) -> "type[ImageFile] | None":
 
 def _save(image: np.ndarray, image_format: str, quality: int) -> bytes:
     """Return an image with row 0 at the top as a file in memory."""
-    from PIL import Image
+    from PIL import Image, ImageFile
 
+    # Pillow codes optimized JPEG images into one buffer, which is too small for noise at high quality by default.
+    ImageFile.MAXBLOCK = max(ImageFile.MAXBLOCK, MAX_CODED_RATIO * image.size)
     picture = Image.fromarray(np.ascontiguousarray(image, np.uint8))
     file = io.BytesIO()
     if image_format == "jpeg":

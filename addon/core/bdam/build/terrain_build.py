@@ -9,6 +9,7 @@ from pathlib import Path
 from ...errors import FarfieldError
 from ...files.file_access import convert_os_errors
 from ...files.sealed_files import validate_or_remove, write_sealed
+from ...jobs.executors import parse_executor
 from ...jobs.job_folder import open_job_folder, remove_temporary_files
 from ...jobs.progress import Progress, StageClock, Steps, subprogress
 from ...jobs.task_pool import TaskPool, open_task_pool
@@ -28,10 +29,10 @@ from .work_folder import HEIGHTS_FILE, PARAMETERS_FILE, BuildParameters, LevelLa
 TASKS_MODULE = "addon.core.bdam.build.tasks"
 FORMAT_VERSION = 2  # of the files in a work folder
 FILLED_FILE = "heights.filled"  # marks that holes were filled
-DIAMONDS_PER_SHARD = {16: 256, 32: 64, 64: 16}  # by cells of a leaf: about as many samples
+DIAMONDS_PER_SHARD = {16: 96, 32: 24, 64: 6}  # by cells of a leaf: as many samples; workers need up to 240 MB
 GRADIENT_STEP = 1.0 / 64.0  # meters of height per meter
 READ_END, FINISH_START = 0.05, 0.95  # of the progress
-TEXEL_COST = 0.1  # seconds of a texel relative to those of a sample, for the progress
+TEXEL_COST = 0.05  # seconds of a texel relative to those of a sample, for the progress
 
 
 def build_terrain(
@@ -50,6 +51,7 @@ def build_terrain(
         FarfieldError: a worker fails twice.
     """
     check_target(out)
+    parse_executor(settings.executor)
     clock = StageClock()
     header = _create_header(field, settings, has_texture=bool(images))
     textures = plan_textures(field, header.tree, images, settings)
@@ -174,9 +176,10 @@ def _build_levels(work: WorkFolder, pool: TaskPool) -> Steps[list[LevelLayout]]:
     tree = work.tree
     layouts = [LevelLayout.create(tree, level, work.parameters.diamonds_per_shard) for level in range(tree.leaf_level + 1)]
     counts = [layout.count for layout in layouts]
+    missing = _find_missing(work, counts)
     done = 0
     for level in range(tree.leaf_level, -1, -1):
-        items = [[level, shard] for shard in range(counts[level]) if not _is_finished(work, level, shard)]
+        items = [[level, shard] for shard in missing[level]]
         start = (done + counts[level] - len(items)) / sum(counts)
         done += counts[level]
         if items:
@@ -187,8 +190,26 @@ def _build_levels(work: WorkFolder, pool: TaskPool) -> Steps[list[LevelLayout]]:
     return layouts
 
 
-def _is_finished(work: WorkFolder, level: int, shard: int) -> bool:
-    return validate_or_remove(work.blocks_path(level, shard))
+def _find_missing(work: WorkFolder, counts: list[int]) -> list[list[int]]:
+    """Return the shards to build at each level: those without intact blocks, and those without intact patches that a coarser level needs.
+
+    Patches of fine levels are deleted early. If blocks of a coarse level are damaged, they must be made again, too.
+    """
+    missing: list[list[int]] = []
+    needs_patches = False
+    for level, count in enumerate(counts):
+        missing.append([])
+        for shard in range(count):
+            blocks = work.blocks_path(level, shard)
+            is_intact = validate_or_remove(blocks)
+            if needs_patches and level < work.tree.leaf_level and not validate_or_remove(work.patches_path(level, shard)):
+                is_intact = False
+                with convert_os_errors(f'"{blocks}" cannot be deleted'):
+                    blocks.unlink(missing_ok=True)
+            if not is_intact:
+                missing[-1].append(shard)
+        needs_patches = bool(missing[-1])
+    return missing
 
 
 def _remove_finer_patches(work: WorkFolder, level: int) -> None:

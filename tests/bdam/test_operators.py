@@ -1,0 +1,207 @@
+"""Operators of large terrain: load, update, follow, remove; undo, linked files, moved stores, paths."""
+
+import shutil
+
+import bpy
+import pytest
+
+from farfield.addon.bridge.bdam.objects import STORE_KEY, SceneTerrain
+from farfield.addon.operators import follow_handlers, following, view_following
+from farfield.addon.operators.bdam.follow_tool import TOOL
+from farfield.addon.operators.engine_cache import cache
+from small_terrain_stores import build_store, hills
+
+pytestmark = pytest.mark.usefixtures("empty_scene")
+LABEL = "Größe 山"  # not ASCII
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory):
+    return build_store(tmp_path_factory.mktemp(LABEL) / "terrain", hills())
+
+
+@pytest.fixture
+def folder(original, tmp_path):
+    """A copy of the store that may be moved."""
+    return shutil.copytree(original, tmp_path / LABEL / "terrain")
+
+
+@pytest.fixture
+def camera():
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    camera.location = (0.0, -200.0, 300.0)
+    camera.rotation_euler = (0.6, 0.0, 0.0)
+    camera.data.clip_end = 1e5
+    bpy.context.scene.collection.objects.link(camera)
+    bpy.context.scene.camera = camera
+    bpy.context.view_layer.update()
+    yield camera
+    view_following.current.stop()
+
+
+def load(folder, **values) -> SceneTerrain:
+    before = {terrain.name for terrain in SceneTerrain.in_scene(bpy.context.scene)}
+    assert bpy.ops.farfield.bdam_load(directory=str(folder), **{"tolerance": 4.0, "shading": "slope", **values}) == {"FINISHED"}
+    (terrain,) = (terrain for terrain in SceneTerrain.in_scene(bpy.context.scene) if terrain.name not in before)
+    return terrain
+
+
+def signature(terrain: SceneTerrain) -> dict[str, int]:
+    """The tiles and their numbers of triangles."""
+    return {name: len(tile.data.polygons) for name, tile in terrain.tiles().items()}
+
+
+def test_load_shows_the_terrain_as_the_camera_needs_it(folder, camera):
+    terrain = load(folder)
+    assert bpy.context.active_object == terrain.root and terrain.root[STORE_KEY] == str(folder)
+    assert sum(signature(terrain).values()) == terrain.figures.triangles
+    assert terrain.settings.tolerance == 4.0 and terrain.settings.shading == "slope"
+    coarse = load(folder, tolerance=50.0)
+    assert coarse.figures.triangles < terrain.figures.triangles
+
+
+def test_update_takes_the_settings_of_the_panel_and_the_current_view(folder, camera):
+    terrain = load(folder)
+    before = signature(terrain)
+    bpy.context.scene.farfield_bdam_view.tolerance = 20.0
+    bpy.context.scene.farfield_bdam_view.exaggeration = 2.0
+    assert bpy.ops.farfield.bdam_update() == {"FINISHED"}
+    assert signature(terrain) != before and terrain.settings.tolerance == 20.0 and terrain.settings.exaggeration == 2.0
+    camera.location.z = 3000.0
+    bpy.context.view_layer.update()
+    far = terrain.figures.triangles
+    bpy.ops.farfield.bdam_update()
+    assert terrain.figures.triangles < far
+
+
+def test_a_triangle_budget_is_kept(folder, camera):
+    assert load(folder, tolerance=0.1, triangle_budget=6000).figures.triangles <= 6000
+
+
+def test_undo_restores_what_was_shown(folder, camera):
+    bpy.ops.ed.undo_push(message="Start")
+    terrain = load(folder)
+    expected = signature(terrain)
+    bpy.ops.ed.undo_push(message="Load")
+    bpy.ops.farfield.bdam_update(tolerance=40.0)
+    bpy.ops.ed.undo_push(message="Update")
+    bpy.ops.ed.undo()
+    (terrain,) = SceneTerrain.in_scene(bpy.context.scene)
+    assert signature(terrain) == expected and terrain.settings.tolerance == 4.0
+    following.recenter(terrain, TOOL.to_terrain(terrain, view_following.view_of_area(bpy.context.scene, None)))
+    assert signature(terrain) == expected
+    bpy.ops.ed.undo()
+    assert SceneTerrain.in_scene(bpy.context.scene) == []
+
+
+def test_the_terrain_follows_the_camera_in_every_frame(folder, camera):
+    terrain = load(folder)
+    for frame, height in ((1, 300.0), (10, 4000.0)):
+        camera.location.z = height
+        camera.keyframe_insert("location", frame=frame)
+    setattr(terrain.root, follow_handlers.camera_property("bdam"), True)
+    triangles = []
+    for frame in (1, 5, 10, 1):
+        bpy.context.scene.frame_set(frame)
+        triangles.append(terrain.figures.triangles)
+    assert triangles[0] > triangles[1] > triangles[2] and triangles[3] == triangles[0]
+    assert bpy.context.scene.render.use_lock_interface
+
+
+def test_follow_view_runs_until_it_is_stopped(folder, camera):
+    terrain = load(folder)
+    assert bpy.ops.farfield.bdam_follow_view.poll()
+    view_following.current.start(terrain, None, 0.05)
+    before = terrain.figures.triangles
+    camera.location = (0.0, 0.0, 2500.0)
+    bpy.context.view_layer.update()
+    (item,) = following.running()
+    for _ in range(2000):
+        assert view_following.current._timer() is not None
+        if item.moves and terrain.figures.triangles < before:
+            break
+    assert terrain.figures.triangles < before
+    moves = item.moves
+    for _ in range(50):
+        view_following.current._timer()
+    assert item.moves <= moves + 1, "standing still, nothing moves"
+    assert not bpy.ops.farfield.bdam_load.poll() and bpy.ops.farfield.bdam_follow_view.poll()
+    view_following.current.stop()
+
+
+def test_a_store_that_moved_is_one_sentence_and_nothing_is_lost(folder, camera):
+    terrain = load(folder)
+    expected = signature(terrain)
+    moved = folder.rename(folder.with_name("moved"))
+    cache.clear()
+    with pytest.raises(RuntimeError, match=r'The store of the terrain "Large Terrain" is missing: there is no folder ".*"; set Store'):
+        bpy.ops.farfield.bdam_update()
+    assert signature(terrain) == expected
+    terrain.root[STORE_KEY] = str(moved)
+    assert bpy.ops.farfield.bdam_update() == {"FINISHED"} and signature(terrain) == expected
+
+
+def test_paths_are_relative_to_the_file_on_request(folder, camera, tmp_path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    relative, absolute = load(folder), load(folder, use_relative_path=False)
+    assert relative.root[STORE_KEY] == f"//{LABEL}/terrain" and absolute.root[STORE_KEY] == str(folder)
+    bpy.ops.wm.save_mainfile()
+    moved = tmp_path / "elsewhere"
+    moved.mkdir()
+    (tmp_path / "scene.blend").rename(moved / "scene.blend")
+    (tmp_path / LABEL).rename(moved / LABEL)
+    bpy.ops.wm.open_mainfile(filepath=str(moved / "scene.blend"))
+    bpy.context.view_layer.objects.active = relative.root
+    assert bpy.ops.farfield.bdam_update() == {"FINISHED"}
+    bpy.context.view_layer.objects.active = absolute.root
+    with pytest.raises(RuntimeError, match="is missing"):
+        bpy.ops.farfield.bdam_update()
+
+
+def test_a_path_relative_to_an_unsaved_file_is_refused(camera):
+    with pytest.raises(RuntimeError, match="relative to a file that was never saved"):
+        bpy.ops.farfield.bdam_load(directory="//terrain")
+
+
+@pytest.mark.parametrize("kind", ["empty", "missing", "none"])
+def test_a_folder_without_a_terrain_is_refused(tmp_path, kind, camera):
+    (tmp_path / "empty").mkdir()
+    directory = "" if kind == "none" else str(tmp_path / kind)
+    sentence = {"empty": "is no terrain built by Farfield", "missing": "there is no folder", "none": "No folder is given"}[kind]
+    with pytest.raises(RuntimeError, match=sentence):
+        bpy.ops.farfield.bdam_load(directory=directory)
+    assert SceneTerrain.in_scene(bpy.context.scene) == [] and not [mesh for mesh in bpy.data.meshes if mesh.users]
+
+
+def test_a_linked_terrain_is_left_alone(folder, camera, tmp_path):
+    terrain = load(folder)
+    setattr(terrain.root, follow_handlers.camera_property("bdam"), True)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (source, target):
+        target.collections = [name for name in source.collections if name.startswith("Large Terrain")]
+    bpy.context.scene.collection.children.link(target.collections[0])
+    (linked,) = SceneTerrain.in_scene(bpy.context.scene)
+    bpy.context.view_layer.objects.active = linked.root
+    assert "linked from another file" in linked.read_only_reason
+    for operator in (bpy.ops.farfield.bdam_update, bpy.ops.farfield.bdam_follow_view, bpy.ops.farfield.bdam_remove):
+        assert not operator.poll()
+    bpy.context.scene.frame_set(5)
+    assert len(linked.tiles()) == linked.figures.tiles
+
+
+def test_edit_mode_disables_the_operators(folder, camera):
+    terrain = load(folder)
+    bpy.context.view_layer.objects.active = next(iter(terrain.tiles().values()))
+    bpy.ops.object.mode_set(mode="EDIT")
+    assert not bpy.ops.farfield.bdam_load.poll() and not bpy.ops.farfield.bdam_update.poll()
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert bpy.ops.farfield.bdam_update.poll(), "a tile stands for its terrain"
+
+
+def test_remove_leaves_the_store_and_other_terrains(folder, camera):
+    first, second = load(folder), load(folder)
+    bpy.context.view_layer.objects.active = first.root
+    assert bpy.ops.farfield.bdam_remove() == {"FINISHED"}
+    assert SceneTerrain.in_scene(bpy.context.scene) == [second] and len(second.tiles()) == second.figures.tiles
+    assert (folder / "structure.bdam").exists()
