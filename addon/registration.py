@@ -2,6 +2,8 @@
 
 from .operators import documentation, follow_handlers, long_work
 from .operators.bdam import build as bdam_build
+from .operators.bdam import freeze as bdam_freeze
+from .operators.bdam import ground as bdam_ground
 from .operators.bdam import operators as bdam_operators
 from .operators.billboards import operators as billboards_operators
 from .operators.btf import exports as btf_exports
@@ -42,6 +44,8 @@ MODULES = (
     clipbox_operators,
     clipbox_convert,
     bdam_operators,
+    bdam_ground,
+    bdam_freeze,
     bdam_build,
     billboards_panels,
     btf_panels,

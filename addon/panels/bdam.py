@@ -3,10 +3,12 @@
 import bpy
 
 from ..bridge.bdam.objects import STORE_KEY, SceneTerrain
-from ..core.bdam.settings import BdamSettings, BdamViewSettings
+from ..core.bdam.settings import BdamSettings, BdamViewSettings, FreezePathSettings, FreezeSettings, GroundSettings
 from ..core.settings import describe
 from ..operators import follow_handlers, view_following
 from ..operators.bdam.build import KINDS, FARFIELD_OT_bdam_add_files, FARFIELD_OT_bdam_build, FARFIELD_OT_bdam_remove_file
+from ..operators.bdam.freeze import FARFIELD_OT_bdam_freeze, FARFIELD_OT_bdam_freeze_path
+from ..operators.bdam.ground import FARFIELD_OT_bdam_drop
 from ..operators.bdam.operators import (
     FARFIELD_OT_bdam_follow_view,
     FARFIELD_OT_bdam_load,
@@ -93,6 +95,42 @@ class FARFIELD_PT_bdam_display(SettingsSubPanel, bpy.types.Panel):
     settings, property_name, group_name = describe(BdamViewSettings), "farfield_bdam_view", ""
 
 
+class FARFIELD_PT_bdam_ground(SettingsSubPanel, bpy.types.Panel):
+    """Put objects on the ground."""
+
+    bl_idname = "FARFIELD_PT_bdam_ground"
+    bl_label = "Drop to Ground"
+    bl_parent_id = PANEL
+    bl_options = {"DEFAULT_CLOSED"}
+    settings, property_name, group_name = describe(GroundSettings), "farfield_bdam_ground", ""
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the settings and the button."""
+        self.draw_settings(context)
+        draw_button(self.layout, FARFIELD_OT_bdam_drop, "Drop", "TRIA_DOWN_BAR")
+
+
+class FARFIELD_PT_bdam_freeze(SettingsSubPanel, bpy.types.Panel):
+    """Make ordinary meshes."""
+
+    bl_idname = "FARFIELD_PT_bdam_freeze"
+    bl_label = "Freeze"
+    bl_parent_id = PANEL
+    bl_options = {"DEFAULT_CLOSED"}
+    settings, property_name, group_name = describe(FreezeSettings) + describe(FreezePathSettings), "farfield_bdam_freeze", ""
+
+    @staticmethod
+    def is_active(name: str, group: bpy.types.PropertyGroup) -> bool:
+        """Return whether the setting of that name has an effect."""
+        return name not in ("first_frame", "last_frame") or not group.scene_range
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the settings and the buttons."""
+        self.draw_settings(context)
+        draw_button(self.layout, FARFIELD_OT_bdam_freeze, "Freeze", "FREEZE")
+        draw_button(self.layout, FARFIELD_OT_bdam_freeze_path, "Freeze Camera Path", "CAMERA_DATA")
+
+
 class FARFIELD_PT_bdam_figures(SidebarPanel, bpy.types.Panel):
     """Figures of the active terrain."""
 
@@ -123,5 +161,5 @@ class FARFIELD_PT_bdam_figures(SidebarPanel, bpy.types.Panel):
         draw_table(self.layout, ("", "Shown"), rows)
 
 
-CLASSES = (FARFIELD_PT_bdam, FARFIELD_PT_bdam_build, FARFIELD_PT_bdam_display, FARFIELD_PT_bdam_figures)
+CLASSES = (FARFIELD_PT_bdam, FARFIELD_PT_bdam_build, FARFIELD_PT_bdam_display, FARFIELD_PT_bdam_ground, FARFIELD_PT_bdam_freeze, FARFIELD_PT_bdam_figures)
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -213,11 +213,11 @@ class BdamEngine:
         if tile.texture is None:
             return TileBlock(mesh, None), mesh.damages
         try:
-            return TileBlock(mesh, (tile.texture, self._read_texture(tile.texture))), mesh.damages
+            return TileBlock(mesh, (tile.texture, self.read_texture(tile.texture))), mesh.damages
         except FarfieldError as error:
             return TileBlock(mesh, None), (*mesh.damages, str(error))
 
-    def _read_texture(self, number: int) -> CodedTile:
+    def read_texture(self, number: int) -> CodedTile:
         """Return the image files of a texture tile. Keeps those used last.
 
         Raises:

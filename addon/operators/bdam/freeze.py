@@ -1,0 +1,262 @@
+"""The operators *Freeze* and *Freeze Camera Path*."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import bpy
+
+from ...bridge.bdam import freezing as freezing_bridge
+from ...bridge.bdam import objects as terrain_objects
+from ...bridge.bdam.objects import SceneTerrain
+from ...bridge.bdam.textures import TextureMaterials, remove_unused
+from ...bridge.viewers import camera_viewer
+from ...core.bdam.engine import BdamEngine
+from ...core.bdam.freezing import FrozenMesh, choose_path_cut, freeze_cut, join
+from ...core.bdam.settings import BdamViewSettings, FreezePathSettings, FreezeSettings
+from ...core.errors import GeometryError, SettingsError
+from ...core.geometry.viewers import Viewer
+from ...core.jobs.progress import Progress, Steps, subprogress
+from ...core.text import format_count
+from .. import follow_handlers, follow_tools, properties, start_job
+from ..engine_cache import cache
+from ..terrain_polls import disabled_reason
+from . import operators
+
+VIEWERS_FRACTION, CUT_FRACTION, MESHES_FRACTION = 0.4, 0.5, 0.8  # of the progress bar, where each part ends
+Key = int | str | None
+
+
+@dataclass
+class FreezeJob:
+    """Makes objects of the tiles of a terrain. Afterwards `object_names` has their names."""
+
+    core_fraction = 0.8
+
+    terrain: SceneTerrain
+    meshes: list[FrozenMesh]
+    settings: FreezeSettings
+    object_names: tuple[str, ...] = ()
+
+    def core_steps(self) -> Steps[list[FrozenMesh]]:
+        """Join the meshes, if wanted."""
+        yield Progress(0.0, "Joining meshes")
+        return [join(self.meshes)] if self.settings.joined else self.meshes
+
+    def scene_steps(self, core_result: list[FrozenMesh]) -> Steps[str]:
+        """Create the objects, and remove the terrain unless it is to be kept. Returns the message for the user."""
+        yield Progress(0.5, "Creating objects")
+        check_exists(self.terrain)
+        self.object_names, message = create_objects(self.terrain, core_result, self.settings, lambda name: bpy.data.materials.get(name or ""))
+        return message
+
+
+@dataclass
+class FreezePathJob:
+    """Makes objects that are fine enough for the active camera in all of `frames`. Afterwards `object_names` has their names.
+
+    It steps through the frames, so nearly all of it needs the scene. The frame, and what follows the camera, is restored.
+    """
+
+    core_fraction = 0.01
+
+    terrain: SceneTerrain
+    folder: Path
+    view_settings: BdamViewSettings
+    settings: FreezeSettings
+    frames: list[int]
+    object_names: tuple[str, ...] = ()
+    viewers: list[Viewer] = field(default_factory=list)
+
+    def core_steps(self) -> Steps[BdamEngine]:
+        """Open the store."""
+        yield Progress(0.0, "Opening the terrain")
+        return BdamEngine(self.folder, self.view_settings)
+
+    def scene_steps(self, core_result: BdamEngine) -> Steps[str]:
+        """Read the camera in all frames, choose a cut, and create the objects. Returns the message for the user.
+
+        Raises:
+            GeometryError: the terrain or the camera was removed meanwhile.
+        """
+        store, exaggeration = core_result.store, self.view_settings.exaggeration
+        try:
+            yield from subprogress(self._read_viewers(), 0.0, VIEWERS_FRACTION)
+            textures, cut = yield from subprogress(
+                choose_path_cut(store, self.viewers, self.view_settings), VIEWERS_FRACTION, CUT_FRACTION
+            )
+            meshes, damages = yield from subprogress(freeze_cut(store, textures, cut, exaggeration), CUT_FRACTION, MESHES_FRACTION)
+            if not meshes:
+                raise GeometryError(f'The terrain "{self.terrain.name}" has no triangles that can be read; verify its store.')
+            yield Progress(MESHES_FRACTION, "Joining meshes")
+            meshes = [join(meshes)] if self.settings.joined else meshes
+            materials = TextureMaterials(core_result.identity)
+            numbers = sorted({key for mesh in meshes for key in mesh.materials if key is not None})
+            for index, number in enumerate(numbers):
+                yield Progress(MESHES_FRACTION + (1.0 - MESHES_FRACTION) * index / len(numbers), "Creating materials")
+                materials.ensure(number, f"{self.terrain.name} {core_result.texture_label(number)}", core_result.read_texture(number))
+            yield Progress(1.0, "Creating objects")
+            check_exists(self.terrain)
+            shading = "slope" if self.view_settings.shading == "texture" else self.view_settings.shading
+
+            def find_material(key: Key) -> bpy.types.Material | None:
+                return materials.find(key) if key is not None else self.terrain.ensure_material(shading, core_result.heights)
+
+            self.object_names, message = create_objects(self.terrain, meshes, self.settings, find_material)
+            remove_unused()
+            return " ".join([message, f"Good for {format_count(len(self.frames), 'frame')}.", *damages[:1]])
+        finally:
+            store.close()
+
+    def _read_viewers(self) -> Steps[None]:
+        """Read the active camera of every frame, in the local frame of the store."""
+        scene = bpy.context.scene
+        start, subframe = scene.frame_current, scene.frame_subframe
+        with paused_followers(scene):
+            try:
+                for index, frame in enumerate(self.frames):
+                    yield Progress(index / len(self.frames), "Reading the camera")
+                    scene.frame_set(frame)
+                    check_exists(self.terrain)
+                    if scene.camera is None:
+                        raise GeometryError(f"The scene has no active camera in frame {frame}; choose one.")
+                    camera = scene.camera.evaluated_get(bpy.context.evaluated_depsgraph_get())
+                    viewer = self.terrain.to_terrain_space(camera_viewer(scene, camera))
+                    if not self.viewers or not viewer.is_same(self.viewers[-1]):
+                        self.viewers.append(viewer)
+            finally:
+                scene.frame_set(start, subframe=subframe)
+
+
+@contextmanager
+def paused_followers(scene: bpy.types.Scene) -> Iterator[None]:
+    """Let no terrain of a scene follow the active camera within the context, so that frames change quickly."""
+    paused = []
+    for tool in follow_tools.registered:
+        for terrain in tool.scene_terrains(scene):
+            if not terrain.read_only_reason and follow_handlers.follows_camera(terrain):
+                setattr(terrain.root, follow_handlers.camera_property(terrain.tool), False)
+                paused.append(terrain)
+    try:
+        yield
+    finally:
+        for terrain in paused:
+            if terrain.root is not None:
+                setattr(terrain.root, follow_handlers.camera_property(terrain.tool), True)
+
+
+def check_exists(terrain: SceneTerrain) -> None:
+    """Raise GeometryError if a terrain was removed while a job ran."""
+    if terrain.root is None:
+        raise GeometryError(f'The terrain "{terrain.name}" was removed meanwhile.')
+
+
+def create_objects(
+    terrain: SceneTerrain, meshes: Sequence[FrozenMesh], settings: FreezeSettings, find_material: Callable[[Key], bpy.types.Material | None]
+) -> tuple[tuple[str, ...], str]:
+    """Create objects of meshes and remove the terrain unless it is to be kept. Returns the names of the objects, and a message."""
+    names = freezing_bridge.add_frozen_meshes(bpy.context.scene, terrain, meshes, find_material)
+    name = terrain.name
+    if not settings.keep_terrain:
+        terrain_objects.remove(terrain)
+        cache.evict_missing()
+    triangles = sum(len(mesh.triangles) for mesh in meshes)
+    return names, f'Froze "{name}" to {format_count(len(names), "object")} with {triangles:,} triangles.'
+
+
+class FreezeOperator(start_job.StartJob):
+    """What *Freeze* and *Freeze Camera Path* have in common."""
+
+    panel_property = "farfield_bdam_freeze"
+
+    @classmethod
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
+        """Return why no terrain can be frozen now, or an empty string."""
+        is_terrain = SceneTerrain.of_object(context.active_object) is not None
+        return disabled_reason(context) or ("" if is_terrain else operators.disabled_reason_of_active(context))
+
+
+class FARFIELD_OT_bdam_freeze(FreezeOperator, bpy.types.Operator):
+    """Make ordinary meshes of what the active terrain shows now. They do not need Farfield"""
+
+    bl_idname = "farfield.bdam_freeze"
+    bl_label = "Freeze Large Terrain"
+    bl_options = {"REGISTER", "UNDO"}
+    settings_types = (FreezeSettings,)
+    __annotations__ = start_job.setting_properties(*settings_types)
+
+    def prepare(self, context: bpy.types.Context) -> FreezeJob:
+        """Read the tiles of the active terrain."""
+        terrain, (settings,) = SceneTerrain.of_object(context.active_object), self.read_settings(context)
+        check_removal(terrain, settings)
+        meshes = freezing_bridge.read_tiles(terrain)
+        if not meshes:
+            raise GeometryError(f'The terrain "{terrain.name}" shows nothing; press Update first.')
+        return FreezeJob(terrain, meshes, settings)
+
+
+class FARFIELD_OT_bdam_freeze_path(FreezeOperator, bpy.types.Operator):
+    """Make ordinary meshes of the active terrain that are fine enough for the active camera in a range of frames"""
+
+    bl_idname = "farfield.bdam_freeze_path"
+    bl_label = "Freeze Large Terrain for Camera Path"
+    bl_options = {"REGISTER", "UNDO"}
+    settings_types = (FreezeSettings, FreezePathSettings)
+    __annotations__ = start_job.setting_properties(*settings_types)
+
+    @classmethod
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
+        """Return why no terrain can be frozen now, or an empty string."""
+        return super().disabled_reason(context) or ("" if context.scene.camera is not None else "The scene needs an active camera")
+
+    def prepare(self, context: bpy.types.Context) -> FreezePathJob:
+        """Read the settings and the frames."""
+        terrain, (settings, path_settings) = SceneTerrain.of_object(context.active_object), self.read_settings(context)
+        check_removal(terrain, settings)
+        _ = terrain.origin  # raises SettingsError before the frame changes
+        return FreezePathJob(terrain, terrain.folder, terrain.settings, settings, choose_frames(context.scene, path_settings))
+
+
+def check_removal(terrain: SceneTerrain, settings: FreezeSettings) -> None:
+    """Raise SettingsError if a terrain cannot be removed although it is not to be kept."""
+    if terrain.read_only_reason and not settings.keep_terrain:
+        raise SettingsError(f"{terrain.read_only_reason}, or enable Keep Terrain.", ("keep_terrain",))
+
+
+def choose_frames(scene: bpy.types.Scene, settings: FreezePathSettings) -> list[int]:
+    """Return the frames of a camera path, with the first and the last one.
+
+    Raises:
+        SettingsError: there are none.
+    """
+    first, last = settings.first_frame, settings.last_frame
+    if settings.scene_range:
+        uses_preview = scene.use_preview_range
+        first, last = (scene.frame_preview_start, scene.frame_preview_end) if uses_preview else (scene.frame_start, scene.frame_end)
+    if last < first:
+        raise SettingsError(f"Last Frame, {last}, is before First Frame, {first}; raise it.", ("last_frame",))
+    frames = list(range(first, last + 1, settings.frame_step))
+    return frames if frames[-1] == last else [*frames, last]
+
+
+class FARFIELD_PG_bdam_freeze(bpy.types.PropertyGroup):
+    """Settings of *Freeze* and *Freeze Camera Path* in the panel, stored per scene."""
+
+    __annotations__ = properties.build_annotations(FreezeSettings, set()) | properties.build_annotations(FreezePathSettings, set())
+
+
+CLASSES = (FARFIELD_PG_bdam_freeze, FARFIELD_OT_bdam_freeze, FARFIELD_OT_bdam_freeze_path)
+register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
+
+
+def register() -> None:
+    """Register the classes and add the settings to scenes."""
+    register_classes()
+    bpy.types.Scene.farfield_bdam_freeze = bpy.props.PointerProperty(type=FARFIELD_PG_bdam_freeze)
+
+
+def unregister() -> None:
+    """Remove the settings from scenes and unregister the classes."""
+    del bpy.types.Scene.farfield_bdam_freeze
+    unregister_classes()
