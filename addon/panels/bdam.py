@@ -161,5 +161,12 @@ class FARFIELD_PT_bdam_figures(SidebarPanel, bpy.types.Panel):
         draw_table(self.layout, ("", "Shown"), rows)
 
 
-CLASSES = (FARFIELD_PT_bdam, FARFIELD_PT_bdam_build, FARFIELD_PT_bdam_display, FARFIELD_PT_bdam_ground, FARFIELD_PT_bdam_freeze, FARFIELD_PT_bdam_figures)
+CLASSES = (
+    FARFIELD_PT_bdam,
+    FARFIELD_PT_bdam_build,
+    FARFIELD_PT_bdam_display,
+    FARFIELD_PT_bdam_ground,
+    FARFIELD_PT_bdam_freeze,
+    FARFIELD_PT_bdam_figures,
+)
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -83,7 +83,10 @@ def test_the_union_cut_satisfies_every_frame_without_cracks(stores, seed, count,
 def test_the_union_cut_of_one_frame_is_its_cut(stores, seed):
     (viewer,) = path(seed, 1)
     cut_settings = CutSettings(2.0)
-    expected, found = extract_cut(stores["plain"], viewer, cut_settings), run_to_end(extract_union_cut(stores["plain"], [viewer], cut_settings))
+    expected, found = (
+        extract_cut(stores["plain"], viewer, cut_settings),
+        run_to_end(extract_union_cut(stores["plain"], [viewer], cut_settings)),
+    )
     assert patches(found) == patches(expected) and found.max_error == expected.max_error
 
 
@@ -115,14 +118,14 @@ def freeze(store: TerrainStore, viewers: list[Viewer], **values) -> tuple[Cut, l
 def test_joined_meshes_have_the_vertices_of_the_cut_and_no_cracks(stores, name):
     store = stores[name]
     cut, meshes = freeze(store, path(3, 5), exaggeration=2.0)
-    whole = build_cut_mesh(PatchCache(store), cut)
+    expected_mesh = build_cut_mesh(PatchCache(store), cut)
     joined = join(meshes)
     positions = joined.vertices.astype(np.float64) + joined.location
-    assert len(positions) == len(whole.positions) and len(joined.triangles) == len(whole.triangles)
-    order, expected = np.lexsort(positions.T[:2]), whole.positions[np.lexsort(whole.positions.T[:2])] * [1.0, 1.0, 2.0]
+    assert len(positions) == len(expected_mesh.positions) and len(joined.triangles) == len(expected_mesh.triangles)
+    order, expected = np.lexsort(positions.T[:2]), expected_mesh.positions[np.lexsort(expected_mesh.positions.T[:2])] * [1.0, 1.0, 2.0]
     assert np.allclose(positions[order], expected, atol=0.01)
     assert are_open_edges_on_border(*(positions[:, :2].T / EXTENT), joined.triangles)
-    assert np.array_equal(np.sort(joined.levels), np.sort(whole.levels))
+    assert np.array_equal(np.sort(joined.levels), np.sort(expected_mesh.levels))
     assert len(joined.slots) == len(joined.triangles) and joined.slots.max() == len(joined.materials) - 1
 
 

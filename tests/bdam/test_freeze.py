@@ -11,11 +11,11 @@ from farfield.addon.bridge.bdam.textures import TEXTURE_KEY
 from farfield.addon.bridge.mesh_arrays import read_loop_vertices, read_positions
 from farfield.addon.bridge.viewers import camera_viewer
 from farfield.addon.core.bdam.extraction import CutSettings, extract_union_cut
+from farfield.addon.core.bdam.settings import FreezeSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.operators import follow_handlers
 from farfield.addon.operators.bdam.freeze import FreezePathJob
-from farfield.addon.core.bdam.settings import FreezeSettings
 from small_terrain_stores import CELL_SIZE, add_texture, build_store, colors, hills
 from watertight import open_edges
 
@@ -81,7 +81,7 @@ def assert_independent(objects) -> None:
     for item in objects:
         materials = [material for material in item.data.materials if material is not None]
         assert item.parent is None and materials
-        assert not [key for block in (item, item.data, *materials) for key in block.keys() if key.startswith(PROPERTY_PREFIX)]
+        assert not [key for block in (item, item.data, *materials) for key in block.keys() if key.startswith(PROPERTY_PREFIX)]  # noqa: SIM118
         assert not [node for material in materials for node in material.node_tree.nodes if getattr(node, "object", None) is not None]
 
 
@@ -168,7 +168,9 @@ def test_cancelling_changes_nothing(folder, camera):
 
 def test_frames_can_be_chosen(folder, camera, capsys):
     load(folder)
-    assert bpy.ops.farfield.bdam_freeze_path(scene_range=False, first_frame=1, last_frame=4, frame_step=2, keep_terrain=True) == {"FINISHED"}
+    assert bpy.ops.farfield.bdam_freeze_path(scene_range=False, first_frame=1, last_frame=4, frame_step=2, keep_terrain=True) == {
+        "FINISHED"
+    }
     assert "Good for 3 frames." in capsys.readouterr().out  # 1, 3 and the last one
     with pytest.raises(RuntimeError, match="Last Frame, 1, is before First Frame, 4"):
         bpy.ops.farfield.bdam_freeze_path(scene_range=False, first_frame=4, last_frame=1)

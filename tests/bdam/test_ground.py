@@ -234,9 +234,9 @@ def test_data_that_cannot_be_moved_is_named(terrain, capsys):
     mesh_object, empty = add_cube(), add(bpy.data.objects.new("Empty", None))
     twin, keyed = add(bpy.data.objects.new("Twin", mesh_object.data)), add_cube()
     keyed.shape_key_add(name="Basis")
-    with pytest.raises(RuntimeError, match="neither mesh nor point cloud.*Select meshes"):
+    with pytest.raises(RuntimeError, match=r"neither mesh nor point cloud.*Select meshes"):
         drop(empty, target="points")
-    with pytest.raises(RuntimeError, match="Skipped 2 objects: data that other objects share. Skipped 1 object: shape keys."):
+    with pytest.raises(RuntimeError, match=r"Skipped 2 objects: data that other objects share\. Skipped 1 object: shape keys\."):
         drop(mesh_object, twin, keyed, target="points")
     drop(mesh_object, twin, keyed, empty)
 

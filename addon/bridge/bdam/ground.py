@@ -19,7 +19,10 @@ MAX_MISS = 1e-3  # by which an object may miss its position, relative to the dis
 
 @dataclass(frozen=True)
 class TerrainSpace:
-    """The space of a terrain in the world. matrix: (4, 4) float64 of the root, not singular. origin: (3,) float64, see `TerrainRoot.origin`."""
+    """The space of a terrain in the world.
+
+    matrix: (4, 4) float64 of the root, not singular. origin: (3,) float64, see `TerrainRoot.origin`.
+    """
 
     matrix: np.ndarray
     origin: np.ndarray

@@ -20,9 +20,9 @@ from .tiles import MAX_TILES, TileGrouping, TileMesh, build_tile_mesh
 class FrozenMesh:
     """A mesh that no longer changes.
 
-    location: (3,) float64, position of the mesh in local meters with exaggeration. vertices: (V, 3) float32, relative to it. normals: (V, 3)
-    float32. triangles: (T, 3) int32. uvs: (T, 3, 2) float32, None without texture. levels: (T,) int8 of the patches. materials: keys of the
-    material slots. slots: (T,) int32, the slot of each triangle.
+    location: (3,) float64, position of the mesh in local meters with exaggeration. vertices: (V, 3) float32, relative to it. normals:
+    (V, 3) float32. triangles: (T, 3) int32. uvs: (T, 3, 2) float32, None without texture. levels: (T,) int8 of the patches. materials:
+    keys of the material slots. slots: (T,) int32, the slot of each triangle.
     """
 
     location: np.ndarray
@@ -36,7 +36,7 @@ class FrozenMesh:
 
 
 def choose_path_cut(store: TerrainStore, viewers: Sequence[Viewer], settings: BdamViewSettings) -> Steps[tuple[TextureCut, Cut]]:
-    """Return the texture tiles and the coarsest cut that satisfy the tolerance for every one of `viewers`, at least one, in the local frame.
+    """Return the texture tiles and the coarsest cut that satisfy the tolerance for each of `viewers`, at least one, in the local frame.
 
     Nothing is culled, because shadows and reflections show what the camera does not. The triangle budget does not count.
     """

@@ -95,7 +95,7 @@ class GroundSettings(Settings):
 
     target: str = setting("origins", "What is put on the ground", choices=TARGETS)
     surface: str = setting("finest", "The ground that is used", choices=SURFACES)
-    align: bool = setting(False, "Rotate objects until their Z axes are perpendicular to the ground. Not for Points", label="Align to Normal")
+    align: bool = setting(False, "Rotate objects until their Z axes are perpendicular to the ground", label="Align to Normal")
     offset: float = setting(0.0, "Height above the ground", minimum=-1e6, maximum=1e6, unit=Unit.LENGTH)
 
 
@@ -118,4 +118,4 @@ class FreezePathSettings(Settings):
     scene_range: bool = setting(True, "Use all frames of the scene, or of its preview range", label="Scene Frame Range")
     first_frame: int = setting(1, "First frame, unless the frame range of the scene is used", minimum=-1_000_000, maximum=1_000_000)
     last_frame: int = setting(250, "Last frame, unless the frame range of the scene is used", minimum=-1_000_000, maximum=1_000_000)
-    frame_step: int = setting(1, "Use every frame, or every second, third, and so on; frames between may be too coarse", minimum=1, maximum=1000)
+    frame_step: int = setting(1, "Use every frame, every second, and so on; frames between may be too coarse", minimum=1, maximum=1000)

@@ -48,7 +48,9 @@ class FreezeJob:
         """Create the objects, and remove the terrain unless it is to be kept. Returns the message for the user."""
         yield Progress(0.5, "Creating objects")
         check_exists(self.terrain)
-        self.object_names, message = create_objects(self.terrain, core_result, self.settings, lambda name: bpy.data.materials.get(name or ""))
+        self.object_names, message = create_objects(
+            self.terrain, core_result, self.settings, lambda name: bpy.data.materials.get(name or "")
+        )
         return message
 
 
@@ -83,9 +85,7 @@ class FreezePathJob:
         store, exaggeration = core_result.store, self.view_settings.exaggeration
         try:
             yield from subprogress(self._read_viewers(), 0.0, VIEWERS_FRACTION)
-            textures, cut = yield from subprogress(
-                choose_path_cut(store, self.viewers, self.view_settings), VIEWERS_FRACTION, CUT_FRACTION
-            )
+            textures, cut = yield from subprogress(choose_path_cut(store, self.viewers, self.view_settings), VIEWERS_FRACTION, CUT_FRACTION)
             meshes, damages = yield from subprogress(freeze_cut(store, textures, cut, exaggeration), CUT_FRACTION, MESHES_FRACTION)
             if not meshes:
                 raise GeometryError(f'The terrain "{self.terrain.name}" has no triangles that can be read; verify its store.')

@@ -143,7 +143,11 @@ def find_terrain(context: bpy.types.Context) -> SceneTerrain:
     """
     terrains = SceneTerrain.in_scene(context.scene)
     selected = {item.name for item in context.selected_objects if item.library is None}
-    chosen = [terrain for terrain in terrains if len(terrains) == 1 or selected & {terrain.name, *(tile.name for tile in terrain.tiles().values())}]
+    chosen = [
+        terrain
+        for terrain in terrains
+        if len(terrains) == 1 or selected & {terrain.name, *(tile.name for tile in terrain.tiles().values())}
+    ]
     if len(chosen) != 1:
         raise GeometryError(f"The scene has {len(terrains)} terrains; select the one to use together with the objects.")
     return chosen[0]
