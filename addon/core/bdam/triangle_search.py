@@ -67,5 +67,5 @@ class TriangleSearch:
         areas = self._areas[triangles]
         with np.errstate(divide="ignore", invalid="ignore"):
             second, third = (x * vy - y * vx) / areas, (ux * y - uy * x) / areas
-        depths = np.minimum(np.minimum(second, third), 1.0 - second - third)
+            depths = np.minimum(np.minimum(second, third), 1.0 - second - third)
         return np.where(areas > 0.0, depths, -np.inf)
