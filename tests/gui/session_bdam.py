@@ -8,16 +8,14 @@ from pathlib import Path
 import bpy
 import mathutils
 
-sys.path[:0] = [str(Path(__file__).resolve().parent), str(Path(__file__).resolve().parents[1] / "bdam")]  # Blender adds no folder
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "bdam"))
+sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not add the script's folder
 
 from session import FOLDER, UserInput, module, open_panel_alone, results, save_screenshot, start_session
 
 from lib import environment
 
-environment.import_farfield()
-from small_stores import build_store, hills
-
-LOAD, FOLLOW, REMOVE = "farfield.bdam_load", "farfield.bdam_follow_view", "farfield.bdam_remove"
+FOLLOW, REMOVE = "farfield.bdam_follow_view", "farfield.bdam_remove"
 TIMEOUT_STEPS = 300
 
 
@@ -35,6 +33,9 @@ def look(view: bpy.types.RegionView3D, eye: tuple[float, float, float], target: 
 
 def session() -> Iterator[float]:
     """Run the session; yields pauses in seconds."""
+    environment.import_farfield()
+    from small_stores import build_store, hills  # which needs the package
+
     user = UserInput()
     bpy.data.objects.remove(bpy.data.objects["Cube"])
     store = build_store(FOLDER / "terrain", hills(257, 257))
