@@ -57,8 +57,8 @@ def _print_once(error: Exception) -> None:
 def _before_undo(*_: Any) -> None:
     """Remove what moves may have changed since the last undo step.
 
-    Undo keeps data-blocks that are equal in two undo steps as they are now. A collection with objects that a move has created since then, or
-    an object with such a mesh, would refer to data that undo frees, and Blender would crash. What is removed here is read again.
+    Undo keeps data-blocks that are equal in two undo steps as they are now. A collection with objects that a move has created since then,
+    or an object with such a mesh, would refer to data that undo frees, and Blender would crash. What is removed here is read again.
     """
     for item in following.running():
         item.pause()
