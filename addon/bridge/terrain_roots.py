@@ -152,6 +152,26 @@ class TerrainRoot:
             collection.objects.link(child)
         return child
 
+    def shown_objects(self) -> list[bpy.types.Object]:
+        """Return its mesh objects, which moves create and remove: children with a custom property of the tool."""
+        prefix = f"farfield_{self.tool}_"
+        return [child for child in self.root.children if child.type == "MESH" and any(key.startswith(prefix) for key in child.keys())]  # noqa: SIM118
+
+    def remove_shown(self) -> None:
+        """Remove its mesh objects and their meshes, before undo brings back those of an undo step."""
+        shown = [child for child in self.shown_objects() if is_local(child)]
+        meshes = [child.data for child in shown]
+        bpy.data.batch_remove(shown)
+        bpy.data.batch_remove([mesh for mesh in meshes if mesh.users == 0 and is_local(mesh)])
+
+    def link_shown(self) -> None:
+        """Link its mesh objects to the collections of the root where undo has not."""
+        collections = [collection for collection in self.root.users_collection if is_local(collection)]
+        for child in self.shown_objects():
+            if is_local(child) and not child.users_collection:
+                for collection in collections:
+                    collection.objects.link(child)
+
     def select(self, view_layer: bpy.types.ViewLayer) -> None:
         """Select the root, make it active and deselect everything else."""
         for item in view_layer.objects.selected:

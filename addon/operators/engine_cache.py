@@ -39,6 +39,10 @@ class EngineCache:
         discard_finished_blocks(engine)
         self._engines[_key(terrain)], self._names[_key(terrain)] = engine, terrain.name
 
+    def __contains__(self, terrain: TerrainRoot) -> bool:
+        """Return whether there is an engine of a terrain, which may have changed it since the last undo step."""
+        return _key(terrain) in self._engines
+
     def evict_missing(self) -> None:
         """Remove the engines of terrains that no longer exist."""
         for key, name in list(self._names.items()):

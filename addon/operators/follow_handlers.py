@@ -7,6 +7,7 @@ from typing import Any
 import bpy
 
 from ..bridge import viewers
+from ..bridge.mesh_pool import spare_meshes
 from ..bridge.terrain_roots import TerrainRoot
 from . import follow_tools, following, view_following
 from .engine_cache import cache
@@ -15,9 +16,13 @@ from .follow_tools import FollowTool
 
 
 class _FileState:
-    """What the handlers keep until another file is opened. printed: errors. update_started: of Blender's last update of the scene."""
+    """What the handlers keep until another file is opened.
+
+    cleared: terrains whose meshes were removed before undo. printed: errors. update_started: of Blender's last update of the scene.
+    """
 
     def __init__(self) -> None:
+        self.cleared: list[TerrainRoot] = []
         self.printed: set[str] = set()
         self.update_started = 0.0
 
@@ -49,11 +54,50 @@ def _print_once(error: Exception) -> None:
 
 
 @bpy.app.handlers.persistent
+def _before_undo(*_: Any) -> None:
+    """Remove what moves may have changed since the last undo step.
+
+    Undo keeps data-blocks that are equal in two undo steps as they are now. A collection with objects that a move has created since then,
+    or an object with such a mesh, would refer to data that undo frees, and Blender would crash. What is removed here is read again.
+    """
+    for item in following.running():
+        item.pause()
+    _state.cleared.clear()
+    if bpy.context.mode != "OBJECT":
+        return  # other modes have undo steps of their own
+    for terrain in _local_terrains():
+        if terrain in cache:
+            terrain.remove_shown()
+            bpy.data.batch_remove(spare_meshes(terrain.tool))
+            _state.cleared.append(terrain)
+
+
+@bpy.app.handlers.persistent
 def _after_undo(*_: Any) -> None:
     """After undo and redo it is unknown what is shown."""
     for item in following.running():
         item.pause()
     cache.invalidate()
+    for terrain in _local_terrains():
+        terrain.link_shown()
+        if terrain in _state.cleared and not terrain.shown_objects():
+            _show_again(terrain)  # there was nothing to undo
+    _state.cleared.clear()
+
+
+def _local_terrains() -> list[TerrainRoot]:
+    """Return the terrains of all scenes that belong to this file."""
+    terrains = [terrain for tool in follow_tools.registered for scene in bpy.data.scenes for terrain in tool.scene_terrains(scene)]
+    return [terrain for terrain in dict.fromkeys(terrains) if not terrain.read_only_reason]
+
+
+def _show_again(terrain: TerrainRoot) -> None:
+    """Show a terrain for the active camera, or the first 3D Viewport."""
+    viewer = view_following.view_of_area(bpy.context.scene, view_following.context_viewport(bpy.context))
+    try:
+        following.recenter(terrain, follow_tools.registered.of(terrain).to_terrain(terrain, viewer))
+    except Exception as error:  # noqa: BLE001 the last resort: nobody else catches the errors of a handler
+        _print_once(error)
 
 
 @bpy.app.handlers.persistent
@@ -86,6 +130,8 @@ def _lock_interface(_item: bpy.types.Object, context: bpy.types.Context) -> None
 
 HANDLERS: tuple[tuple[str, Any], ...] = (
     ("frame_change_post", follow_active_camera),
+    ("undo_pre", _before_undo),
+    ("redo_pre", _before_undo),
     ("undo_post", _after_undo),
     ("redo_post", _after_undo),
     ("depsgraph_update_pre", _before_change),

@@ -94,6 +94,26 @@ def test_undo_restores_what_was_shown(folder, camera):
     assert SceneTerrain.in_scene(bpy.context.scene) == []
 
 
+def test_undo_after_moves_refers_to_no_data_that_was_freed(folder, camera):
+    load(folder)
+    bpy.ops.ed.undo_push(message="Load")
+    bpy.ops.ed.undo_push(message="Nothing")
+    (terrain,) = SceneTerrain.in_scene(bpy.context.scene)
+    expected = signature(terrain)
+    for height in (3000.0, 100.0, 1500.0):  # moves that undo knows nothing of create and remove objects
+        camera.location.z = height
+        bpy.context.view_layer.update()
+        following.recenter(terrain, TOOL.to_terrain(terrain, view_following.view_of_area(bpy.context.scene, None)))
+    assert signature(terrain) != expected
+    bpy.ops.ed.undo()
+    meshes, objects = set(bpy.data.meshes), set(bpy.data.objects)
+    (terrain,) = SceneTerrain.in_scene(bpy.context.scene)
+    assert signature(terrain) == expected
+    collection = terrain.root.users_collection[0]
+    assert set(collection.objects) == {terrain.root, *terrain.tiles().values()} <= objects
+    assert {tile.data for tile in terrain.tiles().values()} <= meshes
+
+
 def test_the_terrain_follows_the_camera_in_every_frame(folder, camera):
     terrain = load(folder)
     for frame, height in ((1, 300.0), (10, 4000.0)):

