@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..tree import Tree
 from .structure import Level
 
 NO_PATCH = -1
@@ -28,22 +27,37 @@ class PatchLinks:
     partners: np.ndarray
 
 
-def link_patches(tree: Tree, levels: list[Level]) -> PatchLinks:
-    """Return the relatives of the patches of all levels."""
+def link_patches(levels: list[Level]) -> PatchLinks:
+    """Return the relatives of the patches of all levels.
+
+    The neighbors of a triangle follow from those of its parent. The hypotenuse of a child is a leg of the parent; triangles that share a
+    leg have the same right angle, so that it is the first leg of one of them and the second leg of the other.
+    """
     starts = np.concatenate([[0], np.cumsum([len(level.indices) for level in levels])])
     parents = np.full(starts[-1], NO_PATCH, np.int32)
     children = np.full((starts[-1], 2), NO_PATCH, np.int32)
     partners = np.arange(starts[-1], dtype=np.int32)
-    for number, level in enumerate(levels):
+    partners[:2] = hypotenuse = np.array([1, 0], np.int32)  # the field is on both sides of the diagonal of the root square
+    first_leg = second_leg = np.full(2, NO_PATCH, np.int32)
+    for number in range(1, len(levels)):
         start, stop = (int(position) for position in starts[number : number + 2])
-        if number:
-            above = starts[number - 1] + np.searchsorted(levels[number - 1].indices, level.indices >> 1)
-            parents[start:stop] = above
-            children[above, level.indices & 1] = np.arange(start, stop)
-        diamonds = tree.find_diamonds(number, level.indices)
-        first, second = start + diamonds[diamonds[:, 1] >= 0].T
-        partners[first], partners[second] = second, first
+        rows = np.searchsorted(levels[number - 1].indices, levels[number].indices >> 1).astype(np.int32)
+        sides = (levels[number].indices & 1).astype(np.int8)
+        parents[start:stop] = rows + np.int32(starts[number - 1])
+        children[parents[start:stop], sides] = np.arange(start, stop, dtype=np.int32)
+        is_second = sides == 1
+        sibling = children[parents[start:stop], 1 - sides]
+        across = _find_child(children, hypotenuse[rows], 1 - sides)  # the middle of the hypotenuse of the parent
+        hypotenuse = _find_child(children, np.where(is_second, first_leg[rows], second_leg[rows]), 1 - sides)
+        first_leg, second_leg = np.where(is_second, sibling, across), np.where(is_second, across, sibling)
+        has_partner = hypotenuse != NO_PATCH
+        partners[start:stop][has_partner] = hypotenuse[has_partner]
     return PatchLinks(starts, parents, children, partners)
+
+
+def _find_child(children: np.ndarray, patches: np.ndarray, sides: np.ndarray) -> np.ndarray:
+    """Return the children (N,) on `sides` (N,), 0 or 1, of patches (N,) that may be NO_PATCH."""
+    return np.where(patches == NO_PATCH, np.int32(NO_PATCH), children[patches, sides])
 
 
 def join_bounds(levels: list[Level]) -> tuple[np.ndarray, list[Level]]:
@@ -52,9 +66,11 @@ def join_bounds(levels: list[Level]) -> tuple[np.ndarray, list[Level]]:
     Returns:
         (N, 7) float32, for each patch by number: low and high corner of the bounding box, and the error, all in meters.
     """
-    bounds = np.concatenate([np.concatenate([level.low, level.high, level.errors[:, None]], axis=1) for level in levels])
-    parts = np.split(bounds, np.cumsum([len(level.indices) for level in levels])[:-1])
-    views = [
-        replace(level, low=part[:, :3], high=part[:, 3:6], errors=part[:, 6]) for level, part in zip(levels, parts, strict=True)
-    ]
+    bounds = np.empty((sum(len(level.indices) for level in levels), 7), np.float32)
+    views, start = [], 0
+    for level in levels:
+        part = bounds[start : start + len(level.indices)]
+        part[:, :3], part[:, 3:6], part[:, 6] = level.low, level.high, level.errors
+        views.append(replace(level, low=part[:, :3], high=part[:, 3:6], errors=part[:, 6]))
+        start += len(part)
     return bounds, views

@@ -36,14 +36,14 @@ class TerrainStore:
             raise FileError(
                 f'"{folder}" is no terrain built by Farfield: it contains no file "{STRUCTURE_FILE}"; choose the folder of a terrain.'
             )
-        self.header, levels = read_structure(folder)
+        self.header, self.levels = read_structure(folder)
         self.tree = self.header.tree
         self.frame = self.header.create_frame()
         self._geometry = BlockReader(folder / GEOMETRY_FILE, GEOMETRY_KIND)
-        if self._geometry.count != sum(len(level.indices) for level in levels):
+        if self._geometry.count != sum(len(level.indices) for level in self.levels):
             raise FileError(f'"{folder / GEOMETRY_FILE}" and "{STRUCTURE_FILE}" belong to different terrains; build the terrain again.')
-        self.bounds, self.levels = join_bounds(levels)
-        self.links = link_patches(self.tree, self.levels)
+        self.bounds, self.levels = join_bounds(self.levels)
+        self.links = link_patches(self.levels)
         self.textures = TextureStore(folder / TEXTURE_FOLDER) if self.header.has_texture else None
 
     def __enter__(self) -> "TerrainStore":
