@@ -53,7 +53,9 @@ def write_fractal_structure(folder: Path, terrain: FractalTerrain) -> None:
     folder.mkdir(parents=True)
     step, start = (CELL_SIZE, CELL_SIZE), (0.0, 0.0)
     write_structure(
-        folder, StoreHeader(*(terrain.size,) * 2, LEAF_CELLS, HEIGHT_STEP, 1.0, CELL_SIZE, "meters", "projected", start, step, start), levels
+        folder,
+        StoreHeader(*(terrain.size,) * 2, LEAF_CELLS, HEIGHT_STEP, 1.0, CELL_SIZE, "meters", "projected", start, step, start),
+        levels,
     )
     with BlockWriter(folder / GEOMETRY_FILE, GEOMETRY_KIND) as writer:
         for _ in range(sum(len(level.indices) for level in levels)):
