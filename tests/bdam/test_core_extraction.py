@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from farfield.addon.core.bdam.cut_meshes import CutMesh, PatchCache, build_cut_mesh
-from farfield.addon.core.bdam.extraction import CutSettings, extract_cut, extract_uniform_cut, project_errors
+from farfield.addon.core.bdam.extraction import CutSettings, ProjectedErrors, extract_cut, extract_uniform_cut
 from farfield.addon.core.bdam.heights import height_at
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 from farfield.addon.core.geometry.viewers import Projection, Viewer
@@ -118,12 +118,12 @@ def test_culling_keeps_the_tolerance_in_the_view(store):
     for _ in range(CAMERAS):
         viewer = random_viewer(random, store, "perspective")
         full, culled = (extract_cut(store, viewer, CutSettings(2.0, culls=culls)) for culls in (False, True))
-        planes = viewer.frustum_planes()
+        planes, measure = viewer.frustum_planes(), ProjectedErrors(store, viewer, CutSettings(2.0))
         for level, row in zip(culled.levels.tolist(), culled.rows.tolist(), strict=True):
             patches = store.levels[level]
             nearest = np.where(planes[:, :3] > 0.0, patches.high[row], patches.low[row])
             if ((nearest * planes[:, :3]).sum(axis=1) + planes[:, 3] >= 0.0).all():
-                assert project_errors(patches, np.array([row]), viewer, 1.0)[0] <= 2.0
+                assert measure(level, np.array([row]))[0] <= 2.0
         fewer += len(culled) < len(full)
     assert fewer > CAMERAS // 2
 

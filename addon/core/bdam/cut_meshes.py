@@ -18,18 +18,20 @@ class PatchMesh:
     """A patch ready to be shown, without holes.
 
     ids: (V,) int64, numbers of the vertices in the grid: row * columns + column. positions: (V, 3) float64, local meters without
-    exaggeration. normals: (V, 3) float32. triangles: (T, 3) int32, counterclockwise seen from above.
+    exaggeration. normals: (V, 3) float32. triangles: (T, 3) int32, counterclockwise seen from above. boundary: (B,) int32, the vertices
+    that other patches may have, too.
     """
 
     ids: np.ndarray
     positions: np.ndarray
     normals: np.ndarray
     triangles: np.ndarray
+    boundary: np.ndarray
 
     @property
     def byte_count(self) -> int:
         """Bytes of the arrays."""
-        return self.ids.nbytes + self.positions.nbytes + self.normals.nbytes + self.triangles.nbytes
+        return sum(array.nbytes for array in (self.ids, self.positions, self.normals, self.triangles, self.boundary))
 
 
 @dataclass(frozen=True)
@@ -85,38 +87,48 @@ def build_patch_mesh(store: TerrainStore, patch: Patch) -> PatchMesh:
     """Return the mesh of a patch. Normals on its boundary come from the store, so that neighbors agree; the others from its triangles."""
     positions = store.to_local(patch)
     ids = patch.y.astype(np.int64) * store.header.columns + patch.x
-    gradients = vertex_gradients(patch)
-    gradients[patch.boundary] = patch.gradients
-    step_x, step_y = _cell_sizes(store, patch)
-    scale = store.header.height_step
-    normals = np.stack([-gradients[:, 0] * (scale / step_x), -gradients[:, 1] * (scale / step_y), np.ones(len(gradients))], axis=1)
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return PatchMesh(ids, positions, normals.astype(np.float32), patch.triangles[~patch.is_hole])
+    boundary = patch.boundary
+    gradients = vertex_gradients(positions, patch.triangles)
+    stored = patch.gradients * store.header.height_step
+    gradients[:, boundary] = store.frame.to_local_gradients(patch.x[boundary], patch.y[boundary], stored).T
+    normals = np.empty((len(ids), 3), np.float32)
+    scale = 1.0 / np.sqrt(1.0 + gradients[0] * gradients[0] + gradients[1] * gradients[1])
+    normals[:, 2] = scale
+    np.multiply(gradients[0], -scale, out=normals[:, 0], casting="same_kind")
+    np.multiply(gradients[1], -scale, out=normals[:, 1], casting="same_kind")
+    triangles = patch.triangles[~patch.is_hole] if patch.is_hole.any() else patch.triangles
+    return PatchMesh(ids, positions, normals, triangles, boundary)
 
 
-def vertex_gradients(patch: Patch) -> np.ndarray:
-    """Return the derivatives (V, 2) float64 of the height along x and y, in steps per cell: means of triangles weighted by area."""
-    (x0, x1, x2), (y0, y1, y2), (z0, z1, z2) = (axis.astype(np.float64)[patch.triangles].T for axis in (patch.x, patch.y, patch.z))
-    area = (x1 - x0) * (y2 - y0) - (y1 - y0) * (x2 - x0)
-    along_x = (z1 - z0) * (y2 - y0) - (z2 - z0) * (y1 - y0)
-    along_y = (z2 - z0) * (x1 - x0) - (z1 - z0) * (x2 - x0)
-    corners, count = patch.triangles.reshape(-1), len(patch.x)
-    sums = [np.bincount(corners, np.repeat(values, 3), minlength=count) for values in (along_x, along_y, area)]
-    return np.stack(sums[:2], axis=1) / np.maximum(sums[2], 1.0)[:, None]
+def vertex_gradients(positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Return the derivatives (2, V) float64 of z along x and y at vertices (V, 3): means of triangles (T, 3) weighted by area."""
+    vertices = triangles.T.astype(np.intp, order="C")
+    axes = positions.T.copy()
+    start = axes.take(vertices[0], axis=1)
+    (x1, y1, z1), (x2, y2, z2) = axes.take(vertices[1], axis=1) - start, axes.take(vertices[2], axis=1) - start
+    weights = (z1 * y2 - z2 * y1, z2 * x1 - z1 * x2, x1 * y2 - y1 * x2)  # the last one is twice the area
+    sums = [np.bincount(vertices.ravel(), np.concatenate([values] * 3), len(positions)) for values in weights]
+    return np.stack(sums[:2]) / np.maximum(sums[2], np.finfo(np.float64).tiny)
 
 
 def merge_patches(meshes: list[PatchMesh], levels: np.ndarray) -> CutMesh:
     """Return the union of patches with their `levels` (N,)."""
-    ids = np.concatenate([mesh.ids for mesh in meshes])
-    unique, first, inverse = np.unique(ids, return_index=True, return_inverse=True)
     starts = np.cumsum([0] + [len(mesh.ids) for mesh in meshes[:-1]])
-    triangles = np.concatenate([mesh.triangles + start for mesh, start in zip(meshes, starts, strict=True)])
     counts = [len(mesh.triangles) for mesh in meshes]
+    ids = np.concatenate([mesh.ids for mesh in meshes])
+    boundary = np.concatenate([mesh.boundary + start for mesh, start in zip(meshes, starts, strict=True)])
+    _, first, inverse = np.unique(ids[boundary], return_index=True, return_inverse=True)
+    is_kept = np.ones(len(ids), bool)
+    is_kept[boundary] = False
+    is_kept[boundary[first]] = True
+    numbers = np.cumsum(is_kept, dtype=np.int32) - np.int32(1)
+    numbers[boundary] = numbers[boundary[first]][inverse.reshape(-1)]
+    kept = np.flatnonzero(is_kept)
     return CutMesh(
-        unique,
-        np.concatenate([mesh.positions for mesh in meshes])[first],
-        np.concatenate([mesh.normals for mesh in meshes])[first],
-        inverse.reshape(-1).astype(np.int32)[triangles],
+        ids[kept],
+        np.concatenate([mesh.positions for mesh in meshes]).take(kept, axis=0),
+        np.concatenate([mesh.normals for mesh in meshes]).take(kept, axis=0),
+        numbers.take(np.concatenate([mesh.triangles + np.int32(start) for mesh, start in zip(meshes, starts, strict=True)])),
         np.repeat(levels.astype(np.int8), counts),
     )
 
@@ -138,10 +150,3 @@ def build_cut_mesh(cache: PatchCache, cut: Cut) -> CutMesh:
         FileError: a patch is damaged.
     """
     return merge_patches([cache.get(int(level), int(row)) for level, row in zip(cut.levels, cut.rows, strict=True)], cut.levels)
-
-
-def _cell_sizes(store: TerrainStore, patch: Patch) -> tuple[float, float]:
-    """Return the meters along x and y of a cell at the center of a patch."""
-    x, y = float(patch.x.mean()), float(patch.y.mean())
-    (x0, x1, x2), (y0, y1, y2) = store.frame.to_local(np.array([x, x + 1.0, x]), np.array([y, y, y + 1.0]))
-    return float(np.hypot(x1 - x0, y1 - y0)), float(np.hypot(x2 - x0, y2 - y0))

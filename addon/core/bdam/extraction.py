@@ -12,8 +12,10 @@ import numpy as np
 
 from ..geometry.viewers import Viewer
 from ..jobs.progress import Progress, Steps
-from .store.structure import Level
+from .store.patch_links import NO_PATCH
 from .store.terrain_store import TerrainStore
+
+MIN_DEPTH = 1e-30  # instead of positions behind the viewer
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ class Cut:
         return len(self.levels)
 
 
-Measure = Callable[[int, np.ndarray], np.ndarray]  # from a level and rows (N,) to the errors (N,) of patches
+Measure = Callable[[np.ndarray], np.ndarray]  # from numbers (N,) of patches, see `store.patch_links`, to their errors (N,)
 IsForced = Callable[[int, np.ndarray], np.ndarray]  # from a level and rows (N,) to whether these patches must be refined, (N,) bool
 
 
@@ -55,8 +57,7 @@ def extract_cut(store: TerrainStore, viewer: Viewer, settings: CutSettings, is_f
     is_forced: patches that must be refined whatever their error, such as those that are larger than the texture tiles in the same place. If
         it is true of a patch, it should be true of the parent, too: only children of refined patches are asked for.
     """
-    measure = ProjectedErrors(store, viewer, settings)
-    return _extract(store, measure, settings.tolerance, is_forced)
+    return _extract(store, ProjectedErrors(store, viewer, settings).measure, settings.tolerance, is_forced)
 
 
 def extract_union_cut(
@@ -70,10 +71,10 @@ def extract_union_cut(
     measures = [ProjectedErrors(store, viewer, settings) for viewer in viewers]
     for number, measure in enumerate(measures):
         yield Progress(0.5 * number / len(measures), "Choosing patches")
-        wanted = _find_refined(store, measure, settings.tolerance, is_forced)
-        for level, rows in enumerate(wanted):
-            refined[level] = np.union1d(refined[level], rows)
-    cut = _build_cut(store, _complete_diamonds(store, refined), lambda _level, rows: np.zeros(len(rows)))
+        wanted = _find_refined(store, measure.measure, settings.tolerance, is_forced)
+        for level, patches in enumerate(wanted):
+            refined[level] = np.union1d(refined[level], patches)
+    cut = _build_cut(store, _complete_diamonds(store, refined), lambda patches: np.zeros(len(patches)))
     largest = 0.0
     for number, measure in enumerate(measures):
         yield Progress(0.5 + 0.5 * number / len(measures), "Measuring errors")
@@ -82,20 +83,73 @@ def extract_union_cut(
 
 
 class ProjectedErrors:
-    """The errors in pixels that decide about a cut for a viewer in the local frame; 0 for patches that are culled."""
+    """The errors in pixels that decide about a cut for a viewer in the local frame; 0 for patches that are culled.
+
+    They are upper bounds of how far in the image any sample of the field inside of it moves vertically to the surface of the patch. They
+    never grow from a patch to its descendants, because the errors and boxes of a store are nested.
+
+    A sample p that moves up by e to q moves by e |u + w(p) v| / depth(q) in the image plane at depth 1, where u and v are the changes
+    across and along the view direction of a vertical unit length, and w is the place in the image plane. A corner of the image has the
+    largest factor. p and q are in the bounding box; q has at least the depth of its nearest corner, and at least that of p less e |v|.
+    The depth of p in the image is at least the distance of the box times the cosine of the angle to a corner of the image.
+    """
 
     def __init__(self, store: TerrainStore, viewer: Viewer, settings: CutSettings) -> None:
-        self._store, self._viewer, self._exaggeration = store, viewer, settings.exaggeration
-        self._planes = view_planes(viewer, settings.margin) if settings.culls else None
+        self._store, self._culls = store, settings.culls
+        exaggeration, projection = settings.exaggeration, viewer.projection
+        shortest, longest = viewer.scale_range
+        density = max(projection.pixel_densities)
+        across, along = viewer.inverse[:2, 2], abs(float(viewer.inverse[2, 2]))
+        self._is_constant, self._depth_per_meter, self._loss = projection.kind == "orthographic", shortest, 0.0
+        if projection.kind == "orthographic":
+            scale = density * float(np.hypot(*across))
+        elif projection.kind == "panoramic":
+            scale = density * longest
+        else:
+            left, right, bottom, top = projection.window
+            corners = np.array([(x, y) for x in (left, right) for y in (bottom, top)])
+            scale = density * float(np.linalg.norm(across + corners * viewer.inverse[2, 2], axis=1).max())
+            self._depth_per_meter = shortest / float(np.sqrt(1.0 + (corners**2).sum(axis=1).max()))
+            self._loss = exaggeration * along
+        self._scale = scale * exaggeration
+        self._weights, self._offsets = self._create_functions(viewer, settings)
+
+    def _create_functions(self, viewer: Viewer, settings: CutSettings) -> tuple[np.ndarray, np.ndarray]:
+        """Return weights (K, 7) and offsets (K, 1) of linear functions of the bounds of a patch: along each axis, how far the box lies
+        before and behind the viewer (6); the depth of its nearest corner (1); and the largest distances to the planes that cull (P)."""
+        planes = view_planes(viewer, settings.margin) if settings.culls else np.zeros((0, 4))
+        position = viewer.position
+        weights = np.zeros((7 + len(planes), 7))
+        weights[0:3, 0:3], weights[3:6, 3:6] = np.eye(3), -np.eye(3)
+        depth = -viewer.inverse[2]
+        weights[6, 0:3], weights[6, 3:6] = np.maximum(depth[:3], 0.0), np.minimum(depth[:3], 0.0)
+        weights[7:, 0:3], weights[7:, 3:6] = np.minimum(planes[:, :3], 0.0), np.maximum(planes[:, :3], 0.0)
+        weights[:, [2, 5]] *= settings.exaggeration
+        offsets = np.concatenate([-position, position, depth[3:], planes[:, 3]])
+        return weights, offsets[:, None]
 
     def __call__(self, level: int, rows: np.ndarray) -> np.ndarray:
         """Return the errors (N,) float64 of patches, given by their level and rows (N,)."""
-        patches = self._store.levels[level]
-        errors = project_errors(patches, rows, self._viewer, self._exaggeration)
-        if self._planes is not None:
-            low, high = _boxes(patches, rows, self._exaggeration)
-            errors[~are_boxes_visible(low, high, self._planes)] = 0.0
-        return errors
+        return self.measure(rows + self._store.links.starts[level])
+
+    def measure(self, patches: np.ndarray) -> np.ndarray:
+        """Return the errors (N,) float64 of patches, given by their numbers (N,)."""
+        bounds = self._store.bounds.take(patches, axis=0).T.astype(np.float64)
+        values = self._weights @ bounds
+        values += self._offsets
+        pixels = bounds[6] * self._scale
+        if not self._is_constant:
+            offsets = np.maximum(values[0:3], values[3:6])
+            np.maximum(offsets, 0.0, out=offsets)
+            depths = np.sqrt(np.einsum("ij,ij->j", offsets, offsets))
+            depths *= self._depth_per_meter
+            if self._loss:
+                depths -= bounds[6] * self._loss
+                np.maximum(depths, values[6], out=depths)
+            pixels /= np.maximum(depths, MIN_DEPTH, out=depths)
+        if self._culls:
+            pixels[(values[7:] < 0.0).any(axis=0)] = 0.0
+        return pixels
 
 
 def view_planes(viewer: Viewer, margin: float) -> np.ndarray:
@@ -110,95 +164,67 @@ def view_planes(viewer: Viewer, margin: float) -> np.ndarray:
 
 def extract_uniform_cut(store: TerrainStore, max_error: float) -> Cut:
     """Return the coarsest consistent cut whose patches have an error of at most `max_error` meters everywhere."""
-    return _extract(store, lambda level, rows: store.levels[level].errors[rows].astype(np.float64), max_error)
+    return _extract(store, lambda patches: store.bounds[patches, 6].astype(np.float64), max_error)
 
 
 def _extract(store: TerrainStore, measure: Measure, tolerance: float, is_forced: IsForced | None = None) -> Cut:
-    """Return the coarsest consistent cut whose patches have at most this error according to `measure(level, rows)`, without forced ones."""
+    """Return the coarsest consistent cut whose patches have at most this error according to `measure`, without forced ones."""
     return _build_cut(store, _complete_diamonds(store, _find_refined(store, measure, tolerance, is_forced)), measure)
 
 
 def _find_refined(store: TerrainStore, measure: Measure, tolerance: float, is_forced: IsForced | None) -> list[np.ndarray]:
-    """Return the rows (N,) int64, at each level from 0, of the patches that a cut must refine because of their own error or force."""
-    visited, refined = np.arange(len(store.levels[0].indices)), []
+    """Return the numbers (N,), at each level from 0, of the patches that a cut must refine because of their own error or force."""
+    starts, children = store.links.starts, store.links.children
+    visited, refined = np.arange(starts[1]), []
     for level in range(len(store.levels) - 1):
-        is_refined = measure(level, visited) > tolerance
+        is_refined = measure(visited) > tolerance
         if is_forced is not None:
-            is_refined |= is_forced(level, visited)
+            is_refined |= is_forced(level, visited - starts[level])
         refined.append(visited[is_refined])
-        children = store.children[level][refined[level]].ravel()
-        visited = children[children >= 0]
+        visited = _list_children(children, refined[level])
         if not len(visited):
             break
     return refined
 
 
-def _build_cut(store: TerrainStore, refined: list[np.ndarray], measure: Measure) -> Cut:
-    """Return the cut below patches to be refined, in rows (N,) at each level, that `_complete_diamonds` has completed."""
-    levels, rows = [], []
-    active = np.arange(len(store.levels[0].indices))
-    largest = 0.0
-    for level in range(len(store.levels)):
-        is_refined = np.isin(active, refined[level]) if level < len(refined) else np.zeros(len(active), bool)
-        kept = active[~is_refined]
-        levels.append(np.full(len(kept), level))
-        rows.append(kept)
-        largest = max(largest, float(measure(level, kept).max(initial=0.0)))
-        if level < len(refined):
-            children = store.children[level][active[is_refined]].ravel()
-            active = children[children >= 0]
-        if not len(active):
-            break
-    return Cut(np.concatenate(levels), np.concatenate(rows), largest)
+def _complete_diamonds(store: TerrainStore, refined: list[np.ndarray]) -> np.ndarray:
+    """Return which patches must be refined, (N,) bool by number, such that the other patches of the diamonds of refined patches are
+    refined, too, and all of their ancestors.
 
-
-def _complete_diamonds(store: TerrainStore, refined: list[np.ndarray]) -> list[np.ndarray]:
-    """Return the rows to refine at each level, such that the parents of refined patches and the other patches of their diamonds are
-    refined.
-
-    refined: rows (N,) at each level from 0.
+    refined: numbers (N,) at each level from 0, where the parents of all of them are refined, too.
     """
-    complete: list[np.ndarray] = [np.zeros(0, np.int64)] * len(refined)
-    parents = np.zeros(0, np.int64)
+    parents, partners = store.links.parents, store.links.partners
+    is_refined = np.zeros(len(parents), bool)
+    for patches in refined:
+        is_refined[patches] = True
+    above = np.zeros(0, np.int32)  # ancestors of partners that were added at finer levels
     for level in range(len(refined) - 1, -1, -1):
-        rows = np.concatenate([refined[level], parents])
-        rows = np.unique(np.concatenate([rows, store.partners[level][rows]]))
-        complete[level] = rows
-        if level:
-            parents = np.searchsorted(store.levels[level - 1].indices, store.levels[level].indices[rows] >> 1)
-    return complete
+        added = above[~is_refined[above]]
+        is_refined[added] = True
+        others = partners.take(np.concatenate([refined[level], added]))
+        others = others[~is_refined[others]]
+        is_refined[others] = True
+        above = parents.take(np.concatenate([added, others])) if level else above
+    return is_refined
 
 
-def project_errors(patches: Level, rows: np.ndarray, viewer: Viewer, exaggeration: float) -> np.ndarray:
-    """Return upper bounds (N,) in pixels of what the errors of patches, which are vertical, cover anywhere in the image.
-
-    A vertical length at the depth d covers at most k / d pixels, where k is largest in a corner of the image. The depth is at least that
-    of the nearest corner of a box, and at least the distance to the box times the cosine of the angle to a corner of the image.
-    """
-    errors = patches.errors[rows] * exaggeration
-    low, high = _boxes(patches, rows, exaggeration)
-    offsets = np.maximum(np.maximum(low - viewer.position, viewer.position - high), 0.0)
-    distances = np.sqrt((offsets * offsets).sum(axis=1)) / viewer.scale_range[0]
-    projection = viewer.projection
-    if projection.kind == "panoramic":
-        return _scale(errors * viewer.scale_range[1], viewer.pixels_per_unit_at(distances))
-    up = viewer.inverse[:3, 2]
-    left, right, bottom, top = projection.window
-    density = max(projection.pixel_densities)
-    if projection.kind == "orthographic":
-        return _scale(errors, np.full(len(errors), density * np.hypot(up[0], up[1])))
-    corners = np.array([(x, y) for x in (left, right) for y in (bottom, top)])
-    largest = density * np.hypot(up[0] + corners[:, 0] * up[2], up[1] + corners[:, 1] * up[2]).max()
-    nearest = np.where(viewer.inverse[2, :3] > 0.0, high, low)
-    depths = -(nearest @ viewer.inverse[2, :3] + viewer.inverse[2, 3])
-    depths = np.maximum(depths, distances / np.sqrt(1.0 + (corners**2).sum(axis=1).max()))
-    with np.errstate(divide="ignore"):
-        return _scale(errors, largest / depths)
+def _build_cut(store: TerrainStore, is_refined: np.ndarray, measure: Measure) -> Cut:
+    """Return the cut below patches to be refined, (N,) bool by number."""
+    starts, children = store.links.starts, store.links.children
+    active, kept = np.arange(starts[1]), []
+    while len(active):
+        is_active_refined = is_refined[active]
+        kept.append(active[~is_active_refined])
+        active = _list_children(children, active[is_active_refined])
+    patches, counts = np.concatenate(kept), [len(part) for part in kept]
+    levels = np.repeat(np.arange(len(kept)), counts)
+    return Cut(levels, patches - np.repeat(starts[: len(kept)], counts), float(measure(patches).max(initial=0.0)))
 
 
-def _scale(errors: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Return the products, 0 for patches without error wherever they are."""
-    return np.multiply(errors, pixels, out=np.zeros(len(errors)), where=errors > 0.0)
+def _list_children(children: np.ndarray, patches: np.ndarray) -> np.ndarray:
+    """Return the numbers (N,) of the children of patches, in ascending order."""
+    numbers = children.take(patches, axis=0).ravel()
+    return numbers[numbers != NO_PATCH].astype(np.intp)
 
 
 def are_boxes_visible(low: np.ndarray, high: np.ndarray, planes: np.ndarray) -> np.ndarray:
@@ -208,8 +234,3 @@ def are_boxes_visible(low: np.ndarray, high: np.ndarray, planes: np.ndarray) -> 
         farthest = np.where(plane[:3] > 0.0, high, low)
         is_visible &= farthest @ plane[:3] + plane[3] >= 0.0
     return is_visible
-
-
-def _boxes(patches: Level, rows: np.ndarray, exaggeration: float) -> tuple[np.ndarray, np.ndarray]:
-    scale = np.array([1.0, 1.0, exaggeration])
-    return patches.low[rows] * scale, patches.high[rows] * scale

@@ -16,13 +16,13 @@ def find_leaf_squares(store: TerrainStore) -> list[np.ndarray]:
     The square of level s with the centroid follows from it: `squares >> (depth - s)`.
     """
     tree = store.tree
-    corners = tree.triangle_corners(0, store.levels[0].indices)
-    squares = [_leaf_squares_of(corners, tree.leaf_cells)]
+    corners = tree.triangle_corners(0, store.levels[0].indices).astype(np.int32)  # half of the memory
+    squares = [leaf_squares_of(corners, tree.leaf_cells)]
     for level in range(1, len(store.levels)):
         indices = store.levels[level].indices
         parents = np.searchsorted(store.levels[level - 1].indices, indices >> 1)
         corners = bisect(corners[parents], (indices & 1).astype(bool))
-        squares.append(_leaf_squares_of(corners, tree.leaf_cells))
+        squares.append(leaf_squares_of(corners, tree.leaf_cells))
     return squares
 
 
@@ -51,9 +51,9 @@ def contains_squares(squares: np.ndarray, others: np.ndarray) -> np.ndarray:
     return np.isin(_keys(squares), _keys(others))
 
 
-def _leaf_squares_of(corners: np.ndarray, leaf_cells: int) -> np.ndarray:
+def leaf_squares_of(corners: np.ndarray, leaf_cells: int) -> np.ndarray:
     """Return the squares (N, 2) of triangles with `corners` (N, 3, 2) in cells."""
-    return (corners.sum(axis=1) // (3 * leaf_cells)).astype(np.int32)
+    return (corners.sum(axis=1, dtype=corners.dtype) // (3 * leaf_cells)).astype(np.int32, copy=False)
 
 
 def _keys(squares: np.ndarray) -> np.ndarray:

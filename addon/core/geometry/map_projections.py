@@ -57,11 +57,17 @@ class TransverseMercator:
         tangents = np.tan(np.radians(np.clip(np.asarray(latitudes, np.float64), -90.0, 90.0)))
         conformal = _conformal_tangent(tangents)
         cosines = np.cos(offsets)
-        north = np.arctan2(conformal, cosines)
-        east = np.arcsinh(np.sin(offsets) / np.hypot(conformal, cosines))
-        sines, cosines = _sum_series(ALPHA, north, east)
+        squares = conformal * conformal + cosines * cosines
+        north, hyperbolic_sine = np.arctan2(conformal, cosines), np.sin(offsets) / np.sqrt(squares)
+        double = (  # trigonometric functions of 2 north and 2 east without further calls of slow functions
+            2.0 * conformal * cosines / squares,
+            (cosines - conformal) * (cosines + conformal) / squares,
+            2.0 * hyperbolic_sine * np.sqrt(1.0 + hyperbolic_sine * hyperbolic_sine),
+            1.0 + 2.0 * hyperbolic_sine * hyperbolic_sine,
+        )
+        sines, cosines = _sum_series(ALPHA, *double)
         factor = self.scale * RECTIFYING_RADIUS
-        return factor * (east + cosines), factor * (north + sines)
+        return factor * (np.arcsinh(hyperbolic_sine) + cosines), factor * (north + sines)
 
     def unproject(self, eastings: np.ndarray, northings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return longitudes and latitudes in degrees, float64, of positions in meters: the inverse of `project`.
@@ -70,7 +76,7 @@ class TransverseMercator:
         """
         factor = self.scale * RECTIFYING_RADIUS
         east, north = np.asarray(eastings, np.float64) / factor, np.asarray(northings, np.float64) / factor
-        sines, cosines = _sum_series(BETA, north, east)
+        sines, cosines = _sum_series(BETA, np.sin(2.0 * north), np.cos(2.0 * north), np.sinh(2.0 * east), np.cosh(2.0 * east))
         east, north = east - cosines, north - sines
         conformal = np.sin(north) / np.hypot(np.sinh(east), np.cos(north))
         longitudes = self.central_meridian + np.degrees(np.arctan2(np.sinh(east), np.cos(north)))
@@ -79,8 +85,9 @@ class TransverseMercator:
 
 def _conformal_tangent(tangents: np.ndarray) -> np.ndarray:
     """Return the tangents of conformal latitudes (equations 7 to 9)."""
-    sigma = np.sinh(ECCENTRICITY * np.arctanh(ECCENTRICITY * tangents / np.hypot(1.0, tangents)))
-    return tangents * np.hypot(1.0, sigma) - sigma * np.hypot(1.0, tangents)
+    secants = np.sqrt(1.0 + tangents * tangents)
+    sigma = np.sinh(ECCENTRICITY * np.arctanh(ECCENTRICITY * tangents / secants))
+    return tangents * np.sqrt(1.0 + sigma * sigma) - sigma * secants
 
 
 def _geographic_tangent(conformal: np.ndarray) -> np.ndarray:
@@ -93,12 +100,19 @@ def _geographic_tangent(conformal: np.ndarray) -> np.ndarray:
     return tangents
 
 
-def _sum_series(coefficients: np.ndarray, north: np.ndarray, east: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the sums of c_j sin(2 j north) cosh(2 j east) and c_j cos(2 j north) sinh(2 j east) (equation 11)."""
-    angle = 2.0 * (north + 1j * east)  # the sine of this complex number has both as its parts
-    double_cosine = 2.0 * np.cos(angle)
-    current = following = np.zeros_like(angle)
+def _sum_series(
+    coefficients: np.ndarray, sine: np.ndarray, cosine: np.ndarray, hyperbolic_sine: np.ndarray, hyperbolic_cosine: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the sums of c_j sin(2 j north) cosh(2 j east) and c_j cos(2 j north) sinh(2 j east) (equation 11).
+
+    Args:
+        sine, cosine: of 2 north. hyperbolic_sine, hyperbolic_cosine: of 2 east.
+    """
+    # The sine of the complex number 2 (north + i east) has both sums as its parts
+    complex_sine = sine * hyperbolic_cosine + 1j * (cosine * hyperbolic_sine)
+    double_cosine = 2.0 * (cosine * hyperbolic_cosine - 1j * (sine * hyperbolic_sine))
+    current = following = np.zeros_like(complex_sine)
     for coefficient in coefficients[::-1]:  # Clenshaw's summation
         current, following = coefficient + double_cosine * current - following, current
-    total = current * np.sin(angle)
+    total = current * complex_sine
     return total.real, total.imag

@@ -2,17 +2,19 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from ...errors import FileError
 from ...files.geotiff import GEOCENTRIC, GEOGRAPHIC, GeoReference
-from ...geometry.map_projections import TransverseMercator
+from ...geometry.map_projections import ECCENTRICITY, SEMI_MAJOR_AXIS, TransverseMercator
 
 MAX_LONGITUDES = 60.0  # degrees from west to east; the projection stretches what is farther from its central meridian too much
 POLE = 90.0 + 1e-6  # degrees of latitude, and what rounding adds
 ORIGIN_DECIMALS = 6  # of an origin in degrees, about 0.1 m, so that reports show it completely
+MIN_COSINE = 1e-6  # of latitudes at the poles, where meridians meet
 METERS_PER_DEGREE = 111_320.0  # along the equator; only for the nominal cell size
 
 
@@ -87,6 +89,10 @@ class ProjectedFrame:
         columns, rows = ((positions[axis] - (self.first[axis] - self.origin[axis])) / self.step[axis] for axis in range(2))
         return columns, rows
 
+    def to_local_gradients(self, _x: np.ndarray, _y: np.ndarray, gradients: np.ndarray) -> np.ndarray:
+        """Return the derivatives (N, 2) float64 along local x and y of a function with `gradients` (N, 2) per cell at samples (N,)."""
+        return gradients / np.array(self.step)
+
 
 @dataclass(frozen=True)
 class GeographicFrame:
@@ -111,11 +117,35 @@ class GeographicFrame:
         longitudes, latitudes = self._projection.unproject(x, np.asarray(y, np.float64) + self._north_of_origin)
         return (longitudes - self.first[0]) / self.step[0], (latitudes - self.first[1]) / self.step[1]
 
-    @property
+    def to_local_gradients(self, x: np.ndarray, y: np.ndarray, gradients: np.ndarray) -> np.ndarray:
+        """Return the derivatives (N, 2) float64 along local x and y of a function with `gradients` (N, 2) per cell at samples (N,).
+
+        The radii of the meridian and of the parallel are those of the ellipsoid, and the scale and the convergence of the projection those
+        of the sphere, which differ by less than 1 %. The result for a sample is the same in every call.
+        """
+        offsets = np.radians(self.first[0] + x * self.step[0] - self.origin[0])
+        latitudes = np.radians(self.first[1] + y * self.step[1])
+        sines, cosines = np.sin(latitudes), np.maximum(np.cos(latitudes), MIN_COSINE)
+        scale = 1.0 / np.sqrt(np.maximum(1.0 - (np.sin(offsets) * cosines) ** 2, MIN_COSINE))
+        narrowing = 1.0 - (ECCENTRICITY * sines) ** 2
+        prime_vertical = SEMI_MAJOR_AXIS / np.sqrt(narrowing)
+        meridian = prime_vertical * (1.0 - ECCENTRICITY**2) / narrowing
+        east = gradients[:, 0] / (scale * prime_vertical * cosines * math.radians(self.step[0]))
+        north = gradients[:, 1] / (scale * meridian * math.radians(self.step[1]))
+        convergence = np.arctan(np.tan(offsets) * sines)
+        return np.stack(
+            [
+                east * np.cos(convergence) - north * np.sin(convergence),
+                east * np.sin(convergence) + north * np.cos(convergence),
+            ],
+            axis=1,
+        )
+
+    @cached_property
     def _projection(self) -> TransverseMercator:
         return TransverseMercator(self.origin[0])
 
-    @property
+    @cached_property
     def _north_of_origin(self) -> float:
         return float(self._projection.project(self.origin[0], self.origin[1])[1])
 

@@ -45,11 +45,15 @@ class StreamReader:
         width = int(self.read_bytes(1)[0])
         if width not in WIDTHS:
             raise FileError("a block contains a stream of an unknown width.")
-        values = np.zeros((count, 4), np.uint8)
-        values[:, :width] = self.read_bytes(width * count).reshape(width, count).T
-        return values.reshape(-1).view("<u4").astype(np.int64)
+        planes = self.read_bytes(width * count)
+        if not width:
+            return np.zeros(count, np.int64)
+        values = planes[:count].astype(np.int64)
+        for plane in range(1, width):
+            values |= planes[plane * count : (plane + 1) * count].astype(np.int64) << 8 * plane
+        return values
 
     def read_signed(self, count: int) -> np.ndarray:
         """Return the next stream of `count` signed integers, int64."""
         values = self.read_unsigned(count)
-        return np.where(values & 1, -(values + 1) // 2, values // 2)
+        return (values >> 1) ^ -(values & 1)

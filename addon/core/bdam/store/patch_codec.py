@@ -86,10 +86,7 @@ def decode_patch(
     Raises:
         FileError: the block is damaged.
     """
-    try:
-        reader = StreamReader(zstandard.ZstdDecompressor().decompress(content, max_output_size=_max_size(vertex_count, triangle_count)))
-    except zstandard.ZstdError as error:
-        raise FileError(f"a block cannot be decompressed: {error}.") from error
+    reader = StreamReader(_decompress(content, _max_size(vertex_count, triangle_count)))
     if leaf is None:
         x, y, triangles = _read_mesh(reader, corners.min(axis=0), vertex_count, triangle_count)
     else:
@@ -104,12 +101,29 @@ def decode_patch(
 
 
 def find_boundary(x: np.ndarray, y: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Return the vertices (B,) int32 that lie on the edges of a triangle with `corners` (3, 2) int."""
+    """Return the vertices (B,) int32 that lie on the edges of a bintree triangle with `corners` (3, 2) int."""
     is_on_edge = np.zeros(len(x), bool)
-    for edge in range(3):
-        start, end = corners[edge], corners[(edge + 1) % 3]
-        is_on_edge |= (end[0] - start[0]) * (y - start[1]) == (end[1] - start[1]) * (x - start[0])
+    points = corners.tolist()
+    for (start_x, start_y), (end_x, end_y) in zip(points, points[1:] + points[:1], strict=True):
+        if start_x == end_x:
+            is_on_edge |= x == start_x
+        elif start_y == end_y:
+            is_on_edge |= y == start_y
+        elif (start_x < end_x) == (start_y < end_y):
+            is_on_edge |= x - y == start_x - start_y
+        else:
+            is_on_edge |= x + y == start_x + start_y
     return np.flatnonzero(is_on_edge).astype(np.int32)
+
+
+def _decompress(content: bytes, max_size: int) -> bytes:
+    """Return the streams of a block. Raises FileError if it is damaged or claims more than `max_size` bytes, before these are allocated."""
+    try:
+        if zstandard.frame_content_size(content) > max_size:
+            raise FileError("a block claims to be longer than its patch.")
+        return zstandard.ZstdDecompressor().decompress(content, max_output_size=max_size)
+    except zstandard.ZstdError as error:
+        raise FileError(f"a block cannot be decompressed: {error}.") from error
 
 
 def _read_mesh(
@@ -117,22 +131,26 @@ def _read_mesh(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     steps, offsets, counts = (reader.read_unsigned(vertex_count) for _ in range(3))
     x = corner[0] + np.cumsum(steps)
-    column_starts = np.flatnonzero((steps > 0) | (np.arange(vertex_count) == 0))
-    increments = offsets + 1
-    increments[column_starts] = offsets[column_starts]
-    sums = np.cumsum(increments)
-    y = corner[1] + sums - np.repeat((sums - increments)[column_starts], np.diff(np.append(column_starts, vertex_count)))
-    if counts.sum() != triangle_count:
-        raise FileError("a block contains another number of triangles than its header says.")
-    vertices = np.repeat(np.arange(vertex_count), counts)
+    is_column_start = steps > 0
+    is_column_start[:1] = True
+    columns = np.flatnonzero(is_column_start)
+    offsets += ~is_column_start
+    sums = np.cumsum(offsets)
+    y = sums + np.repeat(corner[1] - (sums - offsets)[columns], np.diff(columns, append=vertex_count))
     fan_vertices = np.flatnonzero(counts)
-    first = fan_vertices - reader.read_unsigned(len(fan_vertices))
+    fan_counts = counts[fan_vertices]
+    ends = np.cumsum(fan_counts)
+    if (int(ends[-1]) if len(ends) else 0) != triangle_count:
+        raise FileError("a block contains another number of triangles than its header says.")
+    lower = fan_vertices - reader.read_unsigned(len(fan_vertices))
     widths = reader.read_signed(triangle_count)
-    fan_starts = (np.cumsum(counts) - counts)[fan_vertices]
-    ends = np.cumsum(widths)
-    upper = ends + np.repeat(first - (ends - widths)[fan_starts], counts[fan_vertices])
-    triangles = np.stack([vertices, upper, upper - widths], axis=1)
-    if triangle_count and (triangles.min() < 0 or triangles.max() >= vertex_count):
+    sums = np.cumsum(widths)
+    starts = ends - fan_counts
+    triangles = np.empty((triangle_count, 3), np.int64)
+    triangles[:, 0] = np.repeat(fan_vertices, fan_counts)
+    triangles[:, 1] = sums + np.repeat(lower - (sums - widths)[starts], fan_counts)
+    np.subtract(triangles[:, 1], widths, out=triangles[:, 2])
+    if triangle_count and triangles.view(np.uint64).max() >= vertex_count:
         raise FileError("a block contains triangles of vertices that do not exist.")
     return x.astype(np.int32), y.astype(np.int32), triangles.astype(np.int32)
 
