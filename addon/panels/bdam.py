@@ -5,7 +5,7 @@ import bpy
 from ..bridge.bdam.objects import STORE_KEY, SceneTerrain
 from ..core.bdam.settings import BdamSettings, BdamViewSettings, FreezePathSettings, FreezeSettings, GroundSettings
 from ..core.settings import describe
-from ..operators import follow_handlers, view_following
+from ..operators import view_following
 from ..operators.bdam.build import KINDS, FARFIELD_OT_bdam_add_files, FARFIELD_OT_bdam_build, FARFIELD_OT_bdam_remove_file
 from ..operators.bdam.freeze import FARFIELD_OT_bdam_freeze, FARFIELD_OT_bdam_freeze_path
 from ..operators.bdam.ground import FARFIELD_OT_bdam_drop
@@ -51,7 +51,7 @@ class FARFIELD_PT_bdam(ToolPanel, bpy.types.Panel):
         text, icon = ("Stop Following", "CANCEL") if is_following else ("Follow View", "VIEW_PERSPECTIVE")
         column.operator(FARFIELD_OT_bdam_follow_view.bl_idname, text=text, icon=icon, depress=is_following)
         if terrain is not None:
-            column.prop(terrain.root, follow_handlers.camera_property(terrain.tool))
+            column.prop(terrain.root, "farfield_bdam_follow_camera")
             layout.prop(terrain.root, f'["{STORE_KEY}"]', text="Store")
             layout.operator(FARFIELD_OT_bdam_remove.bl_idname, text="Remove", icon="TRASH")
 

@@ -2,6 +2,8 @@
 
 A tile's vertices are relative to its object, whose location is a position near the center of the tile that single precision represents
 exactly, like the vertices: common vertices of two tiles have exactly the same position unless the root is rotated or scaled.
+
+The root has the custom properties of all terrains, `farfield_bdam_settings` and `farfield_bdam_origin`, and those below.
 """
 
 import json
