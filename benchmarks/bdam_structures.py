@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 from bdam_terrains import CELL_SIZE, HEIGHT_STEP, FractalTerrain
 
-from farfield.addon.core.bdam.fields.placements import ProjectedFrame
 from farfield.addon.core.bdam.patch_squares import leaf_squares_of
 from farfield.addon.core.bdam.store.blocks import BlockWriter
 from farfield.addon.core.bdam.store.structure import Level, StoreHeader, write_structure
