@@ -169,6 +169,22 @@ def test_a_cut_is_within_its_error_of_the_samples(stores, max_error):
     assert np.abs(heights - stored(hills(ROWS, COLUMNS))).max() <= max_error + 1e-6
 
 
+def test_a_cut_is_within_its_error_where_the_finest_one_is_shown_beside_holes(tmp_path):
+    random = np.random.default_rng(7)
+    heights = hills(65, 65) + random.normal(0.0, 10.0, (65, 65))
+    is_known = random.random((65, 65)) < 0.6
+    is_known[20:50, 10:40] = False
+    with TerrainStore(build_store(tmp_path / "store", np.where(is_known, heights, np.nan), height_step=STEP)) as store:
+        y, x = np.mgrid[0:65, 0:65]
+        points = np.stack(store.frame.to_local(x.ravel(), y.ravel()), axis=1)
+        finest = height_at(store, points)[0]
+        assert np.isfinite(finest[is_known.ravel()]).all() and np.isfinite(finest[~is_known.ravel()]).any()
+        for max_error in (5.0, 20.0, 50.0):
+            coarse = height_at(store, points, extract_uniform_cut(store, max_error))[0]
+            assert np.isfinite(coarse[is_known.ravel()]).all()
+            assert np.nanmax(np.abs(coarse - finest)) <= max_error + 1e-6
+
+
 def test_a_small_cache_gives_the_same_heights(stores):
     points = random_points(stores["hole"], 5, 300)
     query = HeightQuery(stores["hole"], max_bytes=10_000)
