@@ -26,9 +26,12 @@ from lib import blender_window, command_line
 from lib.contact_sheet import write_png
 
 SIZES = {"closed": (1280, 720), "open": (1280, 1400)}  # of the window, by the state of the sub-panels
-IMAGE_EDITOR_SIZES = {"closed": (960, 660), "open": (960, 1400)}  # with the tool restore, whose screenshots show the image as well
+SIZES_BY_TOOL = {  # of other windows than SIZES
+    "restore": {"closed": (960, 660), "open": (960, 1400)},  # whose screenshots show the image as well
+    "bdam": {"closed": (1280, 1130), "open": (1280, 1700)},
+}
 RESTORE_PIXELS = 400
-TOOLS = ("billboards", "btf", "unwrap", "restore", "photos", "clipbox")
+TOOLS = ("billboards", "btf", "unwrap", "restore", "photos", "clipbox", "bdam")
 SECONDS = 200
 DRIVER = FOLDER / "figures" / "window_screenshots.py"
 PAGES = {  # image of the docs -> screenshots side by side
@@ -38,6 +41,7 @@ PAGES = {  # image of the docs -> screenshots side by side
     "panel_restore.png": ("restore-mask", "restore-result"),
     "panel_photos.png": ("photos-mesh", "photos-photographs"),
     "panel_clipbox.png": ("clipbox-settings", "clipbox-active"),
+    "panel_bdam.png": ("bdam-settings", "bdam-loaded"),
     "window.png": ("window",),
 }
 GAP = 12  # pixels between two screenshots
@@ -79,8 +83,8 @@ def take_screenshots(subpanels: str, tool: str) -> dict[str, np.ndarray]:
             weave, scratches = create_scratched_weave(RESTORE_PIXELS)
             write_png(folder / "weave.png", weave)
             write_png(folder / "mask.png", np.repeat(scratches[..., None].astype(np.float32), 3, axis=2))
-        sizes = IMAGE_EDITOR_SIZES if tool == "restore" else SIZES
-        log = blender_window.run(resources, DRIVER, [folder, subpanels, tool], size=sizes[subpanels], seconds=SECONDS)
+        size = SIZES_BY_TOOL.get(tool, SIZES)[subpanels]
+        log = blender_window.run(resources, DRIVER, [folder, subpanels, tool], size=size, seconds=SECONDS)
         index = folder / "index.json"
         if not index.exists():
             sys.exit(f"Blender ended with {log.returncode} and left no screenshots:\n{log.stdout[-3000:]}\n{log.stderr[-3000:]}")

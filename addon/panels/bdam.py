@@ -2,7 +2,7 @@
 
 import bpy
 
-from ..bridge.bdam.objects import STORE_KEY, SceneTerrain
+from ..bridge.bdam.objects import SceneTerrain
 from ..core.bdam.settings import BdamSettings, BdamViewSettings, FreezePathSettings, FreezeSettings, GroundSettings
 from ..core.settings import describe
 from ..operators import view_following
@@ -52,7 +52,7 @@ class FARFIELD_PT_bdam(ToolPanel, bpy.types.Panel):
         column.operator(FARFIELD_OT_bdam_follow_view.bl_idname, text=text, icon=icon, depress=is_following)
         if terrain is not None:
             column.prop(terrain.root, "farfield_bdam_follow_camera")
-            layout.prop(terrain.root, f'["{STORE_KEY}"]', text="Store")
+            layout.prop(terrain.root, "farfield_bdam_store_path")
             layout.operator(FARFIELD_OT_bdam_remove.bl_idname, text="Remove", icon="TRASH")
 
 

@@ -25,7 +25,7 @@ FOLDER, SUBPANELS, TOOL = sys.argv[sys.argv.index("--") + 1 :]
 SETTLE_SECONDS = 1.5  # until Blender has drawn a change
 THEMES = {"dark": "Blender_Dark.xml", "light": "Blender_Light.xml"}
 PHOTOGRAPHS = 8
-ALWAYS_OPEN = ("_levels", "_lighting")  # sub-panels that show results
+ALWAYS_OPEN = ("_levels", "_lighting", "_bdam_build", "_bdam_figures")  # sub-panels with the files of a build, and with results
 
 report: dict = {"error": None, "boxes": {}}
 
@@ -88,11 +88,11 @@ def make_statue() -> bpy.types.Object:
     return statue
 
 
-def press(operator: str, **properties) -> None:
-    """Press the button of an operator."""
+def press(operator: str, mode: str = "INVOKE_DEFAULT", **properties) -> None:
+    """Press the button of an operator, or run it without its file browser with the mode "EXEC_DEFAULT"."""
     group, name = operator.split(".")
     with bpy.context.temp_override(window=bpy.context.window_manager.windows[0], area=editor(), region=region("WINDOW")):
-        getattr(getattr(bpy.ops, group), name)("INVOKE_DEFAULT", **properties)
+        getattr(getattr(bpy.ops, group), name)(mode, **properties)
 
 
 def start(operator: str, **properties) -> Iterator[float]:
@@ -171,6 +171,21 @@ def visit_clipbox(scene: bpy.types.Scene) -> Iterator[float]:
     yield from shoot("clipbox-active")
 
 
+def visit_bdam(scene: bpy.types.Scene) -> Iterator[float]:
+    """Before *Build*, and after *Load*."""
+    y, x = np.mgrid[0:257, 0:257] / 40.0
+    np.save(Path(FOLDER, "valley.npy"), (200.0 * np.sin(x + np.sin(y)) * np.cos(0.7 * y)).astype(np.float32))
+    bpy.ops.wm.save_as_mainfile(filepath=str(Path(FOLDER, "valley.blend")))  # so that paths are relative and short
+    group = scene.farfield_bdam_build
+    group.sources.add().name = "//valley.npy"
+    group.store, group.cell_size = "//terrain", 10.0
+    yield from shoot("bdam-settings")
+    yield from start("farfield.bdam_build")
+    press("farfield.bdam_load", "EXEC_DEFAULT", directory=str(Path(FOLDER, "terrain")))
+    yield SETTLE_SECONDS
+    yield from shoot("bdam-loaded")
+
+
 def visit_restore(scene: bpy.types.Scene) -> Iterator[float]:
     """Before and after *Restore*, with a mask as if it had been painted."""
     space = editor().spaces.active
@@ -202,6 +217,7 @@ VISITS = {
     "photos": visit_photos,
     "restore": visit_restore,
     "clipbox": visit_clipbox,
+    "bdam": visit_bdam,
 }
 
 

@@ -60,6 +60,14 @@ def test_load_shows_the_terrain_as_the_camera_needs_it(folder, camera):
     assert coarse.figures.triangles < terrain.figures.triangles
 
 
+def test_the_store_of_the_panel_is_that_of_the_terrain(folder, camera):
+    root = load(folder).root
+    assert root.farfield_bdam_store_path == str(folder)
+    root.farfield_bdam_store_path = "//terrain"
+    assert root[STORE_KEY] == "//terrain" == root.farfield_bdam_store_path
+    assert bpy.data.objects.new("Other", None).farfield_bdam_store_path == ""
+
+
 def test_update_takes_the_settings_of_the_panel_and_the_current_view(folder, camera):
     terrain = load(folder)
     before = signature(terrain)

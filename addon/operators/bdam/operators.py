@@ -151,15 +151,33 @@ CLASSES = (
 register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
 
 
+def _read_store_path(root: bpy.types.Object) -> str:
+    """Return the custom property of the store: unlike it, a property that is registered may be a path relative to the .blend file."""
+    return str(root.get(terrain_objects.STORE_KEY, ""))
+
+
+def _write_store_path(root: bpy.types.Object, path: str) -> None:
+    root[terrain_objects.STORE_KEY] = path
+
+
 def register() -> None:
     """Register the classes, add the settings to scenes, and let terrains follow."""
     register_classes()
     bpy.types.Scene.farfield_bdam_view = bpy.props.PointerProperty(type=FARFIELD_PG_bdam_view)
+    bpy.types.Object.farfield_bdam_store_path = bpy.props.StringProperty(
+        name="Store",
+        description="Folder of the store of this terrain",
+        subtype="DIR_PATH",
+        options={"PATH_SUPPORTS_BLEND_RELATIVE"},
+        get=_read_store_path,
+        set=_write_store_path,
+    )
     follow_handlers.register_tool(TOOL)
 
 
 def unregister() -> None:
     """Stop following, remove the settings from scenes, and unregister the classes."""
     follow_handlers.unregister_tool(TOOL)
+    del bpy.types.Object.farfield_bdam_store_path
     del bpy.types.Scene.farfield_bdam_view
     unregister_classes()
