@@ -29,7 +29,7 @@ from farfield.addon.core.bdam.cut_files import ExtractedMesh, extract_mesh
 from farfield.addon.core.bdam.engine import BdamEngine
 from farfield.addon.core.bdam.extraction import CutSettings
 from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field, warn_of_heights
-from farfield.addon.core.bdam.settings import BdamSettings, BdamViewSettings
+from farfield.addon.core.bdam.settings import BdamSettings, ViewSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 from farfield.addon.core.errors import FileError, SettingsError
 from farfield.addon.core.files.scratch import Scratch
@@ -270,7 +270,7 @@ def write_mesh(out: Path, extracted: ExtractedMesh) -> None:
 def write_scene(folder: Path, viewer: Viewer, tolerance: float, out: Path, line: command_line.ProgressLine) -> None:
     """Write a scene with the terrain as objects, with textures."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    settings = BdamViewSettings(tolerance=tolerance, culling=False)
+    settings = ViewSettings(tolerance=tolerance, culling=False)
     engine = BdamEngine(folder, settings)
     run_to_end(run_job(ShowJob(engine, viewer, str(folder))), line.show)
     scene_files.save_scene(out)

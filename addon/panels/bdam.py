@@ -3,7 +3,7 @@
 import bpy
 
 from ..bridge.bdam.objects import SceneTerrain
-from ..core.bdam.settings import BdamSettings, BdamViewSettings, FreezePathSettings, FreezeSettings, GroundSettings
+from ..core.bdam.settings import BdamSettings, FreezePathSettings, FreezeSettings, GroundSettings, ViewSettings
 from ..core.settings import describe
 from ..operators import view_following
 from ..operators.bdam.build import KINDS, FARFIELD_OT_bdam_add_files, FARFIELD_OT_bdam_build, FARFIELD_OT_bdam_remove_file
@@ -92,7 +92,7 @@ class FARFIELD_PT_bdam_display(SettingsSubPanel, bpy.types.Panel):
     bl_idname = "FARFIELD_PT_bdam_display"
     bl_label = "Display"
     bl_parent_id = PANEL
-    settings, property_name, group_name = describe(BdamViewSettings), "farfield_bdam_view", ""
+    settings, property_name, group_name = describe(ViewSettings), "farfield_bdam_view", ""
 
 
 class FARFIELD_PT_bdam_ground(SettingsSubPanel, bpy.types.Panel):

@@ -14,6 +14,7 @@ from farfield.addon.core.bdam.build.height_grid import HeightGrid, encode_height
 from farfield.addon.core.bdam.build.terrain_build import build_terrain
 from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field
 from farfield.addon.core.bdam.settings import BdamSettings
+from farfield.addon.core.bdam.store import structure
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 from farfield.addon.core.errors import FarfieldError, FileError, SettingsError
 from farfield.addon.core.jobs.progress import run_to_end
@@ -143,6 +144,19 @@ def test_every_sample_of_the_source_is_in_the_finest_level(built):
             touches = is_known[patch.triangles].any(axis=1)
             assert (patch.is_hole == ~touches).all()
     assert seen.all()
+
+
+@pytest.mark.parametrize(("version", "message"), [(structure.VERSION - 1, "older Farfield"), (structure.VERSION + 1, "newer Farfield")])
+def test_stores_of_other_versions_are_refused(built, tmp_path, monkeypatch, version, message):
+    folder, _, _, _, _ = built
+    shutil.copytree(folder / "store", tmp_path / "store")
+    header, levels = structure.read_structure(tmp_path / "store")
+    (tmp_path / "store" / structure.STRUCTURE_FILE).unlink()
+    with monkeypatch.context() as patched:
+        patched.setattr(structure, "VERSION", version)
+        structure.write_structure(tmp_path / "store", header, levels)
+    with pytest.raises(FileError, match=f"{message}.*version {version}"):
+        TerrainStore(tmp_path / "store")
 
 
 def test_a_changed_byte_anywhere_is_found(built, tmp_path):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from farfield.addon.core.bdam.engine import BdamEngine, Update
 from farfield.addon.core.bdam.extraction import CutSettings
 from farfield.addon.core.bdam.patch_squares import find_leaf_squares, square_boxes
-from farfield.addon.core.bdam.settings import BdamViewSettings
+from farfield.addon.core.bdam.settings import ViewSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 from farfield.addon.core.bdam.textures.image_files import encode_targa, to_image_files
 from farfield.addon.core.bdam.textures.tile_blocks import CodedTile
@@ -84,7 +84,7 @@ class Scene:
 
 
 def engine_of(folder, kind="plain", **values) -> BdamEngine:
-    return BdamEngine(folder[kind], BdamViewSettings(**{"shading": SHADING[kind], "tolerance": 8.0, **values}))
+    return BdamEngine(folder[kind], ViewSettings(**{"shading": SHADING[kind], "tolerance": 8.0, **values}))
 
 
 def open_edges(scene: Scene) -> np.ndarray:

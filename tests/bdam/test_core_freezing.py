@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from farfield.addon.core.bdam.cut_meshes import PatchCache, build_cut_mesh
 from farfield.addon.core.bdam.extraction import Cut, CutSettings, ProjectedErrors, extract_cut, extract_union_cut
 from farfield.addon.core.bdam.freezing import FrozenMesh, choose_path_cut, freeze_cut, join
-from farfield.addon.core.bdam.settings import BdamViewSettings
+from farfield.addon.core.bdam.settings import ViewSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 from farfield.addon.core.geometry.viewers import Projection, Viewer
 from farfield.addon.core.jobs.progress import run_to_end
@@ -107,7 +107,7 @@ def test_the_union_cut_refines_only_what_a_frame_refines(stores, seed):
 
 
 def freeze(store: TerrainStore, viewers: list[Viewer], **values) -> tuple[Cut, list[FrozenMesh]]:
-    view_settings = BdamViewSettings(**{"tolerance": 4.0, **values})
+    view_settings = ViewSettings(**{"tolerance": 4.0, **values})
     textures, cut = run_to_end(choose_path_cut(store, viewers, view_settings))
     meshes, damages = run_to_end(freeze_cut(store, textures, cut, view_settings.exaggeration))
     assert not damages
@@ -131,7 +131,7 @@ def test_joined_meshes_have_the_vertices_of_the_cut_and_no_cracks(stores, name):
 
 def test_textures_of_a_path_are_as_fine_as_those_of_every_frame(stores):
     store, viewers = stores["texture"], path(11, 5)
-    view_settings = BdamViewSettings(tolerance=1.0)
+    view_settings = ViewSettings(tolerance=1.0)
     levels = {}
     for index, part in enumerate([viewers, *([viewer] for viewer in viewers)]):
         textures, _ = run_to_end(choose_path_cut(store, part, view_settings))

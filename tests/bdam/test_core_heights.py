@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from farfield.addon.core.bdam.build.terrain_build import build_terrain
-from farfield.addon.core.bdam.cut_meshes import PatchCache, build_cut_mesh
+from farfield.addon.core.bdam.cut_meshes import CutMesh, PatchCache, build_cut_mesh
 from farfield.addon.core.bdam.extraction import extract_uniform_cut
 from farfield.addon.core.bdam.fields.placements import GeographicFrame
 from farfield.addon.core.bdam.heights import HeightQuery, height_at
@@ -30,6 +30,16 @@ class GeographicField(ArrayField):
     @property
     def frame(self) -> GeographicFrame:
         return GeographicFrame((9.0, 69.0), (3e-4, 1e-4), (9.01, 69.005))
+
+
+class WideField(ArrayField):
+    """Heights in a grid of many degrees far in the north."""
+
+    crs = "degrees"
+
+    @property
+    def frame(self) -> GeographicFrame:
+        return GeographicFrame((7.0, 68.0), (0.03, 0.01), (9.0, 68.6))
 
 
 @pytest.fixture(scope="module")
@@ -167,6 +177,36 @@ def test_a_cut_is_within_its_error_of_the_samples(stores, max_error):
     points = np.stack(store.frame.to_local(x.ravel(), y.ravel()), axis=1)
     heights = height_at(store, points, extract_uniform_cut(store, max_error))[0].reshape(ROWS, COLUMNS)
     assert np.abs(heights - stored(hills(ROWS, COLUMNS))).max() <= max_error + 1e-6
+
+
+def measure_in_meters(mesh: CutMesh, positions: np.ndarray) -> np.ndarray:
+    """The vertical distances (N,) of positions (N, 3) in the local frame to a mesh, infinite outside of it."""
+    distances = np.full(len(positions), np.inf)
+    for corners in mesh.positions[mesh.triangles]:
+        low, high = corners.min(axis=0)[:2], corners.max(axis=0)[:2]
+        candidates = np.flatnonzero(((positions[:, :2] >= low) & (positions[:, :2] <= high)).all(axis=1))
+        edges = corners[1:] - corners[0]
+        weights = (positions[candidates, :2] - corners[0, :2]) @ np.linalg.inv(edges[:, :2])
+        is_inside = (weights.min(axis=1) >= -1e-9) & (weights.sum(axis=1) <= 1.0 + 1e-9)
+        inside, surface = candidates[is_inside], corners[0, 2] + weights[is_inside] @ edges[:, 2]
+        distances[inside] = np.minimum(distances[inside], np.abs(surface - positions[inside, 2]))
+    return distances
+
+
+def test_cuts_of_a_geographic_grid_are_within_their_errors_in_meters(tmp_path):
+    y, x = np.mgrid[0:65, 0:65]
+    heights = 30.0 * x + 20.0 * y  # a plane in the grid, so that all errors come from the bending of its lines
+    settings = BdamSettings(leaf="16", height_step=STEP, executor="serial")
+    run_to_end(build_terrain(WideField(heights), [], tmp_path / "store", settings))
+    with TerrainStore(tmp_path / "store") as store:
+        positions = np.stack([*store.frame.to_local(x, y), stored(heights)], axis=2).reshape(-1, 3)
+        assert all((level.errors > 0.0).all() for level in store.levels[:-1])
+        for max_error in (0.1, 0.5, 2.0, 20.0):
+            mesh = build_cut_mesh(PatchCache(store), extract_uniform_cut(store, max_error))
+            distances = measure_in_meters(mesh, positions)
+            is_inside = np.isfinite(distances)
+            assert is_inside.mean() > 0.95, "the borders of the field bend, so that a few samples are outside of the mesh"
+            assert distances[is_inside].max() <= max_error * (1.0 + 1e-6)
 
 
 def test_a_cut_is_within_its_error_where_the_finest_one_is_shown_beside_holes(tmp_path):

@@ -13,7 +13,7 @@ from farfield.addon.bridge.bdam.objects import SceneTerrain, TerrainChange
 from farfield.addon.bridge.bdam.textures import TEXTURE_KEY, remove_unused
 from farfield.addon.bridge.mesh_arrays import read_attribute, read_loop_vertices, read_positions, read_uvs
 from farfield.addon.core.bdam.engine import BdamEngine
-from farfield.addon.core.bdam.settings import BdamViewSettings
+from farfield.addon.core.bdam.settings import ViewSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 from farfield.addon.core.geometry.viewers import Projection, Viewer
 from farfield.addon.core.jobs.progress import run_to_end
@@ -51,7 +51,7 @@ def show(terrain: SceneTerrain, engine: BdamEngine, viewer: Viewer) -> int:
 
 
 def create(folder, viewer=None, **values) -> tuple[SceneTerrain, BdamEngine]:
-    engine = BdamEngine(folder, BdamViewSettings(**{"tolerance": 4.0, **values}))
+    engine = BdamEngine(folder, ViewSettings(**{"tolerance": 4.0, **values}))
     terrain = terrain_objects.create_root(bpy.context.scene, str(folder), engine)
     show(terrain, engine, viewer or viewer_at(100.0, 100.0, 600.0))
     return terrain, engine
@@ -195,7 +195,7 @@ def test_several_terrains_have_their_own_tiles_and_materials_of_shadings(folder)
 
 def test_removing_a_terrain_leaves_nothing(folder):
     terrain, engine = create(folder)
-    engine.settings = BdamViewSettings(shading="level")
+    engine.settings = ViewSettings(shading="level")
     show(terrain, engine, viewer_at(0.0, 0.0, 500.0))
     terrain_objects.remove(terrain)
     assert not bpy.data.objects and not bpy.data.images and not bpy.data.materials and not bpy.data.collections

@@ -16,7 +16,7 @@ import bpy
 import numpy as np
 
 from ...core.bdam.engine import BdamEngine, Figures, TileBlock, Update
-from ...core.bdam.settings import BdamViewSettings
+from ...core.bdam.settings import ViewSettings
 from ...core.bdam.tiles import TileKey, TileMesh
 from ...core.errors import FileError
 from ..mesh_arrays import write_attribute, write_triangles
@@ -42,13 +42,13 @@ class SceneTerrain(TerrainRoot):
     tool: ClassVar[str] = "bdam"
 
     @property
-    def settings(self) -> BdamViewSettings:
+    def settings(self) -> ViewSettings:
         """How it is shown.
 
         Raises:
             SettingsError: the settings cannot be read, for example because a newer version wrote them.
         """
-        return self.read_settings(BdamViewSettings)
+        return self.read_settings(ViewSettings)
 
     @property
     def folder(self) -> Path:

@@ -13,7 +13,7 @@ from ..jobs.progress import Progress, Steps
 from .cut_meshes import PatchCache
 from .extraction import Cut, CutSettings, IsForced, extract_cut
 from .patch_squares import find_leaf_squares
-from .settings import BdamViewSettings
+from .settings import ViewSettings
 from .store.structure import STRUCTURE_FILE
 from .store.terrain_store import TerrainStore
 from .texture_cuts import TextureCut, TextureSelector
@@ -70,7 +70,7 @@ class BdamEngine:
     finished; every move starts with an empty queue. figures: of the last move, None before it.
     """
 
-    def __init__(self, folder: Path, settings: BdamViewSettings) -> None:
+    def __init__(self, folder: Path, settings: ViewSettings) -> None:
         """Open the store in `folder`.
 
         Raises:

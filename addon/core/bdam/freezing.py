@@ -10,7 +10,7 @@ from ..jobs.progress import Progress, Steps, subprogress
 from .cut_meshes import PatchCache
 from .extraction import Cut, CutSettings, extract_union_cut
 from .patch_squares import find_leaf_squares
-from .settings import BdamViewSettings
+from .settings import ViewSettings
 from .store.terrain_store import TerrainStore
 from .texture_cuts import TextureCut, TextureSelector
 from .tiles import MAX_TILES, TileGrouping, TileMesh, build_tile_mesh
@@ -35,7 +35,7 @@ class FrozenMesh:
     slots: np.ndarray
 
 
-def choose_path_cut(store: TerrainStore, viewers: Sequence[Viewer], settings: BdamViewSettings) -> Steps[tuple[TextureCut, Cut]]:
+def choose_path_cut(store: TerrainStore, viewers: Sequence[Viewer], settings: ViewSettings) -> Steps[tuple[TextureCut, Cut]]:
     """Return the texture tiles and the coarsest cut that satisfy the tolerance for each of `viewers`, at least one, in the local frame.
 
     Nothing is culled, because shadows and reflections show what the camera does not. The triangle budget does not count.

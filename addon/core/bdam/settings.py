@@ -56,7 +56,7 @@ SHADINGS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class BdamViewSettings(Settings):
+class ViewSettings(Settings):
     """How a large terrain is shown."""
 
     has_flags = False

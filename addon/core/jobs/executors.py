@@ -88,7 +88,7 @@ def open_executor(text: str) -> Iterator[OpenExecutor]:
             for address, count in threads.items():
                 machines[address.rpartition(":")[0]] += count
             if not threads:
-                raise FarfieldError(f'The Dask scheduler at "{spec.scheduler}" has no workers; start some and bake again.')
+                raise FarfieldError(f'The Dask scheduler at "{spec.scheduler}" has no workers; start some and run it again.')
             executor = client.get_executor(pure=False)
             try:
                 yield OpenExecutor(executor, sum(threads.values()), max(machines.values()), is_local=False)

@@ -14,7 +14,7 @@ from ...bridge.bdam.textures import TextureMaterials, remove_unused
 from ...bridge.viewers import camera_viewer
 from ...core.bdam.engine import BdamEngine
 from ...core.bdam.freezing import FrozenMesh, choose_path_cut, freeze_cut, join
-from ...core.bdam.settings import BdamViewSettings, FreezePathSettings, FreezeSettings
+from ...core.bdam.settings import FreezePathSettings, FreezeSettings, ViewSettings
 from ...core.errors import GeometryError, SettingsError
 from ...core.geometry.viewers import Viewer
 from ...core.jobs.progress import Progress, Steps, subprogress
@@ -65,7 +65,7 @@ class FreezePathJob:
 
     terrain: SceneTerrain
     folder: Path
-    view_settings: BdamViewSettings
+    view_settings: ViewSettings
     settings: FreezeSettings
     frames: list[int]
     object_names: tuple[str, ...] = ()

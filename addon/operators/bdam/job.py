@@ -7,7 +7,7 @@ import bpy
 from ...bridge.bdam import objects as terrain_objects
 from ...bridge.bdam.objects import SceneTerrain, TerrainChange
 from ...core.bdam.engine import BdamEngine, Update
-from ...core.bdam.settings import BdamViewSettings
+from ...core.bdam.settings import ViewSettings
 from ...core.errors import GeometryError
 from ...core.geometry.viewers import Viewer
 from ...core.jobs.progress import Progress, Steps
@@ -62,7 +62,7 @@ class ShowJob:
         return " ".join([message, *core_result.warnings[:1]])
 
 
-def prepare_update(terrain: SceneTerrain, settings: BdamViewSettings, viewer: Viewer) -> ShowJob:
+def prepare_update(terrain: SceneTerrain, settings: ViewSettings, viewer: Viewer) -> ShowJob:
     """Return the job that shows all of a terrain again for a viewer in world space.
 
     Raises:

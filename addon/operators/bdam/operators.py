@@ -7,7 +7,7 @@ import bpy
 from ...bridge.bdam import objects as terrain_objects
 from ...bridge.bdam.objects import SceneTerrain
 from ...core.bdam.engine import BdamEngine
-from ...core.bdam.settings import BdamViewSettings
+from ...core.bdam.settings import ViewSettings
 from ...core.errors import FileError
 from .. import follow_handlers, properties, start_job
 from ..engine_cache import cache
@@ -23,7 +23,7 @@ from .view_frames import frame_terrain
 class FARFIELD_PG_bdam_view(bpy.types.PropertyGroup):
     """How terrains are shown, stored per scene."""
 
-    __annotations__ = properties.build_annotations(BdamViewSettings, set())
+    __annotations__ = properties.build_annotations(ViewSettings, set())
 
 
 class FARFIELD_OT_bdam_load(start_job.StartJob, bpy.types.Operator):
@@ -32,7 +32,7 @@ class FARFIELD_OT_bdam_load(start_job.StartJob, bpy.types.Operator):
     bl_idname = "farfield.bdam_load"
     bl_label = "Load Large Terrain"
     bl_options = {"REGISTER", "UNDO"}
-    settings_types, panel_property = (BdamViewSettings,), "farfield_bdam_view"
+    settings_types, panel_property = (ViewSettings,), "farfield_bdam_view"
     __annotations__ = start_job.setting_properties(*settings_types) | {
         "directory": bpy.props.StringProperty(
             name="Store", description="Folder of the terrain", subtype="DIR_PATH", options={"SKIP_SAVE", "PATH_SUPPORTS_BLEND_RELATIVE"}
@@ -81,7 +81,7 @@ class FARFIELD_OT_bdam_update(start_job.StartJob, bpy.types.Operator):
     bl_idname = "farfield.bdam_update"
     bl_label = "Update Large Terrain"
     bl_options = {"REGISTER", "UNDO"}
-    settings_types, panel_property = (BdamViewSettings,), "farfield_bdam_view"
+    settings_types, panel_property = (ViewSettings,), "farfield_bdam_view"
     __annotations__ = start_job.setting_properties(*settings_types)
 
     @classmethod

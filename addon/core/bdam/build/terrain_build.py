@@ -58,7 +58,8 @@ def build_terrain(
     folder = work_folder_path(out)
     check_free_space(out, _estimate(header, textures, settings), folder)
     leaf_cells = header.leaf_cells
-    parameters = BuildParameters(header.rows, header.columns, leaf_cells, header.gradient_step, DIAMONDS_PER_SHARD[leaf_cells])
+    curvature = header.create_frame().measure_curvature((header.rows, header.columns))
+    parameters = BuildParameters(header.rows, header.columns, leaf_cells, header.gradient_step, DIAMONDS_PER_SHARD[leaf_cells], curvature)
     work = WorkFolder(folder, parameters)
     fingerprint = _fingerprint(header, [*sources, *images], textures, settings)
     open_job_folder(folder, fingerprint, "the build of another terrain or with other settings")

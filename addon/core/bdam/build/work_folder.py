@@ -21,6 +21,7 @@ class BuildParameters:
 
     rows, columns: of the field. leaf_cells: cells along a leg of a leaf. gradient_step: unit of stored gradients, in steps per cell.
     diamonds_per_shard: how many diamonds a task simplifies.
+    curvature: of straight lines of the grid in the local frame, in cells per square cell.
     """
 
     rows: int
@@ -28,6 +29,7 @@ class BuildParameters:
     leaf_cells: int
     gradient_step: float
     diamonds_per_shard: int
+    curvature: float
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,10 @@ MAX_LONGITUDES = 60.0  # degrees from west to east; the projection stretches wha
 POLE = 90.0 + 1e-6  # degrees of latitude, and what rounding adds
 ORIGIN_DECIMALS = 6  # of an origin in degrees, about 0.1 m, so that reports show it completely
 MIN_COSINE = 1e-6  # of latitudes at the poles, where meridians meet
+CURVATURE_POINTS = 9  # along each side of a grid whose curvature is measured
+CURVATURE_STEP = 0.01  # of differences, as a fraction of the longer side
+CURVATURE_SLACK = 1.1  # for places between the points
+MIN_DERIVATIVE = 1e-3  # instead of smaller first derivatives close to a pole, as a fraction of the largest one
 METERS_PER_DEGREE = 111_320.0  # along the equator; only for the nominal cell size
 
 
@@ -93,6 +97,10 @@ class ProjectedFrame:
         """Return the derivatives (N, 2) float64 along local x and y of a function with `gradients` (N, 2) per cell at samples (N,)."""
         return gradients / np.array(self.step)
 
+    def measure_curvature(self, _shape: tuple[int, int]) -> float:
+        """Return 0: straight lines of the grid are straight in the local frame, too."""
+        return 0.0
+
 
 @dataclass(frozen=True)
 class GeographicFrame:
@@ -140,6 +148,25 @@ class GeographicFrame:
             ],
             axis=1,
         )
+
+    def measure_curvature(self, shape: tuple[int, int]) -> float:
+        """Return the curvature of straight lines of the grid in the local frame, in cells per square cell, for a grid of `shape` (rows,
+        columns): the largest second derivative of `to_local` along any direction, relative to the smaller first derivative."""
+        rows, columns = shape
+        x, y = np.meshgrid(np.linspace(0.0, columns - 1.0, CURVATURE_POINTS), np.linspace(0.0, rows - 1.0, CURVATURE_POINTS))
+        step = max(1.0, CURVATURE_STEP * max(shape))
+
+        def to_local(offset_x: float, offset_y: float) -> np.ndarray:
+            return np.stack(self.to_local(x + offset_x * step, y + offset_y * step))
+
+        center = to_local(0.0, 0.0)
+        along_x, along_y = (to_local(*offset) - to_local(-offset[0], -offset[1]) for offset in ((1.0, 0.0), (0.0, 1.0)))
+        second_x = to_local(1.0, 0.0) + to_local(-1.0, 0.0) - 2.0 * center
+        second_y = to_local(0.0, 1.0) + to_local(0.0, -1.0) - 2.0 * center
+        mixed = (to_local(1.0, 1.0) + to_local(-1.0, -1.0) - to_local(1.0, -1.0) - to_local(-1.0, 1.0)) / 4.0
+        second = np.sqrt((second_x**2 + second_y**2 + 2.0 * mixed**2).sum(axis=0)) / step**2
+        first = np.minimum(np.linalg.norm(along_x, axis=0), np.linalg.norm(along_y, axis=0)) / (2.0 * step)
+        return float(CURVATURE_SLACK * (second / np.maximum(first, MIN_DERIVATIVE * first.max())).max())
 
     @cached_property
     def _projection(self) -> TransverseMercator:

@@ -27,7 +27,7 @@ from ..tree import Tree
 from .blocks import BlockReader, BlockWriter
 
 KIND, STRUCTURE_FILE = "bdamstru", "structure.bdam"
-VERSION = 1  # of the contents of the header
+VERSION = 2  # of the contents of the header; 2: gradients of patches have another name, errors include the bending of geographic grids
 ARRAYS_PER_LEVEL = 5
 FRAMES = {"projected": ProjectedFrame, "geographic": GeographicFrame}
 
@@ -98,7 +98,7 @@ def read_structure(folder: Path) -> tuple[StoreHeader, list[Level]]:
     """Read the structure file of a store.
 
     Raises:
-        FileError: it is missing, damaged, or of a newer version.
+        FileError: it is missing, damaged, or of another version.
     """
     path = folder / STRUCTURE_FILE
     with BlockReader(path, KIND) as reader:
@@ -107,6 +107,8 @@ def read_structure(folder: Path) -> tuple[StoreHeader, list[Level]]:
             version = content.pop("version")
             if version > VERSION:
                 raise FileError(f'"{path}" was written by a newer Farfield (version {version} of the store); update Farfield.')
+            if version < VERSION:
+                raise FileError(f'"{path}" was written by an older Farfield (version {version} of the store); build the terrain again.')
             header = StoreHeader(**content)
             levels = list(_read_levels(reader, header))
         except (IndexError, KeyError, TypeError, ValueError) as error:
