@@ -87,7 +87,8 @@ def test_the_union_cut_of_one_frame_is_its_cut(stores, seed):
         extract_cut(stores["plain"], viewer, cut_settings),
         run_to_end(extract_union_cut(stores["plain"], [viewer], cut_settings)),
     )
-    assert patches(found) == patches(expected) and found.max_error == expected.max_error
+    assert patches(found) == patches(expected)
+    assert found.max_error == pytest.approx(expected.max_error, rel=1e-12)  # matrix products of other lengths round differently
 
 
 @settings(max_examples=10)
