@@ -4,6 +4,7 @@ Properties hold the units of the interface: fractions as percentages. Angles sta
 """
 
 import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import bpy
@@ -17,6 +18,26 @@ PATH_SUBTYPES = {None: "NONE", "file": "FILE_PATH", "folder": "DIR_PATH"}
 def build_annotations(settings_type: type[Settings], options: set[str]) -> dict[str, Any]:
     """Return one Blender property per setting, as annotations of a property group or operator class."""
     return {description.name: build_property(description, options) for description in describe(settings_type)}
+
+
+def scene_settings_factory(
+    name: str, group_type: type[bpy.types.PropertyGroup], classes: Sequence[type]
+) -> tuple[Callable[[], None], Callable[[], None]]:
+    """Return a function that registers `classes`, and the settings of the panel as the property `name` of scenes, and one that undoes it.
+
+    group_type: one of `classes`.
+    """
+    register_classes, unregister_classes = bpy.utils.register_classes_factory(classes)
+
+    def register() -> None:
+        register_classes()
+        setattr(bpy.types.Scene, name, bpy.props.PointerProperty(type=group_type))
+
+    def unregister() -> None:
+        delattr(bpy.types.Scene, name)
+        unregister_classes()
+
+    return register, unregister
 
 
 def build_property(description: Description, options: set[str]) -> Any:

@@ -190,16 +190,4 @@ CLASSES = (
     FARFIELD_OT_bdam_remove_file,
     FARFIELD_OT_bdam_build,
 )
-register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
-
-
-def register() -> None:
-    """Register the classes and add the settings to scenes."""
-    register_classes()
-    bpy.types.Scene.farfield_bdam_build = bpy.props.PointerProperty(type=FARFIELD_PG_bdam_build)
-
-
-def unregister() -> None:
-    """Remove the settings from scenes and unregister the classes."""
-    del bpy.types.Scene.farfield_bdam_build
-    unregister_classes()
+register, unregister = properties.scene_settings_factory("farfield_bdam_build", FARFIELD_PG_bdam_build, CLASSES)

@@ -247,16 +247,4 @@ class FARFIELD_PG_bdam_freeze(bpy.types.PropertyGroup):
 
 
 CLASSES = (FARFIELD_PG_bdam_freeze, FARFIELD_OT_bdam_freeze, FARFIELD_OT_bdam_freeze_path)
-register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
-
-
-def register() -> None:
-    """Register the classes and add the settings to scenes."""
-    register_classes()
-    bpy.types.Scene.farfield_bdam_freeze = bpy.props.PointerProperty(type=FARFIELD_PG_bdam_freeze)
-
-
-def unregister() -> None:
-    """Remove the settings from scenes and unregister the classes."""
-    del bpy.types.Scene.farfield_bdam_freeze
-    unregister_classes()
+register, unregister = properties.scene_settings_factory("farfield_bdam_freeze", FARFIELD_PG_bdam_freeze, CLASSES)

@@ -201,16 +201,4 @@ class FARFIELD_PG_bdam_ground(bpy.types.PropertyGroup):
 
 
 CLASSES = (FARFIELD_PG_bdam_ground, FARFIELD_OT_bdam_drop)
-register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
-
-
-def register() -> None:
-    """Register the classes and add the settings to scenes."""
-    register_classes()
-    bpy.types.Scene.farfield_bdam_ground = bpy.props.PointerProperty(type=FARFIELD_PG_bdam_ground)
-
-
-def unregister() -> None:
-    """Remove the settings from scenes and unregister the classes."""
-    del bpy.types.Scene.farfield_bdam_ground
-    unregister_classes()
+register, unregister = properties.scene_settings_factory("farfield_bdam_ground", FARFIELD_PG_bdam_ground, CLASSES)

@@ -148,7 +148,7 @@ CLASSES = (
     FARFIELD_OT_bdam_follow_view,
     FARFIELD_OT_bdam_remove,
 )
-register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
+register_settings, unregister_settings = properties.scene_settings_factory("farfield_bdam_view", FARFIELD_PG_bdam_view, CLASSES)
 
 
 def _read_store_path(root: bpy.types.Object) -> str:
@@ -162,8 +162,7 @@ def _write_store_path(root: bpy.types.Object, path: str) -> None:
 
 def register() -> None:
     """Register the classes, add the settings to scenes, and let terrains follow."""
-    register_classes()
-    bpy.types.Scene.farfield_bdam_view = bpy.props.PointerProperty(type=FARFIELD_PG_bdam_view)
+    register_settings()
     bpy.types.Object.farfield_bdam_store_path = bpy.props.StringProperty(
         name="Store",
         description="Folder of the store of this terrain",
@@ -179,5 +178,4 @@ def unregister() -> None:
     """Stop following, remove the settings from scenes, and unregister the classes."""
     follow_handlers.unregister_tool(TOOL)
     del bpy.types.Object.farfield_bdam_store_path
-    del bpy.types.Scene.farfield_bdam_view
-    unregister_classes()
+    unregister_settings()

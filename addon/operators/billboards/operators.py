@@ -213,17 +213,10 @@ CLASSES = (
     FARFIELD_OT_billboards_crossfade,
     FARFIELD_OT_billboards_show_level,
 )
-register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
-
-
-def register() -> None:
-    """Register the classes and add the settings to scenes."""
-    register_classes()
-    bpy.types.Scene.farfield_billboards = bpy.props.PointerProperty(type=FARFIELD_PG_billboards)
+register, unregister_settings = properties.scene_settings_factory("farfield_billboards", FARFIELD_PG_billboards, CLASSES)
 
 
 def unregister() -> None:
     """Remove the settings from scenes and unregister the classes."""
     cache.clear()
-    del bpy.types.Scene.farfield_billboards
-    unregister_classes()
+    unregister_settings()

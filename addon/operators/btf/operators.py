@@ -157,17 +157,10 @@ def not_baked_reason(context: bpy.types.Context) -> str:
 
 
 CLASSES = (FARFIELD_PG_btf, FARFIELD_OT_btf_bake, FARFIELD_OT_btf_link_suns, FARFIELD_OT_btf_restore_pbr)
-register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
-
-
-def register() -> None:
-    """Register the classes, and the settings as a property of scenes."""
-    register_classes()
-    bpy.types.Scene.farfield_btf = bpy.props.PointerProperty(type=FARFIELD_PG_btf)
+register, unregister_settings = properties.scene_settings_factory("farfield_btf", FARFIELD_PG_btf, CLASSES)
 
 
 def unregister() -> None:
     """Unregister them and discard all estimates."""
     estimates.cache.clear()
-    del bpy.types.Scene.farfield_btf
-    unregister_classes()
+    unregister_settings()

@@ -92,16 +92,4 @@ class FARFIELD_PG_clipbox_convert(bpy.types.PropertyGroup):
 
 
 CLASSES = (FARFIELD_PG_clipbox_convert, FARFIELD_OT_clipbox_convert_to_mesh)
-register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
-
-
-def register() -> None:
-    """Register the classes and add the settings to scenes."""
-    register_classes()
-    bpy.types.Scene.farfield_clipbox_convert = bpy.props.PointerProperty(type=FARFIELD_PG_clipbox_convert)
-
-
-def unregister() -> None:
-    """Remove the settings from scenes and unregister the classes."""
-    del bpy.types.Scene.farfield_clipbox_convert
-    unregister_classes()
+register, unregister = properties.scene_settings_factory("farfield_clipbox_convert", FARFIELD_PG_clipbox_convert, CLASSES)

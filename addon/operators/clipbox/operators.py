@@ -86,18 +86,16 @@ def viewer_position(context: bpy.types.Context) -> np.ndarray:
 
 
 CLASSES = (FARFIELD_PG_clipbox, FARFIELD_OT_clipbox_create, FARFIELD_OT_clipbox_update, FARFIELD_OT_clipbox_follow_view)
-register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
+register_settings, unregister_settings = properties.scene_settings_factory("farfield_clipbox", FARFIELD_PG_clipbox, CLASSES)
 
 
 def register() -> None:
     """Register the classes, add the settings to scenes, and let terrains follow."""
-    register_classes()
-    bpy.types.Scene.farfield_clipbox = bpy.props.PointerProperty(type=FARFIELD_PG_clipbox)
+    register_settings()
     follow_handlers.register_tool(TOOL)
 
 
 def unregister() -> None:
     """Stop following, remove the settings from scenes, and unregister the classes."""
     follow_handlers.unregister_tool(TOOL)
-    del bpy.types.Scene.farfield_clipbox
-    unregister_classes()
+    unregister_settings()

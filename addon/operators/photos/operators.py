@@ -40,16 +40,4 @@ class FARFIELD_OT_photos_merge(start_job.StartJob, bpy.types.Operator):
 
 
 CLASSES = (FARFIELD_PG_photos, FARFIELD_OT_photos_merge)
-register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
-
-
-def register() -> None:
-    """Register the classes and add the settings to scenes."""
-    register_classes()
-    bpy.types.Scene.farfield_photos = bpy.props.PointerProperty(type=FARFIELD_PG_photos)
-
-
-def unregister() -> None:
-    """Remove the settings from scenes and unregister the classes."""
-    del bpy.types.Scene.farfield_photos
-    unregister_classes()
+register, unregister = properties.scene_settings_factory("farfield_photos", FARFIELD_PG_photos, CLASSES)

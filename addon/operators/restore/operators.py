@@ -134,18 +134,16 @@ CLASSES = (
     FARFIELD_OT_restore_outline,
     FARFIELD_OT_restore_compare,
 )
-register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
+register_settings, unregister_settings = properties.scene_settings_factory("farfield_restore", FARFIELD_PG_restore, CLASSES)
 
 
 def register() -> None:
     """Register the classes, add the settings to scenes, and draw the outline."""
-    register_classes()
-    bpy.types.Scene.farfield_restore = bpy.props.PointerProperty(type=FARFIELD_PG_restore)
+    register_settings()
     outline.start(_find_masks)
 
 
 def unregister() -> None:
     """Stop drawing the outline, remove the settings from scenes and unregister the classes."""
     outline.stop()
-    del bpy.types.Scene.farfield_restore
-    unregister_classes()
+    unregister_settings()

@@ -135,17 +135,10 @@ CLASSES = (
     FARFIELD_OT_unwrap_overlay,
     FARFIELD_OT_unwrap_stretch_image,
 )
-register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
-
-
-def register() -> None:
-    """Register the classes and add the settings to scenes."""
-    register_classes()
-    bpy.types.Scene.farfield_unwrap = bpy.props.PointerProperty(type=FARFIELD_PG_unwrap)
+register, unregister_settings = properties.scene_settings_factory("farfield_unwrap", FARFIELD_PG_unwrap, CLASSES)
 
 
 def unregister() -> None:
     """Hide the overlay, remove the settings from scenes and unregister the classes."""
     overlay.hide()
-    del bpy.types.Scene.farfield_unwrap
-    unregister_classes()
+    unregister_settings()
