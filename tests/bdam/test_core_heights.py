@@ -32,10 +32,8 @@ class GeographicField(ArrayField):
         return GeographicFrame((9.0, 69.0), (3e-4, 1e-4), (9.01, 69.005))
 
 
-class WideField(ArrayField):
+class WideField(GeographicField):
     """Heights in a grid of many degrees far in the north."""
-
-    crs = "degrees"
 
     @property
     def frame(self) -> GeographicFrame:
@@ -195,7 +193,7 @@ def measure_in_meters(mesh: CutMesh, positions: np.ndarray) -> np.ndarray:
 
 def test_cuts_of_a_geographic_grid_are_within_their_errors_in_meters(tmp_path):
     y, x = np.mgrid[0:65, 0:65]
-    heights = 30.0 * x + 20.0 * y  # a plane in the grid, so that all errors come from the bending of its lines
+    heights = 30.0 * x + 20.0 * y  # a plane in the grid, so that all errors come from the curvature of its lines
     settings = BdamSettings(leaf="16", height_step=STEP, executor="serial")
     run_to_end(build_terrain(WideField(heights), [], tmp_path / "store", settings))
     with TerrainStore(tmp_path / "store") as store:
@@ -205,7 +203,7 @@ def test_cuts_of_a_geographic_grid_are_within_their_errors_in_meters(tmp_path):
             mesh = build_cut_mesh(PatchCache(store), extract_uniform_cut(store, max_error))
             distances = measure_in_meters(mesh, positions)
             is_inside = np.isfinite(distances)
-            assert is_inside.mean() > 0.95, "the borders of the field bend, so that a few samples are outside of the mesh"
+            assert is_inside.mean() > 0.95, "the borders of the field are curved, so that a few samples are outside of the mesh"
             assert distances[is_inside].max() <= max_error * (1.0 + 1e-6)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from .extraction import Cut
 from .store.patch_codec import Patch
 from .store.terrain_store import TerrainStore
+from .triangle_gradients import weigh_gradients
 
 DEFAULT_CACHE_BYTES = 64 << 20
 
@@ -104,9 +105,7 @@ def vertex_gradients(positions: np.ndarray, triangles: np.ndarray) -> np.ndarray
     """Return the derivatives (2, V) float64 of z along x and y at vertices (V, 3): means of triangles (T, 3) weighted by area."""
     vertices = triangles.T.astype(np.intp, order="C")
     axes = positions.T.copy()
-    start = axes.take(vertices[0], axis=1)
-    (x1, y1, z1), (x2, y2, z2) = axes.take(vertices[1], axis=1) - start, axes.take(vertices[2], axis=1) - start
-    weights = (z1 * y2 - z2 * y1, z2 * x1 - z1 * x2, x1 * y2 - y1 * x2)  # the last one is twice the area
+    weights = weigh_gradients(*axes.take(vertices, axis=1))
     sums = [np.bincount(vertices.ravel(), np.concatenate([values] * 3), len(positions)) for values in weights]
     return np.stack(sums[:2]) / np.maximum(sums[2], np.finfo(np.float64).tiny)
 

@@ -57,7 +57,7 @@ def extract_cut(store: TerrainStore, viewer: Viewer, settings: CutSettings, is_f
     is_forced: patches that must be refined whatever their error, such as those that are larger than the texture tiles in the same place. If
         it is true of a patch, it should be true of the parent, too: only children of refined patches are asked for.
     """
-    return _extract(store, ProjectedErrors(store, viewer, settings).measure, settings.tolerance, is_forced)
+    return _extract(store, ProjectedErrors(store, viewer, settings), settings.tolerance, is_forced)
 
 
 def extract_union_cut(
@@ -71,14 +71,14 @@ def extract_union_cut(
     measures = [ProjectedErrors(store, viewer, settings) for viewer in viewers]
     for number, measure in enumerate(measures):
         yield Progress(0.5 * number / len(measures), "Choosing patches")
-        wanted = _find_refined(store, measure.measure, settings.tolerance, is_forced)
+        wanted = _find_refined(store, measure, settings.tolerance, is_forced)
         for level, patches in enumerate(wanted):
             refined[level] = np.union1d(refined[level], patches)
     cut = _build_cut(store, _complete_diamonds(store, refined), lambda patches: np.zeros(len(patches)))
-    largest = 0.0
+    patches, largest = cut.rows + store.links.starts[cut.levels], 0.0
     for number, measure in enumerate(measures):
         yield Progress(0.5 + 0.5 * number / len(measures), "Measuring errors")
-        largest = max([largest, *(float(measure(level, cut.rows[cut.levels == level]).max()) for level in np.unique(cut.levels).tolist())])
+        largest = max(largest, float(measure(patches).max()))
     return replace(cut, max_error=largest)
 
 
@@ -128,11 +128,7 @@ class ProjectedErrors:
         offsets = np.concatenate([-position, position, depth[3:], planes[:, 3]])
         return weights, offsets[:, None]
 
-    def __call__(self, level: int, rows: np.ndarray) -> np.ndarray:
-        """Return the errors (N,) float64 of patches, given by their level and rows (N,)."""
-        return self.measure(rows + self._store.links.starts[level])
-
-    def measure(self, patches: np.ndarray) -> np.ndarray:
+    def __call__(self, patches: np.ndarray) -> np.ndarray:
         """Return the errors (N,) float64 of patches, given by their numbers (N,)."""
         bounds = self._store.bounds.take(patches, axis=0).T.astype(np.float64)
         values = self._weights @ bounds

@@ -6,6 +6,7 @@ from ...arrays import concatenate_ranges
 from ..simplification.decimation import MeshBatch, simplify
 from ..simplification.removed_samples import RemovedSamples
 from ..tree import Tree
+from ..triangle_gradients import weigh_gradients
 from .diamond_meshes import DiamondMeshes, classify_vertices, triangulate_field, weld_patches
 from .grid_collapses import choose_grid_collapses
 from .height_grid import HeightGrid
@@ -134,12 +135,9 @@ def _add_gradients(meshes: DiamondMeshes, triangles: np.ndarray, is_missing: np.
     """Return the gradients (V, 2) float32 with those of the vertices `is_missing` (V,), if triangles use them: means of the gradients of
     their triangles weighted by area."""
     triangles = triangles[is_missing.take(triangles).any(axis=1)]
-    (x0, x1, x2), (y0, y1, y2), (z0, z1, z2) = (axis.astype(np.float64).take(triangles.T) for axis in (meshes.x, meshes.y, meshes.z))
-    area = (x1 - x0) * (y2 - y0) - (y1 - y0) * (x2 - x0)  # the gradients below are multiplied by it
-    along_x = (z1 - z0) * (y2 - y0) - (z2 - z0) * (y1 - y0)
-    along_y = (z2 - z0) * (x1 - x0) - (z1 - z0) * (x2 - x0)
+    weighted = weigh_gradients(*(axis.astype(np.float64).take(triangles.T) for axis in (meshes.x, meshes.y, meshes.z)))
     corners, count = triangles.reshape(-1), len(meshes.x)
-    sums = [np.bincount(corners, np.repeat(values, 3), minlength=count)[is_missing] for values in (along_x, along_y, area)]
+    sums = [np.bincount(corners, np.repeat(values, 3), minlength=count)[is_missing] for values in weighted]
     gradients = meshes.gradients.copy()
     gradients[is_missing] = np.stack(sums[:2], axis=1) / np.maximum(sums[2], 1.0)[:, None]
     return gradients

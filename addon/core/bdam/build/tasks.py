@@ -14,7 +14,7 @@ import numpy as np
 from ...files.sealed_files import read_sealed, write_sealed
 from ..store.leaf_grids import leaf_grid
 from ..store.patch_codec import Patch, encode_patch, find_boundary
-from .bending import measure_bending
+from .curvature_errors import bound_curvature_errors
 from .diamond_meshes import sample_gradients
 from .encoded_patches import EncodedPatches
 from .patch_set import PatchSet, join
@@ -85,7 +85,7 @@ class BuildTasks:
             patches.save(buffer)
             write_sealed(self._folder.patches_path(level, shard), buffer.getvalue())
         corners = self._tree.triangle_corners(level, indices)
-        errors = patches.errors + measure_bending(patches, self._folder.parameters.curvature)
+        errors = patches.errors + bound_curvature_errors(patches, self._folder.parameters.curvature)
         return self._encode(level, indices, errors, [_extract(patches, row, corner) for row, corner in enumerate(corners)])
 
     def _load_children(self, level: int, indices: np.ndarray) -> PatchSet:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...arrays import concatenate_ranges
+from ..triangle_gradients import weigh_gradients
 from .height_grid import HeightGrid, split_rows
 
 MAX_SPANS = 1 << 14  # rows of triangles at once
@@ -64,11 +65,9 @@ class _Planes:
     def __init__(self, corners: np.ndarray, heights: np.ndarray) -> None:
         self._x, self._y = corners[..., 0].astype(np.float64), corners[..., 1].astype(np.float64)
         z = heights.astype(np.float64)
-        (x0, x1, x2), (y0, y1, y2), (z0, z1, z2) = self._x.T, self._y.T, z.T
-        area = (x1 - x0) * (y2 - y0) - (y1 - y0) * (x2 - x0)
-        self._gradient_x = ((z1 - z0) * (y2 - y0) - (z2 - z0) * (y1 - y0)) / area
-        self._gradient_y = ((z2 - z0) * (x1 - x0) - (z1 - z0) * (x2 - x0)) / area
-        self._offset = z0 - self._gradient_x * x0 - self._gradient_y * y0
+        along_x, along_y, area = weigh_gradients(self._x.T, self._y.T, z.T)
+        self._gradient_x, self._gradient_y = along_x / area, along_y / area
+        self._offset = z[:, 0] - self._gradient_x * self._x[:, 0] - self._gradient_y * self._y[:, 0]
 
     def measure_spans(
         self, triangles: np.ndarray, y: np.ndarray, window: np.ndarray, is_known: np.ndarray | None, origin: tuple[int, int]

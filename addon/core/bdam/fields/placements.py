@@ -156,14 +156,11 @@ class GeographicFrame:
         x, y = np.meshgrid(np.linspace(0.0, columns - 1.0, CURVATURE_POINTS), np.linspace(0.0, rows - 1.0, CURVATURE_POINTS))
         step = max(1.0, CURVATURE_STEP * max(shape))
 
-        def to_local(offset_x: float, offset_y: float) -> np.ndarray:
-            return np.stack(self.to_local(x + offset_x * step, y + offset_y * step))
-
-        center = to_local(0.0, 0.0)
-        along_x, along_y = (to_local(*offset) - to_local(-offset[0], -offset[1]) for offset in ((1.0, 0.0), (0.0, 1.0)))
-        second_x = to_local(1.0, 0.0) + to_local(-1.0, 0.0) - 2.0 * center
-        second_y = to_local(0.0, 1.0) + to_local(0.0, -1.0) - 2.0 * center
-        mixed = (to_local(1.0, 1.0) + to_local(-1.0, -1.0) - to_local(1.0, -1.0) - to_local(-1.0, 1.0)) / 4.0
+        offsets = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+        at = {(i, j): np.stack(self.to_local(x + i * step, y + j * step)) for i, j in offsets}
+        along_x, along_y = at[1, 0] - at[-1, 0], at[0, 1] - at[0, -1]
+        second_x, second_y = at[1, 0] + at[-1, 0] - 2.0 * at[0, 0], at[0, 1] + at[0, -1] - 2.0 * at[0, 0]
+        mixed = (at[1, 1] + at[-1, -1] - at[1, -1] - at[-1, 1]) / 4.0
         second = np.sqrt((second_x**2 + second_y**2 + 2.0 * mixed**2).sum(axis=0)) / step**2
         first = np.minimum(np.linalg.norm(along_x, axis=0), np.linalg.norm(along_y, axis=0)) / (2.0 * step)
         return float(CURVATURE_SLACK * (second / np.maximum(first, MIN_DERIVATIVE * first.max())).max())

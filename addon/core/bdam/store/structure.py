@@ -27,7 +27,7 @@ from ..tree import Tree
 from .blocks import BlockReader, BlockWriter
 
 KIND, STRUCTURE_FILE = "bdamstru", "structure.bdam"
-VERSION = 2  # of the contents of the header; 2: gradients of patches have another name, errors include the bending of geographic grids
+VERSION = 2  # of the contents of the header; 2: gradients of patches have another name, errors include the curvature of geographic grids
 ARRAYS_PER_LEVEL = 5
 FRAMES = {"projected": ProjectedFrame, "geographic": GeographicFrame}
 

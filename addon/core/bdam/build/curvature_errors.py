@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from ..triangle_gradients import weigh_gradients
 from .patch_set import PatchSet
 
 
-def measure_bending(patches: PatchSet, curvature: float) -> np.ndarray:
+def bound_curvature_errors(patches: PatchSet, curvature: float) -> np.ndarray:
     """Return upper bounds (P,) float32, in steps, of the vertical distances of patches in the local frame to the same patches in the grid.
 
     A point with the barycentric coordinates w in a triangle of the grid, and the point with the same coordinates in the triangle whose
@@ -20,14 +21,11 @@ def measure_bending(patches: PatchSet, curvature: float) -> np.ndarray:
         return np.zeros(len(patches.indices), np.float32)
     starts = np.repeat(patches.vertex_starts[:-1], np.diff(patches.triangle_starts))
     vertices = patches.triangles + starts[:, None]
-    (x0, x1, x2), (y0, y1, y2), (z0, z1, z2) = (axis.astype(np.float64)[vertices.T] for axis in (patches.x, patches.y, patches.z))
-    area = (x1 - x0) * (y2 - y0) - (y1 - y0) * (x2 - x0)
-    along_x = ((z1 - z0) * (y2 - y0) - (z2 - z0) * (y1 - y0)) / area
-    along_y = ((z2 - z0) * (x1 - x0) - (z1 - z0) * (x2 - x0)) / area
-    gradients = np.hypot(along_x, along_y)
+    x, y, z = (axis.astype(np.float64)[vertices.T] for axis in (patches.x, patches.y, patches.z))
+    along_x, along_y, area = weigh_gradients(x, y, z)
     around = np.zeros(len(patches.x))
-    np.maximum.at(around, vertices, gradients[:, None])
-    squares = np.maximum((x1 - x0) ** 2 + (y1 - y0) ** 2, (x2 - x1) ** 2 + (y2 - y1) ** 2)
-    squares = np.maximum(squares, (x0 - x2) ** 2 + (y0 - y2) ** 2)
-    bounds = around[vertices].max(axis=1) * (curvature / 6.0) * squares
+    np.maximum.at(around, vertices, np.hypot(along_x / area, along_y / area)[:, None])
+    edges = np.stack([x - np.roll(x, 1, axis=0), y - np.roll(y, 1, axis=0)])
+    longest_squares = (edges**2).sum(axis=0).max(axis=0)
+    bounds = around[vertices].max(axis=1) * (curvature / 6.0) * longest_squares
     return np.maximum.reduceat(bounds, patches.triangle_starts[:-1]).astype(np.float32)
