@@ -9,7 +9,7 @@ import bpy
 import mathutils
 import numpy as np
 
-from ..mesh_arrays import read_values
+from ..mesh_arrays import read_attribute
 from ..mesh_pool import is_local
 from .objects import SceneTerrain
 
@@ -115,18 +115,24 @@ def is_at(item: bpy.types.Object, target: np.ndarray, up: np.ndarray, uses_botto
 def read_points(item: bpy.types.Object) -> np.ndarray:
     """Return the vertices of a mesh or the points of a point cloud, (N, 3) float64 in world space."""
     attribute = item.data.attributes.get("position")
-    points = read_values(attribute.data, "vector", 3).astype(np.float64) if attribute is not None else np.zeros((0, 3))
+    points = read_attribute(attribute).astype(np.float64) if attribute is not None else np.zeros((0, 3))
     matrix = np.array(item.matrix_world, np.float64)
     return points @ matrix[:3, :3].T + matrix[:3, 3]
 
 
+def count_points(item: bpy.types.Object) -> int:
+    """Return the number of vertices of a mesh or of points of a point cloud."""
+    attribute = item.data.attributes.get("position")
+    return 0 if attribute is None else len(attribute.data)
+
+
 def write_points(item: bpy.types.Object, points: np.ndarray, is_moved: np.ndarray) -> None:
     """Set those vertices or points of an object, by their world positions (N, 3), that are moved, (N,) bool; the others stay exactly."""
-    attribute = item.data.attributes["position"].data
+    attribute = item.data.attributes["position"]
     matrix = np.array(item.matrix_world, np.float64)
-    positions = read_values(attribute, "vector", 3)
+    positions = read_attribute(attribute)
     positions[is_moved] = np.linalg.solve(matrix[:3, :3], (points[is_moved] - matrix[:3, 3]).T).T
-    attribute.foreach_set("vector", positions.ravel())
+    attribute.data.foreach_set("vector", positions.ravel())
     item.data.update_tag()
 
 

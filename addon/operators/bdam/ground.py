@@ -82,8 +82,9 @@ class DropJob:
             if np.isnan(place).any():
                 self.skipped[OUTSIDE] += 1
                 continue
-            if ground_bridge.count_parents(item) > depth:
-                depth = ground_bridge.count_parents(item)
+            parents = ground_bridge.count_parents(item)
+            if parents > depth:
+                depth = parents
                 view_layer.update()  # parents have moved
             normal = axis if self.settings.align else None
             ground_bridge.place(item, place, up, normal, uses_bottom)
@@ -101,7 +102,7 @@ class DropJob:
         count = 0
         for name, start, stop in zip(self.names, self.starts[:-1].tolist(), self.starts[1:].tolist(), strict=True):
             item, part = bpy.data.objects.get((name, None)), slice(start, stop)
-            if item is None or len(ground_bridge.read_points(item)) != stop - start:
+            if item is None or ground_bridge.count_points(item) != stop - start:
                 continue  # deleted or changed meanwhile
             ground_bridge.write_points(item, places[part], is_moved[part])
             count += int(is_moved[part].sum())
@@ -131,7 +132,7 @@ class FARFIELD_OT_bdam_drop(start_job.StartJob, bpy.types.Operator):
         return disabled_reason(context) or ("" if context.selected_objects else "Select the objects to put on the ground")
 
     def prepare(self, context: bpy.types.Context) -> DropJob:
-        """Read the positions of what is selected, and open the store."""
+        """Read the positions of the selected objects or points, and open the store."""
         return prepare(context, find_terrain(context), *self.read_settings(context))
 
 
