@@ -16,16 +16,16 @@ from farfield.addon.core.bdam.textures.store import TextureStore
 from farfield.addon.core.errors import FileError
 
 SIZE, PIXELS = 257, 1024  # of the terrain and of the image
-COUNTS = ("flips", "refused_on_opening", "found_by_verify", "found_on_reading", "not_found", "rest_unusable")
+COUNTS = ("flips", "refused_on_opening", "found_on_opening", "found_by_verify", "found_on_reading", "not_found", "rest_unusable")
 
-Damage = tuple[set[str], set[str]]  # names that `verify` gives, and of what cannot be read
+Damage = tuple[set[str], set[str], set[str]]  # names of files that opening gives, all that `verify` gives, and of what cannot be read
 
 
 def measure_flips(given: Namespace, workplace: Workplace) -> dict[str, Any]:
     """Flip bytes of each file of a store.
 
-    `not_found` counts flips that neither opening nor `verify` finds, or where reading refuses something else than `verify` names;
-    `rest_unusable` those that make more than one patch or tile unreadable.
+    `not_found` counts flips that neither opening nor `verify` finds, or where reading refuses other patches or tiles than `verify` names;
+    `rest_unusable` those that make more than one patch or tile unreadable, or the whole store.
     """
     random = np.random.default_rng([given.seed, 70])
     build_store(workplace, f"flip-{SIZE}", FractalTerrain(SIZE, given.seed).read_all(), CELL_SIZE).close()
@@ -46,13 +46,15 @@ def flip_bytes(source: Path, name: str, examine: Callable[[Path], Damage], rando
         flip_byte(damaged / name, random)
         counts["flips"] += 1
         try:
-            named, refused = examine(damaged)
+            files, named, refused = examine(damaged)
         except FileError:
             counts["refused_on_opening"] += 1
+            counts["rest_unusable"] += 1
             continue
+        counts["found_on_opening"] += bool(files)
         counts["found_by_verify"] += bool(named)
         counts["found_on_reading"] += bool(refused)
-        counts["not_found"] += not named or named != refused
+        counts["not_found"] += not named or named != files | refused
         counts["rest_unusable"] += len(refused) > 1
     return counts
 
@@ -69,27 +71,28 @@ def flip_byte(path: Path, random: np.random.Generator) -> None:
 
 
 def examine_patches(folder: Path) -> Damage:
-    """Return the damaged patches of a store. Raises FileError if it cannot be opened."""
+    """Return the damaged files and patches of a store. Raises FileError if it cannot be opened."""
     refused = set()
     with TerrainStore(folder) as store:
-        named = set(store.verify())
+        files, named = {damage.name for damage in store.file_damages}, set(store.verify())
         for level, patches in enumerate(store.levels):
             for row in range(len(patches.indices)):
                 try:
                     store.read(level, row)
                 except FileError:
                     refused.add(store.label(level, row))
-    return named, refused
+    return files, named, refused
 
 
 def examine_tiles(folder: Path) -> Damage:
-    """Return the damaged tiles of a store of textures. Raises FileError if it cannot be opened."""
+    """Return the damaged files and tiles of a store of textures. Raises FileError if it cannot be opened."""
     refused = set()
     with TextureStore(folder) as store:
-        named = {store.label(number) for number in store.verify()}
+        files = {damage.name for damage in store.damages}
+        named = files | {store.label(number) for number in store.verify()}
         for number in range(len(store)):
             try:
                 store.read(number)
             except FileError:
                 refused.add(store.label(number))
-    return named, refused
+    return files, named, refused

@@ -59,7 +59,7 @@ def write_fractal_structure(folder: Path, terrain: FractalTerrain) -> None:
     with BlockWriter(folder / GEOMETRY_FILE, GEOMETRY_KIND) as writer:
         for _ in range(sum(len(level.indices) for level in levels)):
             writer.append(b"")
-        writer.finish()
+        writer.finish(backs_up_index=True)
 
 
 def read_ranges(terrain: FractalTerrain, tree: Tree) -> tuple[np.ndarray, np.ndarray]:

@@ -142,6 +142,7 @@ def show_info(given: Namespace) -> str:
             "height_step": store.header.height_step,
             "bounds": [low.astype(float).tolist(), high.astype(float).tolist()],
             "bytes": folder_bytes(store.folder),
+            "warnings": list(store.damages),
             "levels": [
                 {
                     "patches": len(level.indices),
@@ -161,12 +162,13 @@ def show_info(given: Namespace) -> str:
     write_report(given, figures, clock.seconds)
     size, origin = high - low, ", ".join(f"{number:.10g}" for number in figures["origin"])
     texture = "no texture" if textures is None else f"{figures['tiles']:,} texture tiles"
-    return (
+    summary = (
         f'"{given.store.name}": {figures["columns"]:,} by {figures["rows"]:,} heights from {low[2]:.1f} to {high[2]:.1f} m, '
         f"{size[0] / 1000.0:,.1f} by {size[1] / 1000.0:,.1f} km, {figures['patches']:,} patches in {len(figures['levels'])} levels, "
         f"{texture}, "
         f"{figures['bytes'] / 1e6:,.1f} MB, origin {origin} ({figures['crs']})."
     )
+    return " ".join([summary, *figures["warnings"]])
 
 
 def verify(given: Namespace) -> str:
@@ -211,9 +213,11 @@ def extract(given: Namespace, line: command_line.ProgressLine) -> str:
         "patches": extracted.patches,
         "tiles": extracted.tiles,
         "max_error_px": round(extracted.max_error, 6),
+        "warnings": list(extracted.warnings),
     }
     write_report(given, figures, clock.seconds)
-    return f'"{out.name}": {figures["triangles"]:,} triangles of {extracted.patches:,} patches, errors up to {extracted.max_error:.2f} px.'
+    count = f"{figures['triangles']:,} triangles of {extracted.patches:,} patches"
+    return " ".join([f'"{out.name}": {count}, errors up to {extracted.max_error:.2f} px.', *extracted.warnings[:MAX_NAMED]])
 
 
 def create_viewer(given: Namespace, store: TerrainStore) -> Viewer:

@@ -20,6 +20,7 @@ from .sidebar import SettingsSubPanel, SidebarPanel, ToolPanel, draw_button, dra
 
 PANEL = "FARFIELD_PT_bdam"
 MAX_LISTED = 8  # files of a build
+MAX_WARNINGS = 5  # that are drawn
 
 
 class FARFIELD_PT_bdam(ToolPanel, bpy.types.Panel):
@@ -149,7 +150,10 @@ class FARFIELD_PT_bdam_figures(SidebarPanel, bpy.types.Panel):
         """Draw what is shown, and what is damaged."""
         terrain = SceneTerrain.of_object(context.active_object)
         figures = terrain.figures
-        for sentence in terrain.warnings:
+        warnings = terrain.warnings
+        if len(warnings) > MAX_WARNINGS:
+            warnings = (*warnings[:MAX_WARNINGS], f"{len(warnings) - MAX_WARNINGS:,} more parts are damaged.")
+        for sentence in warnings:
             draw_message(self.layout, sentence, "ERROR")
         rows = [
             ("Triangles", f"{figures.triangles:,}"),

@@ -64,6 +64,30 @@ def test_a_flipped_bit_of_any_byte_is_found(path):
             ]
 
 
+def test_a_flipped_bit_anywhere_costs_one_block_at_most_with_a_backup_of_the_index(tmp_path):
+    path, backup = tmp_path / "data.blocks", tmp_path / "data-backup.blocks"
+    with BlockWriter(path, "TEST") as writer:
+        for block in BLOCKS:
+            writer.append(block)
+        writer.finish(backs_up_index=True)
+    for file in (path, backup):
+        content = file.read_bytes()
+        for place in range(len(content)):
+            file.write_bytes(content[:place] + bytes([content[place] ^ 1 << place % 8]) + content[place + 1 :])
+            with BlockReader(path, "TEST", has_backup=True) as reader:
+                damaged = list(reader.verify())
+                assert [damage.path for damage in reader.damages] + damaged in ([path], [backup], *([n] for n in range(len(BLOCKS))))
+                for number in set(range(len(BLOCKS))) - set(damaged):
+                    assert reader.read(number, "") == BLOCKS[number]
+        file.write_bytes(content)
+    path.write_bytes(content[:HEADER_SIZE] + BLOCKS[0])  # truncated within the blocks
+    with BlockReader(path, "TEST", has_backup=True) as reader:
+        assert list(reader.verify()) == [2, 3] and reader.read(0, "") == BLOCKS[0]
+    path.write_bytes(b"")
+    with pytest.raises(FileError, match="empty"):
+        BlockReader(path, "TEST", has_backup=True)
+
+
 def test_a_file_of_any_other_length_is_refused(path):
     content = path.read_bytes()
     for size in range(len(content)):

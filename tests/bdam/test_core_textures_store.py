@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from farfield.addon.core.bdam.store.backups import backup_path, copy_to_backup
 from farfield.addon.core.bdam.store.blocks import BlockReader, BlockWriter
 from farfield.addon.core.bdam.textures.build import build_textures
 from farfield.addon.core.bdam.textures.grid import BORDER, STEP, TextureGrid
@@ -63,13 +64,26 @@ def test_a_damaged_tile_is_named_and_the_others_are_read(store_folder):
         assert all(store.read(number).shape[:2] == (512, 512) for number in range(len(store)) if number != damaged)
 
 
-def test_any_damage_of_the_structure_is_found_when_the_store_is_opened(store_folder):
+def test_any_damage_of_the_structure_is_found_when_the_store_is_opened_and_costs_nothing(store_folder):
     path = store_folder / STRUCTURE_FILE
-    content = path.read_bytes()
-    for place in range(len(content)):
-        path.write_bytes(content[:place] + bytes([content[place] ^ 16]) + content[place + 1 :])
-        with pytest.raises(FileError, match=STRUCTURE_FILE):
-            TextureStore(store_folder)
+    with TextureStore(store_folder) as store:
+        assert store.damages == ()
+        expected = store.index.tiles, store.errors
+    for damaged in (path, backup_path(path)):
+        content = damaged.read_bytes()
+        for place in range(len(content)):
+            damaged.write_bytes(content[:place] + bytes([content[place] ^ 16]) + content[place + 1 :])
+            with TextureStore(store_folder) as store:
+                assert [damage.path for damage in store.damages] == [damaged]
+                assert np.array_equal(store.index.tiles, expected[0]) and np.array_equal(store.errors, expected[1])
+        damaged.write_bytes(content)
+
+
+def test_a_store_whose_structure_and_backup_are_damaged_is_refused(store_folder):
+    for path in (store_folder / STRUCTURE_FILE, backup_path(store_folder / STRUCTURE_FILE)):
+        path.write_bytes(path.read_bytes()[:-1])
+    with pytest.raises(FileError, match=STRUCTURE_FILE):
+        TextureStore(store_folder)
 
 
 def test_files_that_do_not_belong_together_are_refused(store_folder):
@@ -85,6 +99,7 @@ def test_files_that_do_not_belong_together_are_refused(store_folder):
             for block in changed:
                 writer.append(block)
             writer.finish()
+        copy_to_backup(store_folder / STRUCTURE_FILE)
         with pytest.raises(FileError, match="damaged"):
             TextureStore(store_folder)
 

@@ -1,5 +1,7 @@
 """Frozen terrain: ordinary objects with the same triangles and colors, in the same place, fine enough for a whole camera path."""
 
+import shutil
+
 import bpy
 import mathutils
 import numpy as np
@@ -135,6 +137,22 @@ def test_a_camera_path_is_frozen_within_the_tolerance_in_every_frame(folder, cam
     assert len(item.data.polygons) == count if shading == "slope" else len(item.data.polygons) >= count
     vertices, triangles = geometry([item])
     edges, local = open_edges(triangles), (vertices[:, :2] - [30.0, -20.0]) / EXTENT
+    on_border = [(np.abs(np.abs(axis[edges]) - 1.0) < 1e-5).all(axis=1) for axis in local.T]
+    assert len(edges) and (on_border[0] | on_border[1]).all()
+
+
+def test_a_camera_path_over_a_damaged_store_is_frozen_without_holes(folder, camera, tmp_path, capsys):
+    copy = shutil.copytree(folder, tmp_path / "terrain")
+    for path in (copy / "geometry.bdam", copy / "textures" / "textures.tiles"):
+        content = bytearray(path.read_bytes())
+        for position in range(len(content) // 3, len(content) * 9 // 10, len(content) // 10):
+            content[position] ^= 1
+        path.write_bytes(content)
+    load(copy, shading="texture")
+    assert bpy.ops.farfield.bdam_freeze_path(joined=True) == {"FINISHED"}
+    assert "is damaged" in capsys.readouterr().out
+    vertices, triangles = geometry(frozen())
+    edges, local = open_edges(triangles), vertices[:, :2] / EXTENT
     on_border = [(np.abs(np.abs(axis[edges]) - 1.0) < 1e-5).all(axis=1) for axis in local.T]
     assert len(edges) and (on_border[0] | on_border[1]).all()
 

@@ -52,6 +52,17 @@ def signature(terrain: SceneTerrain) -> dict[str, int]:
     return {name: len(tile.data.polygons) for name, tile in terrain.tiles().items()}
 
 
+def test_load_uses_the_backup_of_a_damaged_file_and_says_so(folder, camera):
+    expected = signature(load(folder))
+    for name in ("structure.bdam", "geometry.bdam"):
+        content = bytearray((folder / name).read_bytes())
+        content[-5] ^= 1
+        (folder / name).write_bytes(content)
+    terrain = load(folder)
+    assert signature(terrain) == expected and len(terrain.warnings) == 2
+    assert "structure.bdam" in terrain.warnings[0] and "geometry.bdam" in terrain.warnings[1]
+
+
 def test_load_shows_the_terrain_as_the_camera_needs_it(folder, camera):
     terrain = load(folder)
     assert bpy.context.active_object == terrain.root and terrain.root[STORE_KEY] == str(folder)

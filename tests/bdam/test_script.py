@@ -1,6 +1,7 @@
 """`scripts/bdam.py`: the four commands, their output files, reports and exit codes."""
 
 import json
+import shutil
 import subprocess
 import sys
 
@@ -126,6 +127,21 @@ def test_verify_names_what_is_damaged(folder, tmp_path):
     with pytest.raises(FileError, match=r"damaged in 1 parts: patch 0/\d+; the rest can be used"):
         run("verify", tmp_path / "store", "--report", tmp_path / "report.json")
     assert len(read_report(tmp_path / "report.json")["damaged"]) == 1
+
+
+def test_a_store_with_a_damaged_structure_is_usable_and_named(folder, tmp_path):
+    shutil.copytree(folder / "store", tmp_path / "store")
+    path = tmp_path / "store" / "structure.bdam"
+    path.write_bytes(path.read_bytes()[:-9])
+    with pytest.raises(FileError, match=r'damaged in 1 parts: file "structure\.bdam"; the rest can be used'):
+        run("verify", tmp_path / "store")
+    assert 'structure.bdam" is damaged' in run("info", tmp_path / "store", "--report", tmp_path / "info.json")
+    summary = run("extract", tmp_path / "store", *VIEW, "--out", tmp_path / "cut.ply", "--report", tmp_path / "cut.json")
+    run("extract", folder / "store", *VIEW, "--out", folder / "cut.ply")
+    assert (tmp_path / "cut.ply").read_bytes() == (folder / "cut.ply").read_bytes()
+    (warning,) = read_report(tmp_path / "cut.json")["warnings"]
+    assert warning in summary and read_report(tmp_path / "info.json")["warnings"] == [warning]
+    run("extract", tmp_path / "store", *VIEW, "--out", tmp_path / "cut.blend")
 
 
 def test_a_store_can_be_moved(folder, tmp_path):

@@ -1,11 +1,15 @@
 """Cuts as meshes in full precision, for files."""
 
+from contextlib import suppress
 from dataclasses import dataclass
 
+import numpy as np
+
+from ..errors import FileError
 from ..geometry.viewers import Viewer
 from ..jobs.progress import Progress, Steps
 from .cut_meshes import CutMesh, PatchCache, PatchMesh, merge_patches, remove_unused
-from .extraction import CutSettings, extract_cut
+from .extraction import Cut, CutSettings, extract_cut
 from .patch_squares import find_leaf_squares
 from .store.terrain_store import TerrainStore
 from .texture_cuts import TextureSelector
@@ -19,35 +23,48 @@ class ExtractedMesh:
     """The mesh of a cut, without holes, and figures about it.
 
     mesh: all of its vertices are used. patches: number of patches. tiles: the number of objects that show the same in a scene. max_error:
-    pixels.
+    pixels. warnings: sentences about damaged parts, which are replaced or missing.
     """
 
     mesh: CutMesh
     patches: int
     tiles: int
     max_error: float
+    warnings: tuple[str, ...] = ()
 
 
 def extract_mesh(store: TerrainStore, viewer: Viewer, settings: CutSettings) -> Steps[ExtractedMesh]:
-    """Return the mesh that shows a terrain to a viewer in its local frame.
+    """Return the mesh that shows a terrain to a viewer in its local frame. Other patches replace damaged ones.
 
     Raises:
-        FileError: a patch is damaged.
+        FileError: no patch can be read.
     """
     yield Progress(0.0, "Choosing patches")
     leaf_squares = find_leaf_squares(store)
-    squares: dict[tuple[int, int, int], int | None] = {(0, 0, 0): None}
-    is_forced = None
-    if store.textures is not None:
-        selector = TextureSelector(store, leaf_squares)
-        texture_cut = selector.choose(viewer, settings, MAX_TILES)
-        squares, is_forced = texture_cut.numbers, selector.is_forced(texture_cut)
-    cut = extract_cut(store, viewer, settings, is_forced)
+    selector = None if store.textures is None else TextureSelector(store, leaf_squares)
+    cache, known_damages = PatchCache(store, max_bytes=0), -1
+    while known_damages != store.damage_count:
+        known_damages = store.damage_count
+        squares: dict[tuple[int, int, int], int | None] = {(0, 0, 0): None}
+        is_forced = None
+        if selector is not None:
+            texture_cut = selector.choose(viewer, settings, MAX_TILES)
+            squares, is_forced = texture_cut.numbers, selector.is_forced(texture_cut)
+        cut = extract_cut(store, viewer, settings, is_forced)
+        meshes, levels = yield from _read_patches(cache, cut)
+    if not meshes:
+        raise FileError(f'No patch of "{store.folder}" can be read; build the terrain again.')
     tiles = TileGrouping(store, leaf_squares).group(cut, squares)
-    cache = PatchCache(store, max_bytes=0)
-    meshes: list[PatchMesh] = []
+    return ExtractedMesh(remove_unused(merge_patches(meshes, levels)), len(meshes), len(tiles), cut.max_error, store.damages)
+
+
+def _read_patches(cache: PatchCache, cut: Cut) -> Steps[tuple[list[PatchMesh], np.ndarray]]:
+    """Return the patches of a cut that can be read, and their levels (N,)."""
+    meshes, levels = [], []
     for index, (level, row) in enumerate(zip(cut.levels.tolist(), cut.rows.tolist(), strict=True)):
         if index % PROGRESS_PATCHES == 0:
             yield Progress(index / len(cut), "Reading patches")
-        meshes.append(cache.get(level, row))
-    return ExtractedMesh(remove_unused(merge_patches(meshes, cut.levels)), len(cut), len(tiles), cut.max_error)
+        with suppress(FileError):  # the store keeps the sentence
+            meshes.append(cache.get(level, row))
+            levels.append(level)
+    return meshes, np.array(levels)

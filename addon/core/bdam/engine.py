@@ -54,7 +54,7 @@ class Update:
     """The changes of a move, beside the tiles in `BdamEngine.finished_blocks`.
 
     tiles: all that are shown afterwards, with the number of their texture. is_complete: whether all of them were finished by this move,
-    since nothing is known of what was shown before. warnings: sentences about damaged parts that are missing.
+    since nothing is known of what was shown before. warnings: sentences about damaged parts, which are replaced or missing.
     """
 
     tiles: dict[TileKey, int | None]
@@ -115,24 +115,32 @@ class BdamEngine:
         return f"{index.levels[number]} {index.tiles[number, 0]} {index.tiles[number, 1]}"
 
     def move(self, viewer: Viewer) -> Steps[Update]:
-        """Compute the tiles that change for a viewer in the local frame. If it is cancelled or fails, the engine stays valid."""
+        """Compute the tiles that change for a viewer in the local frame. If it is cancelled or fails, the engine stays valid.
+
+        If patches turn out to be damaged, others are chosen, and tiles with them are finished once more; the last ones count.
+        """
         self.finished_blocks = SimpleQueue()
         yield Progress(0.0, "Choosing patches")
-        texture_cut, cut, tolerance = self._choose(viewer)
-        tiles = self._grouping.group(cut, texture_cut.numbers)
-        changed = [key for key, tile in tiles.items() if self._shown.get(key) != tile.signature]
-        warnings = {key: sentences for key, sentences in self._warnings.items() if key in tiles}
-        for index, key in enumerate(changed):
-            yield Progress(index / len(changed), "Reading patches")
-            block, warnings[key] = self._build_block(key, tiles[key])
-            self.finished_blocks.put((key, block))
+        shown, warnings, known_damages = self._shown, self._warnings, -1
+        while known_damages != self.store.damage_count:
+            known_damages = self.store.damage_count
+            texture_cut, cut, tolerance = self._choose(viewer)
+            tiles = self._grouping.group(cut, texture_cut.numbers)
+            changed = [key for key, tile in tiles.items() if shown.get(key) != tile.signature]
+            warnings = {key: sentences for key, sentences in warnings.items() if key in tiles}
+            for index, key in enumerate(changed):
+                yield Progress(index / len(changed), "Reading patches")
+                block, warnings[key] = self._build_block(key, tiles[key])
+                self.finished_blocks.put((key, block))
+            shown = shown | {key: tiles[key].signature for key in changed}
         is_complete = not self._shown
         self._shown = {key: tile.signature for key, tile in tiles.items()}
         self._viewer, self._clearance, self._warnings = viewer, self._measure_clearance(cut, viewer), warnings
         self.figures = Figures(
             self._count_triangles(cut), len(cut), len(tiles), tolerance, cut.max_error, self._cache.byte_count + self._coded_bytes()
         )
-        sentences = tuple(dict.fromkeys(sentence for key in tiles for sentence in warnings.get(key, ())))
+        of_tiles = [sentence for key in tiles for sentence in warnings.get(key, ())]
+        sentences = tuple(dict.fromkeys([*self.store.damages, *of_tiles]))
         return Update({key: tile.texture for key, tile in tiles.items()}, is_complete, self.figures, sentences)
 
     def is_settled_at(self, viewer: Viewer) -> bool:

@@ -3,10 +3,13 @@
 A patch is refined if its error, seen from the point of its bounding box nearest to the viewer, is larger than the tolerance. A cut fits
 without cracks if the two patches of a diamond are refined together. The paper achieves that by errors and spheres which are nested across
 diamonds; here, refinement spreads to the other patches of diamonds instead, which needs fewer patches because bounding boxes stay small.
+
+Cuts avoid patches that could not be read, see `store.damaged_patches`. Their errors may then be larger than the tolerance.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -74,7 +77,7 @@ def extract_union_cut(
         wanted = _find_refined(store, measure, settings.tolerance, is_forced)
         for level, patches in enumerate(wanted):
             refined[level] = np.union1d(refined[level], patches)
-    cut = _build_cut(store, _complete_diamonds(store, refined), lambda patches: np.zeros(len(patches)))
+    cut = _build_cut(store, _complete(store, refined), lambda patches: np.zeros(len(patches)))
     patches, largest = cut.rows + store.links.starts[cut.levels], 0.0
     for number, measure in enumerate(measures):
         yield Progress(0.5 + 0.5 * number / len(measures), "Measuring errors")
@@ -165,22 +168,39 @@ def extract_uniform_cut(store: TerrainStore, max_error: float) -> Cut:
 
 def _extract(store: TerrainStore, measure: Measure, tolerance: float, is_forced: IsForced | None = None) -> Cut:
     """Return the coarsest consistent cut whose patches have at most this error according to `measure`, without forced ones."""
-    return _build_cut(store, _complete_diamonds(store, _find_refined(store, measure, tolerance, is_forced)), measure)
+    return _build_cut(store, _complete(store, _find_refined(store, measure, tolerance, is_forced)), measure)
 
 
 def _find_refined(store: TerrainStore, measure: Measure, tolerance: float, is_forced: IsForced | None) -> list[np.ndarray]:
     """Return the numbers (N,), at each level from 0, of the patches that a cut must refine because of their own error or force."""
-    starts, children = store.links.starts, store.links.children
+    starts, children, limits = store.links.starts, store.links.children, store.limits
     visited, refined = np.arange(starts[1]), []
     for level in range(len(store.levels) - 1):
         is_refined = measure(visited) > tolerance
         if is_forced is not None:
             is_refined |= is_forced(level, visited - starts[level])
+        if limits is not None:
+            is_refined = (is_refined | limits.is_required[visited]) & ~limits.is_blocked[visited]
         refined.append(visited[is_refined])
         visited = _list_children(children, refined[level])
         if not len(visited):
             break
     return refined
+
+
+def _complete(store: TerrainStore, refined: list[np.ndarray]) -> np.ndarray:
+    """Return which patches must be refined, (N,) bool by number; see `_complete_diamonds`. If that reaches damaged patches, these are
+    refined, too."""
+    is_refined, limits, starts = _complete_diamonds(store, refined), store.limits, store.links.starts
+    while limits is not None:
+        is_reached = (store.links.parents == NO_PATCH) | is_refined[store.links.parents]
+        added = limits.is_required & is_reached & ~is_refined
+        if not added.any():
+            break
+        is_refined |= added
+        parts = [slice(int(start), int(stop)) for start, stop in pairwise(starts[:-1])]
+        is_refined = _complete_diamonds(store, [np.flatnonzero(is_refined[part]) + part.start for part in parts])
+    return is_refined
 
 
 def _complete_diamonds(store: TerrainStore, refined: list[np.ndarray]) -> np.ndarray:

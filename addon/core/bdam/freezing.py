@@ -54,7 +54,7 @@ def choose_path_cut(store: TerrainStore, viewers: Sequence[Viewer], settings: Vi
 
 def freeze_cut(store: TerrainStore, textures: TextureCut, cut: Cut, exaggeration: float) -> Steps[tuple[list[FrozenMesh], tuple[str, ...]]]:
     """Return the meshes of the tiles of a cut, whose materials are the numbers of texture tiles or None, and sentences about damaged
-    patches that are missing."""
+    parts, which are missing unless `cut` avoids them."""
     cache = PatchCache(store)
     tiles = TileGrouping(store, find_leaf_squares(store)).group(cut, textures.numbers)
     meshes, damages = [], []
@@ -64,7 +64,7 @@ def freeze_cut(store: TerrainStore, textures: TextureCut, cut: Cut, exaggeration
         damages += mesh.damages
         if len(mesh.triangles):
             meshes.append(freeze_tile(mesh, tile.texture))
-    return meshes, tuple(damages)
+    return meshes, tuple(dict.fromkeys([*store.damages, *damages]))
 
 
 def freeze_tile(mesh: TileMesh, material: int | str | None) -> FrozenMesh:

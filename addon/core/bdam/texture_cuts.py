@@ -13,6 +13,7 @@ import numpy as np
 from ..geometry.viewers import Viewer
 from .extraction import CutSettings, IsForced, are_boxes_visible, view_planes
 from .patch_squares import contains_squares, square_boxes
+from .store.damaged_patches import PatchLimits
 from .store.terrain_store import TerrainStore
 from .textures.nesting import select_cut
 
@@ -33,6 +34,7 @@ class TextureSelector:
     """Chooses the texture tiles of one store. leaf_squares: see `patch_squares.find_leaf_squares`."""
 
     def __init__(self, store: TerrainStore, leaf_squares: list[np.ndarray]) -> None:
+        self._store = store
         self._index, self._errors = store.textures.index, store.textures.errors.astype(np.float64)
         self._leaf_squares, self._depth = leaf_squares, store.tree.depth
         self._min_distance = store.header.cell_size
@@ -116,13 +118,30 @@ class TextureSelector:
         return pixels
 
     def _nest(self, pixels: np.ndarray) -> np.ndarray:
-        """Return the pixels (N,) raised to the largest of the tiles that refinement depends on; see `nesting.balance`."""
+        """Return the pixels (N,) raised to the largest of the tiles that refinement depends on; see `nesting.balance`. Those of tiles that
+        cannot be refined, because patches are damaged, become 0."""
         for level in range(self._index.level_count - 2, -1, -1):
             numbers, relatives = self._index.numbers(level), self._relatives[level]
             if relatives.size:
                 below = np.where(relatives >= 0, pixels[relatives], 0.0).max(axis=1)
                 pixels[numbers] = np.maximum(pixels[numbers], below)
+        if self._store.limits is not None:
+            pixels[self._find_blocked(self._store.limits)] = 0.0
         return pixels
+
+    def _find_blocked(self, limits: PatchLimits) -> np.ndarray:
+        """Return which tiles cannot be refined, (N,) bool: those around patches that cannot, since a patch needs one texture; and what may
+        only be refined together with these."""
+        is_blocked = np.zeros(len(self._index), bool)
+        for level, relatives in enumerate(self._relatives):
+            for patch_level in (2 * level, 2 * level + 1):
+                start, stop = (int(number) for number in self._store.links.starts[patch_level : patch_level + 2])
+                rows = np.flatnonzero(limits.is_blocked[start:stop])
+                found = self._index.find(level, self._leaf_squares[patch_level][rows] >> (self._depth - level))
+                is_blocked[found[found >= 0]] = True
+            below = relatives[is_blocked[self._index.numbers(level)]]
+            is_blocked[below[below >= 0]] = True
+        return is_blocked
 
     def _find_threshold(self, pixels: np.ndarray, max_count: int) -> float:
         """Return the smallest of the `pixels` (N,) such that refining all tiles above it gives at most `max_count` tiles."""

@@ -15,7 +15,7 @@ from ...bridge.viewers import camera_viewer
 from ...core.bdam.engine import BdamEngine
 from ...core.bdam.freezing import FrozenMesh, choose_path_cut, freeze_cut, join
 from ...core.bdam.settings import FreezePathSettings, FreezeSettings, ViewSettings
-from ...core.errors import GeometryError, SettingsError
+from ...core.errors import FarfieldError, GeometryError, SettingsError
 from ...core.geometry.viewers import Viewer
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.text import format_count
@@ -85,8 +85,13 @@ class FreezePathJob:
         store, exaggeration = core_result.store, self.view_settings.exaggeration
         try:
             yield from subprogress(self._read_viewers(), 0.0, VIEWERS_FRACTION)
-            textures, cut = yield from subprogress(choose_path_cut(store, self.viewers, self.view_settings), VIEWERS_FRACTION, CUT_FRACTION)
-            meshes, damages = yield from subprogress(freeze_cut(store, textures, cut, exaggeration), CUT_FRACTION, MESHES_FRACTION)
+            known_damages = -1
+            while known_damages != store.damage_count:  # others are chosen instead of patches that turn out to be damaged
+                known_damages = store.damage_count
+                textures, cut = yield from subprogress(
+                    choose_path_cut(store, self.viewers, self.view_settings), VIEWERS_FRACTION, CUT_FRACTION
+                )
+                meshes, damages = yield from subprogress(freeze_cut(store, textures, cut, exaggeration), CUT_FRACTION, MESHES_FRACTION)
             if not meshes:
                 raise GeometryError(f'The terrain "{self.terrain.name}" has no triangles that can be read; verify its store.')
             yield Progress(MESHES_FRACTION, "Joining meshes")
@@ -95,13 +100,17 @@ class FreezePathJob:
             numbers = sorted({key for mesh in meshes for key in mesh.materials if key is not None})
             for index, number in enumerate(numbers):
                 yield Progress(MESHES_FRACTION + (1.0 - MESHES_FRACTION) * index / len(numbers), "Creating materials")
-                materials.ensure(number, f"{self.terrain.name} {core_result.texture_label(number)}", core_result.read_texture(number))
+                try:
+                    materials.ensure(number, f"{self.terrain.name} {core_result.texture_label(number)}", core_result.read_texture(number))
+                except FarfieldError as error:
+                    damages = (*damages, str(error))
             yield Progress(1.0, "Creating objects")
             check_exists(self.terrain)
             shading = "slope" if self.view_settings.shading == "texture" else self.view_settings.shading
 
             def find_material(key: Key) -> bpy.types.Material | None:
-                return materials.find(key) if key is not None else self.terrain.ensure_material(shading, core_result.heights)
+                material = None if key is None else materials.find(key)
+                return material or self.terrain.ensure_material(shading, core_result.heights)
 
             self.object_names, message = create_objects(self.terrain, meshes, self.settings, find_material)
             remove_unused()

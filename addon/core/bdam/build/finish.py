@@ -38,7 +38,7 @@ def write_geometry(work: WorkFolder, layouts: list[LevelLayout], header: StoreHe
                     blocks[int(index)] = memoryview(encoded.blocks)[start:end]
                 parts[-1].append(encoded.without_blocks())
                 _write_leading(writer, blocks, layout, shard)
-        writer.finish()
+        writer.finish(backs_up_index=True)
     levels = _nest(work.tree, layouts, parts, header, header.create_frame())
     write_structure(out, header, levels)
     return levels

@@ -14,6 +14,8 @@ that a changed byte anywhere is found.
 | 40-43 | CRC-32 of bytes 0-39, uint32 |
 | 44- | the blocks |
 | index | N positions, uint64; N sizes in bytes, uint32; N CRC-32 values of the blocks, uint32; the end of the file |
+
+A backup of the index (see `backups`) is a file of its own with the same header and index without blocks between them.
 """
 
 import mmap
@@ -22,6 +24,7 @@ import zlib
 from array import array
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
@@ -29,6 +32,7 @@ import numpy as np
 
 from ...errors import FileError
 from ...files.file_access import check_readable, convert_os_errors
+from .backups import FileDamage, backup_path, read_either
 
 MAGIC, VERSION = b"FFBLOCKS", 1
 HEADER = struct.Struct("<8sI8sQQI")
@@ -84,60 +88,68 @@ class BlockWriter:
         with self._convert_errors():
             self._file.flush()
 
-    def finish(self) -> None:
-        """Write the index and the header, and close the file. Raises FileError."""
+    def finish(self, backs_up_index: bool = False) -> None:
+        """Write the index and the header, and close the file. Raises FileError.
+
+        backs_up_index: whether the backup of the index is written, too.
+        """
         sizes = np.frombuffer(self._sizes, np.uint64) if self._sizes else np.zeros(0, np.uint64)
         ends = HEADER_SIZE + np.cumsum(sizes, dtype=np.uint64)
         checksums = np.array(self._checksums, "<u4")
         index = b"".join(((ends - sizes).astype("<u8").tobytes(), sizes.astype("<u4").tobytes(), checksums.tobytes()))
         index_position = int(ends[-1]) if len(sizes) else HEADER_SIZE
         header = HEADER.pack(MAGIC, VERSION, self._kind, len(sizes), index_position, zlib.crc32(index))
+        header += CHECKSUM.pack(zlib.crc32(header))
         with self._convert_errors():
             self._file.write(index)
             self._file.seek(0)
-            self._file.write(header + CHECKSUM.pack(zlib.crc32(header)))
+            self._file.write(header)
             self._file.close()
+        if backs_up_index:
+            backup = backup_path(self._path)
+            with convert_os_errors(f'Cannot write "{backup}"'):
+                backup.write_bytes(header + index)
 
     def _convert_errors(self) -> AbstractContextManager[None]:
         return convert_os_errors(f'Cannot write "{self._path}"')
 
 
-class BlockReader:
-    """Reads the blocks of a file, which stays mapped until `close` or the end of a `with` block. Threads may share it."""
+@dataclass(frozen=True)
+class _Index:
+    """positions: (N,) uint64. sizes: (N,) uint32, bytes. checksums: (N,) uint32."""
 
-    def __init__(self, path: Path, kind: str) -> None:
+    positions: np.ndarray
+    sizes: np.ndarray
+    checksums: np.ndarray
+
+
+class BlockReader:
+    """Reads the blocks of a file, which stays mapped until `close` or the end of a `with` block. Threads may share it.
+
+    count: number of blocks. damages: of the index or of its backup, if it has one.
+    """
+
+    def __init__(self, path: Path, kind: str, has_backup: bool = False) -> None:
         """Open a file and check its header and its index, but not its blocks.
+
+        has_backup: whether there is a backup of the index, which is used if the header or the index is damaged.
 
         Raises:
             FileError: the file cannot be read, is damaged, truncated, unfinished or of a newer version, or holds blocks of another kind.
         """
         self._path = path
+        self.damages: tuple[FileDamage, ...] = ()
         check_readable(path)
+        if has_backup:
+            index, self.damages = read_either(path, lambda source: _read_index(source, kind, source != path), is_index=True)
+        else:
+            index = _read_index(path, kind)
+        self._positions, self._sizes, self._checksums = index.positions, index.sizes, index.checksums
+        self.count = len(index.sizes)
         with convert_os_errors(f'Cannot read "{path}"'), path.open("rb") as file:
-            header = file.read(HEADER_SIZE)
-            if header.startswith(bytes(len(MAGIC))):
-                raise FileError(f'"{path}" was not written to its end; build it again.')
-            if len(header) < HEADER_SIZE or not header.startswith(MAGIC):
-                raise FileError(f'"{path}" is no file of blocks, or its start is damaged; build it again.')
-            _, version, stored_kind, count, position, index_checksum = HEADER.unpack_from(header)
-            if CHECKSUM.pack(zlib.crc32(header[: HEADER.size])) != header[HEADER.size :]:
-                raise FileError(f'The header of "{path}" is damaged; build it again.')
-            if version > VERSION:
-                raise FileError(f'"{path}" was written by a newer Farfield (version {version} of the format); update Farfield.')
-            if stored_kind != kind.encode("ascii").ljust(8):
-                raise FileError(f'"{path}" holds "{stored_kind.decode("latin-1").strip()}" instead of "{kind}"; give the right file.')
-            file_size = file.seek(0, 2)
-            if position + count * INDEX_ENTRY_SIZE != file_size:
-                raise FileError(f'"{path}" is truncated or damaged; build it again.')
+            if not file.seek(0, 2):
+                raise FileError(f'"{path}" is empty; build it again.')
             self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        index = self._map[position:]
-        self.count = count
-        self._positions = np.frombuffer(index, "<u8", count)
-        self._sizes = np.frombuffer(index, "<u4", count, 8 * count)
-        self._checksums = np.frombuffer(index, "<u4", count, 12 * count)
-        if zlib.crc32(index) != index_checksum or not self._is_contiguous(position):
-            self.close()
-            raise FileError(f'The index of "{path}" is damaged; build it again.')
 
     def __enter__(self) -> "BlockReader":
         return self
@@ -188,9 +200,33 @@ class BlockReader:
         return self._map[start : start + int(self._sizes[number])]
 
     def _is_intact(self, number: int, block: bytes) -> bool:
-        return zlib.crc32(block) == self._checksums[number]
+        return len(block) == self._sizes[number] and zlib.crc32(block) == self._checksums[number]
 
-    def _is_contiguous(self, end: int) -> bool:
-        """Whether the blocks follow each other from the header to `end`."""
-        boundaries = np.concatenate([self._positions, [np.uint64(end)]])
-        return boundaries[0] == HEADER_SIZE and bool((boundaries[:-1] + self._sizes == boundaries[1:]).all())
+
+def _read_index(path: Path, kind: str, is_backup: bool = False) -> _Index:
+    """Return the index of a file of blocks, or that of a backup. Raises FileError."""
+    check_readable(path)
+    with convert_os_errors(f'Cannot read "{path}"'), path.open("rb") as file:
+        header = file.read(HEADER_SIZE)
+        if header.startswith(bytes(len(MAGIC))):
+            raise FileError(f'"{path}" was not written to its end; build it again.')
+        if len(header) < HEADER_SIZE or not header.startswith(MAGIC):
+            raise FileError(f'"{path}" is no file of blocks, or its start is damaged; build it again.')
+        _, version, stored_kind, count, end, index_checksum = HEADER.unpack_from(header)
+        if CHECKSUM.pack(zlib.crc32(header[: HEADER.size])) != header[HEADER.size :]:
+            raise FileError(f'The header of "{path}" is damaged; build it again.')
+        if version > VERSION:
+            raise FileError(f'"{path}" was written by a newer Farfield (version {version} of the format); update Farfield.')
+        if stored_kind != kind.encode("ascii").ljust(8):
+            raise FileError(f'"{path}" holds "{stored_kind.decode("latin-1").strip()}" instead of "{kind}"; give the right file.')
+        position = HEADER_SIZE if is_backup else end
+        if position + count * INDEX_ENTRY_SIZE != file.seek(0, 2):
+            raise FileError(f'"{path}" is truncated or damaged; build it again.')
+        file.seek(position)
+        content = file.read()
+    index = _Index(*(np.frombuffer(content, dtype, count, start * count) for dtype, start in (("<u8", 0), ("<u4", 8), ("<u4", 12))))
+    boundaries = np.concatenate([index.positions, [np.uint64(end)]])
+    is_contiguous = boundaries[0] == HEADER_SIZE and bool((boundaries[:-1] + index.sizes == boundaries[1:]).all())
+    if zlib.crc32(content) != index_checksum or not is_contiguous:
+        raise FileError(f'The index of "{path}" is damaged; build it again.')
+    return index

@@ -12,6 +12,7 @@ five blocks with little-endian arrays over the N patches of the level in ascendi
 | 5 level + 5 | bounding boxes in the local frame, N x 6 float32: lowest and highest x, y, z in meters, with finer patches |
 
 The patches of level 0, then of level 1 and so on, are the blocks of the geometry file in the same order.
+The backup of the file (see `backups`) is a copy of it.
 """
 
 import json
@@ -24,6 +25,7 @@ import numpy as np
 from ...errors import FileError
 from ..fields.placements import Frame, GeographicFrame, ProjectedFrame
 from ..tree import Tree
+from .backups import FileDamage, copy_to_backup, read_either
 from .blocks import BlockReader, BlockWriter
 
 KIND, STRUCTURE_FILE = "bdamstru", "structure.bdam"
@@ -82,7 +84,7 @@ class Level:
 
 
 def write_structure(folder: Path, header: StoreHeader, levels: list[Level]) -> None:
-    """Write the structure file of a store. Raises FileError."""
+    """Write the structure file of a store and its backup. Raises FileError."""
     with BlockWriter(folder / STRUCTURE_FILE, KIND) as writer:
         writer.append(json.dumps({"version": VERSION, **asdict(header)}, sort_keys=True).encode())
         for level in levels:
@@ -92,15 +94,26 @@ def write_structure(folder: Path, header: StoreHeader, levels: list[Level]) -> N
             writer.append(level.counts.astype("<u4").tobytes())
             writer.append(np.concatenate([level.low, level.high], axis=1).astype("<f4").tobytes())
         writer.finish()
+    copy_to_backup(folder / STRUCTURE_FILE)
 
 
 def read_structure(folder: Path) -> tuple[StoreHeader, list[Level]]:
-    """Read the structure file of a store.
+    """Read the structure file of a store, or its backup if it is damaged.
 
     Raises:
-        FileError: it is missing, damaged, or of another version.
+        FileError: both are missing, damaged, or of another version.
     """
-    path = folder / STRUCTURE_FILE
+    header, levels, _ = load_structure(folder)
+    return header, levels
+
+
+def load_structure(folder: Path) -> tuple[StoreHeader, list[Level], tuple[FileDamage, ...]]:
+    """Read the structure file of a store and its backup; see `read_structure`. Returns their damage, too."""
+    (header, levels), damages = read_either(folder / STRUCTURE_FILE, _read_file)
+    return header, levels, damages
+
+
+def _read_file(path: Path) -> tuple[StoreHeader, list[Level]]:
     with BlockReader(path, KIND) as reader:
         try:
             content = json.loads(reader.read(0, "header"))

@@ -1,4 +1,7 @@
-"""A finished terrain: a folder with a structure file, a geometry file and, if the terrain has textures, a folder of these."""
+"""A finished terrain: a folder with a structure file, a geometry file and, if the terrain has textures, a folder of these.
+
+Both files and those of the textures have backups, see `backups`.
+"""
 
 from collections.abc import Iterator
 from functools import cached_property
@@ -8,11 +11,13 @@ import numpy as np
 
 from ...errors import FileError
 from ..textures.store import TextureStore
+from .backups import FileDamage
 from .blocks import BlockReader
+from .damaged_patches import PatchLimits, find_limits
 from .leaf_grids import leaf_grid
 from .patch_codec import Patch, decode_patch
 from .patch_links import join_bounds, link_patches
-from .structure import STRUCTURE_FILE, read_structure
+from .structure import STRUCTURE_FILE, load_structure
 
 GEOMETRY_FILE, GEOMETRY_KIND, TEXTURE_FOLDER = "geometry.bdam", "bdamgeom", "textures"
 
@@ -22,7 +27,7 @@ class TerrainStore:
 
     header: see `StoreHeader`. tree: the bintrees. levels: the patches of each level from the coarsest to the finest. links: parents,
     children and partners of patches. bounds: (N, 7) float32, bounding boxes and errors of all patches, see `join_bounds`. textures: None
-    without textures.
+    without textures. file_damages: of files whose backup is used, and of backups.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -36,15 +41,19 @@ class TerrainStore:
             raise FileError(
                 f'"{folder}" is no terrain built by Farfield: it contains no file "{STRUCTURE_FILE}"; choose the folder of a terrain.'
             )
-        self.header, self.levels = read_structure(folder)
+        self.header, self.levels, damages = load_structure(folder)
         self.tree = self.header.tree
         self.frame = self.header.create_frame()
-        self._geometry = BlockReader(folder / GEOMETRY_FILE, GEOMETRY_KIND)
+        self._geometry = BlockReader(folder / GEOMETRY_FILE, GEOMETRY_KIND, has_backup=True)
         if self._geometry.count != sum(len(level.indices) for level in self.levels):
             raise FileError(f'"{folder / GEOMETRY_FILE}" and "{STRUCTURE_FILE}" belong to different terrains; build the terrain again.')
         self.bounds, self.levels = join_bounds(self.levels)
         self.links = link_patches(self.levels)
         self.textures = TextureStore(folder / TEXTURE_FOLDER) if self.header.has_texture else None
+        of_textures = () if self.textures is None else self.textures.damages
+        self.file_damages: tuple[FileDamage, ...] = (*damages, *self._geometry.damages, *of_textures)
+        self._patch_damages: dict[int, str] = {}
+        self._limits: tuple[int, PatchLimits | None] = (0, None)
 
     def __enter__(self) -> "TerrainStore":
         return self
@@ -62,11 +71,39 @@ class TerrainStore:
         """Return the patch in a row of a level.
 
         Raises:
-            FileError: it is damaged.
+            FileError: it is damaged. From then on, cuts avoid it.
         """
+        try:
+            return self._decode(level, row)
+        except FileError as error:
+            self._patch_damages[int(self.links.starts[level]) + row] = str(error)
+            raise
+
+    @property
+    def damage_count(self) -> int:
+        """The number of patches that could not be read so far."""
+        return len(self._patch_damages)
+
+    @property
+    def damages(self) -> tuple[str, ...]:
+        """Sentences about what was found to be damaged so far."""
+        return (*(damage.sentence for damage in self.file_damages), *tuple(self._patch_damages.values()))
+
+    @property
+    def limits(self) -> PatchLimits | None:
+        """How cuts avoid the patches that could not be read so far, None if all could be read."""
+        count, limits = self._limits
+        if count != self.damage_count:
+            numbers = tuple(self._patch_damages)
+            is_damaged = np.zeros(len(self.links.parents), bool)
+            is_damaged[list(numbers)] = True
+            limits = find_limits(self.links, is_damaged)
+            self._limits = len(numbers), limits
+        return limits
+
+    def _decode(self, level: int, row: int) -> Patch:
         patches, index = self.levels[level], int(self.levels[level].indices[row])
-        label = self.label(level, row)
-        content = self._geometry.read(int(self.links.starts[level]) + row, label)
+        content = self._geometry.read(int(self.links.starts[level]) + row, self.label(level, row))
         corners = self.tree.corners_of(level, index)
         leaf = leaf_grid(self.tree, corners) if level == self.tree.leaf_level else None
         try:
@@ -79,7 +116,9 @@ class TerrainStore:
         return f"patch {level}/{int(self.levels[level].indices[row])}"
 
     def verify(self) -> Iterator[str]:
-        """Yield the names of damaged patches and texture tiles. Reads the whole store."""
+        """Yield the names of damaged files, patches and texture tiles. Reads the whole store, except for files that opening it has read."""
+        for damage in self.file_damages:
+            yield damage.name
         for number in self._geometry.verify():
             level = int(np.searchsorted(self.links.starts, number, side="right")) - 1
             yield self.label(level, number - int(self.links.starts[level]))

@@ -11,7 +11,8 @@ coarsest on and along Morton's curve. `textures.structure` is a file of blocks o
 | 3 | own errors in meters, N float32 |
 | 4 | nested errors in meters, N float32, see `nesting` |
 
-Tile n of these arrays is block n of the other file.
+Tile n of these arrays is block n of the other file. Backups (see `store/backups.py`) are those of the index of `textures.tiles` and of the
+whole `textures.structure`.
 """
 
 from collections.abc import Callable, Iterator
@@ -23,11 +24,12 @@ import numpy as np
 
 from ...errors import FileError, ImageError
 from ...jobs.progress import Progress, Steps
+from ..store.backups import FileDamage, copy_to_backup, read_either
 from ..store.blocks import BlockReader, BlockWriter
 from .build import TILE_KIND, list_tiles, tile_path
 from .grid import TILE_SIZE, TextureGrid
 from .nesting import nest_errors
-from .plan import parse_plan, read_plan
+from .plan import TexturePlan, parse_plan, read_plan
 from .tile_blocks import CodedTile, decode_tile, split_block
 from .tile_index import TileIndex
 
@@ -61,7 +63,7 @@ def write_textures(folder: Path, out: Path) -> Steps[int]:
                     details.append(np.frombuffer(reader.read(1, label), "<f4")[0] if len(reader) > 1 else np.inf)
                 levels.append(level)
                 tiles.append((i, j))
-        writer.finish()
+        writer.finish(backs_up_index=True)
     index = TileIndex(np.array(levels, np.int32), np.array(tiles, np.int32).reshape(-1, 2), plan.grid.level_count)
     own = measure_own_errors(index, plan.grid, np.array(details, np.float32))
     nested = nest_errors(index, own)
@@ -70,6 +72,7 @@ def write_textures(folder: Path, out: Path) -> Steps[int]:
         for array, dtype in ((index.levels, "<i4"), (index.tiles, "<i4"), (own, "<f4"), (nested, "<f4")):
             writer.append(array.astype(dtype).tobytes())
         writer.finish()
+    copy_to_backup(out / STRUCTURE_FILE)
     yield Progress(1.0, "Texture store written")
     return len(index)
 
@@ -100,6 +103,7 @@ class TextureStore:
         plan: the settings and the grid of the build.
         index: levels and positions of the tiles.
         own_errors, errors: (N,) float32, meters, without and with nesting.
+        damages: of files that have a backup.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -109,22 +113,10 @@ class TextureStore:
             FileError: a file is missing, damaged or of a newer version, or the two do not belong together.
         """
         path = folder / STRUCTURE_FILE
-        with BlockReader(path, STRUCTURE_KIND) as reader:
-            if len(reader) != 5:
-                raise _damaged(path)
-            blocks = [reader.read(number, "structure of textures") for number in range(5)]
-        count = len(blocks[1]) // 4
-        if [len(block) for block in blocks[1:]] != [4 * count, 8 * count, 4 * count, 4 * count]:
-            raise _damaged(path)
-        plan = parse_plan(blocks[0])
-        if plan is None:
-            raise _damaged(path)
-        self.plan = plan
-        levels, tiles = np.frombuffer(blocks[1], "<i4"), np.frombuffer(blocks[2], "<i4").reshape(-1, 2)
-        self.index = TileIndex(levels, tiles, self.plan.grid.level_count)
-        self.own_errors, self.errors = np.frombuffer(blocks[3], "<f4"), np.frombuffer(blocks[4], "<f4")
-        self._blocks = BlockReader(folder / TILES_FILE, TILES_KIND)
-        if len(self._blocks) != count:
+        (self.plan, self.index, self.own_errors, self.errors), damages = read_either(path, _read_structure)
+        self._blocks = BlockReader(folder / TILES_FILE, TILES_KIND, has_backup=True)
+        self.damages: tuple[FileDamage, ...] = (*damages, *self._blocks.damages)
+        if len(self._blocks) != len(self.index):
             self._blocks.close()
             raise _damaged(path)
 
@@ -180,6 +172,23 @@ class TextureStore:
             raise FileError(
                 f'The {self.label(number)} in "{self._blocks.path}" is damaged; build it again, or go on without it.'
             ) from error
+
+
+def _read_structure(path: Path) -> tuple[TexturePlan, TileIndex, np.ndarray, np.ndarray]:
+    """Return plan, index, own and nested errors of tiles from a structure file or its backup. Raises FileError."""
+    with BlockReader(path, STRUCTURE_KIND) as reader:
+        if len(reader) != 5:
+            raise _damaged(path)
+        blocks = [reader.read(number, "structure of textures") for number in range(5)]
+    count = len(blocks[1]) // 4
+    if [len(block) for block in blocks[1:]] != [4 * count, 8 * count, 4 * count, 4 * count]:
+        raise _damaged(path)
+    plan = parse_plan(blocks[0])
+    if plan is None:
+        raise _damaged(path)
+    levels, tiles = np.frombuffer(blocks[1], "<i4"), np.frombuffer(blocks[2], "<i4").reshape(-1, 2)
+    index = TileIndex(levels, tiles, plan.grid.level_count)
+    return plan, index, np.frombuffer(blocks[3], "<f4"), np.frombuffer(blocks[4], "<f4")
 
 
 def _damaged(path: Path) -> FileError:
