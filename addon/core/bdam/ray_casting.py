@@ -1,8 +1,8 @@
 """The first points of a terrain on rays.
 
 Rays descend both bintrees through the bounding boxes of patches, all rays of a chunk level by level; then each ray visits its patches from
-front to back until none can be nearer than what it has hit. In patches, see `ray_triangles`: rays through edges or corners of triangles, and
-of patches, hit. The space is the local frame of the store, with its heights exaggerated.
+front to back until none can be nearer than what it has hit. Rays through edges or corners of triangles and of patches hit, see
+`ray_triangles`. The space is the local frame of the store, with its heights exaggerated.
 """
 
 from collections.abc import Iterator

@@ -1,7 +1,7 @@
 """Rays and triangles without gaps: a ray through an edge or vertex that triangles share hits at least one of them.
 
-The method is that of Woop, Benthin and Wald, Watertight Ray/Triangle Intersection, 2013: positions are sheared into a space where the ray is
-the positive z axis. Rounded products keep their order, so that the sign of their difference, on which side of the ray an edge passes, is
+The method is that of Woop, Benthin and Wald, Watertight Ray/Triangle Intersection, 2013: positions are sheared into a space where the ray
+is the positive z axis. Rounded products keep their order, so that the sign of their difference, on which side of the ray an edge passes, is
 the exact one or zero. Zero counts as a hit. It is the same for both triangles of an edge because their corners are equal to the last bit.
 """
 
