@@ -88,7 +88,7 @@ def random_rays(store: TerrainStore, seed: int, count: int, exaggeration: float 
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=8)
+@settings(max_examples=5)
 @given(
     seed=st.integers(0, 2**32 - 1),
     exaggeration=st.sampled_from([1.0, 0.2, 3.0]),
@@ -131,7 +131,7 @@ def test_vertical_rays_hit_at_the_height_from_above_and_from_below(stores, name,
 
 @pytest.mark.parametrize("name", ["whole", "geographic"])
 @pytest.mark.parametrize("max_error", [0.0, 2.0])
-@settings(max_examples=15)
+@settings(max_examples=6)
 @given(seed=st.integers(0, 2**32 - 1), distance=st.sampled_from([1.0, 300.0, 1e5]))
 def test_rays_through_edges_and_vertices_hit(stores, name, max_error, seed, distance):
     """Positions are rounded, so that a ray passes any side of its edge."""
@@ -160,7 +160,7 @@ def test_rays_through_all_samples_and_cell_centers_hit(stores):
     store = stores["whole"]
     y, x = np.mgrid[0 : ROWS - 0.5 : 0.5, 0 : COLUMNS - 0.5 : 0.5]
     points = np.stack([*store.frame.to_local(x.ravel(), y.ravel()), np.full(x.size, 500.0)], axis=1)
-    for max_error in (0.0, 20.0, 1e6):
+    for max_error in (0.0, 20.0):
         for direction in ([0.0, 0.0, -1.0], [-1e-17, 0.0, -1.0], [0.0, 1e-20, -3.0]):
             hits = cast_rays(store, points, np.broadcast_to(direction, points.shape), max_error=max_error)
             may_leave = ((x.ravel() == 0.0) & (direction[0] != 0.0)) | ((y.ravel() == ROWS - 1.0) & (direction[1] != 0.0))
