@@ -6,7 +6,7 @@ engines take are the tool's own types.
 
 from collections.abc import Hashable, Iterable, Iterator
 from queue import SimpleQueue
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import bpy
 
@@ -31,6 +31,14 @@ class Engine(Protocol):
 
     def invalidate(self) -> None:
         """Forget what is shown: the next update is complete."""
+
+
+@runtime_checkable
+class PrefetchingEngine(Protocol):
+    """An engine that reads ahead between two moves."""
+
+    def prefetch(self) -> Steps[None]:
+        """Read what the next moves will probably need. Runs in a thread, and may be cancelled at any step."""
 
 
 class Change(Protocol):

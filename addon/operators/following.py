@@ -2,16 +2,17 @@
 
 import time
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from queue import Empty
 from typing import Any
 
 from ..bridge.terrain_roots import TerrainRoot
-from ..core.errors import GeometryError
+from ..core.errors import Cancelled, GeometryError
 from ..core.jobs.background_thread import BackgroundThread
-from ..core.jobs.progress import run_to_end
+from ..core.jobs.progress import Steps, run_to_end
 from . import follow_tools
 from .engine_cache import cache, discard_finished_blocks
-from .follow_tools import Engine
+from .follow_tools import Engine, PrefetchingEngine
 
 MAX_TICK_SECONDS = 0.008  # of the main thread
 
@@ -35,6 +36,7 @@ class Following:
         self.longest_tick = self.longest_evaluation = 0.0
         self._engine = cache.get(terrain)
         self._move: _Move | None = None
+        self._prefetch: BackgroundThread[None] | None = None  # between a move and the next one
         self._awaits_evaluation = False
         _running.append(self)
 
@@ -56,6 +58,10 @@ class Following:
 
     def pause(self) -> None:
         """Stop the thread, so that the engine can be used elsewhere. The next move repeats the cancelled one."""
+        if self._prefetch is not None:
+            self._prefetch.cancel()
+            self._prefetch.wait()
+            self._prefetch = None
         if self._move is not None:
             self._move.cancel()
             self._move = None
@@ -76,7 +82,7 @@ class Following:
     def _advance(self, viewer: Any, started: float, max_seconds: float) -> bool:
         if self._move is None:
             if not self._engine.is_settled_at(viewer):
-                self._move = _Move(self.terrain, self._engine, viewer)
+                self._move, self._prefetch = _Move(self.terrain, self._engine, viewer, self._prefetch), None
             return False
         is_valid = False
         try:
@@ -88,19 +94,24 @@ class Following:
         if is_shown:
             self._move, self._awaits_evaluation = None, True
             self.moves += 1
+            if isinstance(self._engine, PrefetchingEngine):
+                self._prefetch = BackgroundThread(self._engine.prefetch())
         return is_shown
 
 
 class _Move:
     """A move whose update is computed in a thread, and its change in the main thread."""
 
-    def __init__(self, terrain: TerrainRoot, engine: Engine, viewer: Any) -> None:
+    def __init__(self, terrain: TerrainRoot, engine: Engine, viewer: Any, prefetch: BackgroundThread[None] | None) -> None:
+        """prefetch: a thread that uses the engine, which is cancelled."""
         self._engine = engine
         self._change = follow_tools.registered.of(terrain).start_change(terrain, engine)
         self._filling: Iterator[None] | None = None
         self._showing: Iterator[None] | None = None
         discard_finished_blocks(engine)  # of a move that was shown in another way
-        self._thread = BackgroundThread(engine.move(viewer))
+        if prefetch is not None:
+            prefetch.cancel()
+        self._thread = BackgroundThread(_move_after(prefetch, engine.move(viewer)))
 
     def advance(self, started: float, max_seconds: float) -> bool:
         """Fill meshes, then show them, until `max_seconds` after `started`. Returns whether they are shown."""
@@ -131,6 +142,14 @@ class _Move:
         if next(self._filling, self) is self:  # it yields None
             self._filling = None
         return True
+
+
+def _move_after(prefetch: BackgroundThread[None] | None, move: Steps[Any]) -> Steps[Any]:
+    """Run a move once a cancelled thread has ended, without blocking the main thread. Raises the error of that thread, if there is one."""
+    if prefetch is not None:
+        with suppress(Cancelled):
+            prefetch.result()
+    return (yield from move)
 
 
 _running: list[Following] = []

@@ -2,6 +2,7 @@
 
 import shutil
 import time
+from dataclasses import replace
 
 import bpy
 import pytest
@@ -168,6 +169,28 @@ def test_follow_view_runs_until_it_is_stopped(folder, camera):
     assert item.moves <= moves + 1, "standing still, nothing moves"
     assert not bpy.ops.farfield.bdam_load.poll() and bpy.ops.farfield.bdam_follow_view.poll()
     view_following.current.stop()
+
+
+def test_the_terrain_is_right_when_its_engine_reads_ahead_between_moves(folder, camera):
+    terrain = load(folder)
+    view_following.current.start(terrain, None, 0.05)
+    (item,) = following.running()
+    for step in range(1, 5):
+        camera.location = (100.0 * step, -50.0 * step, 800.0 - 100.0 * step)
+        bpy.context.view_layer.update()
+        moves, started = item.moves, time.monotonic()
+        while item.moves == moves and time.monotonic() - started < 20.0:
+            assert view_following.current._timer() is not None
+            time.sleep(0.002)
+        assert item.moves > moves and item._prefetch is not None
+    item.pause()
+    assert item._prefetch is None
+    shown = sum(signature(terrain).values())
+    assert view_following.current.stop() >= 4
+    cache.clear()
+    viewer = view_following.view_of_area(bpy.context.scene, None)
+    following.recenter(terrain, replace(terrain.to_terrain_space(viewer), is_interactive=True))
+    assert sum(signature(terrain).values()) == terrain.figures.triangles == shown
 
 
 def test_a_store_that_moved_is_one_sentence_and_nothing_is_lost(folder, camera):

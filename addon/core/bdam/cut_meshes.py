@@ -63,6 +63,20 @@ class PatchCache:
         """Bytes of the patches that are kept."""
         return self._bytes
 
+    @property
+    def max_bytes(self) -> int:
+        """Bytes of patches that may be kept."""
+        return self._max_bytes
+
+    def touch(self, level: int, row: int) -> int | None:
+        """Keep a patch as if it had just been used. Returns its bytes, None if it is not there."""
+        with self._lock:
+            mesh = self._meshes.get((level, row))
+            if mesh is None:
+                return None
+            self._meshes.move_to_end((level, row))
+            return mesh.byte_count
+
     def get(self, level: int, row: int) -> PatchMesh:
         """Return the mesh of a patch.
 

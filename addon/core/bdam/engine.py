@@ -1,6 +1,7 @@
 """The part of a large terrain that a viewer needs, tile by tile: what changes from one position of the viewer to the next."""
 
-from collections import OrderedDict
+import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import SimpleQueue
@@ -8,16 +9,18 @@ from queue import SimpleQueue
 import numpy as np
 
 from ..errors import FarfieldError
+from ..geometry.viewer_motion import ViewerMotion
 from ..geometry.viewers import Viewer
 from ..jobs.progress import Progress, Steps
 from .cut_meshes import PatchCache
 from .extraction import Cut, CutSettings, IsForced, extract_cut
 from .patch_squares import find_leaf_squares
+from .prefetching import PatchesAhead, Prefetch, TexturesAhead, patch_keys
 from .settings import ViewSettings
 from .store.structure import STRUCTURE_FILE
 from .store.terrain_store import TerrainStore
 from .texture_cuts import TextureCut, TextureSelector
-from .textures.image_files import to_image_files
+from .texture_files import TextureFiles
 from .textures.tile_blocks import CodedTile
 from .tiles import MAX_TILES, Tile, TileGrouping, TileKey, TileMesh, build_tile_mesh
 
@@ -25,7 +28,7 @@ SETTLED_FRACTION = 0.02  # of the distance to the terrain, and of the image, by 
 CULLING_MARGIN = 0.15  # of the image
 STEPS_PER_OCTAVE, MAX_OCTAVES = 8, 20  # of the tolerances that a triangle budget chooses from
 MIN_TEXTURE_TILES = 4
-MAX_TEXTURE_BYTES = 32 << 20  # of coded textures that are kept
+PREFETCH_SECONDS, PREFETCH_CUTS = 0.5, 4  # how far and how often it is predicted what a moving viewer needs
 
 
 @dataclass(frozen=True)
@@ -70,8 +73,8 @@ class BdamEngine:
     finished; every move starts with an empty queue. figures: of the last move, None before it.
     """
 
-    def __init__(self, folder: Path, settings: ViewSettings) -> None:
-        """Open the store in `folder`.
+    def __init__(self, folder: Path, settings: ViewSettings, clock: Callable[[], float] = time.perf_counter) -> None:
+        """Open the store in `folder`. clock: seconds, for the velocity of viewers.
 
         Raises:
             FileError: it is missing, damaged or of a newer version.
@@ -85,7 +88,9 @@ class BdamEngine:
         self._leaf_squares = find_leaf_squares(self.store)
         self._grouping = TileGrouping(self.store, self._leaf_squares)
         self._textures = TextureSelector(self.store, self._leaf_squares) if self.store.textures is not None else None
-        self._coded: OrderedDict[int, CodedTile] = OrderedDict()
+        self._texture_files = TextureFiles(self.store.textures) if self.store.textures is not None else None
+        self._motion, self._clock = ViewerMotion(), clock
+        self._present: tuple[TextureCut, Cut] | None = None
         self._budget_step = 0
         self._shown: dict[TileKey, tuple] = {}
         self._viewer: Viewer | None = None
@@ -120,6 +125,7 @@ class BdamEngine:
         If patches turn out to be damaged, others are chosen, and tiles with them are finished once more; the last ones count.
         """
         self.finished_blocks = SimpleQueue()
+        self._motion.record(viewer, self._clock())
         yield Progress(0.0, "Choosing patches")
         shown, warnings, known_damages = self._shown, self._warnings, -1
         while known_damages != self.store.damage_count:
@@ -135,13 +141,36 @@ class BdamEngine:
             shown = shown | {key: tiles[key].signature for key in changed}
         is_complete = not self._shown
         self._shown = {key: tile.signature for key, tile in tiles.items()}
+        self._present = texture_cut, cut
         self._viewer, self._clearance, self._warnings = viewer, self._measure_clearance(cut, viewer), warnings
         self.figures = Figures(
-            self._count_triangles(cut), len(cut), len(tiles), tolerance, cut.max_error, self._cache.byte_count + self._coded_bytes()
+            self._count_triangles(cut), len(cut), len(tiles), tolerance, cut.max_error, self._cache.byte_count + self._texture_bytes()
         )
         of_tiles = [sentence for key in tiles for sentence in warnings.get(key, ())]
         sentences = tuple(dict.fromkeys([*self.store.damages, *of_tiles]))
         return Update({key: tile.texture for key, tile in tiles.items()}, is_complete, self.figures, sentences)
+
+    def prefetch(self, seconds: float = PREFETCH_SECONDS) -> Steps[None]:
+        """Read into the caches what will be needed within `seconds` if the viewer goes on as between the last two moves, nearest first.
+
+        It takes only memory that what is shown does not need, and changes nothing of the next move but the time it takes. It can be
+        cancelled at any step.
+        """
+        if self._present is None or self._motion.predict(seconds) is None:
+            return
+        texture_cut, cut = self._present
+        patches = Prefetch(PatchesAhead(self.store, self._cache), patch_keys(cut))
+        textures = Prefetch(TexturesAhead(self._texture_files), _texture_keys(texture_cut)) if self._texture_files is not None else None
+        for number in range(1, PREFETCH_CUTS + 1):
+            yield Progress((number - 1) / PREFETCH_CUTS, "Reading ahead")
+            viewer = self._motion.predict(seconds * number / PREFETCH_CUTS)
+            settings = self._cut_settings(viewer)
+            texture_cut, is_forced = self._choose_textures(viewer, settings)
+            # with the tolerance that the triangle budget has led to, which changes slowly
+            cut = extract_cut(self.store, viewer, replace(settings, tolerance=self.figures.tolerance), is_forced)
+            yield from patches.read(patch_keys(cut))
+            if textures is not None:
+                yield from textures.read(_texture_keys(texture_cut))
 
     def is_settled_at(self, viewer: Viewer) -> bool:
         """Return whether what is shown is right for a viewer in the local frame: whether it has hardly moved since the last move."""
@@ -164,18 +193,24 @@ class BdamEngine:
 
     def _choose(self, viewer: Viewer) -> tuple[TextureCut, Cut, float]:
         """Return the texture cut, the cut, and its tolerance in pixels."""
+        settings = self._cut_settings(viewer)
+        texture_cut, is_forced = self._choose_textures(viewer, settings)
+        cut, tolerance = extract_cut(self.store, viewer, settings, is_forced), settings.tolerance
+        if self.settings.triangle_budget and self._count_triangles(cut) > self.settings.triangle_budget:
+            cut, tolerance = self._fit_budget(viewer, settings, is_forced)
+        return texture_cut, cut, tolerance
+
+    def _cut_settings(self, viewer: Viewer) -> CutSettings:
         settings = self.settings
         tolerance = settings.tolerance / (1.0 + SETTLED_FRACTION) if viewer.is_interactive else settings.tolerance
-        cut_settings = CutSettings(tolerance, settings.exaggeration, settings.culling and viewer.is_interactive, CULLING_MARGIN)
-        is_forced = None
-        texture_cut = TextureCut({(0, 0, 0): None})
-        if self._textures is not None and settings.shading == "texture":
-            texture_cut = self._textures.choose(viewer, cut_settings, self._max_texture_tiles())
-            is_forced = self._textures.is_forced(texture_cut)
-        cut = extract_cut(self.store, viewer, cut_settings, is_forced)
-        if settings.triangle_budget and self._count_triangles(cut) > settings.triangle_budget:
-            cut, tolerance = self._fit_budget(viewer, cut_settings, is_forced)
-        return texture_cut, cut, tolerance
+        return CutSettings(tolerance, settings.exaggeration, settings.culling and viewer.is_interactive, CULLING_MARGIN)
+
+    def _choose_textures(self, viewer: Viewer, settings: CutSettings) -> tuple[TextureCut, IsForced | None]:
+        """Return the texture cut, and which patches must be refined for it."""
+        if self._textures is None or self.settings.shading != "texture":
+            return TextureCut({(0, 0, 0): None}), None
+        texture_cut = self._textures.choose(viewer, settings, self._max_texture_tiles())
+        return texture_cut, self._textures.is_forced(texture_cut)
 
     def _max_texture_tiles(self) -> int:
         """Return how many texture tiles may be shown: those whose smallest cut has half the triangles of the budget."""
@@ -231,16 +266,10 @@ class BdamEngine:
         Raises:
             FileError, ImageError: it is damaged.
         """
-        if number in self._coded:
-            self._coded.move_to_end(number)
-        else:
-            self._coded[number] = to_image_files(self.store.textures.read_coded(number))
-            while self._coded_bytes() > MAX_TEXTURE_BYTES and len(self._coded) > 1:
-                self._coded.popitem(last=False)
-        return self._coded[number]
+        return self._texture_files.get(number)
 
-    def _coded_bytes(self) -> int:
-        return sum(len(tile.color) + len(tile.alpha or b"") for tile in self._coded.values())
+    def _texture_bytes(self) -> int:
+        return self._texture_files.byte_count if self._texture_files is not None else 0
 
     def _count_triangles(self, cut: Cut) -> int:
         """Return the number of triangles of a cut, holes included."""
@@ -257,3 +286,8 @@ class BdamEngine:
             offsets = np.maximum(np.maximum(low - viewer.position, viewer.position - high), 0.0)
             nearest = min(nearest, float(np.sqrt((offsets * offsets).sum(axis=1)).min()))
         return max(nearest, self.store.header.cell_size)
+
+
+def _texture_keys(cut: TextureCut) -> list[int]:
+    """Return the numbers of the texture tiles of a cut."""
+    return sorted({number for number in cut.numbers.values() if number is not None})

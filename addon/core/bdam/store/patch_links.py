@@ -26,6 +26,11 @@ class PatchLinks:
     children: np.ndarray
     partners: np.ndarray
 
+    def locate(self, patches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the levels and the rows in these of `patches` of any shape."""
+        levels = np.searchsorted(self.starts, patches, side="right") - 1
+        return levels, patches - self.starts[levels]
+
 
 def link_patches(levels: list[Level]) -> PatchLinks:
     """Return the relatives of the patches of all levels.
