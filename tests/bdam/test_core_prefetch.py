@@ -7,7 +7,7 @@ from farfield.addon.core.bdam.cut_meshes import PatchCache
 from farfield.addon.core.bdam.engine import BdamEngine
 from farfield.addon.core.bdam.extraction import extract_uniform_cut
 from farfield.addon.core.bdam.prefetching import PatchesAhead, Prefetch, TexturesAhead, patch_keys
-from farfield.addon.core.bdam.settings import BdamViewSettings
+from farfield.addon.core.bdam.settings import ViewSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 from farfield.addon.core.bdam.texture_files import TextureFiles
 from farfield.addon.core.errors import FileError
@@ -35,7 +35,7 @@ class Flight:
     def __init__(self, folder, prefetches: bool, **values) -> None:
         self.time = 0.0
         shading = "texture" if folder.name == "texture" else "slope"
-        self.engine = BdamEngine(folder, BdamViewSettings(tolerance=4.0, shading=shading, **values), lambda: self.time)
+        self.engine = BdamEngine(folder, ViewSettings(tolerance=4.0, shading=shading, **values), lambda: self.time)
         self.prefetches, self.is_moving = prefetches, False
         self.in_moves, self.between = 0, 0
         self._count_reads(self.engine.store, "read")

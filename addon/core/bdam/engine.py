@@ -26,7 +26,7 @@ from .tiles import MAX_TILES, Tile, TileGrouping, TileKey, TileMesh, build_tile_
 
 SETTLED_FRACTION = 0.02  # of the distance to the terrain, and of the image, by which the viewer may move before the cut changes
 CULLING_MARGIN = 0.15  # of the image
-STEPS_PER_OCTAVE, MAX_OCTAVES = 8, 20  # of the tolerances that a triangle budget chooses from
+STEPS_PER_OCTAVE, MAX_OCTAVES = 8, 44  # of the tolerances that a triangle budget chooses from: up to errors of a mountain at `MIN_DEPTH`
 MIN_TEXTURE_TILES = 4
 PREFETCH_SECONDS, PREFETCH_CUTS = 0.5, 4  # how far and how often it is predicted what a moving viewer needs
 

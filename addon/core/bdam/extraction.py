@@ -18,7 +18,7 @@ from ..jobs.progress import Progress, Steps
 from .store.patch_links import NO_PATCH
 from .store.terrain_store import TerrainStore
 
-MIN_DEPTH = 1e-30  # instead of positions behind the viewer
+MIN_DEPTH = 1e-3  # meters. Errors stay finite, so that a tolerance that fits a triangle budget exists also around the viewer
 
 
 @dataclass(frozen=True)
