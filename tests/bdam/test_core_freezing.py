@@ -8,11 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from farfield.addon.core.bdam import freezing
 from farfield.addon.core.bdam.cut_meshes import PatchCache, build_cut_mesh
 from farfield.addon.core.bdam.extraction import Cut, CutSettings, ProjectedErrors, extract_cut, extract_union_cut
-from farfield.addon.core.bdam.freezing import FrozenMesh, choose_path_cut, freeze_cut, join
+from farfield.addon.core.bdam.freezing import FrozenMesh, choose_path_cut, describe_limit, freeze_cut, join
+from farfield.addon.core.bdam.patch_squares import find_leaf_squares
 from farfield.addon.core.bdam.settings import ViewSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
+from farfield.addon.core.bdam.texture_cuts import TextureSelector
 from farfield.addon.core.geometry.viewers import Projection, Viewer
 from farfield.addon.core.jobs.progress import run_to_end
 from small_terrain_stores import CELL_SIZE, add_texture, build_store, colors, hills
@@ -144,6 +147,36 @@ def test_textures_of_a_path_are_as_fine_as_those_of_every_frame(stores):
     _, meshes = freeze(store, viewers, tolerance=1.0)
     assert all(mesh.uvs is not None and mesh.uvs.min() >= 0.0 and mesh.uvs.max() <= 1.0 for mesh in meshes)
     assert {mesh.materials[0] for mesh in meshes} == set(run_to_end(choose_path_cut(store, viewers, view_settings))[0].numbers.values())
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 2**31), st.integers(1, 5), st.sampled_from([1, 4, 7, 16, 64]), st.floats(0.1, 20.0))
+def test_a_path_has_a_limited_number_of_textures_that_keep_their_stated_tolerance(stores, seed, count, max_count, tolerance):
+    store, viewers = stores["texture"], path(seed, count)
+    selector = TextureSelector(store, find_leaf_squares(store))
+    chosen = run_to_end(selector.choose_for_path(viewers, CutSettings(tolerance), max_count))
+    assert 1 <= len(chosen.numbers) <= max_count and chosen.tolerance >= tolerance
+    refined = [{tuple(square) for square in squares.tolist()} for squares in chosen.refined]
+    for viewer in viewers:
+        single = selector.choose(viewer, CutSettings(chosen.tolerance), 10**6)
+        assert single.tolerance == chosen.tolerance
+        assert all({tuple(square) for square in squares.tolist()} <= other for squares, other in zip(single.refined, refined, strict=True))
+    if count == 1:
+        assert chosen.numbers == selector.choose(viewers[0], CutSettings(tolerance), max_count).numbers
+
+
+def test_too_few_textures_for_a_path_are_reported(stores, monkeypatch):
+    store, viewers, view_settings = stores["texture"], path(11, 5), ViewSettings(tolerance=1.0)
+    textures, _ = run_to_end(choose_path_cut(store, viewers, view_settings))
+    assert textures.tolerance == 1.0 and describe_limit(textures, view_settings) == ""
+    monkeypatch.setattr(freezing, "MAX_TILES", 4)
+    textures, cut = run_to_end(choose_path_cut(store, viewers, view_settings))
+    assert len(textures.numbers) <= 4 and textures.tolerance > 1.0
+    assert f"limited to 4 tiles, so that texels cover up to {textures.tolerance:.3g} pixels" in describe_limit(textures, view_settings)
+    meshes, _ = run_to_end(freeze_cut(store, textures, cut, 1.0))
+    assert {mesh.materials[0] for mesh in meshes} == set(textures.numbers.values()) and len(meshes) <= 64
+    untextured, _ = run_to_end(choose_path_cut(stores["plain"], viewers, view_settings))
+    assert describe_limit(untextured, view_settings) == ""
 
 
 def test_joining_keeps_the_slots_of_materials(stores):

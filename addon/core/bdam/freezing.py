@@ -38,18 +38,25 @@ class FrozenMesh:
 def choose_path_cut(store: TerrainStore, viewers: Sequence[Viewer], settings: ViewSettings) -> Steps[tuple[TextureCut, Cut]]:
     """Return the texture tiles and the coarsest cut that satisfy the tolerance for each of `viewers`, at least one, in the local frame.
 
-    Nothing is culled, because shadows and reflections show what the camera does not. The triangle budget does not count.
+    Nothing is culled, because shadows and reflections show what the camera does not. The triangle budget does not count. At most MAX_TILES
+    textures are used for the whole path; `describe_limit` tells whether they are too few for the tolerance.
     """
     cut_settings = CutSettings(settings.tolerance, settings.exaggeration)
     if store.textures is None or settings.shading != "texture":
         return TextureCut({(0, 0, 0): None}), (yield from extract_union_cut(store, viewers, cut_settings))
     selector = TextureSelector(store, find_leaf_squares(store))
-    chosen = []
-    for number, viewer in enumerate(viewers):
-        yield Progress(0.5 * number / len(viewers), "Choosing textures")
-        chosen.append(selector.choose(viewer, cut_settings, MAX_TILES))
-    textures = selector.unite(chosen)
+    textures = yield from subprogress(selector.choose_for_path(viewers, cut_settings, MAX_TILES), 0.0, 0.5)
     return textures, (yield from subprogress(extract_union_cut(store, viewers, cut_settings, selector.is_forced(textures)), 0.5, 1.0))
+
+
+def describe_limit(textures: TextureCut, settings: ViewSettings) -> str:
+    """Return a sentence if the textures of a path are coarser than the tolerance, because more than MAX_TILES would be needed, or ""."""
+    if textures.tolerance is None or textures.tolerance <= settings.tolerance:
+        return ""
+    return (
+        f"Textures are limited to {MAX_TILES} tiles, so that texels cover up to {textures.tolerance:.3g} pixels; "
+        "freeze parts of the path for finer ones."
+    )
 
 
 def freeze_cut(store: TerrainStore, textures: TextureCut, cut: Cut, exaggeration: float) -> Steps[tuple[list[FrozenMesh], tuple[str, ...]]]:

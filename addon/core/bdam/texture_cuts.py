@@ -6,11 +6,12 @@ enough tiles is found by sorting.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..geometry.viewers import Viewer
+from ..jobs.progress import Progress, Steps
 from .extraction import CutSettings, IsForced, are_boxes_visible, view_planes
 from .patch_squares import contains_squares, square_boxes
 from .store.damaged_patches import PatchLimits
@@ -23,11 +24,12 @@ class TextureCut:
     """Squares of the quadtree that cover the terrain once.
 
     numbers: of their tiles by (level, i, j); None where there is no texture. refined: for each level from 0, the squares (M, 2) int32 that
-    are refined.
+    are refined. tolerance: the largest number of pixels that texels cover, unless they are the finest ones; None without a choice.
     """
 
     numbers: dict[tuple[int, int, int], int | None]
     refined: tuple[np.ndarray, ...] = ()
+    tolerance: float | None = None
 
 
 class TextureSelector:
@@ -36,6 +38,7 @@ class TextureSelector:
     def __init__(self, store: TerrainStore, leaf_squares: list[np.ndarray]) -> None:
         self._store = store
         self._index, self._errors = store.textures.index, store.textures.errors.astype(np.float64)
+        self._has_texture = bool((self._index.levels == 0).any())
         self._leaf_squares, self._depth = leaf_squares, store.tree.depth
         self._min_distance = store.header.cell_size
         self._relatives = [self._index.relatives(level) for level in range(self._index.level_count - 1)]
@@ -50,21 +53,28 @@ class TextureSelector:
     def choose(self, viewer: Viewer, settings: CutSettings, max_count: int) -> TextureCut:
         """Return the cut for a viewer in the local frame, with at most `max_count` tiles, whose texels cover at most `settings.tolerance`
         pixels as far as that number allows."""
-        if not (self._index.levels == 0).any():
+        if not self._has_texture:
             return TextureCut({(0, 0, 0): None})
-        pixels = self._nest(self._measure(viewer, settings))
-        threshold = max(settings.tolerance, self._find_threshold(pixels, max_count))
-        return self._cut_below(pixels > threshold)
+        return self._choose(self._measure(viewer, settings), settings, max_count)
 
-    def unite(self, cuts: Sequence[TextureCut]) -> TextureCut:
-        """Return the coarsest cut that is nowhere coarser than any of `cuts`, at least one, which `choose` has returned."""
-        if not (self._index.levels == 0).any():
-            return cuts[0]
-        is_refined = np.zeros(len(self._index), bool)
-        for cut in cuts:
-            for level, squares in enumerate(cut.refined):
-                is_refined[self._index.find(level, squares)] = True
-        return self._cut_below(is_refined)
+    def choose_for_path(self, viewers: Sequence[Viewer], settings: CutSettings, max_count: int) -> Steps[TextureCut]:
+        """Return the cut for all of `viewers`, at least one, as `choose` does for one.
+
+        If `max_count` tiles are too few, the tiles that cover the fewest pixels, in the frame where they cover most, stay coarse.
+        """
+        if not self._has_texture:
+            return TextureCut({(0, 0, 0): None})
+        pixels = np.zeros(len(self._index))
+        for number, viewer in enumerate(viewers):
+            yield Progress(number / len(viewers), "Choosing textures")
+            np.maximum(pixels, self._measure(viewer, settings), out=pixels)
+        return self._choose(pixels, settings, max_count)
+
+    def _choose(self, pixels: np.ndarray, settings: CutSettings, max_count: int) -> TextureCut:
+        """Return the cut for tiles that cover `pixels` (N,), which are overwritten."""
+        pixels = self._nest(pixels)
+        threshold = max(settings.tolerance, self._find_threshold(pixels, max_count))
+        return replace(self._cut_below(pixels > threshold), tolerance=threshold)
 
     def _cut_below(self, is_refined: np.ndarray) -> TextureCut:
         """Return the cut below the tiles (N,) bool that are refined, with their ancestors and relatives."""

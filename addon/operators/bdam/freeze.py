@@ -13,7 +13,7 @@ from ...bridge.bdam.objects import SceneTerrain
 from ...bridge.bdam.textures import TextureMaterials, remove_unused
 from ...bridge.viewers import camera_viewer
 from ...core.bdam.engine import BdamEngine
-from ...core.bdam.freezing import FrozenMesh, choose_path_cut, freeze_cut, join
+from ...core.bdam.freezing import FrozenMesh, choose_path_cut, describe_limit, freeze_cut, join
 from ...core.bdam.settings import FreezePathSettings, FreezeSettings, ViewSettings
 from ...core.errors import FarfieldError, GeometryError, SettingsError
 from ...core.geometry.viewers import Viewer
@@ -114,7 +114,8 @@ class FreezePathJob:
 
             self.object_names, message = create_objects(self.terrain, meshes, self.settings, find_material)
             remove_unused()
-            return " ".join([message, f"Good for {format_count(len(self.frames), 'frame')}.", *damages[:1]])
+            sentences = [message, f"Good for {format_count(len(self.frames), 'frame')}.", describe_limit(textures, self.view_settings)]
+            return " ".join(filter(None, [*sentences, *damages[:1]]))
         finally:
             store.close()
 
