@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from farfield.addon.core.bdam.build import hole_filling
+from farfield.addon.core.bdam.build import hole_filling, simplified_diamonds
 from farfield.addon.core.bdam.build.height_grid import HeightGrid, encode_heights
 from farfield.addon.core.bdam.build.terrain_build import build_terrain
 from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field
@@ -116,6 +116,13 @@ def test_the_work_folder_of_another_build_is_refused(tmp_path, change):
     with pytest.raises(FileError, match="another terrain or with other settings"):
         run_to_end(steps_of([source], tmp_path / "store", [image], **options))
     assert read_files(tmp_path / "store.build") == before and not (tmp_path / "store").exists()
+
+
+def test_a_store_does_not_depend_on_how_many_samples_are_measured_at_once(built, tmp_path, monkeypatch):
+    _, source, image, files, _ = built
+    monkeypatch.setattr(simplified_diamonds, "MAX_MEASURED_SAMPLES", 37)
+    run_to_end(steps_of([source], tmp_path / "store", [image]))
+    assert read_files(tmp_path / "store") == files
 
 
 def test_the_report_describes_the_store(built):

@@ -14,6 +14,7 @@ from .patch_set import PatchSet, to_starts
 from .vertical_errors import measure_triangles
 
 MAX_SAMPLES_PER_TRIANGLE = 6  # that the next level measures; without them errors grow unseen, and all of them would take too long
+MAX_MEASURED_SAMPLES = 1 << 14  # at once, so that they do not decide how much memory workers need
 
 
 def simplify_diamonds(
@@ -49,12 +50,7 @@ def simplify_diamonds(
 
 def _choose_samples(batch: MeshBatch, triangles: np.ndarray, removed: RemovedSamples) -> RemovedSamples:
     """Return the samples that the next level measures: of each triangle the one with the largest distance, and a few random ones."""
-    x, y, z = (values[removed.vertices].astype(np.float64) for values in (batch.x, batch.y, batch.z))
-    corners = triangles[removed.triangles]
-    (x0, x1, x2), (y0, y1, y2), (z0, z1, z2) = (values[corners].T.astype(np.float64) for values in (batch.x, batch.y, batch.z))
-    area = (x1 - x0) * (y2 - y0) - (y1 - y0) * (x2 - x0)
-    second, third = ((x - x0) * (y2 - y0) - (y - y0) * (x2 - x0)) / area, ((x1 - x0) * (y - y0) - (y1 - y0) * (x - x0)) / area
-    distances = np.abs(z0 + second * (z1 - z0) + third * (z2 - z0) - z)
+    distances = _measure_samples(batch, triangles, removed)
     largest = np.zeros(len(triangles))
     np.maximum.at(largest, removed.triangles, distances)
     noise = (removed.vertices.astype(np.uint32) * np.uint32(2654435761)).astype(np.uint64) >> np.uint64(1)
@@ -64,6 +60,20 @@ def _choose_samples(batch: MeshBatch, triangles: np.ndarray, removed: RemovedSam
     ranks = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
     chosen = order[ranks < MAX_SAMPLES_PER_TRIANGLE]
     return RemovedSamples(removed.vertices[chosen], removed.triangles[chosen])
+
+
+def _measure_samples(batch: MeshBatch, triangles: np.ndarray, removed: RemovedSamples) -> np.ndarray:
+    """Return the vertical distances (S,) float64 of samples from the triangles that contain them."""
+    distances = np.empty(len(removed.vertices))
+    for start in range(0, len(distances), MAX_MEASURED_SAMPLES):
+        part = slice(start, start + MAX_MEASURED_SAMPLES)
+        x, y, z = (values[removed.vertices[part]].astype(np.float64) for values in (batch.x, batch.y, batch.z))
+        corners = triangles[removed.triangles[part]]
+        (x0, x1, x2), (y0, y1, y2), (z0, z1, z2) = (values[corners].T.astype(np.float64) for values in (batch.x, batch.y, batch.z))
+        area = (x1 - x0) * (y2 - y0) - (y1 - y0) * (x2 - x0)
+        second, third = ((x - x0) * (y2 - y0) - (y - y0) * (x2 - x0)) / area, ((x1 - x0) * (y - y0) - (y1 - y0) * (x - x0)) / area
+        distances[part] = np.abs(z0 + second * (z1 - z0) + third * (z2 - z0) - z)
+    return distances
 
 
 def _to_batch(meshes: DiamondMeshes, lines: np.ndarray, extent: int) -> MeshBatch:
