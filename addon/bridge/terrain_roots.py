@@ -147,6 +147,7 @@ class TerrainRoot:
         root = self.root
         child = bpy.data.objects.new(name, mesh)
         child.parent = root
+        soften_terminator(child)
         collections = [collection for collection in root.users_collection if is_local(collection)]
         for collection in collections or [scene.collection for scene in root.users_scene]:
             collection.objects.link(child)
@@ -189,3 +190,9 @@ def remove_terrain(terrain: TerrainRoot, children: list[bpy.types.Object]) -> No
     for collection in collections:
         if not collection.all_objects and not collection.children and collection in bpy.data.collections.values():
             bpy.data.collections.remove(collection)
+
+
+def soften_terminator(item: bpy.types.Object) -> None:
+    """Let Cycles ignore shadows that coarse triangles cast on themselves and their neighbors near the terminator, where a low light
+    is in front of the normals but behind the triangles; they would be dark notches."""
+    item.shadow_terminator_geometry_offset = 1.0

@@ -99,6 +99,7 @@ def test_frozen_objects_have_the_triangles_and_materials_of_the_terrain(folder, 
     assert len(objects) == (1 if joined else count) and terrain.root is not None and len(terrain.tiles()) == count
     assert np.allclose(centroids(objects), expected, atol=0.02)
     assert_independent(objects)
+    assert all(item.shadow_terminator_geometry_offset == 1.0 for item in (*tiles, *objects)), "no dark notches under a low light"
     assert {node.image for node in image_nodes(objects)} == images and bool(images) == (shading == "texture")
     assert all(not item.data.validate() for item in objects)
     if shading == "texture":

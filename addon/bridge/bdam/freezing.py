@@ -9,6 +9,7 @@ import numpy as np
 from ...core.bdam.freezing import FrozenMesh
 from ..mesh_arrays import read_attribute, read_loop_vertices, read_positions, read_uvs
 from ..mesh_pool import fill_mesh
+from ..terrain_roots import soften_terminator
 from .materials import LEVEL_ATTRIBUTE
 from .objects import SceneTerrain
 
@@ -63,6 +64,7 @@ def add_frozen_meshes(
                 copies[key] = _copy_material(find_material(key), terrain.root)
             mesh.materials.append(copies[key])
         item = bpy.data.objects.new(FROZEN_NAME, mesh)
+        soften_terminator(item)
         item.matrix_world = terrain.root.matrix_world @ mathutils.Matrix.Translation((source.location - terrain.origin).tolist())
         collection.objects.link(item)
         names.append(item.name)
