@@ -10,9 +10,9 @@ from lib import environment
 
 environment.import_farfield()
 
-from farfield.addon.bridge.billboards.cloud_sources import store_sources
 from farfield.addon.bridge.billboards.clouds import FINGERPRINT
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, read_cloud
+from farfield.addon.bridge.source_links import store_sources
 from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.jobs.progress import Steps, subprogress
 from farfield.addon.operators.btf.job import BakeJob, prepare_bake

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from bridge import blender_scenes
-from farfield.addon.bridge.billboards import lod_crossfade, source_proxies
+from farfield.addon.bridge import lod_crossfade
+from farfield.addon.bridge.billboards import source_proxies
 from farfield.addon.bridge.billboards.scene_clouds import clouds_in
 from farfield.addon.bridge.images import read_pixels
 from farfield.addon.compat import enable_nodes, set_file_format

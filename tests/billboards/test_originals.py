@@ -7,8 +7,8 @@ import pytest
 
 from bridge.operator_scenes import build, cube, is_hidden, levels, link_from_library, select
 from farfield.addon.bridge.billboards import source_proxies
-from farfield.addon.bridge.billboards.cloud_sources import SOURCES
 from farfield.addon.bridge.billboards.scene_clouds import clouds_in
+from farfield.addon.bridge.source_links import SOURCES
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import billboards
-from farfield.addon.bridge.billboards.lod_crossfade import CROSSFADE
+from farfield.addon.bridge.lod_crossfade import CROSSFADE
 from farfield.addon.core.errors import FileError, GeometryError
 from farfield.addon.core.jobs.progress import Progress
 from lib import command_line, environment, scene_files

@@ -5,7 +5,8 @@ import pytest
 
 from bridge import blender_scenes
 from bridge.operator_scenes import build, cube, is_hidden, levels, select
-from farfield.addon.bridge.billboards import lod_crossfade, source_proxies
+from farfield.addon.bridge import lod_crossfade
+from farfield.addon.bridge.billboards import source_proxies
 from farfield.addon.bridge.billboards.scene_clouds import clouds_in, find_cloud
 from farfield.addon.panels import billboards as panels
 

@@ -8,9 +8,9 @@ import bpy
 import numpy as np
 
 from ...core.geometry.cameras import Camera, choose_level, distance_to_box
-from .. import meshes
-from . import clouds, lod_crossfade, source_objects, source_proxies, transparent_bounces
-from .cloud_sources import SourceIndex, find_sources
+from .. import lod_crossfade, meshes, transparent_bounces
+from ..source_links import SourceIndex, find_sources
+from . import clouds, source_objects, source_proxies
 from .level_objects import level_world_matrix, pbr_material
 
 LEVEL_NUMBERS = ("farfield_level", "farfield_error", "farfield_quads", "farfield_texels")  # without them an object is no level

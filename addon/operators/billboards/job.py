@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 
 import bpy
 
-from ...bridge import images, meshes
-from ...bridge.billboards import capture, clouds, transparent_bounces
-from ...bridge.billboards.cloud_sources import store_sources
+from ...bridge import images, meshes, transparent_bounces
+from ...bridge.billboards import capture, clouds
 from ...bridge.billboards.scene_clouds import SceneCloud, clouds_of_levels, read_cloud
 from ...bridge.session_ids import find_by_uid
+from ...bridge.source_links import store_sources
 from ...core.billboards.build import build_cloud
 from ...core.billboards.cloud import Cloud
 from ...core.billboards.settings import BillboardSettings, BuildOptions

@@ -1,7 +1,7 @@
-"""The source objects of a cloud, found again after they were renamed.
+"""The source objects of what was built from them, found again after they were renamed.
 
-The cloud's collection stores names and tokens, not pointers: linking a cloud into another file must not link its sources. A local source
-object has the same token as a custom property. Duplicates of the object copy it, so the token alone does not identify the source.
+A collection stores names and tokens, not pointers: linking a cloud or levels into another file must not link their sources. A local
+source object has the same token as a custom property. Duplicates of the object copy it, so the token alone does not identify the source.
 """
 
 import json
@@ -13,7 +13,7 @@ from typing import Any
 
 import bpy
 
-SOURCES = "farfield_sources"  # custom property of a cloud's collection: JSON list with one entry per source object
+SOURCES = "farfield_sources"  # custom property of a collection: JSON list with one entry per source object
 TOKEN = "farfield_source_token"  # custom property of a local source object
 
 
@@ -34,12 +34,12 @@ class SourceIndex:
 
 
 def store_sources(collection: bpy.types.Collection, objects: Sequence[bpy.types.Object]) -> None:
-    """Store the `objects` that the cloud in `collection` was built from."""
+    """Store the `objects` that the content of `collection` was built from."""
     collection[SOURCES] = json.dumps([_describe(item) for item in objects])
 
 
 def find_sources(collection: bpy.types.Collection, index: SourceIndex) -> list[tuple[str, bpy.types.Object | None]]:
-    """Return the stored name of each source object of the cloud in `collection`, with the object, or None if it is not in the file."""
+    """Return the stored name of each source object of `collection`, with the object, or None if it is not in the file."""
     return [(entry["name"], _find_source(entry, index)) for entry in _read_entries(collection)]
 
 
@@ -54,7 +54,7 @@ def _describe(item: bpy.types.Object) -> dict[str, Any]:
 
 
 def _is_known_source(item: bpy.types.Object) -> bool:
-    """Return whether another cloud was built from `item`."""
+    """Return whether anything was built from `item` before."""
     index = SourceIndex()
     return any(item == source for collection in bpy.data.collections for _, source in find_sources(collection, index))
 
@@ -81,7 +81,7 @@ def _find_source(entry: dict[str, Any], index: SourceIndex) -> bpy.types.Object 
     """Return the source object that `entry` describes.
 
     Another object may have its name by now, and duplicates have its token. An object with another name is the source if it is the same
-    data-block of this session, or if it is still where the cloud was built.
+    data-block of this session, or if it is still where it was then.
     """
     key, name = _entry_key(entry), entry["name"]
     named = bpy.data.objects.get(name)

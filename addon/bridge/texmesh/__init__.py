@@ -1,0 +1,1 @@
+"""Conversion between textured meshes and Blender objects."""

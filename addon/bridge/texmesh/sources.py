@@ -1,0 +1,130 @@
+"""Objects with a texture as textured meshes, with everything that their levels carry."""
+
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from ...core.errors import GeometryError
+from ...core.geometry.mesh import TriangleMesh
+from ...core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
+from ..evaluated_mesh import EvaluatedMesh
+from ..meshes import find_material, read_instances
+from .color_images import find_color_image, read_color_image
+
+
+@dataclass(frozen=True)
+class TexturedSource:
+    """One object that levels are made from.
+
+    name, object_uid: of the object. mesh: in object space; its attributes are those named in `attributes` with their widths, in this
+    order: the normals of smooth faces, and the color attributes at corners. evaluated: what `mesh.sources` refers to: row 3 t + c is corner
+    c of its triangle t. uv_map: the UV map that the levels get. textures: (H, W, 3) float32 scene-linear by material, None where there is
+    none. remarks: sentences about what was read in another way than a user may expect.
+    """
+
+    name: str
+    object_uid: int
+    mesh: TexturedMesh
+    evaluated: EvaluatedMesh
+    uv_map: str
+    attributes: tuple[tuple[str, int], ...]
+    textures: tuple[np.ndarray | None, ...]
+    remarks: tuple[str, ...]
+
+
+NORMALS = "custom_normal"  # the attribute with the normals of smooth faces
+
+
+def read_textured_source(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> TexturedSource:
+    """Read the evaluated mesh of an object, with modifiers and shape keys, in object space, and the images that color its materials.
+
+    Raises:
+        GeometryError: it has no faces or no area.
+        FileError: an image is missing.
+    """
+    evaluated = next((instance.mesh for instance in read_instances([item], depsgraph) if instance.name == item.name), None)
+    if evaluated is None:
+        raise GeometryError(f'"{item.name}" has no faces; select a mesh with a UV map and a texture.')
+    uv_map, textures, remarks = _read_textures(item, evaluated)
+    count = len(evaluated.triangles)
+    corner_uvs = evaluated.at_corners(uv_map, np.arange(count)) if uv_map else np.zeros((count, 3, 2), np.float32)
+    values, attributes = _read_corner_values(evaluated)
+    mesh = TriangleMesh(evaluated.vertices.astype(np.float64), evaluated.triangles, evaluated.material_indices)
+    textured = build_textured_mesh(mesh, corner_uvs, values, item.name)
+    remarks = [*remarks, *_describe_evaluation(item), *_describe_uvs(item.name, textured, bool(uv_map))]
+    return TexturedSource(item.name, item.session_uid, textured, evaluated, uv_map, attributes, textures, tuple(remarks))
+
+
+def _read_textures(item: bpy.types.Object, mesh: EvaluatedMesh) -> tuple[str, tuple[np.ndarray | None, ...], list[str]]:
+    """Return the UV map of the textures, the texture of each material, and remarks."""
+    found = [find_color_image(None if key is None else find_material(key)) for key in mesh.materials]
+    names = dict.fromkeys(name or mesh.uv_map for image, name in found if image is not None)
+    uv_maps = [name for name in names if name in mesh.attributes and mesh.attributes[name].domain == "CORNER"]
+    uv_map = uv_maps[0] if uv_maps else mesh.uv_map
+    remarks, textures, read = [], [], {}
+    if len(uv_maps) > 1:
+        remarks.append(f'The images of "{item.name}" use several UV maps; only "{uv_map}" counts, the others are carried.')
+    for image, name in found:
+        if image is None or (name or mesh.uv_map) != uv_map:
+            textures.append(None)
+            continue
+        if image.source == "TILED":
+            remarks.append(f'Of the UDIM image "{image.name}" only the first tile counts.')
+        if image.name not in read:
+            read[image.name], is_scaled = read_color_image(image)
+            if is_scaled:
+                height, width = read[image.name].shape[:2]
+                remarks.append(f'The image "{image.name}" is analyzed at {width} by {height} pixels.')
+        textures.append(read[image.name])
+    if not read:
+        remarks.append(f'"{item.name}" has no image texture; only its geometry counts.')
+    return uv_map, tuple(textures), remarks
+
+
+def _read_corner_values(mesh: EvaluatedMesh) -> tuple[np.ndarray, tuple[tuple[str, int], ...]]:
+    """Return the values (T, 3, A) float32 that divide vertices into wedges, and the names and widths of the attributes in them."""
+    triangles = np.arange(len(mesh.triangles))
+    parts, attributes = [], []
+    is_flat = _find_flat(mesh)
+    if not is_flat.all():
+        parts.append(np.where(is_flat[:, None, None], np.float32(0.0), mesh.normals[mesh.loops]))
+        attributes.append((NORMALS, 3))
+    for name, attribute in mesh.attributes.items():
+        if attribute.domain == "CORNER" and attribute.values.shape[1] == 4:
+            parts.append(mesh.at_corners(name, triangles))
+            attributes.append((name, 4))
+    return np.concatenate(parts, axis=2) if parts else np.zeros((len(triangles), 3, 0), np.float32), tuple(attributes)
+
+
+def _find_flat(mesh: EvaluatedMesh) -> np.ndarray:
+    """Return which triangles (T,) bool are shaded flat: their corners have the same normal, and it is that of the triangle."""
+    normals = mesh.normals[mesh.loops]
+    corners = mesh.vertices[mesh.triangles].astype(np.float64)
+    direction = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(direction, axis=1)
+    cosines = np.einsum("tci,ti->tc", normals, direction / np.where(lengths > 0.0, lengths, 1.0)[:, None])
+    return (np.ptp(normals, axis=1).max(axis=1) == 0.0) & (cosines.min(axis=1) > 0.99)
+
+
+def _describe_evaluation(item: bpy.types.Object) -> list[str]:
+    """Return a sentence if an object is deformed in a way that its levels do not follow."""
+    has_armature = any(modifier.type == "ARMATURE" and modifier.show_viewport for modifier in item.modifiers)
+    has_keys = item.type == "MESH" and item.data.shape_keys is not None
+    reasons = [text for text, is_there in (("its armature", has_armature), ("its shape keys", has_keys)) if is_there]
+    return [f'The levels of "{item.name}" have its current shape; they do not follow {" and ".join(reasons)}.'] if reasons else []
+
+
+def _describe_uvs(name: str, mesh: TexturedMesh, has_uv_map: bool) -> list[str]:
+    """Return sentences about texture coordinates that levels can keep only in part."""
+    if not has_uv_map:
+        return [f'"{name}" has no UV map; only its geometry counts.']
+    remarks = []
+    if mesh.uvs.min() < 0.0 or mesh.uvs.max() > 1.0:
+        remarks.append(f'The UV map of "{name}" leaves the image; the image is repeated there.')
+    edges = mesh.corner_uvs[:, 1:] - mesh.corner_uvs[:, :1]
+    areas = edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]
+    empty = int((areas == 0.0).sum())
+    if empty:
+        remarks.append(f'{empty:,} triangles of "{name}" have no area in the UV map.')
+    return remarks
