@@ -84,8 +84,8 @@ def _find_image_node(socket: bpy.types.NodeSocket, groups: tuple[bpy.types.Node,
 
 def _ordered_inputs(node: bpy.types.Node) -> list[bpy.types.NodeSocket]:
     """Return the linked inputs of a node in the order in which a stack should hold them: those of colors last, so that they come first."""
-    linked = [item for item in node.inputs if item.links]
-    return sorted(linked[::-1], key=lambda item: (item.name in COLOR_INPUTS, item.type in ("RGBA", "SHADER")))
+    linked = [item for item in node.inputs if item.links][::-1]
+    return sorted(linked, key=lambda item: (item.name in COLOR_INPUTS, item.type in ("RGBA", "SHADER")))
 
 
 def _uv_map_of(node: bpy.types.Node) -> str:

@@ -1,0 +1,95 @@
+"""Blender meshes from levels of textured meshes, with everything that their source carries."""
+
+import bpy
+import numpy as np
+
+from ...core.texmesh.textured_mesh import TexturedMesh
+from ..evaluated_mesh import EvaluatedMesh, MeshAttribute
+from ..mesh_arrays import write_attribute, write_triangles
+from .sources import NORMALS, TexturedSource
+
+DEFAULT_UV_MAP = "UVMap"
+
+
+def create_level_mesh(name: str, source: TexturedSource, level: TexturedMesh) -> bpy.types.Mesh:
+    """Create a mesh in the object space of the source, without materials.
+
+    Texture coordinates, normals and corner colors are those of the level. All other attributes are those of the source that
+    `level.sources` refers to: those of faces at the first corner.
+    """
+    mesh = bpy.data.meshes.new(name)
+    write_triangles(mesh, level.vertices, level.triangles)
+    if not len(level.triangles):
+        return mesh
+    evaluated = source.evaluated
+    faces, corners = level.sources // 3, level.sources % 3
+    if source.uv_map:
+        write_attribute(mesh, source.uv_map, "CORNER", level.corner_uvs)
+    start = 0
+    for attribute, width in source.attributes:
+        values = level.attributes[:, start : start + width][level.wedge_triangles]
+        start += width
+        if attribute == NORMALS:
+            _write_normals(mesh, values)
+        elif attribute not in mesh.attributes:
+            write_attribute(mesh, attribute, "CORNER", values)
+    if not any(attribute == NORMALS for attribute, _ in source.attributes):
+        _write_flat(mesh, np.ones(len(level.triangles), bool))
+    vertex_corners = np.zeros(len(level.vertices), np.int64)
+    vertex_corners[level.triangles] = level.sources
+    for attribute_name, attribute in evaluated.attributes.items():
+        if attribute_name not in mesh.attributes:
+            write_attribute(mesh, attribute_name, attribute.domain, _carry(evaluated, attribute, faces, corners, vertex_corners))
+    mesh.attributes.new("material_index", "INT", "FACE").data.foreach_set("value", level.materials.astype(np.int32))
+    _activate(mesh, source)
+    return mesh
+
+
+def _carry(mesh: EvaluatedMesh, attribute: MeshAttribute, faces: np.ndarray, corners: np.ndarray, vertex_corners: np.ndarray) -> np.ndarray:
+    """Return the values of an attribute of the source for a level, in its own domain."""
+    if attribute.domain == "CORNER":
+        values = attribute.values[mesh.loops[faces, corners]]
+    elif attribute.domain == "POINT":
+        values = attribute.values[mesh.triangles[vertex_corners // 3, vertex_corners % 3]]
+    else:
+        values = attribute.values[mesh.polygons[faces[:, 0]]]
+    return values[..., 0] if values.shape[-1] == 1 else values
+
+
+def _write_normals(mesh: bpy.types.Mesh, normals: np.ndarray) -> None:
+    """Write the normals (T, 3, 3) of smooth faces; corners of flat faces have normals without length."""
+    lengths = np.linalg.norm(normals, axis=2)
+    is_flat = lengths.min(axis=1) < 0.5
+    if is_flat.any():
+        _write_flat(mesh, is_flat)
+    if not is_flat.all():
+        corners = mesh_corner_normals(mesh, normals, is_flat)
+        write_attribute(mesh, "custom_normal", "CORNER", corners)
+
+
+def mesh_corner_normals(mesh: bpy.types.Mesh, normals: np.ndarray, is_flat: np.ndarray) -> np.ndarray:
+    """Return unit normals (T, 3, 3) float32: those given, and of flat triangles their own."""
+    positions = np.empty(len(mesh.vertices) * 3, np.float32)
+    mesh.attributes["position"].data.foreach_get("vector", positions)
+    triangles = np.empty(len(mesh.loops), np.int32)
+    mesh.attributes[".corner_vert"].data.foreach_get("value", triangles)
+    corners = positions.reshape(-1, 3)[triangles.reshape(-1, 3)].astype(np.float64)
+    own = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    chosen = np.where(is_flat[:, None, None], own[:, None], normals)
+    lengths = np.linalg.norm(chosen, axis=2, keepdims=True)
+    return (chosen / np.where(lengths > 0.0, lengths, 1.0)).astype(np.float32)
+
+
+def _write_flat(mesh: bpy.types.Mesh, is_flat: np.ndarray) -> None:
+    mesh.attributes.new("sharp_face", "BOOLEAN", "FACE").data.foreach_set("value", is_flat)
+
+
+def _activate(mesh: bpy.types.Mesh, source: TexturedSource) -> None:
+    """Let the same UV map and color attribute render as in the source."""
+    layer = mesh.uv_layers.get(source.uv_map)
+    if layer is not None:
+        mesh.uv_layers.active = layer
+        layer.active_render = True
+    if source.evaluated.color in mesh.attributes:
+        mesh.attributes.default_color_name = source.evaluated.color
+        mesh.attributes.active_color_name = source.evaluated.color

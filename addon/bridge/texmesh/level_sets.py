@@ -1,0 +1,179 @@
+"""Levels of detail of a textured mesh in a scene: one collection with the objects of all levels, found by their custom properties.
+
+Level 0 is the source as it was evaluated. A level shows where a pixel is larger than its error, in units of the object.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import bpy
+import numpy as np
+
+from ...core.geometry.cameras import Camera, distance_to_box
+from .. import lod_crossfade, transparent_bounces
+from ..mesh_pool import is_local
+from ..source_links import SourceIndex, find_sources, store_sources
+
+KIND, LEVEL = "farfield_kind", "texmesh_level"
+NUMBER, ERROR, TRIANGLES = "farfield_level", "farfield_error", "farfield_triangles"
+SWITCH_DISTANCE = "farfield_switch_distance"  # in units of the object, for the display that the levels were made for
+FIGURES = "farfield_texmesh_figures"  # of the collection: JSON about how the levels were made
+
+
+@dataclass(frozen=True)
+class NewLevel:
+    """A level to be added. error: object units, 0 for the finest. switch_distance: object units, 0 for the finest."""
+
+    mesh: bpy.types.Mesh
+    error: float
+    switch_distance: float
+
+
+@dataclass(frozen=True)
+class LevelSet:
+    """The levels in one collection, finest first. Do not keep it across redraws."""
+
+    collection: bpy.types.Collection
+    levels: list[bpy.types.Object]
+    index: SourceIndex = field(default_factory=SourceIndex)
+
+    @property
+    def source(self) -> bpy.types.Object | None:
+        """The object that the levels were made from, also under another name; None if it does not exist any more."""
+        return next((item for _, item in find_sources(self.collection, self.index) if item is not None), None)
+
+    @property
+    def source_name(self) -> str:
+        """The name of the source, or its stored name."""
+        return next((name if item is None else item.name for name, item in find_sources(self.collection, self.index)), "")
+
+    @property
+    def errors(self) -> list[float]:
+        """The pixel size above which each level shows, in units of the objects; 0 for the finest."""
+        return [float(level[ERROR]) for level in self.levels]
+
+    @property
+    def is_editable(self) -> bool:
+        """Whether the levels can be changed: not if they are linked from a library."""
+        return is_local(self.collection) and all(is_local(level) for level in self.levels)
+
+    @property
+    def has_crossfade(self) -> bool:
+        """Whether the levels cross-fade."""
+        return any(lod_crossfade.CROSSFADE in level for level in self.levels)
+
+    def add_crossfade(self, scene: bpy.types.Scene, fade_range: float) -> None:
+        """Cross-fade all levels for the active camera, over `fade_range`, a fraction of the switch distance."""
+        self.remove_crossfade()
+        ends = [*self.errors[1:], lod_crossfade.MAX_PIXEL]
+        for number, (level, end) in enumerate(zip(self.levels, ends, strict=True)):
+            lod_crossfade.add_crossfade(level, self.errors[number] if number else lod_crossfade.MIN_PIXEL, end, fade_range)
+            set_hidden(level, False)
+        transparent_bounces.ensure_transparent_bounces(scene, 8 * len(self.levels))
+
+    def remove_crossfade(self) -> None:
+        """Let every level show at any distance."""
+        for level in self.levels:
+            lod_crossfade.remove_crossfade(level, [material for material in level.data.materials if material is not None])
+
+    def choose_level(self, camera: Camera) -> int:
+        """Return the index of the coarsest level whose error is at most a pixel of `camera` at the nearest point of the object."""
+        low, high, scale = self._bounds()
+        pixel = camera.pixel_size(distance_to_box(camera.position, low, high)) / scale
+        return max(number for number, error in enumerate(self.errors) if number == 0 or error <= pixel)
+
+    def show(self, number: int) -> None:
+        """Show one level and hide the others. Removes a cross-fade."""
+        self.remove_crossfade()
+        for index, level in enumerate(self.levels):
+            set_hidden(level, index != number)
+
+    def _bounds(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """Return the lowest and highest corner of the bounding box in world space, and the scale of the objects."""
+        level = self.levels[0]
+        matrix = np.array(level.matrix_world if level.parent is not None else level.matrix_basis, np.float64)
+        corners = np.array(level.bound_box) @ matrix[:3, :3].T + matrix[:3, 3]
+        return corners.min(axis=0), corners.max(axis=0), float(np.linalg.norm(matrix[:3, :3]) / math.sqrt(3.0)) or 1.0
+
+
+def set_hidden(item: bpy.types.Object, hidden: bool) -> None:
+    """Hide an object in viewports and renders, or show it."""
+    item.hide_viewport = item.hide_render = hidden
+
+
+def add_level_set(
+    source: bpy.types.Object, scene: bpy.types.Scene, name: str, levels: Sequence[NewLevel], materials: Sequence[bpy.types.Material | None]
+) -> LevelSet:
+    """Create a collection named `name` with an object per level, at the position of the source.
+
+    materials: of the slots of all levels. They are copied, so that a cross-fade leaves those of the source as they are.
+    """
+    collection = bpy.data.collections.new(name)
+    _parent_collection(source, scene).children.link(collection)
+    copies = [None if material is None else _copy_material(material) for material in materials]
+    objects = []
+    for number, level in enumerate(levels):
+        for material in copies:
+            level.mesh.materials.append(material)
+        item = bpy.data.objects.new(f"{source.name} L{number}", level.mesh)
+        item.matrix_world = source.matrix_world
+        item[KIND], item[NUMBER], item[ERROR] = LEVEL, number, float(level.error)
+        item[SWITCH_DISTANCE], item[TRIANGLES] = float(level.switch_distance), len(level.mesh.polygons)
+        item.pass_index, item.color = source.pass_index, source.color
+        collection.objects.link(item)
+        objects.append(item)
+    store_sources(collection, [source])
+    return LevelSet(collection, objects)
+
+
+def level_sets_in(scene: bpy.types.Scene) -> list[LevelSet]:
+    """Return all level sets whose collections are in `scene`, at any depth."""
+    index = SourceIndex()
+    found = (read_level_set(collection, index) for collection in scene.collection.children_recursive)
+    return [levels for levels in found if levels is not None]
+
+
+def find_level_set(scene: bpy.types.Scene, item: bpy.types.Object | None) -> LevelSet | None:
+    """Return the level set that contains `item`, or the newest one that was made from it."""
+    if item is None:
+        return None
+    matches = [levels for levels in level_sets_in(scene) if item in levels.levels or item == levels.source]
+    return matches[-1] if matches else None
+
+
+def read_level_set(collection: bpy.types.Collection, index: SourceIndex | None = None) -> LevelSet | None:
+    """Return the levels in `collection`, or None if there are none. Those that are read at once share an `index` of source objects."""
+    levels = sorted((item for item in collection.objects if _is_level(item)), key=lambda item: item[NUMBER])
+    return LevelSet(collection, levels, index or SourceIndex()) if levels else None
+
+
+def remove_level_set(levels: LevelSet) -> None:
+    """Remove the objects, meshes and materials of levels that nothing else uses, and their collection if it is empty then."""
+    data = list(dict.fromkeys(level.data for level in levels.levels))
+    materials = list(dict.fromkeys(material for mesh in data for material in mesh.materials if material is not None))
+    bpy.data.batch_remove(levels.levels)
+    bpy.data.batch_remove([mesh for mesh in data if mesh.users == 0])
+    bpy.data.batch_remove([material for material in materials if material.users == 0])
+    if not levels.collection.objects and not levels.collection.children:
+        bpy.data.collections.remove(levels.collection)
+
+
+def _is_level(item: bpy.types.Object) -> bool:
+    """Return whether `item` is a level with all its figures; custom properties can be deleted or come from elsewhere."""
+    if item.get(KIND) != LEVEL or item.type != "MESH":
+        return False
+    numbers = [item.get(name) for name in (NUMBER, ERROR)]
+    return all(isinstance(number, int | float) and math.isfinite(number) and number >= 0.0 for number in numbers)
+
+
+def _parent_collection(source: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Collection:
+    """Return the first local collection of the scene with the source, or that of the scene."""
+    within = {scene.collection, *scene.collection.children_recursive}
+    return next((collection for collection in source.users_collection if collection in within and is_local(collection)), scene.collection)
+
+
+def _copy_material(material: bpy.types.Material) -> bpy.types.Material:
+    copy = material.copy()
+    copy.use_transparent_shadow = True
+    return copy
