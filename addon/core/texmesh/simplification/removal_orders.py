@@ -24,22 +24,26 @@ class CollapseCost(Protocol):
 class GivenOrder:
     """Vertices with low priorities are removed first, and collapse onto the nearest neighbor. Ties are broken by perceptual values."""
 
-    def __init__(self, positions: np.ndarray, priorities: np.ndarray) -> None:
-        """positions: (3, V). priorities: (V,) float64."""
-        self._positions, self._priorities = positions, priorities
-        self._has_ties = len(np.unique(priorities)) < (1.0 - TIED_FRACTION) * len(priorities)
+    def __init__(self, positions: np.ndarray, priorities: np.ndarray, seen_fraction: float) -> None:
+        """positions: (3, V). priorities: (V,) float64. seen_fraction: see `SimplificationSettings.seen_fraction`."""
+        self._positions, self._priorities, self._seen_fraction = positions, priorities, seen_fraction
+        has_ties = len(np.unique(priorities)) < (1.0 - TIED_FRACTION) * len(priorities)
+        self._needs_values = has_ties or seen_fraction > 0.0
         self._values = np.zeros(len(priorities))
-        self._is_stale = np.full(len(priorities), self._has_ties)
+        self._is_stale = np.full(len(priorities), self._needs_values)
 
     def choose_window(self, engine: CollapseEngine, vertices: np.ndarray, size: int) -> np.ndarray:
         """See `RemovalOrder`."""
-        if self._has_ties:
-            limit = np.partition(self._priorities[vertices], min(size, len(vertices)) - 1)[min(size, len(vertices)) - 1]
-            vertices = vertices[self._priorities[vertices] <= limit]
-            stale = vertices[self._is_stale[vertices]]
+        stale = vertices[self._is_stale[vertices]]
+        if len(stale):
             self._values[stale] = engine.perceptual.estimate(engine.topology, stale)
             self._is_stale[stale] = False
-        return vertices[np.lexsort((self._values[vertices], self._priorities[vertices]))[:size]]
+        values = self._values[vertices]
+        index = int((1.0 - self._seen_fraction) * (len(vertices) - 1))
+        if index < len(vertices) - 1:
+            is_allowed = values <= np.partition(values, index)[index]
+            vertices, values = vertices[is_allowed], values[is_allowed]
+        return vertices[np.lexsort((values, self._priorities[vertices]))[:size]]
 
     def rate(self, collapses: Collapses) -> np.ndarray:
         """Return the squared distances (N,) to the kept vertices."""
@@ -54,7 +58,7 @@ class GivenOrder:
 
     def mark_changed(self, vertices: np.ndarray) -> None:
         """See `RemovalOrder`."""
-        self._is_stale[vertices] = self._has_ties
+        self._is_stale[vertices] = self._needs_values
 
 
 class CheapestOrder:
