@@ -1,5 +1,6 @@
 """Orders of removal: by given priorities, or by the cost of the cheapest collapse."""
 
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -12,7 +13,7 @@ TIED_FRACTION = 0.01  # of priorities that are equal to others, above which ties
 
 
 class CollapseCost(Protocol):
-    """A cost of half-edge collapses that changes as collapses are performed."""
+    """A cost of half-edge collapses that changes as collapses are performed. Vertices and wedges are those of the fine mesh."""
 
     def evaluate(self, collapses: Collapses) -> np.ndarray:
         """Return the costs (N,) float64 of `collapses`, infinite for those that must not happen."""
@@ -64,10 +65,11 @@ class GivenOrder:
 class CheapestOrder:
     """Vertices with the cheapest collapses are removed first. Costs are evaluated again only for vertices that may be among them."""
 
-    def __init__(self, cost: CollapseCost, vertex_count: int) -> None:
-        self._cost = cost
-        self._costs = np.zeros(vertex_count)
-        self._is_stale = np.ones(vertex_count, bool)
+    def __init__(self, cost: CollapseCost, fine_vertices: np.ndarray) -> None:
+        """fine_vertices: (V,) int32, the indices by which `cost` knows the vertices of the engine."""
+        self._cost, self._fine_vertices = cost, fine_vertices
+        self._costs = np.zeros(len(fine_vertices))
+        self._is_stale = np.ones(len(fine_vertices), bool)
         self._cutoff = np.inf
 
     def choose_window(self, engine: CollapseEngine, vertices: np.ndarray, size: int) -> np.ndarray:
@@ -77,7 +79,7 @@ class CheapestOrder:
         stale = window[self._is_stale[window]]
         owners, collapses = engine.topology.find_collapses(stale, engine.groups)
         costs = np.full(len(stale), np.inf)
-        np.minimum.at(costs, owners, self._cost.evaluate(collapses))
+        np.minimum.at(costs, owners, self.rate(collapses))
         self._costs[stale] = costs
         self._is_stale[stale] = False
         window = window[np.argsort(self._costs[window], kind="stable")]
@@ -87,7 +89,7 @@ class CheapestOrder:
 
     def rate(self, collapses: Collapses) -> np.ndarray:
         """Return the costs (N,)."""
-        return self._cost.evaluate(collapses)
+        return self._cost.evaluate(self._to_fine(collapses))
 
     def select(self, vertices: np.ndarray, costs: np.ndarray) -> np.ndarray:
         """See `RemovalOrder`."""
@@ -96,8 +98,11 @@ class CheapestOrder:
 
     def apply(self, collapses: Collapses, fans: CollapseFans) -> None:
         """See `RemovalOrder`."""
-        self._cost.merge(collapses, fans)
+        self._cost.merge(self._to_fine(collapses), fans)
 
     def mark_changed(self, vertices: np.ndarray) -> None:
         """See `RemovalOrder`."""
         self._is_stale[vertices] = True
+
+    def _to_fine(self, collapses: Collapses) -> Collapses:
+        return replace(collapses, removed=self._fine_vertices[collapses.removed], kept=self._fine_vertices[collapses.kept])
