@@ -83,6 +83,15 @@ class Topology:
         return (self.seam_counts > 0) | (self.boundary_counts > 0)
 
     @cached_property
+    def curve_neighbors(self) -> np.ndarray:
+        """(2, V) int32, the neighbors of each vertex along its curve, both the same at an end; undefined for other vertices."""
+        once = np.flatnonzero(self.is_curve & (self.twins < np.arange(len(self.twins))))
+        vertices, others = (np.concatenate(pair) for pair in ((self.starts[once], self.ends[once]), (self.ends[once], self.starts[once])))
+        neighbors = np.zeros((2, self.vertex_count), np.int32)
+        neighbors[0, vertices], neighbors[1, vertices[::-1]] = others, others[::-1]  # of several assignments, the last one stays
+        return neighbors
+
+    @cached_property
     def is_removable(self) -> np.ndarray:
         """(V,) bool, which vertices are inside of islands, or on a curve, but no corner or end of it unless it is free."""
         seams, boundaries = self.seam_counts, self.boundary_counts
