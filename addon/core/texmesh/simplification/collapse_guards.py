@@ -75,7 +75,7 @@ def _shortens_curve(fans: CollapseFans, relaxation: Relaxation) -> np.ndarray:
     """Return which collapses (N,) bool remove the last triangle between two curves, or leave a loop of two edges."""
     topology = fans.topology
     owners, at_removed, at_kept = fans.merged_halfedges
-    is_curve = topology.is_curve[at_removed] & topology.is_curve[at_kept]
+    is_curve = topology.is_curve[at_removed] & topology.is_curve[at_kept] & topology.is_curve[fans.collapses.halfedges[owners]]
     if relaxation.drops_islands:
         is_curve &= (topology.twins[at_removed] == BOUNDARY) & (topology.twins[at_kept] == BOUNDARY)
     is_shortened = np.zeros(len(fans.collapses.removed), bool)

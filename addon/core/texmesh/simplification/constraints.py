@@ -16,10 +16,10 @@ REFUSALS = {
 def name_constraint(engine: CollapseEngine, target: int) -> str:
     """Return a sentence that names what keeps the current vertices from being removed, the most frequent reason first."""
     topology = engine.topology
-    is_locked = topology.is_used & ~topology.is_removable
+    is_kept = topology.is_used & ~topology.is_removable
     counts = {
-        "{} are corners, crossings or ends of seams and boundaries": np.count_nonzero(is_locked & ~topology.is_ambiguous),
-        "{} are at edges with more than two triangles or opposite orientations": np.count_nonzero(is_locked & topology.is_ambiguous),
+        "{} are corners, crossings or ends of seams and boundaries": np.count_nonzero(is_kept & ~topology.is_locked),
+        "{} are at edges with more than two triangles or opposite orientations": np.count_nonzero(is_kept & topology.is_locked),
     }
     for reason, text in REFUSALS.items():
         counts[text] = np.count_nonzero(topology.is_removable & (engine.reasons == reason))

@@ -25,7 +25,8 @@ class DrasticSteps:
         self._engine, self._settings = engine, settings
         self._area = float(face_areas_and_normals(engine.mesh.vertices[engine.mesh.triangles])[0].sum())
         self._target, self._taken = 0, 0
-        self._closed_holes = self._dropped_components = self._dropped_triangles = self._unlocked_vertices = 0
+        self._closed_holes = self._dropped_components = self._dropped_triangles = 0
+        self._unlocked_vertices = self._freed_ends = self._separated_vertices = 0
 
     def take_next(self, target: int) -> bool:
         """Take the next step that changes anything on the way to `target` triangles. Return whether there was one."""
@@ -33,7 +34,15 @@ class DrasticSteps:
             return False
         if target != self._target:
             self._target, self._taken = target, 0
-        steps = (self._fold_small_triangles, self._unlock_attributes, self._close_holes, self._drop_islands, self._drop_components)
+        steps = (
+            self._unlock_attributes,
+            self._free_seam_ends,
+            self._unlock_touching_surfaces,
+            self._close_holes,
+            self._drop_islands,
+            self._drop_components,
+            self._fold_small_triangles,
+        )
         size = self._settings.drastic_size * np.sqrt(4.0 / np.sqrt(3.0) * self._area / target)  # edge length of equilateral triangles
         while self._taken < len(steps):
             self._taken += 1
@@ -47,6 +56,8 @@ class DrasticSteps:
         counts = {
             "{} vertices were removed although small triangles folded over.": self._engine.folded_count,
             "{} vertices at seams of normals, colors or other attributes were unlocked.": self._unlocked_vertices,
+            "{} ends of seams were unlocked.": self._freed_ends,
+            "{} vertices at edges with more than two triangles were unlocked, each surface for itself.": self._separated_vertices,
             "{} small holes were closed.": self._closed_holes,
             "{} thin islands or ends of islands were dropped.": self._engine.dropped_island_count,
             f"{{}} small components with {self._dropped_triangles} triangles were dropped.": self._dropped_components,
@@ -72,6 +83,25 @@ class DrasticSteps:
         engine.rebuild()
         self._unlocked_vertices += np.count_nonzero(engine.topology.is_removable & ~before)
         return True
+
+    def _free_seam_ends(self, size: float) -> bool:
+        engine = self._engine
+        if engine.frees_ends:
+            return False
+        before = engine.topology.is_removable
+        engine.frees_ends = True
+        engine.rebuild()
+        self._freed_ends = np.count_nonzero(engine.topology.is_removable & ~before)
+        return engine.retry(is_forced=True) or self._freed_ends > 0
+
+    def _unlock_touching_surfaces(self, size: float) -> bool:
+        engine = self._engine
+        before = engine.topology.is_removable
+        engine.is_locked = np.zeros_like(engine.is_locked)
+        engine.rebuild()
+        count = np.count_nonzero(engine.topology.is_removable & ~before)
+        self._separated_vertices += count
+        return count > 0
 
     def _drop_islands(self, size: float) -> bool:
         if self._engine.relaxation.drops_islands:

@@ -14,6 +14,7 @@ from ..textured_mesh import TexturedMesh
 from .collapse_fans import CollapseFans, build_fans, find_compatible
 from .collapse_guards import FOLD, SHORT_CURVE, VALID, Relaxation, Surface, find_orientations, find_refusals
 from .islands import find_islands
+from .manifold_copies import divide_into_surfaces
 from .perceptual_values import PerceptualValues
 from .topology import Collapses, Topology, build_topology
 
@@ -46,12 +47,15 @@ class RemovalOrder(Protocol):
 class CollapseEngine:
     """The current triangles, (3, T), of a textured mesh, and the record of what was removed.
 
+    mesh: with copies of vertices where several surfaces touch, is_locked (V,) bool; fine_vertices: (V,) int32, those that were given.
     groups: (W,) wedges between which there are no seams. reasons: (V,) uint8, why the preferred collapse of a vertex was refused.
-    folded_count, dropped_island_count: collapses that only the `relaxation` allowed.
+    frees_ends: whether ends of seams may collapse. folded_count, dropped_island_count: collapses that only the `relaxation` allowed.
     """
 
     def __init__(self, mesh: TexturedMesh, perceptual_value: str) -> None:
+        mesh, self.fine_vertices, self.is_locked = divide_into_surfaces(mesh)
         self.mesh = mesh
+        self.frees_ends = False
         self.triangles, self.wedges = (np.ascontiguousarray(array.T) for array in (mesh.triangles, mesh.wedge_triangles))
         self.materials = mesh.materials.copy()
         self.groups = np.arange(len(mesh.uvs), dtype=np.int32)
@@ -74,7 +78,7 @@ class CollapseEngine:
 
     def rebuild(self) -> None:
         """Find the topology of the current triangles."""
-        self.topology: Topology = build_topology(self.triangles, self.wedges, self.groups, len(self.mesh.vertices))
+        self.topology: Topology = build_topology(self.triangles, self.wedges, self.groups, self.is_locked, self.frees_ends)
 
     def retry(self, is_forced: bool = False) -> bool:
         """Let all refused vertices be tried again, unless hardly any collapses were performed since the last time. Return whether they are.

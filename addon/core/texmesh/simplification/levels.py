@@ -44,7 +44,7 @@ class Simplification:
     """Levels from fine to coarse, and the N collapses in their order.
 
     removed, kept: (N,) int32, the vertices V_R and V_C. removed_wedges: (N,) int32, a wedge of each removed vertex, whose texture
-    coordinates are its texel. perceptual_values: (N,) float64.
+    coordinates are its texel. perceptual_values: (N,) float64. Where several surfaces touch at an edge, a vertex is removed once from each.
     """
 
     levels: tuple[SubsetLevel, ...]
@@ -73,7 +73,7 @@ def simplify_in_order(
             f"There must be {len(mesh.vertices)} finite priorities, one per vertex, not {priorities.size}; analyze the mesh again."
         )
     engine = CollapseEngine(mesh, settings.perceptual_value)
-    order = GivenOrder(engine.surface.positions, priorities.astype(np.float64))
+    order = GivenOrder(engine.surface.positions, priorities[engine.fine_vertices].astype(np.float64), settings.seen_fraction)
     return (yield from _make_levels(engine, order, targets, settings))
 
 
@@ -82,7 +82,7 @@ def simplify_by_cost(
 ) -> Steps[Simplification]:
     """Simplify `mesh` by the collapses with the smallest `cost`, by default `TextureQuadrics`. See `simplify_in_order`."""
     engine = CollapseEngine(mesh, settings.perceptual_value)
-    order = CheapestOrder(TextureQuadrics(mesh) if cost is None else cost, len(mesh.vertices))
+    order = CheapestOrder(TextureQuadrics(mesh) if cost is None else cost, engine.fine_vertices)
     return (yield from _make_levels(engine, order, targets, settings))
 
 
@@ -124,7 +124,7 @@ def _make_levels(
         is_reached = engine.triangle_count <= (1.0 + TOLERANCE) * target
         levels.append(
             SubsetLevel(
-                triangles=np.ascontiguousarray(engine.triangles.T),
+                triangles=engine.fine_vertices[engine.triangles.T],
                 wedge_triangles=np.ascontiguousarray(engine.wedges.T),
                 materials=engine.materials.copy(),
                 collapse_count=sum(map(len, engine.removed)),
@@ -134,8 +134,8 @@ def _make_levels(
         )
     return Simplification(
         levels=tuple(levels),
-        removed=_join(engine.removed, np.int32),
-        kept=_join(engine.kept, np.int32),
+        removed=engine.fine_vertices[_join(engine.removed, np.int32)],
+        kept=engine.fine_vertices[_join(engine.kept, np.int32)],
         removed_wedges=_join(engine.texels, np.int32),
         perceptual_values=_join(engine.values, np.float64),
     )

@@ -26,8 +26,12 @@ class PerceptualValues:
             self._quadrics = _build_plane_quadrics(mesh)
 
     def estimate(self, topology: Topology, vertices: np.ndarray) -> np.ndarray:
-        """Return what the removal of `vertices` (N,) would be seen as, whatever they collapse onto."""
-        return self.absorbed[vertices] + measure_plane_distances(self._positions, topology, vertices)
+        """Return what the removal of `vertices` (N,) would be seen as, whatever they collapse onto: on a curve, at least the distance to
+        the edge between its neighbors there, by which the textures on both sides or the boundary move."""
+        distances = measure_plane_distances(self._positions, topology, vertices)
+        rows = np.flatnonzero(topology.is_on_curve[vertices])
+        distances[rows] = np.maximum(distances[rows], _measure_curve_distances(self._positions, topology, vertices[rows]))
+        return self.absorbed[vertices] + distances
 
     def record(self, topology: Topology, removed: np.ndarray, kept: np.ndarray) -> np.ndarray:
         """Return the values (N,) of `removed` vertices (N,), whose stimuli the `kept` (N,) absorb."""
@@ -69,6 +73,15 @@ def measure_plane_distances(positions: np.ndarray, topology: Topology, vertices:
     offset = positions[:, vertices] - center
     lengths = np.sqrt((normal**2).sum(axis=0))
     return np.where(lengths > 0.0, np.abs((offset * normal).sum(axis=0)) / np.maximum(lengths, TINY), np.sqrt((offset**2).sum(axis=0)))
+
+
+def _measure_curve_distances(positions: np.ndarray, topology: Topology, vertices: np.ndarray) -> np.ndarray:
+    """Return the distances (N,) of `vertices` (N,) to the segments between their neighbors on curves, in the unit of `positions` (3, V)."""
+    first, second = topology.curve_neighbors[:, vertices]
+    start = positions[:, first]
+    direction, offset = positions[:, second] - start, positions[:, vertices] - start
+    fraction = np.clip((direction * offset).sum(axis=0) / np.maximum((direction**2).sum(axis=0), TINY), 0.0, 1.0)
+    return np.sqrt(((offset - fraction * direction) ** 2).sum(axis=0))
 
 
 def _find_axis_distances(vertices: np.ndarray, sections: int) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Orders of removal: by given priorities, or by the cost of the cheapest collapse."""
 
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -12,7 +13,7 @@ TIED_FRACTION = 0.01  # of priorities that are equal to others, above which ties
 
 
 class CollapseCost(Protocol):
-    """A cost of half-edge collapses that changes as collapses are performed."""
+    """A cost of half-edge collapses that changes as collapses are performed. Vertices and wedges are those of the fine mesh."""
 
     def evaluate(self, collapses: Collapses) -> np.ndarray:
         """Return the costs (N,) float64 of `collapses`, infinite for those that must not happen."""
@@ -24,22 +25,26 @@ class CollapseCost(Protocol):
 class GivenOrder:
     """Vertices with low priorities are removed first, and collapse onto the nearest neighbor. Ties are broken by perceptual values."""
 
-    def __init__(self, positions: np.ndarray, priorities: np.ndarray) -> None:
-        """positions: (3, V). priorities: (V,) float64."""
-        self._positions, self._priorities = positions, priorities
-        self._has_ties = len(np.unique(priorities)) < (1.0 - TIED_FRACTION) * len(priorities)
+    def __init__(self, positions: np.ndarray, priorities: np.ndarray, seen_fraction: float) -> None:
+        """positions: (3, V). priorities: (V,) float64. seen_fraction: see `SimplificationSettings.seen_fraction`."""
+        self._positions, self._priorities, self._seen_fraction = positions, priorities, seen_fraction
+        has_ties = len(np.unique(priorities)) < (1.0 - TIED_FRACTION) * len(priorities)
+        self._needs_values = has_ties or seen_fraction > 0.0
         self._values = np.zeros(len(priorities))
-        self._is_stale = np.full(len(priorities), self._has_ties)
+        self._is_stale = np.full(len(priorities), self._needs_values)
 
     def choose_window(self, engine: CollapseEngine, vertices: np.ndarray, size: int) -> np.ndarray:
         """See `RemovalOrder`."""
-        if self._has_ties:
-            limit = np.partition(self._priorities[vertices], min(size, len(vertices)) - 1)[min(size, len(vertices)) - 1]
-            vertices = vertices[self._priorities[vertices] <= limit]
-            stale = vertices[self._is_stale[vertices]]
+        stale = vertices[self._is_stale[vertices]]
+        if len(stale):
             self._values[stale] = engine.perceptual.estimate(engine.topology, stale)
             self._is_stale[stale] = False
-        return vertices[np.lexsort((self._values[vertices], self._priorities[vertices]))[:size]]
+        values = self._values[vertices]
+        index = int((1.0 - self._seen_fraction) * (len(vertices) - 1))
+        if index < len(vertices) - 1:
+            is_allowed = values <= np.partition(values, index)[index]
+            vertices, values = vertices[is_allowed], values[is_allowed]
+        return vertices[np.lexsort((values, self._priorities[vertices]))[:size]]
 
     def rate(self, collapses: Collapses) -> np.ndarray:
         """Return the squared distances (N,) to the kept vertices."""
@@ -54,16 +59,17 @@ class GivenOrder:
 
     def mark_changed(self, vertices: np.ndarray) -> None:
         """See `RemovalOrder`."""
-        self._is_stale[vertices] = self._has_ties
+        self._is_stale[vertices] = self._needs_values
 
 
 class CheapestOrder:
     """Vertices with the cheapest collapses are removed first. Costs are evaluated again only for vertices that may be among them."""
 
-    def __init__(self, cost: CollapseCost, vertex_count: int) -> None:
-        self._cost = cost
-        self._costs = np.zeros(vertex_count)
-        self._is_stale = np.ones(vertex_count, bool)
+    def __init__(self, cost: CollapseCost, fine_vertices: np.ndarray) -> None:
+        """fine_vertices: (V,) int32, the indices by which `cost` knows the vertices of the engine."""
+        self._cost, self._fine_vertices = cost, fine_vertices
+        self._costs = np.zeros(len(fine_vertices))
+        self._is_stale = np.ones(len(fine_vertices), bool)
         self._cutoff = np.inf
 
     def choose_window(self, engine: CollapseEngine, vertices: np.ndarray, size: int) -> np.ndarray:
@@ -73,7 +79,7 @@ class CheapestOrder:
         stale = window[self._is_stale[window]]
         owners, collapses = engine.topology.find_collapses(stale, engine.groups)
         costs = np.full(len(stale), np.inf)
-        np.minimum.at(costs, owners, self._cost.evaluate(collapses))
+        np.minimum.at(costs, owners, self.rate(collapses))
         self._costs[stale] = costs
         self._is_stale[stale] = False
         window = window[np.argsort(self._costs[window], kind="stable")]
@@ -83,7 +89,7 @@ class CheapestOrder:
 
     def rate(self, collapses: Collapses) -> np.ndarray:
         """Return the costs (N,)."""
-        return self._cost.evaluate(collapses)
+        return self._cost.evaluate(self._to_fine(collapses))
 
     def select(self, vertices: np.ndarray, costs: np.ndarray) -> np.ndarray:
         """See `RemovalOrder`."""
@@ -92,8 +98,11 @@ class CheapestOrder:
 
     def apply(self, collapses: Collapses, fans: CollapseFans) -> None:
         """See `RemovalOrder`."""
-        self._cost.merge(collapses, fans)
+        self._cost.merge(self._to_fine(collapses), fans)
 
     def mark_changed(self, vertices: np.ndarray) -> None:
         """See `RemovalOrder`."""
         self._is_stale[vertices] = True
+
+    def _to_fine(self, collapses: Collapses) -> Collapses:
+        return replace(collapses, removed=self._fine_vertices[collapses.removed], kept=self._fine_vertices[collapses.kept])

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from ...settings import Choice, Settings, setting
+from ...settings import Choice, Settings, Unit, setting
 
 PLANE, CENTER, SKELETON, QUADRIC = "plane", "center", "skeleton", "quadric"
 PERCEPTUAL_VALUES = {
@@ -18,6 +18,14 @@ class SimplificationSettings(Settings):
     """Settings of a simplification by half-edge collapses."""
 
     perceptual_value: str = setting("plane", "How much the removal of a vertex is seen", choices=PERCEPTUAL_VALUES)
+    seen_fraction: float = setting(
+        0.5,
+        "Of the vertices, those whose removal would be seen most at the moment, which stay whatever their scale; 0 for the order of scales"
+        " alone",
+        minimum=0.0,
+        maximum=0.95,
+        unit=Unit.FRACTION,
+    )
     drastic: bool = setting(
         True,
         "If a triangle count cannot be reached otherwise: ignore folds of small triangles, seams of normals and colors; drop thin"

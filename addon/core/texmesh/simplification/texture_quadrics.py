@@ -36,7 +36,7 @@ class TextureQuadrics:
         self._areas = np.zeros(len(points))
         triangles = np.ascontiguousarray(mesh.triangles.T)
         wedges = np.ascontiguousarray(mesh.wedge_triangles.T)
-        topology = build_topology(triangles, wedges, np.arange(len(points)), len(mesh.vertices))
+        topology = build_topology(triangles, wedges, np.arange(len(points)), np.zeros(len(mesh.vertices), bool))
         is_curve = topology.is_curve.reshape(3, -1)
         for start in range(0, len(mesh.triangles), CHUNK_SIZE):
             rows = slice(start, start + CHUNK_SIZE)

@@ -45,7 +45,8 @@ class Topology:
 
     starts, ends, wedges: (3 T,) int32, the vertices of each halfedge, and the wedge at its start. twins: (3 T,) int32, the halfedge of the
     other triangle, BOUNDARY, or AMBIGUOUS at edges whose triangles are no oriented surface. is_curve: (3 T,) bool. seam_counts,
-    boundary_counts: (V,) the number of such edges at a vertex. is_ambiguous: (V,) bool. edge_keys: (E,) int64, ascending, from
+    boundary_counts: (V,) the number of such edges at a vertex. is_locked: (V,) bool. is_free_end: (V,) bool, ends of seams that may
+    collapse into islands. edge_keys: (E,) int64, ascending, from
     `encode_pairs`.
     """
 
@@ -56,7 +57,8 @@ class Topology:
     is_curve: np.ndarray
     seam_counts: np.ndarray
     boundary_counts: np.ndarray
-    is_ambiguous: np.ndarray
+    is_locked: np.ndarray
+    is_free_end: np.ndarray
     edge_keys: np.ndarray
     rings: VertexRings
 
@@ -81,11 +83,20 @@ class Topology:
         return (self.seam_counts > 0) | (self.boundary_counts > 0)
 
     @cached_property
+    def curve_neighbors(self) -> np.ndarray:
+        """(2, V) int32, the neighbors of each vertex along its curve, both the same at an end; undefined for other vertices."""
+        once = np.flatnonzero(self.is_curve & (self.twins < np.arange(len(self.twins))))
+        vertices, others = (np.concatenate(pair) for pair in ((self.starts[once], self.ends[once]), (self.ends[once], self.starts[once])))
+        neighbors = np.zeros((2, self.vertex_count), np.int32)
+        neighbors[0, vertices], neighbors[1, vertices[::-1]] = others, others[::-1]  # of several assignments, the last one stays
+        return neighbors
+
+    @cached_property
     def is_removable(self) -> np.ndarray:
-        """(V,) bool, which vertices are inside of islands, or on a curve, but no corner or end of it."""
+        """(V,) bool, which vertices are inside of islands, or on a curve, but no corner or end of it unless it is free."""
         seams, boundaries = self.seam_counts, self.boundary_counts
         is_regular = ((boundaries == 0) & ((seams == 0) | (seams == 2))) | ((boundaries == 2) & (seams == 0))
-        return self.is_used & is_regular & ~self.is_ambiguous
+        return self.is_used & (is_regular | self.is_free_end) & ~self.is_locked
 
     def next(self, halfedges: np.ndarray) -> np.ndarray:
         """Return the halfedges that follow in the same triangles."""
@@ -119,7 +130,8 @@ class Topology:
         owners = np.concatenate([owners, owners[is_last]])
         halfedges = np.concatenate([corners, preceding[is_last]])
         is_reversed = np.arange(len(halfedges)) >= len(corners)
-        is_allowed = ~self.is_on_curve[vertices[owners]] | self.is_curve[halfedges]
+        is_along = self.is_on_curve & ~self.is_free_end
+        is_allowed = self.is_curve[halfedges] == is_along[vertices[owners]]
         order = np.flatnonzero(is_allowed)
         order = order[np.argsort(owners[order], kind="stable")]
         owners, halfedges, is_reversed = owners[order], halfedges[order], is_reversed[order]
@@ -151,8 +163,16 @@ class Topology:
         )
 
 
-def build_topology(triangles: np.ndarray, wedges: np.ndarray, groups: np.ndarray, vertex_count: int) -> Topology:
-    """Return the topology of `triangles` and `wedges` (3, T) int32; there are seams between wedges of different groups (W,)."""
+def build_topology(
+    triangles: np.ndarray, wedges: np.ndarray, groups: np.ndarray, is_locked: np.ndarray, frees_ends: bool = False
+) -> Topology:
+    """Return the topology of `triangles` and `wedges` (3, T) int32; there are seams between wedges of different groups (W,).
+
+    Args:
+        is_locked: (V,) bool, vertices that are never removed, in addition to those at edges whose triangles are no oriented surface.
+        frees_ends: whether ends of seams may collapse.
+    """
+    vertex_count = len(is_locked)
     starts, ends = triangles.reshape(-1), triangles[[1, 2, 0]].reshape(-1)
     flat_wedges, end_wedges = wedges.reshape(-1), wedges[[1, 2, 0]].reshape(-1)
     keys = encode_pairs(starts, ends, vertex_count)
@@ -173,20 +193,30 @@ def build_topology(triangles: np.ndarray, wedges: np.ndarray, groups: np.ndarray
     is_boundary = is_curve.copy()
     seams = one[is_seam]
     is_curve[seams] = is_curve[other[is_seam]] = True
-    is_ambiguous = np.zeros(vertex_count, bool)
+    is_locked = is_locked.copy()
     at_ambiguous = twins == AMBIGUOUS
-    is_ambiguous[starts[at_ambiguous]] = is_ambiguous[ends[at_ambiguous]] = True
+    is_locked[starts[at_ambiguous]] = is_locked[ends[at_ambiguous]] = True
+    rings = build_rings(triangles, vertex_count)
+    seam_counts = _count(starts[seams], ends[seams], vertex_count)
+    boundary_counts = _count(starts[is_boundary], ends[is_boundary], vertex_count)
+    is_free_end = np.zeros(vertex_count, bool)
+    if frees_ends:
+        is_free_end = (seam_counts > 0) & (boundary_counts == 0)
+        a_group = np.zeros(vertex_count, groups.dtype)
+        a_group[starts] = start_groups
+        is_free_end[starts[start_groups != a_group[starts]]] = False
     return Topology(
         starts=starts,
         ends=ends,
         wedges=flat_wedges,
         twins=twins,
         is_curve=is_curve,
-        seam_counts=_count(starts[seams], ends[seams], vertex_count),
-        boundary_counts=_count(starts[is_boundary], ends[is_boundary], vertex_count),
-        is_ambiguous=is_ambiguous,
+        seam_counts=seam_counts,
+        boundary_counts=boundary_counts,
+        is_locked=is_locked,
+        is_free_end=is_free_end,
         edge_keys=keys[first],
-        rings=build_rings(triangles, vertex_count),
+        rings=rings,
     )
 
 
