@@ -1,0 +1,85 @@
+"""Zero crossings on a mesh, traced from coarse scales to the place of the structure that causes them.
+
+A crossing moves away from its structure as the scale grows: the crossings beside a crease are one standard deviation from it. So each is
+traced to the nearest one of the finer scale, and so on to the mesh, as in Witkin, "Scale-Space Filtering" (1983): a feature is identified at
+a coarse scale and localized at the finest.
+"""
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ...geometry.edges import Edges
+from .scale_map import LastFeatures
+
+ROUNDING = 1e-6  # strength, relative to the range of the signal, of what owes its sign to rounding
+
+
+class FeatureTracer:
+    """Finds the features of one scale after the other, in ascending order.
+
+    features: what has been found.
+    """
+
+    def __init__(self, positions: np.ndarray, edges: Edges, raw: np.ndarray, noise: float) -> None:
+        """positions: (V, 3). raw: (V, S) signals at scale 0, the first of which is curvature. noise: strength of the weakest feature."""
+        self._positions, self._edges, self._noise = positions, edges, noise
+        start, end = edges.ends.T
+        self._lengths = np.linalg.norm(positions[start] - positions[end], axis=1)
+        self.features = LastFeatures(_find_contrasts(raw, edges))
+        self._curvature_peaks = _find_neighborhood_peaks(np.abs(raw[:, 0]), edges)
+        self._finer: list[tuple[np.ndarray, np.ndarray]] = [(np.empty(0, np.int64),) * 2] * raw.shape[1]
+
+    def add(self, scale: int, laplacians: np.ndarray) -> None:
+        """Add the zero crossings of `laplacians` (V, S) as features of `scale`. Their gradients are the strengths."""
+        origins, strengths = [], []
+        for index, laplacian in enumerate(laplacians.T):
+            vertices, strength = _find_crossings(laplacian, self._edges, self._lengths)
+            origin = self._trace(index, vertices)
+            self._finer[index] = (vertices, origin)
+            is_strong = strength > self._noise
+            origins.append(origin[is_strong])
+            strengths.append(strength[is_strong])
+        self.features.add(scale, np.concatenate(origins), np.concatenate(strengths))
+
+    def _trace(self, index: int, vertices: np.ndarray) -> np.ndarray:
+        """Return where the features of signal `index` at `vertices` (N,) are on the mesh, (N,)."""
+        finer, origins = self._finer[index]
+        if not len(vertices) or not len(finer):
+            return self._curvature_peaks[vertices] if index == 0 else vertices
+        return origins[cKDTree(self._positions[finer]).query(self._positions[vertices])[1]]
+
+
+def _find_contrasts(values: np.ndarray, edges: Edges) -> np.ndarray:
+    """Return the largest difference (V,) of any of `values` (V, S) between each vertex and its neighbors."""
+    start, end = edges.ends.T
+    differences = np.abs(values[start] - values[end]).max(axis=1)
+    contrasts = np.zeros(len(values))
+    np.maximum.at(contrasts, start, differences)
+    np.maximum.at(contrasts, end, differences)
+    return contrasts
+
+
+def _find_neighborhood_peaks(values: np.ndarray, edges: Edges) -> np.ndarray:
+    """Return for each vertex the one (V,) with the largest of `values` (V,) among itself and its neighbors."""
+    start, end = edges.ends.T
+    own = np.arange(len(values))
+    vertices, candidates = np.concatenate([own, start, end]), np.concatenate([own, end, start])
+    order = np.lexsort((values[candidates], vertices))
+    is_last = np.append(np.diff(vertices[order]) != 0, True)
+    return candidates[order[is_last]]
+
+
+def _find_crossings(values: np.ndarray, edges: Edges, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the vertices (N,) at sign changes of `values` (V,), the nearer end of each edge that has one, with the strengths (N,): the
+    largest difference per length, above ROUNDING. Both ends count if they are equally near. lengths: (E,) of the edges."""
+    start, end = edges.ends.T
+    crossing = np.flatnonzero((values[start] < 0.0) != (values[end] < 0.0))
+    start, end, length = start[crossing], end[crossing], lengths[crossing]
+    strength = np.abs(values[start] - values[end]) / np.where(length > 0.0, length, 1.0)
+    at_start, at_end = np.abs(values[start]), np.abs(values[end])
+    strengths = np.zeros(len(values), np.float32)
+    for vertices, is_nearer in ((start, at_start <= at_end), (end, at_end <= at_start)):
+        used = is_nearer & (strength > ROUNDING)
+        np.maximum.at(strengths, vertices[used], strength[used].astype(np.float32))
+    found = np.flatnonzero(strengths)
+    return found, strengths[found]
