@@ -6,6 +6,7 @@ import numpy as np
 
 from ...jobs.progress import Progress, Steps
 from ..textured_mesh import TexturedMesh
+from .border_curves import find_border_curves, find_freedom
 from .correspondence import compute_uv_scale, match_islands
 from .edge_flips import flip_edges
 from .least_squares import Linearization, compute_moments
@@ -24,15 +25,17 @@ class RefitSettings:
 def refit(fine: TexturedMesh, level: TexturedMesh, settings: RefitSettings) -> Steps[TexturedMesh]:
     state = yield from _prepare(fine, level, settings)
     uv_scale = compute_uv_scale(fine)
+    curves = find_border_curves(fine, find_islands(fine))
     damping = 0.1
     cost = state.compute_costs().sum()
     for index in range(settings.iterations):
         yield Progress(index / settings.iterations, "Refitting")
         state = flip_edges(state, 2)
         cost = state.compute_costs().sum()
-        directions = find_directions(state)
+        freedom = find_freedom(state, uv_scale)
+        directions = freedom.directions
         step = Linearization(state, compute_moments(state), directions, damping).solve(uv_scale)
-        uvs, fraction = move_uvs(state, step, directions)
+        uvs, fraction = move_uvs(state, step, freedom, curves)
         moved = state.move(state.mesh.vertices + step[:, :3] * fraction[:, None], uvs)
         fixed = Linearization(moved, compute_moments(moved), np.zeros_like(directions), damping).solve(uv_scale)
         moved = moved.move(moved.mesh.vertices + fixed[:, :3])
@@ -57,33 +60,42 @@ def _prepare(fine, level, settings):
     return attach(level, islands, samples, settings.normal_weight)
 
 
-def find_directions(state: LevelState) -> np.ndarray:
-    mesh = state.mesh
-    edges = state.find_edges()
-    fixed = edges.boundary_vertices.copy()
-    fixed[edges.ends[mesh.find_seams(edges)]] = True
-    counts = np.bincount(mesh.wedge_vertices, minlength=len(mesh.vertices))
-    fixed |= counts != 1
-    return np.where(fixed[mesh.wedge_vertices][:, None, None], 0.0, np.eye(2))
-
-
 MIN_AREA_FRACTION = 0.15
+MAX_PARTNER_STEP = 4.0  # times the expected step, of the other side of a seam
 
 
-def move_uvs(state: LevelState, step: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def move_uvs(state, step, freedom, curves):
     mesh = state.mesh
-    moves = np.einsum("wij,wj->wi", directions, step[mesh.wedge_vertices, 3:])
+    moves = np.einsum("wij,wj->wi", freedom.directions, step[mesh.wedge_vertices, 3:])
     before = _areas(mesh.corner_uvs)
     fraction = np.ones(len(mesh.vertices))
+    sliding, partners = freedom.sliding, freedom.partners
     for _ in range(12):
         uvs = mesh.uvs + moves * fraction[mesh.wedge_vertices, None]
+        if len(sliding):
+            is_moving = fraction[mesh.wedge_vertices[sliding]] > 0.0
+            rows, others = sliding[is_moving], partners[is_moving]
+            on_border, on_twin = curves.project(uvs[rows], freedom.islands[is_moving])
+            paired = others >= 0
+            is_bad = paired & (~np.isfinite(on_twin).all(axis=1))
+            gap = np.linalg.norm(on_twin[paired] - mesh.uvs[others[paired]], axis=1)
+            is_bad[paired] |= ~(gap <= MAX_PARTNER_STEP * np.linalg.norm(moves[others[paired]], axis=1) * fraction[mesh.wedge_vertices[others[paired]]] + 1e-9)
+            uvs[rows] = on_border
+            uvs[others[paired]] = on_twin[paired]
+            bad = rows[is_bad]
+            fraction[mesh.wedge_vertices[bad]] = 0.0
+            uvs[bad] = mesh.uvs[bad]
+            bad = others[is_bad]
+            uvs[bad] = mesh.uvs[bad]
+            still = ~is_moving
+            uvs[sliding[still]] = mesh.uvs[sliding[still]]
         after = _areas(uvs[mesh.wedge_triangles])
-        bad = after * np.sign(before) < MIN_AREA_FRACTION * np.abs(before)
-        if not bad.any():
+        is_flipped = after * np.sign(before) < MIN_AREA_FRACTION * np.abs(before)
+        if not is_flipped.any():
             return uvs, fraction
-        fraction[mesh.triangles[bad]] *= 0.5
-    fraction[:] = 0.0
-    return mesh.uvs, fraction
+        corners = mesh.triangles[is_flipped]
+        fraction[corners] = np.where(fraction[corners] > 0.01, fraction[corners] * 0.5, 0.0)
+    return mesh.uvs, np.zeros(len(mesh.vertices))
 
 
 def _areas(uvs):
