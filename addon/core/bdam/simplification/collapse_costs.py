@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .vertex_rings import VertexRings
+from ...geometry.vertex_rings import VertexRings
 
 FREE, HORIZONTAL, VERTICAL, DIAGONAL, ANTIDIAGONAL, LOCKED = range(6)  # what a vertex may move along
 DIRECTIONS = np.array([(0, 0), (1, 0), (0, 1), (1, 1), (1, -1), (0, 0)], np.int32)

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...geometry.vertex_rings import VertexRings
 from .collapse_costs import GridPoints
-from .vertex_rings import VertexRings
 
 ROW_LENGTH = 16  # of the arrays of fans; a fan has fewer than MAX_DEGREE triangles
 SEARCH_STEPS = (8, 4, 2, 1)

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...geometry.independent_vertices import find_cutoffs, order_by_cost, select_cheapest, select_independent
+from ...geometry.vertex_rings import VertexRings, build_rings
 from .collapse_costs import LOCKED, GridPoints, find_targets
 from .collapsed_fans import CollapsedFans, arrange_fans
-from .independent_vertices import find_cutoffs, order_by_cost, select_cheapest, select_independent
 from .removed_samples import RemovedSamples
-from .vertex_rings import VertexRings, build_rings
 
 MAX_ROUNDS = 40
 MAX_EXACT_DIFFERENCE = 1 << 11  # products of differences up to this are exact in float32

@@ -1,0 +1,137 @@
+"""Drastic simplification (section I.B of the paper): what goes on where constraints stop the collapses.
+
+The steps are taken one after the other, as far as needed, anew for each target, whose mean edge length gives the size of what counts as
+small.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ...geometry.mesh import face_areas_and_normals
+from .collapse_guards import measure_uv_quality
+from .engine import CollapseEngine
+from .islands import label_connected
+from .settings import SimplificationSettings
+from .topology import BOUNDARY
+
+MIN_FILL_QUALITY = 1e-3  # in texture space, of triangles that close holes
+
+
+class DrasticSteps:
+    """The steps for one engine, and sentences about what they did."""
+
+    def __init__(self, engine: CollapseEngine, settings: SimplificationSettings) -> None:
+        self._engine, self._settings = engine, settings
+        self._area = float(face_areas_and_normals(engine.mesh.vertices[engine.mesh.triangles])[0].sum())
+        self._target, self._taken = 0, 0
+        self._closed_holes = self._dropped_components = self._dropped_triangles = self._unlocked_vertices = 0
+
+    def take_next(self, target: int) -> bool:
+        """Take the next step that changes anything on the way to `target` triangles. Return whether there was one."""
+        if not self._settings.drastic:
+            return False
+        if target != self._target:
+            self._target, self._taken = target, 0
+        steps = (self._fold_small_triangles, self._unlock_attributes, self._close_holes, self._drop_islands, self._drop_components)
+        size = self._settings.drastic_size * np.sqrt(4.0 / np.sqrt(3.0) * self._area / target)  # edge length of equilateral triangles
+        while self._taken < len(steps):
+            self._taken += 1
+            if steps[self._taken - 1](float(size)):
+                return True
+        return False
+
+    @property
+    def sentences(self) -> list[str]:
+        """What was done so far, one sentence for each kind of step."""
+        counts = {
+            "{} vertices were removed although small triangles folded over.": self._engine.folded_count,
+            "{} vertices at seams of normals, colors or other attributes were unlocked.": self._unlocked_vertices,
+            "{} small holes were closed.": self._closed_holes,
+            "{} thin islands or ends of islands were dropped.": self._engine.dropped_island_count,
+            f"{{}} small components with {self._dropped_triangles} triangles were dropped.": self._dropped_components,
+        }
+        return [text.format(count) for text, count in counts.items() if count]
+
+    def _fold_small_triangles(self, size: float) -> bool:
+        self._engine.relaxation = replace(self._engine.relaxation, small_size=size)
+        return self._engine.retry(is_forced=True)
+
+    def _unlock_attributes(self, size: float) -> bool:
+        """Keep only seams of texture coordinates and materials."""
+        engine = self._engine
+        before = engine.topology.is_removable
+        mesh = engine.mesh
+        materials = np.zeros(len(mesh.uvs))
+        materials[mesh.wedge_triangles.reshape(-1)] = np.repeat(mesh.materials, 3)
+        keys = np.concatenate([mesh.wedge_vertices[:, None], materials[:, None], mesh.uvs], axis=1)
+        groups = np.unique(keys + 0.0, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int32)
+        if np.array_equal(engine.groups, groups) or len(np.unique(groups)) == len(groups):
+            return False
+        engine.groups = groups
+        engine.rebuild()
+        self._unlocked_vertices += np.count_nonzero(engine.topology.is_removable & ~before)
+        return True
+
+    def _drop_islands(self, size: float) -> bool:
+        if self._engine.relaxation.drops_islands:
+            return False
+        self._engine.relaxation = replace(self._engine.relaxation, drops_islands=True)
+        return self._engine.retry(is_forced=True)
+
+    def _close_holes(self, size: float) -> bool:
+        """Close holes of three edges, to which collapses reduce all holes, if the triangle is small and has an area in texture space."""
+        engine, topology = self._engine, self._engine.topology
+        boundary = np.flatnonzero((topology.twins == BOUNDARY) & (topology.boundary_counts[topology.starts] == 2)).astype(np.int32)
+        leaving = np.full(topology.vertex_count, -1, np.int32)
+        leaving[topology.starts[boundary]] = boundary
+        second = leaving[topology.ends[boundary]]
+        third = np.where(second >= 0, leaving[topology.ends[second]], -1)
+        is_loop = (third >= 0) & (topology.ends[third] == topology.starts[boundary])
+        is_loop &= (topology.starts[boundary] < topology.ends[boundary]) & (topology.starts[boundary] < topology.ends[second])
+        is_loop &= topology.ends[topology.next(boundary)] != topology.starts[third]  # the same triangle from behind
+        loops = np.stack([boundary, third, second])[:, is_loop]  # in the direction of the triangles that close them
+        vertices, wedges = topology.starts[loops], topology.wedges[loops]
+        corners = engine.mesh.vertices[vertices]
+        longest = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=2).max(axis=0, initial=0.0)
+        neighbors = loops[0] % topology.triangle_count
+        signs = engine.orientations[neighbors]
+        is_closed = (longest <= size) & (measure_uv_quality(engine.mesh.uvs[wedges]) * signs >= MIN_FILL_QUALITY)
+        if not is_closed.any():
+            return False
+        self._closed_holes += np.count_nonzero(is_closed)
+        neighbors = neighbors[is_closed]
+        engine.replace(
+            np.concatenate([engine.triangles, vertices[:, is_closed]], axis=1),
+            np.concatenate([engine.wedges, wedges[:, is_closed]], axis=1),
+            np.concatenate([engine.materials, engine.materials[neighbors]]),
+            np.concatenate([engine.orientations, signs[is_closed]]),
+        )
+        return True
+
+    def _drop_components(self, size: float) -> bool:
+        """Drop small components, from the smallest on, as long as there are too many triangles. The largest one stays."""
+        engine = self._engine
+        labels = label_connected(engine.triangles.T, len(engine.mesh.vertices))
+        counts = np.bincount(labels)
+        corners = engine.mesh.vertices[engine.triangles.T]
+        areas = np.bincount(labels, face_areas_and_normals(corners)[0])
+        low, high = np.full((len(counts), 3), np.inf), np.full((len(counts), 3), -np.inf)
+        np.minimum.at(low, labels, corners.min(axis=1))
+        np.maximum.at(high, labels, corners.max(axis=1))
+        small = np.flatnonzero((np.linalg.norm(high - low, axis=1) <= size) & (np.arange(len(counts)) != areas.argmax()))
+        small = small[np.argsort(areas[small], kind="stable")]
+        excess = engine.triangle_count - self._target
+        dropped = small[: int(np.searchsorted(np.cumsum(counts[small]), excess)) + 1]
+        if not len(dropped):
+            return False
+        is_kept = ~np.isin(labels, dropped)
+        self._dropped_components += len(dropped)
+        self._dropped_triangles += np.count_nonzero(~is_kept)
+        engine.replace(
+            np.compress(is_kept, engine.triangles, axis=1),
+            np.compress(is_kept, engine.wedges, axis=1),
+            engine.materials[is_kept],
+            engine.orientations[is_kept],
+        )
+        return True

@@ -1,0 +1,154 @@
+"""Levels of detail of textured meshes whose vertices and wedges are among those of the fine mesh.
+
+Sections I.B and III.A of the paper: vertices are removed by half-edge collapses in a given order, and drastic simplification goes on where
+the constraints of surface and texture would stop it.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from ...errors import SettingsError
+from ...jobs.progress import Progress, Steps
+from ..textured_mesh import TexturedMesh
+from .constraints import name_constraint
+from .drastic import DrasticSteps
+from .engine import CollapseEngine, RemovalOrder
+from .removal_orders import CheapestOrder, CollapseCost, GivenOrder
+from .settings import SimplificationSettings
+from .texture_quadrics import TextureQuadrics
+
+TOLERANCE = 0.01  # of a target: a count within it has reached the target
+
+
+@dataclass(frozen=True)
+class SubsetLevel:
+    """A coarse mesh that refers to vertices and wedges of the fine mesh.
+
+    triangles, wedge_triangles: (t, 3) int32, into the vertices and wedges of the fine mesh. materials: (t,) int32. collapse_count: the
+    number of collapses up to this level. constraint: what prevented the target from being reached to 1 %, "" if it was reached.
+    drastic_steps: sentences that tell what drastic simplification did up to this level.
+    """
+
+    triangles: np.ndarray
+    wedge_triangles: np.ndarray
+    materials: np.ndarray
+    collapse_count: int
+    constraint: str
+    drastic_steps: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Simplification:
+    """Levels from fine to coarse, and the N collapses in their order.
+
+    removed, kept: (N,) int32, the vertices V_R and V_C. removed_wedges: (N,) int32, a wedge of each removed vertex, whose texture
+    coordinates are its texel. perceptual_values: (N,) float64.
+    """
+
+    levels: tuple[SubsetLevel, ...]
+    removed: np.ndarray
+    kept: np.ndarray
+    removed_wedges: np.ndarray
+    perceptual_values: np.ndarray
+
+
+def simplify_in_order(
+    mesh: TexturedMesh, priorities: np.ndarray, targets: list[int], settings: SimplificationSettings
+) -> Steps[Simplification]:
+    """Simplify `mesh` by removing vertices with low `priorities` (V,) first, ties by perceptual value, each onto its nearest neighbor.
+
+    The order holds up to the independence of the collapses of a round, which are chosen among the first fifth of the vertices. Vertices
+    whose collapses the constraints refuse stay until their neighborhood has changed.
+
+    Args:
+        targets: triangle counts, descending.
+
+    Raises:
+        SettingsError: `targets` do not descend or are not positive, or `priorities` have another length than the vertices.
+    """
+    if priorities.shape != (len(mesh.vertices),) or not np.isfinite(priorities).all():
+        raise SettingsError(
+            f"There must be {len(mesh.vertices)} finite priorities, one per vertex, not {priorities.size}; analyze the mesh again."
+        )
+    engine = CollapseEngine(mesh, settings.perceptual_value)
+    order = GivenOrder(engine.surface.positions, priorities.astype(np.float64), settings.seen_fraction)
+    return (yield from _make_levels(engine, order, targets, settings))
+
+
+def simplify_by_cost(
+    mesh: TexturedMesh, cost: CollapseCost | None, targets: list[int], settings: SimplificationSettings
+) -> Steps[Simplification]:
+    """Simplify `mesh` by the collapses with the smallest `cost`, by default `TextureQuadrics`. See `simplify_in_order`."""
+    engine = CollapseEngine(mesh, settings.perceptual_value)
+    order = CheapestOrder(TextureQuadrics(mesh) if cost is None else cost, len(mesh.vertices))
+    return (yield from _make_levels(engine, order, targets, settings))
+
+
+def extract_level(mesh: TexturedMesh, level: SubsetLevel) -> TexturedMesh:
+    """Return `level` of `mesh` as a mesh of its own, without unused vertices and wedges."""
+    used_vertices, triangles = np.unique(level.triangles, return_inverse=True)
+    used_wedges, wedge_triangles = np.unique(level.wedge_triangles, return_inverse=True)
+    new_vertices = np.full(len(mesh.vertices), -1, np.int32)
+    new_vertices[used_vertices] = np.arange(len(used_vertices))
+    sources = np.zeros(len(mesh.uvs), np.int32)
+    sources[mesh.wedge_triangles.reshape(-1)] = mesh.sources.reshape(-1)
+    return TexturedMesh(
+        vertices=mesh.vertices[used_vertices],
+        triangles=triangles.reshape(-1, 3).astype(np.int32),
+        wedge_triangles=wedge_triangles.reshape(-1, 3).astype(np.int32),
+        wedge_vertices=new_vertices[mesh.wedge_vertices[used_wedges]],
+        uvs=mesh.uvs[used_wedges],
+        attributes=mesh.attributes[used_wedges],
+        materials=level.materials,
+        sources=sources[level.wedge_triangles],
+    )
+
+
+def _make_levels(
+    engine: CollapseEngine, order: RemovalOrder, targets: list[int], settings: SimplificationSettings
+) -> Steps[Simplification]:
+    if any(target < 1 for target in targets) or any(first < second for first, second in pairwise(targets)):
+        raise SettingsError(f"Triangle counts of levels must be positive and descend, not {', '.join(map(str, targets))}.")
+    drastic = DrasticSteps(engine, settings)
+    initial_count = engine.triangle_count
+    last_target = min(targets, default=initial_count)
+    levels = []
+    for target in targets:
+        is_exhausted = False
+        while engine.triangle_count > target and not is_exhausted:
+            fraction = (initial_count - engine.triangle_count) / max(initial_count - last_target, 1)
+            yield Progress(min(max(fraction, 0.0), 1.0), "Simplifying")
+            is_exhausted = not _advance(engine, order, drastic, target)
+        is_reached = engine.triangle_count <= (1.0 + TOLERANCE) * target
+        levels.append(
+            SubsetLevel(
+                triangles=np.ascontiguousarray(engine.triangles.T),
+                wedge_triangles=np.ascontiguousarray(engine.wedges.T),
+                materials=engine.materials.copy(),
+                collapse_count=sum(map(len, engine.removed)),
+                constraint="" if is_reached else name_constraint(engine, target),
+                drastic_steps=tuple(drastic.sentences),
+            )
+        )
+    return Simplification(
+        levels=tuple(levels),
+        removed=_join(engine.removed, np.int32),
+        kept=_join(engine.kept, np.int32),
+        removed_wedges=_join(engine.texels, np.int32),
+        perceptual_values=_join(engine.values, np.float64),
+    )
+
+
+def _advance(engine: CollapseEngine, order: RemovalOrder, drastic: DrasticSteps, target: int) -> bool:
+    """Perform the next round, or step of drastic simplification. Return whether there was one."""
+    if engine.run_round(order, engine.triangle_count - target) is not None:
+        return True
+    if engine.retry():
+        return True
+    return engine.triangle_count > (1.0 + TOLERANCE) * target and drastic.take_next(target)
+
+
+def _join(parts: list[np.ndarray], dtype: type) -> np.ndarray:
+    return np.concatenate(parts).astype(dtype) if parts else np.zeros(0, dtype)

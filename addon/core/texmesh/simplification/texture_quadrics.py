@@ -1,0 +1,130 @@
+"""Quadrics of position and texture coordinates, one per wedge, evaluated at the wedge that is kept.
+
+After Garland and Heckbert, Simplifying surfaces with color and texture using quadric error metrics, 1998. Texture coordinates are scaled
+by the local ratio of lengths in space and in texture space, so that a distance between them is one on the surface. Seams and boundaries
+add the squared distance from their edges within the triangle's plane in (x, y, z, u, v).
+"""
+
+import numpy as np
+
+from ...arrays import TINY
+from ...geometry.mesh import longest_side, scaled_normals
+from ..textured_mesh import TexturedMesh
+from .collapse_fans import CollapseFans
+from .islands import find_islands
+from .topology import Collapses, build_topology
+
+ROWS, COLUMNS = np.triu_indices(6)
+CHUNK_SIZE = 1 << 14  # triangles
+MAX_SCALE_RATIO = 4.0  # between the UV scales of a triangle and of its island
+CURVE_WEIGHT = 2.0  # of a squared distance from an edge of a seam or boundary, times its squared length
+LENGTH_WEIGHT = 1e-6  # of the squared length of a collapse, which decides where the surface and its texture coordinates are flat
+
+
+class TextureQuadrics:
+    """A `CollapseCost`: sums of squared distances to the triangles and curves that a wedge stands for, weighted by area."""
+
+    def __init__(self, mesh: TexturedMesh) -> None:
+        unit = 1.0 / max(longest_side(mesh.vertices), TINY)
+        positions = (mesh.vertices - mesh.vertices.mean(axis=0)) * unit
+        scales, overall = _find_uv_scales(mesh, unit)
+        points = np.concatenate([positions[mesh.wedge_vertices], mesh.uvs * overall], axis=1)
+        homogeneous = np.concatenate([points, np.ones((len(points), 1))], axis=1)
+        self._monomials = homogeneous[:, ROWS] * homogeneous[:, COLUMNS] * np.where(ROWS == COLUMNS, 1.0, 2.0)
+        self._positions = positions
+        self._quadrics = np.zeros((len(points), len(ROWS)))
+        self._areas = np.zeros(len(points))
+        triangles = np.ascontiguousarray(mesh.triangles.T)
+        wedges = np.ascontiguousarray(mesh.wedge_triangles.T)
+        topology = build_topology(triangles, wedges, np.arange(len(points)), len(mesh.vertices))
+        is_curve = topology.is_curve.reshape(3, -1)
+        for start in range(0, len(mesh.triangles), CHUNK_SIZE):
+            rows = slice(start, start + CHUNK_SIZE)
+            self._add_triangles(points, mesh.wedge_triangles[rows], scales[rows] / overall, is_curve[:, rows])
+        self._own_costs = np.einsum("wk,wk->w", self._quadrics, self._monomials)
+
+    def evaluate(self, collapses: Collapses) -> np.ndarray:
+        """See `CollapseCost`."""
+        (removed, other_removed), (kept, other_kept) = collapses.removed_wedges, collapses.kept_wedges
+        costs = self._evaluate(removed, kept)
+        rows = np.flatnonzero((other_removed >= 0) & (other_removed != removed))
+        costs[rows] += self._evaluate(other_removed[rows], other_kept[rows])
+        displacements = self._positions[collapses.removed] - self._positions[collapses.kept]
+        return costs + LENGTH_WEIGHT * self._areas[removed] * np.einsum("ij,ij->i", displacements, displacements)
+
+    def merge(self, collapses: Collapses, fans: CollapseFans) -> None:
+        """See `CollapseCost`."""
+        pairs = np.unique(fans.topology.wedges[fans.corners].astype(np.int64) * len(self._areas) + fans.wedges)
+        removed, kept = pairs // len(self._areas), pairs % len(self._areas)
+        np.add.at(self._quadrics, kept, self._quadrics[removed])
+        np.add.at(self._areas, kept, self._areas[removed])
+        self._own_costs[kept] = np.einsum("wk,wk->w", self._quadrics[kept], self._monomials[kept])
+
+    def _evaluate(self, removed: np.ndarray, kept: np.ndarray) -> np.ndarray:
+        """Return the costs (N,) of moving wedges (N,) onto others, not negative."""
+        costs = np.einsum("wk,wk->w", self._quadrics.take(removed, axis=0), self._monomials.take(kept, axis=0))
+        return np.maximum(costs + self._own_costs.take(kept), 0.0)
+
+    def _add_triangles(self, points: np.ndarray, wedges: np.ndarray, scales: np.ndarray, is_curve: np.ndarray) -> None:
+        """Add the quadrics of triangles `wedges` (T, 3), and of their edges on curves, is_curve (3, T), to those of their wedges.
+
+        scales: (T,), of the texture coordinates in `points` (W, 5).
+        """
+        corners = points[wedges]
+        corners[:, :, 3:] *= scales[:, None, None]
+        areas = 0.5 * np.linalg.norm(scaled_normals(corners[:, :, :3]), axis=1)
+        first = _normalize(corners[:, 1] - corners[:, 0])
+        second = _normalize(_reject(corners[:, 2] - corners[:, 0], first))
+        offsets = _to_offsets(corners[:, 0], scales)
+        in_plane = [np.einsum("ti,tij->tj", axis, offsets) for axis in (first, second)]
+        terms = np.einsum("tik,tik->tk", offsets[:, :, ROWS], offsets[:, :, COLUMNS])
+        for axis in in_plane:
+            terms -= axis[:, ROWS] * axis[:, COLUMNS]
+        for corner in range(3):
+            np.add.at(self._quadrics, wedges[:, corner], terms * areas[:, None] / 3.0)
+            np.add.at(self._areas, wedges[:, corner], areas / 3.0)
+        for corner in range(3):
+            rows = np.flatnonzero(is_curve[corner])
+            start, end, apex = (corners[rows, (corner + step) % 3] for step in range(3))
+            edge = end - start
+            inward = _normalize(_reject(apex - start, _normalize(edge)))
+            distances = np.einsum("ti,tij->tj", inward, _to_offsets(start, scales[rows]))
+            weights = CURVE_WEIGHT * np.einsum("ti,ti->t", edge[:, :3], edge[:, :3])
+            curve_terms = distances[:, ROWS] * distances[:, COLUMNS] * weights[:, None]
+            np.add.at(self._quadrics, wedges[rows, corner], curve_terms)
+            np.add.at(self._quadrics, wedges[rows, (corner + 1) % 3], curve_terms)
+
+
+def _find_uv_scales(mesh: TexturedMesh, unit: float) -> tuple[np.ndarray, float]:
+    """Return the length in space of one in texture space for each triangle (T,), limited by that of its island, and for all."""
+    corners = mesh.corner_uvs
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    uv_areas = 0.5 * np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+    areas = 0.5 * np.linalg.norm(scaled_normals(mesh.vertices[mesh.triangles] * unit), axis=1)
+    overall = _find_scale(areas.sum(), uv_areas.sum(), 1.0)
+    islands = find_islands(mesh)
+    island_scales = _find_scale(np.bincount(islands, areas), np.bincount(islands, uv_areas), overall)[islands]
+    scales = _find_scale(areas, uv_areas, island_scales)
+    return np.clip(scales, island_scales / MAX_SCALE_RATIO, island_scales * MAX_SCALE_RATIO), float(overall)
+
+
+def _find_scale(areas: np.ndarray, uv_areas: np.ndarray, default: np.ndarray | float) -> np.ndarray:
+    return np.where(uv_areas > 0.0, np.sqrt(areas / np.maximum(uv_areas, TINY)), default)
+
+
+def _to_offsets(origins: np.ndarray, scales: np.ndarray) -> np.ndarray:
+    """Return matrices (T, 5, 6) that map homogeneous points to scaled offsets from `origins` (T, 5), which are scaled already."""
+    matrices = np.zeros((len(origins), 5, 6))
+    matrices[:, [0, 1, 2], [0, 1, 2]] = 1.0
+    matrices[:, [3, 4], [3, 4]] = scales[:, None]
+    matrices[:, :, 5] = -origins
+    return matrices
+
+
+def _reject(vectors: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """Return `vectors` (T, 5) without their components along unit `axes` (T, 5)."""
+    return vectors - np.einsum("ti,ti->t", vectors, axes)[:, None] * axes
+
+
+def _normalize(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1), TINY)[:, None]

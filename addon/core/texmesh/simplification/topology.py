@@ -1,0 +1,194 @@
+"""Halfedges of a textured mesh, its curves of seams and boundaries, and the collapses that these allow.
+
+Triangles are stored as (3, T), see `geometry.vertex_rings`. Halfedge T * row + t begins at corner `row` of triangle t and ends at the next
+corner. A curve is a chain of seams, or of boundary edges.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ...arrays import concatenate_ranges
+from ...geometry.proximity import encode_pairs
+from ...geometry.vertex_rings import VertexRings, build_rings
+
+BOUNDARY, AMBIGUOUS = -1, -2  # in place of a twin
+
+
+@dataclass(frozen=True)
+class Collapses:
+    """N half-edge collapses: `removed` (N,) int32 vertices move onto their neighbors `kept` (N,) int32.
+
+    halfedges: (N,) int32, between the two. is_reversed: (N,) bool, whether the halfedge begins at the kept vertex, which is so only on
+    boundaries. removed_wedges, kept_wedges: (2, N) int32, wedges of the two in the one or two triangles at the edge; -1 for none.
+    opposite: (2, N) int32, the third vertices of these triangles; -1 for none.
+    """
+
+    removed: np.ndarray
+    kept: np.ndarray
+    halfedges: np.ndarray
+    is_reversed: np.ndarray
+    removed_wedges: np.ndarray
+    kept_wedges: np.ndarray
+    opposite: np.ndarray
+
+    def take(self, rows: np.ndarray) -> "Collapses":
+        """Return some of the collapses, by their indices."""
+        sides = (side[:, rows] for side in (self.removed_wedges, self.kept_wedges, self.opposite))
+        return Collapses(self.removed[rows], self.kept[rows], self.halfedges[rows], self.is_reversed[rows], *sides)
+
+
+@dataclass(frozen=True)
+class Topology:
+    """Connectivity of T triangles among V vertices.
+
+    starts, ends, wedges: (3 T,) int32, the vertices of each halfedge, and the wedge at its start. twins: (3 T,) int32, the halfedge of the
+    other triangle, BOUNDARY, or AMBIGUOUS at edges whose triangles are no oriented surface. is_curve: (3 T,) bool. seam_counts,
+    boundary_counts: (V,) the number of such edges at a vertex. is_ambiguous: (V,) bool. edge_keys: (E,) int64, ascending, from
+    `encode_pairs`.
+    """
+
+    starts: np.ndarray
+    ends: np.ndarray
+    wedges: np.ndarray
+    twins: np.ndarray
+    is_curve: np.ndarray
+    seam_counts: np.ndarray
+    boundary_counts: np.ndarray
+    is_ambiguous: np.ndarray
+    edge_keys: np.ndarray
+    rings: VertexRings
+
+    @property
+    def vertex_count(self) -> int:
+        """The number of vertices, used or not."""
+        return len(self.seam_counts)
+
+    @property
+    def triangle_count(self) -> int:
+        """The number of triangles."""
+        return len(self.starts) // 3
+
+    @cached_property
+    def is_used(self) -> np.ndarray:
+        """(V,) bool, which vertices have triangles."""
+        return np.diff(self.rings.starts) > 0
+
+    @cached_property
+    def is_on_curve(self) -> np.ndarray:
+        """(V,) bool, which vertices have seams or boundaries."""
+        return (self.seam_counts > 0) | (self.boundary_counts > 0)
+
+    @cached_property
+    def is_removable(self) -> np.ndarray:
+        """(V,) bool, which vertices are inside of islands, or on a curve, but no corner or end of it."""
+        seams, boundaries = self.seam_counts, self.boundary_counts
+        is_regular = ((boundaries == 0) & ((seams == 0) | (seams == 2))) | ((boundaries == 2) & (seams == 0))
+        return self.is_used & is_regular & ~self.is_ambiguous
+
+    def next(self, halfedges: np.ndarray) -> np.ndarray:
+        """Return the halfedges that follow in the same triangles."""
+        following = halfedges + np.int32(self.triangle_count)
+        return np.where(following >= len(self.starts), following - np.int32(len(self.starts)), following)
+
+    def previous(self, halfedges: np.ndarray) -> np.ndarray:
+        """Return the halfedges that precede in the same triangles."""
+        preceding = halfedges - np.int32(self.triangle_count)
+        return np.where(preceding < 0, preceding + np.int32(len(self.starts)), preceding)
+
+    def find_corners(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return pairs of a position in `vertices` (N,), ascending, and a halfedge that begins there."""
+        first = self.rings.starts[vertices]
+        counts = self.rings.starts[vertices + 1] - first
+        return np.repeat(np.arange(len(vertices), dtype=np.int32), counts), self.rings.corners[concatenate_ranges(first, counts)]
+
+    def has_edge(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """Return whether there is an edge between each of the vertices `first` and `second` (N,)."""
+        keys = encode_pairs(first, second, self.vertex_count)
+        return self.edge_keys[np.minimum(np.searchsorted(self.edge_keys, keys), len(self.edge_keys) - 1)] == keys
+
+    def find_collapses(self, vertices: np.ndarray, groups: np.ndarray) -> tuple[np.ndarray, Collapses]:
+        """Return the collapses of removable `vertices` (N,) that keep to curves, and the positions of these in `vertices`, ascending.
+
+        groups: (W,) of wedges between which there are no seams.
+        """
+        owners, corners = self.find_corners(vertices)
+        preceding = self.previous(corners)
+        is_last = self.twins[preceding] == BOUNDARY
+        owners = np.concatenate([owners, owners[is_last]])
+        halfedges = np.concatenate([corners, preceding[is_last]])
+        is_reversed = np.arange(len(halfedges)) >= len(corners)
+        is_allowed = ~self.is_on_curve[vertices[owners]] | self.is_curve[halfedges]
+        order = np.flatnonzero(is_allowed)
+        order = order[np.argsort(owners[order], kind="stable")]
+        owners, halfedges, is_reversed = owners[order], halfedges[order], is_reversed[order]
+        collapses = self._find_sides(vertices[owners], halfedges, is_reversed)
+        # A vertex with one wedge where two seams meet is the end of both.
+        first, second = collapses.removed_wedges
+        is_end = (second >= 0) & self.is_curve[halfedges] & (groups[first] == groups[second])
+        kept = np.flatnonzero(~is_end)
+        return owners[kept], collapses.take(kept)
+
+    def _find_sides(self, removed: np.ndarray, halfedges: np.ndarray, is_reversed: np.ndarray) -> Collapses:
+        following, twins = self.next(halfedges), self.twins[halfedges]
+        has_twin = twins >= 0
+        other = np.where(has_twin, twins, 0)
+        after = self.next(other)
+        first_wedges, second_wedges = self.wedges[halfedges], self.wedges[following]
+        return Collapses(
+            removed=removed,
+            kept=np.where(is_reversed, self.starts[halfedges], self.ends[halfedges]),
+            halfedges=halfedges,
+            is_reversed=is_reversed,
+            removed_wedges=np.stack(
+                [np.where(is_reversed, second_wedges, first_wedges), np.where(has_twin, self.wedges[after], np.int32(-1))]
+            ),
+            kept_wedges=np.stack(
+                [np.where(is_reversed, first_wedges, second_wedges), np.where(has_twin, self.wedges[other], np.int32(-1))]
+            ),
+            opposite=np.stack([self.ends[following], np.where(has_twin, self.ends[after], np.int32(-1))]),
+        )
+
+
+def build_topology(triangles: np.ndarray, wedges: np.ndarray, groups: np.ndarray, vertex_count: int) -> Topology:
+    """Return the topology of `triangles` and `wedges` (3, T) int32; there are seams between wedges of different groups (W,)."""
+    starts, ends = triangles.reshape(-1), triangles[[1, 2, 0]].reshape(-1)
+    flat_wedges, end_wedges = wedges.reshape(-1), wedges[[1, 2, 0]].reshape(-1)
+    keys = encode_pairs(starts, ends, vertex_count)
+    order = np.argsort(keys).astype(np.int32)
+    keys = keys[order]
+    first = np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
+    counts = np.diff(np.append(first, len(keys)))
+    pairs = first[counts == 2]
+    one, other = order[pairs], order[pairs + 1]
+    is_oriented = starts[one] != starts[other]
+    twins = np.full(len(starts), AMBIGUOUS, np.int32)
+    twins[order[first[counts == 1]]] = BOUNDARY
+    one, other = one[is_oriented], other[is_oriented]
+    twins[one], twins[other] = other, one
+    start_groups, end_groups = groups[flat_wedges], groups[end_wedges]
+    is_seam = (start_groups[one] != end_groups[other]) | (end_groups[one] != start_groups[other])
+    is_curve = twins == BOUNDARY
+    is_boundary = is_curve.copy()
+    seams = one[is_seam]
+    is_curve[seams] = is_curve[other[is_seam]] = True
+    is_ambiguous = np.zeros(vertex_count, bool)
+    at_ambiguous = twins == AMBIGUOUS
+    is_ambiguous[starts[at_ambiguous]] = is_ambiguous[ends[at_ambiguous]] = True
+    return Topology(
+        starts=starts,
+        ends=ends,
+        wedges=flat_wedges,
+        twins=twins,
+        is_curve=is_curve,
+        seam_counts=_count(starts[seams], ends[seams], vertex_count),
+        boundary_counts=_count(starts[is_boundary], ends[is_boundary], vertex_count),
+        is_ambiguous=is_ambiguous,
+        edge_keys=keys[first],
+        rings=build_rings(triangles, vertex_count),
+    )
+
+
+def _count(starts: np.ndarray, ends: np.ndarray, vertex_count: int) -> np.ndarray:
+    return np.bincount(starts, minlength=vertex_count) + np.bincount(ends, minlength=vertex_count)
