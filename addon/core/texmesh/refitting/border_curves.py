@@ -1,0 +1,127 @@
+"""The borders of the UV islands of a mesh, along which the seam vertices of a level slide."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...geometry.distance import closest_barycentric, closest_on_mesh
+from ...geometry.edges import find_edges
+from ..textured_mesh import TexturedMesh
+from .level_state import LevelState
+
+
+@dataclass(frozen=True)
+class BorderCurves:
+    """The border edges of all UV islands.
+
+    ends: (B, 2, 2) texture coordinates of both ends. islands: (B,). twins: (B, 2, 2), the texture coordinates of the same ends on the other
+    side of the seam; NaN where the edge is a boundary of the mesh.
+    """
+
+    ends: np.ndarray
+    islands: np.ndarray
+    twins: np.ndarray
+
+    def project(self, uvs: np.ndarray, islands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the points (N, 2) of the borders of `islands` (N,) that are nearest to `uvs` (N, 2), and the same points on the other side
+        of their seams (N, 2), NaN on a boundary."""
+        apart = 4.0 * (np.abs(self.ends).max() + np.abs(uvs).max()) + 1e-300
+        layers = np.broadcast_to(apart * self.islands[:, None, None].astype(float), (len(self.ends), 2, 1))
+        segments = np.concatenate([self.ends, layers], axis=2)[:, [0, 1, 1]]
+        points = np.column_stack([uvs, apart * islands])
+        _, nearest = closest_on_mesh(points, segments)
+        coordinates = closest_barycentric(points, segments[nearest])
+        fraction = coordinates[:, 1:].sum(axis=1)[:, None]
+        on_border, on_twin = (
+            (1.0 - fraction) * ends[nearest, 0] + fraction * ends[nearest, 1] for ends in (self.ends, self.twins)
+        )
+        return on_border, on_twin
+
+
+def find_border_curves(mesh: TexturedMesh, islands: np.ndarray) -> BorderCurves:
+    """Return the borders of the `islands` (T,) of a mesh."""
+    halfedges, twins = find_border_halfedges(mesh)
+    wedges = wedge_ends(mesh, halfedges)
+    ends = mesh.uvs[wedges]
+    other = np.full_like(ends, np.nan)
+    has_twin = twins >= 0
+    other[has_twin] = mesh.uvs[wedge_ends(mesh, twins[has_twin])[:, ::-1]]
+    return BorderCurves(ends, islands[halfedges // 3], other)
+
+
+def find_border_halfedges(mesh: TexturedMesh) -> tuple[np.ndarray, np.ndarray]:
+    """Return the halfedges (B,) on seams and boundaries, and their twins (B,), -1 on a boundary."""
+    edges = find_edges(mesh.triangles, len(mesh.vertices))
+    seams = edges.interior_halfedges[mesh.find_seams(edges)[edges.interior]]
+    boundary = np.flatnonzero(edges.face_counts[edges.face_edges.ravel()] != 2)
+    halfedges = np.concatenate([seams[:, 0], seams[:, 1], boundary])
+    return halfedges, np.concatenate([seams[:, 1], seams[:, 0], np.full(len(boundary), -1)])
+
+
+def wedge_ends(mesh: TexturedMesh, halfedges: np.ndarray) -> np.ndarray:
+    """Return the wedges (N, 2) at the start and the end of `halfedges` (N,)."""
+    faces, corners = halfedges // 3, halfedges % 3
+    return np.stack([mesh.wedge_triangles[faces, (corners + 1) % 3], mesh.wedge_triangles[faces, (corners + 2) % 3]], axis=1)
+
+
+@dataclass(frozen=True)
+class Freedom:
+    """How the texture coordinates of the wedges of a level may move.
+
+    directions: (W, 2, 2), the displacement of a wedge by the two degrees of freedom of its vertex. Vertices inside of an island have both,
+    vertices on one seam or boundary only the first, along that curve; others are fixed.
+    sliding: (S,) wedges, one of each vertex on a curve. partners: (S,) wedges on the other side of the seam, -1 on a boundary.
+    islands: (S,), of `sliding`.
+    """
+
+    directions: np.ndarray
+    sliding: np.ndarray
+    partners: np.ndarray
+    islands: np.ndarray
+
+
+def find_freedom(state: LevelState, uv_scale: float) -> Freedom:
+    """Return the freedom of the wedges of a level. uv_scale: length of a unit of UV space on the surface."""
+    mesh = state.mesh
+    halfedges, _ = find_border_halfedges(mesh)
+    wedges = wedge_ends(mesh, halfedges)
+    vertex_count, wedge_count = len(mesh.vertices), len(mesh.uvs)
+    following, preceding = np.full(wedge_count, -1), np.full(wedge_count, -1)
+    following[wedges[:, 0]], preceding[wedges[:, 1]] = wedges[:, 1], wedges[:, 0]
+    out_counts = np.bincount(wedges[:, 0], minlength=wedge_count)
+    in_counts = np.bincount(wedges[:, 1], minlength=wedge_count)
+    on_border = np.zeros(vertex_count, bool)
+    on_border[mesh.wedge_vertices[wedges]] = True
+    wedge_counts = np.bincount(mesh.wedge_vertices, minlength=vertex_count)
+    is_simple = (out_counts == 1) & (in_counts == 1)
+    first, last = mesh.wedge_vertices[np.maximum(following, 0)], mesh.wedge_vertices[np.maximum(preceding, 0)]
+    is_simple &= first != last
+    simple_counts = np.bincount(mesh.wedge_vertices[is_simple], minlength=vertex_count)
+    neighbors = [np.full(vertex_count, -1), np.full(vertex_count, -1)]
+    for target, value in zip(neighbors, (np.minimum(first, last), np.maximum(first, last)), strict=True):
+        target[mesh.wedge_vertices[is_simple]] = value[is_simple]
+    same = is_simple & (np.minimum(first, last) == neighbors[0][mesh.wedge_vertices])
+    same &= np.maximum(first, last) == neighbors[1][mesh.wedge_vertices]
+    same_counts = np.bincount(mesh.wedge_vertices[same], minlength=vertex_count)
+    edges = state.find_edges()
+    is_boundary = edges.boundary_vertices
+    slides = on_border & (same_counts == wedge_counts) & (simple_counts == wedge_counts)
+    slides &= np.where(is_boundary, wedge_counts == 1, wedge_counts == 2)
+    chord = mesh.uvs[following] - mesh.uvs[preceding]
+    chord *= np.where(first > last, 1.0, -1.0)[:, None]
+    length = np.linalg.norm(mesh.vertices[first] - mesh.vertices[last], axis=1)
+    slope = uv_scale * chord / np.maximum(length, 1e-300)[:, None]
+    directions = np.zeros((wedge_count, 2, 2))
+    directions[~on_border[mesh.wedge_vertices]] = np.eye(2)
+    moving = slides[mesh.wedge_vertices]
+    directions[moving, :, 0] = slope[moving]
+    order = np.flatnonzero(moving)
+    vertices = mesh.wedge_vertices[order]
+    _, start = np.unique(vertices, return_index=True)
+    sliding = order[start]
+    _, end = np.unique(vertices[::-1], return_index=True)
+    partners = order[::-1][end]
+    partners = np.where(partners == sliding, -1, partners)
+    wedge_islands = np.zeros(wedge_count, np.int64)
+    wedge_islands[mesh.wedge_triangles] = state.islands[:, None]
+    return Freedom(directions, sliding, partners, wedge_islands[sliding])

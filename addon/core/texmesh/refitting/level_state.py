@@ -1,0 +1,68 @@
+"""A level while it is refitted: arrays that change, its fine mesh, and the samples of the fine mesh that it is fitted to."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from ...geometry.edges import Edges, find_edges
+from ...geometry.mesh import face_areas_and_normals
+from ..textured_mesh import TexturedMesh
+from .correspondence import Correspondence, find_correspondence
+from .sampling import SurfaceSamples
+
+
+@dataclass(frozen=True)
+class LevelState:
+    """A level, its samples and the points of the level that correspond to them. Arrays are never changed in place.
+
+    mesh: the level; its `sources` follow its wedges. islands: (T,) int32 of the fine mesh. samples: of the fine mesh, N of them.
+    found: the points of the level with their texture coordinates. normal_weight: how much more a deviation along the normal of the level
+    counts than one along the surface.
+    """
+
+    mesh: TexturedMesh
+    islands: np.ndarray
+    samples: SurfaceSamples
+    found: Correspondence
+    normal_weight: float
+
+    @property
+    def corners(self) -> np.ndarray:
+        """(T, 3, 3) float64 positions of the corners."""
+        return self.mesh.vertices[self.mesh.triangles]
+
+    def compute_residuals(self) -> np.ndarray:
+        """Return the vectors (N, 3) from the samples to the corresponding points of the level."""
+        points = np.einsum("ni,nic->nc", self.found.barycentric, self.corners[self.found.triangles])
+        return points - self.samples.positions
+
+    def compute_costs(self) -> np.ndarray:
+        """Return the cost (N,) of each sample: weighted squared distance times area."""
+        residuals = self.compute_residuals()
+        _, normals = face_areas_and_normals(self.corners)
+        along = np.einsum("ni,ni->n", residuals, normals[self.found.triangles])
+        return self.samples.weights * ((residuals**2).sum(axis=1) + (self.normal_weight - 1.0) * along**2)
+
+    def find_edges(self) -> Edges:
+        """Return the edges of the level."""
+        return find_edges(self.mesh.triangles, len(self.mesh.vertices))
+
+    def move(self, vertices: np.ndarray, uvs: np.ndarray | None = None) -> "LevelState":
+        """Return the level with other `vertices` (V, 3) and, if given, other `uvs` (W, 2), for which correspondence is found anew."""
+        if uvs is None:
+            return replace(self, mesh=replace(self.mesh, vertices=vertices))
+        mesh = replace(self.mesh, vertices=vertices, uvs=uvs)
+        return attach(mesh, self.islands, self.samples, self.normal_weight)
+
+
+def attach(mesh: TexturedMesh, islands: np.ndarray, samples: SurfaceSamples, normal_weight: float) -> LevelState:
+    """Return the state of the level `mesh` with triangles in `islands` (T,), with corresponding points for all `samples`."""
+    found = find_correspondence(samples, mesh.vertices[mesh.triangles], mesh.corner_uvs, islands)
+    return LevelState(mesh, islands, samples, found, normal_weight)
+
+
+def sum_by(indices: np.ndarray, count: int) -> csr_array:
+    """Return the matrix (count, K) that sums rows by their `indices` (K,)."""
+    flat = indices.ravel()
+    return csr_array((np.ones(len(flat)), (flat, np.arange(len(flat)))), shape=(count, len(flat)))

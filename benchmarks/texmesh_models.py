@@ -1,0 +1,166 @@
+"""Textured meshes for `bench_texmesh.py`: real ones, a painted bunny, and generated ones with many UV islands."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import texmesh_files
+
+from farfield.addon.core.geometry.mesh import TriangleMesh, longest_side
+from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
+from farfield.addon.core.unwrap.settings import UnwrapSettings
+from farfield.addon.core.unwrap.unwrapping import unwrap
+
+REAL_MODELS = {
+    "spot": "textured/spot/spot.obj",
+    "blub": "textured/blub/blub.glb",
+    "fuze": "hard_surface/fuze.obj",
+    "capsule": "hard_surface/capsule.obj",
+    "truck": "hard_surface/CesiumMilkTruck.glb",
+}
+BUNNY = "meshes/stanford_bunny.obj"
+ISLAND_MARGIN = 0.04  # of a cell of the texture
+BUMPS = 40
+
+
+def open_model(data: Path, name: str) -> TexturedMesh:
+    """Return the model `name`: one of REAL_MODELS, `bunny`, or KIND:SEED with one of GENERATORS."""
+    if name in REAL_MODELS:
+        path = data / REAL_MODELS[name]
+        return texmesh_files.read_glb(path) if path.suffix == ".glb" else texmesh_files.read_obj(path)
+    if name == "bunny":
+        return unwrap_model(data / BUNNY)
+    kind, seed = name.split(":")
+    return GENERATORS[kind](np.random.default_rng(int(seed)))
+
+
+def unwrap_model(path: Path) -> TexturedMesh:
+    """Return the mesh of an .obj without texture coordinates, unwrapped by Farfield."""
+    points, faces = [], []
+    for line in path.read_text("utf-8").splitlines():
+        words = line.split()
+        if words and words[0] == "v":
+            points.append([float(word) for word in words[1:4]])
+        elif words and words[0] == "f":
+            faces.append([int(word.split("/")[0]) - 1 for word in words[1:4]])
+    mesh = TriangleMesh(np.array(points), np.array(faces, np.int32))
+    count = len(faces)
+    result = run_to_end(unwrap(mesh, np.arange(count), np.zeros((0, 2), int), np.zeros(count), UnwrapSettings(), path.stem))
+    return build_textured_mesh(mesh, result.corner_uvs, name=path.stem)
+
+
+def generate_planet(generator: np.random.Generator) -> TexturedMesh:
+    """Return a bumpy ball of 24 islands, of different scale and distortion: 12,288 triangles."""
+    grid, points = 16, []
+    for axis in range(3):
+        for side in (-1.0, 1.0):
+            for row in range(2):
+                for column in range(2):
+                    x, y = np.meshgrid(np.linspace(row - 1, row, grid + 1), np.linspace(column - 1, column, grid + 1), indexing="ij")
+                    patch = np.roll(np.stack([np.full_like(x, side), side * x, y], axis=2), axis, axis=2)
+                    points.append(np.tan(0.25 * np.pi * patch))
+    directions = np.stack(points)
+    directions /= np.linalg.norm(directions, axis=3, keepdims=True)
+    return _build_patches(directions, _make_bumps(generator), generator, np.zeros(len(directions), np.int32))
+
+
+def generate_ring(generator: np.random.Generator) -> TexturedMesh:
+    """Return a bumpy torus of 18 islands and two materials: 18,432 triangles."""
+    along, around, grid = 6, 3, (32, 16)
+    points = []
+    for row in range(along):
+        for column in range(around):
+            longitude = 2.0 * np.pi * (row + np.linspace(0.0, 1.0, grid[0] + 1)[:, None]) / along
+            latitude = 2.0 * np.pi * (column + np.linspace(0.0, 1.0, grid[1] + 1)) / around
+            radius = 1.0 + 0.35 * np.cos(latitude)
+            height = 0.35 * np.sin(latitude) + 0.0 * longitude
+            points.append(np.stack([radius * np.cos(longitude), radius * np.sin(longitude), height], axis=2))
+    materials = (np.arange(len(points)) // around % 2).astype(np.int32)
+    return _build_patches(np.stack(points), _make_bumps(generator), generator, materials)
+
+
+def generate_mirrored(generator: np.random.Generator) -> TexturedMesh:
+    """Return a closed, symmetric body whose halves use the same, mirrored part of the texture: 10,368 triangles."""
+    grid, halves = (36, 36), []
+    longitude = np.linspace(0.0, np.pi, grid[0] + 1)
+    bump = _make_bumps(generator)
+    for row in range(2):
+        latitude = np.pi * (0.02 + 0.96 * (row + np.linspace(0.0, 1.0, grid[1] + 1)[:, None]) / 2.0)
+        radius = 0.8 + 0.3 * np.sin(3.0 * latitude)
+        half = np.stack(
+            [np.sin(latitude) * np.cos(longitude) * radius, np.sin(latitude) * np.sin(longitude) * radius, 1.3 * np.cos(latitude) + 0 * longitude],
+            axis=2,
+        )
+        half = bump(half)
+        half[:, [0, -1], 1] = 0.0
+        halves.append(half)
+    uvs = [_place_island(grid_uvs(half.shape[:2]), index, 1, generator) for index, half in enumerate(halves)]
+    points = [*halves, *(half[::-1] * [1.0, -1.0, 1.0] for half in halves)]
+    uvs += [uv[::-1] for uv in uvs]
+    return _join_patches(points, uvs, np.zeros(4, np.int32))
+
+
+def grid_uvs(shape: tuple[int, int]) -> np.ndarray:
+    """Return the unit square (*shape, 2)."""
+    return np.stack(np.meshgrid(np.linspace(0.0, 1.0, shape[0]), np.linspace(0.0, 1.0, shape[1]), indexing="ij"), axis=2)
+
+
+def _make_bumps(generator: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
+    """Return a smooth random displacement of positions (..., 3)."""
+    centers = generator.normal(size=(BUMPS, 3))
+    centers /= np.linalg.norm(centers, axis=1, keepdims=True)
+    widths = np.exp(generator.uniform(np.log(0.1), np.log(0.6), BUMPS))
+    heights = generator.normal(scale=0.4, size=(BUMPS, 3)) * widths[:, None]
+
+    def displace(points: np.ndarray) -> np.ndarray:
+        result = points.copy()
+        for center, width, height in zip(centers, widths, heights, strict=True):
+            result += np.exp(-((points - center) ** 2).sum(axis=-1, keepdims=True) / (2.0 * width**2)) * height
+        return result
+
+    return displace
+
+
+def _place_island(uvs: np.ndarray, index: int, cells: int, generator: np.random.Generator) -> np.ndarray:
+    """Return the unit square `uvs` (..., 2) distorted, turned, mirrored and moved to cell `index` of a square of cells."""
+    columns = int(np.ceil(np.sqrt(max(cells, 2))))
+    u, v = uvs[..., 0], uvs[..., 1]
+    bend, skew = generator.uniform(-0.25, 0.25, 4), generator.uniform(-0.2, 0.2, 2)
+    warped = np.stack(
+        [
+            u + bend[0] * np.sin(np.pi * u) * v + bend[1] * u * (1.0 - u) + skew[0] * v,
+            v + bend[2] * np.sin(np.pi * v) * u + bend[3] * v * (1.0 - v) + skew[1] * u,
+        ],
+        axis=-1,
+    )
+    if generator.uniform() < 0.5:
+        warped = warped[..., ::-1]
+    low = warped.min(axis=(0, 1))
+    warped = (warped - low) / np.ptp(warped, axis=(0, 1)).max()
+    warped = ISLAND_MARGIN + (1.0 - 2.0 * ISLAND_MARGIN) * generator.uniform(0.6, 1.0) * warped
+    return (warped + np.array([index % columns, index // columns])) / columns
+
+
+def _build_patches(patches: np.ndarray, bump: Callable, generator: np.random.Generator, materials: np.ndarray) -> TexturedMesh:
+    uvs = [_place_island(grid_uvs(patches.shape[1:3]), index, len(patches), generator) for index in range(len(patches))]
+    return _join_patches([bump(np.round(patch, 9)) for patch in patches], uvs, materials)
+
+
+def _join_patches(points: list[np.ndarray], uvs: list[np.ndarray], materials: np.ndarray) -> TexturedMesh:
+    triangles, corner_uvs, owners, offset = [], [], [], 0
+    for index, (patch, patch_uvs) in enumerate(zip(points, uvs, strict=True)):
+        numbers = np.arange(patch[..., 0].size).reshape(patch.shape[:2])
+        a, b, c, d = numbers[:-1, :-1], numbers[1:, :-1], numbers[1:, 1:], numbers[:-1, 1:]
+        faces = np.stack([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)], axis=-2).reshape(-1, 3)
+        triangles.append(faces + offset)
+        corner_uvs.append(patch_uvs.reshape(-1, 2)[faces])
+        owners.append(np.full(len(faces), materials[index]))
+        offset += numbers.size
+    vertices = np.concatenate([patch.reshape(-1, 3) for patch in points])
+    vertices = np.round(vertices / longest_side(vertices), 9)
+    mesh = TriangleMesh(vertices, np.concatenate(triangles).astype(np.int32), np.concatenate(owners).astype(np.int32))
+    return build_textured_mesh(mesh, np.concatenate(corner_uvs), name="generated")
+
+
+GENERATORS = {"planet": generate_planet, "ring": generate_ring, "mirrored": generate_mirrored}
