@@ -1,8 +1,9 @@
 """Damaged stores of large terrain: everything damaged is named, and the rest can be used without cracks."""
 
 import shutil
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from farfield.addon.core.bdam.cut_files import extract_mesh
 from farfield.addon.core.bdam.engine import BdamEngine
 from farfield.addon.core.bdam.extraction import CutSettings
 from farfield.addon.core.bdam.settings import ViewSettings
+from farfield.addon.core.bdam.store.backups import backup_path
 from farfield.addon.core.bdam.store.blocks import HEADER_SIZE, BlockReader
 from farfield.addon.core.bdam.store.damaged_patches import find_limits
 from farfield.addon.core.bdam.store.patch_links import NO_PATCH
@@ -138,6 +140,22 @@ def read_patch(store: TerrainStore, level: int, row: int) -> np.ndarray:
 
 def read_tile(store: TerrainStore, number: int) -> np.ndarray:
     return np.frombuffer(store.textures.read_coded(number).color, np.uint8)
+
+
+@pytest.fixture(scope="module")
+def other(tmp_path_factory):
+    """The store of another terrain with as many patches."""
+    return build_store(tmp_path_factory.mktemp("stores") / "other", hills(SIZE, SIZE, seed=2))
+
+
+@pytest.mark.parametrize("names", [(GEOMETRY_FILE,), (GEOMETRY_FILE, backup_path(Path(GEOMETRY_FILE)).name)])
+def test_the_geometry_of_another_terrain_with_as_many_patches_is_refused(folder, other, names):
+    with ExitStack() as stack:
+        for name in names:
+            stack.enter_context(damaged(folder / name, (other / name).read_bytes()))
+        with pytest.raises(FileError, match="belong to different terrains; build the terrain again"):
+            TerrainStore(folder)
+    TerrainStore(folder).close()
 
 
 @settings(max_examples=25, deadline=None)

@@ -45,7 +45,9 @@ class TerrainStore:
         self.tree = self.header.tree
         self.frame = self.header.create_frame()
         self._geometry = BlockReader(folder / GEOMETRY_FILE, GEOMETRY_KIND, has_backup=True)
-        if self._geometry.count != sum(len(level.indices) for level in self.levels):
+        of_geometry = self._geometry.count, self._geometry.index_checksum
+        if of_geometry != (sum(len(level.indices) for level in self.levels), self.header.geometry_checksum):
+            self._geometry.close()
             raise FileError(f'"{folder / GEOMETRY_FILE}" and "{STRUCTURE_FILE}" belong to different terrains; build the terrain again.')
         self.bounds, self.levels = join_bounds(self.levels)
         self.links = link_patches(self.levels)
