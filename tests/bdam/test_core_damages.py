@@ -142,6 +142,36 @@ def read_tile(store: TerrainStore, number: int) -> np.ndarray:
     return np.frombuffer(store.textures.read_coded(number).color, np.uint8)
 
 
+@pytest.mark.parametrize(
+    "name", ["structure.bdam", "structure-backup.bdam", "textures/textures.structure", "textures/textures-backup.tiles"]
+)
+def test_a_missing_file_that_exists_twice_is_reported_and_costs_nothing(folder, contents, viewer, name):
+    path = folder / name
+    with moved_away(path):
+        with TerrainStore(folder) as store:
+            (damage,) = store.file_damages
+            assert damage.path == path and list(store.verify()) == [damage.name] and "or missing; nothing is lost" in damage.sentence
+            unreadable, read = read_all(store)
+            assert not unreadable and all(np.array_equal(read[label], contents[label]) for label in contents)
+        assert move(BdamEngine(folder, ViewSettings()), viewer)[0].warnings == (damage.sentence,)
+
+
+def test_without_structure_and_backup_a_folder_is_no_terrain(folder):
+    path = folder / "structure.bdam"
+    with moved_away(path), moved_away(backup_path(path)), pytest.raises(FileError, match="is no terrain built by Farfield"):
+        TerrainStore(folder)
+
+
+@contextmanager
+def moved_away(path):
+    """Give a file another name in the block."""
+    path.rename(path.with_suffix(".away"))
+    try:
+        yield
+    finally:
+        path.with_suffix(".away").rename(path)
+
+
 @pytest.fixture(scope="module")
 def other(tmp_path_factory):
     """The store of another terrain with as many patches."""

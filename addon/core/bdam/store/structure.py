@@ -25,7 +25,7 @@ import numpy as np
 from ...errors import FileError
 from ..fields.placements import Frame, GeographicFrame, ProjectedFrame
 from ..tree import Tree
-from .backups import FileDamage, copy_to_backup, read_either
+from .backups import FileDamage, backup_path, copy_to_backup, read_either
 from .blocks import BlockReader, BlockWriter
 
 KIND, STRUCTURE_FILE = "bdamstru", "structure.bdam"
@@ -101,8 +101,14 @@ def write_structure(folder: Path, header: StoreHeader, levels: list[Level]) -> N
     copy_to_backup(folder / STRUCTURE_FILE)
 
 
+def find_structure(folder: Path) -> Path | None:
+    """Return the path of the structure file in a folder, or that of its backup if it is missing; None if the folder has neither."""
+    path = folder / STRUCTURE_FILE
+    return next((candidate for candidate in (path, backup_path(path)) if candidate.is_file()), None)
+
+
 def read_structure(folder: Path) -> tuple[StoreHeader, list[Level]]:
-    """Read the structure file of a store, or its backup if it is damaged.
+    """Read the structure file of a store, or its backup if it is damaged or missing.
 
     Raises:
         FileError: both are missing, damaged, or of another version.

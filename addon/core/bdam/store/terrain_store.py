@@ -17,7 +17,7 @@ from .damaged_patches import PatchLimits, find_limits
 from .leaf_grids import leaf_grid
 from .patch_codec import Patch, decode_patch
 from .patch_links import join_bounds, link_patches
-from .structure import STRUCTURE_FILE, load_structure
+from .structure import STRUCTURE_FILE, find_structure, load_structure
 
 GEOMETRY_FILE, GEOMETRY_KIND, TEXTURE_FOLDER = "geometry.bdam", "bdamgeom", "textures"
 
@@ -37,7 +37,7 @@ class TerrainStore:
             FileError: it is no store, is damaged or unfinished, or was written by a newer version.
         """
         self.folder = folder
-        if not (folder / STRUCTURE_FILE).is_file():
+        if find_structure(folder) is None:
             raise FileError(
                 f'"{folder}" is no terrain built by Farfield: it contains no file "{STRUCTURE_FILE}"; choose the folder of a terrain.'
             )
