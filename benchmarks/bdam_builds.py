@@ -37,7 +37,9 @@ def measure_build(given: Namespace, workplace: Workplace) -> dict[str, Any]:
         source = write_fractal(workplace, FractalTerrain(size, given.seed))
         store = workplace.folder / f"fractal-{size}"
         shutil.rmtree(store, ignore_errors=True)
-        figures[str(size)] = measure_process(build_arguments(source, store, workplace)) | {"bytes_per_sample": round(store_bytes(store) / size**2, 2)}
+        figures[str(size)] = measure_process(build_arguments(source, store, workplace)) | {
+            "bytes_per_sample": round(store_bytes(store) / size**2, 2)
+        }
     small, large = (figures[str(size)] for size in sizes)
     figures["growth"] = {name: round(large[name] / small[name], 2) for name in ("seconds", "cpu_seconds")}
     figures["texture"] = measure_texture_build(given, workplace)
