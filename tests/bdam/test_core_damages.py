@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 
 from farfield.addon.core.bdam.cut_files import extract_mesh
 from farfield.addon.core.bdam.engine import BdamEngine
-from farfield.addon.core.bdam.extraction import CutSettings
+from farfield.addon.core.bdam.extraction import CutSettings, extract_uniform_cut
+from farfield.addon.core.bdam.ground import StoreSurface
+from farfield.addon.core.bdam.heights import height_at
 from farfield.addon.core.bdam.settings import ViewSettings
 from farfield.addon.core.bdam.store.backups import backup_path
 from farfield.addon.core.bdam.store.blocks import HEADER_SIZE, BlockReader
@@ -201,6 +203,29 @@ def test_cuts_avoid_any_damaged_patches_without_cracks(folder, viewer, seed, cou
             extracted = run_to_end(extract_mesh(store, viewer, CutSettings(tolerance)))
             assert np.isclose(area_of(extracted.mesh), AREA), "patches replace all damaged ones, as the roots are intact"
             assert all(any(f"{label} " in sentence for label in labels) for sentence in extracted.warnings)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 12))
+def test_the_ground_over_damaged_leaves_is_that_of_the_coarser_patches_that_replace_them(folder, seed, count):
+    random = np.random.default_rng(seed)
+    with TerrainStore(folder) as store:
+        points = np.stack(store.frame.to_local(*random.integers(0, SIZE, (2, 400))), axis=1)  # at samples, where errors are measured
+        numbers = random.choice(np.arange(*store.links.starts[-2:]), count, replace=False)
+        intact_heights, _ = height_at(store, points)
+    with damaged_patches(folder, numbers), TerrainStore(folder) as store:
+        labels = set(store.verify())
+        surface = StoreSurface(store, 2.0)
+        heights, normals = surface.find(points)
+        assert np.isfinite(heights).all() and np.allclose(np.linalg.norm(normals, axis=1), 1.0)
+        assert len(surface.damages) == store.damage_count
+        assert all(any(f"{label} " in sentence for label in labels) for sentence in surface.damages)
+        cut = extract_uniform_cut(store, 0.0)
+        assert np.allclose(heights, 2.0 * height_at(store, points, cut)[0])
+        allowed = cut.max_error + 1e-5 * np.abs(intact_heights).max()
+        assert (np.abs(heights / 2.0 - intact_heights) <= allowed).all()
+        again, _ = surface.find(points)
+        assert np.array_equal(again, heights)
 
 
 @settings(max_examples=100)
