@@ -124,7 +124,7 @@ def test_networks_come_back(level, data, count, seed, holes):
     assert encode_patch(decoded, corners.min(axis=0), False, GRADIENT_STEP) == block
 
 
-def test_slopes_steeper_than_can_be_stored_become_the_steepest():
+def test_gradients_steeper_than_can_be_stored_become_the_steepest():
     patch, corners, grid = create_leaf(0, 1, 0.0)
     steep = replace(patch, gradients=np.where(patch.gradients < 0, -1e30, 1e30).astype(np.float32))
     decoded = decode(encode_patch(steep, corners.min(axis=0), True, GRADIENT_STEP), patch, corners, grid)

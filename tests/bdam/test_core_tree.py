@@ -51,8 +51,8 @@ def test_children_divide_their_parents(tree, data):
     parents = tree.triangle_corners(level, np.arange(2 << level))
     children = np.stack([bisect(parents, np.full(len(parents), side)) for side in (False, True)], axis=1)
     assert (areas_of(children.reshape(-1, 3, 2)).reshape(-1, 2) * 2 == areas_of(parents)[:, None]).all(), "both have half of the area"
-    middle = (parents[:, 0] + parents[:, 1]) // 2
-    assert (children[:, :, 2] == middle[:, None]).all(), "their right angles are at the middle of the hypotenuse"
+    centers = (parents[:, 0] + parents[:, 1]) // 2
+    assert (children[:, :, 2] == centers[:, None]).all(), "their right angles are at the middle of the hypotenuse"
     for child in (0, 1):  # their hypotenuses are the legs
         assert (children[:, child, :2].sum(axis=1) == parents[:, [0, 1][child]] + parents[:, 2]).all()
     finer = tree.triangle_corners(level + 1, np.arange(4 << level))
@@ -81,7 +81,7 @@ def test_existing_triangles_of_a_level_cover_the_field_once_and_no_other_triangl
 
 
 @given(tree=TREES, data=st.data())
-def test_diamonds_share_their_hypotenuse(tree, data):
+def test_both_triangles_of_a_diamond_have_the_same_hypotenuse(tree, data):
     level = data.draw(st.integers(0, tree.leaf_level))
     indices = tree.existing_triangles(level)
     corners, diamonds = tree.triangle_corners(level, indices), tree.find_diamonds(level, indices)
