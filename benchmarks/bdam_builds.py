@@ -22,7 +22,7 @@ from farfield.addon.core.errors import FarfieldError
 SCRIPT = Path(__file__).resolve().parent / "bdam_measured.py"
 POLL_SECONDS = 0.1
 GROWTH = 4  # times the side
-KILL_FROM = 0.3  # of the seconds of a build; before, it loads Blender
+KILL_SECONDS = 3.0  # after which a build may be killed; before, it loads Blender
 ORPHAN_SECONDS = 20.0  # workers end within this time after their build was killed
 BOUNDS = {"worker_mb": 250.0, "parent_mb": 150.0, "growth": 17.0, "geometry_seconds": 360.0, "texture_seconds": 180.0}
 DISK_BOUNDS = {"bytes_per_sample": 8.0, "bytes_per_texel": 0.7}
@@ -108,14 +108,14 @@ def measure_kills(given: Namespace, workplace: Workplace) -> dict[str, Any]:
         if killed.exists():
             shutil.rmtree(killed)
         if figures["kills"] < given.kills:
-            delay = float(random.uniform(KILL_FROM, 1.0)) * seconds
+            delay = float(random.uniform(min(KILL_SECONDS, 0.3 * seconds), seconds))
             outcome = _kill(command(killed), delay)
             if outcome is not None:
                 figures["kills"] += 1
                 figures["orphans"] += outcome
                 work = killed.with_name("killed.build")
-            figures["finished_tasks"].append(len(list(work.glob("blocks-*"))))
-            figures["finished_tiles"].append(len(list((work / "textures").rglob("*.tile"))))
+                figures["finished_tasks"].append(len(list(work.glob("blocks-*"))))
+                figures["finished_tiles"].append(len(list((work / "textures").rglob("*.tile"))))
         else:
             _finish(command(killed))
         if killed.exists():
