@@ -51,13 +51,16 @@ class Flight:
 
         setattr(source, name, count)
 
+    def choose_matrix(self, number: int) -> np.ndarray:
+        """The matrix of the viewer."""
+        position = np.array([-0.8 * EXTENT + 12.0 * number, -0.3 * EXTENT + 5.0 * number, 260.0])
+        return look_at(position, position + [300.0, 100.0, -150.0])
+
     def step(self, number: int):
         """Fly on, and return what is shown."""
-        position = np.array([-0.8 * EXTENT + 12.0 * number, -0.3 * EXTENT + 5.0 * number, 260.0])
         self.time = INTERVAL * number
         self.is_moving = True
-        viewer = Viewer(look_at(position, position + [300.0, 100.0, -150.0]), PROJECTION, True)
-        update = run_to_end(self.engine.move(viewer))
+        update = run_to_end(self.engine.move(Viewer(self.choose_matrix(number), PROJECTION, True)))
         self.is_moving = False
         if self.prefetches:
             run_to_end(self.engine.prefetch())
@@ -66,6 +69,33 @@ class Flight:
             key, block = self.engine.finished_blocks.get_nowait()
             blocks.append((key, block.mesh.ids.tobytes(), block.mesh.triangles.tobytes(), block.mesh.vertices.tobytes()))
         return update.tiles, update.figures.triangles, update.figures.tolerance, update.figures.max_error, blocks
+
+
+class Turn(Flight):
+    """A viewer who looks around in the middle of the terrain."""
+
+    def choose_matrix(self, number: int) -> np.ndarray:
+        position, angle = np.array([0.0, 0.0, 150.0]), 0.08 * number
+        return look_at(position, position + [300.0 * np.cos(angle), 300.0 * np.sin(angle), -100.0])
+
+
+class Orbit(Flight):
+    """A viewer who orbits around the middle of the terrain."""
+
+    def choose_matrix(self, number: int) -> np.ndarray:
+        angle = 0.08 * number
+        return look_at(np.array([500.0 * np.cos(angle), 500.0 * np.sin(angle), 200.0]), np.zeros(3))
+
+
+@pytest.mark.parametrize("path", [Turn, Orbit])
+def test_turning_viewers_find_what_they_need(folders, path):
+    ahead, without = (path(folders["texture"], prefetches) for prefetches in (True, False))
+    for number in range(30):
+        if number == 2:
+            ahead.in_moves = without.in_moves = 0
+        assert ahead.step(number) == without.step(number)
+    assert without.in_moves > 20
+    assert ahead.in_moves < 0.15 * without.in_moves
 
 
 @pytest.mark.parametrize(("kind", "values"), [("plain", {}), ("texture", {}), ("plain", {"triangle_budget": 6000})])

@@ -17,7 +17,7 @@ from .extraction import Cut, CutSettings, IsForced, extract_cut
 from .patch_squares import find_leaf_squares
 from .prefetching import PatchesAhead, Prefetch, TexturesAhead, patch_keys
 from .settings import ViewSettings
-from .store.structure import STRUCTURE_FILE
+from .store.structure import find_structure
 from .store.terrain_store import TerrainStore
 from .texture_cuts import TextureCut, TextureSelector
 from .texture_files import TextureFiles
@@ -81,7 +81,7 @@ class BdamEngine:
         """
         self.folder, self.settings = folder, settings
         self.store = TerrainStore(folder)
-        self._identity = f"{folder}|{(folder / STRUCTURE_FILE).stat().st_mtime_ns}"
+        self._identity = f"{folder}|{find_structure(folder).stat().st_mtime_ns}"
         self.finished_blocks: SimpleQueue[tuple[TileKey, TileBlock]] = SimpleQueue()
         self.figures: Figures | None = None
         self._cache = PatchCache(self.store)

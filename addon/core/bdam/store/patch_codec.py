@@ -26,6 +26,7 @@ from .integer_streams import StreamReader, write_signed, write_unsigned
 from .leaf_grids import LeafGrid
 
 COMPRESSION_LEVEL = 9
+MAX_GRADIENT = 2**30  # steps of gradients that are stored; steeper ones, which no longer differ from vertical, become this steep
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class Patch:
 
 
 def encode_patch(patch: Patch, corner: np.ndarray, is_leaf: bool, gradient_step: float) -> bytes:
-    """Return the block of a patch.
+    """Return the block of a patch, whose heights are at most 2**30 steps apart.
 
     Args:
         corner: (2,) int, lower left corner of its bounding box. gradient_step: the unit of stored gradients, in steps per cell.
@@ -67,7 +68,8 @@ def encode_patch(patch: Patch, corner: np.ndarray, is_leaf: bool, gradient_step:
             write_signed(upper - lower),
         ]
     streams.append(write_signed(np.diff(patch.z, prepend=0)))
-    streams.append(write_signed(np.rint(patch.gradients / gradient_step).T.ravel()))
+    gradients = np.clip(np.rint(patch.gradients / gradient_step), -MAX_GRADIENT, MAX_GRADIENT)
+    streams.append(write_signed(gradients.T.ravel()))
     streams.append(bytes([int(is_hole.any())]))
     if is_hole.any():
         streams.append(np.packbits(is_hole, bitorder="little").tobytes())
@@ -88,7 +90,7 @@ def decode_patch(
     """
     reader = StreamReader(_decompress(content, _max_size(vertex_count, triangle_count)))
     if leaf is None:
-        x, y, triangles = _read_mesh(reader, corners.min(axis=0), vertex_count, triangle_count)
+        x, y, triangles = _read_mesh(reader, corners.min(axis=0), corners.max(axis=0), vertex_count, triangle_count)
     else:
         x, y, triangles = leaf.x, leaf.y, leaf.triangles
     z = np.cumsum(reader.read_signed(len(x)))
@@ -127,7 +129,7 @@ def _decompress(content: bytes, max_size: int) -> bytes:
 
 
 def _read_mesh(
-    reader: StreamReader, corner: np.ndarray, vertex_count: int, triangle_count: int
+    reader: StreamReader, corner: np.ndarray, opposite: np.ndarray, vertex_count: int, triangle_count: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     steps, offsets, counts = (reader.read_unsigned(vertex_count) for _ in range(3))
     x = corner[0] + np.cumsum(steps)
@@ -137,6 +139,8 @@ def _read_mesh(
     offsets += ~is_column_start
     sums = np.cumsum(offsets)
     y = sums + np.repeat(corner[1] - (sums - offsets)[columns], np.diff(columns, append=vertex_count))
+    if vertex_count and (x[-1] > opposite[0] or y.min() < corner[1] or y.max() > opposite[1]):
+        raise FileError("a block contains vertices outside of its patch.")
     fan_vertices = np.flatnonzero(counts)
     fan_counts = counts[fan_vertices]
     ends = np.cumsum(fan_counts)

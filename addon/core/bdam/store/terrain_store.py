@@ -17,7 +17,7 @@ from .damaged_patches import PatchLimits, find_limits
 from .leaf_grids import leaf_grid
 from .patch_codec import Patch, decode_patch
 from .patch_links import join_bounds, link_patches
-from .structure import STRUCTURE_FILE, load_structure
+from .structure import STRUCTURE_FILE, find_structure, load_structure
 
 GEOMETRY_FILE, GEOMETRY_KIND, TEXTURE_FOLDER = "geometry.bdam", "bdamgeom", "textures"
 
@@ -37,7 +37,7 @@ class TerrainStore:
             FileError: it is no store, is damaged or unfinished, or was written by a newer version.
         """
         self.folder = folder
-        if not (folder / STRUCTURE_FILE).is_file():
+        if find_structure(folder) is None:
             raise FileError(
                 f'"{folder}" is no terrain built by Farfield: it contains no file "{STRUCTURE_FILE}"; choose the folder of a terrain.'
             )
@@ -45,7 +45,9 @@ class TerrainStore:
         self.tree = self.header.tree
         self.frame = self.header.create_frame()
         self._geometry = BlockReader(folder / GEOMETRY_FILE, GEOMETRY_KIND, has_backup=True)
-        if self._geometry.count != sum(len(level.indices) for level in self.levels):
+        of_geometry = self._geometry.count, self._geometry.index_checksum
+        if of_geometry != (sum(len(level.indices) for level in self.levels), self.header.geometry_checksum):
+            self._geometry.close()
             raise FileError(f'"{folder / GEOMETRY_FILE}" and "{STRUCTURE_FILE}" belong to different terrains; build the terrain again.')
         self.bounds, self.levels = join_bounds(self.levels)
         self.links = link_patches(self.levels)
