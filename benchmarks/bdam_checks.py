@@ -34,7 +34,7 @@ def measure_cracks(given: Namespace, workplace: Workplace) -> dict[str, Any]:
         viewer = draw_viewer(random, stores[0], terrains[0], exaggeration)
         for store, cache in zip(stores, caches, strict=True):
             cut = extract_cut(store, viewer, settings)
-            meshes = [cache.get(int(level), int(row)) for level, row in zip(cut.levels, cut.rows, strict=True)]
+            meshes = [cache.get(*key) for key in cut.list_patches()]
             figures["patches"] += len(meshes)
             figures["triangles"] += sum(len(mesh.triangles) for mesh in meshes)
             for name, count in count_faults(meshes, store.header.rows, store.header.columns).items():

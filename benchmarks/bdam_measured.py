@@ -76,7 +76,7 @@ def fly(given: Namespace) -> dict[str, Any]:
                 cut = extract_cut(store, viewer, settings)
                 seconds.append(time.perf_counter() - started)
                 started = time.perf_counter()
-                meshes = [cache.get(int(level), int(row)) for level, row in zip(cut.levels, cut.rows, strict=True)]
+                meshes = [cache.get(*key) for key in cut.list_patches()]
                 merge_patches(meshes, cut.levels)
                 mesh_seconds.append(time.perf_counter() - started)
                 patches.append(len(cut))

@@ -75,7 +75,8 @@ def test_random_cameras_see_no_cracks(store, kind):
     random, cache = np.random.default_rng(7), PatchCache(store)
     sizes = set()
     for _ in range(CAMERAS):
-        settings = CutSettings(tolerance=10.0 ** random.uniform(-0.5, 1.5), exaggeration=10.0 ** random.uniform(-0.5, 0.5))
+        culls = bool(random.integers(2))
+        settings = CutSettings(10.0 ** random.uniform(-0.5, 1.5), 10.0 ** random.uniform(-0.5, 0.5), culls)
         mesh = build_cut_mesh(cache, extract_cut(store, random_viewer(random, store, kind), settings))
         assert count_cracks(mesh) == 0
         assert covered_cells(mesh) == (ROWS - 1) * (COLUMNS - 1)

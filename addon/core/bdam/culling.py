@@ -8,8 +8,8 @@ from ..geometry.viewers import Viewer
 class Culling:
     """Finds boxes that may overlap the frustum of an image that is larger on every side by a fraction of its size.
 
-    A box is invisible if it lies outside of one plane; one near an edge of the frustum may count as visible without being it. Boxes that lie
-    within others are never visible without them. Nothing is outside of a panorama.
+    A box is invisible if it lies outside of one plane; one near an edge of the frustum may count as visible without being it. A box is
+    visible if one inside of it is. Nothing is outside of a panorama.
     """
 
     def __init__(self, viewer: Viewer, margin: float = 0.0, exaggeration: float = 1.0) -> None:

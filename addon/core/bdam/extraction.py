@@ -24,18 +24,33 @@ from .store.terrain_store import TerrainStore
 class Cut:
     """Patches that cover the terrain once.
 
-    levels, rows: (N,) int64, the patches, see `TerrainStore.levels`. max_error: pixels, the largest error of a patch that could be refined.
+    levels, rows: (N,) int64, the patches, see `TerrainStore.levels`. is_outline: (N,) bool, patches of which only the outline is shown,
+    because the view culls all of them. max_error: pixels, the largest error of a patch that could be refined.
     """
 
     levels: np.ndarray
     rows: np.ndarray
+    is_outline: np.ndarray
     max_error: float
 
     def __len__(self) -> int:
         return len(self.levels)
 
+    def list_patches(self) -> list[tuple[int, int, bool]]:
+        """Return the level and row of each patch, and whether its outline is shown."""
+        return list(zip(self.levels.tolist(), self.rows.tolist(), self.is_outline.tolist(), strict=True))
+
+    def count_triangles(self, store: TerrainStore) -> np.ndarray:
+        """Return the number of triangles of each patch as it is shown, holes included, (N,) int64."""
+        counts = np.empty(len(self), np.int64)
+        for level in np.unique(self.levels).tolist():
+            is_level = self.levels == level
+            counts[is_level] = store.levels[level].counts[self.rows[is_level], np.where(self.is_outline[is_level], 2, 1)]
+        return counts
+
 
 Measure = Callable[[np.ndarray], np.ndarray]  # from numbers (N,) of patches, see `store.patch_links`, to their errors (N,)
+AreVisible = Callable[[np.ndarray], np.ndarray]  # from numbers (N,) of patches to whether more than their outlines is shown, (N,) bool
 IsForced = Callable[[int, np.ndarray], np.ndarray]  # from a level and rows (N,) to whether these patches must be refined, (N,) bool
 
 
@@ -45,7 +60,8 @@ def extract_cut(store: TerrainStore, viewer: Viewer, settings: CutSettings, is_f
     is_forced: patches that must be refined whatever their error, such as those that are larger than the texture tiles in the same place. If
         it is true of a patch, it should be true of the parent, too: only children of refined patches are asked for.
     """
-    return _extract(store, ProjectedErrors(store, viewer, settings), settings.tolerance, is_forced)
+    measure = ProjectedErrors(store, viewer, settings)
+    return _extract(store, measure, settings.tolerance, is_forced, measure.are_surfaces_visible)
 
 
 def extract_union_cut(
@@ -75,9 +91,11 @@ def extract_uniform_cut(store: TerrainStore, max_error: float) -> Cut:
     return _extract(store, lambda patches: store.bounds[patches, 6].astype(np.float64), max_error)
 
 
-def _extract(store: TerrainStore, measure: Measure, tolerance: float, is_forced: IsForced | None = None) -> Cut:
+def _extract(
+    store: TerrainStore, measure: Measure, tolerance: float, is_forced: IsForced | None = None, are_visible: AreVisible | None = None
+) -> Cut:
     """Return the coarsest consistent cut whose patches have at most this error according to `measure`, without forced ones."""
-    return _build_cut(store, _complete(store, _find_refined(store, measure, tolerance, is_forced)), measure)
+    return _build_cut(store, _complete(store, _find_refined(store, measure, tolerance, is_forced)), measure, are_visible)
 
 
 def _find_refined(store: TerrainStore, measure: Measure, tolerance: float, is_forced: IsForced | None) -> list[np.ndarray]:
@@ -133,7 +151,7 @@ def _complete_diamonds(store: TerrainStore, refined: list[np.ndarray]) -> np.nda
     return is_refined
 
 
-def _build_cut(store: TerrainStore, is_refined: np.ndarray, measure: Measure) -> Cut:
+def _build_cut(store: TerrainStore, is_refined: np.ndarray, measure: Measure, are_visible: AreVisible | None = None) -> Cut:
     """Return the cut below patches to be refined, (N,) bool by number."""
     starts, children = store.links.starts, store.links.children
     active, kept = np.arange(starts[1]), []
@@ -143,7 +161,8 @@ def _build_cut(store: TerrainStore, is_refined: np.ndarray, measure: Measure) ->
         active = _list_children(children, active[is_active_refined])
     patches, counts = np.concatenate(kept), [len(part) for part in kept]
     levels = np.repeat(np.arange(len(kept)), counts)
-    return Cut(levels, patches - np.repeat(starts[: len(kept)], counts), float(measure(patches).max(initial=0.0)))
+    is_outline = np.zeros(len(patches), bool) if are_visible is None else ~are_visible(patches)
+    return Cut(levels, patches - np.repeat(starts[: len(kept)], counts), is_outline, float(measure(patches).max(initial=0.0)))
 
 
 def _list_children(children: np.ndarray, patches: np.ndarray) -> np.ndarray:

@@ -74,11 +74,14 @@ class ProjectedErrors:
             pixels *= self._culling.are_visible(boxes).reshape(pixels.shape)
         return errors * pixels.max(axis=0)
 
-    def are_visible(self, patches: np.ndarray) -> np.ndarray:
-        """Return whether patches, given by their numbers (N,), are not culled, (N,) bool."""
+    def are_surfaces_visible(self, patches: np.ndarray) -> np.ndarray:
+        """Return whether any mesh of the vertices of patches, given by their numbers (N,), may be visible, (N,) bool.
+
+        That may be so although they are culled: coarse surfaces reach beyond the boxes of grandchildren, but not beyond the patch's own.
+        """
         if self._culling is None:
             return np.ones(len(patches), bool)
-        return self._culling.are_visible(self._take_boxes(patches)).reshape(-1, len(patches)).any(axis=0)
+        return self._culling.are_visible(self._store.bounds.take(patches, axis=0)[:, :6].T.astype(np.float64))
 
     def _take_boxes(self, patches: np.ndarray) -> np.ndarray:
         """Return the boxes (6, 4 N) float64 of the grandchildren of patches (N,): those of the first ones, then those of the second ones

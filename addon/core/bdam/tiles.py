@@ -28,19 +28,20 @@ TileKey = tuple[int, int, int]  # level of the quadtree, i along x, j along y
 class Tile:
     """Which patches a tile shows, and its texture.
 
-    levels, rows: (N,) int64, patches in the order of the bintrees. texture: the number of its texture tile, None without. square: of the
-    texture tile.
+    levels, rows: (N,) int64, patches in the order of the bintrees. is_outline: (N,) bool, see `Cut`. texture: the number of its texture
+    tile, None without. square: of the texture tile.
     """
 
     levels: np.ndarray
     rows: np.ndarray
+    is_outline: np.ndarray
     texture: int | None
     square: TileKey
 
     @property
-    def signature(self) -> tuple[bytes, bytes, int | None]:
+    def signature(self) -> tuple[bytes, bytes, bytes, int | None]:
         """What is different if the tile must be filled again."""
-        return self.levels.tobytes(), self.rows.tobytes(), self.texture
+        return self.levels.tobytes(), self.rows.tobytes(), self.is_outline.tobytes(), self.texture
 
 
 @dataclass(frozen=True)
@@ -76,11 +77,10 @@ class TileGrouping:
         """Return the tiles of a cut by their squares: within the squares of `textures`, which cover the terrain, at most MAX_TILES."""
         depth = self._store.tree.depth
         squares = np.empty((len(cut), 2), np.int64)
-        counts = np.empty(len(cut), np.int64)
         for level in np.unique(cut.levels).tolist():
             is_level = cut.levels == level
             squares[is_level] = self._leaf_squares[level][cut.rows[is_level]]
-            counts[is_level] = self._store.levels[level].counts[cut.rows[is_level], 1]
+        counts = cut.count_triangles(self._store)
         codes = morton_keys(squares)
         order = np.lexsort((cut.rows, cut.levels, codes))
         codes, sums = codes[order], np.concatenate([[0], np.cumsum(counts[order])])
@@ -105,16 +105,16 @@ class TileGrouping:
             else:
                 final.append((key, part, source))
         self._split = split
-        levels, rows = cut.levels[order], cut.rows[order]
-        return {key: Tile(levels[part], rows[part], textures[source], source) for key, part, source in final}
+        levels, rows, is_outline = cut.levels[order], cut.rows[order], cut.is_outline[order]
+        return {key: Tile(levels[part], rows[part], is_outline[part], textures[source], source) for key, part, source in final}
 
 
 def build_tile_mesh(store: TerrainStore, cache: PatchCache, key: TileKey, tile: Tile, exaggeration: float) -> TileMesh:
     """Return the mesh of a tile, without patches that are damaged."""
     patches, levels, damages = [], [], []
-    for level, row in zip(tile.levels.tolist(), tile.rows.tolist(), strict=True):
+    for level, row, is_outline in zip(tile.levels.tolist(), tile.rows.tolist(), tile.is_outline.tolist(), strict=True):
         try:
-            patches.append(cache.get(level, row))
+            patches.append(cache.get(level, row, is_outline))
             levels.append(level)
         except FileError as error:
             damages.append(str(error))

@@ -32,8 +32,7 @@ class PatchLinks:
         return levels, patches - self.starts[levels]
 
     def find_grandchildren(self, patches: np.ndarray) -> np.ndarray:
-        """Return the grandchildren (4, N) int of `patches` (N,); where there are fewer, others twice, and children or the patches instead of
-        what does not exist."""
+        """Return the grandchildren (4, N) int of `patches` (N,): where there are fewer, others twice, or children, or the patches."""
         for _ in range(2):
             children = self.children.take(patches, axis=0).reshape(-1, 2).T
             is_missing = children == NO_PATCH
