@@ -49,8 +49,8 @@ class ProjectedErrors:
         if self._kind == "orthographic":
             self._scale = exaggeration * float(np.hypot(*(densities * across)))
         elif self._kind == "perspective":
-            self._scale, self._loss = exaggeration, exaggeration * abs(along)
-            self._densities, self._window = densities[:, None], np.array(viewer.projection.window).reshape(2, 2)
+            self._loss = exaggeration * abs(along)
+            self._densities, self._window = exaggeration * densities[:, None], np.array(viewer.projection.window).reshape(2, 2)
             self._across, self._along = across[:, None], along
         self._weights, self._offsets = self._create_functions(viewer, exaggeration)
 
@@ -96,20 +96,32 @@ class ProjectedErrors:
         values += self._offsets
         offsets = np.maximum(values[0:3], values[3:6])
         np.maximum(offsets, 0.0, out=offsets)
-        depths = np.sqrt(np.einsum("ij,ij->j", offsets, offsets))
+        depths = _measure_lengths(offsets)
         depths *= self._depth_per_meter
-        scale: float | np.ndarray = self._scale
+        scale: float | np.ndarray = self._scale  # pixels at depth 1
         if self._kind == "perspective":
             nearest, farthest = np.maximum(values[8], MIN_DEPTH), np.maximum(values[11], MIN_DEPTH)
-            low, high, window = values[6:8], values[9:11], self._window
-            low /= np.where(low < 0.0, nearest, farthest)
-            high /= np.where(high > 0.0, nearest, farthest)
-            low, high = (np.clip(edges, window[:, :1], window[:, 1:], out=edges) for edges in (low, high))
-            reach = np.maximum(-low, high)
-            depths /= np.sqrt(1.0 + np.einsum("ij,ij->j", reach, reach))
+            places = values[[6, 7, 9, 10]].reshape(2, 2, -1)  # lowest and highest x and y
+            places[0] /= np.where(places[0] < 0.0, nearest, farthest)
+            places[1] /= np.where(places[1] > 0.0, nearest, farthest)
+            np.maximum(places, self._window[:, :1], out=places)
+            np.minimum(places, self._window[:, 1:], out=places)
+            reach = np.maximum(-places[0], places[1])
+            reach *= reach
+            depths /= np.sqrt(1.0 + reach[0] + reach[1])
             np.maximum(depths, values[8], out=depths)
-            factors = np.maximum(np.abs(self._across + self._along * low), np.abs(self._across + self._along * high))
+            places *= self._along
+            places += self._across
+            factors = np.abs(places, out=places).max(axis=0)
             factors *= self._densities
-            scale = self._scale * np.sqrt(np.einsum("ij,ij->j", factors, factors)).reshape(4, -1)
+            scale = _measure_lengths(factors).reshape(4, -1)
         depths = depths.reshape(4, -1) - errors * self._loss
         return scale / np.maximum(depths, MIN_DEPTH, out=depths)
+
+
+def _measure_lengths(vectors: np.ndarray) -> np.ndarray:
+    """Return the lengths (N,) of vectors (2 or 3, N), which are overwritten."""
+    vectors *= vectors
+    for axis in vectors[1:]:
+        vectors[0] += axis
+    return np.sqrt(vectors[0])
