@@ -12,16 +12,16 @@ from .store.patch_outlines import triangulate_outline
 from .store.terrain_store import TerrainStore
 from .triangle_gradients import weigh_gradients
 
-DEFAULT_CACHE_BYTES = 64 << 20
+DEFAULT_CACHE_BYTES = 48 << 20  # more than what a cut of a million triangles needs
 
 
 @dataclass(frozen=True)
 class PatchMesh:
     """A patch ready to be shown, without holes.
 
-    ids: (V,) int64, numbers of the vertices in the grid: row * columns + column. positions: (V, 3) float64, local meters without
-    exaggeration. normals: (V, 3) float32. triangles: (T, 3) int32, counterclockwise seen from above. boundary: (B,) int32, the vertices
-    that other patches may have, too.
+    ids: (V,) int32, or int64 in large grids, numbers of the vertices in the grid: row * columns + column. positions: (V, 3) float64, local
+    meters without exaggeration. normals: (V, 3) float32. triangles: (T, 3) int32, counterclockwise seen from above. boundary: (B,) int32,
+    the vertices that other patches may have, too.
     """
 
     ids: np.ndarray
@@ -40,7 +40,7 @@ class PatchMesh:
 class CutMesh:
     """The union of patches, whose common vertices are merged.
 
-    ids, positions, normals: see `PatchMesh`. triangles: (T, 3) int32. levels: (T,) int8, levels of the patches.
+    ids: (V,) int64. positions, normals: see `PatchMesh`. triangles: (T, 3) int32. levels: (T,) int8, levels of the patches.
     """
 
     ids: np.ndarray
@@ -105,7 +105,7 @@ class PatchCache:
 def build_patch_mesh(store: TerrainStore, patch: Patch) -> PatchMesh:
     """Return the mesh of a patch. Normals on its boundary come from the store, so that neighbors agree; the others from its triangles."""
     positions = store.to_local(patch.x, patch.y, patch.z)
-    ids = patch.y.astype(np.int64) * store.header.columns + patch.x
+    ids = _number_vertices(store, patch.x, patch.y)
     boundary = patch.boundary
     gradients = vertex_gradients(positions, patch.triangles)
     stored = patch.gradients * store.header.height_step
@@ -119,7 +119,14 @@ def build_outline_mesh(store: TerrainStore, patch: Patch, triangles: np.ndarray)
     x, y, z = (values[patch.boundary] for values in (patch.x, patch.y, patch.z))
     gradients = store.frame.to_local_gradients(x, y, patch.gradients * store.header.height_step).T
     boundary = np.arange(len(x), dtype=np.int32)
-    return PatchMesh(y.astype(np.int64) * store.header.columns + x, store.to_local(x, y, z), _to_normals(gradients), triangles, boundary)
+    return PatchMesh(_number_vertices(store, x, y), store.to_local(x, y, z), _to_normals(gradients), triangles, boundary)
+
+
+def _number_vertices(store: TerrainStore, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the numbers (V,) of vertices in the grid; see `PatchMesh`."""
+    rows, columns = store.header.rows, store.header.columns
+    dtype = np.int32 if rows * columns <= np.iinfo(np.int32).max else np.int64
+    return y.astype(dtype) * dtype(columns) + x.astype(dtype)
 
 
 def _to_normals(gradients: np.ndarray) -> np.ndarray:
@@ -155,7 +162,7 @@ def merge_patches(meshes: list[PatchMesh], levels: np.ndarray) -> CutMesh:
     numbers[boundary] = numbers[boundary[first]][inverse.reshape(-1)]
     kept = np.flatnonzero(is_kept)
     return CutMesh(
-        ids[kept],
+        ids[kept].astype(np.int64),
         np.concatenate([mesh.positions for mesh in meshes]).take(kept, axis=0),
         np.concatenate([mesh.normals for mesh in meshes]).take(kept, axis=0),
         numbers.take(np.concatenate([mesh.triangles + np.int32(start) for mesh, start in zip(meshes, starts, strict=True)])),

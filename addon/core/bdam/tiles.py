@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import FileError
-from .cut_meshes import CutMesh, PatchCache, merge_patches
+from .cut_meshes import CutMesh, PatchCache, merge_patches, remove_unused
 from .extraction import Cut
 from .store.terrain_store import TerrainStore
 from .textures.grid import BORDER, STEP, TILE_SIZE
@@ -122,23 +122,13 @@ def build_tile_mesh(store: TerrainStore, cache: PatchCache, key: TileKey, tile: 
     if not patches:
         no_vertices, no_triangles = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32)
         return TileMesh(location, no_vertices, no_vertices, no_triangles, None, np.zeros(0, np.int8), np.zeros(0, np.int64), tuple(damages))
-    mesh = _remove_unused(merge_patches(patches, np.array(levels)))
+    mesh = remove_unused(merge_patches(patches, np.array(levels)))
     step = _lattice_step(store) * LATTICE
     vertices = np.rint(mesh.positions * [1.0, 1.0, exaggeration] / step) * step - location
     normals = mesh.normals * np.array([1.0, 1.0, 1.0 / exaggeration], np.float32)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     uvs = None if tile.texture is None else _texture_uvs(store, mesh, tile.square)
     return TileMesh(location, vertices.astype(np.float32), normals, mesh.triangles, uvs, mesh.levels, mesh.ids, tuple(damages))
-
-
-def _remove_unused(mesh: CutMesh) -> CutMesh:
-    """Return a mesh without vertices that only triangles in holes have used."""
-    is_used = np.zeros(len(mesh.ids), bool)
-    is_used[mesh.triangles] = True
-    if is_used.all():
-        return mesh
-    numbers = np.cumsum(is_used, dtype=np.int32) - 1
-    return CutMesh(mesh.ids[is_used], mesh.positions[is_used], mesh.normals[is_used], numbers[mesh.triangles], mesh.levels)
 
 
 def locate_tile(store: TerrainStore, key: TileKey) -> np.ndarray:

@@ -71,7 +71,7 @@ class StoreHeader:
 class Level:
     """The patches of a level.
 
-    indices: (N,) int64. errors: (N,) float32, meters. heights: (N, 2) int32, steps. counts: (N, 3) int64,
+    indices: (N,) int64. errors: (N,) float32, meters. heights: (N, 2) int32, steps. counts: (N, 3) int32,
     vertices, triangles, and triangles of the outline. low, high: (N, 3) float32, bounding boxes in local meters.
     """
 
@@ -137,7 +137,7 @@ def _read_levels(reader: BlockReader, header: StoreHeader) -> Iterator[Level]:
             np.frombuffer(blocks[0], "<u8").astype(np.int64),
             np.frombuffer(blocks[1], "<f4"),
             np.frombuffer(blocks[2], "<i4").reshape(-1, 2),
-            np.frombuffer(blocks[3], "<u4").reshape(-1, 3).astype(np.int64),
+            np.frombuffer(blocks[3], "<u4").reshape(-1, 3).astype(np.int32),
             boxes[:, :3],
             boxes[:, 3:],
         )
