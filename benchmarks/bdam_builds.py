@@ -80,8 +80,7 @@ def measure_extraction(given: Namespace, workplace: Workplace) -> dict[str, Any]
     build_fractal(workplace, FractalTerrain(given.size, given.seed)).close()
     folder = workplace.folder / f"fractal-{given.size}"
     figures = measure_process(["fly", str(folder), "--size", str(given.size), "--seed", str(given.seed)])
-    note = "squares: of the quadtree that hold a patch of their level; texture tiles of a cut are fewer"
-    return {"bounds": FLIGHT_BOUNDS} | figures | {"note": note}
+    return {"bounds": FLIGHT_BOUNDS} | figures
 
 
 def measure_kills(given: Namespace, workplace: Workplace) -> dict[str, Any]:

@@ -245,7 +245,7 @@ def test_limits_are_consistent(intact, seed, fraction):
     assert not is_damaged[shown].any(), "the finest patches that can be shown are intact, except for roots"
 
 
-@pytest.mark.parametrize(("tolerance", "level"), [(0.1, 6), (20.0, 4), (100.0, 1)])
+@pytest.mark.parametrize(("tolerance", "level"), [(0.1, 6), (12.0, 4), (100.0, 1)])
 def test_the_engine_replaces_damaged_patches_and_names_them(folder, viewer, tolerance, level):
     with TerrainStore(folder) as store:
         numbers = np.arange(*store.links.starts[level : level + 2])[::2]

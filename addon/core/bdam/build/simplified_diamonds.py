@@ -28,7 +28,7 @@ def simplify_diamonds(
             are triangulated from the field.
 
     Returns:
-        Patches in ascending order of their indices. The error of a patch is the largest of its diamond.
+        Patches in ascending order of their indices.
     """
     corners = tree.triangle_corners(level, triangles)
     pairs = np.where(diamonds < 0, diamonds[:, :1], diamonds)
@@ -95,8 +95,8 @@ def _divide(
     side = (sides.take(simplified).sum(axis=1) < 0).astype(np.int64)
     patches = pairs[of_triangle, side]
     measured = measure_triangles(np.stack([meshes.x.take(simplified), meshes.y.take(simplified)], axis=2), meshes.z.take(simplified), grid)
-    diamond_errors = np.zeros(len(pairs), np.float32)
-    np.maximum.at(diamond_errors, of_triangle, measured.errors)
+    errors = np.zeros(len(indices), np.float32)
+    np.maximum.at(errors, patches, measured.errors)
     gradients = _add_gradients(meshes, simplified, np.isnan(meshes.gradients[:, 0]) & (sides == 0))
     patch_count = len(indices)
     is_used = np.zeros((2, len(meshes.x)), bool)
@@ -114,9 +114,6 @@ def _divide(
     local_triangles = local[side[:, None], simplified][order]
     present = np.flatnonzero(triangle_counts)
     vertex_counts, triangle_counts = vertex_counts[present], triangle_counts[present]
-    diamond_of = np.zeros(len(indices), np.int64)
-    for column in range(2):
-        diamond_of[pairs[:, column]] = np.arange(len(pairs))
     triangle_starts = to_starts(triangle_counts)
     rank = np.empty(len(order), np.int64)
     rank[order] = np.arange(len(order))
@@ -126,7 +123,7 @@ def _divide(
     sample_starts = np.searchsorted(sample_triangles, triangle_starts)
     return PatchSet(
         indices[present],
-        diamond_errors[diamond_of[present]],
+        errors[present],
         to_starts(vertex_counts),
         triangle_starts,
         meshes.x[vertices],

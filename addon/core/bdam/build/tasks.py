@@ -14,6 +14,7 @@ import numpy as np
 from ...files.sealed_files import read_sealed, write_sealed
 from ..store.leaf_grids import leaf_grid
 from ..store.patch_codec import Patch, encode_patch, find_boundary
+from ..store.patch_outlines import count_outline_triangles
 from .curvature_errors import bound_curvature_errors
 from .diamond_meshes import sample_gradients
 from .encoded_patches import EncodedPatches
@@ -101,14 +102,15 @@ class BuildTasks:
         return children.select(np.argsort(children.indices))
 
     def _encode(self, level: int, indices: np.ndarray, errors: np.ndarray, patches: list[Patch]) -> EncodedPatches:
-        lows = self._tree.triangle_corners(level, indices).min(axis=1)
+        corners = self._tree.triangle_corners(level, indices)
         is_leaf, gradient_step = level == self._tree.leaf_level, self._folder.parameters.gradient_step
-        blocks = [encode_patch(patch, low, is_leaf, gradient_step) for patch, low in zip(patches, lows, strict=True)]
+        blocks = [encode_patch(patch, corner.min(axis=0), is_leaf, gradient_step) for patch, corner in zip(patches, corners, strict=True)]
+        outlines = [count_outline_triangles(patch, corner) for patch, corner in zip(patches, corners, strict=True)]
         return EncodedPatches(
             indices,
             errors,
             np.array([(patch.z.min(), patch.z.max()) for patch in patches], np.int32),
-            np.array([(len(patch.x), len(patch.triangles)) for patch in patches], np.int32),
+            np.array([(len(patch.x), len(patch.triangles), count) for patch, count in zip(patches, outlines, strict=True)], np.int32),
             np.array([len(block) for block in blocks], np.int64),
             np.frombuffer(b"".join(blocks), np.uint8),
         )

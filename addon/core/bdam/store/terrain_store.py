@@ -109,7 +109,7 @@ class TerrainStore:
         corners = self.tree.corners_of(level, index)
         leaf = leaf_grid(self.tree, corners) if level == self.tree.leaf_level else None
         try:
-            return decode_patch(content, corners, *(int(count) for count in patches.counts[row]), leaf, self.header.gradient_step)
+            return decode_patch(content, corners, *(int(count) for count in patches.counts[row, :2]), leaf, self.header.gradient_step)
         except FileError as error:
             raise FileError(f'Patch {level}/{index} of "{self.folder}" is damaged: {error}') from error
 
@@ -134,7 +134,10 @@ class TerrainStore:
         heights = self.levels[-1].heights
         return float(heights.min()) * self.header.height_step, float(heights.max()) * self.header.height_step
 
-    def to_local(self, patch: Patch) -> np.ndarray:
-        """Return the vertices (V, 3) float64 of a patch in local meters."""
-        x, y = self.frame.to_local(patch.x, patch.y)
-        return np.stack([x, y, patch.z * self.header.height_step], axis=1)
+    def to_local(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Return vertices at `x` and `y` in the grid with heights `z` in steps, (V,) each, in local meters, (V, 3) float64."""
+        return np.stack([*self.frame.to_local(x, y), z * self.header.height_step], axis=1)
+
+    def corners_of(self, level: int, row: int) -> np.ndarray:
+        """Return the corners (3, 2) int64 of a patch in the grid; see `Tree.corners_of`."""
+        return self.tree.corners_of(level, int(self.levels[level].indices[row]))
