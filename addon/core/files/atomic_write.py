@@ -56,15 +56,19 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
             _sync_folder(folder)
 
 
-def write_bytes_atomically(path: Path, content: bytes) -> None:
+def write_bytes_atomically(path: Path, content: bytes, is_durable: bool = True) -> None:
     """Write `content` to a temporary file beside `path`, then to the disk, and rename it. Raises OSError.
 
+    Unless it `is_durable`, the system writes it to the disk when it likes, which takes no time here; a power failure may damage the file.
     The temporary file has the suffix TEMPORARY_SUFFIX; a killed process leaves it behind.
     """
     temporary = path.with_suffix(f".{uuid.uuid4().hex}{TEMPORARY_SUFFIX}")
     try:
         temporary.write_bytes(content)
-        replace_durably(temporary, path)
+        if is_durable:
+            replace_durably(temporary, path)
+        else:
+            temporary.replace(path)
     except OSError:
         temporary.unlink(missing_ok=True)
         raise

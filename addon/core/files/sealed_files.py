@@ -27,14 +27,17 @@ def unseal(sealed: bytes) -> bytes | None:
     return content if hashlib.sha256(content).digest() == sealed[:DIGEST_BYTES] else None
 
 
-def write_sealed(path: Path, content: bytes) -> None:
+def write_sealed(path: Path, content: bytes, is_durable: bool = True) -> None:
     """Write a sealed file with `write_bytes_atomically`. Equal content gives equal bytes.
+
+    Files of which many are written, and which can be made again, need not be durable: after a power failure, their seals show which ones
+    are complete.
 
     Raises:
         FileError: the file cannot be written.
     """
     with convert_os_errors(f'"{path}" cannot be saved'):
-        write_bytes_atomically(path, seal(content))
+        write_bytes_atomically(path, seal(content), is_durable)
 
 
 def read_sealed(path: Path, advice: str) -> bytes:
