@@ -4,6 +4,7 @@ import numpy as np
 
 from ...arrays import concatenate_ranges
 from ..simplification.decimation import MeshBatch, simplify
+from ..simplification.gathering import gather
 from ..simplification.removed_samples import RemovedSamples
 from ..tree import Tree
 from ..triangle_gradients import weigh_gradients
@@ -50,16 +51,19 @@ def simplify_diamonds(
 
 def _choose_samples(batch: MeshBatch, triangles: np.ndarray, removed: RemovedSamples) -> RemovedSamples:
     """Return the samples that the next level measures: of each triangle the one with the largest distance, and a few random ones."""
-    distances = _measure_samples(batch, triangles, removed)
-    largest = np.zeros(len(triangles))
-    np.maximum.at(largest, removed.triangles, distances)
-    noise = (removed.vertices.astype(np.uint32) * np.uint32(2654435761)).astype(np.uint64) >> np.uint64(1)
-    noise[distances == largest[removed.triangles]] = 0
-    order = np.argsort(removed.triangles.astype(np.uint64) << np.uint64(32) | noise, kind="stable")
     counts = np.bincount(removed.triangles, minlength=len(triangles))
+    is_crowded = gather(counts, removed.triangles) > MAX_SAMPLES_PER_TRIANGLE
+    crowded = RemovedSamples(removed.vertices.compress(is_crowded), removed.triangles.compress(is_crowded))
+    distances = _measure_samples(batch, triangles, crowded)
+    largest = np.zeros(len(triangles))
+    np.maximum.at(largest, crowded.triangles, distances)
+    noise = (crowded.vertices.astype(np.uint32) * np.uint32(2654435761)).astype(np.uint64) >> np.uint64(1)
+    noise[distances == gather(largest, crowded.triangles)] = 0
+    order = np.argsort(crowded.triangles.astype(np.uint64) << np.uint64(32) | noise, kind="stable")
+    counts[counts <= MAX_SAMPLES_PER_TRIANGLE] = 0
     ranks = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
-    chosen = order[ranks < MAX_SAMPLES_PER_TRIANGLE]
-    return RemovedSamples(removed.vertices[chosen], removed.triangles[chosen])
+    chosen = np.concatenate([np.flatnonzero(~is_crowded), gather(np.flatnonzero(is_crowded), order.compress(ranks < MAX_SAMPLES_PER_TRIANGLE))])
+    return RemovedSamples(gather(removed.vertices, chosen), gather(removed.triangles, chosen))
 
 
 def _measure_samples(batch: MeshBatch, triangles: np.ndarray, removed: RemovedSamples) -> np.ndarray:
@@ -67,9 +71,9 @@ def _measure_samples(batch: MeshBatch, triangles: np.ndarray, removed: RemovedSa
     distances = np.empty(len(removed.vertices))
     for start in range(0, len(distances), MAX_MEASURED_SAMPLES):
         part = slice(start, start + MAX_MEASURED_SAMPLES)
-        x, y, z = (values[removed.vertices[part]].astype(np.float64) for values in (batch.x, batch.y, batch.z))
-        corners = triangles[removed.triangles[part]]
-        (x0, x1, x2), (y0, y1, y2), (z0, z1, z2) = (values[corners].T.astype(np.float64) for values in (batch.x, batch.y, batch.z))
+        x, y, z = (gather(values, removed.vertices[part]).astype(np.float64) for values in (batch.x, batch.y, batch.z))
+        corners = triangles.take(removed.triangles[part], axis=0).T.astype(np.intp)
+        (x0, x1, x2), (y0, y1, y2), (z0, z1, z2) = (gather(values, corners).astype(np.float64) for values in (batch.x, batch.y, batch.z))
         area = (x1 - x0) * (y2 - y0) - (y1 - y0) * (x2 - x0)
         second, third = ((x - x0) * (y2 - y0) - (y - y0) * (x2 - x0)) / area, ((x1 - x0) * (y - y0) - (y1 - y0) * (x - x0)) / area
         distances[part] = np.abs(z0 + second * (z1 - z0) + third * (z2 - z0) - z)
