@@ -61,8 +61,8 @@ def measure_triangles(corners: np.ndarray, heights: np.ndarray, grid: HeightGrid
 
 
 class _Planes:
-    """Heights of triangles as linear functions of grid coordinates, and their edges: the long one from the lowest corner to the highest, and
-    the two others on one side of it."""
+    """Heights of triangles as linear functions of grid coordinates, and their edges: the long one from the lowest corner to the highest,
+    and the two others on one side of it."""
 
     def __init__(self, corners: np.ndarray, heights: np.ndarray) -> None:
         x, y, z = corners[..., 0].T.astype(np.float64), corners[..., 1].T.astype(np.float64), heights.T.astype(np.float64)

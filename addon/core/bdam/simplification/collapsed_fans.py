@@ -21,8 +21,8 @@ class CollapsedFans:
     vertices, targets: (N,) intp. corners: (N, 16) intp, the corners of the vertices whose triangles become those of the fan.
     owners: (C,) intp and star: (C,) intp, the vertices' positions and all corners of their stars. is_kept: (C,) bool, whether the
     triangle of a corner becomes one of the fan; the others vanish.
-    x, y, z: (N, 16), the vectors from the target to the ends of its rays, one more than triangles. angles: (N, 16), see `_pseudo_angles`, of the rays
-    from the second to the one before the last, then infinity.
+    x, y, z: (N, 16), the vectors from the target to the ends of its rays, of which there is one more than triangles.
+    angles: (N, 16), see `_pseudo_angles`, of the rays from the second to the one before the last, then infinity.
     """
 
     vertices: np.ndarray
@@ -91,8 +91,7 @@ def arrange_fans(points: GridPoints, rings: VertexRings, vertices: np.ndarray, t
             inner[-1, ~is_border] = np.inf  # the last triangle vanishes unless the vertex is on a border
         angles[positions, : degree - 2] = inner.T
     joined = (
-        np.concatenate(arrays) if arrays else np.zeros(0, dtype)
-        for arrays, dtype in ((owners, np.intp), (star, np.intp), (is_kept, bool))
+        np.concatenate(arrays) if arrays else np.zeros(0, dtype) for arrays, dtype in ((owners, np.intp), (star, np.intp), (is_kept, bool))
     )
     return CollapsedFans(vertices, targets, corner_rows, *joined, *xyz, angles)
 

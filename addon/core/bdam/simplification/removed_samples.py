@@ -14,8 +14,8 @@ from .vertex_rings import to_triangles
 class LocatedSamples:
     """Samples in the stars of vertices that may collapse.
 
-    samples: (N,) intp, their positions. owners: (N,) intp, positions of the vertices. triangles: (N,) intp, the triangles that contain the
-    samples after the collapses. distances: (N,) float32, their vertical distances from these.
+    samples: (N,) intp, their positions. owners: (N,) intp, positions of the vertices. triangles: (N,) intp, the triangles that contain
+    the samples after the collapses. distances: (N,) float32, their vertical distances from these.
     """
 
     samples: np.ndarray

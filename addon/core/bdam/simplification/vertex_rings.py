@@ -54,9 +54,7 @@ def build_rings(triangles: np.ndarray, vertex_count: int) -> VertexRings:
     vertices = triangles.reshape(-1).astype(np.int32)
     by_corner = sparse.csr_matrix((rows[:-1].astype(np.intp), vertices, rows), shape=(count, vertex_count))
     by_vertex = by_corner.tocsc()  # a counting sort
-    return VertexRings(
-        by_vertex.indptr.astype(np.intp), by_vertex.data, triangles[[1, 2, 0]].reshape(-1), triangles[[2, 0, 1]].reshape(-1)
-    )
+    return VertexRings(by_vertex.indptr.astype(np.intp), by_vertex.data, triangles[[1, 2, 0]].reshape(-1), triangles[[2, 0, 1]].reshape(-1))
 
 
 def to_triangles(corners: np.ndarray, triangle_count: int) -> np.ndarray:
