@@ -10,7 +10,7 @@ from .vertex_rings import VertexRings
 
 ROW_LENGTH = 16  # of the arrays of fans; a fan has fewer than MAX_DEGREE triangles
 SEARCH_STEPS = (8, 4, 2, 1)
-MAX_ENTRIES = 1 << 15  # of a (degree, vertices) array
+MAX_ENTRIES = 1 << 16  # of a (degree, vertices) array
 MAX_SAMPLES = 1 << 13  # samples that are located at once
 
 
