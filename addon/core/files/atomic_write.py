@@ -4,7 +4,7 @@ import errno
 import os
 import shutil
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -56,19 +56,27 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
             _sync_folder(folder)
 
 
-def write_bytes_atomically(path: Path, content: bytes, is_durable: bool = True) -> None:
+def write_bytes_atomically(path: Path, content: bytes) -> None:
     """Write `content` to a temporary file beside `path`, then to the disk, and rename it. Raises OSError.
 
-    Unless it `is_durable`, the system writes it to the disk when it likes, which takes no time here; a power failure may damage the file.
     The temporary file has the suffix TEMPORARY_SUFFIX; a killed process leaves it behind.
     """
+    _write_bytes(path, content, replace_durably)
+
+
+def write_bytes_unsynced(path: Path, content: bytes) -> None:
+    """Write `content` as `write_bytes_atomically` does, but let the system choose when the disk gets it, which takes no time here.
+
+    Killed processes leave a complete file or none, but a power failure may damage it. Raises OSError.
+    """
+    _write_bytes(path, content, Path.replace)
+
+
+def _write_bytes(path: Path, content: bytes, replace: Callable[[Path, Path], object]) -> None:
     temporary = path.with_suffix(f".{uuid.uuid4().hex}{TEMPORARY_SUFFIX}")
     try:
         temporary.write_bytes(content)
-        if is_durable:
-            replace_durably(temporary, path)
-        else:
-            temporary.replace(path)
+        replace(temporary, path)
     except OSError:
         temporary.unlink(missing_ok=True)
         raise

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from ..errors import FileError
-from .atomic_write import write_bytes_atomically
+from .atomic_write import write_bytes_atomically, write_bytes_unsynced
 from .file_access import convert_os_errors, error_reason
 
 DIGEST_BYTES = hashlib.sha256().digest_size
@@ -37,7 +37,8 @@ def write_sealed(path: Path, content: bytes, is_durable: bool = True) -> None:
         FileError: the file cannot be written.
     """
     with convert_os_errors(f'"{path}" cannot be saved'):
-        write_bytes_atomically(path, seal(content), is_durable)
+        write = write_bytes_atomically if is_durable else write_bytes_unsynced
+        write(path, seal(content))
 
 
 def read_sealed(path: Path, advice: str) -> bytes:
