@@ -22,7 +22,7 @@ from farfield.addon.core.errors import FarfieldError
 SCRIPT = Path(__file__).resolve().parent / "bdam_measured.py"
 POLL_SECONDS = 0.1
 GROWTH = 4  # times the side
-KILL_FROM = 0.3  # of the seconds of a build; before, it loads Blender
+KILL_SECONDS = 3.0  # after which a build may be killed; before, it loads Blender
 ORPHAN_SECONDS = 20.0  # workers end within this time after their build was killed
 BOUNDS = {"worker_mb": 250.0, "parent_mb": 150.0, "growth": 17.0, "geometry_seconds": 360.0, "texture_seconds": 180.0}
 DISK_BOUNDS = {"bytes_per_sample": 8.0, "bytes_per_texel": 0.7}
@@ -37,8 +37,9 @@ def measure_build(given: Namespace, workplace: Workplace) -> dict[str, Any]:
         source = write_fractal(workplace, FractalTerrain(size, given.seed))
         store = workplace.folder / f"fractal-{size}"
         shutil.rmtree(store, ignore_errors=True)
-        command = ["build", str(source), "--out", str(store), "--executor", workplace.executor]
-        figures[str(size)] = measure_process(command) | {"bytes_per_sample": round(store_bytes(store) / size**2, 2)}
+        figures[str(size)] = measure_process(build_arguments(source, store, workplace)) | {
+            "bytes_per_sample": round(store_bytes(store) / size**2, 2)
+        }
     small, large = (figures[str(size)] for size in sizes)
     figures["growth"] = {name: round(large[name] / small[name], 2) for name in ("seconds", "cpu_seconds")}
     figures["texture"] = measure_texture_build(given, workplace)
@@ -49,12 +50,9 @@ def measure_texture_build(given: Namespace, workplace: Workplace) -> dict[str, A
     """Measure a build with the texture of an image of 2N x 2N pixels. Its stages tell the seconds of geometry and texture apart."""
     image = AerialImage(2 * (given.size - 1), given.seed)
     terrain = write_fractal(workplace, FractalTerrain(given.size, given.seed))
-    source, store = workplace.folder / f"image-{image.size}.tif", workplace.folder / f"textured-{given.size}"
-    if not source.exists():
-        image.write(source)
+    source, store = write_image(workplace, image), workplace.folder / f"textured-{given.size}"
     shutil.rmtree(store, ignore_errors=True)
-    command = ["build", str(terrain), "--image", str(source), "--out", str(store), "--executor", workplace.executor]
-    figures = measure_process(command)
+    figures = measure_process(build_arguments(terrain, store, workplace, source))
     size = store_bytes(store / TEXTURE_FOLDER)
     workplace.texture = figures | {"pixels": image.size, "bytes_per_texel": round(size / image.size**2, 3)}
     return workplace.texture
@@ -82,37 +80,41 @@ def measure_extraction(given: Namespace, workplace: Workplace) -> dict[str, Any]
     build_fractal(workplace, FractalTerrain(given.size, given.seed)).close()
     folder = workplace.folder / f"fractal-{given.size}"
     figures = measure_process(["fly", str(folder), "--size", str(given.size), "--seed", str(given.seed)])
-    note = "squares: of the quadtree that hold a patch of their level; texture tiles of a cut are fewer"
-    return {"bounds": FLIGHT_BOUNDS} | figures | {"note": note}
+    return {"bounds": FLIGHT_BOUNDS} | figures
 
 
 def measure_kills(given: Namespace, workplace: Workplace) -> dict[str, Any]:
-    """Kill a build again and again at random moments, resume it, and compare the bytes with those of a build that nobody disturbed."""
-    size = min(given.size, 1025)
+    """Kill a build with a texture again and again at random moments, resume it, and compare the bytes with those of a build that nobody
+    disturbed."""
+    size = min(given.size, 2049)
     random = np.random.default_rng([given.seed, 60])
     source = write_fractal(workplace, FractalTerrain(size, given.seed))
+    image = write_image(workplace, AerialImage(2 * (size - 1), given.seed))
     undisturbed, killed = workplace.folder / "undisturbed", workplace.folder / "killed"
     for folder in (undisturbed, killed, killed.with_name("killed.build")):
         shutil.rmtree(folder, ignore_errors=True)
 
     def command(out: Path) -> list[str]:
-        return [sys.executable, str(SCRIPT), "build", str(source), "--out", str(out), "--executor", workplace.executor]
+        return [sys.executable, str(SCRIPT), *build_arguments(source, out, workplace, image)]
 
     started = time.perf_counter()
     _finish(command(undisturbed))
     seconds = time.perf_counter() - started
     expected = read_files(undisturbed)
-    figures: dict[str, Any] = {"size": size, "kills": 0, "orphans": 0, "finished_tasks": [], "builds": 0, "builds_with_same_bytes": 0}
+    figures: dict[str, Any] = {"size": size, "kills": 0, "orphans": 0, "builds": 0, "builds_with_same_bytes": 0}
+    figures |= {"finished_tasks": [], "finished_tiles": []}
     while figures["kills"] < given.kills or not killed.exists():
         if killed.exists():
             shutil.rmtree(killed)
         if figures["kills"] < given.kills:
-            delay = float(random.uniform(KILL_FROM, 1.0)) * seconds
+            delay = float(random.uniform(min(KILL_SECONDS, 0.3 * seconds), seconds))
             outcome = _kill(command(killed), delay)
             if outcome is not None:
                 figures["kills"] += 1
                 figures["orphans"] += outcome
-                figures["finished_tasks"].append(len(list(killed.with_name("killed.build").glob("blocks-*"))))
+                work = killed.with_name("killed.build")
+                figures["finished_tasks"].append(len(list(work.glob("blocks-*"))))
+                figures["finished_tiles"].append(len(list((work / "textures").rglob("*.tile"))))
         else:
             _finish(command(killed))
         if killed.exists():
@@ -120,6 +122,20 @@ def measure_kills(given: Namespace, workplace: Workplace) -> dict[str, Any]:
             figures["builds_with_same_bytes"] += read_files(killed) == expected
     figures["left_over"] = sorted(path.name for path in workplace.folder.glob("killed*") if path != killed)
     return figures
+
+
+def write_image(workplace: Workplace, image: AerialImage) -> Path:
+    """Return the file of an image, which is written if it does not exist yet."""
+    path = workplace.folder / f"image-{image.size}.tif"
+    if not path.exists():
+        image.write(path)
+    return path
+
+
+def build_arguments(source: Path, out: Path, workplace: Workplace, image: Path | None = None) -> list[str]:
+    """Return the arguments of bdam_measured.py for a build."""
+    textures = [] if image is None else ["--image", str(image)]
+    return ["build", str(source), "--out", str(out), "--executor", workplace.executor, *textures]
 
 
 def _kill(command: list[str], delay: float) -> int | None:

@@ -34,7 +34,7 @@ def measure_cracks(given: Namespace, workplace: Workplace) -> dict[str, Any]:
         viewer = draw_viewer(random, stores[0], terrains[0], exaggeration)
         for store, cache in zip(stores, caches, strict=True):
             cut = extract_cut(store, viewer, settings)
-            meshes = [cache.get(int(level), int(row)) for level, row in zip(cut.levels, cut.rows, strict=True)]
+            meshes = [cache.get(*key) for key in cut.list_patches()]
             figures["patches"] += len(meshes)
             figures["triangles"] += sum(len(mesh.triangles) for mesh in meshes)
             for name, count in count_faults(meshes, store.header.rows, store.header.columns).items():
@@ -46,14 +46,14 @@ def measure_cracks(given: Namespace, workplace: Workplace) -> dict[str, Any]:
 
 def count_faults(meshes: list[PatchMesh], rows: int, columns: int) -> dict[str, int]:
     """Return the number of faults of each kind where patches without holes are welded by the numbers of their vertices."""
-    ids = np.concatenate([mesh.ids for mesh in meshes])
+    ids = np.concatenate([mesh.ids for mesh in meshes]).astype(np.int64)
     order = np.argsort(ids, kind="stable")
     is_same = np.append(False, ids[order][1:] == ids[order][:-1])
     differ = {}
     for name, arrays in (("vertices_that_differ", "positions"), ("normals_that_differ", "normals")):
         values = np.concatenate([getattr(mesh, arrays) for mesh in meshes])[order]
         differ[name] = int((values[1:] != values[:-1]).any(axis=1)[is_same[1:]].sum())
-    triangles = np.concatenate([mesh.ids[mesh.triangles] for mesh in meshes])
+    triangles = np.concatenate([mesh.ids[mesh.triangles] for mesh in meshes]).astype(np.int64)
     start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     count = rows * columns
     forward, backward = start * count + end, end * count + start

@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bdam_stores import Workplace, build_store
-from bdam_terrains import CELL_SIZE, AerialImage, FractalTerrain
+from bdam_stores import Workplace, build_fractal
+from bdam_terrains import AerialImage, FractalTerrain
 from bdam_textures import build_texture_store
 
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 from farfield.addon.core.bdam.textures.store import TextureStore
 from farfield.addon.core.errors import FileError
 
-SIZE, PIXELS = 257, 1024  # of the terrain and of the image
+MAX_SIZE = 2049  # samples per side of the terrain; the image has two pixels per cell
 COUNTS = ("flips", "refused_on_opening", "found_on_opening", "found_by_verify", "found_on_reading", "not_found", "rest_unusable")
 
 Damage = tuple[set[str], set[str], set[str]]  # names of files that opening gives, all that `verify` gives, and of what cannot be read
@@ -27,11 +27,11 @@ def measure_flips(given: Namespace, workplace: Workplace) -> dict[str, Any]:
     `not_found` counts flips that neither opening nor `verify` finds, or where reading refuses other patches or tiles than `verify` names;
     `rest_unusable` those that make more than one patch or tile unreadable, or the whole store.
     """
-    random = np.random.default_rng([given.seed, 70])
-    build_store(workplace, f"flip-{SIZE}", FractalTerrain(SIZE, given.seed).read_all(), CELL_SIZE).close()
-    textures = build_texture_store(workplace.folder / "flip-textures", AerialImage(PIXELS, given.seed), "jpeg")
-    figures: dict[str, Any] = {}
-    for source, examine in ((workplace.folder / f"flip-{SIZE}", examine_patches), (textures, examine_tiles)):
+    random, size = np.random.default_rng([given.seed, 70]), min(given.size, MAX_SIZE)
+    build_fractal(workplace, FractalTerrain(size, given.seed)).close()
+    textures = build_texture_store(workplace.folder / "flip-textures", AerialImage(2 * (size - 1), given.seed), "jpeg")
+    figures: dict[str, Any] = {"size": size}
+    for source, examine in ((workplace.folder / f"fractal-{size}", examine_patches), (textures, examine_tiles)):
         for path in sorted(path for path in source.iterdir() if path.is_file()):
             figures[path.name] = flip_bytes(source, path.name, examine, random, given.flips)
     return figures

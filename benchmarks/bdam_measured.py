@@ -24,11 +24,13 @@ from bdam_terrains import CELL_SIZE, FractalTerrain
 from bdam_views import fly_over
 
 from farfield.addon.core.bdam.build.terrain_build import build_terrain
-from farfield.addon.core.bdam.cut_meshes import PatchCache, merge_patches
+from farfield.addon.core.bdam.cut_meshes import PatchCache
 from farfield.addon.core.bdam.extraction import CutSettings, extract_cut
 from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field
+from farfield.addon.core.bdam.patch_squares import find_leaf_squares
 from farfield.addon.core.bdam.settings import BdamSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
+from farfield.addon.core.bdam.tiles import TileGrouping, build_tile_mesh
 from farfield.addon.core.jobs.progress import run_to_end
 from lib import command_line
 
@@ -64,42 +66,35 @@ def build(given: Namespace) -> dict[str, Any]:
 
 
 def fly(given: Namespace) -> dict[str, Any]:
-    """Extract the cuts of a fly-over, and build their meshes."""
+    """Extract the cuts of a fly-over, and build the meshes of the tiles that change, as the engine does. All that are shown are kept."""
     figures: dict[str, Any] = {}
     with TerrainStore(given.path) as store:
-        viewers = list(fly_over(FractalTerrain(given.size, given.seed), store))
+        viewers, leaf_squares = list(fly_over(FractalTerrain(given.size, given.seed), store)), find_leaf_squares(store)
         for culls in (False, True):
             settings, cache = CutSettings(culls=culls), PatchCache(store)
+            grouping, shown = TileGrouping(store, leaf_squares), {}
             seconds, patches, triangles, tiles, mesh_seconds = [], [], [], [], []
             for viewer in viewers:
                 started = time.perf_counter()
                 cut = extract_cut(store, viewer, settings)
                 seconds.append(time.perf_counter() - started)
                 started = time.perf_counter()
-                meshes = [cache.get(int(level), int(row)) for level, row in zip(cut.levels, cut.rows, strict=True)]
-                merge_patches(meshes, cut.levels)
+                wanted = grouping.group(cut, {(0, 0, 0): None})
+                shown = {key: value for key, value in shown.items() if key in wanted and value[0] == wanted[key].signature}
+                for key in wanted.keys() - shown.keys():
+                    shown[key] = wanted[key].signature, build_tile_mesh(store, cache, key, wanted[key], settings.exaggeration)
                 mesh_seconds.append(time.perf_counter() - started)
                 patches.append(len(cut))
-                triangles.append(sum(len(mesh.triangles) for mesh in meshes))
-                tiles.append(count_tiles(store, cut.levels, cut.rows))
+                triangles.append(int(cut.count_triangles(store).sum()))
+                tiles.append(len(wanted))
             figures["culled" if culls else "everywhere"] = {
                 "extraction_ms": summarize([1e3 * value for value in seconds]),
-                "whole_mesh_ms": summarize([1e3 * value for value in mesh_seconds]),
+                "tile_meshes_ms": summarize([1e3 * value for value in mesh_seconds]),
                 "patches": summarize(patches),
                 "triangles": summarize(triangles),
-                "squares": summarize(tiles),
+                "tiles": summarize(tiles),
             }
     return {"frames": len(viewers)} | figures
-
-
-def count_tiles(store: TerrainStore, levels: np.ndarray, rows: np.ndarray) -> int:
-    """Return the number of squares of the quadtree that contain the patches of a cut: each patch counts for the square of its own level."""
-    squares = set()
-    for level in np.unique(levels):
-        corners = store.tree.triangle_corners(int(level), store.levels[level].indices[rows[levels == level]])
-        side = store.tree.side >> (int(level) // 2)
-        squares |= {(int(level) // 2, *square) for square in (corners.sum(axis=1) // (3 * side)).tolist()}
-    return len(squares)
 
 
 def summarize(values: list[float]) -> dict[str, float]:

@@ -1,6 +1,7 @@
 """Structures of large stores without patches, for `bench_bdam.py`: they take seconds instead of the minutes of a build, and cuts need
 nothing else."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -51,15 +52,12 @@ def write_fractal_structure(folder: Path, terrain: FractalTerrain) -> None:
     levels.reverse()
     folder.mkdir(parents=True)
     step, start = (CELL_SIZE, CELL_SIZE), (0.0, 0.0)
-    write_structure(
-        folder,
-        StoreHeader(*(terrain.size,) * 2, LEAF_CELLS, HEIGHT_STEP, 1.0, CELL_SIZE, "meters", "projected", start, step, start),
-        levels,
-    )
     with BlockWriter(folder / GEOMETRY_FILE, GEOMETRY_KIND) as writer:
         for _ in range(sum(len(level.indices) for level in levels)):
             writer.append(b"")
-        writer.finish(backs_up_index=True)
+        checksum = writer.finish(backs_up_index=True)
+    header = StoreHeader(*(terrain.size,) * 2, LEAF_CELLS, HEIGHT_STEP, 1.0, CELL_SIZE, "meters", "projected", start, step, start)
+    write_structure(folder, replace(header, geometry_checksum=checksum), levels)
 
 
 def read_ranges(terrain: FractalTerrain, tree: Tree) -> tuple[np.ndarray, np.ndarray]:

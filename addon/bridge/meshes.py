@@ -7,6 +7,7 @@ import bpy
 import numpy as np
 
 from ..core.errors import GeometryError
+from ..core.geometry.affine import transform_points
 from ..core.geometry.frames import frames_from_normals
 from ..core.geometry.mesh import MAX_COORDINATE, PointCloud, TriangleMesh, check_points, fingerprint
 from ..core.geometry.points import estimate_normals, splat_radii
@@ -139,7 +140,7 @@ def read_point_cloud(point_object: bpy.types.Object) -> Source:
     finally:
         evaluated.to_mesh_clear()
     with np.errstate(invalid="ignore"):  # the check reports coordinates that are not finite
-        points = mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3]
+        points = transform_points(matrix, mesh.vertices)
     check_points(points, point_object.name)
     cloud = PointCloud(points, _point_normals(mesh, matrix, points), _point_radii(mesh, matrix, points), _point_colors(mesh))
     is_too_large = np.isfinite(cloud.radii) & (np.abs(cloud.radii) > MAX_COORDINATE)
@@ -184,7 +185,7 @@ def concatenate_in_world_space(instances: list[SourceInstance]) -> TriangleMesh:
     offset = 0
     for instance in instances:
         mesh = instance.mesh
-        vertices.append(mesh.vertices.astype(np.float64) @ instance.matrix[:3, :3].T + instance.matrix[:3, 3])
+        vertices.append(transform_points(instance.matrix, mesh.vertices))
         triangles.append((mesh.triangles[:, ::-1] if instance.is_mirrored else mesh.triangles) + offset)
         indices = [-1 if key is None else material_indices.setdefault(key, len(material_indices)) for key in mesh.materials]
         materials.append(np.array(indices, np.int32)[mesh.material_indices])

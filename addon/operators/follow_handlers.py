@@ -2,6 +2,8 @@
 
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import bpy
@@ -148,6 +150,23 @@ def camera_property(tool: str) -> str:
 def follows_camera(terrain: TerrainRoot) -> bool:
     """Return whether a terrain follows the active camera."""
     return getattr(terrain.root, camera_property(terrain.tool))
+
+
+@contextmanager
+def paused_followers(scene: bpy.types.Scene) -> Iterator[None]:
+    """Let no terrain of a scene follow the active camera within the context, so that frames change quickly."""
+    paused = []
+    for tool in follow_tools.registered:
+        for terrain in tool.scene_terrains(scene):
+            if not terrain.read_only_reason and follows_camera(terrain):
+                setattr(terrain.root, camera_property(terrain.tool), False)
+                paused.append(terrain)
+    try:
+        yield
+    finally:
+        for terrain in paused:
+            if terrain.root is not None:
+                setattr(terrain.root, camera_property(terrain.tool), True)
 
 
 def register_tool(tool: FollowTool) -> None:

@@ -1,8 +1,9 @@
 """Damaged stores of large terrain: everything damaged is named, and the rest can be used without cracks."""
 
 import shutil
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,8 +12,11 @@ from hypothesis import strategies as st
 
 from farfield.addon.core.bdam.cut_files import extract_mesh
 from farfield.addon.core.bdam.engine import BdamEngine
-from farfield.addon.core.bdam.extraction import CutSettings
+from farfield.addon.core.bdam.extraction import CutSettings, extract_uniform_cut
+from farfield.addon.core.bdam.ground import StoreSurface
+from farfield.addon.core.bdam.heights import height_at
 from farfield.addon.core.bdam.settings import ViewSettings
+from farfield.addon.core.bdam.store.backups import backup_path
 from farfield.addon.core.bdam.store.blocks import HEADER_SIZE, BlockReader
 from farfield.addon.core.bdam.store.damaged_patches import find_limits
 from farfield.addon.core.bdam.store.patch_links import NO_PATCH
@@ -140,6 +144,52 @@ def read_tile(store: TerrainStore, number: int) -> np.ndarray:
     return np.frombuffer(store.textures.read_coded(number).color, np.uint8)
 
 
+@pytest.mark.parametrize(
+    "name", ["structure.bdam", "structure-backup.bdam", "textures/textures.structure", "textures/textures-backup.tiles"]
+)
+def test_a_missing_file_that_exists_twice_is_reported_and_costs_nothing(folder, contents, viewer, name):
+    path = folder / name
+    with moved_away(path):
+        with TerrainStore(folder) as store:
+            (damage,) = store.file_damages
+            assert damage.path == path and list(store.verify()) == [damage.name] and "or missing; nothing is lost" in damage.sentence
+            unreadable, read = read_all(store)
+            assert not unreadable and all(np.array_equal(read[label], contents[label]) for label in contents)
+        assert move(BdamEngine(folder, ViewSettings()), viewer)[0].warnings == (damage.sentence,)
+
+
+def test_without_structure_and_backup_a_folder_is_no_terrain(folder):
+    path = folder / "structure.bdam"
+    with moved_away(path), moved_away(backup_path(path)), pytest.raises(FileError, match="is no terrain built by Farfield"):
+        TerrainStore(folder)
+
+
+@contextmanager
+def moved_away(path):
+    """Give a file another name in the block."""
+    path.rename(path.with_suffix(".away"))
+    try:
+        yield
+    finally:
+        path.with_suffix(".away").rename(path)
+
+
+@pytest.fixture(scope="module")
+def other(tmp_path_factory):
+    """The store of another terrain with as many patches."""
+    return build_store(tmp_path_factory.mktemp("stores") / "other", hills(SIZE, SIZE, seed=2))
+
+
+@pytest.mark.parametrize("names", [(GEOMETRY_FILE,), (GEOMETRY_FILE, backup_path(Path(GEOMETRY_FILE)).name)])
+def test_the_geometry_of_another_terrain_with_as_many_patches_is_refused(folder, other, names):
+    with ExitStack() as stack:
+        for name in names:
+            stack.enter_context(damaged(folder / name, (other / name).read_bytes()))
+        with pytest.raises(FileError, match="belong to different terrains; build the terrain again"):
+            TerrainStore(folder)
+    TerrainStore(folder).close()
+
+
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 12))
 def test_cuts_avoid_any_damaged_patches_without_cracks(folder, viewer, seed, count):
@@ -153,6 +203,29 @@ def test_cuts_avoid_any_damaged_patches_without_cracks(folder, viewer, seed, cou
             extracted = run_to_end(extract_mesh(store, viewer, CutSettings(tolerance)))
             assert np.isclose(area_of(extracted.mesh), AREA), "patches replace all damaged ones, as the roots are intact"
             assert all(any(f"{label} " in sentence for label in labels) for sentence in extracted.warnings)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 12))
+def test_the_ground_over_damaged_leaves_is_that_of_the_coarser_patches_that_replace_them(folder, seed, count):
+    random = np.random.default_rng(seed)
+    with TerrainStore(folder) as store:
+        points = np.stack(store.frame.to_local(*random.integers(0, SIZE, (2, 400))), axis=1)  # at samples, where errors are measured
+        numbers = random.choice(np.arange(*store.links.starts[-2:]), count, replace=False)
+        intact_heights, _ = height_at(store, points)
+    with damaged_patches(folder, numbers), TerrainStore(folder) as store:
+        labels = set(store.verify())
+        surface = StoreSurface(store, 2.0)
+        heights, normals = surface.find(points)
+        assert np.isfinite(heights).all() and np.allclose(np.linalg.norm(normals, axis=1), 1.0)
+        assert len(surface.damages) == store.damage_count
+        assert all(any(f"{label} " in sentence for label in labels) for sentence in surface.damages)
+        cut = extract_uniform_cut(store, 0.0)
+        assert np.allclose(heights, 2.0 * height_at(store, points, cut)[0])
+        allowed = cut.max_error + 1e-5 * np.abs(intact_heights).max()
+        assert (np.abs(heights / 2.0 - intact_heights) <= allowed).all()
+        again, _ = surface.find(points)
+        assert np.array_equal(again, heights)
 
 
 @settings(max_examples=100)
@@ -172,7 +245,7 @@ def test_limits_are_consistent(intact, seed, fraction):
     assert not is_damaged[shown].any(), "the finest patches that can be shown are intact, except for roots"
 
 
-@pytest.mark.parametrize(("tolerance", "level"), [(0.1, 6), (20.0, 4), (100.0, 1)])
+@pytest.mark.parametrize(("tolerance", "level"), [(0.1, 6), (12.0, 4), (100.0, 1)])
 def test_the_engine_replaces_damaged_patches_and_names_them(folder, viewer, tolerance, level):
     with TerrainStore(folder) as store:
         numbers = np.arange(*store.links.starts[level : level + 2])[::2]

@@ -1,5 +1,8 @@
 """The store of texture tiles names what is damaged, keeps the rest, and holds the errors that were promised."""
 
+import shutil
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -88,20 +91,29 @@ def test_a_store_whose_structure_and_backup_are_damaged_is_refused(store_folder)
 
 def test_files_that_do_not_belong_together_are_refused(store_folder):
     with BlockReader(store_folder / STRUCTURE_FILE, STRUCTURE_KIND) as reader:
-        blocks = [reader.read(number, "") for number in range(5)]
+        blocks = [reader.read(number, "") for number in range(len(reader))]
     for changed in (
-        [blocks[0], *(block[: len(block) * 4 // 5] for block in blocks[1:])],
+        [blocks[0], *(block[: len(block) * 4 // 5] for block in blocks[1:5]), blocks[5]],
         [b"{}", *blocks[1:]],
-        blocks[:4],
-        [blocks[0]] * 5,
+        blocks[:5],
+        [blocks[0]] * 6,
+        [*blocks[:5], bytes(4)],
     ):
         with BlockWriter(store_folder / STRUCTURE_FILE, STRUCTURE_KIND) as writer:
             for block in changed:
                 writer.append(block)
             writer.finish()
         copy_to_backup(store_folder / STRUCTURE_FILE)
-        with pytest.raises(FileError, match="damaged"):
+        with pytest.raises(FileError, match=r"damaged|belong to different textures"):
             TextureStore(store_folder)
+
+
+def test_tiles_of_other_textures_are_refused(store_folder, tmp_path_factory, pixels):
+    other = write_store(tmp_path_factory.mktemp("other"), pixels[::-1])
+    for name in (TILES_FILE, backup_path(Path(TILES_FILE)).name):
+        shutil.copy(other / name, store_folder / name)
+    with pytest.raises(FileError, match="belong to different textures; build the terrain again"):
+        TextureStore(store_folder)
 
 
 def test_an_unfinished_build_is_not_a_store(tmp_path):

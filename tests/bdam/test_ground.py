@@ -1,5 +1,6 @@
 """Objects, vertices and points that are put on large terrain: exactly on the ground, whatever their parents and the root's transforms."""
 
+import re
 import shutil
 
 import bpy
@@ -11,7 +12,8 @@ from farfield.addon.bridge.bdam.ground import find_base
 from farfield.addon.bridge.bdam.objects import STORE_KEY, SceneTerrain
 from farfield.addon.bridge.mesh_arrays import read_positions
 from farfield.addon.core.bdam.heights import height_at
-from farfield.addon.core.bdam.store.terrain_store import TerrainStore
+from farfield.addon.core.bdam.store.blocks import HEADER_SIZE, BlockReader
+from farfield.addon.core.bdam.store.terrain_store import GEOMETRY_FILE, GEOMETRY_KIND, TerrainStore
 from small_terrain_stores import build_store, hills
 
 pytest.importorskip("zstandard")
@@ -173,6 +175,25 @@ def test_objects_outside_and_over_holes_stay(terrain, capsys):
     select(outside)
     with pytest.raises(RuntimeError, match="above or below"):
         bpy.ops.farfield.bdam_drop()
+
+
+def test_coarser_patches_are_used_instead_of_damaged_ones_and_reported(folder, tmp_path, capsys):
+    copy = shutil.copytree(folder, tmp_path / "damaged")
+    with BlockReader(copy / GEOMETRY_FILE, GEOMETRY_KIND) as reader:
+        ends = HEADER_SIZE + np.cumsum(reader.sizes)
+    with TerrainStore(folder) as store:
+        leaves = slice(int(store.links.starts[-2]), None)
+        coarse = store.levels[-2].errors.max()
+    terrain = load(copy)
+    content = bytearray((copy / GEOMETRY_FILE).read_bytes())
+    for end in ends[leaves].tolist():
+        content[end - 1] ^= 1
+    (copy / GEOMETRY_FILE).write_bytes(content)
+    item = add_cube((10.0, 30.0, 0.0))  # at a sample, where errors are measured
+    expected, _ = ground_below(terrain, folder, position(item))
+    drop(item)
+    assert abs(position(item)[2] - expected[0, 2]) <= EXAGGERATION * coarse + TOLERANCE
+    assert re.search(r"Put 1 object on the ground. Used coarser patches in 1 damaged place. The patch \d+/\d+ in", capsys.readouterr().out)
 
 
 def test_locked_objects_are_counted(terrain, capsys):

@@ -9,6 +9,7 @@ import bpy
 import mathutils
 import numpy as np
 
+from ...core.geometry.affine import inverse_transform_points, transform_points
 from ..mesh_arrays import read_attribute
 from ..mesh_pool import is_local
 from .objects import SceneTerrain
@@ -49,11 +50,11 @@ class TerrainSpace:
 
     def to_terrain(self, points: np.ndarray) -> np.ndarray:
         """Return world positions (N, 3) in the space of the terrain, float64."""
-        return np.linalg.solve(self.matrix[:3, :3], (points - self.matrix[:3, 3]).T).T + self.origin
+        return inverse_transform_points(self.matrix, points) + self.origin
 
     def to_world(self, points: np.ndarray) -> np.ndarray:
         """Return positions (N, 3) of the terrain in world space, float64."""
-        return (points - self.origin) @ self.matrix[:3, :3].T + self.matrix[:3, 3]
+        return transform_points(self.matrix, points - self.origin)
 
     def normals_to_world(self, normals: np.ndarray) -> np.ndarray:
         """Return unit normals (N, 3) of the terrain in world space."""
@@ -82,7 +83,7 @@ def find_base(item: bpy.types.Object, matrix: np.ndarray, up: np.ndarray, uses_b
     corners = np.array(item.bound_box, np.float64)
     if not uses_bottom or item.data is None or not np.ptp(corners, axis=0).any():
         return matrix[:3, 3].copy()
-    corners = corners @ matrix[:3, :3].T + matrix[:3, 3]
+    corners = transform_points(matrix, corners)
     center = corners.mean(axis=0)
     return center + up * ((corners @ up).min() - center @ up)
 
@@ -115,9 +116,7 @@ def is_at(item: bpy.types.Object, target: np.ndarray, up: np.ndarray, uses_botto
 def read_points(item: bpy.types.Object) -> np.ndarray:
     """Return the vertices of a mesh or the points of a point cloud, (N, 3) float64 in world space."""
     attribute = item.data.attributes.get("position")
-    points = read_attribute(attribute).astype(np.float64) if attribute is not None else np.zeros((0, 3))
-    matrix = np.array(item.matrix_world, np.float64)
-    return points @ matrix[:3, :3].T + matrix[:3, 3]
+    return transform_points(item.matrix_world, read_attribute(attribute) if attribute is not None else np.zeros((0, 3)))
 
 
 def count_points(item: bpy.types.Object) -> int:
@@ -129,9 +128,8 @@ def count_points(item: bpy.types.Object) -> int:
 def write_points(item: bpy.types.Object, points: np.ndarray, is_moved: np.ndarray) -> None:
     """Set those vertices or points of an object, by their world positions (N, 3), that are moved, (N,) bool; the others stay exactly."""
     attribute = item.data.attributes["position"]
-    matrix = np.array(item.matrix_world, np.float64)
     positions = read_attribute(attribute)
-    positions[is_moved] = np.linalg.solve(matrix[:3, :3], (points[is_moved] - matrix[:3, 3]).T).T
+    positions[is_moved] = inverse_transform_points(item.matrix_world, points[is_moved])
     attribute.data.foreach_set("vector", positions.ravel())
     item.data.update_tag()
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from ...compat import enable_nodes
 from ...core.files.filenames import safe_filename, unique_filenames
+from ...core.geometry.affine import transform_points
 from ...core.imaging.images import dilate
 from ..images import create_image, read_pixels
 from ..mesh_arrays import read_positions, read_uvs, read_values
@@ -116,7 +117,7 @@ def _format_shape(level: bpy.types.Object, material: str, first_vertex: int) -> 
     """Return vertices, UVs and polygons of one level as lines of an `.obj`."""
     mesh = level.data
     matrix = np.array(level.matrix_basis)  # levels have no parent; world matrices of hidden objects are not up to date
-    positions = read_positions(mesh) @ matrix[:3, :3].T + matrix[:3, 3]
+    positions = transform_points(matrix, read_positions(mesh))
     lines = [f"v {x:.9g} {z:.9g} {-y:.9g}" for x, y, z in positions]
     lines += [f"vt {u:.7g} {v:.7g}" for u, v in read_uvs(mesh.uv_layers[0])]
     lines += [f"usemtl {material}"]

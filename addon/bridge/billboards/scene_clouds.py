@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import bpy
 import numpy as np
 
+from ...core.geometry.affine import transform_points
 from ...core.geometry.cameras import Camera, choose_level, distance_to_box
 from .. import lod_crossfade, meshes, transparent_bounces
 from ..source_links import SourceIndex, find_sources
@@ -94,8 +95,7 @@ class SceneCloud:
     def distance(self, position: np.ndarray) -> float:
         """Return the distance from `position` (3,) in world space to the bounding box of the cloud."""
         level = next((level for level in self.levels if not level.hide_viewport), self.levels[0])
-        matrix = np.array(level_world_matrix(level))
-        corners = np.array(level.bound_box) @ matrix[:3, :3].T + matrix[:3, 3]
+        corners = transform_points(level_world_matrix(level), level.bound_box)
         return distance_to_box(position, corners.min(axis=0), corners.max(axis=0))
 
     def add_crossfade(self, context: bpy.types.Context, fade_range: float) -> None:

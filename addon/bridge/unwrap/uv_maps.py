@@ -7,6 +7,7 @@ import idprop
 import numpy as np
 
 from ...core.errors import GeometryError
+from ...core.geometry.affine import transform_points
 from ...core.geometry.mesh import TriangleMesh
 from ..mesh_arrays import read_attribute, read_loop_triangles, read_loop_vertices, read_positions, read_uvs, read_values, write_uvs
 from ..meshes import describe_type, is_in_view_layer
@@ -60,7 +61,7 @@ def read_uv_target(item: bpy.types.Object, vertex_group: str | None) -> UvTarget
         raise GeometryError(f'"{item.name}" has no {"selected " if is_editing else ""}faces to unwrap; select some.')
     matrix = np.array(item.matrix_world, np.float64)
     with np.errstate(invalid="ignore"):  # a later check reports coordinates that are not finite
-        positions = read_positions(mesh).astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+        positions = transform_points(matrix, read_positions(mesh))
         is_mirrored = np.linalg.det(matrix[:3, :3]) < 0.0
     return UvTarget(
         mesh_uid=mesh.session_uid,

@@ -61,10 +61,10 @@ def extract_mesh(store: TerrainStore, viewer: Viewer, settings: CutSettings) -> 
 def _read_patches(cache: PatchCache, cut: Cut) -> Steps[tuple[list[PatchMesh], np.ndarray]]:
     """Return the patches of a cut that can be read, and their levels (N,)."""
     meshes, levels = [], []
-    for index, (level, row) in enumerate(zip(cut.levels.tolist(), cut.rows.tolist(), strict=True)):
+    for index, key in enumerate(cut.list_patches()):
         if index % PROGRESS_PATCHES == 0:
             yield Progress(index / len(cut), "Reading patches")
         with suppress(FileError):  # the store keeps the sentence
-            meshes.append(cache.get(level, row))
-            levels.append(level)
+            meshes.append(cache.get(*key))
+            levels.append(key[0])
     return meshes, np.array(levels)

@@ -8,19 +8,20 @@ import numpy as np
 
 from .extraction import Cut
 from .store.patch_codec import Patch
+from .store.patch_outlines import triangulate_outline
 from .store.terrain_store import TerrainStore
 from .triangle_gradients import weigh_gradients
 
-DEFAULT_CACHE_BYTES = 64 << 20
+DEFAULT_CACHE_BYTES = 48 << 20  # more than what a cut of a million triangles needs
 
 
 @dataclass(frozen=True)
 class PatchMesh:
     """A patch ready to be shown, without holes.
 
-    ids: (V,) int64, numbers of the vertices in the grid: row * columns + column. positions: (V, 3) float64, local meters without
-    exaggeration. normals: (V, 3) float32. triangles: (T, 3) int32, counterclockwise seen from above. boundary: (B,) int32, the vertices
-    that other patches may have, too.
+    ids: (V,) int32, or int64 in large grids, numbers of the vertices in the grid: row * columns + column. positions: (V, 3) float64, local
+    meters without exaggeration. normals: (V, 3) float32. triangles: (T, 3) int32, counterclockwise seen from above. boundary: (B,) int32,
+    the vertices that other patches may have, too.
     """
 
     ids: np.ndarray
@@ -39,7 +40,7 @@ class PatchMesh:
 class CutMesh:
     """The union of patches, whose common vertices are merged.
 
-    ids, positions, normals: see `PatchMesh`. triangles: (T, 3) int32. levels: (T,) int8, levels of the patches.
+    ids: (V,) int64. positions, normals: see `PatchMesh`. triangles: (T, 3) int32. levels: (T,) int8, levels of the patches.
     """
 
     ids: np.ndarray
@@ -54,7 +55,7 @@ class PatchCache:
 
     def __init__(self, store: TerrainStore, max_bytes: int = DEFAULT_CACHE_BYTES) -> None:
         self._store, self._max_bytes = store, max_bytes
-        self._meshes: OrderedDict[tuple[int, int], PatchMesh] = OrderedDict()
+        self._meshes: OrderedDict[tuple[int, int, bool], PatchMesh] = OrderedDict()
         self._bytes = 0
         self._lock = threading.Lock()
 
@@ -68,27 +69,30 @@ class PatchCache:
         """Bytes of patches that may be kept."""
         return self._max_bytes
 
-    def touch(self, level: int, row: int) -> int | None:
+    def touch(self, level: int, row: int, is_outline: bool = False) -> int | None:
         """Keep a patch as if it had just been used. Returns its bytes, None if it is not there."""
+        key = (level, row, is_outline)
         with self._lock:
-            mesh = self._meshes.get((level, row))
+            mesh = self._meshes.get(key)
             if mesh is None:
                 return None
-            self._meshes.move_to_end((level, row))
+            self._meshes.move_to_end(key)
             return mesh.byte_count
 
-    def get(self, level: int, row: int) -> PatchMesh:
-        """Return the mesh of a patch.
+    def get(self, level: int, row: int, is_outline: bool = False) -> PatchMesh:
+        """Return the mesh of a patch, or of its outline.
 
         Raises:
             FileError: the patch is damaged.
         """
-        key = (level, row)
+        key = (level, row, is_outline)
         with self._lock:
             if key in self._meshes:
                 self._meshes.move_to_end(key)
                 return self._meshes[key]
-        mesh = build_patch_mesh(self._store, self._store.read(level, row))
+        patch = self._store.read(level, row)
+        outline = triangulate_outline(patch, self._store.corners_of(level, row)) if is_outline else None
+        mesh = build_patch_mesh(self._store, patch) if outline is None else build_outline_mesh(self._store, patch, outline)
         with self._lock:
             if key not in self._meshes:
                 self._meshes[key] = mesh
@@ -100,19 +104,39 @@ class PatchCache:
 
 def build_patch_mesh(store: TerrainStore, patch: Patch) -> PatchMesh:
     """Return the mesh of a patch. Normals on its boundary come from the store, so that neighbors agree; the others from its triangles."""
-    positions = store.to_local(patch)
-    ids = patch.y.astype(np.int64) * store.header.columns + patch.x
+    positions = store.to_local(patch.x, patch.y, patch.z)
+    ids = _number_vertices(store, patch.x, patch.y)
     boundary = patch.boundary
     gradients = vertex_gradients(positions, patch.triangles)
     stored = patch.gradients * store.header.height_step
     gradients[:, boundary] = store.frame.to_local_gradients(patch.x[boundary], patch.y[boundary], stored).T
-    normals = np.empty((len(ids), 3), np.float32)
+    triangles = patch.triangles[~patch.is_hole] if patch.is_hole.any() else patch.triangles
+    return PatchMesh(ids, positions, _to_normals(gradients), triangles, boundary)
+
+
+def build_outline_mesh(store: TerrainStore, patch: Patch, triangles: np.ndarray) -> PatchMesh:
+    """Return the mesh of the outline of a patch with the triangles (T, 3) that `triangulate_outline` returns."""
+    x, y, z = (values[patch.boundary] for values in (patch.x, patch.y, patch.z))
+    gradients = store.frame.to_local_gradients(x, y, patch.gradients * store.header.height_step).T
+    boundary = np.arange(len(x), dtype=np.int32)
+    return PatchMesh(_number_vertices(store, x, y), store.to_local(x, y, z), _to_normals(gradients), triangles, boundary)
+
+
+def _number_vertices(store: TerrainStore, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the numbers (V,) of vertices in the grid; see `PatchMesh`."""
+    rows, columns = store.header.rows, store.header.columns
+    dtype = np.int32 if rows * columns <= np.iinfo(np.int32).max else np.int64
+    return y.astype(dtype) * dtype(columns) + x.astype(dtype)
+
+
+def _to_normals(gradients: np.ndarray) -> np.ndarray:
+    """Return unit normals (V, 3) float32 of gradients (2, V) float64."""
+    normals = np.empty((gradients.shape[1], 3), np.float32)
     scale = 1.0 / np.sqrt(1.0 + gradients[0] * gradients[0] + gradients[1] * gradients[1])
     normals[:, 2] = scale
     np.multiply(gradients[0], -scale, out=normals[:, 0], casting="same_kind")
     np.multiply(gradients[1], -scale, out=normals[:, 1], casting="same_kind")
-    triangles = patch.triangles[~patch.is_hole] if patch.is_hole.any() else patch.triangles
-    return PatchMesh(ids, positions, normals, triangles, boundary)
+    return normals
 
 
 def vertex_gradients(positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -138,7 +162,7 @@ def merge_patches(meshes: list[PatchMesh], levels: np.ndarray) -> CutMesh:
     numbers[boundary] = numbers[boundary[first]][inverse.reshape(-1)]
     kept = np.flatnonzero(is_kept)
     return CutMesh(
-        ids[kept],
+        ids[kept].astype(np.int64),
         np.concatenate([mesh.positions for mesh in meshes]).take(kept, axis=0),
         np.concatenate([mesh.normals for mesh in meshes]).take(kept, axis=0),
         numbers.take(np.concatenate([mesh.triangles + np.int32(start) for mesh, start in zip(meshes, starts, strict=True)])),
@@ -162,4 +186,4 @@ def build_cut_mesh(cache: PatchCache, cut: Cut) -> CutMesh:
     Raises:
         FileError: a patch is damaged.
     """
-    return merge_patches([cache.get(int(level), int(row)) for level, row in zip(cut.levels, cut.rows, strict=True)], cut.levels)
+    return merge_patches([cache.get(*key) for key in cut.list_patches()], cut.levels)

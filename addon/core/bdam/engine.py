@@ -15,9 +15,9 @@ from ..jobs.progress import Progress, Steps
 from .cut_meshes import PatchCache
 from .extraction import Cut, CutSettings, IsForced, extract_cut
 from .patch_squares import find_leaf_squares
-from .prefetching import PatchesAhead, Prefetch, TexturesAhead, patch_keys
+from .prefetching import PatchesAhead, Prefetch, TexturesAhead
 from .settings import ViewSettings
-from .store.structure import STRUCTURE_FILE
+from .store.structure import find_structure
 from .store.terrain_store import TerrainStore
 from .texture_cuts import TextureCut, TextureSelector
 from .texture_files import TextureFiles
@@ -81,7 +81,7 @@ class BdamEngine:
         """
         self.folder, self.settings = folder, settings
         self.store = TerrainStore(folder)
-        self._identity = f"{folder}|{(folder / STRUCTURE_FILE).stat().st_mtime_ns}"
+        self._identity = f"{folder}|{find_structure(folder).stat().st_mtime_ns}"
         self.finished_blocks: SimpleQueue[tuple[TileKey, TileBlock]] = SimpleQueue()
         self.figures: Figures | None = None
         self._cache = PatchCache(self.store)
@@ -159,7 +159,7 @@ class BdamEngine:
         if self._present is None or self._motion.predict(seconds) is None:
             return
         texture_cut, cut = self._present
-        patches = Prefetch(PatchesAhead(self.store, self._cache), patch_keys(cut))
+        patches = Prefetch(PatchesAhead(self.store, self._cache), cut.list_patches())
         textures = Prefetch(TexturesAhead(self._texture_files), _texture_keys(texture_cut)) if self._texture_files is not None else None
         for number in range(1, PREFETCH_CUTS + 1):
             yield Progress((number - 1) / PREFETCH_CUTS, "Reading ahead")
@@ -168,7 +168,7 @@ class BdamEngine:
             texture_cut, is_forced = self._choose_textures(viewer, settings)
             # with the tolerance that the triangle budget has led to, which changes slowly
             cut = extract_cut(self.store, viewer, replace(settings, tolerance=self.figures.tolerance), is_forced)
-            yield from patches.read(patch_keys(cut))
+            yield from patches.read(cut.list_patches())
             if textures is not None:
                 yield from textures.read(_texture_keys(texture_cut))
 
@@ -273,8 +273,7 @@ class BdamEngine:
 
     def _count_triangles(self, cut: Cut) -> int:
         """Return the number of triangles of a cut, holes included."""
-        levels = np.unique(cut.levels).tolist()
-        return sum(int(self.store.levels[level].counts[cut.rows[cut.levels == level], 1].sum()) for level in levels)
+        return int(cut.count_triangles(self.store).sum())
 
     def _measure_clearance(self, cut: Cut, viewer: Viewer) -> float:
         """Return the distance in meters from a viewer to the nearest patch, at least the size of a cell."""

@@ -1,8 +1,8 @@
 """View-dependent cuts through the bintrees (BDAM, section 4), found level by level for all patches at once.
 
-A patch is refined if its error, seen from the point of its bounding box nearest to the viewer, is larger than the tolerance. A cut fits
-without cracks if the two patches of a diamond are refined together. The paper achieves that by errors and spheres which are nested across
-diamonds; here, refinement spreads to the other patches of diamonds instead, which needs fewer patches because bounding boxes stay small.
+A patch is refined if its error covers more pixels than the tolerance, see `projected_errors`. A cut fits without cracks
+if the two patches of a diamond are refined together. The paper achieves that by errors and spheres which are nested across diamonds; here,
+refinement spreads to the other patches of diamonds instead, which needs fewer patches because bounding boxes stay small.
 
 Cuts avoid patches that could not be read, see `store.damaged_patches`. Their errors may then be larger than the tolerance.
 """
@@ -15,42 +15,42 @@ import numpy as np
 
 from ..geometry.viewers import Viewer
 from ..jobs.progress import Progress, Steps
+from .projected_errors import CutSettings, ProjectedErrors
 from .store.patch_links import NO_PATCH
 from .store.terrain_store import TerrainStore
-
-MIN_DEPTH = 1e-3  # meters. Errors stay finite, so that a tolerance that fits a triangle budget exists also around the viewer
-
-
-@dataclass(frozen=True)
-class CutSettings:
-    """How a cut is chosen.
-
-    tolerance: pixels. exaggeration: factor of heights. culls: whether patches outside of the view stay coarse. margin: by which the view
-    that culls is larger on every side, as a fraction of its size.
-    """
-
-    tolerance: float = 1.0
-    exaggeration: float = 1.0
-    culls: bool = False
-    margin: float = 0.0
 
 
 @dataclass(frozen=True)
 class Cut:
     """Patches that cover the terrain once.
 
-    levels, rows: (N,) int64, the patches, see `TerrainStore.levels`. max_error: pixels, the largest error of a patch that could be refined.
+    levels, rows: (N,) int64, the patches, see `TerrainStore.levels`. is_outline: (N,) bool, patches of which only the outline is shown,
+    because the view culls all of them. max_error: pixels, the largest error of a patch that could be refined.
     """
 
     levels: np.ndarray
     rows: np.ndarray
+    is_outline: np.ndarray
     max_error: float
 
     def __len__(self) -> int:
         return len(self.levels)
 
+    def list_patches(self) -> list[tuple[int, int, bool]]:
+        """Return the level and row of each patch, and whether its outline is shown."""
+        return list(zip(self.levels.tolist(), self.rows.tolist(), self.is_outline.tolist(), strict=True))
+
+    def count_triangles(self, store: TerrainStore) -> np.ndarray:
+        """Return the number of triangles of each patch as it is shown, holes included, (N,) int64."""
+        counts = np.empty(len(self), np.int64)
+        for level in np.unique(self.levels).tolist():
+            is_level = self.levels == level
+            counts[is_level] = store.levels[level].counts[self.rows[is_level], np.where(self.is_outline[is_level], 2, 1)]
+        return counts
+
 
 Measure = Callable[[np.ndarray], np.ndarray]  # from numbers (N,) of patches, see `store.patch_links`, to their errors (N,)
+AreVisible = Callable[[np.ndarray], np.ndarray]  # from numbers (N,) of patches to whether more than their outlines is shown, (N,) bool
 IsForced = Callable[[int, np.ndarray], np.ndarray]  # from a level and rows (N,) to whether these patches must be refined, (N,) bool
 
 
@@ -60,7 +60,8 @@ def extract_cut(store: TerrainStore, viewer: Viewer, settings: CutSettings, is_f
     is_forced: patches that must be refined whatever their error, such as those that are larger than the texture tiles in the same place. If
         it is true of a patch, it should be true of the parent, too: only children of refined patches are asked for.
     """
-    return _extract(store, ProjectedErrors(store, viewer, settings), settings.tolerance, is_forced)
+    measure = ProjectedErrors(store, viewer, settings)
+    return _extract(store, measure, settings.tolerance, is_forced, measure.are_surfaces_visible)
 
 
 def extract_union_cut(
@@ -85,90 +86,16 @@ def extract_union_cut(
     return replace(cut, max_error=largest)
 
 
-class ProjectedErrors:
-    """The errors in pixels that decide about a cut for a viewer in the local frame; 0 for patches that are culled.
-
-    They are upper bounds of how far in the image any sample of the field inside of it moves vertically to the surface of the patch. They
-    never grow from a patch to its descendants, because the errors and boxes of a store are nested.
-
-    A sample p that moves up by e to q moves by e |u + w(p) v| / depth(q) in the image plane at depth 1, where u and v are the changes
-    across and along the view direction of a vertical unit length, and w is the place in the image plane. A corner of the image has the
-    largest factor. p and q are in the bounding box; q has at least the depth of its nearest corner, and at least that of p less e |v|.
-    The depth of p in the image is at least the distance of the box times the cosine of the angle to a corner of the image.
-    """
-
-    def __init__(self, store: TerrainStore, viewer: Viewer, settings: CutSettings) -> None:
-        self._store, self._culls = store, settings.culls
-        exaggeration, projection = settings.exaggeration, viewer.projection
-        shortest, longest = viewer.scale_range
-        density = max(projection.pixel_densities)
-        across, along = viewer.inverse[:2, 2], abs(float(viewer.inverse[2, 2]))
-        self._is_constant, self._depth_per_meter, self._loss = projection.kind == "orthographic", shortest, 0.0
-        if projection.kind == "orthographic":
-            scale = density * float(np.hypot(*across))
-        elif projection.kind == "panoramic":
-            scale = density * longest
-        else:
-            left, right, bottom, top = projection.window
-            corners = np.array([(x, y) for x in (left, right) for y in (bottom, top)])
-            scale = density * float(np.linalg.norm(across + corners * viewer.inverse[2, 2], axis=1).max())
-            self._depth_per_meter = shortest / float(np.sqrt(1.0 + (corners**2).sum(axis=1).max()))
-            self._loss = exaggeration * along
-        self._scale = scale * exaggeration
-        self._weights, self._offsets = self._create_functions(viewer, settings)
-
-    def _create_functions(self, viewer: Viewer, settings: CutSettings) -> tuple[np.ndarray, np.ndarray]:
-        """Return weights (K, 7) and offsets (K, 1) of linear functions of the bounds of a patch: along each axis, how far the box lies
-        before and behind the viewer (6); the depth of its nearest corner (1); and the largest distances to the planes that cull (P)."""
-        planes = view_planes(viewer, settings.margin) if settings.culls else np.zeros((0, 4))
-        position = viewer.position
-        weights = np.zeros((7 + len(planes), 7))
-        weights[0:3, 0:3], weights[3:6, 3:6] = np.eye(3), -np.eye(3)
-        depth = -viewer.inverse[2]
-        weights[6, 0:3], weights[6, 3:6] = np.maximum(depth[:3], 0.0), np.minimum(depth[:3], 0.0)
-        weights[7:, 0:3], weights[7:, 3:6] = np.minimum(planes[:, :3], 0.0), np.maximum(planes[:, :3], 0.0)
-        weights[:, [2, 5]] *= settings.exaggeration
-        offsets = np.concatenate([-position, position, depth[3:], planes[:, 3]])
-        return weights, offsets[:, None]
-
-    def __call__(self, patches: np.ndarray) -> np.ndarray:
-        """Return the errors (N,) float64 of patches, given by their numbers (N,)."""
-        bounds = self._store.bounds.take(patches, axis=0).T.astype(np.float64)
-        values = self._weights @ bounds
-        values += self._offsets
-        pixels = bounds[6] * self._scale
-        if not self._is_constant:
-            offsets = np.maximum(values[0:3], values[3:6])
-            np.maximum(offsets, 0.0, out=offsets)
-            depths = np.sqrt(np.einsum("ij,ij->j", offsets, offsets))
-            depths *= self._depth_per_meter
-            if self._loss:
-                depths -= bounds[6] * self._loss
-                np.maximum(depths, values[6], out=depths)
-            pixels /= np.maximum(depths, MIN_DEPTH, out=depths)
-        if self._culls:
-            pixels[(values[7:] < 0.0).any(axis=0)] = 0.0
-        return pixels
-
-
-def view_planes(viewer: Viewer, margin: float) -> np.ndarray:
-    """Return the planes (P, 4), positive inside, of the frustum of an image that is larger on every side by a fraction of its size."""
-    if viewer.projection.kind == "panoramic":
-        return viewer.frustum_planes()
-    left, right, bottom, top = viewer.projection.window
-    x, y = margin * (right - left), margin * (top - bottom)
-    window = (left - x, right + x, bottom - y, top + y)
-    return replace(viewer, projection=replace(viewer.projection, window=window)).frustum_planes()
-
-
 def extract_uniform_cut(store: TerrainStore, max_error: float) -> Cut:
     """Return the coarsest consistent cut whose patches have an error of at most `max_error` meters everywhere."""
     return _extract(store, lambda patches: store.bounds[patches, 6].astype(np.float64), max_error)
 
 
-def _extract(store: TerrainStore, measure: Measure, tolerance: float, is_forced: IsForced | None = None) -> Cut:
+def _extract(
+    store: TerrainStore, measure: Measure, tolerance: float, is_forced: IsForced | None = None, are_visible: AreVisible | None = None
+) -> Cut:
     """Return the coarsest consistent cut whose patches have at most this error according to `measure`, without forced ones."""
-    return _build_cut(store, _complete(store, _find_refined(store, measure, tolerance, is_forced)), measure)
+    return _build_cut(store, _complete(store, _find_refined(store, measure, tolerance, is_forced)), measure, are_visible)
 
 
 def _find_refined(store: TerrainStore, measure: Measure, tolerance: float, is_forced: IsForced | None) -> list[np.ndarray]:
@@ -224,7 +151,7 @@ def _complete_diamonds(store: TerrainStore, refined: list[np.ndarray]) -> np.nda
     return is_refined
 
 
-def _build_cut(store: TerrainStore, is_refined: np.ndarray, measure: Measure) -> Cut:
+def _build_cut(store: TerrainStore, is_refined: np.ndarray, measure: Measure, are_visible: AreVisible | None = None) -> Cut:
     """Return the cut below patches to be refined, (N,) bool by number."""
     starts, children = store.links.starts, store.links.children
     active, kept = np.arange(starts[1]), []
@@ -234,19 +161,11 @@ def _build_cut(store: TerrainStore, is_refined: np.ndarray, measure: Measure) ->
         active = _list_children(children, active[is_active_refined])
     patches, counts = np.concatenate(kept), [len(part) for part in kept]
     levels = np.repeat(np.arange(len(kept)), counts)
-    return Cut(levels, patches - np.repeat(starts[: len(kept)], counts), float(measure(patches).max(initial=0.0)))
+    is_outline = np.zeros(len(patches), bool) if are_visible is None else ~are_visible(patches)
+    return Cut(levels, patches - np.repeat(starts[: len(kept)], counts), is_outline, float(measure(patches).max(initial=0.0)))
 
 
 def _list_children(children: np.ndarray, patches: np.ndarray) -> np.ndarray:
     """Return the numbers (N,) of the children of patches, in ascending order."""
     numbers = children.take(patches, axis=0).ravel()
     return numbers[numbers != NO_PATCH].astype(np.intp)
-
-
-def are_boxes_visible(low: np.ndarray, high: np.ndarray, planes: np.ndarray) -> np.ndarray:
-    """Return whether boxes with the corners `low` and `high` (N, 3) may overlap the frustum with `planes` (P, 4), positive inside."""
-    is_visible = np.ones(len(low), bool)
-    for plane in planes:
-        farthest = np.where(plane[:3] > 0.0, high, low)
-        is_visible &= farthest @ plane[:3] + plane[3] >= 0.0
-    return is_visible

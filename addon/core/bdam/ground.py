@@ -6,6 +6,7 @@ from typing import Protocol
 import numpy as np
 
 from ..jobs.progress import Progress, Steps
+from .extraction import extract_uniform_cut
 from .heights import HeightQuery, evaluate_planes
 from .store.terrain_store import TerrainStore
 from .triangle_search import TriangleSearch
@@ -24,15 +25,24 @@ class Surface(Protocol):
 
 
 class StoreSurface:
-    """The finest triangles of a store, whose heights are multiplied by `exaggeration`."""
+    """The finest triangles of a store, whose heights are multiplied by `exaggeration`.
+
+    Coarser patches replace those that turn out to be damaged, see `store.damaged_patches`. damages: sentences about these.
+    """
 
     def __init__(self, store: TerrainStore, exaggeration: float) -> None:
-        self._query, self._exaggeration = HeightQuery(store), exaggeration
-        self.damages = self._query.damages
+        self._store, self._query, self._exaggeration = store, HeightQuery(store), exaggeration
+        self.damages: list[str] = []
 
     def find(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return heights and normals; see `Surface`."""
-        heights, normals = self._query.find(points)
+        known_damages = -1
+        while known_damages != self._store.damage_count:
+            known_damages = self._store.damage_count
+            heights, normals = self._query.find(points)
+            self.damages += [sentence for sentence in self._query.damages if sentence not in self.damages]
+            if known_damages != self._store.damage_count:
+                self._query = HeightQuery(self._store, extract_uniform_cut(self._store, 0.0))
         normals = normals / [1.0, 1.0, self._exaggeration]
         return heights * self._exaggeration, normals / np.linalg.norm(normals, axis=1, keepdims=True)
 

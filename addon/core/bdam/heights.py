@@ -51,7 +51,7 @@ class HeightQuery:
     """
 
     def __init__(self, store: TerrainStore, cut: Cut | None = None, max_bytes: int = DEFAULT_CACHE_BYTES) -> None:
-        """cut: the finest patches by default. max_bytes: of patches that are kept in memory."""
+        """cut: the finest patches by default; of its outlines, the whole patches count. max_bytes: of patches that are kept in memory."""
         self._store, self._cache = store, SegmentCache(max_bytes)
         self.damages: list[str] = []
         leaf_level = store.tree.leaf_level

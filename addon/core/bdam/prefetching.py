@@ -6,7 +6,6 @@ from typing import Protocol
 from ..errors import FarfieldError
 from ..jobs.progress import Progress, Steps
 from .cut_meshes import PatchCache
-from .extraction import Cut
 from .store.terrain_store import TerrainStore
 from .texture_files import TextureFiles
 
@@ -29,22 +28,25 @@ class ReadAhead(Protocol):
 
 
 class PatchesAhead:
-    """Patches, by level and row, as a `ReadAhead`."""
+    """Patches, by level, row, and whether only the outline is shown, as a `ReadAhead`."""
 
     def __init__(self, store: TerrainStore, cache: PatchCache) -> None:
         self._store, self._cache, self.max_bytes = store, cache, cache.max_bytes
 
-    def read(self, key: tuple[int, int]) -> None:
+    def read(self, key: tuple[int, int, bool]) -> None:
         """See `ReadAhead`."""
         self._cache.get(*key)
 
-    def touch(self, key: tuple[int, int]) -> int | None:
+    def touch(self, key: tuple[int, int, bool]) -> int | None:
         """See `ReadAhead`."""
         return self._cache.touch(*key)
 
-    def bound_bytes(self, key: tuple[int, int]) -> int:
+    def bound_bytes(self, key: tuple[int, int, bool]) -> int:
         """See `ReadAhead`."""
-        vertices, triangles = self._store.levels[key[0]].counts[key[1]].tolist()
+        level, row, is_outline = key
+        vertices, triangles, outline_triangles = self._store.levels[level].counts[row].tolist()
+        if is_outline and outline_triangles < triangles:
+            vertices, triangles = outline_triangles + 2, outline_triangles
         return VERTEX_BYTES * vertices + TRIANGLE_BYTES * triangles
 
 
@@ -96,8 +98,3 @@ class Prefetch:
         if size is not None and key not in self._counted:
             self._counted.add(key)
             self._room -= size
-
-
-def patch_keys(cut: Cut) -> list[tuple[int, int]]:
-    """Return the levels and rows of the patches of a cut."""
-    return list(zip(cut.levels.tolist(), cut.rows.tolist(), strict=True))

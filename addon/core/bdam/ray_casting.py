@@ -180,7 +180,7 @@ class RayCaster:
 
     def _prepare(self, patch: int) -> TriangleBlocks:
         content = self._store.read(*(int(number) for number in self._store.links.locate(patch)))
-        return TriangleBlocks(self._store.to_local(content), content.triangles[~content.is_hole])
+        return TriangleBlocks(self._store.to_local(content.x, content.y, content.z), content.triangles[~content.is_hole])
 
     def _collect(self, count: int, valid: np.ndarray, origins: np.ndarray, units: np.ndarray, found: "_Nearest") -> RayHits:
         """Return the hits of `count` rays, of which those of the rows `valid` (M,) with `origins` and `units` (M, 3) were cast."""

@@ -12,7 +12,8 @@ import numpy as np
 
 from ..geometry.viewers import Viewer
 from ..jobs.progress import Progress, Steps
-from .extraction import CutSettings, IsForced, are_boxes_visible, view_planes
+from .culling import Culling
+from .extraction import CutSettings, IsForced
 from .patch_squares import contains_squares, square_boxes
 from .store.damaged_patches import PatchLimits
 from .store.terrain_store import TerrainStore
@@ -123,7 +124,8 @@ class TextureSelector:
         distances = np.maximum(np.sqrt((offsets * offsets).sum(axis=1)), self._min_distance)
         pixels = self._errors * viewer.pixels_per_unit_at(distances)
         if settings.culls:
-            pixels[~are_boxes_visible(low, high, view_planes(viewer, settings.margin))] = 0.0
+            culling = Culling(viewer, settings.margin, settings.exaggeration)
+            pixels[~culling.are_visible(np.vstack([self._low.T, self._high.T]))] = 0.0
         pixels[(self._index.levels == self._index.level_count - 1) | (high[:, 0] < low[:, 0])] = 0.0
         return pixels
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import FileError
-from .cut_meshes import CutMesh, PatchCache, merge_patches
+from .cut_meshes import CutMesh, PatchCache, merge_patches, remove_unused
 from .extraction import Cut
 from .store.terrain_store import TerrainStore
 from .textures.grid import BORDER, STEP, TILE_SIZE
@@ -28,19 +28,20 @@ TileKey = tuple[int, int, int]  # level of the quadtree, i along x, j along y
 class Tile:
     """Which patches a tile shows, and its texture.
 
-    levels, rows: (N,) int64, patches in the order of the bintrees. texture: the number of its texture tile, None without. square: of the
-    texture tile.
+    levels, rows: (N,) int64, patches in the order of the bintrees. is_outline: (N,) bool, see `Cut`. texture: the number of its texture
+    tile, None without. square: of the texture tile.
     """
 
     levels: np.ndarray
     rows: np.ndarray
+    is_outline: np.ndarray
     texture: int | None
     square: TileKey
 
     @property
-    def signature(self) -> tuple[bytes, bytes, int | None]:
+    def signature(self) -> tuple[bytes, bytes, bytes, int | None]:
         """What is different if the tile must be filled again."""
-        return self.levels.tobytes(), self.rows.tobytes(), self.texture
+        return self.levels.tobytes(), self.rows.tobytes(), self.is_outline.tobytes(), self.texture
 
 
 @dataclass(frozen=True)
@@ -76,11 +77,10 @@ class TileGrouping:
         """Return the tiles of a cut by their squares: within the squares of `textures`, which cover the terrain, at most MAX_TILES."""
         depth = self._store.tree.depth
         squares = np.empty((len(cut), 2), np.int64)
-        counts = np.empty(len(cut), np.int64)
         for level in np.unique(cut.levels).tolist():
             is_level = cut.levels == level
             squares[is_level] = self._leaf_squares[level][cut.rows[is_level]]
-            counts[is_level] = self._store.levels[level].counts[cut.rows[is_level], 1]
+        counts = cut.count_triangles(self._store)
         codes = morton_keys(squares)
         order = np.lexsort((cut.rows, cut.levels, codes))
         codes, sums = codes[order], np.concatenate([[0], np.cumsum(counts[order])])
@@ -105,16 +105,16 @@ class TileGrouping:
             else:
                 final.append((key, part, source))
         self._split = split
-        levels, rows = cut.levels[order], cut.rows[order]
-        return {key: Tile(levels[part], rows[part], textures[source], source) for key, part, source in final}
+        levels, rows, is_outline = cut.levels[order], cut.rows[order], cut.is_outline[order]
+        return {key: Tile(levels[part], rows[part], is_outline[part], textures[source], source) for key, part, source in final}
 
 
 def build_tile_mesh(store: TerrainStore, cache: PatchCache, key: TileKey, tile: Tile, exaggeration: float) -> TileMesh:
     """Return the mesh of a tile, without patches that are damaged."""
     patches, levels, damages = [], [], []
-    for level, row in zip(tile.levels.tolist(), tile.rows.tolist(), strict=True):
+    for level, row, is_outline in zip(tile.levels.tolist(), tile.rows.tolist(), tile.is_outline.tolist(), strict=True):
         try:
-            patches.append(cache.get(level, row))
+            patches.append(cache.get(level, row, is_outline))
             levels.append(level)
         except FileError as error:
             damages.append(str(error))
@@ -122,23 +122,13 @@ def build_tile_mesh(store: TerrainStore, cache: PatchCache, key: TileKey, tile: 
     if not patches:
         no_vertices, no_triangles = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32)
         return TileMesh(location, no_vertices, no_vertices, no_triangles, None, np.zeros(0, np.int8), np.zeros(0, np.int64), tuple(damages))
-    mesh = _remove_unused(merge_patches(patches, np.array(levels)))
+    mesh = remove_unused(merge_patches(patches, np.array(levels)))
     step = _lattice_step(store) * LATTICE
     vertices = np.rint(mesh.positions * [1.0, 1.0, exaggeration] / step) * step - location
     normals = mesh.normals * np.array([1.0, 1.0, 1.0 / exaggeration], np.float32)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     uvs = None if tile.texture is None else _texture_uvs(store, mesh, tile.square)
     return TileMesh(location, vertices.astype(np.float32), normals, mesh.triangles, uvs, mesh.levels, mesh.ids, tuple(damages))
-
-
-def _remove_unused(mesh: CutMesh) -> CutMesh:
-    """Return a mesh without vertices that only triangles in holes have used."""
-    is_used = np.zeros(len(mesh.ids), bool)
-    is_used[mesh.triangles] = True
-    if is_used.all():
-        return mesh
-    numbers = np.cumsum(is_used, dtype=np.int32) - 1
-    return CutMesh(mesh.ids[is_used], mesh.positions[is_used], mesh.normals[is_used], numbers[mesh.triangles], mesh.levels)
 
 
 def locate_tile(store: TerrainStore, key: TileKey) -> np.ndarray:

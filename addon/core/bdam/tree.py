@@ -2,7 +2,8 @@
 
 Level 0 has two triangles, the halves of the root square. A triangle with the index i is bisected from its right angle to the midpoint of
 its hypotenuse into the triangles 2 i and 2 i + 1 of the next level. At even levels the legs are parallel to the axes, at odd levels the
-hypotenuse is. Ascending indices of a level follow a space-filling curve (Sierpinski's).
+hypotenuse is. The triangles of a level within any coarser triangle have consecutive indices, so that ascending indices follow a
+space-filling curve.
 The two triangles on both sides of a hypotenuse form a diamond; at the boundary of the root square a diamond has one triangle.
 """
 

@@ -4,7 +4,7 @@ import errno
 import os
 import shutil
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -61,10 +61,22 @@ def write_bytes_atomically(path: Path, content: bytes) -> None:
 
     The temporary file has the suffix TEMPORARY_SUFFIX; a killed process leaves it behind.
     """
+    _write_bytes(path, content, replace_durably)
+
+
+def write_bytes_unsynced(path: Path, content: bytes) -> None:
+    """Write `content` as `write_bytes_atomically` does, but let the system choose when the disk gets it, which takes no time here.
+
+    Killed processes leave a complete file or none, but a power failure may damage it. Raises OSError.
+    """
+    _write_bytes(path, content, Path.replace)
+
+
+def _write_bytes(path: Path, content: bytes, replace: Callable[[Path, Path], object]) -> None:
     temporary = path.with_suffix(f".{uuid.uuid4().hex}{TEMPORARY_SUFFIX}")
     try:
         temporary.write_bytes(content)
-        replace_durably(temporary, path)
+        replace(temporary, path)
     except OSError:
         temporary.unlink(missing_ok=True)
         raise

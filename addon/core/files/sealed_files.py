@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from ..errors import FileError
-from .atomic_write import write_bytes_atomically
+from .atomic_write import write_bytes_atomically, write_bytes_unsynced
 from .file_access import convert_os_errors, error_reason
 
 DIGEST_BYTES = hashlib.sha256().digest_size
@@ -27,14 +27,18 @@ def unseal(sealed: bytes) -> bytes | None:
     return content if hashlib.sha256(content).digest() == sealed[:DIGEST_BYTES] else None
 
 
-def write_sealed(path: Path, content: bytes) -> None:
+def write_sealed(path: Path, content: bytes, is_durable: bool = True) -> None:
     """Write a sealed file with `write_bytes_atomically`. Equal content gives equal bytes.
+
+    Files of which many are written, and which can be made again, need not be durable: after a power failure, their seals show which ones
+    are complete.
 
     Raises:
         FileError: the file cannot be written.
     """
     with convert_os_errors(f'"{path}" cannot be saved'):
-        write_bytes_atomically(path, seal(content))
+        write = write_bytes_atomically if is_durable else write_bytes_unsynced
+        write(path, seal(content))
 
 
 def read_sealed(path: Path, advice: str) -> bytes:

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from ..gathering import gather, gather_columns
+
 SELECTION_PASSES = 4
 NO_RANK = np.iinfo(np.uint32).max
 
@@ -22,7 +24,7 @@ def order_by_cost(costs: np.ndarray, numbers: np.ndarray) -> np.ndarray:
 
 
 def select_independent(vertices: np.ndarray, keys: np.ndarray, triangles: np.ndarray, vertex_count: int) -> np.ndarray:
-    """Return some of `vertices` (N,) int32 with small keys (N,) uint64, no two of which share one of the triangles (3, T) int32.
+    """Return some of `vertices` (N,) intp with small keys (N,) uint64, no two of which share one of the triangles (3, T) intp.
 
     Each pass selects the vertices whose keys are the smallest in all of their triangles, and drops their neighbors.
     """
@@ -30,25 +32,25 @@ def select_independent(vertices: np.ndarray, keys: np.ndarray, triangles: np.nda
     ranks[vertices[np.argsort(keys)]] = np.arange(len(vertices), dtype=np.uint32)
     selected = []
     for _ in range(SELECTION_PASSES):
-        corner_ranks = ranks.take(triangles)
+        corner_ranks = gather(ranks, triangles)
         smallest = corner_ranks.min(axis=0)
         is_active = smallest != NO_RANK
         is_blocked = np.zeros(vertex_count, bool)
-        is_blocked[triangles[corner_ranks != smallest]] = True
-        selected.append(vertices[~is_blocked.take(vertices)])
+        is_blocked[triangles.compress((corner_ranks != smallest).reshape(-1))] = True
+        selected.append(vertices.compress(~gather(is_blocked, vertices)))
         if len(selected) == SELECTION_PASSES:
             break
         is_taken = np.zeros(vertex_count, bool)
         is_taken[selected[-1]] = True
-        touches = is_taken.take(triangles).any(axis=0)
-        ranks[np.compress(touches, triangles, axis=1)] = NO_RANK
-        vertices = vertices[ranks.take(vertices) != NO_RANK]
-        triangles = np.compress(is_active & ~touches, triangles, axis=1)
+        touches = np.logical_or.reduce(gather(is_taken, triangles), axis=0)
+        ranks[gather_columns(triangles, np.flatnonzero(touches))] = NO_RANK
+        vertices = vertices.compress(gather(ranks, vertices) != NO_RANK)
+        triangles = gather_columns(triangles, np.flatnonzero(is_active & ~touches))
     return np.concatenate(selected)
 
 
 def select_cheapest(vertices: np.ndarray, keys: np.ndarray, domains: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """Return the vertices (N,) int32 with the smallest keys (N,), at most `limits` (D,) int of each domain; `domains`: (N,) int."""
+    """Return the vertices (N,) intp with the smallest keys (N,), at most `limits` (D,) int of each domain; `domains`: (N,) int."""
     counts = np.bincount(domains, minlength=len(limits))
     if (counts <= limits).all():
         return vertices

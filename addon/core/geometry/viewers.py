@@ -186,12 +186,17 @@ class Viewer:
         """Return whether another viewer sees exactly the same."""
         return other is not None and self.projection == other.projection and np.array_equal(self.matrix, other.matrix)
 
-    def frustum_planes(self) -> np.ndarray:
+    def frustum_planes(self, margin: float = 0.0) -> np.ndarray:
         """Return the planes (6, 4) float64 of the frustum: left, right, bottom, top, near, far. (0, 4) if panoramic: nothing is outside.
 
         Row (a, b, c, d) is the distance a x + b y + c z + d of a position to the plane, which is positive inside.
+
+        margin: by which the image is larger on every side, as a fraction of its size.
         """
-        planes = self.projection.planes @ self.inverse
+        left, right, bottom, top = self.projection.window
+        x, y = margin * (right - left), margin * (top - bottom)
+        window = (left - x, right + x, bottom - y, top + y)
+        planes = replace(self.projection, window=window).planes @ self.inverse
         return planes / np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
 
     def project(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

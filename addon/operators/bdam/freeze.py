@@ -1,7 +1,6 @@
 """The operators *Freeze* and *Freeze Camera Path*."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from ...core.errors import FarfieldError, GeometryError, SettingsError
 from ...core.geometry.viewers import Viewer
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.text import format_count
-from .. import follow_handlers, follow_tools, properties, start_job
+from .. import follow_handlers, properties, start_job
 from ..engine_cache import cache
 from ..terrain_polls import disabled_reason
 from . import operators
@@ -123,7 +122,7 @@ class FreezePathJob:
         """Read the active camera of every frame, in the local frame of the store."""
         scene = bpy.context.scene
         start, subframe = scene.frame_current, scene.frame_subframe
-        with paused_followers(scene):
+        with follow_handlers.paused_followers(scene):
             try:
                 for index, frame in enumerate(self.frames):
                     yield Progress(index / len(self.frames), "Reading the camera")
@@ -137,23 +136,6 @@ class FreezePathJob:
                         self.viewers.append(viewer)
             finally:
                 scene.frame_set(start, subframe=subframe)
-
-
-@contextmanager
-def paused_followers(scene: bpy.types.Scene) -> Iterator[None]:
-    """Let no terrain of a scene follow the active camera within the context, so that frames change quickly."""
-    paused = []
-    for tool in follow_tools.registered:
-        for terrain in tool.scene_terrains(scene):
-            if not terrain.read_only_reason and follow_handlers.follows_camera(terrain):
-                setattr(terrain.root, follow_handlers.camera_property(terrain.tool), False)
-                paused.append(terrain)
-    try:
-        yield
-    finally:
-        for terrain in paused:
-            if terrain.root is not None:
-                setattr(terrain.root, follow_handlers.camera_property(terrain.tool), True)
 
 
 def check_exists(terrain: SceneTerrain) -> None:

@@ -67,7 +67,7 @@ class DropJob:
         targets[:, 2] = heights + self.settings.offset / self.space.height_scale
         moved = self._move_points(targets) if self.settings.target == "points" else self._move_objects(targets, normals)
         sentences = [f"Put {moved} on the ground."]
-        return " ".join([*sentences, *describe_skipped(self.skipped), *self.surface.damages[:1]])
+        return " ".join([*sentences, *describe_skipped(self.skipped), *describe_damages(self.surface.damages)])
 
     def _move_objects(self, targets: np.ndarray, normals: np.ndarray) -> str:
         """Move objects, parents first, and return how many in words."""
@@ -113,6 +113,11 @@ class DropJob:
 def describe_skipped(skipped: Counter) -> list[str]:
     """Return one sentence per reason, for numbers of objects by reason."""
     return [f"Skipped {format_count(count, 'object')}: {reason}." for reason, count in skipped.items() if count]
+
+
+def describe_damages(damages: list[str]) -> list[str]:
+    """Return sentences about patches that were replaced by coarser ones, given the sentences about their damage."""
+    return [f"Used coarser patches in {format_count(len(damages), 'damaged place')}.", damages[0]] if damages else []
 
 
 class FARFIELD_OT_bdam_drop(start_job.StartJob, bpy.types.Operator):

@@ -138,10 +138,10 @@ def _is_inner_border(positions: np.ndarray, count: int, tree: Tree) -> np.ndarra
 def sample_gradients(x: np.ndarray, y: np.ndarray, grid: HeightGrid) -> np.ndarray:
     """Return the derivatives (N, 2) float32 of the field at samples (N,), by central differences, in steps per cell."""
     gradients = np.empty((len(x), 2), np.float32)
-    for axis, (dx, dy, count) in enumerate(((1, 0, grid.columns), (0, 1, grid.rows))):
-        position = (x, y)[axis]
+    heights = grid.read_points(np.concatenate([x + 1, x - 1, x, x]), np.concatenate([y, y, y + 1, y - 1])).reshape(4, -1)
+    for axis, (position, count) in enumerate(((x, grid.columns), (y, grid.rows))):
         span = np.minimum(position + 1, count - 1) - np.maximum(position - 1, 0)
-        gradients[:, axis] = (grid.read_points(x + dx, y + dy) - grid.read_points(x - dx, y - dy)) / span
+        gradients[:, axis] = (heights[2 * axis] - heights[2 * axis + 1]) / span
     return gradients
 
 

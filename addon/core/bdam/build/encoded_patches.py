@@ -10,8 +10,8 @@ import numpy as np
 class EncodedPatches:
     """Encoded patches in ascending order of their triangles.
 
-    indices: (P,) int64. errors: (P,) float32, in steps. heights: (P, 2) int32, the lowest and highest vertex in steps. counts: (P, 2)
-    int32, of vertices and triangles. sizes: (P,) int64, bytes of each block. blocks: (sum of sizes,) uint8.
+    indices: (P,) int64. errors: (P,) float32, in steps. heights: (P, 2) int32, the lowest and highest vertex in steps. counts: (P, 3)
+    int32, of vertices, triangles, and triangles of the outline. sizes: (P,) int64, bytes of each block. blocks: (sum of sizes,) uint8.
     """
 
     indices: np.ndarray

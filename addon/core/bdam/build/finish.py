@@ -1,5 +1,6 @@
 """The last step of a build: nested errors and boxes, and the files of the store."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -38,9 +39,9 @@ def write_geometry(work: WorkFolder, layouts: list[LevelLayout], header: StoreHe
                     blocks[int(index)] = memoryview(encoded.blocks)[start:end]
                 parts[-1].append(encoded.without_blocks())
                 _write_leading(writer, blocks, layout, shard)
-        writer.finish(backs_up_index=True)
+        checksum = writer.finish(backs_up_index=True)
     levels = _nest(work.tree, layouts, parts, header, header.create_frame())
-    write_structure(out, header, levels)
+    write_structure(out, replace(header, geometry_checksum=checksum), levels)
     return levels
 
 

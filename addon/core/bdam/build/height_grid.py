@@ -47,10 +47,14 @@ class HeightGrid:
         x, y = np.clip(x, 0, self.columns - 1), np.clip(y, 0, self.rows - 1)
         if not len(x):
             return np.zeros(0, np.int32)
-        heights = np.empty(len(x), np.int32)
         left, right = int(x.min()), int(x.max()) + 1
+        bands = list(split_rows(int(y.min()), int(y.max()) + 1, right - left))
+        if len(bands) == 1:
+            window, _ = self.read(bands[0], slice(left, right))
+            return window[y - bands[0].start, x - left]
+        heights = np.empty(len(x), np.int32)
         order = np.argsort(y, kind="stable")
-        for band in split_rows(int(y.min()), int(y.max()) + 1, right - left):
+        for band in bands:
             members = order[np.searchsorted(y[order], band.start) : np.searchsorted(y[order], band.stop)]
             if len(members):
                 window, _ = self.read(band, slice(left, right))

@@ -40,6 +40,8 @@ class PatchSet:
 
     def select(self, positions: np.ndarray) -> "PatchSet":
         """Return the patches at `positions` (N,)."""
+        if np.array_equal(positions, np.arange(len(self))):
+            return self
         vertex_counts, triangle_counts = np.diff(self.vertex_starts)[positions], np.diff(self.triangle_starts)[positions]
         vertices = concatenate_ranges(self.vertex_starts[positions], vertex_counts)
         triangles = concatenate_ranges(self.triangle_starts[positions], triangle_counts)
@@ -50,21 +52,21 @@ class PatchSet:
             self.errors[positions],
             to_starts(vertex_counts),
             to_starts(triangle_counts),
-            *(array[vertices] for array in (self.x, self.y, self.z, self.gradients)),
-            *(array[triangles] for array in (self.triangles, self.is_hole)),
+            *(array.take(vertices, axis=0) for array in (self.x, self.y, self.z, self.gradients)),
+            *(array.take(triangles, axis=0) for array in (self.triangles, self.is_hole)),
             to_starts(sample_counts),
-            *(array[samples] for array in (self.samples, self.sample_triangles)),
+            *(array.take(samples, axis=0) for array in (self.samples, self.sample_triangles)),
         )
 
     def save(self, stream: BinaryIO) -> None:
-        """Write the patches to a stream as a NumPy archive."""
-        np.savez(stream, **{field.name: getattr(self, field.name) for field in fields(self)})
+        """Write the arrays to a stream, one after the other in the format of NumPy."""
+        for field in fields(self):
+            np.save(stream, getattr(self, field.name), allow_pickle=False)
 
     @staticmethod
     def load(stream: BinaryIO) -> "PatchSet":
         """Read patches that `save` has written."""
-        with np.load(stream, allow_pickle=False) as archive:
-            return PatchSet(**{field.name: archive[field.name] for field in fields(PatchSet)})
+        return PatchSet(*(np.load(stream, allow_pickle=False) for _ in fields(PatchSet)))
 
 
 def join(parts: list[PatchSet]) -> PatchSet:

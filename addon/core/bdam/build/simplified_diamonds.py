@@ -3,15 +3,16 @@
 import numpy as np
 
 from ...arrays import concatenate_ranges
+from ...gathering import gather
 from ..simplification.decimation import MeshBatch, simplify
 from ..simplification.removed_samples import RemovedSamples
 from ..tree import Tree
 from ..triangle_gradients import weigh_gradients
 from .diamond_meshes import DiamondMeshes, classify_vertices, triangulate_field, weld_patches
 from .grid_collapses import choose_grid_collapses
-from .height_grid import HeightGrid
+from .height_grid import HeightGrid, split_rows
 from .patch_set import PatchSet, to_starts
-from .vertical_errors import measure_triangles
+from .vertical_errors import Measurement, measure_triangles
 
 MAX_SAMPLES_PER_TRIANGLE = 6  # that the next level measures; without them errors grow unseen, and all of them would take too long
 MAX_MEASURED_SAMPLES = 1 << 14  # at once, so that they do not decide how much memory workers need
@@ -28,7 +29,7 @@ def simplify_diamonds(
             are triangulated from the field.
 
     Returns:
-        Patches in ascending order of their indices. The error of a patch is the largest of its diamond.
+        Patches in ascending order of their indices.
     """
     corners = tree.triangle_corners(level, triangles)
     pairs = np.where(diamonds < 0, diamonds[:, :1], diamonds)
@@ -44,22 +45,47 @@ def simplify_diamonds(
     first = choose_grid_collapses(meshes, lines, excess) if children is None else None
     batch = _to_batch(meshes, lines, int(np.ptp(corners[0], axis=0).max()))
     simplified, removed = simplify(batch, excess, first)
+    if children is None and _is_complete(meshes, grid):
+        measured = _measure_removed(batch, simplified, removed)
+    else:
+        corner_points = np.stack([meshes.x.take(simplified), meshes.y.take(simplified)], axis=2)
+        measured = measure_triangles(corner_points, meshes.z.take(simplified), grid)
     samples = _choose_samples(batch, simplified, removed)
-    return _divide(meshes, sides, simplified, samples, triangles, pairs, grid)
+    return _divide(meshes, sides, simplified, samples, triangles, pairs, measured)
+
+
+def _is_complete(meshes: DiamondMeshes, grid: HeightGrid) -> bool:
+    """Return whether all samples of the smallest rectangle around some diamonds are known."""
+    rows, columns = (slice(int(axis.min()), int(axis.max()) + 1) for axis in (meshes.y, meshes.x))
+    return all(bool(grid.read(band, columns)[1].all()) for band in split_rows(rows.start, rows.stop, columns.stop - columns.start))
+
+
+def _measure_removed(batch: MeshBatch, triangles: np.ndarray, removed: RemovedSamples) -> Measurement:
+    """Measure the finest diamonds, all of whose samples are vertices or were just removed, and known.
+
+    A sample on an edge counts for one of its two triangles; edges between diamonds have no samples yet.
+    """
+    errors = np.zeros(len(triangles), np.float32)
+    np.maximum.at(errors, removed.triangles, _measure_samples(batch, triangles, removed).astype(np.float32))
+    return Measurement(errors, np.zeros(len(triangles), bool))
 
 
 def _choose_samples(batch: MeshBatch, triangles: np.ndarray, removed: RemovedSamples) -> RemovedSamples:
     """Return the samples that the next level measures: of each triangle the one with the largest distance, and a few random ones."""
-    distances = _measure_samples(batch, triangles, removed)
-    largest = np.zeros(len(triangles))
-    np.maximum.at(largest, removed.triangles, distances)
-    noise = (removed.vertices.astype(np.uint32) * np.uint32(2654435761)).astype(np.uint64) >> np.uint64(1)
-    noise[distances == largest[removed.triangles]] = 0
-    order = np.argsort(removed.triangles.astype(np.uint64) << np.uint64(32) | noise, kind="stable")
     counts = np.bincount(removed.triangles, minlength=len(triangles))
+    is_crowded = gather(counts, removed.triangles) > MAX_SAMPLES_PER_TRIANGLE
+    crowded = RemovedSamples(removed.vertices.compress(is_crowded), removed.triangles.compress(is_crowded))
+    distances = _measure_samples(batch, triangles, crowded)
+    largest = np.zeros(len(triangles))
+    np.maximum.at(largest, crowded.triangles, distances)
+    noise = (crowded.vertices.astype(np.uint32) * np.uint32(2654435761)).astype(np.uint64) >> np.uint64(1)
+    noise[distances == gather(largest, crowded.triangles)] = 0
+    order = np.argsort(crowded.triangles.astype(np.uint64) << np.uint64(32) | noise, kind="stable")
+    counts[counts <= MAX_SAMPLES_PER_TRIANGLE] = 0
     ranks = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
-    chosen = order[ranks < MAX_SAMPLES_PER_TRIANGLE]
-    return RemovedSamples(removed.vertices[chosen], removed.triangles[chosen])
+    kept = gather(np.flatnonzero(is_crowded), order.compress(ranks < MAX_SAMPLES_PER_TRIANGLE))
+    chosen = np.concatenate([np.flatnonzero(~is_crowded), kept])
+    return RemovedSamples(gather(removed.vertices, chosen), gather(removed.triangles, chosen))
 
 
 def _measure_samples(batch: MeshBatch, triangles: np.ndarray, removed: RemovedSamples) -> np.ndarray:
@@ -67,9 +93,9 @@ def _measure_samples(batch: MeshBatch, triangles: np.ndarray, removed: RemovedSa
     distances = np.empty(len(removed.vertices))
     for start in range(0, len(distances), MAX_MEASURED_SAMPLES):
         part = slice(start, start + MAX_MEASURED_SAMPLES)
-        x, y, z = (values[removed.vertices[part]].astype(np.float64) for values in (batch.x, batch.y, batch.z))
-        corners = triangles[removed.triangles[part]]
-        (x0, x1, x2), (y0, y1, y2), (z0, z1, z2) = (values[corners].T.astype(np.float64) for values in (batch.x, batch.y, batch.z))
+        x, y, z = (gather(values, removed.vertices[part]).astype(np.float64) for values in (batch.x, batch.y, batch.z))
+        corners = triangles.take(removed.triangles[part], axis=0).T.astype(np.intp)
+        (x0, x1, x2), (y0, y1, y2), (z0, z1, z2) = (gather(values, corners).astype(np.float64) for values in (batch.x, batch.y, batch.z))
         area = (x1 - x0) * (y2 - y0) - (y1 - y0) * (x2 - x0)
         second, third = ((x - x0) * (y2 - y0) - (y - y0) * (x2 - x0)) / area, ((x1 - x0) * (y - y0) - (y1 - y0) * (x - x0)) / area
         distances[part] = np.abs(z0 + second * (z1 - z0) + third * (z2 - z0) - z)
@@ -88,15 +114,14 @@ def _divide(
     samples: RemovedSamples,
     indices: np.ndarray,
     pairs: np.ndarray,
-    grid: HeightGrid,
+    measured: Measurement,
 ) -> PatchSet:
-    """Divide simplified diamonds along their hypotenuses; measure them, and find the gradients at the hypotenuses."""
+    """Divide simplified diamonds along their hypotenuses, and find the gradients there."""
     of_triangle = meshes.domains[simplified[:, 0]]
     side = (sides.take(simplified).sum(axis=1) < 0).astype(np.int64)
     patches = pairs[of_triangle, side]
-    measured = measure_triangles(np.stack([meshes.x.take(simplified), meshes.y.take(simplified)], axis=2), meshes.z.take(simplified), grid)
-    diamond_errors = np.zeros(len(pairs), np.float32)
-    np.maximum.at(diamond_errors, of_triangle, measured.errors)
+    errors = np.zeros(len(indices), np.float32)
+    np.maximum.at(errors, patches, measured.errors)
     gradients = _add_gradients(meshes, simplified, np.isnan(meshes.gradients[:, 0]) & (sides == 0))
     patch_count = len(indices)
     is_used = np.zeros((2, len(meshes.x)), bool)
@@ -114,9 +139,6 @@ def _divide(
     local_triangles = local[side[:, None], simplified][order]
     present = np.flatnonzero(triangle_counts)
     vertex_counts, triangle_counts = vertex_counts[present], triangle_counts[present]
-    diamond_of = np.zeros(len(indices), np.int64)
-    for column in range(2):
-        diamond_of[pairs[:, column]] = np.arange(len(pairs))
     triangle_starts = to_starts(triangle_counts)
     rank = np.empty(len(order), np.int64)
     rank[order] = np.arange(len(order))
@@ -126,7 +148,7 @@ def _divide(
     sample_starts = np.searchsorted(sample_triangles, triangle_starts)
     return PatchSet(
         indices[present],
-        diamond_errors[diamond_of[present]],
+        errors[present],
         to_starts(vertex_counts),
         triangle_starts,
         meshes.x[vertices],

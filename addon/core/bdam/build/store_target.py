@@ -10,7 +10,7 @@ from ...files.atomic_write import TEMPORARY_SUFFIX, atomic_write
 from ...files.file_access import convert_os_errors
 from ...jobs import heartbeat
 from ...jobs.job_folder import JOB_FILE
-from ..store.structure import STRUCTURE_FILE
+from ..store.structure import STRUCTURE_FILE, find_structure
 
 WORK_SUFFIX, NEW_SUFFIX, OLD_SUFFIX = ".build", ".new", ".build-finished"  # of folders beside that of the store
 
@@ -31,7 +31,7 @@ def check_target(out: Path) -> None:
             raise FileError(f'"{out}" cannot become a terrain; choose a folder with a name.')
         if out.exists() and not out.is_dir():
             raise FileError(f'"{out}" is a file; choose a folder for the terrain.')
-        if out.is_dir() and not (out / STRUCTURE_FILE).exists() and any(out.iterdir()):
+        if out.is_dir() and find_structure(out) is None and any(out.iterdir()):
             raise FileError(f'"{out}" contains other files; choose an empty or a new folder for the terrain.')
         work = work_folder_path(out)
         if work.is_dir() and not (work / JOB_FILE).exists() and any(path.suffix != TEMPORARY_SUFFIX for path in work.iterdir()):

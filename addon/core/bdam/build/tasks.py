@@ -4,23 +4,24 @@
 reply is null, the results are files in the work folder. A task whose shard exists is skipped.
 """
 
-import io
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from ...files.sealed_files import read_sealed, write_sealed
+from ...files.sealed_files import write_sealed
 from ..store.leaf_grids import leaf_grid
 from ..store.patch_codec import Patch, encode_patch, find_boundary
+from ..store.patch_outlines import count_outline_triangles
 from .curvature_errors import bound_curvature_errors
 from .diamond_meshes import sample_gradients
 from .encoded_patches import EncodedPatches
+from .patch_files import read_patches, write_patches
 from .patch_set import PatchSet, join
 from .simplified_diamonds import simplify_diamonds
 from .texture_tasks import TEXTURE_TASK, TextureTasks
-from .work_folder import ADVICE, LevelLayout, WorkFolder
+from .work_folder import LevelLayout, WorkFolder
 
 
 def open_tasks(arguments: list[str]) -> Callable[[list], None]:
@@ -43,14 +44,14 @@ class BuildTasks:
     def __init__(self, folder: WorkFolder) -> None:
         self._folder = folder
         self._tree = folder.tree
-        self._layout = lru_cache(maxsize=2)(self._create_layout)
+        self._layout = lru_cache(maxsize=3)(self._create_layout)
 
     def run(self, level: int, shard: int) -> None:
-        """Write the files of a shard."""
+        """Write the files of a shard. They need not survive a failure of power: a build that resumes checks their seals."""
         if self._folder.blocks_path(level, shard).exists():
             return
         encoded = self._encode_leaves(shard) if level == self._tree.leaf_level else self._simplify(level, shard)
-        write_sealed(self._folder.blocks_path(level, shard), encoded.to_bytes())
+        write_sealed(self._folder.blocks_path(level, shard), encoded.to_bytes(), is_durable=False)
 
     def _create_layout(self, level: int) -> LevelLayout:
         return LevelLayout.create(self._tree, level, self._folder.parameters.diamonds_per_shard)
@@ -78,37 +79,33 @@ class BuildTasks:
         diamonds = layout.diamonds[layout.shards[layout.diamonds[:, 0]] == shard]
         local = np.where(diamonds < 0, -1, np.searchsorted(positions, diamonds))
         indices = layout.indices[positions]
-        children = self._load_children(level, indices) if level + 1 < self._tree.leaf_level else None
+        children = self._load_children(level, shard, indices) if level + 1 < self._tree.leaf_level else None
         patches = simplify_diamonds(self._tree, level, indices, local, children, self._folder.grid)
         if level:
-            buffer = io.BytesIO()
-            patches.save(buffer)
-            write_sealed(self._folder.patches_path(level, shard), buffer.getvalue())
+            coarser = self._layout(level - 1)
+            users = coarser.shards[np.searchsorted(coarser.indices, patches.indices >> 1)]
+            write_patches(self._folder.patches_path(level, shard), patches, users)
         corners = self._tree.triangle_corners(level, indices)
         errors = patches.errors + bound_curvature_errors(patches, self._folder.parameters.curvature)
         return self._encode(level, indices, errors, [_extract(patches, row, corner) for row, corner in enumerate(corners)])
 
-    def _load_children(self, level: int, indices: np.ndarray) -> PatchSet:
-        """Return the existing children of triangles (N,), in ascending order."""
+    def _load_children(self, level: int, shard: int, indices: np.ndarray) -> PatchSet:
+        """Return the existing children of the triangles (N,) of a shard, in ascending order."""
         layout = self._layout(level + 1)
-        wanted = np.isin(layout.indices >> 1, indices)
-        parts = []
-        for shard in np.unique(layout.shards[wanted]):
-            content = read_sealed(self._folder.patches_path(level + 1, int(shard)), ADVICE)
-            patches = PatchSet.load(io.BytesIO(content))
-            parts.append(patches.select(np.flatnonzero(np.isin(patches.indices >> 1, indices))))
-        children = join(parts)
+        finer = np.unique(layout.shards[np.isin(layout.indices >> 1, indices)])
+        children = join([read_patches(self._folder.patches_path(level + 1, int(number)), shard) for number in finer])
         return children.select(np.argsort(children.indices))
 
     def _encode(self, level: int, indices: np.ndarray, errors: np.ndarray, patches: list[Patch]) -> EncodedPatches:
-        lows = self._tree.triangle_corners(level, indices).min(axis=1)
+        corners = self._tree.triangle_corners(level, indices)
         is_leaf, gradient_step = level == self._tree.leaf_level, self._folder.parameters.gradient_step
-        blocks = [encode_patch(patch, low, is_leaf, gradient_step) for patch, low in zip(patches, lows, strict=True)]
+        blocks = [encode_patch(patch, corner.min(axis=0), is_leaf, gradient_step) for patch, corner in zip(patches, corners, strict=True)]
+        outlines = [count_outline_triangles(patch, corner) for patch, corner in zip(patches, corners, strict=True)]
         return EncodedPatches(
             indices,
             errors,
             np.array([(patch.z.min(), patch.z.max()) for patch in patches], np.int32),
-            np.array([(len(patch.x), len(patch.triangles)) for patch in patches], np.int32),
+            np.array([(len(patch.x), len(patch.triangles), count) for patch, count in zip(patches, outlines, strict=True)], np.int32),
             np.array([len(block) for block in blocks], np.int64),
             np.frombuffer(b"".join(blocks), np.uint8),
         )

@@ -27,7 +27,7 @@ from .texture_stage import TextureWork, build_texture_tiles, plan_textures, writ
 from .work_folder import HEIGHTS_FILE, PARAMETERS_FILE, BuildParameters, LevelLayout, WorkFolder
 
 TASKS_MODULE = "addon.core.bdam.build.tasks"
-FORMAT_VERSION = 2  # of the files in a work folder
+FORMAT_VERSION = 4  # of the files in a work folder
 FILLED_FILE = "heights.filled"  # marks that holes were filled
 DIAMONDS_PER_SHARD = {16: 96, 32: 24, 64: 6}  # by cells of a leaf: as many samples; workers need up to 240 MB
 GRADIENT_STEP = 1.0 / 64.0  # meters of height per meter

@@ -36,8 +36,8 @@ def measure_triangles(corners: np.ndarray, heights: np.ndarray, grid: HeightGrid
     if not len(corners):
         return Measurement(errors, ~has_known)
     left, right = int(corners[..., 0].min()), int(np.ceil(corners[..., 0].max())) + 1
-    low, high = np.ceil(corners[..., 1].min(axis=1)).astype(np.int64), np.floor(corners[..., 1].max(axis=1)).astype(np.int64)
     planes = _Planes(corners, heights)
+    low, high = planes.find_rows()
     for band in split_rows(int(low.min()), int(high.max()) + 1, right - left):
         first, last = np.maximum(low, band.start), np.minimum(high, band.stop - 1)
         triangles = np.flatnonzero(last >= first)
@@ -50,9 +50,10 @@ def measure_triangles(corners: np.ndarray, heights: np.ndarray, grid: HeightGrid
         start = 0
         while start < len(triangles):
             stop = max(int(np.searchsorted(ends, (ends[start - 1] if start else 0) + MAX_SPANS, side="right")), start + 1)
-            rows = np.repeat(triangles[start:stop], counts[start:stop])
-            y = concatenate_ranges(first[triangles[start:stop]], counts[start:stop])
-            for spans, distances, known in planes.measure_spans(rows, y, window, None if is_complete else is_known, (left, band.start)):
+            part = triangles[start:stop]
+            for spans, distances, known in planes.measure_spans(
+                part, first[part], counts[start:stop], window, None if is_complete else is_known, (left, band.start)
+            ):
                 np.maximum.at(errors, spans, distances)
                 has_known[spans[known]] = True
             start = stop
@@ -60,27 +61,45 @@ def measure_triangles(corners: np.ndarray, heights: np.ndarray, grid: HeightGrid
 
 
 class _Planes:
-    """Heights of triangles as linear functions of grid coordinates."""
+    """Heights of triangles as linear functions of grid coordinates, and their edges: the long one from the lowest corner to the highest,
+    and the two others on one side of it."""
 
     def __init__(self, corners: np.ndarray, heights: np.ndarray) -> None:
-        self._x, self._y = corners[..., 0].astype(np.float64), corners[..., 1].astype(np.float64)
-        z = heights.astype(np.float64)
-        along_x, along_y, area = weigh_gradients(self._x.T, self._y.T, z.T)
+        x, y, z = corners[..., 0].T.astype(np.float64), corners[..., 1].T.astype(np.float64), heights.T.astype(np.float64)
+        along_x, along_y, area = weigh_gradients(x, y, z)
         self._gradient_x, self._gradient_y = along_x / area, along_y / area
-        self._offset = z[:, 0] - self._gradient_x * self._x[:, 0] - self._gradient_y * self._y[:, 0]
+        self._offset = z[0] - self._gradient_x * x[0] - self._gradient_y * y[0]
+        order = np.argsort(y, axis=0, kind="stable")
+        (x0, x1, x2), (y0, self._middle, self._high) = np.take_along_axis(x, order, axis=0), np.take_along_axis(y, order, axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slopes = (x2 - x0) / (self._high - y0), (x1 - x0) / (self._middle - y0), (x2 - x1) / (self._high - self._middle)
+        self._low, self._starts, self._slopes = y0, (x0, x0, x1), slopes
+        self._is_long_left = (x1 - x0) * (self._high - y0) > (x2 - x0) * (self._middle - y0)
+
+    def find_rows(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the first and last row (T,) int64 of all triangles."""
+        return np.ceil(self._low).astype(np.int64), np.floor(self._high).astype(np.int64)
 
     def measure_spans(
-        self, triangles: np.ndarray, y: np.ndarray, window: np.ndarray, is_known: np.ndarray | None, origin: tuple[int, int]
+        self,
+        triangles: np.ndarray,
+        first: np.ndarray,
+        counts: np.ndarray,
+        window: np.ndarray,
+        is_known: np.ndarray | None,
+        origin: tuple[int, int],
     ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Measure rows `y` (N,) of `triangles` (N,) against heights (H, W) whose lower left sample is at `origin`.
+        """Measure rows of `triangles` (N,) against heights (H, W) whose lower left sample is at `origin`.
 
         Args:
-            is_known: (H, W) bool; None: all are.
+            first, counts: (N,) int64, the first row and the number of rows of each triangle. is_known: (H, W) bool; None: all are.
 
         Yields:
             Triangles (M,), largest distances (M,) in one row of each, and whether one of the samples is known (M,).
         """
-        left, right = self._find_span(triangles, y)
+        y = concatenate_ranges(first, counts)
+        left, right = self._find_spans(triangles, counts, y)
+        triangles = np.repeat(triangles, counts)
         lengths = right - left + 1
         used = np.flatnonzero(lengths > 0)
         triangles, y, left, lengths = triangles[used], y[used], left[used], lengths[used]
@@ -110,14 +129,14 @@ class _Planes:
             yield of_triangle, np.maximum.reduceat(distances, starts), known
             start = stop
 
-    def _find_span(self, triangles: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the first and last column (N,) int64 of rows `y` (N,) of counterclockwise `triangles` (N,)."""
-        left, right = np.full(len(y), -np.inf), np.full(len(y), np.inf)
-        for start, end in ((0, 1), (1, 2), (2, 0)):
-            x0, y0 = self._x[triangles, start], self._y[triangles, start]
-            height = self._y[triangles, end] - y0
-            with np.errstate(divide="ignore", invalid="ignore"):
-                crossing = x0 + (y - y0) * ((self._x[triangles, end] - x0) / height)
-            left = np.where(height < 0.0, np.maximum(left, np.ceil(crossing - TOLERANCE)), left)
-            right = np.where(height > 0.0, np.minimum(right, np.floor(crossing + TOLERANCE)), right)
-        return left.astype(np.int64), right.astype(np.int64)
+    def _find_spans(self, triangles: np.ndarray, counts: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the first and last column (M,) int64 of rows `y` (M,), which are `counts` (N,) rows of each of `triangles` (N,)."""
+        low, middle, is_long_left = (np.repeat(values[triangles], counts) for values in (self._low, self._middle, self._is_long_left))
+        above = y - low
+        crossings = [np.repeat(self._starts[0][triangles], counts) + above * np.repeat(self._slopes[0][triangles], counts)]
+        is_upper = (y > middle) | (middle == low)
+        rows = np.repeat(triangles, counts)
+        start, slope = (np.where(is_upper, upper[rows], lower[rows]) for lower, upper in (self._starts[1:], self._slopes[1:]))
+        crossings.append(start + (y - np.where(is_upper, middle, low)) * slope)
+        left, right = np.where(is_long_left, crossings, crossings[::-1])
+        return np.ceil(left - TOLERANCE).astype(np.int64), np.floor(right + TOLERANCE).astype(np.int64)

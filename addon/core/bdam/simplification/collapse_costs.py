@@ -8,11 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...gathering import gather
 from ...geometry.vertex_rings import VertexRings
 
 FREE, HORIZONTAL, VERTICAL, DIAGONAL, ANTIDIAGONAL, LOCKED = range(6)  # what a vertex may move along
-DIRECTIONS = np.array([(0, 0), (1, 0), (0, 1), (1, 1), (1, -1), (0, 0)], np.int32)
-MAX_ENTRIES = 1 << 15  # of a (targets, triangles, vertices) array
+DIRECTIONS = np.array([(0, 0), (1, 0), (0, 1), (1, 1), (1, -1), (0, 0)], np.float32)
+MAX_ENTRIES = 1 << 16  # of a (targets, triangles, vertices) array
 TARGET_BITS = np.int32(15)  # the low bits of a cost store the row of its target; MAX_DEGREE is less
 INFINITY_BITS = np.float32(np.inf).view(np.int32)
 
@@ -35,10 +36,10 @@ class GridPoints:
 
     def subtract(self, ends: np.ndarray, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the components of the vectors from vertices `starts` (N,) to `ends` (N,) or (K, N)."""
-        x, y, z = self.x.take(ends), self.y.take(ends), self.z.take(ends)
-        x -= self.x.take(starts)
-        y -= self.y.take(starts)
-        z -= self.z.take(starts)
+        x, y, z = gather(self.x, ends), gather(self.y, ends), gather(self.z, ends)
+        x -= gather(self.x, starts)
+        y -= gather(self.y, starts)
+        z -= gather(self.z, starts)
         return x, y, z
 
 
@@ -46,27 +47,28 @@ def find_targets(points: GridPoints, rings: VertexRings, lines: np.ndarray, vert
     """Find for each vertex the valid target with the least vertical distance from the vertex to the new triangles.
 
     Args:
-        lines: (V,) int8, FREE or the line along which a vertex may move. vertices: (N,) int32.
+        lines: (V,) int8, FREE or the line along which a vertex may move. vertices: (N,) intp.
 
     Returns:
-        Targets (N,) int32 and distances (N,) float32 with a relative precision of 2e-6, infinite where no target is valid.
+        Targets (N,) intp and distances (N,) float32 with a relative precision of 2e-6, infinite where no target is valid.
     """
-    targets, costs = np.zeros(len(vertices), np.int32), np.full(len(vertices), np.inf, np.float32)
+    targets, costs = np.zeros(len(vertices), np.intp), np.full(len(vertices), np.inf, np.float32)
     for positions, corners in rings.group_by_degree(vertices, MAX_ENTRIES, 2):
-        v = vertices.take(positions)
-        after, before = rings.next.take(corners), rings.previous.take(corners)
+        v = gather(vertices, positions)
+        after, before = gather(rings.next, corners), gather(rings.previous, corners)
         ax, ay, az = points.subtract(after, v)
         distances, is_valid = _measure_collapses(after, before, (ax, ay, az), points.subtract(before, v))
-        of_line = lines.take(v)
-        if of_line.any():
-            line_x, line_y = (component.astype(points.real) for component in DIRECTIONS[of_line].T)
-            is_valid &= ax * line_y == ay * line_x
+        of_line = gather(lines, v)
+        bound = np.flatnonzero(of_line)
+        if len(bound):
+            line_x, line_y = DIRECTIONS.take(of_line.take(bound), axis=0).T
+            is_valid[:, bound] &= ax.take(bound, axis=1) * line_y == ay.take(bound, axis=1) * line_x
         # Costs that are not negative sort like their bits, so one minimum finds the cost and its row.
         bits = np.where(is_valid, distances.view(np.int32), INFINITY_BITS)
         bits &= ~TARGET_BITS
         bits |= np.arange(len(after), dtype=np.int32)[:, None]
         best = bits.min(axis=0)
-        targets[positions] = after[best & TARGET_BITS, np.arange(len(v))]
+        targets[positions] = gather(after.reshape(-1), (best & TARGET_BITS).astype(np.intp) * len(v) + np.arange(len(v)))
         costs[positions] = (best & ~TARGET_BITS).view(np.float32)
     return targets, costs
 
@@ -77,7 +79,7 @@ def _measure_collapses(
     """Measure the collapse of vertices onto the vertices `after` them.
 
     Args:
-        after, before: (K, N) int32, the other vertices of the triangles of each vertex. a, b: their components (K, N), relative to the
+        after, before: (K, N) intp, the other vertices of the triangles of each vertex. a, b: their components (K, N), relative to the
         vertex.
 
     Returns:
@@ -92,7 +94,7 @@ def _measure_collapses(
     new_areas = to_after - to_before
     new_areas += areas
     # The triangles that contain the target collapse to an exact area of 0: two, or one at the first edge of a border.
-    is_border = after.sum(axis=0, dtype=np.int64) != before.sum(axis=0, dtype=np.int64)
+    is_border = after.sum(axis=0) != before.sum(axis=0)
     kept_count = np.add.reduce((new_areas > 0).view(np.int8), axis=1, dtype=np.int8)
     is_valid = kept_count == len(after) - 2 + is_border
     contains = to_after >= 0

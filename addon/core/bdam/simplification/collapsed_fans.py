@@ -4,12 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...gathering import gather
 from ...geometry.vertex_rings import VertexRings
 from .collapse_costs import GridPoints
 
 ROW_LENGTH = 16  # of the arrays of fans; a fan has fewer than MAX_DEGREE triangles
 SEARCH_STEPS = (8, 4, 2, 1)
-MAX_ENTRIES = 1 << 15  # of a (degree, vertices) array
+MAX_ENTRIES = 1 << 16  # of a (degree, vertices) array
 MAX_SAMPLES = 1 << 13  # samples that are located at once
 
 
@@ -17,11 +18,11 @@ MAX_SAMPLES = 1 << 13  # samples that are located at once
 class CollapsedFans:
     """The fans of triangles around the targets (N,) of collapsed vertices, counterclockwise, in rows of ROW_LENGTH.
 
-    corners: (N, 16) int32, the corners of the vertices whose triangles become those of the fan. counts: (N,) int32, triangles of each fan.
-    owners: (C,) int32 and star: (C,) int32, the vertices' positions and all corners of their stars. is_kept: (C,) bool, whether the
+    vertices, targets: (N,) intp. corners: (N, 16) intp, the corners of the vertices whose triangles become those of the fan.
+    owners: (C,) intp and star: (C,) intp, the vertices' positions and all corners of their stars. is_kept: (C,) bool, whether the
     triangle of a corner becomes one of the fan; the others vanish.
-    x, y, z: (N, 16), the vectors from the target to the counts + 1 ends of its rays. angles: (N, 16), see `_pseudo_angles`, of the rays
-    from the second to the one before the last, then infinity.
+    x, y, z: (N, 16), the vectors from the target to the ends of its rays, of which there is one more than triangles.
+    angles: (N, 16), see `_pseudo_angles`, of the rays from the second to the one before the last, then infinity.
     """
 
     vertices: np.ndarray
@@ -39,59 +40,58 @@ class CollapsedFans:
         """Locate samples in the fans of the vertices whose stars contain them.
 
         Args:
-            owners: (S,) int32, positions of these vertices. samples: (S,) int32.
+            owners: (S,) intp, positions of these vertices. samples: (S,) intp.
 
         Returns:
-            Corners (S,) int32 of the owner, whose triangle contains the sample once its corner is the target, and vertical distances (S,)
+            Corners (S,) intp of the owner, whose triangle contains the sample once its corner is the target, and vertical distances (S,)
             float32 from the sample to this triangle.
         """
-        corners, distances = np.empty(len(samples), np.int32), np.empty(len(samples), np.float32)
+        corners, distances = np.empty(len(samples), np.intp), np.empty(len(samples), np.float32)
         away_x, away_y, _ = points.subtract(self.vertices, self.targets)
         angles, fan_corners, ray_x, ray_y, ray_z = (rows.reshape(-1) for rows in (self.angles, self.corners, self.x, self.y, self.z))
         for first in range(0, len(samples), MAX_SAMPLES):
             part = slice(first, first + MAX_SAMPLES)
             owner = owners[part]
-            x, y, z = points.subtract(samples[part], self.targets.take(owner))
-            angle = _pseudo_angles(x, y, away_x.take(owner), away_y.take(owner))
-            ray = owner * np.int32(ROW_LENGTH)
+            x, y, z = points.subtract(samples[part], gather(self.targets, owner))
+            angle = _pseudo_angles(x, y, gather(away_x, owner), gather(away_y, owner))
+            ray = owner * ROW_LENGTH
             for step in SEARCH_STEPS:
-                ray += np.int32(step) * (angles.take(ray + np.int32(step - 1)) < angle)
-            after = ray + np.int32(1)
-            ax, ay, bx, by = ray_x.take(ray), ray_y.take(ray), ray_x.take(after), ray_y.take(after)
-            heights = ((x * by - y * bx) * ray_z.take(ray) + (ax * y - ay * x) * ray_z.take(after)) / (ax * by - ay * bx)
-            corners[part], distances[part] = fan_corners.take(ray), np.abs(heights - z)
+                ray += step * (gather(angles, ray + (step - 1)) < angle)
+            after = ray + 1
+            ax, ay, bx, by = gather(ray_x, ray), gather(ray_y, ray), gather(ray_x, after), gather(ray_y, after)
+            heights = ((x * by - y * bx) * gather(ray_z, ray) + (ax * y - ay * x) * gather(ray_z, after)) / (ax * by - ay * bx)
+            corners[part], distances[part] = gather(fan_corners, ray), np.abs(heights - z)
         return corners, distances
 
 
 def arrange_fans(points: GridPoints, rings: VertexRings, vertices: np.ndarray, targets: np.ndarray) -> CollapsedFans:
-    """Arrange the fans that replace the stars of `vertices` (N,) int32 after valid collapses onto `targets` (N,) int32."""
+    """Arrange the fans that replace the stars of `vertices` (N,) intp after valid collapses onto `targets` (N,) intp."""
     shape = (len(vertices), ROW_LENGTH)
-    corner_rows = np.zeros(shape, np.int32)
+    corner_rows = np.zeros(shape, np.intp)
     xyz = [np.zeros(shape, dtype) for dtype in (points.real, points.real, np.float32)]
     angles = np.full(shape, np.inf, points.real)
     owners, star, is_kept = [], [], []
     for positions, corners in rings.group_by_degree(vertices, MAX_ENTRIES):
-        u = targets.take(positions)
+        u = gather(targets, positions)
         corners, is_border = _order_corners(rings, corners, u)
         degree = len(corners)
         kept = np.ones(corners.shape, bool)
         kept[0], kept[-1] = False, is_border
-        owners.append(np.broadcast_to(positions.astype(np.int32), corners.shape).reshape(-1))
+        owners.append(np.broadcast_to(positions, corners.shape).reshape(-1))
         star.append(corners.reshape(-1))
         is_kept.append(kept.reshape(-1))
         corner_rows[positions, : degree - 1] = corners[1:].T
-        rays = np.concatenate([rings.next.take(corners[1:]), rings.previous.take(corners[-1:])])
+        rays = np.concatenate([gather(rings.next, corners[1:]), gather(rings.previous, corners[-1:])])
         components = points.subtract(rays, u)
         for rows, component in zip(xyz, components, strict=True):
             rows[positions, :degree] = component.T
-        away_x, away_y, _ = points.subtract(vertices.take(positions), u)
+        away_x, away_y, _ = points.subtract(gather(vertices, positions), u)
         inner = _pseudo_angles(components[0][1:-1], components[1][1:-1], away_x, away_y)
         if degree > 2:
             inner[-1, ~is_border] = np.inf  # the last triangle vanishes unless the vertex is on a border
         angles[positions, : degree - 2] = inner.T
     joined = (
-        np.concatenate(arrays) if arrays else np.zeros(0, dtype)
-        for arrays, dtype in ((owners, np.int32), (star, np.int32), (is_kept, bool))
+        np.concatenate(arrays) if arrays else np.zeros(0, dtype) for arrays, dtype in ((owners, np.intp), (star, np.intp), (is_kept, bool))
     )
     return CollapsedFans(vertices, targets, corner_rows, *joined, *xyz, angles)
 
@@ -99,13 +99,15 @@ def arrange_fans(points: GridPoints, rings: VertexRings, vertices: np.ndarray, t
 def _order_corners(rings: VertexRings, corners: np.ndarray, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the corners (K, V) of vertices in counterclockwise order, from the triangle after the edge to the target (V,), and whether the
     vertices are on a border (V,)."""
-    after, before = rings.next.take(corners), rings.previous.take(corners)
+    after, before = gather(rings.next, corners), gather(rings.previous, corners)
     columns = np.arange(corners.shape[1])
+    rows = np.arange(len(corners), dtype=np.int8)[:, None]
     ordered = np.empty_like(corners)
     ray = targets
     for row in range(len(corners)):
-        found = (after == ray).argmax(axis=0)
-        ordered[row], ray = corners[found, columns], before[found, columns]
+        found = np.add.reduce((after == ray).view(np.int8) * rows, axis=0, dtype=np.int8)  # argmax would copy columns one by one
+        found = found.astype(np.intp) * len(columns) + columns
+        ordered[row], ray = gather(corners.reshape(-1), found), gather(before.reshape(-1), found)
     return ordered, ray != targets
 
 

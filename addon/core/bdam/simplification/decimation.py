@@ -12,10 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...gathering import gather, gather_columns
 from ...geometry.independent_vertices import find_cutoffs, order_by_cost, select_cheapest, select_independent
-from ...geometry.vertex_rings import VertexRings, build_rings
+from ...geometry.vertex_rings import VertexRings, build_rings, to_triangles
 from .collapse_costs import LOCKED, GridPoints, find_targets
-from .collapsed_fans import CollapsedFans, arrange_fans
+from .collapsed_fans import arrange_fans
 from .removed_samples import RemovedSamples
 
 MAX_ROUNDS = 40
@@ -50,7 +51,7 @@ def simplify(batch: MeshBatch, excess: np.ndarray, first: tuple[np.ndarray, np.n
 
     Args:
         excess: (D,) int, how many vertices to remove from each domain. Fewer are removed where locked vertices prevent it. first: vertices
-            (N,) int32 that share no triangle, and their targets (N,) int32, to collapse at the start.
+            (N,) intp that share no triangle, and their targets (N,) intp, to collapse at the start.
     """
     state = _Decimation(batch, excess)
     if first is not None:
@@ -61,22 +62,22 @@ def simplify(batch: MeshBatch, excess: np.ndarray, first: tuple[np.ndarray, np.n
         if idle_rounds == 2 or not state.is_unfinished.any():  # the second idle round shows that new cutoffs change nothing
             break
         idle_rounds = 0 if state.run_round() else idle_rounds + 1
-    return np.ascontiguousarray(state.triangles.T), state.samples
+    return np.ascontiguousarray(state.triangles.T.astype(np.int32)), state.samples
 
 
 class _Decimation:
     """The current meshes, and costs of vertices. Those of vertices whose stars have changed are estimates until they are needed."""
 
     def __init__(self, batch: MeshBatch, excess: np.ndarray) -> None:
-        self.lines, self.domains = batch.lines, batch.domains
-        self.triangles = np.ascontiguousarray(batch.triangles.T)
+        self.lines, self.domains = batch.lines, batch.domains.astype(np.intp)
+        self.triangles = np.ascontiguousarray(batch.triangles.T.astype(np.intp))
         count = len(batch.lines)
         starts = np.searchsorted(batch.domains, np.arange(len(excess)))
         self.points = _to_points(batch, starts)
-        self.samples = RemovedSamples(np.arange(count, len(batch.x), dtype=np.int32), batch.sample_triangles.copy())
+        self.samples = RemovedSamples(np.arange(count, len(batch.x)), batch.sample_triangles.astype(np.intp))
         self._excess, self._tolerated = excess, TOLERATED_EXCESS * excess
         self._is_estimate = batch.lines != LOCKED
-        self._costs, self._targets = np.where(self._is_estimate, 0.0, np.inf).astype(np.float32), np.zeros(count, np.int32)
+        self._costs, self._targets = np.where(self._is_estimate, 0.0, np.inf).astype(np.float32), np.zeros(count, np.intp)
         self._cutoffs = np.full(len(excess), np.inf, np.float32)
         self._numbers = (np.arange(count) - starts[batch.domains]).astype(np.uint32)  # within the domain
 
@@ -89,20 +90,20 @@ class _Decimation:
         """Collapse independent vertices of all unfinished domains. Return whether there was anything to do."""
         rings = build_rings(self.triangles, len(self.lines))
         limits = np.where(self.is_unfinished, STALE_COST_RATIO * self._cutoffs, -1.0).astype(np.float32)
-        stale = np.flatnonzero(self._is_estimate & (self._costs <= limits.take(self.domains))).astype(np.int32)
+        stale = np.flatnonzero(self._is_estimate & (self._costs <= gather(limits, self.domains)))
         self._targets[stale], self._costs[stale] = find_targets(self.points, rings, self.lines, stale)
         self._is_estimate[stale] = False
-        is_cheap = (self._costs <= self._cutoffs.take(self.domains)) & (self._costs < np.inf)
-        cheap = np.flatnonzero(is_cheap & ~self._is_estimate).astype(np.int32)
-        keys = order_by_cost(self._costs.take(cheap), self._numbers.take(cheap))
+        is_cheap = (self._costs <= gather(self._cutoffs, self.domains)) & (self._costs < np.inf)
+        cheap = np.flatnonzero(is_cheap & ~self._is_estimate)
+        keys = order_by_cost(gather(self._costs, cheap), gather(self._numbers, cheap))
         chosen = select_independent(cheap, keys, self.triangles, len(self.lines))
-        chosen = select_cheapest(chosen, self._costs.take(chosen), self.domains.take(chosen), self._excess)
+        chosen = select_cheapest(chosen, gather(self._costs, chosen), gather(self.domains, chosen), self._excess)
         if len(chosen):
-            self.collapse(chosen, self._targets.take(chosen), rings)
+            self.collapse(chosen, gather(self._targets, chosen), rings)
         return len(stale) > 0 or len(chosen) > 0
 
     def collapse(self, vertices: np.ndarray, targets: np.ndarray, rings: VertexRings, is_checked: bool = True) -> None:
-        """Collapse `vertices` (N,) int32, which share no triangle, onto `targets` (N,) int32.
+        """Collapse `vertices` (N,) intp, which share no triangle, onto `targets` (N,) intp.
 
         With `is_checked`, vertices are left out if samples make them more expensive than the cutoffs, which rise with these costs.
         """
@@ -111,18 +112,20 @@ class _Decimation:
         located = self.samples.locate(self.points, fans, triangle_count)
         is_accepted = np.ones(len(vertices), bool)
         if is_checked:
-            costs = self._costs.take(vertices)
+            costs = gather(self._costs, vertices)
             np.maximum.at(costs, located.owners, located.distances)
             self._costs[vertices] = costs
             self._update_cutoffs()
-            is_accepted = costs <= self._cutoffs.take(self.domains.take(vertices))
-        accepted = np.flatnonzero(is_accepted).astype(np.int32)
-        removed = vertices.take(accepted)
+            is_accepted = costs <= gather(self._cutoffs, gather(self.domains, vertices))
+        accepted = np.flatnonzero(is_accepted)
+        removed = gather(vertices, accepted)
         self.samples.move(located, is_accepted)
-        self.samples.add(removed, fans.locate(self.points, accepted, removed)[0] % triangle_count)
-        self._excess = self._excess - np.bincount(self.domains.take(removed), minlength=len(self._excess))
-        self._mark_changes(removed, fans, rings, is_accepted)
-        self._replace_stars(fans, is_accepted)
+        self.samples.add(removed, to_triangles(fans.locate(self.points, accepted, removed)[0], triangle_count))
+        self._excess = self._excess - np.bincount(gather(self.domains, removed), minlength=len(self._excess))
+        is_replaced = gather(is_accepted, fans.owners)
+        star = fans.star.compress(is_replaced)
+        self._mark_changes(removed, star, rings)
+        self._replace_stars(star, fans.targets, fans.owners.compress(is_replaced), fans.is_kept.compress(is_replaced))
 
     def _update_cutoffs(self) -> None:
         """Find the costs up to which vertices of unfinished domains collapse, from as many vertices as are to be removed and some more."""
@@ -131,27 +134,26 @@ class _Decimation:
         cutoffs = find_cutoffs(self._costs.take(used), self.domains.take(used), (CANDIDATE_RATIO * self._excess).astype(np.int64))
         self._cutoffs = np.where(is_unfinished, cutoffs, np.float32(-1.0))
 
-    def _mark_changes(self, removed: np.ndarray, fans: CollapsedFans, rings: VertexRings, is_accepted: np.ndarray) -> None:
-        star = fans.star[is_accepted.take(fans.owners)]
+    def _mark_changes(self, removed: np.ndarray, star: np.ndarray, rings: VertexRings) -> None:
+        """Mark the costs around the vertices `removed` (N,), the corners of whose stars are `star` (C,), as estimates."""
         is_changed = np.zeros(len(self.lines), bool)
-        is_changed[rings.next.take(star)] = True
-        is_changed[rings.previous.take(star)] = True
+        is_changed[gather(rings.next, star)] = True
+        is_changed[gather(rings.previous, star)] = True
         is_changed &= self.lines != LOCKED
         self._is_estimate |= is_changed
         self._costs[is_changed & (self._costs == np.inf)] = 0.0  # a target may have become valid
         self._costs[removed] = np.inf
         self._is_estimate[removed] = False
 
-    def _replace_stars(self, fans: CollapsedFans, is_accepted: np.ndarray) -> None:
-        """Move the corners of vertices to their targets, and remove the triangles that vanish."""
+    def _replace_stars(self, star: np.ndarray, targets: np.ndarray, owners: np.ndarray, keeps: np.ndarray) -> None:
+        """Move the corners `star` (C,) of the vertices `owners` (C,) to their targets, and remove the triangles that do not remain, `keeps`
+        (C,)."""
         count = self.triangles.shape[1]
-        is_replaced = is_accepted.take(fans.owners)
-        star = fans.star[is_replaced]
-        self.triangles.reshape(-1)[star] = fans.targets.take(fans.owners[is_replaced])
+        self.triangles.reshape(-1)[star] = gather(targets, owners)
         is_kept = np.ones(count, bool)
-        is_kept[star[~fans.is_kept[is_replaced]] % count] = False
-        self.triangles = np.compress(is_kept, self.triangles, axis=1)
-        self.samples.triangles = (np.cumsum(is_kept, dtype=np.int32) - np.int32(1)).take(self.samples.triangles)
+        is_kept[to_triangles(star.compress(~keeps), count)] = False
+        self.triangles = gather_columns(self.triangles, np.flatnonzero(is_kept))
+        self.samples.triangles = gather(np.cumsum(is_kept, dtype=np.intp) - 1, self.samples.triangles)
 
 
 def _to_points(batch: MeshBatch, starts: np.ndarray) -> GridPoints:

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...gathering import gather
+from ...geometry.vertex_rings import to_triangles
 from .collapse_costs import GridPoints
 from .collapsed_fans import CollapsedFans
 
@@ -12,8 +14,8 @@ from .collapsed_fans import CollapsedFans
 class LocatedSamples:
     """Samples in the stars of vertices that may collapse.
 
-    samples: (N,) int, their positions. owners: (N,) int32, positions of the vertices. triangles: (N,) int32, the triangles that contain the
-    samples after the collapses. distances: (N,) float32, their vertical distances from these.
+    samples: (N,) intp, their positions. owners: (N,) intp, positions of the vertices. triangles: (N,) intp, the triangles that contain
+    the samples after the collapses. distances: (N,) float32, their vertical distances from these.
     """
 
     samples: np.ndarray
@@ -25,7 +27,7 @@ class LocatedSamples:
 class RemovedSamples:
     """Removed vertices of a mesh with numbered triangles.
 
-    vertices: (S,) int32. triangles: (S,) int32, columns of the triangle array that contain them.
+    vertices: (S,) intp. triangles: (S,) intp, columns of the triangle array that contain them.
     """
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
@@ -35,19 +37,19 @@ class RemovedSamples:
     def locate(self, points: GridPoints, fans: CollapsedFans, triangle_count: int) -> LocatedSamples:
         """Locate the samples in the stars of the vertices of `fans`, no two of which share a triangle."""
         owner_of_triangle = np.full(triangle_count, -1, np.int32)
-        owner_of_triangle[fans.star % triangle_count] = fans.owners
-        owners = owner_of_triangle.take(self.triangles)
+        owner_of_triangle[to_triangles(fans.star, triangle_count)] = fans.owners
+        owners = gather(owner_of_triangle, self.triangles)
         samples = np.flatnonzero(owners >= 0)
-        owners = owners.take(samples)
-        corners, distances = fans.locate(points, owners, self.vertices.take(samples))
-        return LocatedSamples(samples, owners, corners % triangle_count, distances)
+        owners = gather(owners, samples).astype(np.intp)
+        corners, distances = fans.locate(points, owners, gather(self.vertices, samples))
+        return LocatedSamples(samples, owners, to_triangles(corners, triangle_count), distances)
 
     def move(self, located: LocatedSamples, is_accepted: np.ndarray) -> None:
         """Move those samples whose owners collapse, according to `is_accepted` (V,) bool."""
-        is_moved = is_accepted.take(located.owners)
-        self.triangles[located.samples[is_moved]] = located.triangles[is_moved]
+        is_moved = gather(is_accepted, located.owners)
+        self.triangles[located.samples.compress(is_moved)] = located.triangles.compress(is_moved)
 
     def add(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
-        """Add removed vertices (N,) int32, which `triangles` (N,) int32 contain."""
+        """Add removed vertices (N,) intp, which `triangles` (N,) intp contain."""
         self.vertices = np.concatenate([self.vertices, vertices])
         self.triangles = np.concatenate([self.triangles, triangles])

@@ -20,7 +20,7 @@ Content = TypeVar("Content")
 
 @dataclass(frozen=True)
 class FileDamage:
-    """A damaged part of a store that costs nothing, because it exists twice.
+    """A damaged or missing part of a store that costs nothing, because it exists twice.
 
     path: of the damaged file. other: of the file that is used instead. is_index: whether it is only the header or the index of the file.
     """
@@ -36,9 +36,9 @@ class FileDamage:
 
     @property
     def sentence(self) -> str:
-        """Says what is damaged and what to do."""
-        part = "The index of " if self.is_index else ""
-        return f'{part}"{self.path}" is damaged; nothing is lost as long as "{self.other.name}" is intact, but build the terrain again.'
+        """Says what is damaged or missing and what to do."""
+        part = f'The index of "{self.path}"' if self.is_index else f'"{self.path}"'
+        return f'{part} is damaged or missing; nothing is lost as long as "{self.other.name}" is intact, but build the terrain again.'
 
 
 def backup_path(path: Path) -> Path:
@@ -53,7 +53,7 @@ def copy_to_backup(path: Path) -> None:
 
 
 def read_either(path: Path, read: Callable[[Path], Content], is_index: bool = False) -> tuple[Content, tuple[FileDamage, ...]]:
-    """Return what `read` returns of a file or, if that is damaged, of its backup; and the damage of either, since both are read.
+    """Return what `read` returns of a file or, if that is damaged or missing, of its backup; and the damage of either, since both are read.
 
     is_index: whether only the header and the index of the file are read.
 

@@ -88,8 +88,8 @@ class BlockWriter:
         with self._convert_errors():
             self._file.flush()
 
-    def finish(self, backs_up_index: bool = False) -> None:
-        """Write the index and the header, and close the file. Raises FileError.
+    def finish(self, backs_up_index: bool = False) -> int:
+        """Write the index and the header, and close the file. Returns the checksum of the index. Raises FileError.
 
         backs_up_index: whether the backup of the index is written, too.
         """
@@ -97,8 +97,8 @@ class BlockWriter:
         ends = HEADER_SIZE + np.cumsum(sizes, dtype=np.uint64)
         checksums = np.array(self._checksums, "<u4")
         index = b"".join(((ends - sizes).astype("<u8").tobytes(), sizes.astype("<u4").tobytes(), checksums.tobytes()))
-        index_position = int(ends[-1]) if len(sizes) else HEADER_SIZE
-        header = HEADER.pack(MAGIC, VERSION, self._kind, len(sizes), index_position, zlib.crc32(index))
+        index_position, index_checksum = int(ends[-1]) if len(sizes) else HEADER_SIZE, zlib.crc32(index)
+        header = HEADER.pack(MAGIC, VERSION, self._kind, len(sizes), index_position, index_checksum)
         header += CHECKSUM.pack(zlib.crc32(header))
         with self._convert_errors():
             self._file.write(index)
@@ -109,6 +109,7 @@ class BlockWriter:
             backup = backup_path(self._path)
             with convert_os_errors(f'Cannot write "{backup}"'):
                 backup.write_bytes(header + index)
+        return index_checksum
 
     def _convert_errors(self) -> AbstractContextManager[None]:
         return convert_os_errors(f'Cannot write "{self._path}"')
@@ -116,17 +117,19 @@ class BlockWriter:
 
 @dataclass(frozen=True)
 class _Index:
-    """positions: (N,) uint64. sizes: (N,) uint32, bytes. checksums: (N,) uint32."""
+    """positions: (N,) uint64. sizes: (N,) uint32, bytes. checksums: (N,) uint32. checksum: of the index itself."""
 
     positions: np.ndarray
     sizes: np.ndarray
     checksums: np.ndarray
+    checksum: int
 
 
 class BlockReader:
     """Reads the blocks of a file, which stays mapped until `close` or the end of a `with` block. Threads may share it.
 
-    count: number of blocks. damages: of the index or of its backup, if it has one.
+    count: number of blocks. index_checksum: names the content of the file, since the index contains the sizes and checksums of all blocks.
+    damages: of the index or of its backup, if it has one.
     """
 
     def __init__(self, path: Path, kind: str, has_backup: bool = False) -> None:
@@ -145,7 +148,7 @@ class BlockReader:
         else:
             index = _read_index(path, kind)
         self._positions, self._sizes, self._checksums = index.positions, index.sizes, index.checksums
-        self.count = len(index.sizes)
+        self.count, self.index_checksum = len(index.sizes), index.checksum
         with convert_os_errors(f'Cannot read "{path}"'), path.open("rb") as file:
             if not file.seek(0, 2):
                 raise FileError(f'"{path}" is empty; build it again.')
@@ -224,7 +227,8 @@ def _read_index(path: Path, kind: str, is_backup: bool = False) -> _Index:
             raise FileError(f'"{path}" is truncated or damaged; build it again.')
         file.seek(position)
         content = file.read()
-    index = _Index(*(np.frombuffer(content, dtype, count, start * count) for dtype, start in (("<u8", 0), ("<u4", 8), ("<u4", 12))))
+    arrays = (np.frombuffer(content, dtype, count, start * count) for dtype, start in (("<u8", 0), ("<u4", 8), ("<u4", 12)))
+    index = _Index(*arrays, index_checksum)
     boundaries = np.concatenate([index.positions, [np.uint64(end)]])
     is_contiguous = boundaries[0] == HEADER_SIZE and bool((boundaries[:-1] + index.sizes == boundaries[1:]).all())
     if zlib.crc32(content) != index_checksum or not is_contiguous:

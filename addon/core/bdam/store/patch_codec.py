@@ -26,6 +26,9 @@ from .integer_streams import StreamReader, write_signed, write_unsigned
 from .leaf_grids import LeafGrid
 
 COMPRESSION_LEVEL = 9
+MAX_GRADIENT = 2**30  # steps of gradients that are stored; steeper ones, which no longer differ from vertical, become this steep
+FOLLOWING = np.array([(0, 1, 2), (1, 2, 0), (2, 0, 1)])  # the corners of a triangle that follow 0 to 2 turns after a corner
+MAX_RADIX = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,7 @@ class Patch:
 
 
 def encode_patch(patch: Patch, corner: np.ndarray, is_leaf: bool, gradient_step: float) -> bytes:
-    """Return the block of a patch.
+    """Return the block of a patch, whose heights are at most 2**30 steps apart.
 
     Args:
         corner: (2,) int, lower left corner of its bounding box. gradient_step: the unit of stored gradients, in steps per cell.
@@ -56,18 +59,19 @@ def encode_patch(patch: Patch, corner: np.ndarray, is_leaf: bool, gradient_step:
     if not is_leaf:
         order, vertices, lower, upper = _sort_fans(patch)
         is_hole = is_hole[order]
-        steps = np.diff(patch.x, prepend=corner[0])
+        steps = _difference(patch.x, corner[0])
         is_new_column = (steps > 0) | (np.arange(len(steps)) == 0)
-        is_first = np.diff(vertices, prepend=-1) != 0
+        is_first = _difference(vertices, -1) != 0
         streams = [
             write_unsigned(steps),
-            write_unsigned(np.where(is_new_column, patch.y - corner[1], np.diff(patch.y, prepend=0) - 1)),
+            write_unsigned(np.where(is_new_column, patch.y - corner[1], _difference(patch.y, 0) - 1)),
             write_unsigned(np.bincount(vertices, minlength=len(patch.x))),
             write_unsigned((vertices - lower)[is_first]),
             write_signed(upper - lower),
         ]
-    streams.append(write_signed(np.diff(patch.z, prepend=0)))
-    streams.append(write_signed(np.rint(patch.gradients / gradient_step).T.ravel()))
+    streams.append(write_signed(_difference(patch.z, 0)))
+    gradients = np.clip(np.rint(patch.gradients / gradient_step), -MAX_GRADIENT, MAX_GRADIENT)
+    streams.append(write_signed(gradients.T.ravel()))
     streams.append(bytes([int(is_hole.any())]))
     if is_hole.any():
         streams.append(np.packbits(is_hole, bitorder="little").tobytes())
@@ -88,7 +92,7 @@ def decode_patch(
     """
     reader = StreamReader(_decompress(content, _max_size(vertex_count, triangle_count)))
     if leaf is None:
-        x, y, triangles = _read_mesh(reader, corners.min(axis=0), vertex_count, triangle_count)
+        x, y, triangles = _read_mesh(reader, corners.min(axis=0), corners.max(axis=0), vertex_count, triangle_count)
     else:
         x, y, triangles = leaf.x, leaf.y, leaf.triangles
     z = np.cumsum(reader.read_signed(len(x)))
@@ -127,7 +131,7 @@ def _decompress(content: bytes, max_size: int) -> bytes:
 
 
 def _read_mesh(
-    reader: StreamReader, corner: np.ndarray, vertex_count: int, triangle_count: int
+    reader: StreamReader, corner: np.ndarray, opposite: np.ndarray, vertex_count: int, triangle_count: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     steps, offsets, counts = (reader.read_unsigned(vertex_count) for _ in range(3))
     x = corner[0] + np.cumsum(steps)
@@ -137,6 +141,8 @@ def _read_mesh(
     offsets += ~is_column_start
     sums = np.cumsum(offsets)
     y = sums + np.repeat(corner[1] - (sums - offsets)[columns], np.diff(columns, append=vertex_count))
+    if vertex_count and (x[-1] > opposite[0] or y.min() < corner[1] or y.max() > opposite[1]):
+        raise FileError("a block contains vertices outside of its patch.")
     fan_vertices = np.flatnonzero(counts)
     fan_counts = counts[fan_vertices]
     ends = np.cumsum(fan_counts)
@@ -158,13 +164,27 @@ def _read_mesh(
 def _sort_fans(patch: Patch) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return the order of the sweep (T,), and in this order the last vertices of the triangles and their lower and upper neighbors."""
     rows = np.arange(len(patch.triangles))
-    last = patch.triangles.argmax(axis=1)
-    vertices = patch.triangles[rows, last]
-    upper, lower = patch.triangles[rows, (last + 1) % 3], patch.triangles[rows, (last + 2) % 3]
+    corners = patch.triangles.T
+    is_second = corners[1] > corners[0]
+    is_last = corners[2] > np.maximum(corners[0], corners[1])
+    first = np.where(is_last, 2, is_second)
+    vertices, upper, lower = (patch.triangles.reshape(-1).take(3 * rows + FOLLOWING[turns].take(first)) for turns in range(3))
     with np.errstate(divide="ignore"):
-        direction = (patch.y[lower] - patch.y[vertices]) / (patch.x[vertices] - patch.x[lower]).astype(np.float64)
-    order = np.lexsort((direction, vertices))
-    return order, vertices[order], lower[order], upper[order]
+        direction = (patch.y.take(lower) - patch.y.take(vertices)) / (patch.x.take(vertices) - patch.x.take(lower)).astype(np.float64)
+    order = np.argsort(direction)  # equal ones belong to different vertices
+    numbers = vertices.take(order)
+    if len(patch.x) <= MAX_RADIX:
+        numbers = numbers.astype(np.uint16)  # NumPy sorts short integers by their digits, in linear time
+    order = order.take(np.argsort(numbers, kind="stable"))
+    return order, vertices.take(order), lower.take(order), upper.take(order)
+
+
+def _difference(values: np.ndarray, first: int) -> np.ndarray:
+    """Return the differences (N,) int64 of values (N,) to the value before, that of the first one to `first`."""
+    result = values.astype(np.int64)
+    result[1:] -= values[:-1]
+    result[:1] -= first
+    return result
 
 
 def _max_size(vertex_count: int, triangle_count: int) -> int:

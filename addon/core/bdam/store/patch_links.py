@@ -31,6 +31,17 @@ class PatchLinks:
         levels = np.searchsorted(self.starts, patches, side="right") - 1
         return levels, patches - self.starts[levels]
 
+    def find_grandchildren(self, patches: np.ndarray) -> np.ndarray:
+        """Return the grandchildren (4, N) int of `patches` (N,): where there are fewer, others twice, or children, or the patches."""
+        for _ in range(2):
+            children = self.children.take(patches, axis=0).reshape(-1, 2).T
+            is_missing = children == NO_PATCH
+            if is_missing.any():
+                children = np.where(is_missing, children[::-1], children)
+                children = np.where(children == NO_PATCH, patches.reshape(-1), children)
+            patches = children
+        return patches.reshape(4, -1)
+
 
 def link_patches(levels: list[Level]) -> PatchLinks:
     """Return the relatives of the patches of all levels.

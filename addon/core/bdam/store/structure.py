@@ -6,9 +6,9 @@ five blocks with little-endian arrays over the N patches of the level in ascendi
 | block | content |
 |---|---|
 | 5 level + 1 | bintree indices, N uint64 |
-| 5 level + 2 | errors in meters, N float32: the largest of the diamond and of the finer patches in the same triangle |
+| 5 level + 2 | errors in meters, N float32: the largest of the patch and of the finer patches in the same triangle |
 | 5 level + 3 | lowest and highest height in steps, N x 2 int32 |
-| 5 level + 4 | numbers of vertices and triangles, N x 2 uint32 |
+| 5 level + 4 | numbers of vertices, of triangles, and of triangles of the outline (see `patch_outlines`), N x 3 uint32 |
 | 5 level + 5 | bounding boxes in the local frame, N x 6 float32: lowest and highest x, y, z in meters, with finer patches |
 
 The patches of level 0, then of level 1 and so on, are the blocks of the geometry file in the same order.
@@ -25,11 +25,13 @@ import numpy as np
 from ...errors import FileError
 from ..fields.placements import Frame, GeographicFrame, ProjectedFrame
 from ..tree import Tree
-from .backups import FileDamage, copy_to_backup, read_either
+from .backups import FileDamage, backup_path, copy_to_backup, read_either
 from .blocks import BlockReader, BlockWriter
 
 KIND, STRUCTURE_FILE = "bdamstru", "structure.bdam"
-VERSION = 2  # of the contents of the header; 2: gradients of patches have another name, errors include the curvature of geographic grids
+# Of the contents of the header. 2: gradients of patches have another name, errors include the curvature of geographic grids. 3: structures
+# name the files that they belong to, patches have triangles of outlines.
+VERSION = 3
 ARRAYS_PER_LEVEL = 5
 FRAMES = {"projected": ProjectedFrame, "geographic": GeographicFrame}
 
@@ -41,7 +43,8 @@ class StoreHeader:
     rows, columns, leaf_cells: see `Tree`. height_step: meters between two stored heights. gradient_step: unit of stored gradients, in
     steps per cell. cell_size: nominal meters between two samples. crs: the coordinate reference system in words. frame: "projected" or
     "geographic".
-    first, step, origin: of the frame, see `fields.placements`. has_texture: whether there is a folder of textures.
+    first, step, origin: of the frame, see `fields.placements`. has_texture: whether there is a folder of textures. geometry_checksum: that
+    of the index of the geometry file, which so is known to be the one that belongs to the structure.
     """
 
     rows: int
@@ -56,6 +59,7 @@ class StoreHeader:
     step: tuple[float, float]
     origin: tuple[float, float]
     has_texture: bool = False
+    geometry_checksum: int = 0
 
     @property
     def tree(self) -> Tree:
@@ -71,8 +75,8 @@ class StoreHeader:
 class Level:
     """The patches of a level.
 
-    indices: (N,) int64. errors: (N,) float32, meters. heights: (N, 2) int32, steps. counts: (N, 2) int64, vertices and triangles. low,
-    high: (N, 3) float32, bounding boxes in local meters.
+    indices: (N,) int64. errors: (N,) float32, meters. heights: (N, 2) int32, steps. counts: (N, 3) int32,
+    vertices, triangles, and triangles of the outline. low, high: (N, 3) float32, bounding boxes in local meters.
     """
 
     indices: np.ndarray
@@ -97,8 +101,14 @@ def write_structure(folder: Path, header: StoreHeader, levels: list[Level]) -> N
     copy_to_backup(folder / STRUCTURE_FILE)
 
 
+def find_structure(folder: Path) -> Path | None:
+    """Return the path of the structure file in a folder, or that of its backup if it is missing; None if the folder has neither."""
+    path = folder / STRUCTURE_FILE
+    return next((candidate for candidate in (path, backup_path(path)) if candidate.is_file()), None)
+
+
 def read_structure(folder: Path) -> tuple[StoreHeader, list[Level]]:
-    """Read the structure file of a store, or its backup if it is damaged.
+    """Read the structure file of a store, or its backup if it is damaged or missing.
 
     Raises:
         FileError: both are missing, damaged, or of another version.
@@ -137,7 +147,7 @@ def _read_levels(reader: BlockReader, header: StoreHeader) -> Iterator[Level]:
             np.frombuffer(blocks[0], "<u8").astype(np.int64),
             np.frombuffer(blocks[1], "<f4"),
             np.frombuffer(blocks[2], "<i4").reshape(-1, 2),
-            np.frombuffer(blocks[3], "<u4").reshape(-1, 2).astype(np.int64),
+            np.frombuffer(blocks[3], "<u4").reshape(-1, 3).astype(np.int32),
             boxes[:, :3],
             boxes[:, 3:],
         )

@@ -17,7 +17,7 @@ from .damaged_patches import PatchLimits, find_limits
 from .leaf_grids import leaf_grid
 from .patch_codec import Patch, decode_patch
 from .patch_links import join_bounds, link_patches
-from .structure import STRUCTURE_FILE, load_structure
+from .structure import STRUCTURE_FILE, find_structure, load_structure
 
 GEOMETRY_FILE, GEOMETRY_KIND, TEXTURE_FOLDER = "geometry.bdam", "bdamgeom", "textures"
 
@@ -37,7 +37,7 @@ class TerrainStore:
             FileError: it is no store, is damaged or unfinished, or was written by a newer version.
         """
         self.folder = folder
-        if not (folder / STRUCTURE_FILE).is_file():
+        if find_structure(folder) is None:
             raise FileError(
                 f'"{folder}" is no terrain built by Farfield: it contains no file "{STRUCTURE_FILE}"; choose the folder of a terrain.'
             )
@@ -45,7 +45,9 @@ class TerrainStore:
         self.tree = self.header.tree
         self.frame = self.header.create_frame()
         self._geometry = BlockReader(folder / GEOMETRY_FILE, GEOMETRY_KIND, has_backup=True)
-        if self._geometry.count != sum(len(level.indices) for level in self.levels):
+        of_geometry = self._geometry.count, self._geometry.index_checksum
+        if of_geometry != (sum(len(level.indices) for level in self.levels), self.header.geometry_checksum):
+            self._geometry.close()
             raise FileError(f'"{folder / GEOMETRY_FILE}" and "{STRUCTURE_FILE}" belong to different terrains; build the terrain again.')
         self.bounds, self.levels = join_bounds(self.levels)
         self.links = link_patches(self.levels)
@@ -107,7 +109,7 @@ class TerrainStore:
         corners = self.tree.corners_of(level, index)
         leaf = leaf_grid(self.tree, corners) if level == self.tree.leaf_level else None
         try:
-            return decode_patch(content, corners, *(int(count) for count in patches.counts[row]), leaf, self.header.gradient_step)
+            return decode_patch(content, corners, *(int(count) for count in patches.counts[row, :2]), leaf, self.header.gradient_step)
         except FileError as error:
             raise FileError(f'Patch {level}/{index} of "{self.folder}" is damaged: {error}') from error
 
@@ -132,7 +134,10 @@ class TerrainStore:
         heights = self.levels[-1].heights
         return float(heights.min()) * self.header.height_step, float(heights.max()) * self.header.height_step
 
-    def to_local(self, patch: Patch) -> np.ndarray:
-        """Return the vertices (V, 3) float64 of a patch in local meters."""
-        x, y = self.frame.to_local(patch.x, patch.y)
-        return np.stack([x, y, patch.z * self.header.height_step], axis=1)
+    def to_local(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Return vertices at `x` and `y` in the grid with heights `z` in steps, (V,) each, in local meters, (V, 3) float64."""
+        return np.stack([*self.frame.to_local(x, y), z * self.header.height_step], axis=1)
+
+    def corners_of(self, level: int, row: int) -> np.ndarray:
+        """Return the corners (3, 2) int64 of a patch in the grid; see `Tree.corners_of`."""
+        return self.tree.corners_of(level, int(self.levels[level].indices[row]))

@@ -10,6 +10,7 @@ coarsest on and along Morton's curve. `textures.structure` is a file of blocks o
 | 2 | positions of the tiles, N x 2 int32: i, j |
 | 3 | own errors in meters, N float32 |
 | 4 | nested errors in meters, N float32, see `nesting` |
+| 5 | CRC-32 of the index of `textures.tiles`, uint32 |
 
 Tile n of these arrays is block n of the other file. Backups (see `store/backups.py`) are those of the index of `textures.tiles` and of the
 whole `textures.structure`.
@@ -35,7 +36,7 @@ from .tile_index import TileIndex
 
 TILES_FILE, STRUCTURE_FILE = "textures.tiles", "textures.structure"
 PROGRESS_TILES = 128  # between two steps of `write_textures`
-TILES_KIND, STRUCTURE_KIND = "TEXTURES", "TEXTREE"
+TILES_KIND, STRUCTURE_KIND, STRUCTURE_BLOCKS = "TEXTURES", "TEXTREE", 6
 MIN_FEATURE_CONTRAST = 6.0  # of detail that counts as a feature, in units of 1/255; about twice what can be told apart
 
 Decoded = TypeVar("Decoded")
@@ -63,7 +64,7 @@ def write_textures(folder: Path, out: Path) -> Steps[int]:
                     details.append(np.frombuffer(reader.read(1, label), "<f4")[0] if len(reader) > 1 else np.inf)
                 levels.append(level)
                 tiles.append((i, j))
-        writer.finish(backs_up_index=True)
+        checksum = writer.finish(backs_up_index=True)
     index = TileIndex(np.array(levels, np.int32), np.array(tiles, np.int32).reshape(-1, 2), plan.grid.level_count)
     own = measure_own_errors(index, plan.grid, np.array(details, np.float32))
     nested = nest_errors(index, own)
@@ -71,6 +72,7 @@ def write_textures(folder: Path, out: Path) -> Steps[int]:
         writer.append(plan.to_json())
         for array, dtype in ((index.levels, "<i4"), (index.tiles, "<i4"), (own, "<f4"), (nested, "<f4")):
             writer.append(array.astype(dtype).tobytes())
+        writer.append(checksum.to_bytes(4, "little"))
         writer.finish()
     copy_to_backup(out / STRUCTURE_FILE)
     yield Progress(1.0, "Texture store written")
@@ -113,12 +115,12 @@ class TextureStore:
             FileError: a file is missing, damaged or of a newer version, or the two do not belong together.
         """
         path = folder / STRUCTURE_FILE
-        (self.plan, self.index, self.own_errors, self.errors), damages = read_either(path, _read_structure)
+        (self.plan, self.index, self.own_errors, self.errors, checksum), damages = read_either(path, _read_structure)
         self._blocks = BlockReader(folder / TILES_FILE, TILES_KIND, has_backup=True)
         self.damages: tuple[FileDamage, ...] = (*damages, *self._blocks.damages)
-        if len(self._blocks) != len(self.index):
+        if (len(self._blocks), self._blocks.index_checksum) != (len(self.index), checksum):
             self._blocks.close()
-            raise _damaged(path)
+            raise FileError(f'"{folder / TILES_FILE}" and "{STRUCTURE_FILE}" belong to different textures; build the terrain again.')
 
     def __enter__(self) -> "TextureStore":
         return self
@@ -174,22 +176,24 @@ class TextureStore:
             ) from error
 
 
-def _read_structure(path: Path) -> tuple[TexturePlan, TileIndex, np.ndarray, np.ndarray]:
-    """Return plan, index, own and nested errors of tiles from a structure file or its backup. Raises FileError."""
+def _read_structure(path: Path) -> tuple[TexturePlan, TileIndex, np.ndarray, np.ndarray, int]:
+    """Return plan, index, own and nested errors of tiles, and the checksum of the index of their file, from a structure file or its backup.
+    Raises FileError."""
     with BlockReader(path, STRUCTURE_KIND) as reader:
-        if len(reader) != 5:
+        if len(reader) != STRUCTURE_BLOCKS:
             raise _damaged(path)
-        blocks = [reader.read(number, "structure of textures") for number in range(5)]
+        blocks = [reader.read(number, "structure of textures") for number in range(STRUCTURE_BLOCKS)]
     count = len(blocks[1]) // 4
-    if [len(block) for block in blocks[1:]] != [4 * count, 8 * count, 4 * count, 4 * count]:
+    if [len(block) for block in blocks[1:]] != [4 * count, 8 * count, 4 * count, 4 * count, 4]:
         raise _damaged(path)
     plan = parse_plan(blocks[0])
     if plan is None:
         raise _damaged(path)
     levels, tiles = np.frombuffer(blocks[1], "<i4"), np.frombuffer(blocks[2], "<i4").reshape(-1, 2)
     index = TileIndex(levels, tiles, plan.grid.level_count)
-    return plan, index, np.frombuffer(blocks[3], "<f4"), np.frombuffer(blocks[4], "<f4")
+    own, nested = np.frombuffer(blocks[3], "<f4"), np.frombuffer(blocks[4], "<f4")
+    return plan, index, own, nested, int.from_bytes(blocks[5], "little")
 
 
 def _damaged(path: Path) -> FileError:
-    return FileError(f'"{path}" is damaged, or belongs to another store; build it again.')
+    return FileError(f'"{path}" is damaged; build it again.')

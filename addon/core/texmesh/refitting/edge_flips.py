@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...geometry.mesh import face_areas_and_normals, scaled_normals
+from ...geometry.mesh import face_areas_and_normals
 from .level_state import LevelState, attach
 
 MIN_UV_FRACTION = 0.02  # area of a new triangle in UV space relative to its quadrilateral

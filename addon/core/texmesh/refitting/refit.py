@@ -10,7 +10,7 @@ from .border_curves import find_border_curves, find_freedom
 from .correspondence import compute_uv_scale, match_islands
 from .edge_flips import flip_edges
 from .least_squares import Linearization, compute_moments
-from .level_state import LevelState, attach
+from .level_state import attach
 from .sampling import find_islands, sample_surface
 
 

@@ -11,9 +11,9 @@ from .coarsening import build_levels
 from .cotangent_laplacian import assemble_laplacian, integrate_over_vertices, mollify_lengths, triangle_areas
 from .curvature import integrate_mean_curvature
 from .diffusion import choose_times, diffuse, search_last_sigma
-from .lightness import sample_lightness
 from .feature_spacing import thin_features
 from .feature_tracing import FeatureTracer
+from .lightness import sample_lightness
 from .scale_map import ScaleMap
 from .settings import ScaleSpaceSettings
 
