@@ -110,7 +110,8 @@ class DrasticSteps:
         return self._engine.retry(is_forced=True)
 
     def _close_holes(self, size: float) -> bool:
-        """Close holes of three edges, to which collapses reduce all holes, if the triangle is small and has an area in texture space."""
+        """Close holes of three edges, to which collapses reduce all holes, if the triangle is small, within one island, and has an area in
+        texture space."""
         engine, topology = self._engine, self._engine.topology
         boundary = np.flatnonzero((topology.twins == BOUNDARY) & (topology.boundary_counts[topology.starts] == 2)).astype(np.int32)
         leaving = np.full(topology.vertex_count, -1, np.int32)
@@ -126,7 +127,8 @@ class DrasticSteps:
         longest = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=2).max(axis=0, initial=0.0)
         neighbors = loops[0] % topology.triangle_count
         signs = engine.orientations[neighbors]
-        is_closed = (longest <= size) & (measure_uv_quality(engine.mesh.uvs[wedges]) * signs >= MIN_FILL_QUALITY)
+        is_in_island = (wedges == topology.wedges[topology.next(loops[[1, 2, 0]])]).all(axis=0)
+        is_closed = is_in_island & (longest <= size) & (measure_uv_quality(engine.mesh.uvs[wedges]) * signs >= MIN_FILL_QUALITY)
         if not is_closed.any():
             return False
         self._closed_holes += np.count_nonzero(is_closed)
