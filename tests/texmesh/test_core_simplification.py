@@ -14,7 +14,7 @@ from farfield.addon.core.texmesh.simplification.settings import PERCEPTUAL_VALUE
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 from textured_models import check_no_flips, check_subset, cube, euler_characteristic, plane, torus
 
-STRICT = SimplificationSettings(seen_fraction=0.0, drastic=False)
+STRICT = SimplificationSettings(protected_fraction=0.0, drastic=False)
 
 
 def random_order(mesh: TexturedMesh, targets: list[int], chosen: SimplificationSettings, seed: int = 0) -> Simplification:
@@ -77,7 +77,7 @@ def test_vertices_that_would_be_seen_wait_whatever_their_priority():
     heights[:, :14] = 0.0
     mesh = plane(20, 20, heights)
     priorities = -mesh.vertices[:, 2]
-    kept = run_to_end(simplify_in_order(mesh, priorities, [700], SimplificationSettings(seen_fraction=0.5, drastic=False)))
+    kept = run_to_end(simplify_in_order(mesh, priorities, [700], SimplificationSettings(protected_fraction=0.5, drastic=False)))
     assert (mesh.vertices[kept.removed][:, 0] < 14.0).all()
 
 
@@ -128,7 +128,7 @@ def test_perceptual_values_contain_those_of_absorbed_vertices():
 
 @pytest.mark.parametrize("measure", list(PERCEPTUAL_VALUES))
 def test_perceptual_values_are_zero_inside_of_a_plane_and_positive_on_a_rough_surface(measure):
-    chosen = SimplificationSettings(perceptual_value=measure, seen_fraction=0.0)
+    chosen = SimplificationSettings(perceptual_value=measure, protected_fraction=0.0)
     rough = random_order(torus(), [600], chosen).perceptual_values
     assert np.isfinite(rough).all() and (rough > 0.0).mean() > 0.9
     if measure in ("plane", "quadric"):

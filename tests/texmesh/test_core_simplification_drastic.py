@@ -27,10 +27,10 @@ def test_seams_of_normals_stop_the_collapses_until_they_are_unlocked():
     mesh = build_textured_mesh(base, smooth.corner_uvs, np.repeat(normals[:, None], 3, axis=1))
     strict = coarsest(mesh, 100, drastic=False)
     assert len(strict.triangles) == len(mesh.triangles)
-    assert strict.constraint.startswith("576 triangles remain instead of 100, since of 288 vertices 288 are corners")
+    assert strict.constraint.startswith("576 triangles remain instead of 100, because of 288 vertices these stay: 288 at corners")
     drastic = coarsest(mesh, 100, drastic=True)
     assert drastic.constraint == ""  # the vertex where both UV seams of the torus cross stays locked
-    assert "287 vertices at seams of normals, colors or other attributes were unlocked." in drastic.drastic_steps
+    assert "Seams of normals, colors or other attributes were unlocked at 287 vertices." in drastic.drastic_steps
 
 
 def test_ends_of_seams_are_freed():
@@ -50,7 +50,7 @@ def test_ends_of_seams_are_freed():
     mesh = build_textured_mesh(TriangleMesh(vertices, triangles), corner_uvs)
     strict, drastic = (coarsest(mesh, 40, is_drastic) for is_drastic in (False, True))
     assert "ends of seams" in strict.constraint
-    assert any("ends of seams were unlocked" in sentence for sentence in drastic.drastic_steps)
+    assert any("ends of seams could collapse" in sentence for sentence in drastic.drastic_steps)
     assert len(drastic.triangles) < len(strict.triangles)
 
 
@@ -64,7 +64,7 @@ def test_small_components_are_dropped_and_large_ones_stay():
     uvs = vertices @ np.array([[1.0, 0.2], [0.1, 1.0], [0.3, 0.4]])
     mesh = build_textured_mesh(TriangleMesh(vertices, triangles), uvs[triangles])
     level = coarsest(mesh, 20, drastic=True)
-    assert "3 small components with 12 triangles were dropped." in level.drastic_steps
+    assert "3 small components were dropped, 12 triangles." in level.drastic_steps
     kept = coarsest(mesh, 20, drastic=True, size=0.0)
     assert not any("components" in sentence for sentence in kept.drastic_steps)
 
@@ -74,7 +74,7 @@ def test_small_holes_are_closed():
     is_kept[3, 3], is_kept[3, 8], is_kept[8, 4] = False, False, False
     mesh = plane(12, 12, is_kept=is_kept)
     strict, drastic = (coarsest(mesh, 4, is_drastic, size=4.0) for is_drastic in (False, True))
-    assert any("holes were closed" in sentence for sentence in drastic.drastic_steps)
+    assert any("closed" in sentence for sentence in drastic.drastic_steps)
     assert len(drastic.triangles) < len(strict.triangles)
     assert find_edges(drastic.triangles).face_counts.max() == 2
 
@@ -107,7 +107,7 @@ def test_vertices_where_surfaces_cross_are_locked_until_they_are_unlocked():
     strict, drastic = (coarsest(mesh, 10, is_drastic) for is_drastic in (False, True))
     crossing = np.flatnonzero((mesh.vertices[:, 0] == 4.0) & (mesh.vertices[:, 2] == 0.0))
     assert len(crossing) == 9 and np.isin(crossing, strict.triangles).all()
-    assert "9 are at edges with more than two triangles" in strict.constraint or "18 are at edges" in strict.constraint
+    assert "18 at edges with more than two triangles" in strict.constraint  # each surface counts
     assert drastic.constraint == "" and not np.isin(crossing, drastic.triangles).all()
 
 

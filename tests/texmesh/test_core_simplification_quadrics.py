@@ -63,7 +63,7 @@ def test_seams_straighten_only_where_they_are_straight():
 def test_quadrics_keep_the_shape_better_than_a_random_order():
     mesh = torus(islands=4)
     targets = [len(mesh.triangles) // 10]
-    chosen = SimplificationSettings(seen_fraction=0.0)
+    chosen = SimplificationSettings(protected_fraction=0.0)
     priorities = np.random.default_rng(0).uniform(size=len(mesh.vertices))
     distances = []
     for steps in (simplify_by_cost(mesh, None, targets, chosen), simplify_in_order(mesh, priorities, targets, chosen)):

@@ -1,7 +1,7 @@
 """Drastic simplification (section I.B of the paper): what goes on where constraints stop the collapses.
 
-The steps are taken one after the other, as far as needed, anew for each target, whose mean edge length gives the size of what counts as
-small.
+The steps are taken one after the other, as far as needed, and again for each target. What counts as small follows from the mean edge length
+of a mesh with as many triangles as the target.
 """
 
 from dataclasses import replace
@@ -54,15 +54,19 @@ class DrasticSteps:
     def sentences(self) -> list[str]:
         """What was done so far, one sentence for each kind of step."""
         counts = {
-            "{} vertices were removed although small triangles folded over.": self._engine.folded_count,
-            "{} vertices at seams of normals, colors or other attributes were unlocked.": self._unlocked_vertices,
-            "{} ends of seams were unlocked.": self._freed_ends,
-            "{} vertices at edges with more than two triangles were unlocked, each surface for itself.": self._separated_vertices,
-            "{} small holes were closed.": self._closed_holes,
-            "{} thin islands or ends of islands were dropped.": self._engine.dropped_island_count,
-            f"{{}} small components with {self._dropped_triangles} triangles were dropped.": self._dropped_components,
+            "Seams of normals, colors or other attributes were unlocked at {}.": (self._unlocked_vertices, "vertex", "vertices"),
+            "{} of seams could collapse.": (self._freed_ends, "end", "ends"),
+            "Surfaces that touch at edges were simplified separately at {}.": (self._separated_vertices, "vertex", "vertices"),
+            "{} closed.": (self._closed_holes, "small hole was", "small holes were"),
+            "The last triangles of islands vanished at {}.": (self._engine.dropped_island_count, "vertex", "vertices"),
+            f"{{}} dropped, {self._dropped_triangles} triangles.": (
+                self._dropped_components,
+                "small component was",
+                "small components were",
+            ),
+            "Small triangles folded over at {}.": (self._engine.folded_count, "vertex", "vertices"),
         }
-        return [text.format(count) for text, count in counts.items() if count]
+        return [text.format(f"{n} {one if n == 1 else many}") for text, (n, one, many) in counts.items() if n]
 
     def _fold_small_triangles(self, size: float) -> bool:
         self._engine.relaxation = replace(self._engine.relaxation, small_size=size)
