@@ -2,14 +2,15 @@
 
 import numpy as np
 
-from .collapse_guards import FLIP, FOLD, SHORT_CURVE, TOPOLOGY
+from .collapse_guards import FLIP, FOLD, SHORT_CURVE, TOPOLOGY, VALID
 from .engine import CollapseEngine
 
 REFUSALS = {
-    FOLD: "{} would fold the surface over",
-    FLIP: "{} would flip texture coordinates",
-    SHORT_CURVE: "{} would remove the last triangle of an island or of a loop of seams",
-    TOPOLOGY: "{} would pinch the surface or close a component",
+    VALID: "{} without a possible collapse",
+    FOLD: "{} that would fold the surface over",
+    FLIP: "{} that would flip texture coordinates",
+    SHORT_CURVE: "{} that would remove the last triangle of an island or of a loop of seams",
+    TOPOLOGY: "{} that would pinch the surface or close a component",
 }
 
 
@@ -18,11 +19,11 @@ def name_constraint(engine: CollapseEngine, target: int) -> str:
     topology = engine.topology
     is_kept = topology.is_used & ~topology.is_removable
     counts = {
-        "{} are corners, crossings or ends of seams and boundaries": np.count_nonzero(is_kept & ~topology.is_locked),
-        "{} are at edges with more than two triangles or opposite orientations": np.count_nonzero(is_kept & topology.is_locked),
+        "{} at corners, crossings or ends of seams and boundaries": np.count_nonzero(is_kept & ~topology.is_locked),
+        "{} at edges with more than two triangles or opposite orientations": np.count_nonzero(is_kept & topology.is_locked),
     }
     for reason, text in REFUSALS.items():
         counts[text] = np.count_nonzero(topology.is_removable & (engine.reasons == reason))
     parts = [text.format(count) for text, count in sorted(counts.items(), key=lambda item: -item[1]) if count]
     total = np.count_nonzero(topology.is_used)
-    return f"{engine.triangle_count} triangles remain instead of {target}, since of {total} vertices {', '.join(parts)}."
+    return f"{engine.triangle_count} triangles remain instead of {target}, because of {total} vertices these stay: {', '.join(parts)}."

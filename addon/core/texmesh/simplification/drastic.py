@@ -1,7 +1,7 @@
 """Drastic simplification (section I.B of the paper): what goes on where constraints stop the collapses.
 
-The steps are taken one after the other, as far as needed, anew for each target, whose mean edge length gives the size of what counts as
-small.
+The steps are taken one after the other, as far as needed, and again for each target. What counts as small follows from the mean edge length
+of a mesh with as many triangles as the target.
 """
 
 from dataclasses import replace
@@ -54,15 +54,19 @@ class DrasticSteps:
     def sentences(self) -> list[str]:
         """What was done so far, one sentence for each kind of step."""
         counts = {
-            "{} vertices were removed although small triangles folded over.": self._engine.folded_count,
-            "{} vertices at seams of normals, colors or other attributes were unlocked.": self._unlocked_vertices,
-            "{} ends of seams were unlocked.": self._freed_ends,
-            "{} vertices at edges with more than two triangles were unlocked, each surface for itself.": self._separated_vertices,
-            "{} small holes were closed.": self._closed_holes,
-            "{} thin islands or ends of islands were dropped.": self._engine.dropped_island_count,
-            f"{{}} small components with {self._dropped_triangles} triangles were dropped.": self._dropped_components,
+            "Seams of normals, colors or other attributes were unlocked at {}.": (self._unlocked_vertices, "vertex", "vertices"),
+            "{} of seams could collapse.": (self._freed_ends, "end", "ends"),
+            "Surfaces that touch at edges were simplified separately at {}.": (self._separated_vertices, "vertex", "vertices"),
+            "{} closed.": (self._closed_holes, "small hole was", "small holes were"),
+            "The last triangles of islands vanished at {}.": (self._engine.dropped_island_count, "vertex", "vertices"),
+            f"{{}} dropped, {self._dropped_triangles} triangles.": (
+                self._dropped_components,
+                "small component was",
+                "small components were",
+            ),
+            "Small triangles folded over at {}.": (self._engine.folded_count, "vertex", "vertices"),
         }
-        return [text.format(count) for text, count in counts.items() if count]
+        return [text.format(f"{n} {one if n == 1 else many}") for text, (n, one, many) in counts.items() if n]
 
     def _fold_small_triangles(self, size: float) -> bool:
         self._engine.relaxation = replace(self._engine.relaxation, small_size=size)
@@ -110,7 +114,8 @@ class DrasticSteps:
         return self._engine.retry(is_forced=True)
 
     def _close_holes(self, size: float) -> bool:
-        """Close holes of three edges, to which collapses reduce all holes, if the triangle is small and has an area in texture space."""
+        """Close holes of three edges, to which collapses reduce all holes, if the triangle is small, within one island, and has an area in
+        texture space."""
         engine, topology = self._engine, self._engine.topology
         boundary = np.flatnonzero((topology.twins == BOUNDARY) & (topology.boundary_counts[topology.starts] == 2)).astype(np.int32)
         leaving = np.full(topology.vertex_count, -1, np.int32)
@@ -126,7 +131,8 @@ class DrasticSteps:
         longest = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=2).max(axis=0, initial=0.0)
         neighbors = loops[0] % topology.triangle_count
         signs = engine.orientations[neighbors]
-        is_closed = (longest <= size) & (measure_uv_quality(engine.mesh.uvs[wedges]) * signs >= MIN_FILL_QUALITY)
+        is_in_island = (wedges == topology.wedges[topology.next(loops[[1, 2, 0]])]).all(axis=0)
+        is_closed = is_in_island & (longest <= size) & (measure_uv_quality(engine.mesh.uvs[wedges]) * signs >= MIN_FILL_QUALITY)
         if not is_closed.any():
             return False
         self._closed_holes += np.count_nonzero(is_closed)

@@ -106,8 +106,8 @@ class CollapseEngine:
             return 0
         fans = self._build_fans(collapses)
         is_chosen = find_compatible(fans)
-        removed_triangles = np.cumsum(np.where(is_chosen, fans.vanishing_counts, 0))
-        is_chosen &= removed_triangles <= max(excess + 1, 1)
+        vanishing = np.where(is_chosen, fans.vanishing_counts, 0)
+        is_chosen &= np.cumsum(vanishing) - vanishing < excess
         collapses = collapses.take(np.flatnonzero(is_chosen))
         if not len(collapses.removed):
             return 0
@@ -123,7 +123,8 @@ class CollapseEngine:
 
     def _choose_independent(self, window: np.ndarray) -> np.ndarray:
         """Return some vertices of `window` (N,) that share no triangle, in order."""
-        ranks = np.arange(len(window)) + self._random.uniform(0.0, RANK_JITTER * len(window), len(window))
+        jitter = RANK_JITTER * len(window) if len(window) > MIN_WINDOW else 0.0
+        ranks = np.arange(len(window)) + self._random.uniform(0.0, jitter, len(window))
         positions = np.empty(len(self.reasons), np.int32)
         positions[window] = np.arange(len(window))
         chosen = select_independent(window, ranks, self.triangles, len(self.reasons))

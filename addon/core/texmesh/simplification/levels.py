@@ -73,7 +73,7 @@ def simplify_in_order(
             f"There must be {len(mesh.vertices)} finite priorities, one per vertex, not {priorities.size}; analyze the mesh again."
         )
     engine = CollapseEngine(mesh, settings.perceptual_value)
-    order = GivenOrder(engine.surface.positions, priorities[engine.fine_vertices].astype(np.float64), settings.seen_fraction)
+    order = GivenOrder(engine.surface.positions, priorities[engine.fine_vertices].astype(np.float64), settings.protected_fraction)
     return (yield from _make_levels(engine, order, targets, settings))
 
 

@@ -19,32 +19,33 @@ class PerceptualValues:
         """measure: one of `settings.PERCEPTUAL_VALUES`."""
         self._positions = np.ascontiguousarray(mesh.vertices.T)
         self._measure = measure
-        self.absorbed = np.zeros(len(mesh.vertices))
+        self._absorbed, self._absorbed_distances = np.zeros(len(mesh.vertices)), np.zeros(len(mesh.vertices))
         if measure in (CENTER, SKELETON):
             self._axis_distances = _find_axis_distances(mesh.vertices, CROSS_SECTIONS if measure == SKELETON else 1)
         if measure == QUADRIC:
             self._quadrics = _build_plane_quadrics(mesh)
 
     def estimate(self, topology: Topology, vertices: np.ndarray) -> np.ndarray:
-        """Return what the removal of `vertices` (N,) would be seen as, whatever they collapse onto: on a curve, at least the distance to
-        the edge between its neighbors there, by which the textures on both sides or the boundary move."""
+        """Return what the removal of `vertices` (N,) would be seen as, whatever they collapse onto and whatever the measure: cumulated
+        distances to mean planes. On a curve, the last one is at least the distance to the edge between the neighbors there, by which the
+        boundary or the textures on both sides move."""
         distances = measure_plane_distances(self._positions, topology, vertices)
         rows = np.flatnonzero(topology.is_on_curve[vertices])
         distances[rows] = np.maximum(distances[rows], _measure_curve_distances(self._positions, topology, vertices[rows]))
-        return self.absorbed[vertices] + distances
+        return self._absorbed_distances[vertices] + distances
 
     def record(self, topology: Topology, removed: np.ndarray, kept: np.ndarray) -> np.ndarray:
         """Return the values (N,) of `removed` vertices (N,), whose stimuli the `kept` (N,) absorb."""
+        distances = self._absorbed_distances[removed] + measure_plane_distances(self._positions, topology, removed)
+        np.add.at(self._absorbed_distances, kept, distances)
+        if self._measure == PLANE:
+            return distances
         if self._measure == QUADRIC:
             np.add.at(self._quadrics, kept, self._quadrics[removed])
             return _evaluate_planes(self._quadrics[removed], self._positions[:, kept])
-        if self._measure == PLANE:
-            distances = measure_plane_distances(self._positions, topology, removed)
-        else:
-            displacements = np.linalg.norm(self._positions[:, removed] - self._positions[:, kept], axis=0)
-            distances = displacements / np.maximum(self._axis_distances[kept], TINY)
-        values = self.absorbed[removed] + distances
-        np.add.at(self.absorbed, kept, values)
+        displacements = np.linalg.norm(self._positions[:, removed] - self._positions[:, kept], axis=0)
+        values = self._absorbed[removed] + displacements / np.maximum(self._axis_distances[kept], TINY)
+        np.add.at(self._absorbed, kept, values)
         return values
 
 
@@ -92,9 +93,9 @@ def _find_axis_distances(vertices: np.ndarray, sections: int) -> np.ndarray:
     section = np.minimum((sections * ((along - low) / extent)).astype(int), sections - 1)
     counts = np.bincount(section, minlength=sections)
     used = np.flatnonzero(counts)
-    middles = low + (used + 0.5) * extent / sections
+    midpoints = low + (used + 0.5) * extent / sections
     centers = np.stack([np.bincount(section, vertices[:, axis], sections)[used] / counts[used] for axis in range(3)])
-    nearest = np.stack([np.interp(along, middles, center) for center in centers], axis=1)
+    nearest = np.stack([np.interp(along, midpoints, center) for center in centers], axis=1)
     return np.linalg.norm(vertices - nearest, axis=1)
 
 

@@ -25,11 +25,11 @@ class CollapseCost(Protocol):
 class GivenOrder:
     """Vertices with low priorities are removed first, and collapse onto the nearest neighbor. Ties are broken by perceptual values."""
 
-    def __init__(self, positions: np.ndarray, priorities: np.ndarray, seen_fraction: float) -> None:
-        """positions: (3, V). priorities: (V,) float64. seen_fraction: see `SimplificationSettings.seen_fraction`."""
-        self._positions, self._priorities, self._seen_fraction = positions, priorities, seen_fraction
+    def __init__(self, positions: np.ndarray, priorities: np.ndarray, protected_fraction: float) -> None:
+        """positions: (3, V). priorities: (V,) float64. protected_fraction: see `SimplificationSettings.protected_fraction`."""
+        self._positions, self._priorities, self._protected_fraction = positions, priorities, protected_fraction
         has_ties = len(np.unique(priorities)) < (1.0 - TIED_FRACTION) * len(priorities)
-        self._needs_values = has_ties or seen_fraction > 0.0
+        self._needs_values = has_ties or protected_fraction > 0.0
         self._values = np.zeros(len(priorities))
         self._is_stale = np.full(len(priorities), self._needs_values)
 
@@ -40,7 +40,7 @@ class GivenOrder:
             self._values[stale] = engine.perceptual.estimate(engine.topology, stale)
             self._is_stale[stale] = False
         values = self._values[vertices]
-        index = int((1.0 - self._seen_fraction) * (len(vertices) - 1))
+        index = int((1.0 - self._protected_fraction) * (len(vertices) - 1))
         if index < len(vertices) - 1:
             is_allowed = values <= np.partition(values, index)[index]
             vertices, values = vertices[is_allowed], values[is_allowed]

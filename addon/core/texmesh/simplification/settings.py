@@ -18,7 +18,7 @@ class SimplificationSettings(Settings):
     """Settings of a simplification by half-edge collapses."""
 
     perceptual_value: str = setting("plane", "How much the removal of a vertex is seen", choices=PERCEPTUAL_VALUES)
-    seen_fraction: float = setting(
+    protected_fraction: float = setting(
         0.5,
         "Of the vertices, those whose removal would be seen most at the moment, which stay whatever their scale; 0 for the order of scales"
         " alone",

@@ -12,12 +12,13 @@ from ...geometry.mesh import longest_side, scaled_normals
 from ..textured_mesh import TexturedMesh
 from .collapse_fans import CollapseFans
 from .islands import find_islands
-from .topology import Collapses, build_topology
+from .topology import BOUNDARY, Collapses, build_topology
 
 ROWS, COLUMNS = np.triu_indices(6)
 CHUNK_SIZE = 1 << 14  # triangles
 MAX_SCALE_RATIO = 4.0  # between the UV scales of a triangle and of its island
-CURVE_WEIGHT = 2.0  # of a squared distance from an edge of a seam or boundary, times its squared length
+BOUNDARY_WEIGHT = 0.5  # of a squared distance from an edge of a boundary, times its squared length
+SEAM_WEIGHT = 0.02  # likewise of a seam. The texture beyond it is there in the neighboring island, so that more only costs accuracy
 LENGTH_WEIGHT = 1e-6  # of the squared length of a collapse, which decides where the surface and its texture coordinates are flat
 
 
@@ -37,10 +38,12 @@ class TextureQuadrics:
         triangles = np.ascontiguousarray(mesh.triangles.T)
         wedges = np.ascontiguousarray(mesh.wedge_triangles.T)
         topology = build_topology(triangles, wedges, np.arange(len(points)), np.zeros(len(mesh.vertices), bool))
-        is_curve = topology.is_curve.reshape(3, -1)
+        curve_weights = np.where(topology.is_curve, SEAM_WEIGHT, 0.0)
+        curve_weights[topology.twins == BOUNDARY] = BOUNDARY_WEIGHT
+        curve_weights = curve_weights.reshape(3, -1)
         for start in range(0, len(mesh.triangles), CHUNK_SIZE):
             rows = slice(start, start + CHUNK_SIZE)
-            self._add_triangles(points, mesh.wedge_triangles[rows], scales[rows] / overall, is_curve[:, rows])
+            self._add_triangles(points, mesh.wedge_triangles[rows], scales[rows] / overall, curve_weights[:, rows])
         self._own_costs = np.einsum("wk,wk->w", self._quadrics, self._monomials)
 
     def evaluate(self, collapses: Collapses) -> np.ndarray:
@@ -65,8 +68,8 @@ class TextureQuadrics:
         costs = np.einsum("wk,wk->w", self._quadrics.take(removed, axis=0), self._monomials.take(kept, axis=0))
         return np.maximum(costs + self._own_costs.take(kept), 0.0)
 
-    def _add_triangles(self, points: np.ndarray, wedges: np.ndarray, scales: np.ndarray, is_curve: np.ndarray) -> None:
-        """Add the quadrics of triangles `wedges` (T, 3), and of their edges on curves, is_curve (3, T), to those of their wedges.
+    def _add_triangles(self, points: np.ndarray, wedges: np.ndarray, scales: np.ndarray, curve_weights: np.ndarray) -> None:
+        """Add the quadrics of triangles `wedges` (T, 3), and of their edges with `curve_weights` (3, T), to those of their wedges.
 
         scales: (T,), of the texture coordinates in `points` (W, 5).
         """
@@ -84,12 +87,12 @@ class TextureQuadrics:
             np.add.at(self._quadrics, wedges[:, corner], terms * areas[:, None] / 3.0)
             np.add.at(self._areas, wedges[:, corner], areas / 3.0)
         for corner in range(3):
-            rows = np.flatnonzero(is_curve[corner])
+            rows = np.flatnonzero(curve_weights[corner])
             start, end, apex = (corners[rows, (corner + step) % 3] for step in range(3))
             edge = end - start
             inward = _normalize(_reject(apex - start, _normalize(edge)))
             distances = np.einsum("ti,tij->tj", inward, _to_offsets(start, scales[rows]))
-            weights = CURVE_WEIGHT * np.einsum("ti,ti->t", edge[:, :3], edge[:, :3])
+            weights = curve_weights[corner, rows] * np.einsum("ti,ti->t", edge[:, :3], edge[:, :3])
             curve_terms = distances[:, ROWS] * distances[:, COLUMNS] * weights[:, None]
             np.add.at(self._quadrics, wedges[rows, corner], curve_terms)
             np.add.at(self._quadrics, wedges[rows, (corner + 1) % 3], curve_terms)
