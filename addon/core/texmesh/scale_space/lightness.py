@@ -39,14 +39,15 @@ def sample_lightness(mesh: TexturedMesh, textures: Sequence[np.ndarray | None]) 
 
 def encode_lightness(luminance: np.ndarray) -> np.ndarray:
     """Return the CIE lightness L* as a fraction, 0 to 1, of relative `luminance`, scene-linear, of any shape."""
-    clipped = np.clip(np.nan_to_num(luminance), 0.0, 1.0)
+    clipped = np.clip(luminance, 0.0, 1.0)
     return np.where(clipped <= CUBE_ROOT_LIMIT, LINE_SCALE * clipped, 1.16 * np.cbrt(clipped) - 0.16)
 
 
 def _luminance_of(texture: np.ndarray) -> np.ndarray:
     """Return the luminance (H, W) float32 of a scene-linear `texture` (H, W, C), within 0 to 1, so that no highlight outshines a level."""
     values = texture[..., :3] @ LUMINANCE if texture.shape[2] >= 3 else texture[..., 0]
-    return np.clip(np.nan_to_num(values.astype(np.float32, copy=False)), 0.0, 1.0)
+    limited = np.fmin(values, np.float32(1.0))  # fmin and fmax replace what is not a number
+    return np.fmax(limited, np.float32(0.0), out=limited)
 
 
 def _sample_pyramid(image: np.ndarray, positions: np.ndarray, levels: np.ndarray) -> np.ndarray:
