@@ -17,7 +17,9 @@ from farfield.addon.core.texmesh.textured_mesh import build_textured_mesh
 def vase(sides: int = 240, cuts: int = 120) -> TriangleMesh:
     """A star-shaped surface around the Z axis, of height 2, without caps."""
     mesh = shapes.cylinder(1.0, 2.0, sides, cuts)
-    return TriangleMesh(mesh.vertices * np.array([1.0, 1.0, 0.0]) * radius_of(mesh.vertices)[:, None] + mesh.vertices * [0, 0, 1], mesh.triangles)
+    return TriangleMesh(
+        mesh.vertices * np.array([1.0, 1.0, 0.0]) * radius_of(mesh.vertices)[:, None] + mesh.vertices * [0, 0, 1], mesh.triangles
+    )
 
 
 def radius_of(points: np.ndarray) -> np.ndarray:

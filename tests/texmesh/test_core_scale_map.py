@@ -9,7 +9,7 @@ import shapes
 from farfield.addon.core.geometry.mesh import TriangleMesh, concatenate
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.scale_space.analysis import analyze_scale_space
-from farfield.addon.core.texmesh.scale_space.feature_spacing import thin_features
+from farfield.addon.core.texmesh.scale_space.feature_spacing import rank_coverage, thin_features
 from farfield.addon.core.texmesh.scale_space.lightness import encode_lightness, sample_lightness
 from farfield.addon.core.texmesh.scale_space.scale_map import SCALES, ScaleMap, records
 from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
@@ -49,7 +49,7 @@ def check(found: ScaleMap, mesh: TexturedMesh) -> None:
 
 def test_short_bumps_end_at_lower_scales_than_long_ones():
     """A long tube with bumps of two wavelengths, each on one half."""
-    tube = shapes.cylinder(1.0, 40.0, 24, 320)
+    tube = shapes.cylinder(1.0, 40.0, 16, 240)
     heights = tube.vertices[:, 2]
     bumps = np.where(heights < 0.0, 0.05 * np.sin(2.0 * np.pi * heights), 0.4 * np.sin(2.0 * np.pi * heights / 8.0))
     mesh = textured(TriangleMesh(tube.vertices * np.stack([1.0 + bumps, 1.0 + bumps, np.ones(len(bumps))], axis=1), tube.triangles))
@@ -57,7 +57,6 @@ def test_short_bumps_end_at_lower_scales_than_long_ones():
     inside = np.abs(np.abs(mesh.vertices[:, 2]) - 10.0) < 6.0
     is_short = mesh.vertices[:, 2] < 0.0
     last_short, last_long = (found.sigmas[found.last_scales[inside & part].max()] for part in (is_short, ~is_short))
-    print(last_short,last_long)
     assert last_short < 0.7
     assert last_long > 1.4
 
@@ -206,3 +205,21 @@ def test_several_materials_and_textures_of_any_content():
 
 def test_lightness_is_that_of_the_cie():
     np.testing.assert_allclose(encode_lightness(np.array([0.0, 0.18, 1.0, 7.0])), [0.0, 0.4950, 1.0, 1.0], atol=1e-3)
+
+
+def test_vertices_between_features_are_ordered_by_coverage():
+    """The first ones of a flat square without features are spread over it."""
+    random = np.random.default_rng(1)
+    points = np.concatenate([random.random((800, 2)), 0.5 + 1e-6 * random.random((800, 2))])
+    points = np.concatenate([points, np.zeros((len(points), 1))], axis=1)
+    scales = np.zeros(len(points), np.int8)
+    scales[0] = 7
+    sigmas = np.concatenate([[0.0], 0.02 * 1.15 ** np.arange(SCALES - 1)])
+    strengths = rank_coverage(points, scales, random.random(len(points)), sigmas, 1.0)
+    assert strengths[0] == 0.0
+    for scale in (1, 8, 14):
+        chosen = points[strengths >= scale]
+        distances = np.linalg.norm(np.concatenate([chosen, points[:1]])[:, None] - chosen, axis=2)
+        distances[np.arange(len(chosen)), np.arange(len(chosen))] = 1.0
+        assert distances.min() >= sigmas[scale]
+        assert np.linalg.norm(points[:, None] - np.concatenate([chosen, points[:1]]), axis=2).min(axis=1).max() < 6.0 * sigmas[scale]

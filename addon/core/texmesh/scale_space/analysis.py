@@ -12,9 +12,7 @@ from .settings import ScaleSpaceSettings
 from .surface_mode import analyze_surface
 
 
-def analyze_scale_space(
-    mesh: TexturedMesh, textures: Sequence[np.ndarray | None], settings: ScaleSpaceSettings
-) -> Steps[ScaleMap]:
+def analyze_scale_space(mesh: TexturedMesh, textures: Sequence[np.ndarray | None], settings: ScaleSpaceSettings) -> Steps[ScaleMap]:
     """Find for each vertex of `mesh` the last of 21 scales at which it is a feature.
 
     textures: per material an image (H, W, 3) float32, scene-linear, row 0 at the bottom, or None. Mode `paper` looks at the shape alone.

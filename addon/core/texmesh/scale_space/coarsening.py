@@ -71,7 +71,9 @@ def _coarsen(level: Level, radius: float) -> Level:
     laplacian = (transposed @ (level.laplacian @ prolongation)).tocsc()
     mass = (transposed @ (level.mass @ prolongation)).tocsc()
     projected = splu(mass).solve(transposed @ (level.mass @ coordinates))
-    energies = [float(np.sum(values * (operator @ values))) for operator, values in ((level.laplacian, coordinates), (laplacian, projected))]
+    energies = [
+        float(np.sum(values * (operator @ values))) for operator, values in ((level.laplacian, coordinates), (laplacian, projected))
+    ]
     return Level(laplacian * (energies[0] / energies[1]), mass, projected, radius, prolongation)
 
 

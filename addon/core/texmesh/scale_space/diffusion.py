@@ -52,9 +52,7 @@ def choose_times(first_sigma: float, last_sigma: float) -> tuple[np.ndarray, Fra
     return 0.5 * last_sigma**2 * float(growth) ** np.arange(2.0 - SCALES, 1.0), growth
 
 
-def diffuse(
-    levels: Sequence[Level], integrals: np.ndarray, times: np.ndarray, growth: Fraction
-) -> Steps[tuple[np.ndarray, np.ndarray]]:
+def diffuse(levels: Sequence[Level], integrals: np.ndarray, times: np.ndarray, growth: Fraction) -> Steps[tuple[np.ndarray, np.ndarray]]:
     """Diffuse signals; return their negative Laplacians (20, V, S) float32 at `times` (20,), and the ranges (20, S) of the signals.
 
     Ranges are the largest of a connected component. On coarse levels they are those of the degrees of freedom.

@@ -30,9 +30,7 @@ def analyze_range_image(mesh: TexturedMesh, settings: ScaleSpaceSettings) -> Ste
             f"The surface is edge-on to the {settings.axis.upper()} axis, so that it has no range image; choose another axis or analysis."
         )
     sample = float(np.sqrt(image.column_length * image.row_length))
-    filtering = RangeFilter(
-        image.ranges, image.is_known, phi=(image.column_length / sample) ** 2, psi=(image.row_length / sample) ** 2
-    )
+    filtering = RangeFilter(image.ranges, image.is_known, phi=(image.column_length / sample) ** 2, psi=(image.row_length / sample) ** 2)
     limit = 0.5 * max(image.ranges.shape[1] * image.column_length, image.ranges.shape[0] * image.row_length) / sample
     sigmas = np.linspace(0.0, _search_last_sigma(filtering, image, settings.convergence, limit), SCALES)
 

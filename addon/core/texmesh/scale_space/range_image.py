@@ -85,13 +85,17 @@ def _unwrap(angles: np.ndarray) -> np.ndarray:
 
 def _choose_size(angles: np.ndarray, heights: np.ndarray, extent: float, count: int) -> tuple[int, int]:
     """Return columns and rows for `count` samples of triangles at `angles` and `heights` (T, 3) of a mesh with this `extent` in height."""
-    turn, rise = (float(np.sqrt(np.mean((values - np.roll(values, 1, axis=1)) ** 2))) if len(values) else 0.0 for values in (angles, heights))
+    turn, rise = (
+        float(np.sqrt(np.mean((values - np.roll(values, 1, axis=1)) ** 2))) if len(values) else 0.0 for values in (angles, heights)
+    )
     ratio = (2.0 * np.pi * rise) / (extent * turn) if turn > 0.0 and rise > 0.0 else 1.0
     columns = int(np.clip(np.rint(np.sqrt(count * ratio)), MIN_COLUMNS, MAX_COLUMNS))
     return columns, int(np.clip(np.rint(count / columns), MIN_ROWS, MAX_ROWS))
 
 
-def _draw_ranges(triangles: np.ndarray, corners: np.ndarray, normals: np.ndarray, size: tuple[int, int], low: float, row_height: float) -> np.ndarray:
+def _draw_ranges(
+    triangles: np.ndarray, corners: np.ndarray, normals: np.ndarray, size: tuple[int, int], low: float, row_height: float
+) -> np.ndarray:
     """Return the largest distance from the axis (rows, columns) in each pixel, 0 where there is none.
 
     triangles: (T, 3, 3) corner positions, the axis being Z. corners: (T, 3, 2) the same in pixels. normals: (T, 3). low, row_height: of the rows.

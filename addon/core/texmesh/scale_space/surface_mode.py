@@ -12,7 +12,7 @@ from .cotangent_laplacian import assemble_laplacian, integrate_over_vertices, mo
 from .curvature import integrate_mean_curvature
 from .diffusion import choose_times, diffuse, search_last_sigma
 from .lightness import sample_lightness
-from .feature_spacing import thin_features
+from .feature_spacing import rank_coverage, thin_features
 from .feature_tracing import FeatureTracer
 from .scale_map import ScaleMap
 from .settings import ScaleSpaceSettings
@@ -64,6 +64,8 @@ def analyze_surface(mesh: TexturedMesh, textures: Sequence[np.ndarray | None], s
     sigmas = np.concatenate([[0.0], sigmas])
     features = tracer.features
     features.last_scales = thin_features(points, features.last_scales, features.strengths, sigmas, settings.spacing)
+    coverage = rank_coverage(points, features.last_scales, tracer.contrasts, sigmas, settings.spacing)
+    features.strengths = np.where(features.last_scales > 0, features.strengths, coverage).astype(np.float32)
     raw_ranges = np.concatenate([[np.ptp(raw, axis=0)], ranges * np.stack([sigmas[1:], np.ones(len(times))], axis=1)[:, : len(weights)]])
     relative = (raw_ranges / np.where(largest > 0.0, largest, 1.0)) @ weights / weights.sum()
     return features.to_scale_map(sigmas * unit, relative, losses)
@@ -77,9 +79,7 @@ def _normalize(mesh: TexturedMesh) -> tuple[np.ndarray, float]:
     return points / np.sqrt(area), extent * float(np.sqrt(area))
 
 
-def _integrate_lightness(
-    mesh: TexturedMesh, textures: Sequence[np.ndarray | None], areas: np.ndarray
-) -> tuple[np.ndarray | None, str]:
+def _integrate_lightness(mesh: TexturedMesh, textures: Sequence[np.ndarray | None], areas: np.ndarray) -> tuple[np.ndarray | None, str]:
     """Return the lightness of the textures integrated around each vertex, (V,), None without textures, and a sentence about triangles
     without one, "" for none. They have the mean lightness of the others."""
     lightness, has_texture = sample_lightness(mesh, textures)
