@@ -83,7 +83,7 @@ def test_edges_of_a_texture_are_features_where_the_shape_is_flat():
 
 
 def test_the_weight_decides_between_shape_and_texture():
-    sheet = shapes.sheet(40, lambda x, y: 0.3 * np.abs(y - 0.3))
+    sheet = shapes.sheet(40, lambda x, y: 0.0 * x + 0.3 * np.abs(y - 0.3))
     mesh = textured(sheet, 0.1 + 0.8 * sheet.corners[..., :2])
     texture = np.zeros((64, 64, 3), np.float32)
     texture[:, 32:] = 0.8
@@ -133,7 +133,7 @@ def test_rotation_position_and_order_of_vertices_do_not_matter(seed):
 def test_components_boundaries_and_single_triangles():
     parts = [shapes.sheet(6), shapes.sphere(6), shapes.soup(3)]
     moved = [TriangleMesh(part.vertices + [3.0 * index, 0.0, 0.0], part.triangles) for index, part in enumerate(parts)]
-    for mesh in (textured(concatenate(moved)), textured(shapes.soup(1)), textured(shapes.box(cuts=1))):
+    for mesh in (textured(concatenate(moved)), textured(shapes.soup(1)), textured(shapes.soup(400)), textured(shapes.box(cuts=1))):
         check(analyze(mesh), mesh)
 
 

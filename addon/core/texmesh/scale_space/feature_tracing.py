@@ -1,8 +1,9 @@
 """Zero crossings on a mesh, traced from coarse scales to the place of the structure that causes them.
 
 A crossing moves away from its structure as the scale grows: the crossings beside a crease are one standard deviation from it. So each is
-traced to the nearest one of the finer scale, and so on to the mesh, as in Witkin, "Scale-Space Filtering" (1983): a feature is identified at
-a coarse scale and localized at the finest.
+traced to the nearest one of the finer scale, and so on to the mesh, as in Witkin, "Scale-Space Filtering" (1983): a feature is identified
+at a coarse scale and localized at the finest. There, a feature of the shape is the vertex with the strongest curvature among the one found
+and its neighbors.
 """
 
 import numpy as np

@@ -12,7 +12,8 @@ CUBE_ROOT_LIMIT, LINE_SCALE = (6.0 / 29.0) ** 3, 9.0329  # of CIE L*, as a fract
 
 
 def sample_lightness(mesh: TexturedMesh, textures: Sequence[np.ndarray | None]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lightness (T, 3) float32, 0 to 1, near each corner of the triangles of `mesh`, and which triangles (T,) bool have a texture.
+    """Return the lightness (T, 3) float32, 0 to 1, near each corner of the triangles of `mesh`, and which triangles (T,) bool have a
+    texture.
 
     A sample is the mean over texels of about a third of its triangle, from a level of an image pyramid, so that detail finer than the mesh
     does not alias. Textures repeat outside 0..1. Triangles without a texture are 0.

@@ -28,8 +28,8 @@ class RangeFilter:
         return np.where(weights > MIN_WEIGHT, _convolve(self._sums, *kernels) / np.maximum(weights, MIN_WEIGHT), 0.0)
 
     def laplacian(self, sigma: float) -> np.ndarray:
-        """Return the Laplacian of Gaussian (rows, columns), times the squared standard deviation. A window with unknown samples is completed
-        with the smoothed value of its center."""
+        """Return the Laplacian of Gaussian (rows, columns), times the squared standard deviation. A window with unknown samples is
+        completed with the smoothed value of its center."""
         (gaussian_y, second_y), (gaussian_x, second_x) = ((_gaussian(sigma, step), _second_derivative(sigma, step)) for step in self._steps)
         response, leak = (
             _convolve(image, second_y, gaussian_x) + _convolve(image, gaussian_y, second_x) for image in (self._sums, self._weights)
@@ -38,8 +38,8 @@ class RangeFilter:
 
 
 def find_zero_crossings(values: np.ndarray, is_known: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pixels (N,), row by row, at sign changes of `values` (rows, columns) between known neighbors, those nearer to zero, and the
-    strengths (N,): the largest difference between the neighbors, above `noise`. Columns wrap."""
+    """Return the pixels (N,), row by row, at sign changes of `values` (rows, columns) between known neighbors, those nearer to zero, and
+    the strengths (N,): the largest difference between the neighbors, above `noise`. Columns wrap."""
     strengths = np.zeros(values.shape)
     for axis in (0, 1):
         neighbor, neighbor_known = np.roll(values, -1, axis=axis), np.roll(is_known, -1, axis=axis)

@@ -98,7 +98,8 @@ def _draw_ranges(
 ) -> np.ndarray:
     """Return the largest distance from the axis (rows, columns) in each pixel, 0 where there is none.
 
-    triangles: (T, 3, 3) corner positions, the axis being Z. corners: (T, 3, 2) the same in pixels. normals: (T, 3). low, row_height: of the rows.
+    triangles: (T, 3, 3) corner positions, the axis being Z. corners: (T, 3, 2) the same in pixels. normals: (T, 3). low, row_height: of the
+    rows.
     """
     columns, rows = size
     ranges = np.zeros(columns * rows)

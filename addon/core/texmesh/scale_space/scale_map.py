@@ -32,8 +32,8 @@ class ScaleMap:
 
 
 class FeatureRecords(NamedTuple):
-    """The priority queue in descending order of last scales: scales (V,) int8, texture coordinates (V, 2) and positions (V, 3) float64, and the vertices
-    (V,) int32 that they belong to."""
+    """The priority queue in descending order of last scales: scales (V,) int8, texture coordinates (V, 2) and positions (V, 3)
+    float64, and the vertices (V,) int32 that they belong to."""
 
     scales: np.ndarray
     uvs: np.ndarray

@@ -11,9 +11,9 @@ from .coarsening import build_levels
 from .cotangent_laplacian import assemble_laplacian, integrate_over_vertices, mollify_lengths, triangle_areas
 from .curvature import integrate_mean_curvature
 from .diffusion import choose_times, diffuse, search_last_sigma
-from .lightness import sample_lightness
 from .feature_spacing import rank_coverage, thin_features
 from .feature_tracing import FeatureTracer
+from .lightness import sample_lightness
 from .scale_map import ScaleMap
 from .settings import ScaleSpaceSettings
 
@@ -28,7 +28,8 @@ def analyze_surface(mesh: TexturedMesh, textures: Sequence[np.ndarray | None], s
     """Return the scale map of `mesh` by diffusion on its surface; arguments as for `analyze_scale_space`.
 
     Features are zero crossings of the Laplacian of the diffused mean curvature, and of the diffused lightness of the textures. Of the ends
-    of an edge across which a Laplacian changes its sign, the one nearer to the crossing is the feature.
+    of an edge across which a Laplacian changes its sign, the one nearer to the crossing is the feature. It is traced to the mesh, and ends
+    at a lower scale where a more persistent or stronger one is too close.
     """
     yield Progress(0.0, "Measuring curvature")
     points, unit = _normalize(mesh)
@@ -40,7 +41,7 @@ def analyze_surface(mesh: TexturedMesh, textures: Sequence[np.ndarray | None], s
     masses = np.maximum(masses, MIN_MASS * masses.mean())
     signals, weights = [integrate_mean_curvature(points, mesh.triangles, edges)], [min(1.0, 2.0 - 2.0 * settings.texture_weight)]
     yield Progress(0.03, "Reading textures")
-    lightness, losses = _integrate_lightness(mesh, textures, areas)
+    lightness, losses = _integrate_lightness(mesh, textures if settings.texture_weight > 0.0 else (), areas)
     if lightness is not None:
         signals.append(lightness)
         weights.append(min(1.0, 2.0 * settings.texture_weight))
