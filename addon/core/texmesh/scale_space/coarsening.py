@@ -1,21 +1,29 @@
 """Coarse versions of a Laplacian and its masses for scales that are large compared to the triangles: smoothed aggregation.
 
 Vertices that are close together become an aggregate, around roots that are a maximal independent set at distance two (Bell, Dalton and
-Olson, "Exposing Fine-Grained Parallelism in Algebraic Multigrid Methods", 2012). Functions on aggregates are smoothed once, so that
-they are about piecewise linear, and Laplacian and masses are projected onto them (Galerkin). Where vertices are farther apart than the
-radius of a level they remain, so that the coarse functions are about equally wide on irregular meshes.
+Olson, "Exposing Fine-Grained Parallelism in Algebraic Multigrid Methods", 2012). Functions on aggregates are smoothed, and Laplacian and
+masses are projected onto them (Galerkin). Where vertices are farther apart than the radius of a level they remain, so that the coarse
+functions are about equally wide on irregular meshes.
+
+Such functions have a larger gradient than those that they approximate. The Laplacian is divided by the factor by which this changes the
+energy of smooth functions (overcorrection, as in Braess, "Towards Algebraic Multigrid for Elliptic Problems of Second Order", 1995).
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from ...arrays import TINY
 
 RADIUS_GROWTH = 2.5  # between two levels: that of the distance between roots
 MIN_SIZE = 400  # degrees of freedom below which a level is not coarsened
 MAX_LEVELS = 12
 MIN_REDUCTION = 0.9  # of the size: levels that reduce less are left out
-SMOOTHING = 2.0 / 3.0  # damping of the Jacobi step that smooths functions on aggregates
+SMOOTHING = 2.0 / 3.0  # damping of the Jacobi steps that smooth functions on aggregates
+SMOOTHING_STEPS, COORDINATE_STEPS = 2, 12  # of functions on aggregates, and of the coordinates whose energy is compared
+MIN_ENERGY = 0.1  # of coarse coordinates relative to fine ones; below, most components have become points
 MASS_DIGITS = 1e5  # mass relative to the mean is rounded to this for an order that does not depend on that of the vertices
 
 
@@ -54,13 +62,24 @@ def _coarsen(level: Level, radius: float) -> Level:
     count = len(aggregates)
     tentative = sparse.csr_array((np.ones(count), (np.arange(count), aggregates)), shape=(count, len(roots)))
     sums = np.asarray(weights.sum(axis=1)).ravel()
-    averaging = sparse.diags_array(SMOOTHING / np.where(sums > 0.0, sums, 1.0)) @ weights
-    keeping = np.where(sums > 0.0, 1.0 - SMOOTHING, 1.0)
-    prolongation = (sparse.diags_array(keeping) @ tentative + averaging @ tentative).tocsr()
+    is_linked = sums > 0.0
+    averaging = sparse.diags_array(np.where(is_linked, SMOOTHING, 0.0) / np.where(is_linked, sums, 1.0)) @ weights
+    smoothing = (averaging + sparse.diags_array(np.where(is_linked, 1.0 - SMOOTHING, 1.0))).tocsr()
+    prolongation, coordinates = tentative, level.positions
+    for _ in range(SMOOTHING_STEPS):
+        prolongation = (smoothing @ prolongation).tocsr()
+    bounds = np.maximum(np.asarray(abs(level.laplacian).sum(axis=1)).ravel(), TINY)[:, None]
+    for _ in range(COORDINATE_STEPS):
+        coordinates = coordinates - (level.laplacian @ coordinates) / bounds
     transposed = prolongation.T.tocsr()
     laplacian = (transposed @ (level.laplacian @ prolongation)).tocsc()
     mass = (transposed @ (level.mass @ prolongation)).tocsc()
-    return Level(laplacian, mass, level.positions[roots], radius, prolongation)
+    projected = splu(mass).solve(transposed @ (level.mass @ coordinates))
+    energies = [
+        float(np.sum(values * (operator @ values))) for operator, values in ((level.laplacian, coordinates), (laplacian, projected))
+    ]
+    correction = energies[0] / energies[1] if energies[1] > MIN_ENERGY * energies[0] else 1.0
+    return Level(laplacian * correction, mass, projected, radius, prolongation)
 
 
 def _close_weights(level: Level, radius: float) -> sparse.csr_array:

@@ -19,7 +19,7 @@ from .coarsening import Level
 from .scale_map import SCALES
 
 GROWTHS = [Fraction(*pair) for pair in [(6, 5), (5, 4), (4, 3), (7, 5), (3, 2), (8, 5), (5, 3), (7, 4), (2, 1), (5, 2), (3, 1), (4, 1)]]
-MIN_STEPS = 2  # per scale
+MIN_STEPS, COARSE_STEPS = 2, 3  # per scale, on the mesh and on coarse levels
 SIGMA_PER_RADIUS = 4.0  # from this standard deviation on, relative to its radius, a level is fine enough
 SEARCH_SIZE = 2500  # degrees of freedom on which the largest scale is searched
 SEARCH_GROWTH = 1.15  # of the standard deviation between two steps of the search
@@ -52,10 +52,10 @@ def choose_times(first_sigma: float, last_sigma: float) -> tuple[np.ndarray, Fra
     return 0.5 * last_sigma**2 * float(growth) ** np.arange(2.0 - SCALES, 1.0), growth
 
 
-def diffuse(
-    levels: Sequence[Level], integrals: np.ndarray, times: np.ndarray, growth: Fraction
-) -> Steps[tuple[np.ndarray, np.ndarray]]:
+def diffuse(levels: Sequence[Level], integrals: np.ndarray, times: np.ndarray, growth: Fraction) -> Steps[tuple[np.ndarray, np.ndarray]]:
     """Diffuse signals; return their negative Laplacians (20, V, S) float32 at `times` (20,), and the ranges (20, S) of the signals.
+
+    Ranges are the largest of a connected component. On coarse levels they are those of the degrees of freedom.
 
     integrals: (V, S) of the signals around each vertex. growth: the factor by which the times grow.
     """
@@ -73,7 +73,7 @@ def diffuse(
                 components = _label_components(coarser)
         level = levels[len(finer)]
         duration = time - sum(each.step for each in finer) - elapsed
-        count = MIN_STEPS if finer else _count_steps(scale, growth)
+        count = COARSE_STEPS if finer else _count_steps(scale, growth)
         if solver is None or abs(solver.step - duration / count) > 1e-9 * solver.step:
             solver = _build_solver(level, duration / count)
         for _ in range(count - 1):

@@ -1,8 +1,9 @@
 """Zero crossings on a mesh, traced from coarse scales to the place of the structure that causes them.
 
 A crossing moves away from its structure as the scale grows: the crossings beside a crease are one standard deviation from it. So each is
-traced to the nearest one of the finer scale, and so on to the mesh, as in Witkin, "Scale-Space Filtering" (1983): a feature is identified at
-a coarse scale and localized at the finest.
+traced to the nearest one of the finer scale, and so on to the mesh, as in Witkin, "Scale-Space Filtering" (1983): a feature is identified
+at a coarse scale and localized at the finest. There, a feature of the shape is the vertex with the strongest curvature among the one found
+and its neighbors.
 """
 
 import numpy as np
@@ -17,7 +18,7 @@ ROUNDING = 1e-6  # strength, relative to the range of the signal, of what owes i
 class FeatureTracer:
     """Finds the features of one scale after the other, in ascending order.
 
-    features: what has been found.
+    features: what has been found. contrasts: (V,) largest difference of a signal at scale 0 to a neighbor.
     """
 
     def __init__(self, positions: np.ndarray, edges: Edges, raw: np.ndarray, noise: float) -> None:
@@ -25,7 +26,8 @@ class FeatureTracer:
         self._positions, self._edges, self._noise = positions, edges, noise
         start, end = edges.ends.T
         self._lengths = np.linalg.norm(positions[start] - positions[end], axis=1)
-        self.features = LastFeatures(_find_contrasts(raw, edges))
+        self.contrasts = _find_contrasts(raw, edges)
+        self.features = LastFeatures(self.contrasts)
         self._curvature_peaks = _find_neighborhood_peaks(np.abs(raw[:, 0]), edges)
         self._finer: list[tuple[np.ndarray, np.ndarray]] = [(np.empty(0, np.int64),) * 2] * raw.shape[1]
 

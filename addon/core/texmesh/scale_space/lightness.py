@@ -12,7 +12,8 @@ CUBE_ROOT_LIMIT, LINE_SCALE = (6.0 / 29.0) ** 3, 9.0329  # of CIE L*, as a fract
 
 
 def sample_lightness(mesh: TexturedMesh, textures: Sequence[np.ndarray | None]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lightness (T, 3) float32, 0 to 1, near each corner of the triangles of `mesh`, and which triangles (T,) bool have a texture.
+    """Return the lightness (T, 3) float32, 0 to 1, near each corner of the triangles of `mesh`, and which triangles (T,) bool have a
+    texture.
 
     A sample is the mean over texels of about a third of its triangle, from a level of an image pyramid, so that detail finer than the mesh
     does not alias. Textures repeat outside 0..1. Triangles without a texture are 0.
@@ -39,14 +40,15 @@ def sample_lightness(mesh: TexturedMesh, textures: Sequence[np.ndarray | None]) 
 
 def encode_lightness(luminance: np.ndarray) -> np.ndarray:
     """Return the CIE lightness L* as a fraction, 0 to 1, of relative `luminance`, scene-linear, of any shape."""
-    clipped = np.clip(np.nan_to_num(luminance), 0.0, 1.0)
+    clipped = np.clip(luminance, 0.0, 1.0)
     return np.where(clipped <= CUBE_ROOT_LIMIT, LINE_SCALE * clipped, 1.16 * np.cbrt(clipped) - 0.16)
 
 
 def _luminance_of(texture: np.ndarray) -> np.ndarray:
     """Return the luminance (H, W) float32 of a scene-linear `texture` (H, W, C), within 0 to 1, so that no highlight outshines a level."""
     values = texture[..., :3] @ LUMINANCE if texture.shape[2] >= 3 else texture[..., 0]
-    return np.clip(np.nan_to_num(values.astype(np.float32, copy=False)), 0.0, 1.0)
+    limited = np.fmin(values, np.float32(1.0))  # fmin and fmax replace what is not a number
+    return np.fmax(limited, np.float32(0.0), out=limited)
 
 
 def _sample_pyramid(image: np.ndarray, positions: np.ndarray, levels: np.ndarray) -> np.ndarray:

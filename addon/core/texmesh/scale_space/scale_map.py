@@ -16,9 +16,8 @@ class ScaleMap:
 
     Attributes:
         last_scales: (V,) int8, 0 to 20, the last scale at which each vertex is a feature. At scale 0 all are.
-        strengths: (V,) float32 of each at that scale, comparable only among vertices with the same last scale.
-        sigmas: (21,) float64, the standard deviation of the filter at each scale, ascending from 0, in the unit of the mesh; in mode
-            `paper` in samples of the range image.
+        strengths: (V,) float32 of their features, comparable only among vertices with the same last scale.
+        sigmas: (21,) float64, the standard deviation of the filter at each scale, ascending from 0, in the unit of the mesh.
         counts: (21,) int64, vertices whose last scale is at least i.
         ranges: (21,) float64, the largest minus the smallest filtered value at each scale (Figure 10), relative to its maximum.
         losses: a sentence about what the analysis could not represent, "" for nothing.
@@ -33,8 +32,8 @@ class ScaleMap:
 
 
 class FeatureRecords(NamedTuple):
-    """The priority queue in descending order: scales (V,) int8, texture coordinates (V, 2) and positions (V, 3) float64, and the vertices
-    (V,) int32 that they belong to."""
+    """The priority queue in descending order of last scales: scales (V,) int8, texture coordinates (V, 2) and positions (V, 3)
+    float64, and the vertices (V,) int32 that they belong to."""
 
     scales: np.ndarray
     uvs: np.ndarray
@@ -43,7 +42,10 @@ class FeatureRecords(NamedTuple):
 
 
 class LastFeatures:
-    """Collects the features of one scale after the other, in ascending order, of a mesh with `count` vertices."""
+    """Collects the features of one scale after the other, in ascending order.
+
+    last_scales: (V,) int8. strengths: (V,) float32, at the last scale.
+    """
 
     def __init__(self, strengths: np.ndarray) -> None:
         """strengths: (V,) at scale 0, where all vertices are features."""

@@ -29,21 +29,21 @@ class ScaleSpaceSettings(Settings):
         unit=Unit.FRACTION,
     )
     convergence: float = setting(
-        0.5,
+        0.25,
         "Range of the filtered signal at the coarsest scale, relative to the largest. Smaller values give larger scales",
         minimum=0.001,
         maximum=0.9,
         unit=Unit.FRACTION,
     )
     noise: float = setting(
-        0.05,
+        0.01,
         "Strength of the weakest feature on a surface, relative to the range of the signal",
         minimum=0.0,
         maximum=0.5,
         unit=Unit.FRACTION,
     )
     spacing: float = setting(
-        1.5,
+        1.0,
         "Distance between features on a surface, relative to the scale; closer ones that are weaker end at a lower scale. "
         "0 to keep all, as in the paper",
         minimum=0.0,

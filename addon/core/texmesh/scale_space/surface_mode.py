@@ -11,7 +11,7 @@ from .coarsening import build_levels
 from .cotangent_laplacian import assemble_laplacian, integrate_over_vertices, mollify_lengths, triangle_areas
 from .curvature import integrate_mean_curvature
 from .diffusion import choose_times, diffuse, search_last_sigma
-from .feature_spacing import thin_features
+from .feature_spacing import rank_coverage, thin_features
 from .feature_tracing import FeatureTracer
 from .lightness import sample_lightness
 from .scale_map import ScaleMap
@@ -28,7 +28,8 @@ def analyze_surface(mesh: TexturedMesh, textures: Sequence[np.ndarray | None], s
     """Return the scale map of `mesh` by diffusion on its surface; arguments as for `analyze_scale_space`.
 
     Features are zero crossings of the Laplacian of the diffused mean curvature, and of the diffused lightness of the textures. Of the ends
-    of an edge across which a Laplacian changes its sign, the one nearer to the crossing is the feature.
+    of an edge across which a Laplacian changes its sign, the one nearer to the crossing is the feature. It is traced to the mesh, and ends
+    at a lower scale where a more persistent or stronger one is too close.
     """
     yield Progress(0.0, "Measuring curvature")
     points, unit = _normalize(mesh)
@@ -40,7 +41,7 @@ def analyze_surface(mesh: TexturedMesh, textures: Sequence[np.ndarray | None], s
     masses = np.maximum(masses, MIN_MASS * masses.mean())
     signals, weights = [integrate_mean_curvature(points, mesh.triangles, edges)], [min(1.0, 2.0 - 2.0 * settings.texture_weight)]
     yield Progress(0.03, "Reading textures")
-    lightness, losses = _integrate_lightness(mesh, textures, areas)
+    lightness, losses = _integrate_lightness(mesh, textures if settings.texture_weight > 0.0 else (), areas)
     if lightness is not None:
         signals.append(lightness)
         weights.append(min(1.0, 2.0 * settings.texture_weight))
@@ -64,6 +65,8 @@ def analyze_surface(mesh: TexturedMesh, textures: Sequence[np.ndarray | None], s
     sigmas = np.concatenate([[0.0], sigmas])
     features = tracer.features
     features.last_scales = thin_features(points, features.last_scales, features.strengths, sigmas, settings.spacing)
+    coverage = rank_coverage(points, features.last_scales, tracer.contrasts, sigmas, settings.spacing)
+    features.strengths = np.where(features.last_scales > 0, features.strengths, coverage).astype(np.float32)
     raw_ranges = np.concatenate([[np.ptp(raw, axis=0)], ranges * np.stack([sigmas[1:], np.ones(len(times))], axis=1)[:, : len(weights)]])
     relative = (raw_ranges / np.where(largest > 0.0, largest, 1.0)) @ weights / weights.sum()
     return features.to_scale_map(sigmas * unit, relative, losses)
@@ -77,9 +80,7 @@ def _normalize(mesh: TexturedMesh) -> tuple[np.ndarray, float]:
     return points / np.sqrt(area), extent * float(np.sqrt(area))
 
 
-def _integrate_lightness(
-    mesh: TexturedMesh, textures: Sequence[np.ndarray | None], areas: np.ndarray
-) -> tuple[np.ndarray | None, str]:
+def _integrate_lightness(mesh: TexturedMesh, textures: Sequence[np.ndarray | None], areas: np.ndarray) -> tuple[np.ndarray | None, str]:
     """Return the lightness of the textures integrated around each vertex, (V,), None without textures, and a sentence about triangles
     without one, "" for none. They have the mean lightness of the others."""
     lightness, has_texture = sample_lightness(mesh, textures)
