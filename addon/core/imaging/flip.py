@@ -96,12 +96,17 @@ def compare(reference: FlipImage, image: FlipImage) -> np.ndarray:
     return np.clip(color_error ** (1.0 - feature_error), 0.0, 1.0).astype(np.float32)
 
 
+def filter_radius(pixels_per_degree: float) -> int:
+    """Return the radius in pixels of the viewer's blur. Beyond the border of an image, its last pixels count as repeated."""
+    return math.ceil(3.0 * math.sqrt(MAX_VARIANCE / (2.0 * math.pi**2)) * pixels_per_degree)
+
+
 def _blur(opponent: np.ndarray, pixels_per_degree: float) -> np.ndarray:
     """Return XYZ values (H, W, 3) relative to the white, of `opponent` colors Y, X - Y, Y - Z after the viewer's contrast sensitivity.
 
     Factors and offsets of the opponent colors do not change under filters with sum 1.
     """
-    radius = math.ceil(3.0 * math.sqrt(MAX_VARIANCE / (2.0 * math.pi**2)) * pixels_per_degree)
+    radius = filter_radius(pixels_per_degree)
     squares = (np.arange(-radius, radius + 1) / pixels_per_degree) ** 2
     luminance, red_green, blue_yellow = np.moveaxis(opponent, 2, 0)
     y_blurred = _filter_separably(luminance, _gaussian(squares, ACHROMATIC[1]))
