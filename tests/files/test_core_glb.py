@@ -73,7 +73,7 @@ def test_a_quantized_file_is_smaller_and_nearly_the_same(tmp_path, uv_scale):
         assert np.abs(first.uvs - second.uvs).max() <= 0.51 / 65535.0 * uv_scale
 
 
-def test_levels_with_the_same_bounds_share_positions_and_are_found_again(tmp_path):
+def test_levels_with_the_same_bounds_have_equal_positions_and_are_found_again(tmp_path):
     fine = primitive(rings=8)
     bounds = np.stack([fine.positions.min(axis=0), fine.positions.max(axis=0)])
     coarse = GlbPrimitive(fine.positions[:40], np.array([[0, 1, 2]]))

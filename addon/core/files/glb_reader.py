@@ -81,7 +81,7 @@ class _Reader:
         if self.byte_count > MAX_EXPANSION * len(self.binary):
             raise self.fail("it uses the same data too often")
 
-    def share(self, key: tuple[object, ...], make: Callable[[], np.ndarray]) -> np.ndarray:
+    def reuse(self, key: tuple[object, ...], make: Callable[[], np.ndarray]) -> np.ndarray:
         """Return the array with this key, made at the first call."""
         if key not in self.arrays:
             self.arrays[key] = make()
@@ -90,11 +90,11 @@ class _Reader:
 
     def read_accessor(self, index: int) -> np.ndarray:
         """Return the values (N, C) float64 of an accessor, normalized if it says so."""
-        return self.share(("values", index), lambda: self._decode(self.get("accessors", index), False))
+        return self.reuse(("values", index), lambda: self._decode(self.get("accessors", index), False))
 
     def read_triangles(self, index: int) -> np.ndarray:
         """Return the triangles (T, 3) int32 of an accessor with indices."""
-        return self.share(("triangles", index), lambda: self._decode(self.get("accessors", index), True))
+        return self.reuse(("triangles", index), lambda: self._decode(self.get("accessors", index), True))
 
     def _decode(self, accessor: dict[str, Any], is_integer: bool) -> np.ndarray:
         if "sparse" in accessor or "bufferView" not in accessor:
@@ -226,7 +226,7 @@ def _read_primitives(reader: _Reader, mesh: dict[str, Any], transforms: list[tup
         if "indices" in primitive:
             triangles = reader.read_triangles(primitive["indices"])
         else:
-            triangles = reader.share(("soup", len(positions)), partial(_soup_triangles, len(positions)))
+            triangles = reader.reuse(("soup", len(positions)), partial(_soup_triangles, len(positions)))
         if positions.shape[1] != 3 or not len(triangles) or triangles.max() >= len(positions):
             raise reader.fail("its triangles do not fit its vertices")
         primitives.append(GlbPrimitive(positions, triangles, values["normals"], values["uvs"], values["colors"], material))
@@ -236,7 +236,7 @@ def _read_primitives(reader: _Reader, mesh: dict[str, Any], transforms: list[tup
 def _transform_uvs(reader: _Reader, accessor: int, transform: np.ndarray) -> np.ndarray:
     """Return texture coordinates (V, 2) with v upwards, transformed as the material prescribes."""
     uvs = reader.read_accessor(accessor)
-    return reader.share(("uvs", accessor, transform.tobytes()), lambda: flip_v(uvs @ transform[:, :2].T + transform[:, 2]))
+    return reader.reuse(("uvs", accessor, transform.tobytes()), lambda: flip_v(uvs @ transform[:, :2].T + transform[:, 2]))
 
 
 def _soup_triangles(vertex_count: int) -> np.ndarray:

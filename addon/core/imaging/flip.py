@@ -33,7 +33,7 @@ WHITE = XYZ_OF_RGB.sum(axis=1)
 RELATIVE_OF_RGB = XYZ_OF_RGB / WHITE[:, None]  # X / X_n, Y / Y_n, Z / Z_n
 OPPONENT_OF_RGB = np.array([[0.0, 1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, -1.0]]) @ RELATIVE_OF_RGB
 CUBE_ROOT_LIMIT = (6.0 / 29.0) ** 3  # of CIELAB; below, a straight line replaces the cube root
-LINE_SLOPE, LINE_OFFSET = (29.0 / 6.0) ** 2 / 3.0, 4.0 / 29.0
+LINE_FACTOR, LINE_OFFSET = (29.0 / 6.0) ** 2 / 3.0, 4.0 / 29.0
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ def _balance(weights: np.ndarray) -> np.ndarray:
 
 def _lab(relative: np.ndarray) -> np.ndarray:
     """Return CIELAB colors (..., 3) of XYZ values relative to the white."""
-    roots = np.where(relative > CUBE_ROOT_LIMIT, np.cbrt(relative), LINE_SLOPE * relative + LINE_OFFSET)
+    roots = np.where(relative > CUBE_ROOT_LIMIT, np.cbrt(relative), LINE_FACTOR * relative + LINE_OFFSET)
     x, y, z = np.moveaxis(roots, -1, 0)
     return np.stack([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)], axis=-1)
 

@@ -165,3 +165,22 @@ def _search(fine: LevelImages, coarse: LevelImages, settings: PerceptionSettings
         limit = "farthest" if found.is_seen(settings) else ""
     coarse.forget_larger(TIERS[0][0])
     return Switch(fine.frame.side / same, same, float(found.means.max()), float(found.highs.max()), limit)
+
+
+@dataclass(eq=False)
+class SwitchCheck:
+    """The physical check of levels that are to be dropped, for `major_scales.keep_visible_scales`.
+
+    images: of all levels, finest first. pixel_sizes: for each level the smallest size of a pixel at which it is shown, ascending.
+    """
+
+    images: Sequence[LevelImages]
+    pixel_sizes: Sequence[float]
+    settings: PerceptionSettings
+
+    def __call__(self, fine: int, coarse: int) -> bool:
+        """Return whether level `coarse` looks like level `fine` at the distance from which `fine` is shown."""
+        nearest = self.images[fine].frame.side / self.settings.max_image
+        size = max(int(self.images[fine].frame.side / max(self.pixel_sizes[fine], nearest)), MIN_IMAGE)
+        difference = measure_difference(self.images[fine], self.images[coarse], size, range(self.settings.views))
+        return not difference.is_seen(self.settings)
