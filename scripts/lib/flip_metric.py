@@ -3,7 +3,6 @@
 Andersson et al.: FLIP: a difference evaluator for alternating images, 2020. `reference_tools` installs the program.
 """
 
-import json
 import subprocess
 from collections.abc import Sequence
 
@@ -18,13 +17,14 @@ from farfield.addon.core.errors import FarfieldError
 from farfield.addon.core.files.temporary_folders import temporary_folder
 
 PROGRAM = """
-import json, sys
+import sys
 import numpy as np
 import flip_evaluator
 with np.load(sys.argv[1], allow_pickle=False) as file:
     pairs = [(file[f"reference_{index}"], file[f"image_{index}"]) for index in range(len(file.files) // 2)]
-errors = [flip_evaluator.evaluate(*pair, "LDR", inputsRGB=True, applyMagma=False)[1] for pair in pairs]
-print(json.dumps([float(error) for error in errors]))
+parameters = {"ppd": float(sys.argv[3])} if len(sys.argv) > 3 else {}
+maps = [flip_evaluator.evaluate(*pair, "LDR", inputsRGB=True, applyMagma=False, parameters=parameters)[0] for pair in pairs]
+np.savez(sys.argv[2], *[np.asarray(map).reshape(pair[0].shape[:2]) for map, pair in zip(maps, pairs)])
 """
 
 
@@ -35,17 +35,26 @@ def mean_flip(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[float] | N
     Raises:
         FarfieldError: the program fails.
     """
+    maps = flip_maps(pairs)
+    return None if maps is None else [float(errors.mean(dtype=np.float64)) for errors in maps]
+
+
+def flip_maps(pairs: Sequence[tuple[np.ndarray, np.ndarray]], pixels_per_degree: float | None = None) -> list[np.ndarray] | None:
+    """Return the FLIP error (H, W) in each pixel of each pair, at 67 pixels per degree by default; otherwise as `mean_flip`."""
     python = reference_tools.find_python()
     if python is None:
         return None
     with temporary_folder() as folder:
-        path = folder / "pairs.npz"
+        path, result = folder / "pairs.npz", folder / "maps.npz"
         arrays = {}
         for index, pair in enumerate(pairs):
             for name, image in zip(("reference", "image"), pair, strict=True):
                 arrays[f"{name}_{index}"] = np.ascontiguousarray(image[::-1], np.float32)
         np.savez(path, **arrays)
-        outcome = subprocess.run([str(python), "-c", PROGRAM, str(path)], capture_output=True, text=True, check=False)
-    if outcome.returncode:
-        raise FarfieldError(f"The FLIP program failed; reinstall it with scripts/reference_tools.py. {outcome.stderr}")
-    return json.loads(outcome.stdout.splitlines()[-1])
+        options = [] if pixels_per_degree is None else [str(pixels_per_degree)]
+        command = [str(python), "-c", PROGRAM, str(path), str(result), *options]
+        outcome = subprocess.run(command, capture_output=True, text=True, check=False)
+        if outcome.returncode:
+            raise FarfieldError(f"The FLIP program failed; reinstall it with scripts/reference_tools.py. {outcome.stderr}")
+        with np.load(result, allow_pickle=False) as file:
+            return [file[name][::-1] for name in file.files]

@@ -1,0 +1,150 @@
+"""Renders of textured meshes from turning views, as small as they appear from a distance (section IV.A: all silhouettes are examined).
+
+Views are orthographic: from where levels switch, objects are small in the visual field. A render has more samples than the images that
+`resize_by_area` makes of it, so that silhouettes are antialiased at every size.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...geometry.mesh import scaled_normals
+from ...imaging.mipmaps import Mipmaps, measure_footprints, sample_mipmaps
+from ...imaging.raster import draw_ids
+from ...imaging.texture_renders import locate_positions
+from ..textured_mesh import TexturedMesh
+
+ELEVATIONS = (np.radians(15.0), np.radians(-10.0), np.radians(40.0), np.radians(-35.0))  # of successive views around the object
+PLAIN_COLOR = 0.6  # linear, of materials without a texture
+AMBIENT = 0.25  # fraction of the color that shows without the headlight
+BACKGROUND = 0.214  # linear; middle gray as displayed
+MIN_SMOOTH_COSINE = np.cos(np.radians(40.0))  # between a face and the normal of a vertex; a sharper vertex is shaded flat
+MIN_LENGTH = np.float32(1e-6)  # of an interpolated normal: opposite ones cancel
+FRAME_MARGIN = 1.04  # side of an image relative to the diameter of the object
+
+
+@dataclass(frozen=True, eq=False)
+class ViewedSurface:
+    """What renders need of a mesh, prepared once for all views.
+
+    vertices: (V, 3) float64. triangles: (T, 3) int32. corner_uvs: (T, 3, 2) float64. corner_normals: (T, 3, 3) float32, None for renders
+    without light. materials: (T,) int32 into textures, each mipmaps with three channels or None.
+    """
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    corner_uvs: np.ndarray
+    corner_normals: np.ndarray | None
+    materials: np.ndarray
+    textures: Sequence[Mipmaps | None]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The square that all views of an object show: its center (3,) and its side, in the object's space and unit."""
+
+    center: np.ndarray
+    side: float
+
+
+@dataclass(frozen=True, eq=False)
+class Render:
+    """A square image of a surface: colors (S, S, 3) float32, linear, over BACKGROUND, and coverage (S, S) bool."""
+
+    colors: np.ndarray
+    coverage: np.ndarray
+
+
+def prepare_surface(
+    mesh: TexturedMesh, textures: Sequence[Mipmaps | None], is_lit: bool = True, wedge_normals: np.ndarray | None = None
+) -> ViewedSurface:
+    """Return `mesh` prepared for renders.
+
+    Args:
+        textures: for each material its base color, linear, or None. Levels of one object share them.
+        is_lit: shade with a headlight, so that the shape of the surface counts.
+        wedge_normals: (W, 3) unit normals for shading; by default smooth ones, except at sharp vertices.
+    """
+    corner_normals = None
+    if is_lit and wedge_normals is not None:
+        corner_normals = wedge_normals[mesh.wedge_triangles].astype(np.float32)
+    elif is_lit:
+        corner_normals = find_corner_normals(mesh)
+    return ViewedSurface(mesh.vertices, mesh.triangles, mesh.corner_uvs, corner_normals, mesh.materials, textures)
+
+
+def find_corner_normals(mesh: TexturedMesh) -> np.ndarray:
+    """Return normals (T, 3, 3) float32 of corners: those of the vertex, or of the face where it deviates more than 40 degrees."""
+    faces = scaled_normals(mesh.vertices[mesh.triangles])
+    vertices = np.stack([np.bincount(mesh.triangles.ravel(), np.repeat(column, 3), len(mesh.vertices)) for column in faces.T], axis=1)
+    units = [normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300) for normals in (faces, vertices)]
+    corners = units[1][mesh.triangles]
+    is_sharp = np.einsum("tci,ti->tc", corners, units[0]) < MIN_SMOOTH_COSINE
+    return np.where(is_sharp[..., None], units[0][:, None], corners).astype(np.float32)
+
+
+def turning_directions(count: int) -> np.ndarray:
+    """Return (count, 3) unit directions towards the viewer: a full circle about z, at elevations that alternate."""
+    azimuths = 2.0 * np.pi * np.arange(count) / count
+    elevations = np.resize(ELEVATIONS, count)
+    return np.stack([np.cos(elevations) * np.cos(azimuths), np.cos(elevations) * np.sin(azimuths), np.sin(elevations)], axis=1)
+
+
+def frame_around(vertices: np.ndarray) -> Frame:
+    """Return the frame that contains `vertices` (V, 3) in every view."""
+    center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    radius = float(np.linalg.norm(vertices - center, axis=1).max())
+    return Frame(center, 2.0 * FRAME_MARGIN * radius)
+
+
+def view_axes(direction: np.ndarray) -> np.ndarray:
+    """Return the axes (3, 3) of an image seen from `direction` (3,): rows are right, up, and towards the viewer; z is up in the image."""
+    right = np.cross([0.0, 0.0, 1.0], direction)
+    length = np.linalg.norm(right)
+    right = right / length if length > 1e-9 else np.array([1.0, 0.0, 0.0])
+    return np.stack([right, np.cross(direction, right), direction])
+
+
+def render(surface: ViewedSurface, direction: np.ndarray, frame: Frame, size: int) -> Render:
+    """Return an image of `surface`, seen from `direction` (3,) without perspective, with `size` x `size` samples of the frame.
+
+    Textures are sampled trilinearly by footprint. With normals, a headlight shines from the viewer on both sides of faces.
+    """
+    axes = view_axes(direction)
+    positions = (surface.vertices - frame.center) @ axes.T
+    corners = ((positions[:, :2] / frame.side + 0.5) * size)[surface.triangles]
+    depths = 4.0 * frame.side - positions[:, 2]
+    owners, _ = draw_ids(corners, depths[surface.triangles], (size, size))
+    coverage = owners >= 0
+    samples = np.flatnonzero(coverage)
+    triangles = owners.ravel()[samples]
+    centers = np.stack([samples % size, samples // size], axis=1) + 0.5
+    barycentric = locate_positions(corners[triangles], np.ones((len(triangles), 3)), centers)
+    colors = _texture_colors(surface, corners, triangles, barycentric)
+    if surface.corner_normals is not None:
+        normals = np.einsum("ni,nic->nc", barycentric.astype(np.float32), surface.corner_normals[triangles])
+        lengths = np.sqrt(np.einsum("nc,nc->n", normals, normals))
+        facing = np.abs(normals @ axes[2].astype(np.float32)) / np.maximum(lengths, MIN_LENGTH)
+        colors *= (AMBIENT + (1.0 - AMBIENT) * facing)[:, None]
+    image = np.full((size * size, 3), BACKGROUND, np.float32)
+    image[samples] = colors
+    return Render(image.reshape(size, size, 3), coverage)
+
+
+def _texture_colors(surface: ViewedSurface, corners: np.ndarray, triangles: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
+    """Return the colors (N, 3) float32 of samples without light."""
+    colors = np.full((len(triangles), 3), PLAIN_COLOR, np.float32)
+    owners = np.unique(triangles)
+    for material, texture in enumerate(surface.textures):
+        if texture is None:
+            continue
+        rows = np.flatnonzero(surface.materials[triangles] == material)
+        shown = owners[surface.materials[owners] == material]
+        if not len(rows):
+            continue
+        footprints = np.ones(len(surface.triangles))
+        footprints[shown] = measure_footprints(corners[shown], surface.corner_uvs[shown], tuple(texture.sizes[0]))
+        uvs = np.einsum("ni,nic->nc", barycentric[rows], surface.corner_uvs[triangles[rows]])
+        colors[rows] = sample_mipmaps(texture, uvs, footprints[triangles[rows]])
+    return colors

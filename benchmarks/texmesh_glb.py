@@ -1,0 +1,119 @@
+"""Validate the .glb files of Farfield with the Khronos validator, and measure how much smaller quantized files are.
+
+    python3 benchmarks/texmesh_glb.py --validator FOLDER [--report glb.json] [FILE.glb ...]
+
+FOLDER contains `node_modules/gltf-validator`, the npm package gltf-validator; Node.js runs it. Without FILEs, generated meshes are written
+plain and quantized: a textured sphere with all attributes, texture coordinates outside of 0..1, several materials, and levels of detail.
+FILEs are validated as they are. Exit code 1 if a file has an error or a warning.
+"""
+
+import argparse
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+from lib import environment
+
+environment.ensure()
+
+import numpy as np
+
+environment.import_farfield()
+
+from farfield.addon.core.files.glb import GlbMaterial, GlbMesh, GlbNode, GlbPrimitive, GlbScene, write_glb
+from farfield.addon.core.files.temporary_folders import temporary_folder
+from farfield.addon.core.imaging.coded_images import encode
+
+VALIDATE = """
+const validator = require(process.argv[1] + '/node_modules/gltf-validator');
+const content = new Uint8Array(require('fs').readFileSync(process.argv[2]));
+validator.validateBytes(content).then(report => console.log(JSON.stringify(report.issues)));
+"""
+
+
+def make_sphere(rings: int, material: int | None, uv_scale: float = 1.0, has_all: bool = True) -> GlbPrimitive:
+    """Return a UV sphere with normals, texture coordinates 0..`uv_scale` and colors, or with positions only."""
+    polar, azimuth = np.meshgrid(np.linspace(0.0, np.pi, rings + 1), np.linspace(0.0, 2.0 * np.pi, 2 * rings + 1), indexing="ij")
+    normals = np.stack([np.sin(polar) * np.cos(azimuth), np.cos(polar), np.sin(polar) * np.sin(azimuth)], axis=2).reshape(-1, 3)
+    uvs = uv_scale * np.stack([azimuth / (2.0 * np.pi), 1.0 - polar / np.pi], axis=2).reshape(-1, 2)
+    first = (np.arange(rings)[:, None] * (2 * rings + 1) + np.arange(2 * rings)).ravel()
+    below = first + 2 * rings + 1
+    triangles = np.concatenate([np.stack([first, first + 1, below], axis=1), np.stack([first + 1, below + 1, below], axis=1)])
+    points = normals * (1.0 + 0.1 * np.sin(9.0 * azimuth.reshape(-1, 1)) * np.sin(polar.reshape(-1, 1)))
+    is_degenerate = np.linalg.norm(np.cross(*(points[triangles[:, k]] - points[triangles[:, 0]] for k in (1, 2))), axis=1) < 1e-12
+    triangles = triangles[~is_degenerate]
+    if not has_all:
+        return GlbPrimitive(points, triangles, material=material)
+    return GlbPrimitive(points, triangles, normals, uvs, 0.5 + 0.5 * normals, material)
+
+
+def make_scenes() -> dict[str, GlbScene]:
+    """Return the scenes by name."""
+    image = encode(np.random.default_rng(1).integers(0, 255, (64, 64, 3)).astype(np.uint8), "png")
+    photo = encode(np.full((64, 64, 3), 90, np.uint8), "jpeg")
+    painted, plain = GlbMaterial("painted", image=0), GlbMaterial("plain", (0.8, 0.2, 0.1, 1.0), is_double_sided=True)
+    one = GlbNode("object", 0)
+    fine = make_sphere(48, 0)
+    bounds = np.stack([fine.positions.min(axis=0), fine.positions.max(axis=0)])
+    level_meshes = tuple(GlbMesh(f"level {rings}", (make_sphere(rings, 0),), bounds) for rings in (48, 24, 12))
+    level_nodes = (GlbNode("fine", 0, levels=(1, 2), coverages=(0.2, 0.02, 0.0001)), GlbNode("medium", 1), GlbNode("coarse", 2))
+    moved = np.eye(4)
+    moved[:3, 3] = [1.0, 2.0, 3.0]
+    parts = (make_sphere(20, 0), make_sphere(12, 1), make_sphere(9, None, has_all=False))
+    return {
+        "sphere": GlbScene((one,), (GlbMesh("sphere", (fine,)),), (painted,), (image,)),
+        "repeated texture": GlbScene((one,), (GlbMesh("sphere", (make_sphere(48, 0, 3.0),)),), (painted,), (photo,)),
+        "several materials": GlbScene((GlbNode("moved", 0, moved),), (GlbMesh("parts", parts),), (painted, plain), (image,)),
+        "levels": GlbScene(level_nodes, level_meshes, (painted,), (image,)),
+        "long indices": GlbScene((one,), (GlbMesh("sphere", (make_sphere(200, 0),)),), (painted,), (image,)),
+    }
+
+
+def validate(path: Path, folder: Path) -> dict[str, Any]:
+    """Return the numbers of issues that the validator finds, and their messages."""
+    node = shutil.which("node")
+    if node is None:
+        print("Node.js is needed to run the validator; install it.", file=sys.stderr)
+        sys.exit(2)
+    outcome = subprocess.run([node, "-e", VALIDATE, str(folder.absolute()), str(path)], capture_output=True, text=True, check=False)
+    if outcome.returncode:
+        print(f"The validator failed: {outcome.stderr.strip()}", file=sys.stderr)
+        sys.exit(2)
+    issues = json.loads(outcome.stdout)
+    messages = sorted({f"{issue['code']}: {issue['message']} {issue.get('pointer', '')}" for issue in issues["messages"]})
+    return {"errors": issues["numErrors"], "warnings": issues["numWarnings"], "infos": issues["numInfos"], "messages": messages[:10]}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("files", nargs="*", type=Path, metavar="FILE.glb")
+    parser.add_argument("--validator", type=Path, required=True, metavar="FOLDER")
+    parser.add_argument("--report", type=Path)
+    arguments = parser.parse_args()
+    results = [{"name": str(path), "bytes": path.stat().st_size, **validate(path, arguments.validator)} for path in arguments.files]
+    if not arguments.files:
+        with temporary_folder() as folder:
+            for name, scene in make_scenes().items():
+                for is_quantized in (False, True):
+                    path = folder / f"{len(results)}.glb"
+                    write_glb(scene, path, is_quantized)
+                    label = f"{name}, {'quantized' if is_quantized else 'plain'}"
+                    results.append({"name": label, "bytes": path.stat().st_size, **validate(path, arguments.validator)})
+    for result in results:
+        print(
+            f"{result['name']}: {result['bytes']} bytes, {result['errors']} errors, {result['warnings']} warnings, {result['infos']} infos"
+        )
+        for message in result["messages"]:
+            print(f"    {message}")
+    if arguments.report is not None:
+        arguments.report.write_text(json.dumps(results, indent=1), encoding="utf-8")
+    if any(result["errors"] or result["warnings"] for result in results):
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

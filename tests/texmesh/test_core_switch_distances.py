@@ -1,0 +1,114 @@
+"""Renders of textured meshes are what geometry predicts, and levels switch where FLIP sees no difference."""
+
+import math
+
+import numpy as np
+import pytest
+
+from farfield.addon.core.geometry.cameras import pixel_size_at, switch_distance
+from farfield.addon.core.imaging.mipmaps import build_mipmaps, resize_by_area
+from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.texmesh.perception import switch_distances, views
+from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
+from textured_levels import checkered, textured_sphere
+
+SETTINGS = PerceptionSettings(views=4, max_image=128)
+TEXTURES = [build_mipmaps(checkered())]
+
+
+def surfaces(*rings: int) -> list[views.ViewedSurface]:
+    return [views.prepare_surface(textured_sphere(count), TEXTURES) for count in rings]
+
+
+def test_views_turn_around_the_object():
+    directions = views.turning_directions(8)
+    assert np.allclose(np.linalg.norm(directions, axis=1), 1.0)
+    azimuths = np.unwrap(np.arctan2(directions[:, 1], directions[:, 0]))
+    assert np.allclose(np.diff(azimuths), np.pi / 4.0)
+    for direction in [*directions, np.array([0.0, 0.0, 1.0])]:
+        axes = views.view_axes(direction)
+        assert np.allclose(axes @ axes.T, np.eye(3)) and np.linalg.det(axes) > 0.0
+
+
+def test_a_render_shows_the_disc_of_a_sphere_lit_from_the_viewer():
+    surface = views.prepare_surface(textured_sphere(64), [None])
+    frame = views.frame_around(surface.vertices)
+    image = views.render(surface, views.turning_directions(3)[1], frame, 200)
+    assert abs(image.coverage.mean() - math.pi / frame.side**2) < 2e-3
+    assert np.allclose(image.colors[100, 100], views.PLAIN_COLOR, atol=0.01)
+    offset = int(0.5 / frame.side * 200)  # halfway to the rim, where the normal deviates by 30 degrees
+    expected = views.PLAIN_COLOR * (views.AMBIENT + (1.0 - views.AMBIENT) * math.cos(math.radians(30.0)))
+    assert np.allclose(image.colors[100 + offset, 100], expected, atol=0.01)
+    assert np.allclose(image.colors[0, 0], views.BACKGROUND)
+
+
+def test_small_renders_are_resized_large_ones():
+    surface = surfaces(24)[0]
+    frame, direction = views.frame_around(surface.vertices), views.turning_directions(4)[0]
+    small, large = (resize_by_area(views.render(surface, direction, frame, size).colors, 32) for size in (64, 512))
+    assert np.abs(small - large).mean() < 0.02
+
+
+def test_sharp_edges_are_shaded_flat():
+    normals = views.find_corner_normals(textured_sphere(40))
+    assert np.abs(np.linalg.norm(normals, axis=2) - 1.0).max() < 1e-5
+    coarse = textured_sphere(2)  # an octahedron
+    faces = np.cross(*(coarse.vertices[coarse.triangles[:, k]] - coarse.vertices[coarse.triangles[:, 0]] for k in (1, 2)))
+    faces /= np.linalg.norm(faces, axis=1, keepdims=True)
+    assert np.abs(views.find_corner_normals(coarse) - faces[:, None]).max() < 1e-6
+
+
+def test_equal_levels_switch_at_the_nearest_distance():
+    (switch,) = run_to_end(switch_distances.find_switches(surfaces(12, 12), SETTINGS))
+    assert switch.difference == 0.0 and switch.pixels == 128 and switch.limit == "nearest"
+
+
+def test_levels_look_the_same_where_they_switch_and_differ_nearer():
+    levels = surfaces(32, 16, 8, 5)
+    switches = run_to_end(switch_distances.find_switches(levels, SETTINGS))
+    sizes = [switch.pixel_size for switch in switches]
+    assert sizes == sorted(sizes) and sizes[-1] > 3.0 * sizes[0]
+    frame = views.frame_around(levels[0].vertices)
+    for index, switch in enumerate(switches):
+        assert switch.limit != "farthest" and switch.difference <= 0.04 and switch.local_difference <= 0.2
+        pair = [
+            switch_distances.LevelImages(level, frame, views.turning_directions(5), SETTINGS.pixels_per_degree)
+            for level in levels[index : index + 2]
+        ]
+        other_views = switch_distances.measure_difference(*pair, switch.pixels, range(5))
+        assert other_views.means.max() <= 0.05
+        if switch.limit == "":
+            nearer = switch_distances.measure_difference(*pair, min(3 * switch.pixels, 128), range(5))
+            assert nearer.is_seen(SETTINGS)
+
+
+def test_levels_of_opposite_colors_switch_where_the_object_is_smaller_than_a_pixel():
+    first, second = (views.prepare_surface(textured_sphere(8), [build_mipmaps(np.full((2, 2, 3), color, np.float32))]) for color in (0, 1))
+    (switch,) = run_to_end(switch_distances.find_switches([first, second], SETTINGS))
+    assert switch.limit == "farthest" and switch.pixels == 1
+
+
+def test_a_stricter_limit_moves_switches_away():
+    levels = surfaces(24, 8)
+    (usual,) = run_to_end(switch_distances.find_switches(levels, SETTINGS))
+    strict = PerceptionSettings(views=4, max_image=128, max_difference=0.01)
+    (far,) = run_to_end(switch_distances.find_switches(levels, strict))
+    assert far.pixel_size > usual.pixel_size
+
+
+def test_a_large_object_switches_farther_away():
+    small, large = textured_sphere(24), textured_sphere(24)
+    coarse = textured_sphere(8)
+    sizes = []
+    for scale in (1.0, 10.0):
+        scaled = [type(small)(**{**vars(mesh), "vertices": scale * mesh.vertices}) for mesh in (large, coarse)]
+        levels = [views.prepare_surface(mesh, TEXTURES) for mesh in scaled]
+        sizes.append(run_to_end(switch_distances.find_switches(levels, SETTINGS))[0].pixel_size)
+    assert sizes[1] == pytest.approx(10.0 * sizes[0], rel=0.1)
+    distance = switch_distance(sizes[0], math.radians(40.0), 1080)
+    assert pixel_size_at(distance, math.radians(40.0), 1080) == pytest.approx(sizes[0])
+
+
+def test_screen_coverage_is_that_of_a_disc():
+    assert switch_distances.screen_coverage(0.1, 1.0, (100, 100)) == pytest.approx(math.pi * 0.01)
+    assert switch_distances.screen_coverage(1e-9, 1.0, (100, 100)) == 1.0
