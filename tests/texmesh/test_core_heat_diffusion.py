@@ -83,7 +83,7 @@ def test_coarse_functions_sum_to_one_and_keep_the_area():
         np.testing.assert_allclose(level.laplacian.sum(axis=0), 0.0, atol=1e-9)
 
 
-def test_roots_are_farther_apart_than_two_edges_and_reach_everything():
+def test_roots_are_more_than_two_edges_from_each_other_and_reach_everything():
     mesh = shapes.sphere(12)
     neighbors = abs(laplacian_and_masses(mesh)[0]).tocsr() + 0.0
     rank = np.random.default_rng(4).permutation(len(mesh.vertices))
@@ -118,10 +118,10 @@ def test_a_sliver_beside_good_triangles_hardly_changes_the_diffusion():
     """A plane with and without a vertex almost on an edge."""
     mesh = shapes.sheet(9)
     first, corner = mesh.triangles[0], mesh.triangles[0, 0]
-    middle = 0.5 * (mesh.vertices[first[1]] + mesh.vertices[first[2]]) + 1e-9 * (mesh.vertices[corner] - mesh.vertices[first[1]])
+    added = 0.5 * (mesh.vertices[first[1]] + mesh.vertices[first[2]]) + 1e-9 * (mesh.vertices[corner] - mesh.vertices[first[1]])
     sliver = len(mesh.vertices)
     split = np.array([[corner, first[1], sliver], [corner, sliver, first[2]], [sliver, first[1], first[2]]], np.int32)
-    cut = TriangleMesh(np.concatenate([mesh.vertices, [middle]]), np.concatenate([mesh.triangles[1:], split]).astype(np.int32))
+    cut = TriangleMesh(np.concatenate([mesh.vertices, [added]]), np.concatenate([mesh.triangles[1:], split]).astype(np.int32))
     results = []
     for each in (mesh, cut):
         laplacian, masses = laplacian_and_masses(each)

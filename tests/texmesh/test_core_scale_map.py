@@ -159,7 +159,7 @@ def test_records_are_a_queue_in_descending_order():
     assert (owned == queue.uvs[0]).all(axis=1).any()
 
 
-def test_thinned_features_are_apart_and_none_is_lost():
+def test_thinned_features_keep_their_distance_and_none_is_lost():
     random = np.random.default_rng(8)
     points, strengths = random.random((800, 3)), random.random(800)
     scales = random.integers(0, SCALES, 800).astype(np.int8)

@@ -55,8 +55,8 @@ def _search_last_sigma(filtering: RangeFilter, image: RangeImage, convergence: f
     if _measure_span(filtering, image, high) >= target:
         return high
     for _ in range(SEARCH_STEPS):
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if _measure_span(filtering, image, middle) < target else (middle, high)
+        center = 0.5 * (low + high)
+        low, high = (low, center) if _measure_span(filtering, image, center) < target else (center, high)
     return high
 
 

@@ -45,12 +45,12 @@ def build_range_image(vertices: np.ndarray, triangles: np.ndarray, axis: int) ->
     """
     center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     points = np.roll(vertices - center, 2 - axis, axis=1)
-    middles = points[triangles].mean(axis=1)
+    centroids = points[triangles].mean(axis=1)
     normals = scaled_normals(points[triangles])
     areas = np.linalg.norm(normals, axis=1)
-    facing = np.abs(np.einsum("ij,ij->i", normals[:, :2], middles[:, :2]))
+    facing = np.abs(np.einsum("ij,ij->i", normals[:, :2], centroids[:, :2]))
     corner_angles = _unwrap(np.arctan2(points[:, 1], points[:, 0])[triangles])
-    is_drawn = (np.ptp(corner_angles, axis=1) < MAX_TURN) & (facing > MIN_FACING * areas * np.hypot(*middles[:, :2].T))
+    is_drawn = (np.ptp(corner_angles, axis=1) < MAX_TURN) & (facing > MIN_FACING * areas * np.hypot(*centroids[:, :2].T))
 
     low, extent = points[:, 2].min(), max(float(np.ptp(points[:, 2])), MIN_EXTENT * float(np.abs(points).max()))
     size = _choose_size(corner_angles[is_drawn], points[triangles[is_drawn], 2], extent, len(vertices))
@@ -65,7 +65,7 @@ def build_range_image(vertices: np.ndarray, triangles: np.ndarray, axis: int) ->
     least = minimum_filter(least, 3, mode=("nearest", "wrap")) - LAYER_TOLERANCE * np.sqrt(lengths[0] * lengths[1])
     least = np.where(is_known, least, np.inf).ravel()
     pixels = _pixels_of(points, scale, size, low)
-    is_shown = np.hypot(*middles[:, :2].T) >= least[_pixels_of(middles, scale, size, low)]
+    is_shown = np.hypot(*centroids[:, :2].T) >= least[_pixels_of(centroids, scale, size, low)]
     return RangeImage(
         ranges=ranges,
         is_known=is_known,
