@@ -54,6 +54,18 @@ def test_ends_of_seams_are_freed():
     assert len(drastic.triangles) < len(strict.triangles)
 
 
+def test_a_level_does_not_consist_of_locked_vertices():
+    """A torus with a smooth half, in a level with fewer vertices than there are corners of its other half, keeps its smooth half."""
+    smooth = torus(24, 12, 1)
+    corners = smooth.vertices[smooth.triangles]
+    normals = face_areas_and_normals(corners)[1] * (corners[..., 0].mean(axis=1) < 0.0)[:, None]
+    base = TriangleMesh(smooth.vertices, smooth.triangles)
+    mesh = build_textured_mesh(base, smooth.corner_uvs, np.repeat(normals[:, None], 3, axis=1))
+    level = coarsest(mesh, 200, drastic=True)
+    assert level.constraint == ""
+    assert 0.3 < (mesh.vertices[np.unique(level.triangles), 0] < 0.0).mean() < 0.7
+
+
 def test_small_components_are_dropped_and_large_ones_stay():
     large = torus(24, 12, 1)
     offsets = np.array([[3.0, 0, 0], [0, 3.0, 0], [0, 0, 3.0]])

@@ -15,6 +15,7 @@ from .islands import label_connected
 from .settings import SimplificationSettings
 from .topology import BOUNDARY
 
+MAX_LOCKED_FRACTION = 0.5  # of the vertices of a level: with more, what can be unlocked is unlocked before all others are gone
 MIN_FILL_QUALITY = 1e-3  # in texture space, of triangles that close holes
 
 
@@ -27,6 +28,14 @@ class DrasticSteps:
         self._target, self._taken = 0, 0
         self._closed_holes = self._dropped_components = self._dropped_triangles = 0
         self._unlocked_vertices = self._freed_ends = self._separated_vertices = 0
+
+    def prepare(self, target: int) -> None:
+        """Unlock vertices before there are `target` triangles if locked ones would be a large part of what remains."""
+        for step in (self._unlock_attributes, self._free_seam_ends, self._unlock_touching_surfaces):
+            topology = self._engine.topology
+            locked_count = np.count_nonzero(topology.is_used & ~topology.is_removable)
+            if self._settings.drastic and locked_count > MAX_LOCKED_FRACTION * target / 2.0:  # a surface has half as many vertices
+                step(0.0)
 
     def take_next(self, target: int) -> bool:
         """Take the next step that changes anything on the way to `target` triangles. Return whether there was one."""

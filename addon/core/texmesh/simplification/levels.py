@@ -116,6 +116,8 @@ def _make_levels(
     last_target = min(targets, default=initial_count)
     levels = []
     for target in targets:
+        if engine.triangle_count > target:
+            drastic.prepare(target)
         is_exhausted = False
         while engine.triangle_count > target and not is_exhausted:
             fraction = (initial_count - engine.triangle_count) / max(initial_count - last_target, 1)
