@@ -32,9 +32,7 @@ class BorderCurves:
         _, nearest = closest_on_mesh(points, segments)
         coordinates = closest_barycentric(points, segments[nearest])
         fraction = coordinates[:, 1:].sum(axis=1)[:, None]
-        on_border, on_twin = (
-            (1.0 - fraction) * ends[nearest, 0] + fraction * ends[nearest, 1] for ends in (self.ends, self.twins)
-        )
+        on_border, on_twin = ((1.0 - fraction) * ends[nearest, 0] + fraction * ends[nearest, 1] for ends in (self.ends, self.twins))
         return on_border, on_twin
 
 

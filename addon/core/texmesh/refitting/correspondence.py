@@ -59,9 +59,7 @@ def compute_uv_scale(mesh: TexturedMesh) -> float:
     return float(np.sqrt(area / uv_area)) if uv_area > 0.0 else 0.0
 
 
-def find_correspondence(
-    samples: SurfaceSamples, corners: np.ndarray, corner_uvs: np.ndarray, islands: np.ndarray
-) -> Correspondence:
+def find_correspondence(samples: SurfaceSamples, corners: np.ndarray, corner_uvs: np.ndarray, islands: np.ndarray) -> Correspondence:
     """Find the points of a level with the texture coordinates of `samples`; of several in the same island the nearest in space.
 
     corners: (T, 3, 3) positions of the level. corner_uvs: (T, 3, 2). islands: (T,) from `match_islands`.

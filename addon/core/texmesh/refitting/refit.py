@@ -79,7 +79,10 @@ def move_uvs(state, step, freedom, curves):
             paired = others >= 0
             is_bad = paired & (~np.isfinite(on_twin).all(axis=1))
             gap = np.linalg.norm(on_twin[paired] - mesh.uvs[others[paired]], axis=1)
-            is_bad[paired] |= ~(gap <= MAX_PARTNER_STEP * np.linalg.norm(moves[others[paired]], axis=1) * fraction[mesh.wedge_vertices[others[paired]]] + 1e-9)
+            is_bad[paired] |= ~(
+                gap
+                <= MAX_PARTNER_STEP * np.linalg.norm(moves[others[paired]], axis=1) * fraction[mesh.wedge_vertices[others[paired]]] + 1e-9
+            )
             uvs[rows] = on_border
             uvs[others[paired]] = on_twin[paired]
             bad = rows[is_bad]

@@ -1,0 +1,238 @@
+"""Levels of detail of a textured mesh, from its analysis in scale space to the levels that look different from each other.
+
+Sections III.A and IV of the paper: vertices that are features at coarse scales stay longer; a refinement counts if Weber's law and renders
+say that it is seen.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from ..errors import GeometryError
+from ..imaging.mipmaps import Mipmaps, build_mipmaps
+from ..jobs.progress import Progress, Steps, subprogress
+from .perception.level_choice import LevelBudget, LevelOption, choose_levels
+from .perception.major_scales import find_zones, keep_visible_scales
+from .perception.settings import PerceptionSettings
+from .perception.switch_distances import LevelImages, Switch, SwitchCheck, find_switches
+from .perception.views import ViewedSurface, frame_around, prepare_surface, turning_directions
+from .perception.weber import Collapses, Impacts, measure_impacts
+from .refitting.refit import RefitSettings, refit
+from .scale_costs import ScaleWeightedQuadrics
+from .scale_space.analysis import analyze_scale_space
+from .scale_space.scale_map import SCALES, ScaleMap
+from .scale_space.settings import ScaleSpaceSettings
+from .settings import LevelSettings
+from .simplification.levels import Simplification, SubsetLevel, extract_level, simplify_by_cost, simplify_in_order
+from .simplification.settings import SimplificationSettings
+from .textured_mesh import TexturedMesh
+
+MIN_TRIANGLES = 8  # of the source, below which there is nothing to simplify, and of the coarsest level that is tried
+MIN_REDUCTION = 0.75  # of triangles from one candidate to the next
+STEP_BEYOND = 0.5  # of triangles from one candidate to the next beyond the last scale
+MIN_FRACTION = 0.002  # of the triangles of the source in the coarsest candidate
+VERTEX_BYTES, TRIANGLE_BYTES = 16, 6  # of quantized geometry: position, texture coordinates and normal; indices
+
+
+@dataclass(frozen=True)
+class AllSettings:
+    """The settings of all parts."""
+
+    levels: LevelSettings
+    analysis: ScaleSpaceSettings
+    simplification: SimplificationSettings
+    perception: PerceptionSettings
+
+
+@dataclass(frozen=True)
+class Level:
+    """One level. scale: the last scale whose features it has; 0 for the original. pixel_size: see `perception.switch_distances.Switch`, 0
+    for the original. switch: None for the original. constraint, drastic_steps: see `SubsetLevel`."""
+
+    mesh: TexturedMesh
+    scale: int
+    pixel_size: float
+    switch: Switch | None
+    constraint: str
+    drastic_steps: tuple[str, ...]
+
+    @property
+    def byte_count(self) -> int:
+        """Bytes of the quantized geometry."""
+        return VERTEX_BYTES * len(self.mesh.uvs) + TRIANGLE_BYTES * len(self.mesh.triangles)
+
+
+@dataclass(frozen=True)
+class LevelChain:
+    """The levels of a mesh, the original first. candidates: triangles and pixel sizes of all levels that were tried, finest first. impacts:
+    how noticeable each of the 20 refinements is. simplification: the collapses in their order. image_side: length that the images of the
+    comparison show."""
+
+    levels: tuple[Level, ...]
+    scale_map: ScaleMap
+    impacts: Impacts
+    simplification: Simplification
+    candidates: tuple[tuple[int, float], ...]
+    image_side: float
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    mesh: TexturedMesh
+    scale: int
+    subset: SubsetLevel | None
+
+
+def make_levels(
+    mesh: TexturedMesh, textures: Sequence[np.ndarray | None], settings: AllSettings, name: str = "mesh", scale_map: ScaleMap | None = None
+) -> Steps[LevelChain]:
+    """Make levels of `mesh`.
+
+    Args:
+        textures: per material an image (H, W, 3) float32, scene-linear, row 0 at the bottom, or None. name: for messages. scale_map: of an
+            analysis of the same mesh with the same settings, None to analyze it.
+
+    Raises:
+        GeometryError: there is nothing to simplify.
+        SettingsError: the budget allows no level.
+    """
+    if len(mesh.triangles) < MIN_TRIANGLES:
+        raise GeometryError(f'"{name}" has only {len(mesh.triangles)} triangles; levels need at least {MIN_TRIANGLES}.')
+    if scale_map is None:
+        scale_map = yield from subprogress(analyze_scale_space(mesh, textures, settings.analysis), 0.0, 0.35)
+    mipmaps = [None if texture is None else build_mipmaps(texture) for texture in textures]
+    targets, scales = choose_targets(mesh, scale_map)
+    if settings.levels.order == "scale":
+        steps = simplify_in_order(mesh, _priorities(scale_map), targets, settings.simplification)
+    else:
+        steps = simplify_by_cost(mesh, ScaleWeightedQuadrics(mesh, scale_map), targets, settings.simplification)
+    simplification = yield from subprogress(steps, 0.35, 0.6)
+    impacts = measure_impacts(mesh.vertices, mesh.triangles, _collapses(simplification, scale_map), SCALES - 1, settings.perception)
+    candidates = _gather_candidates(mesh, simplification, scales)
+    steps = find_switches([_view(item.mesh, mipmaps, settings.perception) for item in candidates], settings.perception)
+    switches = yield from subprogress(steps, 0.6, 0.8)
+    yield Progress(0.8, "Choosing levels")
+    pixel_sizes = [0.0, *(switch.pixel_size for switch in switches)]
+    chosen = _choose(candidates, pixel_sizes, impacts, mipmaps, settings)
+    kept = [candidates[index] for index in chosen]
+    if settings.levels.product == "refit":
+        kept = yield from subprogress(_refit(mesh, kept), 0.8, 0.95)
+    if settings.levels.product == "refit" or len(chosen) < len(candidates):
+        steps = find_switches([_view(item.mesh, mipmaps, settings.perception) for item in kept], settings.perception)
+        switches = yield from subprogress(steps, 0.95, 1.0)
+    levels = [_to_level(item, switch) for item, switch in zip(kept, [None, *switches], strict=True)]
+    tried = tuple((len(item.mesh.triangles), size) for item, size in zip(candidates, pixel_sizes, strict=True))
+    return LevelChain(tuple(levels), scale_map, impacts, simplification, tried, frame_around(mesh.vertices).side)
+
+
+def choose_targets(mesh: TexturedMesh, scale_map: ScaleMap) -> tuple[list[int], list[int]]:
+    """Return triangle counts of candidates, descending, and the scale whose features each has.
+
+    A mesh without the features below a scale has two triangles less per removed vertex, if that is no boundary. Beyond the last scale, the
+    strongest features stay.
+    """
+    total, vertices = len(mesh.triangles), len(mesh.vertices)
+    smallest = max(MIN_TRIANGLES // 2, round(MIN_FRACTION * total))
+    targets, scales, last = [], [], total
+    for scale in range(1, SCALES):
+        count = max(total - 2 * (vertices - int(scale_map.counts[scale])), smallest)
+        if count <= MIN_REDUCTION * last:
+            targets.append(count)
+            scales.append(scale)
+            last = count
+    while last * STEP_BEYOND >= smallest:
+        last = max(round(last * STEP_BEYOND), 1)
+        targets.append(last)
+        scales.append(SCALES - 1)
+    return targets, scales
+
+
+def _priorities(scale_map: ScaleMap) -> np.ndarray:
+    """Return the order in which vertices are removed, (V,) float64: by last scale, then by strength."""
+    rank = np.empty(len(scale_map.strengths))
+    rank[np.argsort(scale_map.strengths, kind="stable")] = np.arange(len(rank))
+    return scale_map.last_scales + rank / max(len(rank), 1)
+
+
+def _collapses(simplification: Simplification, scale_map: ScaleMap) -> Collapses:
+    scales = scale_map.last_scales[simplification.removed]
+    return Collapses(simplification.removed, simplification.kept, simplification.perceptual_values, scales)
+
+
+def _gather_candidates(mesh: TexturedMesh, simplification: Simplification, scales: Sequence[int]) -> list[_Candidate]:
+    """Return the original and the levels that are coarser than the ones before them."""
+    candidates = [_Candidate(mesh, 0, None)]
+    for level, scale in zip(simplification.levels, scales, strict=True):
+        if 0 < len(level.triangles) < len(candidates[-1].mesh.triangles):
+            candidates.append(_Candidate(extract_level(mesh, level), scale, level))
+    return candidates
+
+
+def _view(mesh: TexturedMesh, mipmaps: Sequence[Mipmaps | None], settings: PerceptionSettings) -> ViewedSurface:
+    return prepare_surface(mesh, mipmaps, settings.is_lit)
+
+
+def _choose(
+    candidates: Sequence[_Candidate],
+    pixel_sizes: Sequence[float],
+    impacts: Impacts,
+    mipmaps: Sequence[Mipmaps | None],
+    settings: AllSettings,
+) -> list[int]:
+    """Return the indices of the levels to keep, 0 for the original first."""
+    if len(candidates) < 2:
+        return [0]
+    levels, side = settings.levels, frame_around(candidates[0].mesh.vertices).side
+    if levels.choice == "perceptual":
+        ends = [end for _, end in find_zones(_find_red(candidates, pixel_sizes, impacts, mipmaps, settings.perception))]
+        return [0, *(end for end in ends if end)]
+    options = [
+        LevelOption(len(item.mesh.triangles), _to_level(item, None).byte_count, size)
+        for item, size in zip(candidates, pixel_sizes, strict=True)
+    ]
+    if levels.choice == "count":
+        return choose_levels(options, LevelBudget(count=levels.levels))
+    if levels.choice == "pixels":
+        nearest = side / levels.max_pixels
+        start = max(index for index, size in enumerate(pixel_sizes) if size <= nearest)
+        return sorted({0, *range(start, len(candidates))} if start else set(range(len(candidates))))
+    is_size = levels.choice == "size"
+    budget = LevelBudget(byte_count=round(levels.max_size * 1e6)) if is_size else LevelBudget(triangles=levels.max_triangles)
+    return [0, *(1 + index for index in choose_levels(options[1:], budget))]
+
+
+def _find_red(
+    candidates: Sequence[_Candidate],
+    pixel_sizes: Sequence[float],
+    impacts: Impacts,
+    mipmaps: Sequence[Mipmaps | None],
+    settings: PerceptionSettings,
+) -> np.ndarray:
+    """Return which refinements between neighboring candidates are perceptible, (N - 1,) bool.
+
+    Row i - 1 of `impacts` is the refinement from scale i to i - 1. Beyond the last scale, all count. A zone is kept together only if
+    renders do not show the difference.
+    """
+    is_red = []
+    for fine, coarse in pairwise(candidates):
+        between = impacts.is_noticed[fine.scale : coarse.scale]
+        is_red.append(bool(between.any()) if len(between) else True)
+    directions, frame = turning_directions(settings.views), frame_around(candidates[0].mesh.vertices)
+    images = [LevelImages(_view(item.mesh, mipmaps, settings), frame, directions, settings.pixels_per_degree) for item in candidates]
+    return keep_visible_scales(np.array(is_red), SwitchCheck(images, pixel_sizes, settings))
+
+
+def _refit(mesh: TexturedMesh, kept: Sequence[_Candidate]) -> Steps[list[_Candidate]]:
+    """Return levels whose positions and texture coordinates deviate least from `mesh`."""
+    refitted = [kept[0]]
+    for index, item in enumerate(kept[1:]):
+        moved = yield from subprogress(refit(mesh, item.mesh, RefitSettings()), index / (len(kept) - 1), (index + 1) / (len(kept) - 1))
+        refitted.append(replace(item, mesh=moved))
+    return refitted
+
+
+def _to_level(item: _Candidate, switch: Switch | None) -> Level:
+    constraint, drastic_steps = ("", ()) if item.subset is None else (item.subset.constraint, item.subset.drastic_steps)
+    return Level(item.mesh, item.scale, 0.0 if switch is None else switch.pixel_size, switch, constraint, drastic_steps)
