@@ -6,7 +6,6 @@ say that it is seen.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from ..errors import GeometryError
 from ..imaging.mipmaps import Mipmaps, build_mipmaps
 from ..jobs.progress import Progress, Steps, subprogress
 from .perception.level_choice import LevelBudget, LevelOption, choose_levels
-from .perception.major_scales import find_zones, keep_visible_scales
+from .perception.major_scales import find_red_refinements, find_zones, keep_visible_scales
 from .perception.settings import PerceptionSettings
 from .perception.switch_distances import LevelImages, Switch, SwitchCheck, find_switches
 from .perception.views import ViewedSurface, frame_around, prepare_surface, turning_directions
@@ -30,9 +29,10 @@ from .simplification.settings import SimplificationSettings
 from .textured_mesh import TexturedMesh
 
 MIN_TRIANGLES = 8  # of the source, below which there is nothing to simplify, and of the coarsest level that is tried
-MIN_REDUCTION = 0.75  # of triangles from one candidate to the next
+MIN_REDUCTION = 0.6  # of triangles from one candidate to the next
 STEP_BEYOND = 0.5  # of triangles from one candidate to the next beyond the last scale
 MIN_FRACTION = 0.002  # of the triangles of the source in the coarsest candidate
+MIN_PIXELS = 4  # of the image of an object at the switch to a level that is worth having
 VERTEX_BYTES, TRIANGLE_BYTES = 16, 6  # of quantized geometry: position, texture coordinates and normal; indices
 
 
@@ -66,9 +66,11 @@ class Level:
 
 @dataclass(frozen=True)
 class LevelChain:
-    """The levels of a mesh, the original first. candidates: triangles and pixel sizes of all levels that were tried, finest first. impacts:
-    how noticeable each of the 20 refinements is. simplification: the collapses in their order. image_side: length that the images of the
-    comparison show."""
+    """The levels of a mesh, the original first.
+
+    candidates: triangles and pixel sizes of all levels that were tried, finest first. impacts: how noticeable each refinement is, from a
+    candidate to the one before. simplification: the collapses in their order. image_side: the length that images of the object show.
+    """
 
     levels: tuple[Level, ...]
     scale_map: ScaleMap
@@ -109,11 +111,14 @@ def make_levels(
     else:
         steps = simplify_by_cost(mesh, ScaleWeightedQuadrics(mesh, scale_map), targets, settings.simplification)
     simplification = yield from subprogress(steps, 0.35, 0.6)
-    impacts = measure_impacts(mesh.vertices, mesh.triangles, _collapses(simplification, scale_map), SCALES - 1, settings.perception)
     candidates = _gather_candidates(mesh, simplification, scales)
+    collapses = _divide_collapses(simplification, candidates)
+    impacts = measure_impacts(mesh.vertices, mesh.triangles, collapses, len(candidates) - 1, settings.perception)
     steps = find_switches([_view(item.mesh, mipmaps, settings.perception) for item in candidates], settings.perception)
     switches = yield from subprogress(steps, 0.6, 0.8)
     yield Progress(0.8, "Choosing levels")
+    useful = 1 + max(1, sum(switch.pixels >= MIN_PIXELS for switch in switches))
+    candidates, switches = candidates[:useful], switches[: useful - 1]
     pixel_sizes = [0.0, *(switch.pixel_size for switch in switches)]
     chosen = _choose(candidates, pixel_sizes, impacts, mipmaps, settings)
     kept = [candidates[index] for index in chosen]
@@ -156,9 +161,12 @@ def _priorities(scale_map: ScaleMap) -> np.ndarray:
     return scale_map.last_scales + rank / max(len(rank), 1)
 
 
-def _collapses(simplification: Simplification, scale_map: ScaleMap) -> Collapses:
-    scales = scale_map.last_scales[simplification.removed]
-    return Collapses(simplification.removed, simplification.kept, simplification.perceptual_values, scales)
+def _divide_collapses(simplification: Simplification, candidates: Sequence[_Candidate]) -> Collapses:
+    """Return the collapses; their scales are the indices of the coarsest candidates that contain the removed vertices."""
+    counts = [item.subset.collapse_count for item in candidates[1:]]
+    used = slice(0, counts[-1] if counts else 0)
+    removed, kept, values = simplification.removed[used], simplification.kept[used], simplification.perceptual_values[used]
+    return Collapses(removed, kept, values, np.searchsorted(counts, np.arange(len(removed)), side="right"))
 
 
 def _gather_candidates(mesh: TexturedMesh, simplification: Simplification, scales: Sequence[int]) -> list[_Candidate]:
@@ -212,16 +220,13 @@ def _find_red(
 ) -> np.ndarray:
     """Return which refinements between neighboring candidates are perceptible, (N - 1,) bool.
 
-    Row i - 1 of `impacts` is the refinement from scale i to i - 1. Beyond the last scale, all count. A zone is kept together only if
-    renders do not show the difference.
+    They are if the coarser one is right only from farther away (Figure 11), and if Weber's law says so. Others are left out only if renders
+    do not show the difference.
     """
-    is_red = []
-    for fine, coarse in pairwise(candidates):
-        between = impacts.is_noticed[fine.scale : coarse.scale]
-        is_red.append(bool(between.any()) if len(between) else True)
+    is_red = find_red_refinements(np.array(pixel_sizes)) & impacts.is_noticed[: len(candidates) - 1]
     directions, frame = turning_directions(settings.views), frame_around(candidates[0].mesh.vertices)
     images = [LevelImages(_view(item.mesh, mipmaps, settings), frame, directions, settings.pixels_per_degree) for item in candidates]
-    return keep_visible_scales(np.array(is_red), SwitchCheck(images, pixel_sizes, settings))
+    return keep_visible_scales(is_red, SwitchCheck(images, pixel_sizes, settings))
 
 
 def _refit(mesh: TexturedMesh, kept: Sequence[_Candidate]) -> Steps[list[_Candidate]]:

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array, eye_array
+from scipy.sparse.linalg import spsolve_triangular
 
 from ...geometry.mesh import face_areas_and_normals, scaled_normals
 from .settings import PerceptionSettings
@@ -16,8 +18,9 @@ BORDER = 1e-9  # barycentric coordinate of a line that meets an edge
 class Collapses:
     """Vertices that were removed from a mesh, in any order.
 
-    removed, kept: (N,) indices. values: (N,) float64, perceptual values in the unit of the mesh. scales: (N,) the last scale at which the
-    removed vertex is a feature; refining from scale i to i - 1 adds those with last scale i - 1.
+    removed, kept: (N,) indices, in the order of the collapses. values: (N,) float64, perceptual values in the unit of the mesh, each with
+    those of the vertices that had collapsed onto it. scales: (N,) the finest scale that contains the removed vertex; refining from scale i
+    to i - 1 adds those of scale i - 1.
     """
 
     removed: np.ndarray
@@ -50,7 +53,7 @@ def measure_impacts(
         vertices, triangles: (V, 3) float64 and (T, 3), the mesh before any collapse.
     """
     measure = settings.measure
-    displacements = _quadric_distances(vertices, triangles, collapses) if measure == "quadric" else collapses.values
+    displacements = _quadric_distances(vertices, triangles, collapses) if measure == "quadric" else accumulate_within_scales(collapses)
     center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
     normals = _vertex_normals(vertices, triangles)
@@ -74,6 +77,20 @@ def measure_impacts(
         values[scale], lengths[scale], rows[scale] = displacements[order[best]], found[best], collapses.removed[order[best]]
     fractions = values / lengths
     return Impacts(values, lengths, fractions, rows, fractions > settings.weber_threshold)
+
+
+def accumulate_within_scales(collapses: Collapses) -> np.ndarray:
+    """Return perceptual values (N,) float64 that count what a refinement adds at once: the value of each removed vertex and of those of the
+    same scale that had collapsed onto it (Figure 12)."""
+    count = len(collapses.removed)
+    position = np.full(max(int(collapses.removed.max(initial=-1)), int(collapses.kept.max(initial=-1))) + 1, -1)
+    position[collapses.removed] = np.arange(count)
+    onto = position[collapses.kept]  # the later collapse of the kept vertex, -1 if it stays
+    followed = np.flatnonzero(onto >= 0)
+    own = collapses.values - np.bincount(onto[followed], collapses.values[followed], count)
+    same = followed[collapses.scales[followed] == collapses.scales[onto[followed]]]
+    links = csr_array((np.full(len(same), -1.0), (onto[same], same)), shape=(count, count))
+    return spsolve_triangular(eye_array(count, format="csr") + links, own, lower=True, unit_diagonal=True) if count else own
 
 
 def measure_cross_section(vertices: np.ndarray, triangles: np.ndarray, position: np.ndarray, direction: np.ndarray) -> float:

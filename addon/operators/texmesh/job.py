@@ -1,0 +1,195 @@
+"""The jobs of the operators and the script: analyze textured meshes in scale space, and make their levels of detail."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import bpy
+import numpy as np
+
+from ...bridge.meshes import find_material
+from ...bridge.session_ids import find_by_uid
+from ...bridge.texmesh.level_meshes import create_level_mesh
+from ...bridge.texmesh.level_sets import FIGURES, LevelSet, NewLevel, add_level_set, find_level_set, remove_level_set, set_hidden
+from ...bridge.texmesh.scale_attributes import write_scale_map
+from ...bridge.texmesh.sources import TexturedSource
+from ...core.errors import GeometryError
+from ...core.jobs.progress import Progress, Steps, subprogress
+from ...core.texmesh.level_chain import AllSettings, LevelChain, make_levels
+from ...core.texmesh.scale_space.analysis import analyze_scale_space
+from ...core.texmesh.scale_space.scale_map import ScaleMap
+from ...core.texmesh.scale_space.settings import ScaleSpaceSettings
+from ...core.texmesh.settings import SceneSettings
+from ...core.text import format_count
+from .sources import read_sources
+
+
+@dataclass
+class AnalysisJob:
+    """Analyzes meshes and writes the last scale of each vertex as an attribute. `results` holds the scale map of each object."""
+
+    core_fraction = 0.98
+
+    sources: list[TexturedSource]
+    settings: ScaleSpaceSettings
+    skipped: list[str]
+    results: list[tuple[str, ScaleMap]] = field(default_factory=list)
+
+    def core_steps(self) -> Steps[list[ScaleMap]]:
+        """Analyze every mesh."""
+        maps = []
+        for index, source in enumerate(self.sources):
+            steps = analyze_scale_space(source.mesh, source.textures, self.settings)
+            maps.append((yield from subprogress(steps, index / len(self.sources), (index + 1) / len(self.sources))))
+        return maps
+
+    def scene_steps(self, core_result: list[ScaleMap]) -> Steps[str]:
+        """Write the attributes.
+
+        Raises:
+            GeometryError: an object was removed meanwhile; nothing was written.
+        """
+        yield Progress(0.0, "Writing attributes")
+        objects = [_find_source(source) for source in self.sources]
+        sentences = []
+        for item, source, scale_map in zip(objects, self.sources, core_result, strict=True):
+            is_written = write_scale_map(item, source, scale_map)
+            features = ", ".join(f"{int(scale_map.counts[scale]):,}" for scale in (1, 5, 10, 20))
+            note = "" if is_written else ", not as an attribute, since modifiers change the vertices"
+            sentences.append(f'"{item.name}" has {features} features at scales 1, 5, 10 and 20{note}.')
+            sentences += [sentence for sentence in (scale_map.losses, *source.remarks) if sentence]
+            self.results.append((item.name, scale_map))
+        return " ".join([*sentences, *_describe_skipped(self.skipped)])
+
+
+@dataclass
+class LevelsJob:
+    """Makes levels of meshes and adds their objects. `chains` holds the levels by the name of their collection."""
+
+    core_fraction = 0.95
+
+    sources: list[TexturedSource]
+    settings: AllSettings
+    scene_settings: SceneSettings
+    scene_uid: int
+    skipped: list[str]
+    chains: dict[str, LevelChain] = field(default_factory=dict)
+
+    def core_steps(self) -> Steps[list[LevelChain]]:
+        """Make the levels of every mesh."""
+        weights = np.array([len(source.mesh.triangles) for source in self.sources], float)
+        starts = np.concatenate([[0.0], weights.cumsum() / weights.sum()])
+        chains = []
+        for source, start, stop in zip(self.sources, starts[:-1].tolist(), starts[1:].tolist(), strict=True):
+            chains.append((yield from subprogress(make_levels(source.mesh, source.textures, self.settings, source.name), start, stop)))
+        return chains
+
+    def scene_steps(self, core_result: list[LevelChain]) -> Steps[str]:
+        """Create the objects.
+
+        Raises:
+            GeometryError: an object or the scene was removed meanwhile; nothing was created.
+        """
+        yield Progress(0.0, "Creating objects")
+        scene = find_by_uid(bpy.data.scenes, self.scene_uid)
+        if scene is None:
+            raise GeometryError("The scene was removed while levels were being made; make them again.")
+        objects = [_find_source(source) for source in self.sources]
+        materials = [[None if key is None else find_material(key) for key in source.evaluated.materials] for source in self.sources]
+        if bpy.context.mode != "OBJECT":
+            bpy.ops.object.mode_set(mode="OBJECT")
+        sentences = []
+        for item, source, chain, slots in zip(objects, self.sources, core_result, materials, strict=True):
+            sentences += self._add(item, source, chain, slots, scene)
+        return " ".join([*sentences, *_describe_skipped(self.skipped)])
+
+    def _add(
+        self,
+        item: bpy.types.Object,
+        source: TexturedSource,
+        chain: LevelChain,
+        materials: Sequence[bpy.types.Material | None],
+        scene: bpy.types.Scene,
+    ) -> list[str]:
+        """Add the levels of one object in place of those made before, and return sentences about them."""
+        earlier = find_level_set(scene, item)
+        if earlier is not None and earlier.is_editable:
+            remove_level_set(earlier)
+        new = [
+            NewLevel(create_level_mesh(f"{item.name} L{number}", source, level.mesh), level.pixel_size, self._switch_distance(level.pixel_size))
+            for number, level in enumerate(chain.levels)
+        ]
+        levels = add_level_set(item, scene, f"{item.name} Levels", new, materials)
+        levels.collection[FIGURES] = json.dumps(describe_chain(chain))
+        self.chains[levels.collection.name] = chain
+        _show(levels, item, scene, self.scene_settings)
+        counts = ", ".join(f"{len(level.mesh.triangles):,}" for level in chain.levels)
+        sentences = [f'"{item.name}" has {format_count(len(chain.levels), "level")} with {counts} triangles.']
+        details = dict.fromkeys(sentence for level in chain.levels for sentence in (level.constraint,) if sentence)
+        return [*sentences, *filter(None, [chain.scale_map.losses]), *source.remarks, *details]
+
+    def _switch_distance(self, pixel_size: float) -> float:
+        """Return the distance, in units of the object, at which a pixel of the display has a size."""
+        return pixel_size / np.tan(np.radians(1.0 / self.settings.perception.pixels_per_degree))
+
+
+def describe_chain(chain: LevelChain) -> dict:
+    """Return figures about levels for reports and plots."""
+    return {
+        "levels": [
+            {
+                "triangles": len(level.mesh.triangles),
+                "scale": level.scale,
+                "pixel_size": level.pixel_size,
+                "pixels": None if level.switch is None else level.switch.pixels,
+                "difference": None if level.switch is None else level.switch.difference,
+                "constraint": level.constraint,
+                "drastic_steps": list(level.drastic_steps),
+            }
+            for level in chain.levels
+        ],
+        "candidates": [{"triangles": triangles, "pixel_size": size} for triangles, size in chain.candidates],
+        "weber_fractions": [float(value) for value in chain.impacts.fractions],
+        "features": [int(count) for count in chain.scale_map.counts],
+        "sigmas": [float(sigma) for sigma in chain.scale_map.sigmas],
+        "ranges": [float(value) for value in chain.scale_map.ranges],
+    }
+
+
+def prepare_analysis(context: bpy.types.Context, objects: Sequence[bpy.types.Object], settings: ScaleSpaceSettings) -> AnalysisJob:
+    """Return the job that analyzes `objects`. Raises FarfieldError if none can be read."""
+    sources, skipped = read_sources(context, objects)
+    return AnalysisJob(sources, settings, skipped)
+
+
+def prepare_levels(
+    context: bpy.types.Context, objects: Sequence[bpy.types.Object], settings: AllSettings, scene_settings: SceneSettings
+) -> LevelsJob:
+    """Return the job that makes levels of `objects`. Raises FarfieldError if none can be read."""
+    sources, skipped = read_sources(context, objects)
+    return LevelsJob(sources, settings, scene_settings, context.scene.session_uid, skipped)
+
+
+def _show(levels: LevelSet, source: bpy.types.Object, scene: bpy.types.Scene, settings: SceneSettings) -> None:
+    if settings.crossfade:
+        levels.add_crossfade(scene, settings.fade_range)
+    else:
+        levels.show(0)
+    if not settings.keep_source_visible and source.is_editable:
+        set_hidden(source, True)
+    bpy.context.view_layer.update()
+    first = levels.levels[0]
+    if first.name in bpy.context.view_layer.objects:
+        bpy.context.view_layer.objects.active = first
+        first.select_set(True)
+
+
+def _find_source(source: TexturedSource) -> bpy.types.Object:
+    item = find_by_uid(bpy.data.objects, source.object_uid)
+    if item is None:
+        raise GeometryError(f'"{source.name}" was removed while it was being worked on; nothing was changed.')
+    return item
+
+
+def _describe_skipped(skipped: Sequence[str]) -> list[str]:
+    return [f"Skipped: {'; '.join(skipped)}."] if skipped else []

@@ -1,0 +1,57 @@
+"""Which objects levels are made from."""
+
+from collections.abc import Sequence
+
+import bpy
+
+from ...bridge.meshes import SURFACE_TYPES, describe_type, is_in_view_layer
+from ...bridge.texmesh.level_sets import find_level_set
+from ...bridge.texmesh.sources import TexturedSource, read_textured_source
+from ...core.errors import FarfieldError, GeometryError
+
+
+def source_objects(context: bpy.types.Context) -> list[bpy.types.Object]:
+    """Return the selected objects, levels replaced by the object that they were made from, each once."""
+    found = []
+    for item in context.selected_objects:
+        levels = find_level_set(context.scene, item)
+        source = levels.source if levels is not None and item in levels.levels else item
+        if source is not None and source not in found:
+            found.append(source)
+    return found
+
+
+def refusal(item: bpy.types.Object, view_layer: bpy.types.ViewLayer) -> str:
+    """Return why no levels can be made from an object, or an empty string."""
+    if item.type not in SURFACE_TYPES:
+        return f"{describe_type(item)} has no surface"
+    if not is_in_view_layer(item, view_layer):
+        return "its collection is excluded from the view layer"
+    if item.mode == "EDIT":
+        return "it is in Edit Mode; switch to Object Mode"
+    return ""
+
+
+def read_sources(context: bpy.types.Context, objects: Sequence[bpy.types.Object]) -> tuple[list[TexturedSource], list[str]]:
+    """Return what can be read of `objects`, and the names of the others with the reason.
+
+    Raises:
+        FarfieldError: none can be read.
+    """
+    sources, skipped, errors = [], [], []
+    depsgraph = context.evaluated_depsgraph_get()
+    for item in objects:
+        reason = refusal(item, context.view_layer)
+        if reason:
+            skipped.append(f"{item.name} ({reason})")
+            continue
+        try:
+            sources.append(read_textured_source(item, depsgraph))
+        except FarfieldError as error:
+            errors.append(error)
+    if not sources:
+        if len(errors) == 1 and not skipped:
+            raise errors[0]
+        reasons = "; ".join([*skipped, *(str(error).removesuffix(".") for error in errors)])
+        raise GeometryError(f"Nothing to make levels from: {reasons or 'no object is selected'}. Select a mesh with a texture.")
+    return sources, [*skipped, *(str(error).removesuffix(".") for error in errors)]
