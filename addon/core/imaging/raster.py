@@ -17,8 +17,9 @@ def rasterize(corners: np.ndarray, size: tuple[int, int]) -> Iterator[tuple[np.n
     Args:
         corners: (T, 3, 2) float64 in pixels, from the lower left corner of the image. size: width and height.
     """
-    low = np.clip(np.ceil(corners.min(axis=1) - 0.5 - TOLERANCE), 0, size)
-    high = np.clip(np.floor(corners.max(axis=1) - 0.5 + TOLERANCE), -1, np.array(size) - 1)
+    first, second, third = corners.transpose(1, 0, 2)  # pairwise: NumPy reduces short axes slowly
+    low = np.clip(np.ceil(np.minimum(np.minimum(first, second), third) - 0.5 - TOLERANCE), 0, size)
+    high = np.clip(np.floor(np.maximum(np.maximum(first, second), third) - 0.5 + TOLERANCE), -1, np.array(size) - 1)
     a, b, c = corners.transpose(1, 2, 0)
     used = np.flatnonzero((high >= low).all(axis=1) & (_cross(b - a, c - a) != 0.0))
     low, counts = low[used, 1].astype(np.int64), (high - low)[used, 1].astype(np.int64) + 1

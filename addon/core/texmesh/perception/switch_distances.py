@@ -17,7 +17,7 @@ from .settings import PerceptionSettings
 from .views import BACKGROUND, Frame, ViewedSurface, frame_around, render, turning_directions
 
 MIN_IMAGE = 1  # pixels per side of the smallest image that is compared
-SIZES = (16, 32, 64, 128, 256, 512, 1024, 2048)  # pixels per side, of a first search
+SIZES = (32, 64, 128, 256, 512, 1024, 2048)  # pixels per side, of a first search
 # Renders for images up to a size: samples per side, and the divisor of the number of views. Differences are largest in the same views
 # at all sizes, so that larger images are compared only where smaller ones differ most.
 TIERS = ((128, 256, 1), (512, 1024, 3), (1024, 2048, 4), (2048, 3072, 4))

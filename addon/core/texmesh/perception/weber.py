@@ -119,10 +119,15 @@ def _cast_line(vertices: np.ndarray, triangles: np.ndarray, position: np.ndarray
     helper = np.eye(3)[np.argmin(np.abs(direction))]
     right = np.cross(direction, helper)
     right /= np.linalg.norm(right)
-    flat = (vertices - position) @ np.stack([right, np.cross(direction, right), direction], axis=1)
-    corners = flat[triangles]
-    near = np.flatnonzero(((corners[..., :2].min(axis=1) <= 0.0) & (corners[..., :2].max(axis=1) >= 0.0)).all(axis=1))
-    x, y, heights = corners[near].transpose(2, 1, 0)
+    relative = vertices - position
+    near = triangles
+    for axis in (right, np.cross(direction, right)):  # the line crosses only triangles with corners on both sides of two planes
+        is_left = relative @ axis <= 0.0
+        is_right = relative @ axis >= 0.0
+        first, second, third = near.T
+        near = near[(is_left[first] | is_left[second] | is_left[third]) & (is_right[first] | is_right[second] | is_right[third])]
+    axes = np.stack([right, np.cross(direction, right), direction], axis=1)
+    x, y, heights = (relative[near] @ axes).transpose(2, 1, 0)
     areas = np.stack([x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]])
     total = areas.sum(axis=0)
     weights = areas / np.where(total != 0.0, total, np.inf)
