@@ -15,10 +15,10 @@ COMPONENT_COUNTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 MATERIAL_PREFIX = "material_"
 
 
-def write_obj(path: Path, mesh: TexturedMesh, texture: str) -> None:
-    """Write an .obj and an .mtl beside it, whose materials all use the image `texture` in the same folder."""
-    names = [f"{MATERIAL_PREFIX}{index}" for index in np.unique(mesh.materials)]
-    path.with_suffix(".mtl").write_text("".join(f"newmtl {name}\nKd 1 1 1\nmap_Kd {texture}\n" for name in names), "ascii")
+def write_obj(path: Path, mesh: TexturedMesh, textures: dict[int, str]) -> None:
+    """Write an .obj and an .mtl beside it. textures: image file in the same folder, by material; pymeshlab joins materials that share one."""
+    entries = [f"newmtl {MATERIAL_PREFIX}{material}\nKd 1 1 1\nmap_Kd {texture}\n" for material, texture in textures.items()]
+    path.with_suffix(".mtl").write_text("".join(entries), "ascii")
     with path.open("w", encoding="ascii", newline="\n") as file:
         file.write(f"mtllib {path.with_suffix('.mtl').name}\n")
         file.writelines(f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in mesh.vertices.tolist())

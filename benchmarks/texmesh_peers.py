@@ -92,7 +92,9 @@ def simplify_with_meshlab(source: Path, folder: Path, count: int, boundary: bool
     target = folder / "meshlab.obj"
     root = Path(os.environ.get("FARFIELD_VENV", Path(__file__).resolve().parents[1] / ".venv"))
     python = root / "texture-tools" / "bin" / "python"
-    return _run([str(python), "-c", MESHLAB_SCRIPT.format(boundary=boundary), str(source), str(target), str(count)], target, texmesh_files.read_obj)
+    return _run(
+        [str(python), "-c", MESHLAB_SCRIPT.format(boundary=boundary), str(source), str(target), str(count)], target, texmesh_files.read_obj
+    )
 
 
 def _count_triangles(source: Path) -> int:

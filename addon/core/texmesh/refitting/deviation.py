@@ -35,9 +35,7 @@ class SymmetricDeviation:
     from_level: Deviation
 
 
-def measure_texture_deviation(
-    fine: TexturedMesh, level: TexturedMesh, count: int = DEFAULT_SAMPLES, seed: int = 0
-) -> SymmetricDeviation:
+def measure_texture_deviation(fine: TexturedMesh, level: TexturedMesh, count: int = DEFAULT_SAMPLES, seed: int = 0) -> SymmetricDeviation:
     """Measure the distances in space between points of `fine` and `level` with equal texture coordinates.
 
     The points are uniform on the surface of the first mesh, `count` of them. Only points of the same UV island count, so that islands may
@@ -54,9 +52,7 @@ def measure_texture_deviation(
     return SymmetricDeviation(from_fine, from_level)
 
 
-def measure_geometric_deviation(
-    fine: TexturedMesh, level: TexturedMesh, count: int = DEFAULT_SAMPLES, seed: int = 0
-) -> SymmetricDeviation:
+def measure_geometric_deviation(fine: TexturedMesh, level: TexturedMesh, count: int = DEFAULT_SAMPLES, seed: int = 0) -> SymmetricDeviation:
     """Measure the distances from points of each mesh, uniform on its surface, to the nearest point of the other one."""
     generator = np.random.default_rng(seed)
     results = []

@@ -97,7 +97,7 @@ def _compute_gains(
         u = uvs[quad] - state.samples.uvs[sample, None]
         diagonal = _wedge(u[:, 0], u[:, 2])
         quad_sign = np.sign(_cross(uvs[:, None, [0, 1, 2]])[:, 0])[quad]
-        is_second = diagonal * quad_sign < 0.0
+        is_second = diagonal * quad_sign > 0.0
         rows = np.arange(len(quad))
         corners = np.where(is_second[:, None], [0, 2, 3], [0, 1, 2])
         v = u[rows[:, None], corners]

@@ -25,7 +25,9 @@ def split_edges(state: LevelState, count: int) -> LevelState:
     longest = np.zeros(len(mesh.triangles))
     for halfedges in (first, second):
         np.maximum.at(longest, halfedges // 3, lengths)
-    peaks_beside = [np.where(lengths >= longest[halfedges // 3], 1.0, SHORT_EDGE_FACTOR) * peaks[halfedges // 3] for halfedges in (first, second)]
+    peaks_beside = [
+        np.where(lengths >= longest[halfedges // 3], 1.0, SHORT_EDGE_FACTOR) * peaks[halfedges // 3] for halfedges in (first, second)
+    ]
     scores = np.maximum(*peaks_beside) * ((areas[first // 3] > 0.0) & (areas[second // 3] > 0.0))
     chosen = select_independent(scores, np.stack([first // 3, second // 3], axis=1), len(mesh.triangles))
     chosen = chosen[np.argsort(-scores[chosen], kind="stable")[:count]]
@@ -54,7 +56,7 @@ def _split(state: LevelState, first: np.ndarray, second: np.ndarray) -> LevelSta
     wedges = len(mesh.uvs) + np.arange(count, dtype=np.int32)
     faces, corners = first // 3, first % 3
     starts, ends = (mesh.wedge_triangles[faces, (corners + step) % 3] for step in (1, 2))
-    middles = 0.5 * (_end_points(state, first, 1) + _end_points(state, first, 2))
+    midpoints = 0.5 * (_end_points(state, first, 1) + _end_points(state, first, 2))
     arrays = {"triangles": (mesh.triangles, vertices), "wedge_triangles": (mesh.wedge_triangles, wedges)}
     sides = np.concatenate([first, second])
     faces, corners = sides // 3, sides % 3
@@ -69,7 +71,7 @@ def _split(state: LevelState, first: np.ndarray, second: np.ndarray) -> LevelSta
         changed[name] = np.concatenate([result, far])
     split = replace(
         mesh,
-        vertices=np.concatenate([mesh.vertices, middles]),
+        vertices=np.concatenate([mesh.vertices, midpoints]),
         wedge_vertices=np.concatenate([mesh.wedge_vertices, vertices]),
         uvs=np.concatenate([mesh.uvs, 0.5 * (mesh.uvs[starts] + mesh.uvs[ends])]),
         attributes=np.concatenate([mesh.attributes, 0.5 * (mesh.attributes[starts] + mesh.attributes[ends])]),

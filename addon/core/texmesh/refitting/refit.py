@@ -34,7 +34,7 @@ FLIP_ROUNDS = 2  # per iteration
 SPLIT_PARTS = 3  # the splits are divided into so many iterations, each after the fit has followed the one before
 PEAK_SCALE = 4.0  # squared distances count more if they are large compared with this multiple of their mean
 MAX_EMPHASIS = 100.0
-LEVEL_SHARE = 0.1  # of the progress, for the simplification
+SIMPLIFICATION_FRACTION = 0.1  # of the progress, for the simplification
 
 
 def make_refit_levels(
@@ -50,10 +50,10 @@ def make_refit_levels(
     """
     cost = DeviationQuadrics(fine, settings.normal_weight)
     starts = [max(round((1.0 - settings.split_fraction) * target), 1) for target in targets]
-    simplified = yield from subprogress(simplify_by_cost(fine, cost, starts, simplification), 0.0, LEVEL_SHARE)
+    simplified = yield from subprogress(simplify_by_cost(fine, cost, starts, simplification), 0.0, SIMPLIFICATION_FRACTION)
     levels = []
     for index, (target, subset) in enumerate(zip(targets, simplified.levels, strict=True)):
-        first, last = (LEVEL_SHARE + (1.0 - LEVEL_SHARE) * number / len(targets) for number in (index, index + 1))
+        first, last = (SIMPLIFICATION_FRACTION + (1.0 - SIMPLIFICATION_FRACTION) * number / len(targets) for number in (index, index + 1))
         levels.append((yield from subprogress(refit(fine, extract_level(fine, subset), settings, target), first, last)))
     return levels
 
