@@ -90,8 +90,8 @@ def generate_mirrored(generator: np.random.Generator) -> TexturedMesh:
         across = np.sin(latitude) * (0.8 + 0.3 * np.sin(3.0 * latitude))
         half = np.stack(
             [
-                np.sin(latitude) * np.cos(longitude) * radius,
-                np.sin(latitude) * np.sin(longitude) * radius,
+                across * np.cos(longitude),
+                across * np.sin(longitude),
                 1.3 * np.cos(latitude) + 0 * longitude,
             ],
             axis=2,

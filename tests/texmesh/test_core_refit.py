@@ -124,11 +124,11 @@ def test_gradient_and_curvature_agree_with_finite_differences(fine):
     generator = np.random.default_rng(3)
     step = np.zeros((len(coarse.vertices), 5))
     step[:, :3] = generator.normal(size=(len(coarse.vertices), 3))
-    slope = float((linearization.gradient() * step).sum())
+    derivative = float((linearization.gradient() * step).sum())
     curvature = float((linearization.apply(step) * step).sum())
     size = 1e-3
     cost, moved = state.compute_costs().sum(), state.move(coarse.vertices + size * step[:, :3]).compute_costs().sum()
-    assert 0.5 * (moved - cost) == pytest.approx(size * slope + 0.5 * size**2 * curvature, rel=1e-6)
+    assert 0.5 * (moved - cost) == pytest.approx(size * derivative + 0.5 * size**2 * curvature, rel=1e-6)
 
 
 def test_one_solution_of_positions_is_the_minimum(fine):

@@ -126,7 +126,7 @@ def _find_containing(
 def _find_nearest(
     uvs: np.ndarray, islands: np.ndarray, corner_uvs: np.ndarray, triangle_islands: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the triangles (N,) and barycentric coordinates (N, 3) nearest to `uvs` (N, 2) in UV space, in the same island if it has any."""
+    """Return the triangles (N,) and barycentric coordinates (N, 3) nearest to `uvs` (N, 2) in UV space, of the same island if possible."""
     spacing = 2.0 * (np.ptp(corner_uvs, axis=(0, 1)).sum() + np.ptp(uvs, axis=0).sum()) + 1e-300
     layers = np.broadcast_to(spacing * triangle_islands[:, None, None].astype(float), (*corner_uvs.shape[:2], 1))
     corners = np.concatenate([corner_uvs, layers], axis=2)

@@ -81,7 +81,7 @@ def select_independent(gains: np.ndarray, triangles: np.ndarray, count: int) -> 
 def _compute_gains(
     state: LevelState, first: np.ndarray, second: np.ndarray, uvs: np.ndarray, points: np.ndarray, normals: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return by how much the flip of each quadrilateral lowers the cost (K,), and the present cost (K,) of its two triangles.
+    """Return by how much the flip of each quadrilateral lowers the cost (K,), and its present cost (K,).
 
     first, second: (K,) triangles. uvs: (K, 4, 2) and points: (K, 4, 3) of the corners, of which the new edge joins 0 and 2. normals: (K, 3).
     """

@@ -49,7 +49,7 @@ class LevelState:
         return find_edges(self.mesh.triangles, len(self.mesh.vertices))
 
     def move(self, vertices: np.ndarray, uvs: np.ndarray | None = None) -> "LevelState":
-        """Return the level with other `vertices` (V, 3) and, if given, other `uvs` (W, 2), for which correspondence is found anew."""
+        """Return the level with other `vertices` (V, 3) and, if given, other `uvs` (W, 2), whose corresponding points are found again."""
         if uvs is None:
             return replace(self, mesh=replace(self.mesh, vertices=vertices))
         mesh = replace(self.mesh, vertices=vertices, uvs=uvs)
