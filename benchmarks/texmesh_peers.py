@@ -5,6 +5,7 @@ that would keep them from the wanted number of triangles.
 """
 
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -103,6 +104,8 @@ def _count_triangles(source: Path) -> int:
 
 
 def _run(command: list[str], target: Path, read: Callable[[Path], TexturedMesh]) -> PeerLevel:
+    if shutil.which(command[0]) is None:
+        return PeerLevel(None, 0.0, f"{command[0]} is not installed")
     target.unlink(missing_ok=True)
     started = time.perf_counter()
     finished = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT, cwd=target.parent, check=False)

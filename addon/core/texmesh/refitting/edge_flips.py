@@ -83,7 +83,7 @@ def _compute_gains(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return by how much the flip of each quadrilateral lowers the cost (K,), and its present cost (K,).
 
-    first, second: (K,) triangles. uvs: (K, 4, 2) and points: (K, 4, 3) of the corners, of which the new edge joins 0 and 2. normals: (K, 3).
+    first, second: (K,) triangles. uvs: (K, 4, 2), points: (K, 4, 3), of the corners; the new edge joins 0 and 2. normals: (K, 3).
     """
     count = len(state.islands)
     costs = np.bincount(state.found.triangles, state.compute_costs(), count)
