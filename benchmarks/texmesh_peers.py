@@ -17,6 +17,7 @@ import bpy
 import numpy as np
 import texmesh_files
 
+from farfield.addon.core.errors import GeometryError
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 
@@ -114,7 +115,10 @@ def _run(command: list[str], target: Path, read: Callable[[Path], TexturedMesh])
         message = (finished.stderr or finished.stdout).strip().splitlines()[-1:] or [f"exit code {finished.returncode}"]
         print(command[0], message[0], file=sys.stderr)
         return PeerLevel(None, seconds, message[0])
-    return PeerLevel(read(target), seconds)
+    try:
+        return PeerLevel(read(target), seconds)
+    except GeometryError as error:
+        return PeerLevel(None, seconds, str(error))
 
 
 def simplify_permissively(source: Path, folder: Path, count: int) -> PeerLevel:
