@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from farfield.addon.core.errors import GeometryError
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 
@@ -15,10 +16,10 @@ COMPONENT_COUNTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 MATERIAL_PREFIX = "material_"
 
 
-def write_obj(path: Path, mesh: TexturedMesh, texture: str) -> None:
-    """Write an .obj and an .mtl beside it, whose materials all use the image `texture` in the same folder."""
-    names = [f"{MATERIAL_PREFIX}{index}" for index in np.unique(mesh.materials)]
-    path.with_suffix(".mtl").write_text("".join(f"newmtl {name}\nKd 1 1 1\nmap_Kd {texture}\n" for name in names), "ascii")
+def write_obj(path: Path, mesh: TexturedMesh, textures: dict[int, str]) -> None:
+    """Write an .obj and an .mtl beside it. textures: image files by material; pymeshlab joins materials that share one."""
+    entries = [f"newmtl {MATERIAL_PREFIX}{material}\nKd 1 1 1\nmap_Kd {texture}\n" for material, texture in textures.items()]
+    path.with_suffix(".mtl").write_text("".join(entries), "ascii")
     with path.open("w", encoding="ascii", newline="\n") as file:
         file.write(f"mtllib {path.with_suffix('.mtl').name}\n")
         file.writelines(f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in mesh.vertices.tolist())
@@ -81,6 +82,8 @@ def read_glb(path: Path) -> TexturedMesh:
             triangles.append(faces + offset)
             materials.append(np.full(len(faces), numbers[primitive["material"]] if "material" in primitive else 0, np.int32))
             offset += len(positions)
+    if not triangles:
+        raise GeometryError(f"{path.name} has no triangles; choose another model.")
     faces = np.concatenate(triangles).astype(np.int32)
     mesh = TriangleMesh(np.concatenate(points), faces, np.concatenate(materials))
     return build_textured_mesh(mesh, np.concatenate(uvs)[faces], name=path.stem)
@@ -89,7 +92,7 @@ def read_glb(path: Path) -> TexturedMesh:
 def _list_nodes(document: dict[str, Any]) -> list[tuple[dict[str, Any], np.ndarray]]:
     """Return the nodes of the scene with their matrices to the world."""
     found = []
-    queue = [(index, np.eye(4)) for index in document["scenes"][document.get("scene", 0)]["nodes"]]
+    queue = [(index, np.eye(4)) for index in document["scenes"][document.get("scene", 0)].get("nodes", [])]
     while queue:
         index, parent = queue.pop()
         node = document["nodes"][index]

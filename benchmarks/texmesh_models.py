@@ -87,9 +87,13 @@ def generate_mirrored(generator: np.random.Generator) -> TexturedMesh:
     bump = _make_bumps(generator)
     for row in range(2):
         latitude = np.pi * (0.02 + 0.96 * (row + np.linspace(0.0, 1.0, grid[1] + 1)[:, None]) / 2.0)
-        radius = 0.8 + 0.3 * np.sin(3.0 * latitude)
+        across = np.sin(latitude) * (0.8 + 0.3 * np.sin(3.0 * latitude))
         half = np.stack(
-            [np.sin(latitude) * np.cos(longitude) * radius, np.sin(latitude) * np.sin(longitude) * radius, 1.3 * np.cos(latitude) + 0 * longitude],
+            [
+                across * np.cos(longitude),
+                across * np.sin(longitude),
+                1.3 * np.cos(latitude) + 0 * longitude,
+            ],
             axis=2,
         )
         half = bump(half)
@@ -126,11 +130,11 @@ def _place_island(uvs: np.ndarray, index: int, cells: int, generator: np.random.
     """Return the unit square `uvs` (..., 2) distorted, turned, mirrored and moved to cell `index` of a square of cells."""
     columns = int(np.ceil(np.sqrt(max(cells, 2))))
     u, v = uvs[..., 0], uvs[..., 1]
-    bend, skew = generator.uniform(-0.25, 0.25, 4), generator.uniform(-0.2, 0.2, 2)
+    curvature, skew = generator.uniform(-0.25, 0.25, 4), generator.uniform(-0.2, 0.2, 2)
     warped = np.stack(
         [
-            u + bend[0] * np.sin(np.pi * u) * v + bend[1] * u * (1.0 - u) + skew[0] * v,
-            v + bend[2] * np.sin(np.pi * v) * u + bend[3] * v * (1.0 - v) + skew[1] * u,
+            u + curvature[0] * np.sin(np.pi * u) * v + curvature[1] * u * (1.0 - u) + skew[0] * v,
+            v + curvature[2] * np.sin(np.pi * v) * u + curvature[3] * v * (1.0 - v) + skew[1] * u,
         ],
         axis=-1,
     )

@@ -5,6 +5,7 @@ that would keep them from the wanted number of triangles.
 """
 
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -16,6 +17,7 @@ import bpy
 import numpy as np
 import texmesh_files
 
+from farfield.addon.core.errors import GeometryError
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 
@@ -92,7 +94,9 @@ def simplify_with_meshlab(source: Path, folder: Path, count: int, boundary: bool
     target = folder / "meshlab.obj"
     root = Path(os.environ.get("FARFIELD_VENV", Path(__file__).resolve().parents[1] / ".venv"))
     python = root / "texture-tools" / "bin" / "python"
-    return _run([str(python), "-c", MESHLAB_SCRIPT.format(boundary=boundary), str(source), str(target), str(count)], target, texmesh_files.read_obj)
+    return _run(
+        [str(python), "-c", MESHLAB_SCRIPT.format(boundary=boundary), str(source), str(target), str(count)], target, texmesh_files.read_obj
+    )
 
 
 def _count_triangles(source: Path) -> int:
@@ -101,6 +105,8 @@ def _count_triangles(source: Path) -> int:
 
 
 def _run(command: list[str], target: Path, read: Callable[[Path], TexturedMesh]) -> PeerLevel:
+    if shutil.which(command[0]) is None:
+        return PeerLevel(None, 0.0, f"{command[0]} is not installed")
     target.unlink(missing_ok=True)
     started = time.perf_counter()
     finished = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT, cwd=target.parent, check=False)
@@ -109,7 +115,10 @@ def _run(command: list[str], target: Path, read: Callable[[Path], TexturedMesh])
         message = (finished.stderr or finished.stdout).strip().splitlines()[-1:] or [f"exit code {finished.returncode}"]
         print(command[0], message[0], file=sys.stderr)
         return PeerLevel(None, seconds, message[0])
-    return PeerLevel(read(target), seconds)
+    try:
+        return PeerLevel(read(target), seconds)
+    except GeometryError as error:
+        return PeerLevel(None, seconds, str(error))
 
 
 def simplify_permissively(source: Path, folder: Path, count: int) -> PeerLevel:

@@ -25,10 +25,10 @@ class BorderCurves:
     def project(self, uvs: np.ndarray, islands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the points (N, 2) of the borders of `islands` (N,) that are nearest to `uvs` (N, 2), and the same points on the other side
         of their seams (N, 2), NaN on a boundary."""
-        apart = 4.0 * (np.abs(self.ends).max() + np.abs(uvs).max()) + 1e-300
-        layers = np.broadcast_to(apart * self.islands[:, None, None].astype(float), (len(self.ends), 2, 1))
+        spacing = 4.0 * (np.abs(self.ends).max() + np.abs(uvs).max()) + 1e-300
+        layers = np.broadcast_to(spacing * self.islands[:, None, None].astype(float), (len(self.ends), 2, 1))
         segments = np.concatenate([self.ends, layers], axis=2)[:, [0, 1, 1]]
-        points = np.column_stack([uvs, apart * islands])
+        points = np.column_stack([uvs, spacing * islands])
         _, nearest = closest_on_mesh(points, segments)
         coordinates = closest_barycentric(points, segments[nearest])
         fraction = coordinates[:, 1:].sum(axis=1)[:, None]
@@ -108,11 +108,11 @@ def find_freedom(state: LevelState, uv_scale: float) -> Freedom:
     chord = mesh.uvs[following] - mesh.uvs[preceding]
     chord *= np.where(first > last, 1.0, -1.0)[:, None]
     length = np.linalg.norm(mesh.vertices[first] - mesh.vertices[last], axis=1)
-    slope = uv_scale * chord / np.maximum(length, 1e-300)[:, None]
+    tangents = uv_scale * chord / np.maximum(length, 1e-300)[:, None]
     directions = np.zeros((wedge_count, 2, 2))
     directions[~on_border[mesh.wedge_vertices]] = np.eye(2)
     moving = slides[mesh.wedge_vertices]
-    directions[moving, :, 0] = slope[moving]
+    directions[moving, :, 0] = tangents[moving]
     order = np.flatnonzero(moving)
     vertices = mesh.wedge_vertices[order]
     _, start = np.unique(vertices, return_index=True)

@@ -40,11 +40,11 @@ def match_islands(samples: SurfaceSamples, materials: np.ndarray, level: Texture
 
     samples: dense, of the fine mesh. materials: (N,) of the samples. uv_scale: length of a unit of UV space on the surface.
     """
-    apart = 4.0 * (np.ptp(samples.positions, axis=0).sum() + uv_scale * np.ptp(samples.uvs, axis=0).sum())
-    keys = np.column_stack([samples.positions, uv_scale * samples.uvs, apart * materials])
+    spacing = 4.0 * (np.ptp(samples.positions, axis=0).sum() + uv_scale * np.ptp(samples.uvs, axis=0).sum())
+    keys = np.column_stack([samples.positions, uv_scale * samples.uvs, spacing * materials])
     positions = np.einsum("pi,tic->tpc", LABEL_POINTS, level.vertices[level.triangles])
     uvs = np.einsum("pi,tic->tpc", LABEL_POINTS, level.corner_uvs)
-    wanted = np.broadcast_to(apart * level.materials[:, None, None].astype(float), (*positions.shape[:2], 1))
+    wanted = np.broadcast_to(spacing * level.materials[:, None, None].astype(float), (*positions.shape[:2], 1))
     queries = np.concatenate([positions, uv_scale * uvs, wanted], axis=2)
     _, nearest = cKDTree(keys).query(queries.reshape(-1, keys.shape[1]))
     votes = samples.islands[nearest].reshape(-1, len(LABEL_POINTS))
@@ -126,11 +126,11 @@ def _find_containing(
 def _find_nearest(
     uvs: np.ndarray, islands: np.ndarray, corner_uvs: np.ndarray, triangle_islands: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the triangles (N,) and barycentric coordinates (N, 3) nearest to `uvs` (N, 2) in UV space, in the same island if it has any."""
-    apart = 2.0 * (np.ptp(corner_uvs, axis=(0, 1)).sum() + np.ptp(uvs, axis=0).sum()) + 1e-300
-    layers = np.broadcast_to(apart * triangle_islands[:, None, None].astype(float), (*corner_uvs.shape[:2], 1))
+    """Return the triangles (N,) and barycentric coordinates (N, 3) nearest to `uvs` (N, 2) in UV space, of the same island if possible."""
+    spacing = 2.0 * (np.ptp(corner_uvs, axis=(0, 1)).sum() + np.ptp(uvs, axis=0).sum()) + 1e-300
+    layers = np.broadcast_to(spacing * triangle_islands[:, None, None].astype(float), (*corner_uvs.shape[:2], 1))
     corners = np.concatenate([corner_uvs, layers], axis=2)
-    points = np.column_stack([uvs, apart * islands])
+    points = np.column_stack([uvs, spacing * islands])
     _, nearest = closest_on_mesh(points, corners)
     return nearest.astype(np.int64), closest_barycentric(points, corners[nearest])
 

@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...arrays import TINY, concatenate_ranges
 from ...geometry.mesh import face_areas_and_normals
-from .level_state import LevelState, attach
+from .level_state import LevelState
 
 MIN_UV_FRACTION = 0.02  # area of a new triangle in UV space relative to its quadrilateral
 MIN_NORMAL_COSINE = 0.2  # between a new triangle and the mean of the old ones
@@ -45,7 +46,7 @@ def _flip_once(state: LevelState) -> LevelState | None:
     is_valid &= (areas * sign[:, None] > MIN_UV_FRACTION * np.abs(old.sum(axis=1))[:, None]).all(axis=1)
     _, normals = face_areas_and_normals(state.corners)
     mean = normals[t] + normals[s]
-    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-300)
+    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), TINY)
     for triangle in new:
         _, normal = face_areas_and_normals(points[:, triangle])
         is_valid &= np.einsum("ni,ni->n", normal, mean) > MIN_NORMAL_COSINE
@@ -63,7 +64,7 @@ def _flip_once(state: LevelState) -> LevelState | None:
     wedge_triangles[rows] = wedges[taken][:, new]
     sources[rows] = mesh.sources.ravel()[corner[taken]][:, new]
     flipped = replace(mesh, triangles=triangles, wedge_triangles=wedge_triangles, sources=sources)
-    return attach(flipped, state.islands, state.samples, state.normal_weight)
+    return state.replace_triangles(flipped, rows)
 
 
 def select_independent(gains: np.ndarray, triangles: np.ndarray, count: int) -> np.ndarray:
@@ -77,15 +78,18 @@ def select_independent(gains: np.ndarray, triangles: np.ndarray, count: int) -> 
     return np.flatnonzero((best[triangles] == rank[:, None]).all(axis=1) & (gains > 0.0))
 
 
-def _compute_gains(state, first, second, uvs, points, normals) -> tuple[np.ndarray, np.ndarray]:
-    """Return by how much the flip of each quadrilateral lowers the cost (K,), and the present cost (K,) of its two triangles."""
+def _compute_gains(
+    state: LevelState, first: np.ndarray, second: np.ndarray, uvs: np.ndarray, points: np.ndarray, normals: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return by how much the flip of each quadrilateral lowers the cost (K,), and its present cost (K,).
+
+    first, second: (K,) triangles. uvs: (K, 4, 2), points: (K, 4, 3), of the corners; the new edge joins 0 and 2. normals: (K, 3).
+    """
     count = len(state.islands)
     costs = np.bincount(state.found.triangles, state.compute_costs(), count)
     order = np.argsort(state.found.triangles, kind="stable")
     sizes = np.bincount(state.found.triangles, minlength=count)
     starts = np.cumsum(sizes) - sizes
-    from ...arrays import concatenate_ranges
-
     total = np.zeros(len(first))
     for triangle in (first, second):
         quad = np.repeat(np.arange(len(first)), sizes[triangle])
@@ -93,14 +97,13 @@ def _compute_gains(state, first, second, uvs, points, normals) -> tuple[np.ndarr
         u = uvs[quad] - state.samples.uvs[sample, None]
         diagonal = _wedge(u[:, 0], u[:, 2])
         quad_sign = np.sign(_cross(uvs[:, None, [0, 1, 2]])[:, 0])[quad]
-        is_second = diagonal * quad_sign < 0.0
-        # barycentric coordinates in the new triangle (0, 1, 2) or (0, 2, 3), clamped for samples outside
+        is_second = diagonal * quad_sign > 0.0
         rows = np.arange(len(quad))
         corners = np.where(is_second[:, None], [0, 2, 3], [0, 1, 2])
         v = u[rows[:, None], corners]
         weights = np.stack([_wedge(v[:, 1], v[:, 2]), _wedge(v[:, 2], v[:, 0]), _wedge(v[:, 0], v[:, 1])], axis=1)
-        weights = np.maximum(weights * quad_sign[:, None], 0.0)
-        weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-300)
+        weights = np.maximum(weights * quad_sign[:, None], 0.0)  # clamped for samples that the level does not cover
+        weights /= np.maximum(weights.sum(axis=1, keepdims=True), TINY)
         residuals = np.einsum("ni,nic->nc", weights, points[quad[:, None], corners]) - state.samples.positions[sample]
         along = np.einsum("ni,ni->n", residuals, normals[quad])
         cost = state.samples.weights[sample] * ((residuals**2).sum(axis=1) + (state.normal_weight - 1.0) * along**2)

@@ -15,7 +15,7 @@ from .level_state import LevelState, sum_by
 
 MAX_ITERATIONS = 60
 TOLERANCE = 1e-4  # of the preconditioned gradient
-DAMPING = 1e-3  # of the mean weight of a vertex: keeps vertices without samples in place
+DAMPING = 0.03  # of the weight that a vertex has if samples are dense: keeps vertices with few samples in place
 
 
 @dataclass(frozen=True)
@@ -105,8 +105,8 @@ class Linearization:
     def solve(self, uv_scale: float) -> np.ndarray:
         """Return the step (V, 5) to the minimum, damped. uv_scale: length of a unit of UV space on the surface."""
         blocks = self.diagonal_blocks()
-        weight = np.einsum("vii->v", blocks[:, :3, :3]) / 3.0
-        weight = np.maximum(weight, 1e-2 * weight.mean())
+        areas, _ = face_areas_and_normals(self.state.corners)
+        weight = self._sums @ np.repeat(areas / 6.0, 3)  # what `blocks` are if samples are dense
         scale = np.concatenate([np.ones(3), np.full(2, uv_scale**2)])
         damping = weight[:, None] * scale * np.array([DAMPING] * 3 + [self.damping] * 2)
         inverses = np.linalg.inv(blocks + damping[:, :, None] * np.eye(5))

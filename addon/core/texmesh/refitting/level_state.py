@@ -49,11 +49,28 @@ class LevelState:
         return find_edges(self.mesh.triangles, len(self.mesh.vertices))
 
     def move(self, vertices: np.ndarray, uvs: np.ndarray | None = None) -> "LevelState":
-        """Return the level with other `vertices` (V, 3) and, if given, other `uvs` (W, 2), for which correspondence is found anew."""
+        """Return the level with other `vertices` (V, 3) and, if given, other `uvs` (W, 2), whose corresponding points are found again."""
         if uvs is None:
             return replace(self, mesh=replace(self.mesh, vertices=vertices))
         mesh = replace(self.mesh, vertices=vertices, uvs=uvs)
         return attach(mesh, self.islands, self.samples, self.normal_weight)
+
+    def replace_triangles(self, mesh: TexturedMesh, groups: np.ndarray) -> "LevelState":
+        """Return the level with another `mesh`, in which the triangles of each row of `groups` (K, C) cover together what they covered."""
+        group_of = np.full(len(self.islands), -1)
+        group_of[groups] = np.arange(len(groups))[:, None]
+        sample_groups = group_of[self.found.triangles]
+        moved = np.flatnonzero(sample_groups >= 0)
+        rows = groups.ravel()
+        found = find_correspondence(
+            self.samples.take(moved, sample_groups[moved]),
+            mesh.vertices[mesh.triangles[rows]],
+            mesh.corner_uvs[rows],
+            group_of[rows],
+        )
+        triangles, barycentric = self.found.triangles.copy(), self.found.barycentric.copy()
+        triangles[moved], barycentric[moved] = rows[found.triangles], found.barycentric
+        return replace(self, mesh=mesh, found=replace(self.found, triangles=triangles, barycentric=barycentric))
 
 
 def attach(mesh: TexturedMesh, islands: np.ndarray, samples: SurfaceSamples, normal_weight: float) -> LevelState:

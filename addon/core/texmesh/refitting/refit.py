@@ -1,106 +1,128 @@
-"""Refit levels: positions and texture coordinates that minimize the deviation from the fine mesh."""
+"""Refit levels: positions and texture coordinates that minimize the deviation from the fine mesh.
 
-from dataclasses import dataclass
+Paper, section I: coarse levels for static use need no subset of the fine vertices. Their positions follow by least squares from samples of
+the fine mesh at equal texture coordinates; texture coordinates move by Gauss-Newton steps; edges flip where that lowers the cost.
+"""
+
+from dataclasses import replace
 
 import numpy as np
 
-from ...jobs.progress import Progress, Steps
+from ...geometry.mesh import face_areas_and_normals, scaled_normals
+from ...jobs.progress import Progress, Steps, subprogress
+from ..simplification.levels import extract_level, simplify_by_cost
+from ..simplification.settings import SimplificationSettings
 from ..textured_mesh import TexturedMesh
-from .border_curves import find_border_curves, find_freedom
+from .border_curves import BorderCurves, Freedom, find_border_curves, find_freedom
 from .correspondence import compute_uv_scale, match_islands
+from .deviation_quadrics import DeviationQuadrics
 from .edge_flips import flip_edges
+from .edge_splits import split_edges
 from .least_squares import Linearization, compute_moments
-from .level_state import attach
+from .level_state import LevelState, attach
 from .sampling import find_islands, sample_surface
+from .settings import RefitSettings
+from .uv_moves import move_uvs
+
+MIN_SAMPLES, MAX_SAMPLES = 40_000, 400_000  # per level
+MAX_SAMPLED = 1_600_000  # samples times iterations: large levels get fewer iterations, as most of their error goes in the first
+MIN_ITERATIONS = 3
+INITIAL_DAMPING, MIN_DAMPING = 0.1, 1e-3  # of moves of texture coordinates
+DAMPING_DECREASE, DAMPING_INCREASE = 0.5, 8.0
+TOLERANCE = 5e-3  # decrease of the cost below which the fit ends
+FLIP_ROUNDS = 2  # per iteration
+SPLIT_PARTS = 3  # the splits are divided into so many iterations, each after the fit has followed the one before
+PEAK_SCALE = 4.0  # squared distances count more if they are large compared with this multiple of their mean
+MAX_EMPHASIS = 100.0
+SIMPLIFICATION_FRACTION = 0.1  # of the progress, for the simplification
 
 
-@dataclass(frozen=True)
-class RefitSettings:
-    samples_per_triangle: int = 12
-    min_samples: int = 40_000
-    iterations: int = 12
-    normal_weight: float = 4.0
+def make_refit_levels(
+    fine: TexturedMesh, targets: list[int], settings: RefitSettings, simplification: SimplificationSettings
+) -> Steps[list[TexturedMesh]]:
+    """Make a level of `fine` for each of the `targets`, triangle counts that descend, with the smallest deviation found.
+
+    Levels start as subset levels by `DeviationQuadrics`, a little below their target, are refitted, and gain triangles where they deviate
+    most. A level has more triangles than its target only where the constraints of the simplification stop it.
+
+    Raises:
+        SettingsError: the targets do not descend or are not positive.
+    """
+    cost = DeviationQuadrics(fine, settings.normal_weight)
+    starts = [max(round((1.0 - settings.split_fraction) * target), 1) for target in targets]
+    simplified = yield from subprogress(simplify_by_cost(fine, cost, starts, simplification), 0.0, SIMPLIFICATION_FRACTION)
+    levels = []
+    for index, (target, subset) in enumerate(zip(targets, simplified.levels, strict=True)):
+        first, last = (SIMPLIFICATION_FRACTION + (1.0 - SIMPLIFICATION_FRACTION) * number / len(targets) for number in (index, index + 1))
+        levels.append((yield from subprogress(refit(fine, extract_level(fine, subset), settings, target), first, last)))
+    return levels
 
 
-def refit(fine: TexturedMesh, level: TexturedMesh, settings: RefitSettings) -> Steps[TexturedMesh]:
-    state = yield from _prepare(fine, level, settings)
-    uv_scale = compute_uv_scale(fine)
-    curves = find_border_curves(fine, find_islands(fine))
-    damping = 0.1
-    cost = state.compute_costs().sum()
-    for index in range(settings.iterations):
-        yield Progress(index / settings.iterations, "Refitting")
-        state = flip_edges(state, 2)
+def refit(fine: TexturedMesh, level: TexturedMesh, settings: RefitSettings, target: int = 0) -> Steps[TexturedMesh]:
+    """Return `level` with positions, texture coordinates and edges such that it deviates least from `fine`.
+
+    Vertices on seams and boundaries keep their texture coordinates on the curves of `fine`, equal on both sides of a seam; corners of
+    islands keep theirs. No triangle is flipped in UV space. The number of triangles stays, or grows by splits of edges up to `target`.
+    Attributes follow their wedges.
+
+    Args:
+        level: any simplification of `fine`, in the same space.
+    """
+    yield Progress(0.0, "Refitting")
+    count = int(np.clip(settings.samples_per_triangle * max(len(level.triangles), target), MIN_SAMPLES, MAX_SAMPLES))
+    islands, uv_scale = find_islands(fine), compute_uv_scale(fine)
+    samples = sample_surface(fine, islands, count, np.random.default_rng(0))
+    level_islands = match_islands(samples, fine.materials[samples.triangles], level, uv_scale)
+    state = attach(level, level_islands, samples, settings.normal_weight)
+    curves = find_border_curves(fine, islands)
+    iterations = min(settings.iterations, max(MAX_SAMPLED // count, MIN_ITERATIONS))
+    damping, is_converged = INITIAL_DAMPING, False
+    for index in range(iterations):
+        yield Progress(index / iterations, "Refitting")
+        missing, parts = (target - len(state.mesh.triangles)) // 2, SPLIT_PARTS - max(index - 1, 0) // 2
+        may_split = missing > 0 and (index % 2 == 1 or iterations <= 2 * SPLIT_PARTS)
+        if may_split:
+            state = split_edges(state, -(-missing // max(min(parts, iterations - 1 - index), 1)))
+        if index > 0 and settings.peak_weight > 0.0:
+            state = emphasize_peaks(state, samples.weights, settings.peak_weight)
+        state = flip_edges(state, FLIP_ROUNDS)
         cost = state.compute_costs().sum()
-        freedom = find_freedom(state, uv_scale)
-        directions = freedom.directions
-        step = Linearization(state, compute_moments(state), directions, damping).solve(uv_scale)
-        uvs, fraction = move_uvs(state, step, freedom, curves)
-        moved = state.move(state.mesh.vertices + step[:, :3] * fraction[:, None], uvs)
-        fixed = Linearization(moved, compute_moments(moved), np.zeros_like(directions), damping).solve(uv_scale)
-        moved = moved.move(moved.mesh.vertices + fixed[:, :3])
-        new = moved.compute_costs().sum()
-        if new < cost:
-            if new > 0.995 * cost:
-                state = moved
-                break
-            state, cost, damping = moved, new, max(damping * 0.5, 1e-3)
-        else:
-            damping *= 8.0
+        moved = _move(state, curves, uv_scale, damping)
+        new_cost = moved.compute_costs().sum()
+        is_better = new_cost < cost
+        damping = max(damping * DAMPING_DECREASE, MIN_DAMPING) if is_better else damping * DAMPING_INCREASE
+        is_converged = is_better and new_cost > (1.0 - TOLERANCE) * cost and missing <= 0
+        state = moved if is_better else state
+        if is_converged:
+            break
     return state.mesh
 
 
-def _prepare(fine, level, settings):
-    generator = np.random.default_rng(0)
-    count = max(settings.samples_per_triangle * len(level.triangles), settings.min_samples)
-    fine_islands = find_islands(fine)
-    samples = sample_surface(fine, fine_islands, count, generator)
-    yield Progress(0.0, "Refitting")
-    islands = match_islands(samples, fine.materials[samples.triangles], level, compute_uv_scale(fine))
-    return attach(level, islands, samples, settings.normal_weight)
+def _move(state: LevelState, curves: BorderCurves, uv_scale: float, damping: float) -> LevelState:
+    """Return the level after a step of positions and texture coordinates, and another of positions."""
+    freedom: Freedom = find_freedom(state, uv_scale)
+    step = Linearization(state, compute_moments(state), freedom.directions, damping).solve(uv_scale)
+    uvs, fractions = move_uvs(state.mesh, step[:, 3:], freedom, curves)
+    moved = state.move(_avoid_folds(state, state.mesh.vertices + fractions[:, None] * step[:, :3]), uvs)
+    step = Linearization(moved, compute_moments(moved), np.zeros_like(freedom.directions), damping).solve(uv_scale)
+    return moved.move(_avoid_folds(moved, moved.mesh.vertices + step[:, :3]))
 
 
-MIN_AREA_FRACTION = 0.15
-MAX_PARTNER_STEP = 4.0  # times the expected step, of the other side of a seam
+def _avoid_folds(state: LevelState, vertices: np.ndarray) -> np.ndarray:
+    """Return `vertices` (V, 3), but those of triangles that would turn over stay where they are in `state`."""
+    before = scaled_normals(state.corners)
+    is_folded = np.einsum("ti,ti->t", before, scaled_normals(vertices[state.mesh.triangles])) < 0.0
+    result = vertices.copy()
+    stays = state.mesh.triangles[is_folded]
+    result[stays] = state.mesh.vertices[stays]
+    return result
 
 
-def move_uvs(state, step, freedom, curves):
-    mesh = state.mesh
-    moves = np.einsum("wij,wj->wi", freedom.directions, step[mesh.wedge_vertices, 3:])
-    before = _areas(mesh.corner_uvs)
-    fraction = np.ones(len(mesh.vertices))
-    sliding, partners = freedom.sliding, freedom.partners
-    for _ in range(12):
-        uvs = mesh.uvs + moves * fraction[mesh.wedge_vertices, None]
-        if len(sliding):
-            is_moving = fraction[mesh.wedge_vertices[sliding]] > 0.0
-            rows, others = sliding[is_moving], partners[is_moving]
-            on_border, on_twin = curves.project(uvs[rows], freedom.islands[is_moving])
-            paired = others >= 0
-            is_bad = paired & (~np.isfinite(on_twin).all(axis=1))
-            gap = np.linalg.norm(on_twin[paired] - mesh.uvs[others[paired]], axis=1)
-            is_bad[paired] |= ~(
-                gap
-                <= MAX_PARTNER_STEP * np.linalg.norm(moves[others[paired]], axis=1) * fraction[mesh.wedge_vertices[others[paired]]] + 1e-9
-            )
-            uvs[rows] = on_border
-            uvs[others[paired]] = on_twin[paired]
-            bad = rows[is_bad]
-            fraction[mesh.wedge_vertices[bad]] = 0.0
-            uvs[bad] = mesh.uvs[bad]
-            bad = others[is_bad]
-            uvs[bad] = mesh.uvs[bad]
-            still = ~is_moving
-            uvs[sliding[still]] = mesh.uvs[sliding[still]]
-        after = _areas(uvs[mesh.wedge_triangles])
-        is_flipped = after * np.sign(before) < MIN_AREA_FRACTION * np.abs(before)
-        if not is_flipped.any():
-            return uvs, fraction
-        corners = mesh.triangles[is_flipped]
-        fraction[corners] = np.where(fraction[corners] > 0.01, fraction[corners] * 0.5, 0.0)
-    return mesh.uvs, np.zeros(len(mesh.vertices))
-
-
-def _areas(uvs):
-    a, b = uvs[:, 1] - uvs[:, 0], uvs[:, 2] - uvs[:, 0]
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+def emphasize_peaks(state: LevelState, areas: np.ndarray, peak_weight: float) -> LevelState:
+    """Return the level with larger weights of samples that are far from the planes of its triangles. areas: (N,) of the samples."""
+    _, normals = face_areas_and_normals(state.corners)
+    squares = np.einsum("ni,ni->n", state.compute_residuals(), normals[state.found.triangles]) ** 2
+    mean = max(float((squares * areas).sum() / areas.sum()), np.finfo(float).tiny)
+    emphasis = 1.0 + np.minimum(peak_weight * squares / (PEAK_SCALE * mean), MAX_EMPHASIS)
+    weights = 0.5 * (areas * emphasis + state.samples.weights)  # the mean of two iterations, so that weights do not swing
+    return replace(state, samples=replace(state.samples, weights=weights))

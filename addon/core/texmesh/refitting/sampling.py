@@ -29,6 +29,11 @@ class SurfaceSamples:
     islands: np.ndarray
     weights: np.ndarray
 
+    def take(self, rows: np.ndarray, islands: np.ndarray) -> "SurfaceSamples":
+        """Return the samples `rows` (K,), with other `islands` (K,)."""
+        values = (self.triangles, self.barycentric, self.positions, self.uvs)
+        return SurfaceSamples(*(value[rows] for value in values), islands, self.weights[rows])
+
 
 def find_islands(mesh: TexturedMesh) -> np.ndarray:
     """Return the UV island (T,) int32 of each triangle: triangles that share a wedge are of the same island."""

@@ -1,0 +1,102 @@
+"""Quadrics of texture deviation, one per wedge: the cost of collapses for levels that are refitted.
+
+A triangle of the fine mesh, extended to all of UV space, is an affine map S_t from texture coordinates to space. A vertex at x with
+texture coordinates u deviates from it by x - S_t(u), between equal texture coordinates. The cost of a vertex is the integral of the
+squared deviation over the triangles that it stands for: a quadric of (x, u), summed like those of Garland and Heckbert, "Surface
+Simplification Using Quadric Error Metrics", 1997. In contrast to the distance from planes in 5-D it does not get smaller where a vertex
+slides along the surface and its texture coordinates do not.
+"""
+
+import numpy as np
+
+from ...geometry.mesh import face_areas_and_normals
+from ..simplification.collapse_fans import CollapseFans
+from ..simplification.topology import Collapses
+from ..textured_mesh import TexturedMesh
+from .border_curves import find_border_halfedges
+from .correspondence import compute_uv_scale
+
+ROWS, COLUMNS = np.triu_indices(6)
+CURVE_WEIGHT = 1.0  # of squared distances from an edge of a border in UV space, times its squared length
+LENGTH_WEIGHT = 1e-6  # of the squared length of a collapse, which decides where the map is affine
+
+
+class DeviationQuadrics:
+    """A `CollapseCost`: squared texture deviations, integrated over the triangles that wedges stand for. Deviations along the normal count
+    `normal_weight` times."""
+
+    def __init__(self, mesh: TexturedMesh, normal_weight: float) -> None:
+        uv_scale = compute_uv_scale(mesh)
+        points = np.column_stack([mesh.vertices[mesh.wedge_vertices], uv_scale * mesh.uvs])
+        self._points = points - points.mean(axis=0)
+        homogeneous = np.column_stack([self._points, np.ones(len(points))])
+        self._monomials = homogeneous[:, ROWS] * homogeneous[:, COLUMNS] * np.where(ROWS == COLUMNS, 1.0, 2.0)
+        self._quadrics = np.zeros((len(points), len(ROWS)))
+        areas, normals = face_areas_and_normals(mesh.vertices[mesh.triangles])
+        self._areas = np.bincount(mesh.wedge_triangles.ravel(), np.repeat(areas, 3) / 3.0, len(points))
+        rows = _deviation_rows(self._points[mesh.wedge_triangles], normals, normal_weight)
+        terms = np.einsum("tik,til->tkl", rows, rows)[:, ROWS, COLUMNS] * (areas / 3.0)[:, None]
+        for corner in range(3):
+            np.add.at(self._quadrics, mesh.wedge_triangles[:, corner], terms)
+        self._add_borders(mesh)
+        self._own_costs = np.einsum("wk,wk->w", self._quadrics, self._monomials)
+
+    def evaluate(self, collapses: Collapses) -> np.ndarray:
+        """See `CollapseCost`."""
+        (removed, other_removed), (kept, other_kept) = collapses.removed_wedges, collapses.kept_wedges
+        costs = self._evaluate(removed, kept)
+        rows = np.flatnonzero((other_removed >= 0) & (other_removed != removed))
+        costs[rows] += self._evaluate(other_removed[rows], other_kept[rows])
+        lengths = ((self._points[removed, :3] - self._points[kept, :3]) ** 2).sum(axis=1)
+        return costs + LENGTH_WEIGHT * self._areas[removed] * lengths
+
+    def merge(self, collapses: Collapses, fans: CollapseFans) -> None:
+        """See `CollapseCost`."""
+        pairs = np.unique(fans.topology.wedges[fans.corners].astype(np.int64) * len(self._areas) + fans.wedges)
+        removed, kept = pairs // len(self._areas), pairs % len(self._areas)
+        np.add.at(self._quadrics, kept, self._quadrics[removed])
+        np.add.at(self._areas, kept, self._areas[removed])
+        self._own_costs[kept] = np.einsum("wk,wk->w", self._quadrics[kept], self._monomials[kept])
+
+    def _evaluate(self, removed: np.ndarray, kept: np.ndarray) -> np.ndarray:
+        """Return the costs (N,) of moving wedges (N,) onto others, not negative."""
+        costs = np.einsum("wk,wk->w", self._quadrics.take(removed, axis=0), self._monomials.take(kept, axis=0))
+        return np.maximum(costs + self._own_costs.take(kept), 0.0)
+
+    def _add_borders(self, mesh: TexturedMesh) -> None:
+        """Add the squared distances from the edges of islands in UV space, which cover what is between the edge and a vertex beside it."""
+        halfedges, _ = find_border_halfedges(mesh)
+        faces, corners = halfedges // 3, halfedges % 3
+        start, end = (mesh.wedge_triangles[faces, (corners + step) % 3] for step in (1, 2))
+        edges = self._points[end, 3:] - self._points[start, 3:]
+        lengths = np.maximum(np.linalg.norm(edges, axis=1), 1e-300)
+        rows = np.zeros((len(start), 6))
+        rows[:, 3], rows[:, 4] = -edges[:, 1] / lengths, edges[:, 0] / lengths
+        rows[:, 5] = -(rows[:, 3:5] * self._points[start, 3:]).sum(axis=1)
+        lengths = np.linalg.norm(self._points[end, :3] - self._points[start, :3], axis=1)
+        terms = rows[:, ROWS] * rows[:, COLUMNS] * (0.5 * CURVE_WEIGHT * lengths**2)[:, None]
+        np.add.at(self._quadrics, start, terms)
+        np.add.at(self._quadrics, end, terms)
+
+
+def _deviation_rows(corners: np.ndarray, normals: np.ndarray, normal_weight: float) -> np.ndarray:
+    """Return matrices (T, 3, 6) that map homogeneous (x, u) to x - S_t(u), with its component along the normal scaled.
+
+    corners: (T, 3, 5). Triangles without area in UV space give the deviation from their plane alone.
+    """
+    origin = corners[:, 0]
+    edges = np.stack([corners[:, 1, 3:] - origin[:, 3:], corners[:, 2, 3:] - origin[:, 3:]], axis=2)
+    sides = np.stack([corners[:, 1, :3] - origin[:, :3], corners[:, 2, :3] - origin[:, :3]], axis=2)
+    determinants = edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]
+    squares = (edges**2).sum(axis=(1, 2))
+    is_flat = np.abs(determinants) <= 1e-9 * squares
+    edges[is_flat] = np.eye(2)
+    jacobians = sides @ np.linalg.inv(edges)
+    rows = np.zeros((len(corners), 3, 6))
+    rows[:, :, :3] = np.eye(3)
+    rows[:, :, 3:5] = -jacobians
+    rows[:, :, 5] = -origin[:, :3] + np.einsum("tij,tj->ti", jacobians, origin[:, 3:])
+    project = normals[:, :, None] * normals[:, None, :]
+    metric = np.eye(3) + (np.sqrt(normal_weight) - 1.0) * project
+    metric[is_flat] = np.sqrt(normal_weight) * project[is_flat]
+    return metric @ rows
