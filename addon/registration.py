@@ -17,6 +17,7 @@ from .operators.photos import overlays as photos_overlays
 from .operators.photos import refinement as photos_refinement
 from .operators.photos import registration as photos_registration
 from .operators.restore import operators as restore_operators
+from .operators.texmesh import operators as texmesh_operators
 from .operators.unwrap import operators as unwrap_operators
 from .panels import bdam as bdam_panels
 from .panels import billboards as billboards_panels
@@ -24,6 +25,7 @@ from .panels import btf as btf_panels
 from .panels import clipbox as clipbox_panels
 from .panels import photos as photos_panels
 from .panels import restore as restore_panels
+from .panels import texmesh as texmesh_panels
 from .panels import unwrap as unwrap_panels
 
 MODULES = (
@@ -41,6 +43,7 @@ MODULES = (
     photos_refinement,
     photos_registration,
     restore_operators,
+    texmesh_operators,
     clipbox_operators,
     clipbox_convert,
     bdam_operators,
@@ -52,6 +55,7 @@ MODULES = (
     unwrap_panels,
     photos_panels,
     restore_panels,
+    texmesh_panels,
     clipbox_panels,
     bdam_panels,
 )

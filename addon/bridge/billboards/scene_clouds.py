@@ -11,7 +11,8 @@ from ...core.geometry.affine import transform_points
 from ...core.geometry.cameras import Camera, choose_level, distance_to_box
 from .. import lod_crossfade, meshes, transparent_bounces
 from ..source_links import SourceIndex, find_sources
-from . import clouds, source_objects, source_proxies
+from ..visibility import temporarily_visible
+from . import clouds, source_proxies
 from .level_objects import level_world_matrix, pbr_material
 
 LEVEL_NUMBERS = ("farfield_level", "farfield_error", "farfield_quads", "farfield_texels")  # without them an object is no level
@@ -107,7 +108,7 @@ class SceneCloud:
         self.remove_crossfade()
         sources, errors = self.sources_in(context.view_layer), [*self.errors, lod_crossfade.MAX_PIXEL]
         if sources:
-            with source_objects.temporarily_visible(context, sources) as depsgraph:
+            with temporarily_visible(context, sources) as depsgraph:
                 source_proxies.add_source_proxies(sources, self.collection, depsgraph)
         proxies = source_proxies.find_source_proxies(self.collection)
         for item in proxies:

@@ -18,7 +18,8 @@ from .perception.settings import PerceptionSettings
 from .perception.switch_distances import LevelImages, Switch, SwitchCheck, find_switches
 from .perception.views import ViewedSurface, frame_around, prepare_surface, turning_directions
 from .perception.weber import Collapses, Impacts, measure_impacts
-from .refitting.refit import RefitSettings, refit
+from .refitting.refit import make_refit_levels
+from .refitting.settings import RefitSettings
 from .scale_costs import ScaleWeightedQuadrics
 from .scale_space.analysis import analyze_scale_space
 from .scale_space.scale_map import SCALES, ScaleMap
@@ -122,9 +123,10 @@ def make_levels(
     pixel_sizes = [0.0, *(switch.pixel_size for switch in switches)]
     chosen = _choose(candidates, pixel_sizes, impacts, mipmaps, settings)
     kept = [candidates[index] for index in chosen]
-    if settings.levels.product == "refit":
-        kept = yield from subprogress(_refit(mesh, kept), 0.8, 0.95)
-    if settings.levels.product == "refit" or len(chosen) < len(candidates):
+    is_refit = settings.levels.product == "refit" and _has_uv_area(mesh)
+    if is_refit:
+        kept = yield from subprogress(_refit(mesh, kept, settings.simplification), 0.8, 0.95)
+    if is_refit or len(chosen) < len(candidates):
         steps = find_switches([_view(item.mesh, mipmaps, settings.perception) for item in kept], settings.perception)
         switches = yield from subprogress(steps, 0.95, 1.0)
     levels = [_to_level(item, switch) for item, switch in zip(kept, [None, *switches], strict=True)]
@@ -152,6 +154,12 @@ def choose_targets(mesh: TexturedMesh, scale_map: ScaleMap) -> tuple[list[int], 
         targets.append(last)
         scales.append(SCALES - 1)
     return targets, scales
+
+
+def _has_uv_area(mesh: TexturedMesh) -> bool:
+    """Return whether a triangle has an area in UV space, without which nothing can be refitted."""
+    edges = mesh.corner_uvs[:, 1:] - mesh.corner_uvs[:, :1]
+    return bool((edges[:, 0, 0] * edges[:, 1, 1] != edges[:, 0, 1] * edges[:, 1, 0]).any())
 
 
 def _priorities(scale_map: ScaleMap) -> np.ndarray:
@@ -229,13 +237,11 @@ def _find_red(
     return keep_visible_scales(is_red, SwitchCheck(images, pixel_sizes, settings))
 
 
-def _refit(mesh: TexturedMesh, kept: Sequence[_Candidate]) -> Steps[list[_Candidate]]:
-    """Return levels whose positions and texture coordinates deviate least from `mesh`."""
-    refitted = [kept[0]]
-    for index, item in enumerate(kept[1:]):
-        moved = yield from subprogress(refit(mesh, item.mesh, RefitSettings()), index / (len(kept) - 1), (index + 1) / (len(kept) - 1))
-        refitted.append(replace(item, mesh=moved))
-    return refitted
+def _refit(mesh: TexturedMesh, kept: Sequence[_Candidate], settings: SimplificationSettings) -> Steps[list[_Candidate]]:
+    """Return levels with as many triangles whose positions and texture coordinates deviate least from `mesh`."""
+    targets = [len(item.mesh.triangles) for item in kept[1:]]
+    moved = yield from make_refit_levels(mesh, targets, RefitSettings(), settings)
+    return [kept[0], *(replace(item, mesh=level) for item, level in zip(kept[1:], moved, strict=True))]
 
 
 def _to_level(item: _Candidate, switch: Switch | None) -> Level:

@@ -3,7 +3,7 @@
 import bpy
 
 from ...bridge import cameras
-from ...bridge.texmesh.level_sets import LevelSet, find_level_set, level_sets_in, remove_level_set, set_hidden
+from ...bridge.texmesh.level_sets import LevelSet, level_sets_in, remove_level_set, set_hidden
 from ...core.texmesh.level_chain import AllSettings
 from ...core.texmesh.perception.settings import PerceptionSettings
 from ...core.texmesh.scale_space.settings import ScaleSpaceSettings
@@ -90,7 +90,12 @@ class FARFIELD_OT_texmesh_show(LevelsOperator, bpy.types.Operator):
     bl_label = "Show Perceptual Level"
 
     level: bpy.props.IntProperty(
-        name="Level", description="Level to show, 0 for the finest. -1 for the original object", default=0, min=-1, max=99, options={"SKIP_SAVE"}
+        name="Level",
+        description="Level to show, 0 for the finest. -1 for the original object",
+        default=0,
+        min=-1,
+        max=99,
+        options={"SKIP_SAVE"},
     )
 
     @reports_errors
@@ -183,9 +188,10 @@ class FARFIELD_OT_texmesh_remove(LevelsOperator, bpy.types.Operator):
 
 def disabled_reason(context: bpy.types.Context) -> str:
     """Return why the selected objects cannot be worked on now, or an empty string."""
-    running = long_work.running_reason() if hasattr(long_work, "running_reason") else ""
-    if running:
-        return running
+    if long_work.running_job_message():
+        return long_work.running_job_message()
+    if not context.scene.is_editable:
+        return "The scene is linked from a library"
     objects = source_objects(context)
     if not objects:
         return "Select a mesh with a texture"

@@ -7,6 +7,7 @@ import bpy
 from ...bridge.meshes import SURFACE_TYPES, describe_type, is_in_view_layer
 from ...bridge.texmesh.level_sets import find_level_set
 from ...bridge.texmesh.sources import TexturedSource, read_textured_source
+from ...bridge.visibility import temporarily_visible
 from ...core.errors import FarfieldError, GeometryError
 
 
@@ -39,14 +40,14 @@ def read_sources(context: bpy.types.Context, objects: Sequence[bpy.types.Object]
         FarfieldError: none can be read.
     """
     sources, skipped, errors = [], [], []
-    depsgraph = context.evaluated_depsgraph_get()
     for item in objects:
         reason = refusal(item, context.view_layer)
         if reason:
             skipped.append(f"{item.name} ({reason})")
             continue
         try:
-            sources.append(read_textured_source(item, depsgraph))
+            with temporarily_visible(context, [item]) as depsgraph:  # originals are hidden while their levels are shown
+                sources.append(read_textured_source(item, depsgraph))
         except FarfieldError as error:
             errors.append(error)
     if not sources:

@@ -19,14 +19,15 @@ AXES = {
 class ScaleSpaceSettings(Settings):
     """Settings of the analysis in scale space."""
 
-    mode: str = setting("surface", "How features are found", label="Analysis", choices=MODES)
-    axis: str = setting("z", "Axis through the center of a range image", choices=AXES)
+    mode: str = setting("surface", "How features are found", label="Analysis", choices=MODES, group="Analysis")
+    axis: str = setting("z", "Axis through the center of a range image", choices=AXES, group="Analysis")
     texture_weight: float = setting(
         0.5,
         "Weight of features of the texture. 0% for the shape alone, 50% for both alike, 100% for the texture alone",
         minimum=0.0,
         maximum=1.0,
         unit=Unit.FRACTION,
+        group="Analysis",
     )
     convergence: float = setting(
         0.25,
@@ -34,6 +35,7 @@ class ScaleSpaceSettings(Settings):
         minimum=0.001,
         maximum=0.9,
         unit=Unit.FRACTION,
+        group="Analysis",
     )
     noise: float = setting(
         0.01,
@@ -41,6 +43,7 @@ class ScaleSpaceSettings(Settings):
         minimum=0.0,
         maximum=0.5,
         unit=Unit.FRACTION,
+        group="Analysis",
     )
     spacing: float = setting(
         1.0,
@@ -48,4 +51,5 @@ class ScaleSpaceSettings(Settings):
         "0 to keep all, as in the paper",
         minimum=0.0,
         maximum=4.0,
+        group="Analysis",
     )

@@ -17,7 +17,7 @@ PERCEPTUAL_VALUES = {
 class SimplificationSettings(Settings):
     """Settings of a simplification by half-edge collapses."""
 
-    perceptual_value: str = setting("plane", "How much the removal of a vertex is seen", choices=PERCEPTUAL_VALUES)
+    perceptual_value: str = setting("plane", "How much the removal of a vertex is seen", choices=PERCEPTUAL_VALUES, group="Simplification")
     protected_fraction: float = setting(
         0.5,
         "Of the vertices, those whose removal would be seen most at the moment, which stay whatever their scale; 0 for the order of scales"
@@ -25,12 +25,15 @@ class SimplificationSettings(Settings):
         minimum=0.0,
         maximum=0.95,
         unit=Unit.FRACTION,
+        group="Simplification",
     )
     drastic: bool = setting(
         True,
         "If a triangle count cannot be reached otherwise: ignore folds of small triangles, seams of normals and colors; drop thin"
         " UV islands and small components; close small holes",
         label="Drastic Simplification",
+        panel_label="Drastic",
+        group="Simplification",
     )
     drastic_size: float = setting(
         1.0,
@@ -38,4 +41,5 @@ class SimplificationSettings(Settings):
         " count",
         minimum=0.0,
         maximum=10.0,
+        group="Simplification",
     )

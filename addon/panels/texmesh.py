@@ -1,0 +1,145 @@
+"""Panel *Perceptual Levels* in the sidebar tab *Farfield*, with one sub-panel per group of settings."""
+
+import bpy
+
+from ..bridge import cameras
+from ..bridge.texmesh.level_sets import ERROR, SWITCH_DISTANCE, TRIANGLES, LevelSet, find_level_set
+from ..core.settings import describe
+from ..operators.texmesh.operators import (
+    ALL_SETTINGS,
+    FARFIELD_OT_texmesh_analyze,
+    FARFIELD_OT_texmesh_crossfade,
+    FARFIELD_OT_texmesh_levels,
+    FARFIELD_OT_texmesh_remove,
+    FARFIELD_OT_texmesh_show,
+    FARFIELD_OT_texmesh_show_for_camera,
+    disabled_reason,
+)
+from .sidebar import SettingsSubPanel, SidebarPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, draw_table
+
+LEVEL_TITLES = ("Level", "Triangles", "Distance", "Pixels")
+BUDGETS = {"count": "levels", "triangles": "max_triangles", "size": "max_size", "pixels": "max_pixels"}  # setting of each choice of levels
+
+
+class TexmeshSettingsPanel(SettingsSubPanel):
+    """Mixin of the panels that show settings of perceptual levels."""
+
+    settings = [item for settings_type in ALL_SETTINGS for item in describe(settings_type)]
+    property_name = "farfield_texmesh"
+
+    @staticmethod
+    def is_used(name: str, group: bpy.types.PropertyGroup) -> bool:
+        """Return whether the setting `name` belongs to the chosen levels, order and analysis."""
+        if name in BUDGETS.values():
+            return BUDGETS.get(group.choice) == name
+        if name == "axis":
+            return group.mode == "paper"
+        if name in ("texture_weight", "noise", "spacing"):
+            return group.mode == "surface"
+        return name != "protected_fraction" or group.order == "scale"
+
+    @staticmethod
+    def is_active(name: str, group: bpy.types.PropertyGroup) -> bool:
+        """Return whether the setting `name` has an effect."""
+        if name == "fade_range":
+            return group.crossfade
+        return name != "drastic_size" or group.drastic
+
+
+class FARFIELD_PT_texmesh(TexmeshSettingsPanel, ToolPanel, bpy.types.Panel):
+    """The main settings, and the buttons or the progress bar."""
+
+    bl_idname = "FARFIELD_PT_texmesh"
+    bl_label = "Perceptual Levels"
+    page = "texmesh"
+    group_name = ""
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the settings without a group. While a job runs, they are disabled and the progress bar replaces the buttons."""
+        layout = self.layout
+        self.draw_settings(context)
+        if draw_progress_bar(layout):
+            return
+        reason = disabled_reason(context)
+        if reason:
+            draw_message(layout, reason, "INFO")
+        layout.operator(FARFIELD_OT_texmesh_analyze.bl_idname, text="Analyze", icon="VIEWZOOM")
+        draw_button(layout, FARFIELD_OT_texmesh_levels, "Make Levels", "MOD_DECIM")
+
+
+class SubPanel(TexmeshSettingsPanel):
+    """A closed sub-panel of settings."""
+
+    bl_parent_id = "FARFIELD_PT_texmesh"
+    bl_options = {"DEFAULT_CLOSED"}
+
+
+class FARFIELD_PT_texmesh_analysis(SubPanel, bpy.types.Panel):
+    """How features are found."""
+
+    bl_idname = "FARFIELD_PT_texmesh_analysis"
+    bl_label = "Analysis"
+
+
+class FARFIELD_PT_texmesh_simplification(SubPanel, bpy.types.Panel):
+    """How vertices are removed."""
+
+    bl_idname = "FARFIELD_PT_texmesh_simplification"
+    bl_label = "Simplification"
+
+
+class FARFIELD_PT_texmesh_perception(SubPanel, bpy.types.Panel):
+    """Which differences are visible."""
+
+    bl_idname = "FARFIELD_PT_texmesh_perception"
+    bl_label = "Perception"
+
+
+class FARFIELD_PT_texmesh_levels(SidebarPanel, bpy.types.Panel):
+    """The levels of the active object, and buttons that change what is shown."""
+
+    bl_idname = "FARFIELD_PT_texmesh_levels"
+    bl_parent_id = "FARFIELD_PT_texmesh"
+    bl_label = "Levels of Detail"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Return whether the active object has levels."""
+        return find_level_set(context.scene, context.active_object) is not None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw one row per level and the buttons."""
+        levels = find_level_set(context.scene, context.active_object)
+        draw_levels(self.layout, levels)
+        row = self.layout.row(align=True)
+        for number in range(len(levels.levels)):
+            row.operator(FARFIELD_OT_texmesh_show.bl_idname, text=f"L{number}").level = number
+        buttons = self.layout.column(align=True)
+        buttons.operator(FARFIELD_OT_texmesh_show.bl_idname, text="Show Original", icon="MESH_DATA").level = -1
+        buttons.operator(FARFIELD_OT_texmesh_crossfade.bl_idname, text="Cross-Fade", icon="MOD_OPACITY", depress=levels.has_crossfade)
+        for_camera = buttons.row(align=True)
+        for_camera.enabled = cameras.read_scene_camera(context.scene) is not None
+        for_camera.operator(FARFIELD_OT_texmesh_show_for_camera.bl_idname, text="Show for Camera", icon="CAMERA_DATA")
+        buttons.operator(FARFIELD_OT_texmesh_remove.bl_idname, text="Remove Levels", icon="X")
+
+
+def draw_levels(layout: bpy.types.UILayout, levels: LevelSet) -> None:
+    """Draw a table with the triangles, the distance and the size on screen from which each level shows."""
+    side = max(levels.levels[0].dimensions) or 1.0
+    rows = []
+    for number, level in enumerate(levels.levels):
+        error = float(level[ERROR])
+        distance, pixels = float(level.get(SWITCH_DISTANCE, 0.0)), side / error if error else 0.0
+        count = int(level.get(TRIANGLES, len(level.data.polygons)))
+        rows.append((f"L{number}", f"{count:,}", f"{distance:.3g}" if error else "0", f"{pixels:.0f}" if error else "all"))
+    draw_table(layout, LEVEL_TITLES, rows)
+
+
+CLASSES = (
+    FARFIELD_PT_texmesh,
+    FARFIELD_PT_texmesh_levels,
+    FARFIELD_PT_texmesh_analysis,
+    FARFIELD_PT_texmesh_simplification,
+    FARFIELD_PT_texmesh_perception,
+)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -1,0 +1,125 @@
+"""Levels of textured meshes in a scene: what is made, shown, carried and removed."""
+
+import bpy
+import numpy as np
+import pytest
+
+from farfield.addon.bridge.lod_crossfade import CROSSFADE
+from farfield.addon.bridge.texmesh.level_sets import ERROR, level_sets_in
+from farfield.addon.bridge.texmesh.scale_attributes import SCALE_ATTRIBUTE
+
+pytestmark = pytest.mark.usefixtures("empty_scene")
+SMALL = {"choice": "count", "levels": 3, "views": 2, "max_image": 128}
+
+
+@pytest.fixture
+def ball() -> bpy.types.Object:
+    """A smooth sphere with a UV map and a checkered image."""
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=32, ring_count=16)
+    item = bpy.context.object
+    item.name = "Ball"
+    item.data.shade_smooth()
+    material = bpy.data.materials.new("Checker")
+    image = bpy.data.images.new("Checker", 64, 64)
+    rows, columns = np.mgrid[0:64, 0:64]
+    colors = np.ones((64, 64, 4), np.float32)
+    colors[..., :3] = (((rows // 8 + columns // 8) % 2) * 0.6 + 0.2)[..., None]
+    image.pixels.foreach_set(colors.ravel())
+    material.use_nodes = True
+    node = material.node_tree.nodes.new("ShaderNodeTexImage")
+    node.image = image
+    material.node_tree.links.new(node.outputs["Color"], material.node_tree.nodes["Principled BSDF"].inputs["Base Color"])
+    item.data.materials.append(material)
+    return item
+
+
+def make(**values) -> list[bpy.types.Object]:
+    assert bpy.ops.farfield.texmesh_levels(**{**SMALL, **values}) == {"FINISHED"}
+    (levels,) = level_sets_in(bpy.context.scene)
+    return levels.levels
+
+
+@pytest.mark.parametrize("product", ["subset", "refit"])
+def test_levels_have_fewer_triangles_and_larger_errors(ball, product):
+    ball.location, ball.scale = (3.0, -2.0, 1.0), (2.0, 2.0, 2.0)
+    bpy.context.view_layer.update()
+    levels = make(product=product)
+    counts, errors = [len(level.data.polygons) for level in levels], [level[ERROR] for level in levels]
+    assert len(levels) == 3 and counts == sorted(counts, reverse=True) and counts[0] == 960
+    assert errors[0] == 0.0 and errors == sorted(errors) and errors[1] > 0.0
+    assert all(level.matrix_world == ball.matrix_world and not level.data.validate() for level in levels)
+    assert all(level.data.uv_layers.active.name == ball.data.uv_layers.active.name for level in levels)
+    assert all(CROSSFADE in level for level in levels) and ball.hide_render
+
+
+def test_materials_of_the_original_stay(ball):
+    material = ball.data.materials[0]
+    nodes = len(material.node_tree.nodes)
+    levels = make()
+    assert ball.data.materials[0] == material and len(material.node_tree.nodes) == nodes
+    copies = {level.data.materials[0] for level in levels}
+    assert len(copies) == 1 and material not in copies
+
+
+def test_one_level_is_shown_and_the_original_again(ball):
+    levels = make(crossfade=False)
+    assert [level.hide_render for level in levels] == [False, True, True]
+    assert bpy.ops.farfield.texmesh_show(level=2) == {"FINISHED"}
+    assert [level.hide_viewport for level in levels] == [True, True, False]
+    assert bpy.context.view_layer.objects.active == levels[2]
+    assert bpy.ops.farfield.texmesh_show(level=-1) == {"FINISHED"}
+    assert all(level.hide_render for level in levels) and not ball.hide_render
+    assert bpy.ops.farfield.texmesh_crossfade() == {"FINISHED"}
+    assert not any(level.hide_render for level in levels) and ball.hide_render
+
+
+def test_levels_are_removed_with_their_data(ball):
+    before = {kind: len(getattr(bpy.data, kind)) for kind in ("objects", "meshes", "materials", "collections")}
+    make()
+    assert bpy.ops.farfield.texmesh_remove() == {"FINISHED"}
+    assert {kind: len(getattr(bpy.data, kind)) for kind in before} == before
+    assert not ball.hide_render and bpy.context.view_layer.objects.active == ball
+
+
+def test_levels_are_made_again_in_place_of_earlier_ones(ball):
+    make()
+    levels = make(levels=2)
+    assert len(levels) == 2
+
+
+def test_features_become_an_attribute(ball):
+    assert bpy.ops.farfield.texmesh_analyze() == {"FINISHED"}
+    attribute = ball.data.attributes[SCALE_ATTRIBUTE]
+    scales = np.array([item.value for item in attribute.data])
+    assert attribute.domain == "POINT" and scales.min() >= 0 and 0 < scales.max() <= 20
+
+
+def test_other_attributes_are_carried(ball):
+    mesh = ball.data
+    values = np.random.default_rng(0).random(len(mesh.vertices)).astype(np.float32)
+    mesh.attributes.new("weight", "FLOAT", "POINT").data.foreach_set("value", values)
+    mesh.color_attributes.new("Paint", "FLOAT_COLOR", "CORNER")
+    levels = make(product="subset")
+    of_position = {tuple(vertex.co): value for vertex, value in zip(mesh.vertices, values.tolist(), strict=True)}
+    for level in levels:
+        carried = [item.value for item in level.data.attributes["weight"].data]
+        assert carried == [of_position[tuple(vertex.co)] for vertex in level.data.vertices], "vertices are a subset"
+        assert level.data.color_attributes["Paint"].domain == "CORNER"
+
+
+@pytest.mark.parametrize("prepare", ["no_uv", "no_image"])
+def test_meshes_without_texture_have_levels_by_shape(ball, prepare, capsys):
+    if prepare == "no_uv":
+        ball.data.uv_layers.remove(ball.data.uv_layers[0])
+    else:
+        ball.data.materials.clear()
+    assert len(make()) >= 2
+    expected = "has no UV map" if prepare == "no_uv" else "has no image texture"
+    assert expected in capsys.readouterr().out
+
+
+def test_nothing_that_can_be_simplified_is_refused():
+    bpy.ops.mesh.primitive_plane_add()
+    with pytest.raises(RuntimeError, match='"Plane" has only 2 triangles; levels need at least 8'):
+        bpy.ops.farfield.texmesh_levels(**SMALL)
+    assert not level_sets_in(bpy.context.scene) and not bpy.context.object.hide_render
