@@ -1,6 +1,8 @@
 """Run all tests that this machine can run, the fast ones first, and list the skipped tests with the reasons.
 
-    python3 scripts/test.py [arguments of pytest]
+    python3 scripts/test.py [--window] [arguments of pytest]
+
+Tests that open a Blender window (tests/gui) run only with `--window`, or if they are named: `python3 scripts/test.py tests/gui`.
 
 Test files run in parallel, one per core but at most four, since each process loads a Blender; `-n 0` runs them one after the other. If
 Blender crashes in one of the processes, the test files that have no result are run once more, in a new process.
@@ -18,10 +20,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from lib import crash_recorder, environment
+from lib import environment
 
 environment.ensure(extra_modules=("pytest", "pytest_timeout", "xdist", "hypothesis"))
 
+from lib import crash_recorder, window_tests  # which need pytest
 
 # A crash of Blender ends the run: xdist may wait forever for the replacement of a worker.
 PARALLEL_OPTIONS = ("-n", "auto", "--maxprocesses", "4", "--dist", "loadfile", "--no-loadscope-reorder", "--max-worker-restart", "0")
@@ -50,8 +53,8 @@ def main() -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the processes share the cores; waiting threads of BLAS would keep them busy
     variables = dict(os.environ)  # conftest.py changes them
     print(f"Farfield's tests with bpy {version('bpy')}, Python {platform.python_version()}, NumPy {version('numpy')}", flush=True)
-    recorder = crash_recorder.CrashRecorder()
-    code = pytest.main(["-p", "lib.rerun_selection", *PARALLEL_OPTIONS, *sys.argv[1:]], plugins=[recorder])
+    recorder, window = crash_recorder.CrashRecorder(), window_tests.WindowTests(sys.argv[1:])
+    code = pytest.main(["-p", "lib.rerun_selection", *PARALLEL_OPTIONS, *window.arguments], plugins=[recorder, window])
     if not recorder.crashed or crash_recorder.SELECTION_VARIABLE in variables:
         return code
     tests = recorder.tests_to_repeat()
