@@ -13,6 +13,7 @@ The first run creates an environment, see lib/environment.py. FARFIELD_BPY=4.5, 
 import json
 import os
 import platform
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -32,16 +33,20 @@ PARALLEL_OPTIONS = ("-n", "auto", "--maxprocesses", "4", "--dist", "loadfile", "
 
 @contextmanager
 def use_bytecode_folder() -> Iterator[None]:
-    """Let the processes of this run use the same compiled modules, in a temporary folder where Python may write none beside the modules;
-    otherwise each of the processes, some hundreds, compiles everything again."""
+    """Where Python may write no compiled modules beside the modules, keep them in the folder of the environments. Otherwise each of the
+    processes, some hundreds, compiles everything again. Nothing is kept of modules in temporary folders."""
     if not sys.dont_write_bytecode or sys.pycache_prefix:
         yield
         return
-    with tempfile.TemporaryDirectory(prefix="farfield-tests-") as folder:
-        os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-        os.environ["PYTHONPYCACHEPREFIX"] = folder
-        sys.dont_write_bytecode, sys.pycache_prefix = False, folder
+    folder, temporary = environment.environments_folder() / "bytecode", Path(tempfile.gettempdir()).resolve()
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    os.environ["PYTHONPYCACHEPREFIX"] = str(folder)
+    sys.dont_write_bytecode, sys.pycache_prefix = False, str(folder)
+    try:
         yield
+    finally:
+        for path in (folder / temporary.relative_to(temporary.anchor)).glob("farfield-tests-*"):
+            shutil.rmtree(path, ignore_errors=True)
 
 
 def main() -> int:
