@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from lib import environment
@@ -31,6 +31,20 @@ from lib import crash_recorder, window_tests  # which need pytest
 PARALLEL_OPTIONS = ("-n", "auto", "--maxprocesses", "4", "--dist", "loadfile", "--no-loadscope-reorder", "--max-worker-restart", "0")
 
 
+MEMORY_DISK = Path("/dev/shm")  # a file system in memory, on Linux
+MEMORY_DISK_BYTES = 8 * 10**9  # of which must be free: the tests write 2 GB altogether
+
+
+def use_memory_disk() -> None:
+    """Let the tests write their temporary files to memory where that is possible, unless TMPDIR names another folder: they write thousands,
+    and wait until the disk has stored many of them."""
+    with suppress(OSError, ValueError, StopIteration):
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        available = 1024 * int(next(line.split()[1] for line in lines if line.startswith("MemAvailable:")))
+        if "TMPDIR" not in os.environ and min(available, shutil.disk_usage(MEMORY_DISK).free) >= MEMORY_DISK_BYTES:
+            os.environ["TMPDIR"] = tempfile.tempdir = str(MEMORY_DISK)
+
+
 @contextmanager
 def use_bytecode_folder() -> Iterator[None]:
     """Where Python may write no compiled modules beside the modules, keep them in the folder of the environments. Otherwise each of the
@@ -38,15 +52,16 @@ def use_bytecode_folder() -> Iterator[None]:
     if not sys.dont_write_bytecode or sys.pycache_prefix:
         yield
         return
-    folder, temporary = environment.environments_folder() / "bytecode", Path(tempfile.gettempdir()).resolve()
+    folder = environment.environments_folder() / "bytecode"
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     os.environ["PYTHONPYCACHEPREFIX"] = str(folder)
     sys.dont_write_bytecode, sys.pycache_prefix = False, str(folder)
     try:
         yield
     finally:
-        for path in (folder / temporary.relative_to(temporary.anchor)).glob("farfield-tests-*"):
-            shutil.rmtree(path, ignore_errors=True)
+        for place in {Path(tempfile.gettempdir()).resolve(), MEMORY_DISK}:
+            for path in (folder / place.relative_to(place.anchor)).glob("farfield-tests-*"):
+                shutil.rmtree(path, ignore_errors=True)
 
 
 def main() -> int:
@@ -56,9 +71,11 @@ def main() -> int:
 
     os.chdir(environment.ROOT)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the processes share the cores; waiting threads of BLAS would keep them busy
+    recorder, window = crash_recorder.CrashRecorder(), window_tests.WindowTests(sys.argv[1:])
+    if not window.are_included:  # the program with the window does not see this folder
+        use_memory_disk()
     variables = dict(os.environ)  # conftest.py changes them
     print(f"Farfield's tests with bpy {version('bpy')}, Python {platform.python_version()}, NumPy {version('numpy')}", flush=True)
-    recorder, window = crash_recorder.CrashRecorder(), window_tests.WindowTests(sys.argv[1:])
     code = pytest.main(["-p", "lib.rerun_selection", *PARALLEL_OPTIONS, *window.arguments], plugins=[recorder, window])
     if not recorder.crashed or crash_recorder.SELECTION_VARIABLE in variables:
         return code

@@ -25,7 +25,8 @@ class WindowTests:
         named = [Path(argument.partition("::")[0]).resolve() for argument in rest if not argument.startswith("-")]
         named = [path for path in named if path.exists()]
         is_asked = OPTION in arguments or any(path.is_relative_to(FOLDER) for path in named)
-        self.are_left_out = not is_asked and (not named or any(FOLDER.is_relative_to(path) for path in named))
+        are_named = not named or any(path.is_relative_to(FOLDER) or FOLDER.is_relative_to(path) for path in named)
+        self.are_included, self.are_left_out = are_named and is_asked, are_named and not is_asked
         self.arguments = [f"--ignore={FOLDER}", *rest] if self.are_left_out else rest  # for pytest
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:

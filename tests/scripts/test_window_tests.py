@@ -9,22 +9,22 @@ TESTS = str(FOLDER.parent)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "are_left_out"),
+    ("arguments", "are_included", "are_left_out"),
     [
-        ([], True),
-        (["-q", "-k", "levels"], True),
-        ([TESTS], True),
-        (["--window"], False),
-        (["-q", "--window", TESTS], False),
-        ([str(FOLDER)], False),
-        ([f"{FOLDER / 'test_headless.py'}::test_name"], False),
-        ([TESTS, str(FOLDER)], False),
-        ([str(FOLDER.parent / "bdam")], False),
+        ([], False, True),
+        (["-q", "-k", "levels"], False, True),
+        ([TESTS], False, True),
+        (["--window"], True, False),
+        (["-q", "--window", TESTS], True, False),
+        ([str(FOLDER)], True, False),
+        ([f"{FOLDER / 'test_headless.py'}::test_name"], True, False),
+        ([TESTS, str(FOLDER)], True, False),
+        ([str(FOLDER.parent / "bdam")], False, False),
     ],
 )
-def test_the_window_is_opened_where_it_is_asked_for(arguments, are_left_out):
+def test_the_window_is_opened_where_it_is_asked_for(arguments, are_included, are_left_out):
     tests = WindowTests(arguments)
-    assert tests.are_left_out == are_left_out
+    assert (tests.are_included, tests.are_left_out) == (are_included, are_left_out)
     rest = [argument for argument in arguments if argument != "--window"]
     assert tests.arguments == ([f"--ignore={FOLDER}", *rest] if are_left_out else rest)
 
