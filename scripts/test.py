@@ -1,6 +1,8 @@
 """Run all tests that this machine can run, the fast ones first, and list the skipped tests with the reasons.
 
-    python3 scripts/test.py [arguments of pytest]
+    python3 scripts/test.py [--window] [arguments of pytest]
+
+Tests that open a Blender window (tests/gui) run only with `--window`, or if they are named: `python3 scripts/test.py tests/gui`.
 
 Test files run in parallel, one per core but at most four, since each process loads a Blender; `-n 0` runs them one after the other. If
 Blender crashes in one of the processes, the test files that have no result are run once more, in a new process.
@@ -11,34 +13,55 @@ The first run creates an environment, see lib/environment.py. FARFIELD_BPY=4.5, 
 import json
 import os
 import platform
+import shutil
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from lib import crash_recorder, environment
+from lib import environment
 
 environment.ensure(extra_modules=("pytest", "pytest_timeout", "xdist", "hypothesis"))
 
+from lib import crash_recorder, window_tests  # which need pytest
 
 # A crash of Blender ends the run: xdist may wait forever for the replacement of a worker.
 PARALLEL_OPTIONS = ("-n", "auto", "--maxprocesses", "4", "--dist", "loadfile", "--no-loadscope-reorder", "--max-worker-restart", "0")
 
 
+MEMORY_DISK = Path("/dev/shm")  # a file system in memory, on Linux
+MEMORY_DISK_BYTES = 8 * 10**9  # of which must be free: the tests write 2 GB altogether
+
+
+def use_memory_disk() -> None:
+    """Let the tests write their temporary files to memory where that is possible, unless TMPDIR names another folder: they write thousands,
+    and wait until the disk has stored many of them."""
+    with suppress(OSError, ValueError, StopIteration):
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        available = 1024 * int(next(line.split()[1] for line in lines if line.startswith("MemAvailable:")))
+        if "TMPDIR" not in os.environ and min(available, shutil.disk_usage(MEMORY_DISK).free) >= MEMORY_DISK_BYTES:
+            os.environ["TMPDIR"] = tempfile.tempdir = str(MEMORY_DISK)
+
+
 @contextmanager
 def use_bytecode_folder() -> Iterator[None]:
-    """Let the processes of this run use the same compiled modules, in a temporary folder where Python may write none beside the modules;
-    otherwise each of the processes, some hundreds, compiles everything again."""
+    """Where Python may write no compiled modules beside the modules, keep them in the folder of the environments. Otherwise each of the
+    processes, some hundreds, compiles everything again. Nothing is kept of modules in temporary folders."""
     if not sys.dont_write_bytecode or sys.pycache_prefix:
         yield
         return
-    with tempfile.TemporaryDirectory(prefix="farfield-tests-") as folder:
-        os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-        os.environ["PYTHONPYCACHEPREFIX"] = folder
-        sys.dont_write_bytecode, sys.pycache_prefix = False, folder
+    folder = environment.environments_folder() / "bytecode"
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    os.environ["PYTHONPYCACHEPREFIX"] = str(folder)
+    sys.dont_write_bytecode, sys.pycache_prefix = False, str(folder)
+    try:
         yield
+    finally:
+        for place in {Path(tempfile.gettempdir()).resolve(), MEMORY_DISK}:
+            for path in (folder / place.relative_to(place.anchor)).glob("farfield-tests-*"):
+                shutil.rmtree(path, ignore_errors=True)
 
 
 def main() -> int:
@@ -48,10 +71,12 @@ def main() -> int:
 
     os.chdir(environment.ROOT)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the processes share the cores; waiting threads of BLAS would keep them busy
+    recorder, window = crash_recorder.CrashRecorder(), window_tests.WindowTests(sys.argv[1:])
+    if not window.are_included:  # the program with the window does not see this folder
+        use_memory_disk()
     variables = dict(os.environ)  # conftest.py changes them
     print(f"Farfield's tests with bpy {version('bpy')}, Python {platform.python_version()}, NumPy {version('numpy')}", flush=True)
-    recorder = crash_recorder.CrashRecorder()
-    code = pytest.main(["-p", "lib.rerun_selection", *PARALLEL_OPTIONS, *sys.argv[1:]], plugins=[recorder])
+    code = pytest.main(["-p", "lib.rerun_selection", *PARALLEL_OPTIONS, *window.arguments], plugins=[recorder, window])
     if not recorder.crashed or crash_recorder.SELECTION_VARIABLE in variables:
         return code
     tests = recorder.tests_to_repeat()

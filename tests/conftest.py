@@ -40,10 +40,11 @@ def extension() -> Iterator:
 
 @pytest.fixture
 def empty_scene(extension):
-    """An empty scene in factory settings, with Farfield registered."""
+    """An empty scene, with Farfield registered. Preferences stay those of the factory unless a test changes them: loading these again would
+    take five times as long, for each of a thousand tests."""
     import bpy
 
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     return bpy.context.scene
 
 

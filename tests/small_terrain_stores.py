@@ -1,5 +1,9 @@
 """Tiny stores of large terrain, built from arrays in this process in about half a second."""
 
+import hashlib
+import shutil
+import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,6 +22,7 @@ from farfield.addon.core.bdam.textures.store import write_textures
 from farfield.addon.core.jobs.progress import run_to_end
 
 CELL_SIZE = 10.0
+_built: dict[str, Path] = {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,13 +78,42 @@ def colors(size: int = 1024) -> np.ndarray:
 
 
 def build_store(folder: Path, heights: np.ndarray, leaf: str = "16", height_step: float = 0.01) -> Path:
-    """Build the store of heights (rows, columns) in `folder`, without texture."""
-    run_to_end(build_terrain(ArrayField(heights), [], folder, BdamSettings(leaf=leaf, height_step=height_step, executor="serial")))
-    return folder
+    """Build the store of heights (rows, columns) in `folder`, without texture. Each process builds the same store once and copies it."""
+
+    def build(target: Path) -> None:
+        run_to_end(build_terrain(ArrayField(heights), [], target, BdamSettings(leaf=leaf, height_step=height_step, executor="serial")))
+
+    return _build_once(folder, f"{leaf} {height_step} {heights.dtype} {heights.shape}", heights, build)
 
 
 def add_texture(folder: Path, image: np.ndarray, image_format: str = "jpeg") -> Path:
-    """Add an image (H, W, 3 or 4) uint8, row 0 in the south, over the whole field to a store."""
+    """Add an image (H, W, 3 or 4) uint8, row 0 in the south, over the whole field to a store that `build_store` has built. Each process
+    does so once for the same store and image, and copies the result."""
+    content = b"".join(path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file())
+    plain = folder.with_name(f"{folder.name} without texture")
+    folder.rename(plain)
+
+    def build(target: Path) -> None:
+        shutil.copytree(plain, target)
+        _add_texture(target, image, image_format)
+
+    _build_once(folder, f"{hashlib.sha256(content).hexdigest()} {image_format} {image.shape}", image, build)
+    shutil.rmtree(plain)
+    return folder
+
+
+def _build_once(folder: Path, settings: str, values: np.ndarray, build: Callable[[Path], None]) -> Path:
+    """Let `build` create a folder, or copy the one that it has created for the same settings and array to `folder`."""
+    key = hashlib.sha256(settings.encode() + np.ascontiguousarray(values).tobytes()).hexdigest()
+    if key not in _built:
+        target = Path(tempfile.mkdtemp(prefix="farfield-stores-")) / folder.name  # in the folder that conftest.py removes
+        build(target)
+        _built[key] = target
+    shutil.copytree(_built[key], folder)
+    return folder
+
+
+def _add_texture(folder: Path, image: np.ndarray, image_format: str) -> None:
     header, levels = read_structure(folder)
     tree = header.tree
     placed = stretch_over_field(ArraySource(image), header.columns, header.rows)
@@ -91,4 +125,3 @@ def add_texture(folder: Path, image: np.ndarray, image_format: str = "jpeg") -> 
     run_to_end(build_textures(work, TexturePlan(grid, image_format), [placed]))
     run_to_end(write_textures(work, out))
     write_structure(folder, replace(header, has_texture=True), levels)
-    return folder

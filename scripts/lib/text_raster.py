@@ -21,8 +21,7 @@ def rasterize_text(text: str, height: int) -> np.ndarray:
     points = vertices * scale + [0.0, BASELINE_FRACTION * height * SUPERSAMPLES]
     width = int(np.ceil(points[:, 0].max() / SUPERSAMPLES)) + 1 if len(points) else 1
     samples = np.zeros((height * SUPERSAMPLES, width * SUPERSAMPLES), bool)
-    for corners in points[triangles]:
-        _fill_triangle(samples, corners)
+    _fill_triangles(samples, points[triangles])
     return samples.reshape(height, SUPERSAMPLES, width, SUPERSAMPLES).mean(axis=(1, 3))[::-1]
 
 
@@ -40,12 +39,19 @@ def _text_outline(text: str) -> tuple[np.ndarray, np.ndarray]:
         bpy.data.curves.remove(curve)
 
 
-def _fill_triangle(samples: np.ndarray, corners: np.ndarray) -> None:
-    """Set the `samples` (H, W) inside the triangle `corners` (3, 2) of x and y, for both windings."""
-    low = np.maximum(np.floor(corners.min(axis=0)).astype(int), 0)
-    high = np.minimum(np.ceil(corners.max(axis=0)).astype(int), [samples.shape[1], samples.shape[0]])
-    y, x = np.mgrid[low[1] : high[1], low[0] : high[0]] + 0.5
-    edges = np.roll(corners, -1, axis=0) - corners
-    signs = [edge[0] * (y - corner[1]) - edge[1] * (x - corner[0]) for corner, edge in zip(corners, edges, strict=True)]
+def _fill_triangles(samples: np.ndarray, corners: np.ndarray) -> None:
+    """Set the `samples` (H, W) inside the triangles `corners` (T, 3, 2) of x and y, for both windings."""
+    low = np.maximum(np.floor(corners.min(axis=1)).astype(int), 0)
+    high = np.minimum(np.ceil(corners.max(axis=1)).astype(int), [samples.shape[1], samples.shape[0]])
+    widths, heights = np.maximum(high - low, 0).T
+    counts = widths * heights  # the samples of the box around each triangle, which are tested one after the other
+    owner = np.repeat(np.arange(len(corners)), counts)
+    row, column = np.divmod(np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts), widths[owner])
+    column, row = column + low[owner, 0], row + low[owner, 1]
+    edges = np.roll(corners, -1, axis=1) - corners
+    signs = [
+        edges[owner, side, 0] * (row + 0.5 - corners[owner, side, 1]) - edges[owner, side, 1] * (column + 0.5 - corners[owner, side, 0])
+        for side in range(3)
+    ]
     inside = np.all([sign >= 0.0 for sign in signs], axis=0) | np.all([sign <= 0.0 for sign in signs], axis=0)
-    samples[low[1] : high[1], low[0] : high[0]] |= inside
+    samples[row[inside], column[inside]] = True

@@ -9,6 +9,7 @@ from farfield.addon.core.bdam.heights import height_at
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 from farfield.addon.core.geometry.viewers import Projection, Viewer
 from small_terrain_stores import build_store, hills
+from watertight import undirected_edge_counts
 
 ROWS, COLUMNS = 129, 161
 CAMERAS = 25
@@ -54,8 +55,7 @@ def random_viewer(random: np.random.Generator, store: TerrainStore, kind: str) -
 
 def count_cracks(mesh: CutMesh) -> int:
     """Return the number of inner edges that have not exactly two triangles; edges on the border of the field have one."""
-    edges = np.sort(mesh.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    unique, counts = np.unique(edges, axis=0, return_counts=True)
+    unique, counts = undirected_edge_counts(mesh.triangles)
     x, y = (mesh.ids % COLUMNS)[unique], (mesh.ids // COLUMNS)[unique]
     on_border = np.zeros(len(unique), bool)
     for axis, last in ((x, COLUMNS - 1), (y, ROWS - 1)):

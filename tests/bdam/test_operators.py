@@ -241,7 +241,7 @@ def test_a_linked_terrain_is_left_alone(folder, camera, tmp_path):
     terrain = load(folder)
     setattr(terrain.root, follow_handlers.camera_property("bdam"), True)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (source, target):
         target.collections = [name for name in source.collections if name.startswith("Large Terrain")]
     bpy.context.scene.collection.children.link(target.collections[0])

@@ -179,10 +179,8 @@ def test_invalid_input_is_named_and_nothing_is_written(folder, monkeypatch, argu
     assert sorted(path.name for path in folder.iterdir()) == before
 
 
-@pytest.mark.slow
 def test_both_ways_of_calling_and_exit_codes(folder):
-    command = [sys.executable, str(SCRIPT), "verify", str(folder / "store")]
+    assert "undamaged" in run("verify", folder / "store")
+    command = [sys.executable, str(SCRIPT), "verify", str(folder)]
     outcome = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (outcome.returncode, outcome.stderr) == (0, "") and "undamaged" in outcome.stdout
-    outcome = subprocess.run([*command[:-1], str(folder)], capture_output=True, text=True, check=False)
     assert outcome.returncode == 2 and "undamaged" not in outcome.stdout and len(outcome.stderr.splitlines()) == 1

@@ -3,8 +3,6 @@
 import errno
 import math
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import bpy
@@ -15,6 +13,7 @@ import billboards
 from farfield.addon.compat import enable_nodes
 from farfield.addon.core.errors import FarfieldError, FileError
 from lib import atomic_output, command_line, environment
+from script_runs import run_script
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 SQUARE = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 1.0, 0.0)]
@@ -253,23 +252,20 @@ class TestFiles:
             main(cube_file, "--out", locked / "out.blend")
         assert list(locked.iterdir()) == []
 
-    @pytest.mark.parametrize("extension", ["blend", "obj", "glb"])
-    def test_full_disk(self, extension, cube_file):
+    def test_full_disk(self, cube_file):
         """A limit on file sizes has the effect of a full disk, also in Blender's own writers."""
         resource = pytest.importorskip("resource")
-        out = cube_file.with_name(f"out.{extension}")
         script, flags = environment.ROOT / "scripts" / "billboards.py", ["--no-textures", "--error", "2%", "--levels", "1"]
-        outcome = subprocess.run(
-            [sys.executable, str(script), str(cube_file), "--out", str(out), *flags],
+        runs = [[cube_file, "--out", cube_file.with_name(f"out.{extension}"), *flags] for extension in ("blend", "obj", "glb")]
+        outcomes = run_script(
+            script,
+            *runs,
             preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (64, 64)),
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
             env=os.environ | {"PYTHONDONTWRITEBYTECODE": "1"},
-            check=False,
         )
-        assert outcome.returncode == 2, outcome.stderr
-        assert "Traceback" not in outcome.stderr and outcome.stderr.strip()
+        for outcome in outcomes:
+            assert outcome.returncode == 2, outcome.stderr
+            assert "Traceback" not in outcome.stderr and outcome.stderr.strip()
         assert [path.name for path in cube_file.parent.iterdir()] == [cube_file.name]
 
     def test_no_space_left_keeps_the_old_file(self, tmp_path):

@@ -18,6 +18,7 @@ from farfield.addon.core.errors import FileError, GeometryError
 from farfield.addon.core.jobs.progress import Progress
 from lib import command_line, environment, scene_files
 from mesh_files import CUBE
+from script_runs import run_script
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 SCRIPT = environment.ROOT / "scripts" / "billboards.py"
@@ -111,16 +112,12 @@ def test_source_is_hidden_unless_kept(cube, keep):
     assert not level.hide_viewport and not level.hide_render
 
 
-def test_invalid_input_is_one_line_and_code_2(cube):
-    outcome = run(cube.with_name("nowhere.obj"), "--out", cube.with_name("out.blend"))
-    assert outcome.returncode == 2
-    assert outcome.stderr.strip().count("\n") == 0 and "nowhere.obj" in outcome.stderr and "Traceback" not in outcome.stderr
+def test_invalid_input_and_unknown_flags_are_one_line_and_code_2(cube):
+    missing, unknown = run_script(SCRIPT, [cube.with_name("nowhere.obj"), "--out", cube.with_name("out.blend")], [cube, "--out", "x", "--magic"])
+    for outcome, name in ((missing, "nowhere.obj"), (unknown, "--magic")):
+        assert outcome.returncode == 2
+        assert outcome.stderr.strip().count("\n") == 0 and name in outcome.stderr and "Traceback" not in outcome.stderr
     assert [path.name for path in cube.parent.iterdir()] == [cube.name]
-
-
-def test_unknown_flag_is_one_line_and_code_2(cube):
-    outcome = run(cube, "--out", "x.blend", "--magic")
-    assert outcome.returncode == 2 and outcome.stderr.strip().count("\n") == 0 and "--magic" in outcome.stderr
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT to send to one process")

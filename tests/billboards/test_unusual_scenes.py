@@ -210,7 +210,7 @@ class TestLinkedCloud:
 def test_nothing_is_built_in_a_linked_scene(tmp_path):
     cube()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     with bpy.data.libraries.load(str(tmp_path / "scene.blend"), link=True) as (_, target):
         target.scenes = ["Scene"]
     with bpy.context.temp_override(scene=target.scenes[0], selected_objects=list(target.scenes[0].objects)):

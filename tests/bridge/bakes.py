@@ -2,6 +2,8 @@
 
 import hashlib
 import signal
+import tempfile
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
 from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.settings import flag_of
 from farfield.addon.operators.btf.job import BakeJob, prepare_bake
+from lib import scene_files
 
 SMALL = {
     "model": "emission",
@@ -37,9 +40,18 @@ def open_cloud(path: Path) -> SceneCloud:
 
 
 def build_small_cloud() -> SceneCloud:
-    """Build a red ball and its cloud with two levels in the open scene."""
-    ball = blender_scenes.ball(material=blender_scenes.create_material("Red", (0.8, 0.2, 0.1), 1.0))
-    return build_cloud(ball)
+    """Return the cloud with two levels of a red ball, in an unsaved file that contains nothing else. Each process builds it once."""
+    bpy.ops.wm.read_homefile(filepath=str(_small_cloud_file()))
+    return clouds_in(bpy.context.scene)[0]
+
+
+@cache
+def _small_cloud_file() -> Path:
+    blender_scenes.reset_scene()
+    build_cloud(blender_scenes.ball(material=blender_scenes.create_material("Red", (0.8, 0.2, 0.1), 1.0)))
+    path = Path(tempfile.mkdtemp(prefix="farfield-small-cloud-")) / "cloud.blend"  # in the folder that conftest.py removes
+    scene_files.save_scene(path)
+    return path
 
 
 def build_cloud(source: bpy.types.Object) -> SceneCloud:

@@ -11,7 +11,7 @@ DATA_COLLECTIONS = ("cameras", "images", "materials", "meshes", "node_groups", "
 
 def reset_scene() -> bpy.types.Scene:
     """Return an empty scene in factory settings."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     return bpy.context.scene
 
 

@@ -42,7 +42,7 @@ def link_from_library(path, name="Linked"):
     """Save a file with a cube, open an empty one, and link the cube into it; returns the linked object, selected."""
     cube(name)
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     with bpy.data.libraries.load(str(path), link=True) as (_, target):
         target.objects = [name]
     bpy.context.collection.objects.link(target.objects[0])

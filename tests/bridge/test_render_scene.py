@@ -90,7 +90,7 @@ def test_a_render_that_was_not_written_is_not_the_previous_one(monkeypatch):
 @pytest.mark.parametrize("fails", [False, True])
 def test_the_render_session_ends_with_its_scene(fails):
     """A session that outlives its scene keeps a thread, and refers to freed memory."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     with render_scene.render_scene("Test") as work:  # the first render starts threads that Blender keeps
         furnish(work)
         work.render()

@@ -43,6 +43,22 @@ def cloud(cloud_file) -> SceneCloud:
     return open_cloud(cloud_file)
 
 
+@pytest.fixture(scope="module")
+def baked(cloud_file, tmp_path_factory) -> list:
+    """What the work in the core has computed for the cloud."""
+    return run_to_end(prepare_job(open_cloud(cloud_file), tmp_path_factory.mktemp("work")).core_steps())
+
+
+@pytest.fixture(scope="module")
+def baked_file(cloud_file, tmp_path_factory) -> Path:
+    """A file with the cloud, baked by the operator with its first level active."""
+    bpy.context.view_layer.objects.active = open_cloud(cloud_file).levels[0]
+    bpy.ops.farfield.btf_bake(**BAKE)
+    path = tmp_path_factory.mktemp("baked") / "baked.blend"
+    scene_files.save_scene(path)
+    return path
+
+
 def captured(job: BakeJob) -> list[np.ndarray]:
     """Return everything of the levels of a job that depends on where they are."""
     return [
@@ -169,15 +185,14 @@ class TestEditMode:
         bpy.ops.object.mode_set(mode="OBJECT")
         prepare_job(cloud, tmp_path)
 
-    def test_a_finished_bake_is_kept_until_edit_mode_ends(self, cloud, tmp_path):
+    def test_a_finished_bake_is_kept_until_edit_mode_ends(self, baked, cloud, tmp_path):
         job = prepare_job(cloud, tmp_path)
-        result = run_to_end(job.core_steps())
         edit(cloud.levels[1])
         with pytest.raises(GeometryError, match="is in Edit Mode"):
-            run_to_end(job.scene_steps(result))
+            run_to_end(job.scene_steps(baked))
         assert all(PBR_MATERIAL not in level for level in cloud.levels)
         bpy.ops.object.mode_set(mode="OBJECT")
-        run_to_end(job.scene_steps(result))
+        run_to_end(job.scene_steps(baked))
         assert all(PBR_MATERIAL in level for level in cloud.levels)
 
 
@@ -224,10 +239,8 @@ def test_the_model_emission_needs_no_color_map(cloud):
     assert bpy.ops.farfield.btf_bake(**BAKE) == {"FINISHED"}
 
 
-def test_suns_are_linked_where_their_properties_were_deleted(cloud):
-    level = cloud.levels[0]
-    bpy.context.view_layer.objects.active = level
-    bpy.ops.farfield.btf_bake(**BAKE)
+def test_suns_are_linked_where_their_properties_were_deleted(baked_file):
+    level = open_cloud(baked_file).levels[0]
     del level[sun_direction_property(0)], level[sun_color_property(0)]
     sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
     bpy.context.scene.collection.objects.link(sun)
@@ -246,24 +259,22 @@ def test_errors_that_are_not_numbers_are_rejected(cloud, tmp_path, value):
 class TestChangesDuringABake:
     """While worker processes render, the user may do anything."""
 
-    def test_renamed_data_is_found(self, cloud, tmp_path):
+    def test_renamed_data_is_found(self, baked, cloud, tmp_path):
         job = prepare_job(cloud, tmp_path)
-        result = run_to_end(job.core_steps())
         scene, source = bpy.context.scene, cloud.sources[0]
         scene.name, cloud.collection.name, source.name = "Another Scene", "Another Collection", "Another Source"
         source.data.materials[0].name = "Another Material"
         for level in cloud.levels:
             level.name, level.data.name, level.data.materials[0].name = "Another Level", "Another Mesh", "Another PBR"
         cloud.levels[1].location.x += 4.0
-        assert "Another" not in run_to_end(job.scene_steps(result))
+        assert "Another" not in run_to_end(job.scene_steps(baked))
         assert all(level[PBR_MATERIAL].startswith("Another PBR") for level in cloud.levels)
 
-    def test_removed_sources_are_not_needed(self, cloud, tmp_path):
+    def test_removed_sources_are_not_needed(self, baked, cloud, tmp_path):
         job = prepare_job(cloud, tmp_path)
-        result = run_to_end(job.core_steps())
         bpy.data.materials.remove(cloud.sources[0].data.materials[0])
         bpy.data.objects.remove(cloud.sources[0])
-        run_to_end(job.scene_steps(result))
+        run_to_end(job.scene_steps(baked))
         assert all(PBR_MATERIAL in level for level in cloud.levels)
 
     @pytest.mark.parametrize(
@@ -310,11 +321,8 @@ class TestLinkedClouds:
         with pytest.raises(RuntimeError, match="linked from another file"):
             bpy.ops.farfield.btf_bake(**BAKE)
 
-    def test_suns_are_not_linked_to_a_linked_cloud(self, cloud, tmp_path):
-        bpy.context.view_layer.objects.active = cloud.levels[0]
-        bpy.ops.farfield.btf_bake(**BAKE)
-        scene_files.save_scene(tmp_path / "baked.blend")
-        linked = self.link(tmp_path / "baked.blend", override=False)
+    def test_suns_are_not_linked_to_a_linked_cloud(self, baked_file):
+        linked = self.link(baked_file, override=False)
         bpy.context.view_layer.objects.active = linked.levels[0]
         for operator in (bpy.ops.farfield.btf_link_suns, bpy.ops.farfield.btf_restore_pbr):
             assert not operator.poll()

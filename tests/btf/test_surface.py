@@ -85,7 +85,7 @@ def test_the_cloud_casts_the_shadow_of_the_source(cloud):
     ground.scale, ground.location = (6.0, 6.0, 1.0), (0.0, 0.0, -3.0)
     level = cloud.levels[0]
     for kind in ("sun", "area"):
-        with open_studio([*cloud.sources, level, ground], 64) as studio:
+        with open_studio([*cloud.sources, level, ground], 24) as studio:
             light = StudioLight(studio.work, studio, kind)
             light.aim(np.array([0.3, -0.2, 0.93]), np.zeros(3), 1.0)
             view = np.array([0.0, -0.05, 1.0]) / np.hypot(1.0, 0.05)
@@ -104,7 +104,7 @@ def test_no_light_leaks_through_a_solid():
     bevel.width, bevel.segments = 0.4, 3
     cloud = build_cloud(box)
     bpy.ops.farfield.btf_bake(**BAKE)
-    with open_studio([*cloud.sources, cloud.levels[0]], 64) as studio:
+    with open_studio([*cloud.sources, cloud.levels[0]], 16) as studio:
         studio.work.scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.0
         for sun, view in (((0.0, 0.0, 1.0), (0.4, 0.5, -0.75)), ((0.6, 0.5, 0.6), (-0.6, -0.5, -0.6))):
             studio.set_sun_direction(np.array(sun) / np.linalg.norm(sun))

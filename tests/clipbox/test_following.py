@@ -102,7 +102,7 @@ class TestView:
         current.start(terrain, None, 0.05)
         move_camera(30.0, 0.0, 20.0)
         current._timer()
-        bpy.ops.wm.read_factory_settings(use_empty=True)
+        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
         assert current.terrain is None and not bpy.app.timers.is_registered(current._timer) and not following.running()
 
     def test_it_continues_after_undo(self, terrain):

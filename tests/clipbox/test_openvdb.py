@@ -47,7 +47,11 @@ def test_a_volume_and_a_level_set(openvdb, tmp_path):
 def sentence_of(path: Path) -> str:
     with pytest.raises(FileError) as raised:
         read_file(path, READERS)
-    text = str(raised.value)
+    return assert_is_sentence(raised.value, path)
+
+
+def assert_is_sentence(error: FileError, path: Path) -> str:
+    text = str(error)
     assert text.startswith(f'"{path}"') and text.endswith(".") and text.count("\n") == 0
     return text
 
@@ -68,8 +72,8 @@ def test_damaged_files_are_one_sentence(openvdb, tmp_path, monkeypatch):
         path.write_bytes(damaged)
         try:
             read_file(path, READERS)  # some damage shows in the voxels only
-        except FileError:
-            assert sentence_of(path)
+        except FileError as error:
+            assert_is_sentence(error, path)
 
 
 @pytest.mark.parametrize("code", [-SIGSEGV, 1, 3221225477])

@@ -155,7 +155,7 @@ def test_a_terrain_follows_after_saving_and_loading(tmp_path):
     name = create().name
     path = str(tmp_path / "würfel.blend")
     bpy.ops.wm.save_as_mainfile(filepath=path)
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     assert len(cache) == 0
     bpy.ops.wm.open_mainfile(filepath=path)
     terrain = terrain_objects.SceneTerrain(name)

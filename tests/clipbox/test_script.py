@@ -1,8 +1,6 @@
 """`scripts/clipbox.py`: output files, paths, the report and exit codes."""
 
 import json
-import subprocess
-import sys
 
 import bpy
 import numpy as np
@@ -13,6 +11,7 @@ from farfield.addon.bridge.clipbox import objects as terrain_objects
 from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.errors import FileError, GeometryError, SettingsError
 from lib import command_line, environment
+from script_runs import run_script
 from watertight import directed_edge_counts, open_edges
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
@@ -143,10 +142,8 @@ def test_a_path_without_positions_is_rejected(folder, text):
 
 
 def test_exit_codes(folder):
-    command = [sys.executable, str(SCRIPT), *SMALL]
-    success = subprocess.run([*command, "--out", str(folder / "a.ply")], capture_output=True, text=True, check=False)
+    success, failure = run_script(SCRIPT, [*SMALL, "--out", folder / "a.ply"], [*SMALL, "--out", folder / "b.ply", "--formula", "os"])
     assert success.returncode == 0 and (folder / "a.ply").is_file(), success.stderr
-    failure = subprocess.run([*command, "--out", str(folder / "b.ply"), "--formula", "os"], capture_output=True, text=True, check=False)
     assert (
         failure.returncode == 2 and failure.stderr.strip().count("\n") == 0 and "os" in failure.stderr and not (folder / "b.ply").exists()
     )

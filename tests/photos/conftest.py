@@ -2,14 +2,17 @@
 
 import pytest
 
-from farfield.addon.core.photos import merging
+from farfield.addon.core.photos import merging, overlaps
 
 OBSERVED_POINTS = 12_000
+OVERLAP_SIZE = 256
 
 
 @pytest.fixture(scope="module")
-def few_observations():
-    """Merges compare photographs at fewer points than usual: four times as fast, and as good for the small photographs of tests."""
+def quick_merges():
+    """Merges compare photographs at fewer points than usual, and look for overlaps of UV maps at fewer texels: as good for the small
+    photographs and textures of tests."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(merging, "POINTS", OBSERVED_POINTS)
+        patch.setattr(overlaps, "SIZE", OVERLAP_SIZE)
         yield

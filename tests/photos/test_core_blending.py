@@ -10,7 +10,7 @@ from farfield.addon.core.photos.merging import merge
 from farfield.addon.core.photos.settings import BLENDINGS, PhotosSettings
 from photo_scenes import SIZE, box, camera_at, grid, photograph, ring, smooth_texture
 
-pytestmark = pytest.mark.usefixtures("few_observations")
+pytestmark = pytest.mark.usefixtures("quick_merges")
 
 
 def rough_texture(period=6, seed=0):

@@ -11,7 +11,7 @@ from farfield.addon.core.photos.merging import merge
 from farfield.addon.core.photos.settings import PhotosSettings
 from photo_scenes import SIZE, grid, photograph, ring, smooth_texture
 
-pytestmark = pytest.mark.usefixtures("few_observations")
+pytestmark = pytest.mark.usefixtures("quick_merges")
 
 
 def add_highlight(photo, center, radius=0.6, strength=0.06):

@@ -24,6 +24,8 @@ from farfield.addon.core.photos.texels import TexelMap, corner_normals, vertex_n
 from farfield.addon.core.photos.views import View
 from photo_scenes import SIZE, box, camera_at, grid, observations, photograph, ring, smooth_texture
 
+pytestmark = pytest.mark.usefixtures("quick_merges")
+
 
 class TestMerge:
     """Whole merges."""

@@ -17,7 +17,7 @@ from farfield.addon.core.photos.settings import PhotosSettings
 from farfield.addon.core.photos.texels import TexelMap
 from photo_scenes import SIZE, camera_at, grid, photograph, ring, smooth_texture
 
-pytestmark = pytest.mark.usefixtures("few_observations")
+pytestmark = pytest.mark.usefixtures("quick_merges")
 
 
 def two_islands():

@@ -19,6 +19,8 @@ from farfield.addon.core.photos.texels import corner_normals, vertex_normals
 from farfield.addon.core.photos.views import View
 from photo_scenes import SIZE, detailed_texture, distance_in_pixels, grid, photograph, ring
 
+pytestmark = pytest.mark.usefixtures("quick_merges")
+
 
 def wavy():
     return grid(20, lambda x, y: 0.15 * np.sin(2 * x) * np.cos(3 * y))

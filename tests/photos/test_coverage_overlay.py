@@ -86,7 +86,7 @@ def test_undo_and_other_files_hide_it(wall):
     bpy.ops.ed.undo()
     assert not overlay.is_shown
     toggle()
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     assert not overlay.is_shown
 
 

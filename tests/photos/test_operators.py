@@ -17,7 +17,7 @@ from farfield.addon.core.unwrap.overlaps import count_overlaps
 from image_data import write_image
 from photo_scenes import SIZE, camera_at, grid, photograph, ring, smooth_texture
 
-pytestmark = pytest.mark.usefixtures("empty_scene", "few_observations")
+pytestmark = pytest.mark.usefixtures("empty_scene", "quick_merges")
 FAST = {"size": SIZE}
 
 

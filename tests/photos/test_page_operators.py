@@ -11,7 +11,7 @@ from farfield.addon.compat import enable_nodes
 from image_data import write_image
 from photo_scenes import SIZE, grid, photograph, ring, smooth_texture
 
-pytestmark = pytest.mark.usefixtures("empty_scene", "few_observations")
+pytestmark = pytest.mark.usefixtures("empty_scene", "quick_merges")
 
 
 @pytest.fixture

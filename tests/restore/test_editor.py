@@ -175,7 +175,7 @@ def test_linked_materials_are_skipped_and_named(empty_scene, tmp_path, capfd):
     new_mask().use_fake_user = material.use_fake_user = True
     bpy.data.images["mask"].pack()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, target):
         target.materials, target.images = ["Außenwand"], ["source", "mask"]
     source = bpy.data.images["source"]
@@ -254,7 +254,7 @@ def test_the_outline_is_cleared_when_a_file_is_opened(empty_scene):
     outline.update()
     assert len(outline.segments_of(image))
     uid = image.session_uid
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     assert uid not in outline._outlines
 
 

@@ -14,9 +14,8 @@ import restore
 import strategies
 from farfield.addon.core.errors import FarfieldError, FileError, ImageError, SettingsError
 from farfield.addon.core.jobs.progress import Progress
-from gui.blender_program import find_launcher
 from image_data import read_image, write_image
-from lib import blender_window, command_line, environment, restore_jobs
+from lib import command_line, environment, restore_jobs
 
 pytestmark = pytest.mark.usefixtures("extension")
 SCRIPT = environment.ROOT / "scripts" / "restore.py"
@@ -335,25 +334,6 @@ def test_the_exit_code_and_the_one_line_of_a_truncated_file(folder):
     result = subprocess.run(command, capture_output=True, encoding="utf-8", check=False, env=variables)
     assert (result.returncode, result.stdout) == (2, "")
     assert result.stderr.count("\n") == 1 and "damaged or truncated" in result.stderr
-
-
-@pytest.mark.gui
-def test_the_blender_program_does_the_same(folder):
-    flags = ("--kappa", "2", "--levels", "1")
-    paths = [str(folder / name) for name in ("image.png", "mask.png")]
-    launcher = [find_launcher(), "headless", "-t", "300", "--", "--factory-startup", "--python", SCRIPT, "--"]
-    command = [*launcher, *paths, "--out", str(folder / "a.png"), *flags]
-    variables = blender_window.launcher_variables()
-    outcome = subprocess.run(command, cwd=environment.ROOT, env=variables, capture_output=True, text=True, errors="replace", check=False)
-    if "needs the module OpenImageIO" in outcome.stderr:
-        assert outcome.returncode == 2
-        pytest.skip("THE BLENDER PROGRAM DID NOT RESTORE: this build of Blender lacks the module OpenImageIO")
-    assert outcome.returncode == 0, outcome
-    assert "Restored 80 pixels" in outcome.stdout
-    run(*paths, "--out", folder / "b.png", *flags)
-    assert_restored(folder / "image.png", folder / "a.png")
-    first, second = (read_image(folder / name)[0].astype(int) for name in ("a.png", "b.png"))
-    assert np.abs(first - second).mean() < 1.0  # another version of NumPy may round otherwise
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.tif", "a.jpg", "a.exr"])

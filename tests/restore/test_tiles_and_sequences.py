@@ -172,7 +172,7 @@ def test_a_linked_image_becomes_a_local_copy(tmp_path):
         image.pack()
         image.use_fake_user = True
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, target):
         target.images = ["linked", "mask"]
     source = bpy.data.images["linked"]
@@ -187,7 +187,7 @@ def test_a_linked_tiled_image_becomes_a_local_copy(tmp_path):
     for name, pixels_of in (("rock", tile_pixels), ("mask", mask_pixels)):
         load_tiles(tmp_path, name, pixels_of).use_fake_user = True
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, target):
         target.images = ["rock", "mask"]
     result = restore("rock")

@@ -14,12 +14,13 @@ import pytest
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.files.temporary_folders import temporary_folder
 from lib import command_line, environment
+from script_runs import SEPARATOR, run_script, runs_command
 
 pytest.importorskip("bpy")
-CHILD = """
+SCRIPT = """
 import json, sys, time
 from pathlib import Path
-sys.path.insert(0, sys.argv.pop(1))
+sys.path.insert(0, SCRIPTS)
 from lib import environment
 environment.ensure()
 environment.import_farfield()
@@ -58,8 +59,12 @@ command_line.run(main)
 """
 
 
-def command(*arguments):
-    return [sys.executable, "-c", CHILD, str(environment.ROOT / "scripts"), *map(str, arguments)]
+@pytest.fixture(scope="module")
+def script(tmp_path_factory) -> Path:
+    """A script that does what its first argument says."""
+    path = tmp_path_factory.mktemp("script") / "child.py"
+    path.write_text(SCRIPT.replace("SCRIPTS", repr(str(environment.ROOT / "scripts"))), encoding="utf-8")
+    return path
 
 
 def variables():
@@ -67,13 +72,19 @@ def variables():
     return {name: value for name, value in os.environ.items() if name != "OCIO"}
 
 
-def run(*arguments):
-    """Run a script that does what its first argument says."""
-    return subprocess.run(command(*arguments), capture_output=True, text=True, check=False, env=variables())
+def run(script: Path, *runs: list[str]) -> list[subprocess.CompletedProcess]:
+    """Run the script once for each list of arguments."""
+    return run_script(script, *runs, env=variables())
 
 
-def test_a_defect_is_one_sentence_with_a_private_log():
-    outcome = run("defect")
+def test_a_process_ends_with_the_code_and_one_sentence(script):
+    outcome = subprocess.run([sys.executable, script, "memory"], capture_output=True, text=True, check=False, env=variables())
+    assert outcome.returncode == 2 and "memory" in outcome.stderr and outcome.stderr.strip().count("\n") == 0
+    assert outcome.stdout == ""
+
+
+def test_a_defect_is_one_sentence_with_a_private_log(script):
+    outcome, verbose = run(script, ["defect"], ["defect", "--verbose"])
     assert outcome.returncode == 1 and outcome.stdout == ""
     message = outcome.stderr.strip()
     assert "\n" not in message and "defect" in message and "KeyError" in message and message.endswith(".")
@@ -81,73 +92,74 @@ def test_a_defect_is_one_sentence_with_a_private_log():
     assert stat.S_IMODE(log.stat().st_mode) == 0o600 or os.name == "nt"
     text = log.read_text(encoding="utf-8")
     assert "Traceback" in text and "in main" in text and "Blender" in text and "Arguments: ['defect']" in text
-    assert "Traceback" in run("defect", "--verbose").stderr
+    assert "Traceback" in verbose.stderr
 
 
-def test_names_do_not_break_lines():
-    outcome = run("names")
-    assert (outcome.stdout, outcome.stderr) == ('"line break \ufffd": 2 quads.\n', "Skipped: line break \ufffd (no faces).\n")
-    assert run("json").stdout == '{\n "name": "line\\nbreak"\n}\n'
-    outcome = run("input")
-    assert (outcome.returncode, outcome.stderr) == (2, '"line break" is empty.\n')
+def test_names_do_not_break_lines(script):
+    names, report, wrong_input = run(script, ["names"], ["json"], ["input"])
+    assert (names.stdout, names.stderr) == ('"line break \ufffd": 2 quads.\n', "Skipped: line break \ufffd (no faces).\n")
+    assert report.stdout == '{\n "name": "line\\nbreak"\n}\n'
+    assert (wrong_input.returncode, wrong_input.stderr) == (2, '"line break" is empty.\n')
 
 
 @pytest.mark.once
 @pytest.mark.skipif(os.name == "nt", reason="Windows has neither")
 @pytest.mark.parametrize("flags", [[], ["--verbose"], ["--help"]])
-def test_nobody_reads_the_result(flags):
+def test_nobody_reads_the_result(script, flags):
     reader, writer = os.pipe()
     os.close(reader)
-    outcome = subprocess.run(command("x", *flags), stdout=writer, stderr=subprocess.PIPE, text=True, check=False, env=variables())
+    command = [sys.executable, script, "x", *flags]
+    outcome = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, check=False, env=variables())
     os.close(writer)
     assert (outcome.returncode, outcome.stderr) == (0, "")
 
 
 @pytest.mark.once
 @pytest.mark.skipif(os.name == "nt", reason="Windows has neither")
-def test_standard_output_that_is_closed_or_full():
+def test_standard_output_that_is_closed_or_full(script):
     options = {"stderr": subprocess.PIPE, "text": True, "check": False, "env": variables()}
-    outcome = subprocess.run(["sh", "-c", 'exec "$@" >&-', "sh", *command("x")], **options)
+    command = [sys.executable, str(script), "x"]
+    outcome = subprocess.run(["sh", "-c", 'exec "$@" >&-', "sh", *command], **options)
     assert (outcome.returncode, outcome.stderr) == (0, "")
     if Path("/dev/full").is_char_device():
         with Path("/dev/full").open("w") as full:
-            outcome = subprocess.run(command("x"), stdout=full, **options)
+            outcome = subprocess.run(command, stdout=full, **options)
         assert outcome.returncode == 2 and "Cannot write to the standard output: No space left" in outcome.stderr
         assert outcome.stderr.count("\n") == 1
 
 
-def test_too_little_memory_is_invalid_input():
-    outcome = run("memory")
-    assert outcome.returncode == 2 and "memory" in outcome.stderr and outcome.stderr.strip().count("\n") == 0
-
-
 @pytest.mark.once
 @pytest.mark.skipif(os.name == "nt", reason="Windows sends no signals to one process")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", None)])
-def test_signals_cancel_and_clean_up(number, tmp_path):
+def test_signals_cancel_and_clean_up(script, tmp_path):
     place, temporary = tmp_path / "place", tmp_path / "temporary"
     for folder in (place, temporary):
         folder.mkdir()
     place_of_folders = dict.fromkeys(("TMPDIR", "TMP", "TEMP"), str(temporary))
-    options = {"stderr": subprocess.PIPE, "text": True, "env": variables() | place_of_folders}
-    inherited = signal.signal(number, signal.SIG_DFL)  # scripts ignore signals that they are started to ignore, as under nohup
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "env": variables() | place_of_folders}
+    numbers = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+    # scripts ignore signals that they are started to ignore, as under nohup
+    inherited = {number: signal.signal(number, signal.SIG_DFL) for number in numbers}
     try:
-        process = subprocess.Popen(command("wait", "--path", place), **options)
+        process = subprocess.Popen(runs_command(script, [["wait", "--path", str(place)]] * len(numbers)), **options)
     finally:
-        signal.signal(number, inherited)
+        for number, handler in inherited.items():
+            signal.signal(number, handler)
+    end = f"{SEPARATOR}130{SEPARATOR}"
     with process:
-        assert process.stderr.readline() == "ready\n"
-        assert len(list(place.iterdir())) == 1 and list(temporary.glob("farfield-*"))
-        process.send_signal(number)
-        assert process.communicate(timeout=60)[1] == "Cancelled.\n"
-    assert process.returncode == 130
+        for index, number in enumerate(numbers):
+            assert process.stderr.readline() == f"{end if index > 0 else ''}ready\n"
+            assert len(list(place.iterdir())) == 1 and len(list(temporary.glob("farfield-*"))) == 1, "the former run has cleaned up"
+            process.send_signal(number)
+            assert process.stderr.readline() == "Cancelled.\n"
+        assert (process.stdout.read(), process.stderr.read()) == (end * len(numbers), end)
     assert not list(place.iterdir()) and not list(temporary.glob("farfield-*"))
 
 
 @pytest.mark.once
 @pytest.mark.skipif(not Path("/proc/self/ns/pid").exists(), reason="the process is found by its number elsewhere too, but slower")
-def test_the_next_run_cleans_up_after_a_killed_one(tmp_path):
-    with subprocess.Popen(command("wait", "--path", tmp_path), stderr=subprocess.PIPE, text=True) as process:
+def test_the_next_run_cleans_up_after_a_killed_one(script, tmp_path):
+    command = [sys.executable, script, "wait", "--path", tmp_path]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr.readline() == "ready\n"
         process.kill()
     assert len(list(tmp_path.iterdir())) == 1
@@ -160,12 +172,12 @@ def test_the_next_run_cleans_up_after_a_killed_one(tmp_path):
 class TestReport:
     """--report on devices, pipes and open files."""
 
-    def test_standard_output(self, tmp_path):
+    def test_standard_output(self, script, tmp_path):
         expected = '{\n  "number": 1\n}\ndone\n'
-        assert run("report", "--path", "/dev/stdout").stdout == expected
-        assert run("report", "--path=/dev/fd/1").stdout == expected
+        outcomes = run(script, ["report", "--path", "/dev/stdout"], ["report", "--path=/dev/fd/1"])
+        assert [outcome.stdout for outcome in outcomes] == [expected, expected]
         with (tmp_path / "out.txt").open("w") as file:
-            subprocess.run(command("report", "--path", "/dev/stdout"), stdout=file, check=True, env=variables())
+            subprocess.run([sys.executable, script, "report", "--path", "/dev/stdout"], stdout=file, check=True, env=variables())
         assert (tmp_path / "out.txt").read_text() == expected
 
     def test_a_pipe_and_devices(self, tmp_path):

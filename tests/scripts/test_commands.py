@@ -12,7 +12,7 @@ SCRIPTS = [
     if "command_line.run(main)" in path.read_text(encoding="utf-8")
 ]
 # Runs the scripts in one process, because importing bpy takes longer than all of them. Every script imports the modules of the checkout
-# itself, with the search path of a new process.
+# itself, with the search path of a new process; those of the package are loaded once, but found only after `import_farfield`.
 CHILD = """
 import contextlib, io, runpy, sys
 from pathlib import Path
@@ -33,7 +33,8 @@ for script in scripts:
         print(script, "exits with", code, output.getvalue()[:200], file=sys.stderr)
         failed = True
     for name, module in list(sys.modules.items()):
-        if name not in modules and (getattr(module, "__file__", None) or "").startswith(root) and "site-packages" not in module.__file__:
+        is_of_checkout = (getattr(module, "__file__", None) or "").startswith(root) and "site-packages" not in module.__file__
+        if name not in modules and is_of_checkout and not name.startswith("farfield."):
             del sys.modules[name]
 sys.exit(failed)
 """

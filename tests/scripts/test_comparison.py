@@ -15,7 +15,7 @@ from lib.text_raster import rasterize_text  # noqa: E402
 
 @pytest.fixture
 def ball():
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     return add_ball(1.0)
 
 

@@ -54,7 +54,7 @@ def run(tmp_path):
         variables |= {"TMPDIR": str(temporary), "PYTHONDONTWRITEBYTECODE": "1"}
         paths = [str(path) for path in sorted(tmp_path.glob("test_*.py"))]
         command = [sys.executable, str(environment.ROOT / "scripts" / "test.py"), "-c", str(environment.ROOT / "pyproject.toml"), *paths]
-        options = ["--rootdir", str(tmp_path), "-n", "2", "-q", "-p", "no:cacheprovider"]
+        options = ["--rootdir", str(tmp_path), "-n", "1", "-q", "-p", "no:cacheprovider"]
         done = subprocess.run([*command, *options], capture_output=True, encoding="utf-8", env=variables, timeout=120, check=False)
         log = tmp_path / "log"
         assert not list(temporary.glob("farfield-*")), "the runs leave no temporary files"

@@ -76,7 +76,7 @@ def test_sprigs_have_leaves_and_transparent_pixels():
 
 
 def test_growing_twice_gives_the_same_objects():
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     trees = [demo_tree.grow_tree(seed, leaves) for seed, leaves in ((1, 200), (1, 200), (2, 200), (1, 50))]
     arrays = [[positions(item) for item in tree] for tree in trees]
     assert [item.data.materials[0].node_tree is not None for item in trees[0]] == [True, True]

@@ -78,23 +78,24 @@ def test_every_writer_at_every_tenth_of_its_file(tmp_path):
     assert sorted(path.name for path in folder.iterdir()) == ["a.blend", "a.glb", "a.json", "a.obj", "a.png", "b.png"]
 
 
-def test_the_script_ends_with_code_2_and_keeps_the_old_scene(tmp_path):
+def test_the_script_ends_with_code_2_and_keeps_the_old_scene(empty_scene, tmp_path):
     import resource
 
+    import clipbox
+    from lib import command_line
+
     out, script = tmp_path / "old.blend", environment.ROOT / "scripts" / "clipbox.py"
-    command = [sys.executable, str(script), "--boxes", "2", "--resolution", "32", "--threshold", "1", "--terrain", "sine", "--at", "0,0,9"]
-    command += ["--out", str(out)]
-    variables = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}
-    assert subprocess.run(command, capture_output=True, check=False, env=variables).returncode == 0
+    arguments = ["--boxes", "2", "--resolution", "32", "--threshold", "1", "--terrain", "sine", "--at", "0,0,9", "--out", str(out)]
+    clipbox.main(arguments, command_line.ProgressLine())
     old = out.read_bytes()
     limit = len(old) * 97 // 100
     outcome = subprocess.run(
-        command,
+        [sys.executable, str(script), *arguments],
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
         capture_output=True,
         text=True,
         check=False,
-        env=variables,
+        env=os.environ | {"PYTHONDONTWRITEBYTECODE": "1"},
     )
     assert outcome.returncode == 2 and outcome.stderr.strip().count("\n") == 0 and "full" in outcome.stderr, outcome.stderr
     assert out.read_bytes() == old and [path.name for path in tmp_path.iterdir()] == ["old.blend"]

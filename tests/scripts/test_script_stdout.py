@@ -9,6 +9,7 @@ import pytest
 
 from lib import environment
 from lib.script_stdout import script_stdout
+from script_runs import run_script
 
 pytest.importorskip("bpy")
 
@@ -46,46 +47,45 @@ command_line.run(main)
 MESSAGES = ("Saved: ", "printed by an add-on", "printed by a child process")
 
 
-@pytest.fixture
-def run(tmp_path):
-    """Runs a script that renders a cube."""
+@pytest.fixture(scope="module")
+def outcomes(tmp_path_factory) -> dict[str, subprocess.CompletedProcess]:
+    """What a script that renders a cube printed, by its arguments. The first run is a process of its own."""
+    folder = tmp_path_factory.mktemp("script")
+    script = folder / "script.py"
+    script.write_text(SCRIPT.format(scripts=str(environment.ROOT / "scripts")), encoding="utf-8")
+    variables = os.environ | {"PYTHONIOENCODING": "utf-8", "PWD": str(folder)}  # Blender prefers PWD to the working directory
+    options = {"env": variables, "cwd": folder}
+    alone = subprocess.run([sys.executable, str(script)], capture_output=True, encoding="utf-8", check=False, **options)
+    runs = [["--verbose"], ["--fail", "input"], ["--fail", "defect"], ["--fail", "exit"], ["--help"]]
+    return {"": alone} | {" ".join(run): outcome for run, outcome in zip(runs, run_script(script, *runs, **options), strict=True)}
 
-    def run(*arguments: str) -> subprocess.CompletedProcess:
-        script = tmp_path / "script.py"
-        script.write_text(SCRIPT.format(scripts=str(environment.ROOT / "scripts")), encoding="utf-8")
-        variables = os.environ | {"PYTHONIOENCODING": "utf-8", "PWD": str(tmp_path)}  # Blender prefers PWD to the working directory
-        command = [sys.executable, str(script), *arguments]
-        return subprocess.run(command, capture_output=True, encoding="utf-8", env=variables, cwd=tmp_path, check=False)
 
-    return run
-
-
-def test_stdout_is_the_result_line(run):
-    outcome = run()
+def test_stdout_is_the_result_line(outcomes):
+    outcome = outcomes[""]
     assert (outcome.returncode, outcome.stdout) == (0, "1 cube: größe 樹\n"), outcome.stderr
 
 
-def test_verbose_adds_the_messages_of_blender(run):
-    outcome = run("--verbose")
+def test_verbose_adds_the_messages_of_blender(outcomes):
+    outcome = outcomes["--verbose"]
     assert outcome.returncode == 0, outcome.stderr
     assert all(message in outcome.stdout for message in MESSAGES)
     assert outcome.stdout.endswith("\n1 cube: größe 樹\n")
 
 
 @pytest.mark.parametrize(("failure", "code", "message"), [("input", 2, "The cube is missing."), ("defect", 1, "RuntimeError: a defect")])
-def test_error_messages_are_on_stderr(run, failure, code, message):
-    outcome = run("--fail", failure)
+def test_error_messages_are_on_stderr(outcomes, failure, code, message):
+    outcome = outcomes[f"--fail {failure}"]
     assert (outcome.returncode, outcome.stdout) == (code, "")
     assert message in outcome.stderr and outcome.stderr.strip().count("\n") == 0
 
 
-def test_exit_codes_are_kept(run):
-    outcome = run("--fail", "exit")
+def test_exit_codes_are_kept(outcomes):
+    outcome = outcomes["--fail exit"]
     assert (outcome.returncode, outcome.stdout) == (7, "")
 
 
-def test_help_is_printed(run):
-    outcome = run("--help")
+def test_help_is_printed(outcomes):
+    outcome = outcomes["--help"]
     assert outcome.returncode == 0
     assert "Render a cube." in outcome.stdout and "--verbose" in outcome.stdout
 

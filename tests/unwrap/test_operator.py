@@ -216,7 +216,7 @@ def test_a_mesh_linked_from_a_library_is_skipped(tmp_path):
     path = tmp_path / "büste.blend"
     bpy.data.libraries.write(str(path), {item})
     name = item.name
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     with bpy.data.libraries.load(str(path), link=True) as (_, linked):
         linked.objects = [name]
     link(linked.objects[0])
