@@ -1,8 +1,8 @@
 """Perceptual levels of textured meshes: `python3 scripts/texmesh.py levels INPUT --out OUT [flags]`, and `analyze INPUT`.
 
-INPUT is a .blend, .obj, .ply, .stl, .glb, .gltf, .fbx or .usd file; each mesh that is visible in renders gets levels. The extension of --out
-selects the output: .blend (the whole scene with the levels), or .glb (one file per level, OUT-L0.glb and so on; with --one-file a single
-one). `--levels`, `--max-triangles`, `--max-size`, `--max-pixels` or `--ratio` without `--choice` imply the choice.
+INPUT is a .blend, .obj, .ply, .stl, .glb, .gltf, .fbx or .usd file; each mesh that is visible in renders gets levels. The extension of
+--out selects the output: .blend (the whole scene with the levels), or .glb (one file per level, OUT-L0.glb and so on; with --one-file a
+single one). `--levels`, `--max-triangles`, `--max-size`, `--max-pixels` or `--ratio` without `--choice` imply the choice.
 `analyze` finds the features of the meshes at 21 scales, for --report and --plot.
 `blender --background --python scripts/texmesh.py -- levels INPUT --out OUT` does the same.
 """
