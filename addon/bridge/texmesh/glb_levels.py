@@ -88,7 +88,8 @@ def read_primitives(item: bpy.types.Object, materials: GlbMaterials) -> tuple[Gl
 
 def _join_corners(vertices: np.ndarray, triangles: np.ndarray, normals: np.ndarray, uvs: np.ndarray, material: int | None) -> GlbPrimitive:
     """Return a primitive in which corners with the same vertex, normal and texture coordinates are one vertex."""
-    columns = [triangles.reshape(-1, 1), np.rint(NORMAL_STEPS * normals).reshape(-1, 3), uvs.reshape(-1, uvs.shape[2])]
+    columns = [values.reshape(triangles.size, -1) for values in (triangles, np.rint(NORMAL_STEPS * normals))]
+    columns.append(uvs.reshape(triangles.size, uvs.shape[2]))
     _, first, inverse = np.unique(np.concatenate(columns, axis=1), axis=0, return_index=True, return_inverse=True)
     positions = vertices[triangles.ravel()[first]].astype(np.float64) @ Y_UP[:3, :3].T
     return GlbPrimitive(
