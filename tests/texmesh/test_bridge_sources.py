@@ -160,5 +160,5 @@ def test_a_missing_image_is_named():
     image = bpy.data.images.new("Lost", 8, 8)
     image.source, image.filepath = "FILE", "//lost.png"
     item.data.materials[0].node_tree.nodes["Image Texture"].image = image
-    with pytest.raises(FileError, match='"Lost.*" is missing or empty'):
+    with pytest.raises(FileError, match=r'"Lost.*" is missing or empty'):
         read_ball(item)

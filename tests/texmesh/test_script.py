@@ -219,7 +219,7 @@ def test_a_missing_image_is_named(folder):
     item = textured_ball()
     image = item.data.materials[0].node_tree.nodes["Image Texture"].image = bpy.data.images.new("Lost", 8, 8)
     image.source, image.filepath = "FILE", str(folder / "lost.png")
-    with pytest.raises(FileError, match='The image "Lost.*" is missing or empty .*lost.png'):
+    with pytest.raises(FileError, match=r'The image "Lost.*" is missing or empty .*lost.png'):
         make(save(folder))
     assert sorted(path.name for path in folder.iterdir()) == ["bällchen.blend"]
 
@@ -273,5 +273,5 @@ def test_levels_are_exported_by_the_operator(ball):
     assert len(parse_glb(path)["nodes"]) == 2
     assert bpy.ops.farfield.texmesh_export(filepath=str(path)) == {"FINISHED"}
     assert {entry.name for entry in ball.parent.glob("tree-*")} == {"tree-L0.glb", "tree-L1.glb"}
-    with pytest.raises(RuntimeError, match="must end in .glb"):
+    with pytest.raises(RuntimeError, match=r"must end in \.glb"):
         bpy.ops.farfield.texmesh_export(filepath=str(path.with_suffix(".obj")))
