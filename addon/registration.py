@@ -17,6 +17,7 @@ from .operators.photos import overlays as photos_overlays
 from .operators.photos import refinement as photos_refinement
 from .operators.photos import registration as photos_registration
 from .operators.restore import operators as restore_operators
+from .operators.texmesh import exports as texmesh_exports
 from .operators.texmesh import operators as texmesh_operators
 from .operators.unwrap import operators as unwrap_operators
 from .panels import bdam as bdam_panels
@@ -44,6 +45,7 @@ MODULES = (
     photos_registration,
     restore_operators,
     texmesh_operators,
+    texmesh_exports,
     clipbox_operators,
     clipbox_convert,
     bdam_operators,

@@ -88,6 +88,19 @@ def validate(path: Path, folder: Path) -> dict[str, Any]:
     return {"errors": issues["numErrors"], "warnings": issues["numWarnings"], "infos": issues["numInfos"], "messages": messages[:10]}
 
 
+def validate_scenes(validator: Path) -> dict[str, Any]:
+    """Return the sizes and issues of all scenes, plain and quantized."""
+    results = {}
+    with temporary_folder() as folder:
+        for name, scene in make_scenes().items():
+            for is_quantized in (False, True):
+                path = folder / f"{len(results)}.glb"
+                write_glb(scene, path, is_quantized)
+                label = f"{name}, {'quantized' if is_quantized else 'plain'}"
+                results[label] = {"bytes": path.stat().st_size, **validate(path, validator)}
+    return results
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("files", nargs="*", type=Path, metavar="FILE.glb")
@@ -96,13 +109,7 @@ def main() -> None:
     arguments = parser.parse_args()
     results = [{"name": str(path), "bytes": path.stat().st_size, **validate(path, arguments.validator)} for path in arguments.files]
     if not arguments.files:
-        with temporary_folder() as folder:
-            for name, scene in make_scenes().items():
-                for is_quantized in (False, True):
-                    path = folder / f"{len(results)}.glb"
-                    write_glb(scene, path, is_quantized)
-                    label = f"{name}, {'quantized' if is_quantized else 'plain'}"
-                    results.append({"name": label, "bytes": path.stat().st_size, **validate(path, arguments.validator)})
+        results = [{"name": name, **result} for name, result in validate_scenes(arguments.validator).items()]
     for result in results:
         print(
             f"{result['name']}: {result['bytes']} bytes, {result['errors']} errors, {result['warnings']} warnings, {result['infos']} infos"

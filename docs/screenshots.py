@@ -29,9 +29,10 @@ SIZES = {"closed": (1280, 720), "open": (1280, 1400)}  # of the window, by the s
 SIZES_BY_TOOL = {  # of other windows than SIZES
     "restore": {"closed": (960, 660), "open": (960, 1400)},  # whose screenshots show the image as well
     "bdam": {"closed": (1280, 1130), "open": (1280, 1700)},
+    "texmesh": {"closed": (1280, 860), "open": (1280, 1700)},
 }
 RESTORE_PIXELS = 400
-TOOLS = ("billboards", "btf", "unwrap", "restore", "photos", "clipbox", "bdam")
+TOOLS = ("billboards", "btf", "unwrap", "restore", "photos", "clipbox", "bdam", "texmesh")
 SECONDS = 200
 DRIVER = FOLDER / "figures" / "window_screenshots.py"
 PAGES = {  # image of the docs -> screenshots side by side
@@ -42,6 +43,7 @@ PAGES = {  # image of the docs -> screenshots side by side
     "panel_photos.png": ("photos-mesh", "photos-photographs"),
     "panel_clipbox.png": ("clipbox-settings", "clipbox-active"),
     "panel_bdam.png": ("bdam-settings", "bdam-loaded"),
+    "panel_texmesh.png": ("texmesh-settings", "texmesh-levels"),
     "window.png": ("window",),
 }
 GAP = 12  # pixels between two screenshots

@@ -22,15 +22,17 @@ TABLE = re.compile(r"(<!-- settings: (\w+) -->\n).*?(<!-- end of settings -->)",
 
 
 def find_settings() -> dict[str, type[Settings]]:
-    """Return the settings classes in `core/<tool>/settings.py` by table name.
+    """Return the settings classes in `core/<tool>/settings.py` and in those of its sub-packages by table name.
 
     The table of the settings class that is named after the tool has the name of the tool; the names of others have a suffix:
     `clipbox` for `ClipboxSettings`, `clipbox_convert` for `ConvertSettings`, `billboards_build` for `BuildOptions`.
     """
     tables = {}
-    for path in sorted((environment.ROOT / "addon" / "core").glob("*/settings.py")):
-        tool = path.parent.name
-        module = importlib.import_module(f"farfield.addon.core.{tool}.settings")
+    core = environment.ROOT / "addon" / "core"
+    for path in sorted([*core.glob("*/settings.py"), *core.glob("*/*/settings.py")]):
+        parts = path.relative_to(core).with_suffix("").parts
+        tool = parts[0]
+        module = importlib.import_module(f"farfield.addon.core.{'.'.join(parts)}")
         for name, item in vars(module).items():
             if isinstance(item, type) and issubclass(item, Settings) and item is not Settings:
                 subject = name.removesuffix("Settings").removesuffix("Options").lower()

@@ -2,9 +2,11 @@
 
 Grows a tree, builds its billboard cloud with three levels of detail, compares every level with the tree in Cycles, bakes relightable
 textures for one of them, compares it under other Sun directions, and plants a forest of it. Then photographs another model with eight
-virtual cameras, merges the photographs into a texture, and compares it with the truth. Last, builds a fractal terrain and flies over it.
+virtual cameras, merges the photographs into a texture, and compares it with the truth. Last, builds a fractal terrain and flies over it,
+and makes perceptual levels of a textured ring.
 Writes to out/demo/: the scene (demo.blend), contact sheets (contact-sheet.png, relighting.png), the forest (forest.blend, forest.png), the
-model with its cameras (photos.blend, photos.png), the terrain (terrain/, terrain.png) and the results (report.json, report.md).
+model with its cameras (photos.blend, photos.png), the terrain (terrain/, terrain.png), the levels (texmesh.blend, texmesh.png), and the
+results (report.json, report.md).
 --input uses your own mesh instead of the tree; --quick uses fewer leaves, a larger error, and fewer and smaller renders.
 """
 
@@ -35,6 +37,7 @@ from lib.atomic_output import atomic_folder, check_writable
 from lib.comparison import Comparison, compare_cloud, draw_comparison_sheet
 from lib.contact_sheet import write_png
 from lib.demo_forest import DAY, TREE_COUNT, render_day, write_forest
+from lib.demo_levels import LevelsPreset, make_and_compare
 from lib.demo_photos import PhotosPreset, photograph_and_merge
 from lib.demo_relighting import RelightingPreset, bake_and_compare
 from lib.demo_report import to_markdown
@@ -63,6 +66,7 @@ class DemoPreset:
     forest_samples: int
     photos: PhotosPreset
     terrain: TerrainPreset
+    levels: LevelsPreset
 
 
 FULL = DemoPreset(
@@ -84,6 +88,7 @@ FULL = DemoPreset(
     forest_samples=6,
     photos=PhotosPreset(photograph_width=1200, samples=8, texture_size=2048, view_pixels=128),
     terrain=TerrainPreset(size=513, frames=5, width=240, samples=8),
+    levels=LevelsPreset(segments=64, views=3),
 )
 QUICK = DemoPreset(
     leaves=1000,
@@ -104,16 +109,24 @@ QUICK = DemoPreset(
     forest_samples=2,
     photos=PhotosPreset(photograph_width=400, samples=2, texture_size=512, view_pixels=128),
     terrain=TerrainPreset(size=129, frames=2, width=160, samples=2),
+    levels=LevelsPreset(segments=40, views=2),
 )
-BUILD_END, COMPARISON_END, RELIGHTING_END, FOREST_END, PHOTOS_END = 0.18, 0.32, 0.65, 0.83, 0.92  # fractions of the progress
+BUILD_END, COMPARISON_END, RELIGHTING_END, FOREST_END, PHOTOS_END, TERRAIN_END = (
+    0.17,
+    0.31,
+    0.63,
+    0.8,
+    0.89,
+    0.96,
+)  # fractions of the progress
 
 
 def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     """Run the demo and return its result in one line; raises FarfieldError for an invalid input or folder."""
     parser = command_line.Parser(
         prog="demo.py",
-        description="Grow a tree, build its billboard cloud, make it relightable, plant a forest, make a texture from photographs, and "
-        "fly over a terrain.",
+        description="Grow a tree, build its billboard cloud, make it relightable, plant a forest, make a texture from photographs, "
+        "fly over a terrain, and make levels of a textured mesh.",
     )
     parser.add_argument("--input", type=Path, help="your own mesh instead of the tree: .blend .obj .ply .stl .glb .gltf .fbx .usd")
     parser.add_argument("--quick", action="store_true", help="fewer leaves, a larger error and fewer renders; takes about a minute")
@@ -141,6 +154,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
         report |= make_relightable(folder, cloud, preset, upper_hemisphere=given.input is None, line=line)
         report["photos"] = texture_from_photographs(folder, preset.photos, line)
         report["terrain"] = fly_over_terrain(folder, preset.terrain, line)
+        report["texmesh"] = make_perceptual_levels(folder, preset.levels, line)
         command_line.write_report(folder / "report.json", report)
         (folder / "report.md").write_text(to_markdown(title, report), encoding="utf-8")
     return f"{title}; images, report and scenes in {out}"
@@ -248,8 +262,16 @@ def texture_from_photographs(folder: Path, preset: PhotosPreset, line: command_l
 
 def fly_over_terrain(folder: Path, preset: TerrainPreset, line: command_line.ProgressLine) -> dict[str, Any]:
     """Build a terrain and fly over it; its scene replaces the former one. Writes store and sheet to `folder`; returns the figures."""
-    result = run_to_end(subprogress(build_and_fly(preset, folder), PHOTOS_END, 1.0), line.show)
+    result = run_to_end(subprogress(build_and_fly(preset, folder), PHOTOS_END, TERRAIN_END), line.show)
     write_png(folder / "terrain.png", result.draw_sheet())
+    return result.to_report()
+
+
+def make_perceptual_levels(folder: Path, preset: LevelsPreset, line: command_line.ProgressLine) -> dict[str, Any]:
+    """Make levels of a textured ring; its scene replaces the former one. Writes scene and sheet to `folder`; returns the figures."""
+    result = run_to_end(subprogress(make_and_compare(preset), TERRAIN_END, 1.0), line.show)
+    write_png(folder / "texmesh.png", result.draw_sheet())
+    scene_files.save_scene(folder / "texmesh.blend")
     return result.to_report()
 
 

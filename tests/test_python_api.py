@@ -19,7 +19,7 @@ def run(name: str) -> dict:
 
 def test_every_example_of_the_page_is_run_here():
     assert PAGE.count("```python") == len(EXAMPLES)
-    assert set(EXAMPLES) == {"operators", "billboards", "unwrap", "restore", "progress"}
+    assert set(EXAMPLES) == {"operators", "billboards", "unwrap", "restore", "texmesh", "progress"}
 
 
 def test_operators(empty_scene, capsys):
@@ -46,6 +46,12 @@ def test_restoring_stripes():
     assert np.array_equal(result.pixels[~mask], example["image"][~mask])
     ideal = np.where(example["columns"] // 6 % 2, 0.45, 0.55)
     assert np.abs(result.pixels[..., 0] - ideal)[mask].mean() < 1.3 * np.abs(stripes - ideal)[mask].mean()
+
+
+def test_levels_of_a_textured_bump():
+    levels = run("texmesh")["chain"].levels
+    counts, sizes = [len(level.mesh.triangles) for level in levels], [level.pixel_size for level in levels]
+    assert counts == pytest.approx([512, 256, 128], rel=0.02) and sizes == sorted(sizes) and sizes[0] == 0.0
 
 
 def test_progress(capsys):

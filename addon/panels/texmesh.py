@@ -5,6 +5,8 @@ import bpy
 from ..bridge import cameras
 from ..bridge.texmesh.level_sets import ERROR, SWITCH_DISTANCE, TRIANGLES, LevelSet, find_level_set
 from ..core.settings import describe
+from ..core.texmesh.settings import BUDGETS
+from ..operators.texmesh.exports import FARFIELD_OT_texmesh_export
 from ..operators.texmesh.operators import (
     ALL_SETTINGS,
     FARFIELD_OT_texmesh_analyze,
@@ -18,7 +20,6 @@ from ..operators.texmesh.operators import (
 from .sidebar import SettingsSubPanel, SidebarPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, draw_table
 
 LEVEL_TITLES = ("Level", "Triangles", "Distance", "Pixels")
-BUDGETS = {"count": "levels", "triangles": "max_triangles", "size": "max_size", "pixels": "max_pixels"}  # setting of each choice of levels
 
 
 class TexmeshSettingsPanel(SettingsSubPanel):
@@ -120,6 +121,7 @@ class FARFIELD_PT_texmesh_levels(SidebarPanel, bpy.types.Panel):
         for_camera = buttons.row(align=True)
         for_camera.enabled = cameras.read_scene_camera(context.scene) is not None
         for_camera.operator(FARFIELD_OT_texmesh_show_for_camera.bl_idname, text="Show for Camera", icon="CAMERA_DATA")
+        buttons.operator(FARFIELD_OT_texmesh_export.bl_idname, text="Export", icon="EXPORT")
         buttons.operator(FARFIELD_OT_texmesh_remove.bl_idname, text="Remove Levels", icon="X")
 
 

@@ -186,6 +186,22 @@ def visit_bdam(scene: bpy.types.Scene) -> Iterator[float]:
     yield from shoot("bdam-loaded")
 
 
+def visit_texmesh(scene: bpy.types.Scene) -> Iterator[float]:
+    """Before and after *Make Levels*, with a grid of colors as the texture."""
+    statue = bpy.data.objects["Statue"]
+    statue.modifiers["Subdivision"].levels = 1
+    tree = statue.data.materials[0].node_tree
+    node = tree.nodes.new("ShaderNodeTexImage")
+    node.image = bpy.data.images.new("Colors", 256, 256)
+    node.image.generated_type = "COLOR_GRID"
+    tree.links.new(node.outputs["Color"], tree.nodes["Principled BSDF"].inputs["Base Color"])
+    yield from shoot("texmesh-settings")
+    group = scene.farfield_texmesh
+    group.views, group.max_image = 2, 256
+    yield from start("farfield.texmesh_levels")
+    yield from shoot("texmesh-levels")
+
+
 def visit_restore(scene: bpy.types.Scene) -> Iterator[float]:
     """Before and after *Restore*, with a mask as if it had been painted."""
     space = editor().spaces.active
@@ -218,6 +234,7 @@ VISITS = {
     "restore": visit_restore,
     "clipbox": visit_clipbox,
     "bdam": visit_bdam,
+    "texmesh": visit_texmesh,
 }
 
 

@@ -15,6 +15,8 @@ def to_markdown(heading: str, report: dict[str, Any]) -> str:
         lines += [*_photos(report["photos"]), ""]
     if "terrain" in report:
         lines += [*_terrain(report["terrain"]), ""]
+    if "texmesh" in report:
+        lines += [*_perceptual_levels(report["texmesh"]), ""]
     stages = ", ".join(f"{stage} {seconds:.1f}" for stage, seconds in report["seconds"].items())
     lines += [f"Seconds: {stages}. Peak memory: {report['peak_memory_mb']:,.0f} MB.", ""]
     return "\n".join(lines)
@@ -86,3 +88,12 @@ def _terrain(report: dict[str, Any]) -> list[str]:
         f"{report['samples']:,} samples, {report['bytes_per_sample']} bytes each; {triangles} triangles in a frame. Seconds: {stages}."
     )
     return ["## Large terrain", "", "![a flight over a terrain](terrain.png)", "", summary]
+
+
+def _perceptual_levels(report: dict[str, Any]) -> list[str]:
+    rows = ["## Perceptual levels", "", "![original and levels where they switch](texmesh.png)", ""]
+    rows += [f"Levels of {report['triangles']:,} triangles, and FLIP between each and the finer one where they switch:", ""]
+    rows += ["| triangles | pixels | difference |", "|---|---|---|"]
+    rows += [f"| {level['triangles']:,} | {level['pixels']} | {level['difference']:.3f} |" for level in report["levels"]]
+    stages = ", ".join(f"{stage} {seconds:.1f}" for stage, seconds in report["seconds"].items())
+    return [*rows, "", f"Seconds: {stages}."]

@@ -32,8 +32,8 @@ def test_the_demo_writes_scenes_sheets_and_report(extension, tmp_path, monkeypat
     out = tmp_path / "out folder"
     result = demo.main(["--quick", "--input", str(mesh), "--out", str(out)], command_line.ProgressLine())
     assert "\n" not in result and "12 triangles as 6 quads" in result and str(out) in result
-    sheets = ["contact-sheet.png", "forest.png", "photos.png", "relighting.png", "terrain.png"]
-    scenes = ["demo.blend", "forest.blend", "photos.blend"]
+    sheets = ["contact-sheet.png", "forest.png", "photos.png", "relighting.png", "terrain.png", "texmesh.png"]
+    scenes = ["demo.blend", "forest.blend", "photos.blend", "texmesh.blend"]
     assert sorted(path.name for path in out.iterdir()) == sorted([*sheets, *scenes, "report.json", "report.md", "terrain"])
     assert all((out / name).read_bytes().startswith(b"\x89PNG") for name in sheets)
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
@@ -52,6 +52,7 @@ def test_the_demo_writes_scenes_sheets_and_report(extension, tmp_path, monkeypat
     assert all(view["psnr"] > 24.0 for view in report["photos"]["views"])
     assert report["terrain"]["samples"] == 129**2
     assert all(1_000 < count < 2 * 128**2 for count in report["terrain"]["triangles"])
+    assert report["texmesh"]["triangles"] > report["texmesh"]["levels"][0]["triangles"]
     assert "12 triangles as 6 quads" in (out / "report.md").read_text(encoding="utf-8")
 
 

@@ -18,6 +18,7 @@ from .perception.settings import PerceptionSettings
 from .perception.switch_distances import LevelImages, Switch, SwitchCheck, find_switches
 from .perception.views import ViewedSurface, frame_around, prepare_surface, turning_directions
 from .perception.weber import Collapses, Impacts, measure_impacts
+from .ratios import parse_ratios, targets_of_ratios
 from .refitting.refit import make_refit_levels
 from .refitting.settings import RefitSettings
 from .scale_costs import ScaleWeightedQuadrics
@@ -99,15 +100,17 @@ def make_levels(
 
     Raises:
         GeometryError: there is nothing to simplify.
-        SettingsError: the budget allows no level.
+        SettingsError: the budget allows no level, or a ratio is none.
     """
     if len(mesh.triangles) < MIN_TRIANGLES:
         raise GeometryError(f'"{name}" has only {len(mesh.triangles)} triangles; levels need at least {MIN_TRIANGLES}.')
+    levels = settings.levels
+    ratios = parse_ratios(levels.ratio) if levels.choice == "ratio" else []
     if scale_map is None:
         scale_map = yield from subprogress(analyze_scale_space(mesh, textures, settings.analysis), 0.0, 0.35)
     mipmaps = [None if texture is None else build_mipmaps(texture) for texture in textures]
-    targets, scales = choose_targets(mesh, scale_map)
-    if settings.levels.order == "scale":
+    targets, scales = targets_of_ratios(mesh, scale_map, ratios) if ratios else choose_targets(mesh, scale_map)
+    if levels.order == "scale":
         steps = simplify_in_order(mesh, _priorities(scale_map), targets, settings.simplification)
     else:
         steps = simplify_by_cost(mesh, ScaleWeightedQuadrics(mesh, scale_map), targets, settings.simplification)
@@ -118,20 +121,20 @@ def make_levels(
     steps = find_switches([_view(item.mesh, mipmaps, settings.perception) for item in candidates], settings.perception)
     switches = yield from subprogress(steps, 0.6, 0.8)
     yield Progress(0.8, "Choosing levels")
-    useful = 1 + max(1, sum(switch.pixels >= MIN_PIXELS for switch in switches))
+    useful = len(candidates) if ratios else 1 + max(1, sum(switch.pixels >= MIN_PIXELS for switch in switches))
     candidates, switches = candidates[:useful], switches[: useful - 1]
     pixel_sizes = [0.0, *(switch.pixel_size for switch in switches)]
     chosen = _choose(candidates, pixel_sizes, impacts, mipmaps, settings)
     kept = [candidates[index] for index in chosen]
-    is_refit = settings.levels.product == "refit" and _has_uv_area(mesh)
+    is_refit = levels.product == "refit" and _has_uv_area(mesh)
     if is_refit:
         kept = yield from subprogress(_refit(mesh, kept, settings.simplification), 0.8, 0.95)
     if is_refit or len(chosen) < len(candidates):
         steps = find_switches([_view(item.mesh, mipmaps, settings.perception) for item in kept], settings.perception)
         switches = yield from subprogress(steps, 0.95, 1.0)
-    levels = [_to_level(item, switch) for item, switch in zip(kept, [None, *switches], strict=True)]
+    made = [_to_level(item, switch) for item, switch in zip(kept, [None, *switches], strict=True)]
     tried = tuple((len(item.mesh.triangles), size) for item, size in zip(candidates, pixel_sizes, strict=True))
-    return LevelChain(tuple(levels), scale_map, impacts, simplification, tried, frame_around(mesh.vertices).side)
+    return LevelChain(tuple(made), scale_map, impacts, simplification, tried, frame_around(mesh.vertices).side)
 
 
 def choose_targets(mesh: TexturedMesh, scale_map: ScaleMap) -> tuple[list[int], list[int]]:
@@ -201,6 +204,8 @@ def _choose(
     if len(candidates) < 2:
         return [0]
     levels, side = settings.levels, frame_around(candidates[0].mesh.vertices).side
+    if levels.choice == "ratio":
+        return list(range(len(candidates)))
     if levels.choice == "perceptual":
         ends = [end for _, end in find_zones(_find_red(candidates, pixel_sizes, impacts, mipmaps, settings.perception))]
         return [0, *(end for end in ends if end)]

@@ -18,6 +18,14 @@ LEVEL_CHOICES = {
     "triangles": Choice("Triangles", "Levels with a total number of triangles"),
     "size": Choice("File Size", "Levels with a total size as quantized geometry"),
     "pixels": Choice("Pixels", "Levels for an object that is never seen larger than a number of pixels"),
+    "ratio": Choice("Ratio", "Levels with fractions of the triangles"),
+}
+BUDGETS = {  # the setting that each choice of levels needs
+    "count": "levels",
+    "triangles": "max_triangles",
+    "size": "max_size",
+    "pixels": "max_pixels",
+    "ratio": "ratio",
 }
 
 
@@ -38,6 +46,7 @@ class LevelSettings(Settings):
         1.0, "Size of all levels together, without the original and textures", minimum=1e-3, maximum=1e5, unit=Unit.MEGABYTES
     )
     max_pixels: int = setting(512, "Largest size of the object in images, in pixels", minimum=8, maximum=2048, unit=Unit.COUNT)
+    ratio: str = setting("0.5,0.25,0.125", "Fractions of the triangles of the original, one per level", label="Ratios")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,120 @@
+"""Levels of a scene as .glb files: one per level, or one with all levels of each object (MSFT_lod and MSFT_screencoverage)."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ...core.errors import GeometryError
+from ...core.files.atomic_write import atomic_folder
+from ...core.files.glb import GlbMesh, GlbNode, GlbPrimitive, GlbScene, encode_glb
+from ...core.texmesh.perception.switch_distances import screen_coverage
+from ..evaluated_mesh import read_evaluated_mesh
+from ..meshes import find_material
+from .glb_materials import GlbMaterials
+from .level_sets import LevelSet
+
+IMAGE_SIZE = (1920, 1080)  # pixels of the image whose covered fraction determines the level
+Y_UP = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])  # from Blender's axes to glTF's
+NORMAL_STEPS = 1023.0  # normals of a vertex that are equal to 1/NORMAL_STEPS are one: Blender rounds them differently per corner
+
+
+def write_levels(sets: Sequence[LevelSet], path: Path, is_quantized: bool = True, is_one_file: bool = False) -> list[Path]:
+    """Write levels and return the files: `path` if it is one file, otherwise one per level beside it, see `level_path`.
+
+    File N has level N of every object, or its coarsest one. All files appear, or none.
+
+    Raises:
+        FileError: a file cannot be written, or an image cannot be read. GeometryError: an object has no triangles.
+    """
+    count = 1 if is_one_file else max(len(levels.levels) for levels in sets)
+    paths = [path if is_one_file else level_path(path, number) for number in range(count)]
+    with atomic_folder(path.parent) as folder:
+        for number, target in enumerate(paths):
+            scene = build_scene_of_all(sets) if is_one_file else build_scene_of_level(sets, number)
+            (folder / target.name).write_bytes(encode_glb(scene, is_quantized))
+    return paths
+
+
+def level_path(path: Path, number: int) -> Path:
+    """Return the file of one level: `chair-L2.glb` for level 2 and `chair.glb`."""
+    return path.with_name(f"{path.stem}-L{number}{path.suffix}")
+
+
+def build_scene_of_level(sets: Sequence[LevelSet], number: int) -> GlbScene:
+    """Return the scene with one level of each object, or its coarsest one."""
+    materials, nodes, meshes = GlbMaterials(), [], []
+    for levels in sets:
+        item = levels.levels[min(number, len(levels.levels) - 1)]
+        nodes.append(GlbNode(item.name, len(meshes), _matrix(item)))
+        meshes.append(GlbMesh(item.data.name, read_primitives(item, materials), _bounds(levels)))
+    return GlbScene(tuple(nodes), tuple(meshes), tuple(materials.materials), tuple(materials.images))
+
+
+def build_scene_of_all(sets: Sequence[LevelSet]) -> GlbScene:
+    """Return the scene with all levels of each object: the finest one is replaced by the others as it covers less of the image."""
+    materials, nodes, meshes = GlbMaterials(), [], []
+    for levels in sets:
+        first, bounds = len(nodes), _bounds(levels)
+        for index, item in enumerate(levels.levels):
+            others = () if index else tuple(range(first + 1, first + len(levels.levels)))
+            coverages = _coverages(levels) if others else ()
+            nodes.append(GlbNode(item.name, len(meshes), _matrix(item), others, coverages))
+            meshes.append(GlbMesh(item.data.name, read_primitives(item, materials), bounds))
+    return GlbScene(tuple(nodes), tuple(meshes), tuple(materials.materials), tuple(materials.images))
+
+
+def read_primitives(item: bpy.types.Object, materials: GlbMaterials) -> tuple[GlbPrimitive, ...]:
+    """Return the triangles of an object by material, in its own space with y upwards, with normals and the UV map that renders.
+
+    Raises:
+        GeometryError: it has none. FileError: an image of a material cannot be read.
+    """
+    mesh = read_evaluated_mesh(item.data, item)
+    if not len(mesh.triangles):
+        raise GeometryError(f'"{item.name}" has no triangles to write; make its levels again.')
+    triangles = np.arange(len(mesh.triangles))
+    uvs = mesh.at_corners(mesh.uv_map, triangles).astype(np.float64) if mesh.uv_map else np.zeros((len(triangles), 3, 0))
+    normals = mesh.normals[mesh.loops].astype(np.float64)
+    primitives = []
+    for index in np.unique(mesh.material_indices).tolist():
+        rows = mesh.material_indices == index
+        key = mesh.materials[index]
+        material = materials.add(None if key is None else find_material(key))
+        primitives.append(_join_corners(mesh.vertices, mesh.triangles[rows], normals[rows], uvs[rows], material))
+    return tuple(primitives)
+
+
+def _join_corners(vertices: np.ndarray, triangles: np.ndarray, normals: np.ndarray, uvs: np.ndarray, material: int | None) -> GlbPrimitive:
+    """Return a primitive in which corners with the same vertex, normal and texture coordinates are one vertex."""
+    columns = [values.reshape(triangles.size, -1) for values in (triangles, np.rint(NORMAL_STEPS * normals))]
+    columns.append(uvs.reshape(triangles.size, uvs.shape[2]))
+    _, first, inverse = np.unique(np.concatenate(columns, axis=1), axis=0, return_index=True, return_inverse=True)
+    positions = vertices[triangles.ravel()[first]].astype(np.float64) @ Y_UP[:3, :3].T
+    return GlbPrimitive(
+        positions,
+        inverse.reshape(-1, 3).astype(np.int32),
+        normals.reshape(-1, 3)[first] @ Y_UP[:3, :3].T,
+        uvs.reshape(-1, 2)[first] if uvs.shape[2] else None,
+        material=material,
+    )
+
+
+def _matrix(item: bpy.types.Object) -> np.ndarray:
+    """Return the matrix (4, 4) to the world with y upwards. `matrix_world` of hidden objects is not up to date, but they have no parent."""
+    matrix = np.array(item.matrix_world if item.parent is not None else item.matrix_basis, np.float64)
+    return Y_UP @ matrix @ Y_UP.T
+
+
+def _bounds(levels: LevelSet) -> np.ndarray:
+    """Return the lowest and highest positions (2, 3) of all levels, so that all are rounded alike."""
+    corners = np.concatenate([np.array(item.bound_box) for item in levels.levels]) @ Y_UP[:3, :3].T
+    return np.stack([corners.min(axis=0), corners.max(axis=0)])
+
+
+def _coverages(levels: LevelSet) -> tuple[float, ...]:
+    """Return the fraction of the image down to which each level shows, descending; the last one shows at any size."""
+    box = np.array(levels.levels[0].bound_box)
+    radius = 0.5 * float(np.linalg.norm(box.max(axis=0) - box.min(axis=0)))
+    return (*(screen_coverage(error, radius, IMAGE_SIZE) for error in levels.errors[1:]), 0.0)

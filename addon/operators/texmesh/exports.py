@@ -1,0 +1,63 @@
+"""Operator of the tool `texmesh` that writes levels as .glb files."""
+
+from pathlib import Path
+
+import bpy
+
+from ...bridge.texmesh.glb_levels import write_levels
+from ...core.errors import FileError
+from .. import long_work
+from ..error_reports import report_message, reports_errors
+from .operators import NO_LEVELS, selected_level_sets
+
+SUFFIX = ".glb"
+
+
+class FARFIELD_OT_texmesh_export(bpy.types.Operator):
+    """Write the levels of the selected objects as .glb files, with their images"""
+
+    bl_idname = "farfield.texmesh_export"
+    bl_label = "Export Perceptual Levels"
+    bl_options = {"REGISTER"}
+    __annotations__ = {
+        "filepath": bpy.props.StringProperty(name="File", description="File to write", subtype="FILE_PATH", options={"SKIP_SAVE"}),
+        "filter_glob": bpy.props.StringProperty(default=f"*{SUFFIX}", options={"HIDDEN"}),
+        "one_file": bpy.props.BoolProperty(
+            name="One File",
+            description="Write one file in which levels replace each other (MSFT_lod), instead of one file per level",
+            default=False,
+        ),
+        "quantized": bpy.props.BoolProperty(
+            name="Quantized", description="Store positions and texture coordinates in 16 bits, normals in 8 bits", default=True
+        ),
+    }
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Return whether selected objects have levels."""
+        return long_work.poll_with_reason(cls, "" if selected_level_sets(context) else NO_LEVELS)
+
+    @reports_errors
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Open the file browser; if a file is given, write it."""
+        if self.filepath:
+            return self.execute(context)
+        folder = Path(bpy.data.filepath).parent if bpy.data.filepath else Path.home()
+        name = bpy.path.clean_name(selected_level_sets(context)[0].source_name) or "levels"
+        self.filepath = str(folder / (name + SUFFIX))
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Write the files."""
+        path = Path(bpy.path.abspath(self.filepath)).absolute()
+        if not self.filepath or path.suffix.lower() not in ("", SUFFIX):
+            raise FileError(f'The file is "{self.filepath}"; its name must end in {SUFFIX}.')
+        paths = write_levels(selected_level_sets(context), path.with_suffix(SUFFIX), self.quantized, self.one_file)
+        report_message(self, f"Saved {', '.join(item.name for item in paths)}.")
+        return {"FINISHED"}
+
+
+CLASSES = (FARFIELD_OT_texmesh_export,)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -1,0 +1,71 @@
+"""Perceptual levels measured against the bounds of their design: `python3 benchmarks/bench_texmesh.py [flags]`. Prints JSON.
+
+Parts (`--only`): `speed` (time and memory with 200k triangles and a texture of 4096 x 4096), `refits` (deviations beside other programs,
+see texmesh_refits.py), `glb` (the Khronos validator, with --validator, see texmesh_glb.py), `switching` (FLIP between neighboring levels at
+their switch distance, in views that the search did not use), `targets` (subset levels, bit for bit), `paper` (vertices per scale beside
+Figure 4, ranges of Figure 10, steps of Figure 11).
+Each run generates other models, textures and views; --seed repeats one.
+"""
+
+import secrets
+import sys
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+
+from lib import environment
+
+environment.ensure()
+environment.import_farfield()
+
+import benchmark_cli
+import texmesh_glb
+from texmesh_levels import measure_paper, measure_speed, measure_switching, measure_targets
+from texmesh_refits import measure_refits
+
+from farfield.addon.core.errors import SettingsError
+from lib import command_line
+
+
+def build_parser() -> command_line.Parser:
+    """Return the parser of all arguments of the benchmark."""
+    parser = benchmark_cli.build_parser("bench_texmesh.py", __doc__, PARTS)
+    parser.add_argument("--models", nargs="+", default=None, help="names of texmesh_models.open_model; by default all that judge")
+    parser.add_argument("--seed", type=int, default=secrets.randbelow(10**6), help="of generated models, textures and views")
+    parser.add_argument("--data", type=Path, default=environment.ROOT.parent / "shared" / "data", help="the folder of the meshes")
+    parser.add_argument("--validator", type=Path, help="a folder with node_modules/gltf-validator, for the part glb")
+    return parser
+
+
+def main(arguments: list[str], _line: command_line.ProgressLine) -> str:
+    """Run the selected parts; raises FarfieldError if the input is invalid."""
+    given = build_parser().parse_args(arguments)
+    print(f"seed {given.seed}", file=sys.stderr)
+    return benchmark_cli.run_parts(given, PARTS)
+
+
+def measure_glb(given: Namespace) -> dict[str, Any]:
+    """Return what the Khronos validator finds in generated files.
+
+    Raises:
+        SettingsError: there is no validator.
+    """
+    if given.validator is None:
+        raise SettingsError("The part glb needs --validator; install the npm package gltf-validator in a folder, or leave the part out.")
+    return texmesh_glb.validate_scenes(given.validator)
+
+
+PARTS = {
+    "speed": measure_speed,
+    "refits": measure_refits,
+    "glb": measure_glb,
+    "switching": measure_switching,
+    "targets": measure_targets,
+    "paper": measure_paper,
+}
+
+
+if __name__ == "__main__":
+    command_line.run(main)

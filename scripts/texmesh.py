@@ -1,0 +1,194 @@
+"""Perceptual levels of textured meshes: `python3 scripts/texmesh.py levels INPUT --out OUT [flags]`, and `analyze INPUT`.
+
+INPUT is a .blend, .obj, .ply, .stl, .glb, .gltf, .fbx or .usd file; each mesh that is visible in renders gets levels. The extension of
+--out selects the output: .blend (the whole scene with the levels), or .glb (one file per level, OUT-L0.glb and so on; with --one-file a
+single one). `--levels`, `--max-triangles`, `--max-size`, `--max-pixels` or `--ratio` without `--choice` imply the choice.
+`analyze` finds the features of the meshes at 21 scales, for --report and --plot.
+`blender --background --python scripts/texmesh.py -- levels INPUT --out OUT` does the same.
+"""
+
+import re
+import sys
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not put a script's folder there
+
+from lib import environment
+
+environment.ensure()
+environment.import_farfield()
+
+import bpy
+
+from farfield.addon.bridge.texmesh.glb_levels import write_levels
+from farfield.addon.bridge.texmesh.level_sets import read_level_set
+from farfield.addon.core.errors import FileError, SettingsError
+from farfield.addon.core.jobs.progress import StageClock, run_to_end
+from farfield.addon.core.settings import Settings, add_flags, from_flags
+from farfield.addon.core.texmesh.level_chain import AllSettings
+from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
+from farfield.addon.core.texmesh.ratios import parse_ratios
+from farfield.addon.core.texmesh.scale_space.scale_map import ScaleMap
+from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
+from farfield.addon.core.texmesh.settings import BUDGETS, LevelSettings, SceneSettings
+from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
+from farfield.addon.operators.job_run import run_job
+from farfield.addon.operators.texmesh.job import AnalysisJob, LevelsJob, describe_chain, prepare_analysis, prepare_levels
+from lib import command_line, scene_files
+from lib.atomic_output import atomic_file, check_outputs
+from lib.contact_sheet import write_png
+from lib.line_chart import draw_line_chart
+
+EXTENSIONS = (".blend", ".glb")
+CORE_SETTINGS = (LevelSettings, ScaleSpaceSettings, SimplificationSettings, PerceptionSettings)  # in the order of `AllSettings`
+
+
+def build_parser() -> command_line.Parser:
+    """Return the parser of all arguments of the script."""
+    parser = command_line.Parser(prog="texmesh.py", description="Make levels of detail of textured meshes that look the same.")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="levels|analyze")
+    levels = commands.add_parser("levels", description="Make levels of detail.")
+    analyze = commands.add_parser("analyze", description="Find the features of meshes at 21 scales.")
+    for command in (levels, analyze):
+        command.add_argument("input", type=command_line.parse_path, help="a .blend .obj .ply .stl .glb .gltf .fbx or .usd file")
+        command.add_argument("--report", type=command_line.parse_path, help="write a report of the run to this JSON file")
+    levels.add_argument("--out", type=command_line.parse_path, required=True, help="the file to write: .blend or .glb")
+    levels.add_argument("--one-file", action="store_true", help="write one .glb with all levels (MSFT_lod) instead of one per level")
+    levels.add_argument("--no-quantized", dest="quantized", action="store_false", help="store numbers in a .glb in single precision")
+    analyze.add_argument("--plot", type=command_line.parse_path, help="draw features and ranges of the largest mesh to this PNG file")
+    for settings_type in (*CORE_SETTINGS, SceneSettings):
+        add_flags(levels, settings_type)
+    add_flags(analyze, ScaleSpaceSettings)
+    return parser
+
+
+def main(arguments: list[str], line: command_line.ProgressLine) -> str:
+    """Run the script and return the summary; raises FarfieldError if the input is invalid."""
+    given = build_parser().parse_args(arguments)
+    return analyze(given, line) if given.command == "analyze" else make_levels(given, line)
+
+
+def make_levels(given: Namespace, line: command_line.ProgressLine) -> str:
+    """Make levels and write them."""
+    settings, scene_settings = read_settings(given)
+    out = given.out.absolute()
+    if out.suffix.lower() not in EXTENSIONS:
+        raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(EXTENSIONS)}.')
+    check_outputs({"--out": out}, {"the input": given.input}, given.report)
+    check_level_files(out, given)
+    clock = StageClock()
+    with clock.stage("read"):
+        job = prepare_levels(bpy.context, open_objects(given.input), settings, scene_settings)
+    with clock.stage("levels"):
+        summary = run_to_end(run_job(job), line.show)
+    line.clear()
+    with clock.stage("write"):
+        write_output(job, out, given)
+    write_report(given, [{"name": name, **describe_chain(chain)} for name, chain in named_chains(job)], job.skipped, clock)
+    return summary
+
+
+def analyze(given: Namespace, line: command_line.ProgressLine) -> str:
+    """Find features, and write report and plot."""
+    settings = from_flags(ScaleSpaceSettings, given)
+    if given.plot is not None and given.plot.suffix.lower() != ".png":
+        raise FileError(f'--plot is "{given.plot}"; it must end in .png.')
+    check_outputs({"--plot": given.plot}, {"the input": given.input}, given.report)
+    clock = StageClock()
+    with clock.stage("read"):
+        job = prepare_analysis(bpy.context, open_objects(given.input), settings)
+    with clock.stage("analyze"):
+        summary = run_to_end(run_job(job), line.show)
+    line.clear()
+    if given.plot is not None:
+        write_plot(job, given.plot.absolute())
+    write_report(given, [describe_map(name, scale_map) for name, scale_map in job.results], job.skipped, clock)
+    return summary
+
+
+def read_settings(given: Namespace) -> tuple[AllSettings, Settings]:
+    """Return the settings of levels and of the scene.
+
+    Raises:
+        SettingsError: a value is invalid, or two flags imply different choices of levels.
+    """
+    implied = [choice for choice, name in BUDGETS.items() if getattr(given, name) is not None]
+    if given.choice is None and implied:
+        if len(implied) > 1:
+            names = " and ".join(f"--{BUDGETS[choice].replace('_', '-')}" for choice in implied)
+            raise SettingsError(f"{names} exclude each other; give one, or name the one that counts by --choice.")
+        given.choice = implied[0]
+    levels, *others = (from_flags(settings_type, given) for settings_type in CORE_SETTINGS)
+    if levels.choice == "ratio":
+        parse_ratios(levels.ratio)
+    return AllSettings(levels, *others), from_flags(SceneSettings, given)
+
+
+def check_level_files(out: Path, given: Namespace) -> None:
+    """Raise FileError if a file of a level would replace the input or the report."""
+    if out.suffix.lower() != ".glb" or given.one_file:
+        return
+    pattern = re.compile(re.escape(out.stem) + r"-L\d+" + re.escape(out.suffix), re.IGNORECASE)
+    for name, path in (("the input", given.input), ("--report", given.report)):
+        if path is not None and path.absolute().parent.resolve() == out.parent.resolve() and pattern.fullmatch(path.name):
+            raise FileError(f'A level of --out and {name} are the same file "{path}"; choose different files.')
+
+
+def open_objects(path: Path) -> list[bpy.types.Object]:
+    """Open the input and return its meshes that are visible in renders. Raises FarfieldError."""
+    scene_files.open_scene(path.absolute())
+    return scene_files.objects_in_renders([item for item in bpy.context.scene.objects if item.type == "MESH"], path)
+
+
+def write_output(job: LevelsJob, out: Path, given: Namespace) -> None:
+    """Write the scene, or the levels as .glb, depending on the extension of `out`."""
+    if out.suffix.lower() == ".blend":
+        scene_files.save_scene(out)
+        return
+    write_levels([read_level_set(bpy.data.collections[name]) for name in job.chains], out, given.quantized, given.one_file)
+
+
+def named_chains(job: LevelsJob) -> list[tuple[str, Any]]:
+    """Return the names of the objects and their levels."""
+    return [(source.name, chain) for source, chain in zip(job.sources, job.chains.values(), strict=True)]
+
+
+def describe_map(name: str, scale_map: ScaleMap) -> dict[str, Any]:
+    """Return the figures of one analyzed mesh."""
+    return {
+        "name": name,
+        "vertices": len(scale_map.last_scales),
+        "features": [int(count) for count in scale_map.counts],
+        "sigmas": [float(sigma) for sigma in scale_map.sigmas],
+        "ranges": [float(value) for value in scale_map.ranges],
+        "losses": scale_map.losses,
+    }
+
+
+def write_plot(job: AnalysisJob, path: Path) -> None:
+    """Draw the features and the ranges (Figure 10) of the mesh with the most vertices."""
+    name, scale_map = max(job.results, key=lambda result: len(result[1].last_scales))
+    counts = [(float(scale), float(count / scale_map.counts[0])) for scale, count in enumerate(scale_map.counts)]
+    ranges = [(float(scale), float(value)) for scale, value in enumerate(scale_map.ranges)]
+    chart = draw_line_chart(name, "scale", {"features / vertices": counts, "relative range": ranges})
+    with atomic_file(path) as temporary:
+        write_png(temporary, chart)
+
+
+def write_report(given: Namespace, objects: list[dict[str, Any]], skipped: list[str], clock: StageClock) -> None:
+    """Write the report of the run, if it is wanted."""
+    if given.report is None:
+        return
+    report = {
+        "objects": objects,
+        "skipped": skipped,
+        "seconds": {stage: round(duration, 4) for stage, duration in clock.seconds.items()},
+        "peak_memory_mb": round(command_line.peak_memory_mb(), 1),
+    }
+    command_line.write_report(given.report.absolute(), report)
+
+
+if __name__ == "__main__":
+    command_line.run(main)

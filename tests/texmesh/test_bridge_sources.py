@@ -1,0 +1,164 @@
+"""Which image colors a material, and its colors as arrays."""
+
+import bpy
+import numpy as np
+import pytest
+
+from farfield.addon.bridge.texmesh import color_images
+from farfield.addon.bridge.texmesh.color_images import find_color_image, read_color_image
+from farfield.addon.bridge.texmesh.glb_materials import find_base_color, read_coded_image
+from farfield.addon.bridge.texmesh.sources import read_textured_source
+from farfield.addon.core.errors import FileError
+from farfield.addon.core.imaging.coded_images import decode
+from textured_scenes import checker_image, textured_ball, textured_material
+
+pytestmark = pytest.mark.usefixtures("empty_scene")
+
+
+def fill(image: bpy.types.Image, color: tuple[float, float, float]) -> bpy.types.Image:
+    image.pixels.foreach_set(np.tile(np.float32([*color, 1.0]), image.size[0] * image.size[1]))
+    return image
+
+
+def read_ball(item: bpy.types.Object):
+    return read_textured_source(item, bpy.context.evaluated_depsgraph_get())
+
+
+def test_an_image_inside_nested_groups_with_a_mapped_uv_map():
+    image = checker_image()
+    inner, outer = (bpy.data.node_groups.new(name, "ShaderNodeTree") for name in ("Inner", "Outer"))
+    for tree in (inner, outer):
+        tree.interface.new_socket("Vector", in_out="INPUT", socket_type="NodeSocketVector")
+        tree.interface.new_socket("Color", in_out="OUTPUT", socket_type="NodeSocketColor")
+        tree.nodes.new("NodeGroupInput")
+        tree.nodes.new("NodeGroupOutput")
+    texture = inner.nodes.new("ShaderNodeTexImage")
+    texture.image = image
+    uv_map, mapping = inner.nodes.new("ShaderNodeUVMap"), inner.nodes.new("ShaderNodeMapping")
+    uv_map.uv_map = "Second"
+    inner.links.new(uv_map.outputs["UV"], mapping.inputs["Vector"])
+    inner.links.new(mapping.outputs["Vector"], texture.inputs["Vector"])
+    inner.links.new(texture.outputs["Color"], inner.nodes["Group Output"].inputs["Color"])
+    nested = outer.nodes.new("ShaderNodeGroup")
+    nested.node_tree = inner
+    outer.links.new(nested.outputs["Color"], outer.nodes["Group Output"].inputs["Color"])
+    material = textured_material(None)
+    node, reroute = material.node_tree.nodes.new("ShaderNodeGroup"), material.node_tree.nodes.new("NodeReroute")
+    node.node_tree = outer
+    material.node_tree.links.new(node.outputs["Color"], reroute.inputs[0])
+    material.node_tree.links.new(reroute.outputs[0], material.node_tree.nodes["Principled BSDF"].inputs["Base Color"])
+    assert find_color_image(material) == (image, "Second")
+    item = textured_ball()
+    item.data.materials[0] = material
+    item.data.uv_layers.new(name="Second")
+    source = read_ball(item)
+    assert source.uv_map == "Second" and source.textures[0].shape == (32, 32, 3)
+
+
+def test_an_image_that_enters_a_group():
+    tree = bpy.data.node_groups.new("Tinted", "ShaderNodeTree")
+    tree.interface.new_socket("Color", in_out="INPUT", socket_type="NodeSocketColor")
+    tree.interface.new_socket("Shader", in_out="OUTPUT", socket_type="NodeSocketShader")
+    start, end, shader = (tree.nodes.new(kind) for kind in ("NodeGroupInput", "NodeGroupOutput", "ShaderNodeBsdfDiffuse"))
+    tree.links.new(start.outputs["Color"], shader.inputs["Color"])
+    tree.links.new(shader.outputs[0], end.inputs["Shader"])
+    image = checker_image()
+    material = textured_material(image)
+    nodes = material.node_tree.nodes
+    group = nodes.new("ShaderNodeGroup")
+    group.node_tree = tree
+    material.node_tree.links.new(nodes["Image Texture"].outputs["Color"], group.inputs["Color"])
+    material.node_tree.links.new(group.outputs["Shader"], nodes["Material Output"].inputs["Surface"])
+    assert find_color_image(material) == (image, "")
+
+
+def test_colors_come_before_normals_and_roughness():
+    material = textured_material(color := checker_image("Color"))
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    for name in ("Roughness", "Alpha", "Metallic"):
+        other = nodes.new("ShaderNodeTexImage")
+        other.image = checker_image(name)
+        links.new(other.outputs["Color"], nodes["Principled BSDF"].inputs[name])
+    assert find_color_image(material)[0] == color
+
+
+def test_materials_without_an_image():
+    assert find_color_image(None) == (None, "")
+    material = textured_material(None)
+    material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.1, 0.2, 0.3, 1.0)
+    assert find_color_image(material) == (None, "")
+    assert find_base_color(material) == pytest.approx((0.1, 0.2, 0.3, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("properties", "space", "linear"),
+    [
+        ({}, "sRGB", [0.21404, 0.03310, 0.60383]),  # encoded values in a byte image
+        ({"float_buffer": True}, "Linear Rec.709", [0.5, 0.2, 0.8]),
+        ({"is_data": True}, "Non-Color", [0.5, 0.2, 0.8]),
+    ],
+)
+def test_color_spaces(properties, space, linear):
+    image = bpy.data.images.new("Flat", 8, 8, **properties)
+    image.colorspace_settings.name = space
+    fill(image, (0.5, 0.2, 0.8))
+    colors, is_scaled = read_color_image(image)
+    assert colors.shape == (8, 8, 3) and colors.dtype == np.float32 and not is_scaled
+    np.testing.assert_allclose(colors, np.broadcast_to(linear, (8, 8, 3)), atol=4e-3)
+    coded = decode(read_coded_image(image))  # glTF wants sRGB values
+    np.testing.assert_allclose(coded[0, 0], [128, 51, 204] if space == "sRGB" else [188, 124, 231], atol=1)
+
+
+def test_larger_images_are_scaled_down_and_said(monkeypatch):
+    monkeypatch.setattr(color_images, "MAX_SIDE", 16)
+    item = textured_ball()
+    image = item.data.materials[0].node_tree.nodes["Image Texture"].image
+    count = len(bpy.data.images)
+    source = read_ball(item)
+    assert source.textures[0].shape == (16, 16, 3) and tuple(image.size) == (32, 32) and len(bpy.data.images) == count
+    assert f'The image "{image.name}" is analyzed at 16 by 16 pixels.' in source.remarks
+    np.testing.assert_allclose(source.textures[0].mean(), read_color_image_unscaled(image).mean(), rtol=0.1)
+
+
+def read_color_image_unscaled(image: bpy.types.Image) -> np.ndarray:
+    pixels = np.empty(image.size[0] * image.size[1] * 4, np.float32)
+    image.pixels.foreach_get(pixels)
+    encoded = pixels.reshape(-1, 4)[:, :3]
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+
+
+def test_of_udim_tiles_the_first_counts(tmp_path):
+    for tile in (1001, 1002):
+        saved = fill(bpy.data.images.new("Tile", 8, 8), (0.5, 0.2, 0.8) if tile == 1001 else (0.0, 0.0, 0.0))
+        saved.filepath_raw, saved.file_format = str(tmp_path / f"wood.{tile}.png"), "PNG"
+        saved.save()
+    image = bpy.data.images.load(str(tmp_path / "wood.1001.png"))
+    image.source, image.filepath = "TILED", str(tmp_path / "wood.<UDIM>.png")
+    image.tiles.new(1002)
+    item = textured_ball()
+    item.data.materials[0].node_tree.nodes["Image Texture"].image = image
+    source = read_ball(item)
+    assert f'Of the UDIM image "{image.name}" only the first tile counts.' in source.remarks
+    np.testing.assert_allclose(source.textures[0][0, 0], [0.21404, 0.03310, 0.60383], atol=4e-3)
+
+
+def test_files_are_embedded_as_they_are(tmp_path):
+    path = tmp_path / "flat.jpg"
+    image = fill(bpy.data.images.new("Flat", 8, 8), (0.5, 0.2, 0.8))
+    image.filepath_raw, image.file_format = str(path), "JPEG"
+    image.save()
+    loaded = bpy.data.images.load(str(path))
+    assert read_coded_image(loaded) == path.read_bytes()
+    loaded.pack()
+    content = path.read_bytes()
+    path.unlink()
+    assert read_coded_image(loaded) == content
+
+
+def test_a_missing_image_is_named():
+    item = textured_ball()
+    image = bpy.data.images.new("Lost", 8, 8)
+    image.source, image.filepath = "FILE", "//lost.png"
+    item.data.materials[0].node_tree.nodes["Image Texture"].image = image
+    with pytest.raises(FileError, match=r'"Lost.*" is missing or empty'):
+        read_ball(item)

@@ -1,0 +1,277 @@
+"""`scripts/texmesh.py`: outputs, reports, unusual meshes, and the exit codes."""
+
+import json
+import subprocess
+import sys
+
+import bpy
+import numpy as np
+import pytest
+
+import texmesh
+from farfield.addon.bridge.texmesh.level_sets import level_sets_in
+from farfield.addon.core.errors import FileError, GeometryError, SettingsError
+from farfield.addon.core.files.glb_reader import read_glb
+from lib import command_line, environment
+from textured_scenes import checker_image, count_triangles, textured_ball, textured_material
+
+pytestmark = pytest.mark.usefixtures("empty_scene")
+SCRIPT = environment.ROOT / "scripts" / "texmesh.py"
+FAST = ("--views", "2", "--max-image", "64", "--product", "subset")
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder whose path has spaces and non-ASCII letters."""
+    path = tmp_path / "été à la mer"
+    path.mkdir()
+    return path
+
+
+@pytest.fixture
+def ball(folder):
+    """A textured sphere of 528 triangles in a file."""
+    textured_ball()
+    return save(folder)
+
+
+def save(folder):
+    path = folder / "bällchen.blend"
+    texmesh.scene_files.save_scene(path)
+    return path
+
+
+def run(*arguments):
+    return texmesh.main([str(argument) for argument in arguments], command_line.ProgressLine())
+
+
+def make(path, *flags, out="out.blend"):
+    """Make levels with `flags` and return the summary and the figures of the objects."""
+    report = path.with_name("report.json")
+    summary = run("levels", path, "--out", path.with_name(out), "--report", report, *FAST, *flags)
+    return summary, json.loads(report.read_text(encoding="utf-8"))
+
+
+def test_a_scene_with_levels(ball):
+    summary, report = make(ball, "--levels", "3")
+    (figures,) = report["objects"]
+    assert '"Bällchen" has 3 levels' in summary and figures["name"] == "Bällchen"
+    assert report["seconds"]["levels"] > 0.0 and report["peak_memory_mb"] > 1.0 and report["skipped"] == []
+    texmesh.scene_files.open_scene(ball.with_name("out.blend"))
+    (levels,) = level_sets_in(bpy.context.scene)
+    assert [count_triangles(item.data) for item in levels.levels] == [level["triangles"] for level in figures["levels"]]
+    assert levels.errors == [level["pixel_size"] for level in figures["levels"]]
+
+
+def test_ratios_are_reached(ball):
+    _, report = make(ball, "--ratio", "25%, 0.5")
+    assert [level["triangles"] for level in report["objects"][0]["levels"]] == [528, 264, 132]
+
+
+@pytest.mark.parametrize("quantized", [True, False])
+def test_a_file_per_level(ball, quantized):
+    _, report = make(ball, "--ratio", "0.5,0.1", *(() if quantized else ("--no-quantized",)), out="out.glb")
+    assert not ball.with_name("out.glb").exists()
+    counts = [level["triangles"] for level in report["objects"][0]["levels"]]
+    for number, count in enumerate(counts):
+        path = ball.with_name(f"out-L{number}.glb")
+        assert (b"KHR_mesh_quantization" in path.read_bytes()) == quantized
+        texmesh.scene_files.open_scene(path)
+        (item,) = [item for item in bpy.context.scene.objects if item.type == "MESH"]
+        assert count_triangles(item.data) == count
+        assert [image.size[0] for image in bpy.data.images if image.size[0]] == [32]
+        points = np.array([vertex.co for vertex in item.data.vertices])
+        np.testing.assert_allclose(np.linalg.norm(points, axis=1) * item.matrix_world.to_scale().x, 1.0, atol=1e-4)
+        assert min(polygon.normal @ polygon.center for polygon in item.data.polygons) > 0.0, "faces point outwards"
+
+
+def test_one_file_with_all_levels(ball):
+    make(ball, "--ratio", "0.5,0.1", "--one-file", out="out.glb")
+    document = parse_glb(ball.with_name("out.glb"))
+    (root,) = (document["nodes"][index] for index in document["scenes"][0]["nodes"])
+    assert root["extensions"]["MSFT_lod"]["ids"] == [1, 2]
+    coverages = root["extras"]["MSFT_screencoverage"]
+    assert len(coverages) == 3 and coverages == sorted(coverages, reverse=True) and coverages[-1] == 0.0
+    assert len(document["images"]) == len(document["materials"]) == 1
+
+
+def parse_glb(path):
+    data = path.read_bytes()
+    return json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+
+
+def test_several_materials_become_primitives(folder):
+    item = textured_ball()
+    plain = textured_material(None, "Plain")
+    plain.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.1, 0.4, 0.6, 1.0)
+    for material in (textured_material(checker_image("Second", 16), "Second"), plain):
+        item.data.materials.append(material)
+    for polygon in item.data.polygons:
+        polygon.material_index = polygon.index % 3 if polygon.center.z > 0.0 else 0
+    path = save(folder)
+    make(path, "--ratio", "0.6", out="out.glb")
+    document = parse_glb(path.with_name("out-L1.glb"))
+    assert len(document["meshes"][0]["primitives"]) == 3 and len(document["images"]) == 2
+    assert all({"NORMAL", "TEXCOORD_0"} <= set(primitive["attributes"]) for primitive in document["meshes"][0]["primitives"])
+    factors = [material["pbrMetallicRoughness"]["baseColorFactor"] for material in document["materials"]]
+    np.testing.assert_allclose(factors, [[1.0] * 4, [1.0] * 4, [0.1, 0.4, 0.6, 1.0]], atol=1e-6)
+
+
+def test_analysis_and_plot(ball):
+    report, plot = ball.with_name("r.json"), ball.with_name("p.png")
+    assert "features at scales 1, 5, 10 and 20" in run("analyze", ball, "--report", report, "--plot", plot)
+    (figures,) = json.loads(report.read_text(encoding="utf-8"))["objects"]
+    assert figures["vertices"] == figures["features"][0] == 266 and len(figures["ranges"]) == len(figures["sigmas"]) == 21
+    assert plot.read_bytes().startswith(b"\x89PNG")
+
+
+def remove_uvs(item):
+    item.data.uv_layers.remove(item.data.uv_layers[0])
+
+
+def remove_materials(item):
+    item.data.materials.clear()
+
+
+def move_uvs(item):
+    for entry in item.data.uv_layers[0].uv:
+        entry.vector *= 3.0
+
+
+def flatten_uvs(item):
+    values = item.data.uv_layers[0].uv
+    for polygon in item.data.polygons:
+        for loop in polygon.loop_indices:
+            if polygon.index % 7 == 0:
+                values[loop].vector = (0.5, 0.5)
+            elif polygon.index % 2:
+                values[loop].vector.x *= -1.0
+
+
+def add_fin(item):
+    """Add a face at an edge that has two already."""
+    mesh = item.data
+    a, b = mesh.edges[len(mesh.edges) // 2].vertices
+    points = [vertex.co.copy() for vertex in mesh.vertices]
+    faces = [list(polygon.vertices) for polygon in mesh.polygons]
+    uvs = [tuple(entry.vector) for entry in mesh.uv_layers[0].uv]
+    mesh.clear_geometry()
+    mesh.from_pydata([*points, 2.0 * points[a]], [], [*faces, [a, b, len(points)]])
+    for entry, uv in zip(mesh.uv_layers.new(name="UVMap").uv, [*uvs, (0, 0), (1, 0), (0, 1)], strict=True):
+        entry.vector = uv
+
+
+def add_shape_key(item):
+    item.shape_key_add(name="Basis")
+    key = item.shape_key_add(name="Wide")
+    key.data[0].co *= 1.2
+    key.value = 1.0
+
+
+def add_armature(item):
+    bpy.ops.object.armature_add()
+    item.modifiers.new("Armature", "ARMATURE").object = bpy.context.object
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (remove_uvs, '"Bällchen" has no UV map; only its geometry counts.'),
+        (remove_materials, '"Bällchen" has no image texture; only its geometry counts.'),
+        (move_uvs, 'The UV map of "Bällchen" leaves the image; the image is repeated there.'),
+        (flatten_uvs, 'triangles of "Bällchen" have no area in the UV map.'),
+        (add_fin, '"Bällchen" has 2 levels'),
+        (add_shape_key, 'The levels of "Bällchen" have its current shape; they do not follow its shape keys.'),
+        (add_armature, 'The levels of "Bällchen" have its current shape; they do not follow its armature.'),
+    ],
+    ids=lambda value: getattr(value, "__name__", ""),
+)
+def test_unusual_meshes_have_levels_and_a_sentence(folder, change, sentence):
+    change(textured_ball())
+    path = save(folder)
+    summary, report = make(path, "--ratio", "0.5", out="out.glb")
+    assert sentence in summary
+    fine, coarse = report["objects"][0]["levels"]
+    assert coarse["constraint"] or coarse["triangles"] == pytest.approx(0.5 * fine["triangles"], rel=0.02)
+    assert read_glb(path.with_name("out-L1.glb"))
+
+
+def test_what_a_range_image_loses_is_said(folder):
+    bpy.ops.mesh.primitive_torus_add(major_segments=24, minor_segments=12)
+    summary = run("analyze", save(folder), "--mode", "paper")
+    assert "%" in summary and "axis" in summary
+
+
+def test_linked_meshes_have_levels(ball):
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    with bpy.data.libraries.load(str(ball), link=True) as (source, target):
+        target.objects = source.objects
+    bpy.context.scene.collection.objects.link(target.objects[0])
+    path = ball.with_name("linked.blend")
+    texmesh.scene_files.save_scene(path)
+    summary, _ = make(path, "--ratio", "0.5")
+    assert '"Bällchen" has 2 levels' in summary
+    texmesh.scene_files.open_scene(path.with_name("out.blend"))
+    assert all(item.library is None for item in level_sets_in(bpy.context.scene)[0].levels)
+
+
+def test_a_missing_image_is_named(folder):
+    item = textured_ball()
+    image = item.data.materials[0].node_tree.nodes["Image Texture"].image = bpy.data.images.new("Lost", 8, 8)
+    image.source, image.filepath = "FILE", str(folder / "lost.png")
+    with pytest.raises(FileError, match=r'The image "Lost.*" is missing or empty .*lost.png'):
+        make(save(folder))
+    assert sorted(path.name for path in folder.iterdir()) == ["bällchen.blend"]
+
+
+@pytest.mark.parametrize(
+    ("flags", "error_type", "text"),
+    [
+        (("--out", "x.fbx"), FileError, "--out"),
+        (("--out", "bällchen-L7.glb", "--report", "bällchen.blend"), FileError, "same file"),
+        (("--out", "x.glb", "--report", "x-L1.glb"), FileError, "same file"),
+        (("--out", "none.blend/x.glb"), FileError, "none.blend"),
+        (("--out", "x.glb", "--ratio", "0.5,2"), SettingsError, "fractions between 0 and 1"),
+        (("--out", "x.glb", "--ratio", "0.5,50%"), SettingsError, "twice"),
+        (("--out", "x.glb", "--ratio", "half"), SettingsError, '"half"'),
+        (("--out", "x.glb", "--ratio", "0.0001"), SettingsError, "no level for every ratio"),
+        (("--out", "x.glb", "--ratio", "0.5", "--levels", "3"), SettingsError, "exclude each other"),
+        (("--out", "x.blend", "--levels", "1"), SettingsError, "--levels"),
+        (("--out", "x.blend", "--max-triangles", "4"), SettingsError, "budget"),
+    ],
+)
+def test_invalid_input_is_one_sentence_and_leaves_nothing(ball, flags, error_type, text):
+    ball.with_name("none.blend").write_bytes(b"")
+    before = {path: path.stat().st_size for path in ball.parent.rglob("*")}
+    flags = [ball.parent / flag if "." in flag and not flag[0].isdigit() else flag for flag in flags]
+    with pytest.raises(error_type) as caught:
+        run("levels", ball, *FAST, *flags)
+    assert text in str(caught.value) and "\n" not in str(caught.value)
+    assert {path: path.stat().st_size for path in ball.parent.rglob("*")} == before
+
+
+def test_nothing_to_simplify(folder):
+    bpy.ops.mesh.primitive_plane_add()
+    with pytest.raises(GeometryError, match='"Plane" has only 2 triangles'):
+        make(save(folder))
+
+
+def test_the_exit_code_of_invalid_input(tmp_path):
+    command = [sys.executable, str(SCRIPT), "levels", str(tmp_path / "none.obj"), "--out", str(tmp_path / "o.glb")]
+    result = subprocess.run(command, capture_output=True)
+    assert result.returncode == 2 and b"none.obj" in result.stderr and len(result.stderr.splitlines()) == 1
+
+
+def test_levels_are_exported_by_the_operator(ball):
+    texmesh.scene_files.open_scene(ball)
+    bpy.context.view_layer.objects.active = item = bpy.data.objects["Bällchen"]
+    item.select_set(True)
+    assert not bpy.ops.farfield.texmesh_export.poll()
+    bpy.ops.farfield.texmesh_levels(choice="ratio", ratio="0.5", views=2, max_image=64, product="subset")
+    path = ball.with_name("tree.glb")
+    assert bpy.ops.farfield.texmesh_export(filepath=str(path), one_file=True) == {"FINISHED"}
+    assert len(parse_glb(path)["nodes"]) == 2
+    assert bpy.ops.farfield.texmesh_export(filepath=str(path)) == {"FINISHED"}
+    assert {entry.name for entry in ball.parent.glob("tree-*")} == {"tree-L0.glb", "tree-L1.glb"}
+    with pytest.raises(RuntimeError, match=r"must end in \.glb"):
+        bpy.ops.farfield.texmesh_export(filepath=str(path.with_suffix(".obj")))
