@@ -17,8 +17,11 @@ from .operators.photos import overlays as photos_overlays
 from .operators.photos import refinement as photos_refinement
 from .operators.photos import registration as photos_registration
 from .operators.restore import operators as restore_operators
+from .operators.texmesh import calibration as texmesh_calibration
 from .operators.texmesh import exports as texmesh_exports
 from .operators.texmesh import operators as texmesh_operators
+from .operators.texmesh import overlays as texmesh_overlays
+from .operators.texmesh import preview as texmesh_preview
 from .operators.unwrap import operators as unwrap_operators
 from .panels import bdam as bdam_panels
 from .panels import billboards as billboards_panels
@@ -46,6 +49,9 @@ MODULES = (
     restore_operators,
     texmesh_operators,
     texmesh_exports,
+    texmesh_overlays,
+    texmesh_preview,
+    texmesh_calibration,
     clipbox_operators,
     clipbox_convert,
     bdam_operators,

@@ -21,6 +21,7 @@ import numpy as np
 
 from farfield.addon.bridge.billboards.scene_clouds import clouds_in
 from farfield.addon.bridge.btf.clouds import link_suns
+from farfield.addon.bridge.line_chart import draw_line_chart
 from farfield.addon.core.btf.settings import BtfSettings, ExportSettings
 from farfield.addon.core.errors import FileError, GeometryError, SettingsError
 from farfield.addon.core.files.file_access import is_same_file
@@ -34,7 +35,6 @@ from farfield.addon.operators.job_run import run_job
 from lib import command_line, scene_files
 from lib.atomic_output import atomic_file, check_outputs
 from lib.contact_sheet import write_png
-from lib.line_chart import draw_line_chart
 
 
 def build_parser() -> command_line.Parser:

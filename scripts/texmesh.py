@@ -21,6 +21,7 @@ environment.ensure()
 environment.import_farfield()
 
 import bpy
+from lib.line_chart import draw_line_chart
 
 from farfield.addon.bridge.texmesh.glb_levels import write_levels
 from farfield.addon.bridge.texmesh.level_sets import read_level_set
@@ -39,7 +40,6 @@ from farfield.addon.operators.texmesh.job import AnalysisJob, LevelsJob, describ
 from lib import command_line, scene_files
 from lib.atomic_output import atomic_file, check_outputs
 from lib.contact_sheet import write_png
-from lib.line_chart import draw_line_chart
 
 EXTENSIONS = (".blend", ".glb")
 CORE_SETTINGS = (LevelSettings, ScaleSpaceSettings, SimplificationSettings, PerceptionSettings)  # in the order of `AllSettings`

@@ -3,6 +3,8 @@
 import bpy
 import numpy as np
 
+from farfield.addon.compat import enable_nodes
+
 
 def checker_image(name: str = "Checker", size: int = 32, **properties) -> bpy.types.Image:
     """A packed image of gray and orange squares."""
@@ -19,7 +21,7 @@ def checker_image(name: str = "Checker", size: int = 32, **properties) -> bpy.ty
 def textured_material(image: bpy.types.Image | None, name: str = "Paint") -> bpy.types.Material:
     """A material whose base color is an image."""
     material = bpy.data.materials.new(name)
-    material.use_nodes = True
+    enable_nodes(material)
     if image is not None:
         node = material.node_tree.nodes.new("ShaderNodeTexImage")
         node.image = image
@@ -27,11 +29,11 @@ def textured_material(image: bpy.types.Image | None, name: str = "Paint") -> bpy
     return material
 
 
-def textured_ball(rings: int = 12) -> bpy.types.Object:
+def textured_ball(rings: int = 12, name: str = "Bällchen") -> bpy.types.Object:
     """A smooth sphere with UVs and an image; the active object."""
     bpy.ops.mesh.primitive_uv_sphere_add(segments=2 * rings, ring_count=rings)
     item = bpy.context.object
-    item.name = "Bällchen"
+    item.name = name
     item.data.shade_smooth()
     item.data.materials.append(textured_material(checker_image()))
     return item

@@ -1,4 +1,4 @@
-"""Overlays that color the faces of meshes in 3D Viewports and UV Editors. One of them is shown at a time."""
+"""Overlays that color the faces or vertices of meshes in 3D Viewports and UV Editors. One of them is shown at a time."""
 
 from collections.abc import Hashable
 from dataclasses import dataclass
@@ -19,7 +19,8 @@ class FaceColors:
     """Triangles to draw over the faces of an object.
 
     corners: (T, 3, 3), a little above the faces, see `offset_from_faces`; in the object's space or, if `is_world`, in world space. colors:
-    (T, 3), sRGB. uvs: (T, 3, 2) to draw them in UV Editors, too, or None.
+    (T, 3) of faces, or (T, 3, 4) of corners with their opacity, between which they are interpolated; sRGB. uvs: (T, 3, 2) to draw them in
+    UV Editors, too, or None.
     """
 
     corners: np.ndarray
@@ -97,7 +98,7 @@ class FaceOverlay:
                 with gpu.matrix.push_pop():
                     if not batches["is_world"]:
                         gpu.matrix.multiply_matrix(item.matrix_world)
-                    batches["surface"].draw(gpu.shader.from_builtin("FLAT_COLOR"))
+                    batches["surface"].draw(gpu.shader.from_builtin(batches["shader"]))
         gpu.state.depth_test_set("NONE")
         gpu.state.blend_set("NONE")
 
@@ -106,11 +107,11 @@ class FaceOverlay:
         batches = {} if item is None else self._find_batches(item)
         if "uv_map" in batches:
             gpu.state.blend_set("ALPHA")
-            batches["uv_map"].draw(gpu.shader.from_builtin("FLAT_COLOR"))
+            batches["uv_map"].draw(gpu.shader.from_builtin(batches["shader"]))
             gpu.state.blend_set("NONE")
 
     def _find_batches(self, item: bpy.types.Object) -> dict[str, Any]:
-        """Return the batches "surface" and "uv_map" of an object, and "is_world"; those that it has."""
+        """Return the batches "surface" and "uv_map" of an object, their "shader", and "is_world"; those that it has."""
         key = self.find_key(item)
         if key is None:
             return {}
@@ -147,16 +148,23 @@ def _redraw() -> None:
 
 
 def _build_batches(found: FaceColors) -> dict[str, Any]:
-    colors = np.column_stack([found.colors, np.full(len(found.colors), OPACITY, np.float32)])
-    colors = np.repeat(colors, 3, axis=0).astype(np.float32)
-    batches = {"is_world": found.is_world, "surface": _build_batch(found.corners.reshape(-1, 3), colors)}
+    shader = "FLAT_COLOR" if found.colors.ndim == 2 else "SMOOTH_COLOR"
+    colors = spread_colors(found.colors)
+    batches = {"is_world": found.is_world, "shader": shader, "surface": _build_batch(shader, found.corners.reshape(-1, 3), colors)}
     if found.uvs is not None:
-        batches["uv_map"] = _build_batch(found.uvs.reshape(-1, 2), colors)
+        batches["uv_map"] = _build_batch(shader, found.uvs.reshape(-1, 2), colors)
     return batches
 
 
-def _build_batch(positions: np.ndarray, colors: np.ndarray) -> Any:
+def spread_colors(colors: np.ndarray) -> np.ndarray:
+    """Return the color with opacity (3 T, 4) float32 of each corner, from those of faces (T, 3) or corners (T, 3, 4)."""
+    if colors.ndim == 2:
+        colors = np.repeat(np.column_stack([colors, np.full(len(colors), OPACITY, np.float32)]), 3, axis=0)
+    return np.ascontiguousarray(colors.reshape(-1, 4), np.float32)
+
+
+def _build_batch(shader: str, positions: np.ndarray, colors: np.ndarray) -> Any:
     """Return a batch of triangles with corners `positions` (N, 2 or 3) and `colors` (N, 4)."""
     positions = np.column_stack([positions, np.zeros((len(positions), 3 - positions.shape[1]), np.float32)])
     content = {"pos": np.ascontiguousarray(positions, np.float32), "color": colors}
-    return batch_for_shader(gpu.shader.from_builtin("FLAT_COLOR"), "TRIS", content)
+    return batch_for_shader(gpu.shader.from_builtin(shader), "TRIS", content)

@@ -1,9 +1,12 @@
 """Viewers of terrains: the 3D Viewport that the user looks at, or a camera with the scene's render settings."""
 
+import math
+
 import bpy
 import mathutils
 import numpy as np
 
+from ..core.geometry.cameras import Camera
 from ..core.geometry.viewers import FULL_SPHERE, Projection, Viewer, camera_window, projection_from_matrix
 from .cameras import render_size, sensor_spans_width
 
@@ -70,3 +73,11 @@ def build_viewer(matrix: mathutils.Matrix, projection: Projection) -> Viewer:
 def camera_viewer(scene: bpy.types.Scene, camera: bpy.types.Object) -> Viewer:
     """Return a camera, as an original or an evaluated object, at the render resolution of `scene` as a viewer in world space."""
     return build_viewer(camera.matrix_world, camera_projection(scene, camera))
+
+
+def viewport_camera(region: bpy.types.RegionView3D, width: int) -> Camera:
+    """Return the view of a 3D Viewport that is `width` pixels wide, also through a camera."""
+    position, projection = np.array(region.view_matrix.inverted().translation, np.float64), region.window_matrix
+    if projection[3][3] != 0.0:  # orthographic
+        return Camera(position, max(width, 1), 0.0, 2.0 / projection[0][0])
+    return Camera(position, max(width, 1), 2.0 * math.atan(1.0 / projection[0][0]))

@@ -4,8 +4,18 @@ import bpy
 
 from ..bridge import cameras
 from ..bridge.texmesh.level_sets import ERROR, SWITCH_DISTANCE, TRIANGLES, LevelSet, find_level_set
+from ..core.errors import SettingsError
 from ..core.settings import describe
+from ..core.texmesh.inspection_settings import InspectionSettings
+from ..core.texmesh.perception.recorded_answers import estimate_recorded
 from ..core.texmesh.settings import BUDGETS
+from ..operators.texmesh import preview
+from ..operators.texmesh.calibration import (
+    FARFIELD_OT_texmesh_calibrate,
+    FARFIELD_OT_texmesh_clear_answers,
+    FARFIELD_OT_texmesh_use_threshold,
+)
+from ..operators.texmesh.calibration_run import ANSWERS, stored_answers
 from ..operators.texmesh.exports import FARFIELD_OT_texmesh_export
 from ..operators.texmesh.operators import (
     ALL_SETTINGS,
@@ -17,6 +27,7 @@ from ..operators.texmesh.operators import (
     FARFIELD_OT_texmesh_show_for_camera,
     disabled_reason,
 )
+from ..operators.texmesh.overlays import FARFIELD_OT_texmesh_overlay, FARFIELD_OT_texmesh_plot, overlay
 from .sidebar import SettingsSubPanel, SidebarPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, draw_table
 
 LEVEL_TITLES = ("Level", "Triangles", "Distance", "Pixels")
@@ -137,11 +148,60 @@ def draw_levels(layout: bpy.types.UILayout, levels: LevelSet) -> None:
     draw_table(layout, LEVEL_TITLES, rows)
 
 
+class FARFIELD_PT_texmesh_inspect(SettingsSubPanel, bpy.types.Panel):
+    """What helps to judge features and levels."""
+
+    bl_idname = "FARFIELD_PT_texmesh_inspect"
+    bl_parent_id = "FARFIELD_PT_texmesh"
+    bl_label = "Inspect"
+    bl_options = {"DEFAULT_CLOSED"}
+    settings, property_name = describe(InspectionSettings), "farfield_texmesh_inspection"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the settings and the buttons."""
+        self.draw_settings(context)
+        number = preview.selected_number(context)
+        if number is not None:
+            self.layout.label(text=f"Level {number} is shown", icon="HIDE_OFF")
+        buttons = self.layout.column(align=True)
+        buttons.operator(FARFIELD_OT_texmesh_overlay.bl_idname, text="Features by Scale", icon="OVERLAY", depress=overlay.is_shown)
+        buttons.operator(FARFIELD_OT_texmesh_plot.bl_idname, text="Plot", icon="IMAGE_DATA")
+        follows_view, flickers = preview.current.follows_view, preview.current.flickers
+        buttons.operator(preview.FARFIELD_OT_texmesh_preview.bl_idname, text="Preview", icon="VIEW_PERSPECTIVE", depress=follows_view)
+        buttons.operator(preview.FARFIELD_OT_texmesh_flicker.bl_idname, text="Flicker", icon="UV_SYNC_SELECT", depress=flickers)
+
+
+class FARFIELD_PT_texmesh_calibration(SidebarPanel, bpy.types.Panel):
+    """The experiment that measures which differences a user notices."""
+
+    bl_idname = "FARFIELD_PT_texmesh_calibration"
+    bl_parent_id = "FARFIELD_PT_texmesh"
+    bl_label = "Calibration"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the buttons, and the threshold that the answers give."""
+        draw_button(self.layout, FARFIELD_OT_texmesh_calibrate, "Calibrate", "RESTRICT_VIEW_OFF")
+        if context.scene.get(ANSWERS) is None:
+            return
+        try:
+            threshold = estimate_recorded(stored_answers(context.scene))
+        except SettingsError as error:
+            draw_message(self.layout, str(error), "INFO")
+        else:
+            interval = f"{threshold.low:.3g} to {threshold.high:.3g}"
+            draw_message(self.layout, f"Threshold {threshold.value:.3g} ({interval}) from {threshold.answers} answers", "CHECKMARK")
+            self.layout.operator(FARFIELD_OT_texmesh_use_threshold.bl_idname, text="Use Threshold")
+        self.layout.operator(FARFIELD_OT_texmesh_clear_answers.bl_idname, text="Clear Answers")
+
+
 CLASSES = (
     FARFIELD_PT_texmesh,
     FARFIELD_PT_texmesh_levels,
     FARFIELD_PT_texmesh_analysis,
     FARFIELD_PT_texmesh_simplification,
     FARFIELD_PT_texmesh_perception,
+    FARFIELD_PT_texmesh_inspect,
+    FARFIELD_PT_texmesh_calibration,
 )
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -10,12 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from lib.text_raster import rasterize_text
+from lib import environment
 
-PAPER_GRAY = 0.93
-INK_GRAY = 0.12
+environment.import_farfield()
+
+from farfield.addon.bridge.text_raster import LINE_HEIGHT, PAPER_GRAY, draw_text, rasterize_text
+
 GAP = 10
-LINE_HEIGHT = 20
 SAMPLE_BYTES = 1 << 20  # by which the filter of a PNG is chosen
 LARGE_BYTES = 1 << 24  # of images from which speed counts more than size
 
@@ -74,10 +75,3 @@ def _compress_rows(values: np.ndarray, filter_type: int, level: int) -> bytes:
         previous[1:] = values[:-1]
     rows = (values - previous).reshape(len(values), -1)
     return zlib.compress(np.insert(rows, 0, filter_type, axis=1).tobytes(), level)
-
-
-def draw_text(sheet: np.ndarray, text: str, y: int, x: int, color: float | tuple[float, float, float] = INK_GRAY) -> None:
-    """Draw `text` into `sheet`, row 0 at the top, with its upper left corner at (x, y). Text beyond the sheet is clipped."""
-    mask = rasterize_text(text, LINE_HEIGHT)[: sheet.shape[0] - y, : sheet.shape[1] - x]
-    area = sheet[y : y + mask.shape[0], x : x + mask.shape[1]]
-    area += mask[..., None] * (np.asarray(color) - area)

@@ -113,7 +113,9 @@ def test_source_is_hidden_unless_kept(cube, keep):
 
 
 def test_invalid_input_and_unknown_flags_are_one_line_and_code_2(cube):
-    missing, unknown = run_script(SCRIPT, [cube.with_name("nowhere.obj"), "--out", cube.with_name("out.blend")], [cube, "--out", "x", "--magic"])
+    missing, unknown = run_script(
+        SCRIPT, [cube.with_name("nowhere.obj"), "--out", cube.with_name("out.blend")], [cube, "--out", "x", "--magic"]
+    )
     for outcome, name in ((missing, "nowhere.obj"), (unknown, "--magic")):
         assert outcome.returncode == 2
         assert outcome.stderr.strip().count("\n") == 0 and name in outcome.stderr and "Traceback" not in outcome.stderr

@@ -5,12 +5,12 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from farfield.addon.bridge.text_raster import rasterize_text  # noqa: E402
 from farfield.addon.core.geometry.directions import held_out_views  # noqa: E402
 from farfield.addon.core.jobs.progress import run_to_end  # noqa: E402
 from lib.comparison import compare_cloud, draw_comparison_sheet  # noqa: E402 - only if bpy is available
 from lib.contact_sheet import enlarge, write_png  # noqa: E402
 from lib.studio import look_at_matrix, open_studio  # noqa: E402
-from lib.text_raster import rasterize_text  # noqa: E402
 
 
 @pytest.fixture

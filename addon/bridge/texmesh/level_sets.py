@@ -14,6 +14,7 @@ from ...core.geometry.cameras import Camera, distance_to_box
 from .. import lod_crossfade, transparent_bounces
 from ..mesh_pool import is_local
 from ..source_links import SourceIndex, find_sources, store_sources
+from .temporary_visibility import restore
 
 KIND, LEVEL = "farfield_kind", "texmesh_level"
 NUMBER, ERROR, TRIANGLES = "farfield_level", "farfield_error", "farfield_triangles"
@@ -73,13 +74,14 @@ class LevelSet:
         transparent_bounces.ensure_transparent_bounces(scene, 8 * len(self.levels))
 
     def remove_crossfade(self) -> None:
-        """Let every level show at any distance."""
+        """Let every level show at any distance, and end a temporary visibility."""
+        restore([*self.levels, self.source])
         for level in self.levels:
             lod_crossfade.remove_crossfade(level, [material for material in level.data.materials if material is not None])
 
     def choose_level(self, camera: Camera) -> int:
         """Return the index of the coarsest level whose error is at most a pixel of `camera` at the nearest point of the object."""
-        low, high, scale = self._bounds()
+        low, high, scale = self.bounds()
         pixel = camera.pixel_size(distance_to_box(camera.position, low, high)) / scale
         return max(number for number, error in enumerate(self.errors) if number == 0 or error <= pixel)
 
@@ -89,7 +91,7 @@ class LevelSet:
         for index, level in enumerate(self.levels):
             set_hidden(level, index != number)
 
-    def _bounds(self) -> tuple[np.ndarray, np.ndarray, float]:
+    def bounds(self) -> tuple[np.ndarray, np.ndarray, float]:
         """Return the lowest and highest corner of the bounding box in world space, and the scale of the objects."""
         level = self.levels[0]
         matrix = np.array(level.matrix_world if level.parent is not None else level.matrix_basis, np.float64)
@@ -150,6 +152,7 @@ def read_level_set(collection: bpy.types.Collection, index: SourceIndex | None =
 
 def remove_level_set(levels: LevelSet) -> None:
     """Remove the objects, meshes and materials of levels that nothing else uses, and their collection if it is empty then."""
+    restore([levels.source])
     data = list(dict.fromkeys(level.data for level in levels.levels))
     materials = list(dict.fromkeys(material for mesh in data for material in mesh.materials if material is not None))
     bpy.data.batch_remove(levels.levels)

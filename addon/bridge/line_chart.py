@@ -1,4 +1,4 @@
-"""Line charts as images: (H, W, 3) float sRGB values in 0..1 with row 0 at the bottom, as in `contact_sheet`."""
+"""Line charts as images: (H, W, 3) float sRGB values in 0..1 with row 0 at the bottom."""
 
 import itertools
 import math
@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from lib.contact_sheet import INK_GRAY, LINE_HEIGHT, PAPER_GRAY, draw_text
-from lib.text_raster import rasterize_text
+from .text_raster import INK_GRAY, LINE_HEIGHT, PAPER_GRAY, draw_text, rasterize_text
 
 WIDTH, HEIGHT = 720, 420
 MARGIN = 3 * LINE_HEIGHT  # around the frame, for title and tick labels

@@ -3,12 +3,11 @@
 import bpy
 import numpy as np
 
-from lib import environment
+from .mesh_arrays import read_loop_triangles, read_loop_vertices, read_positions
 
-environment.import_farfield()
-
-from farfield.addon.bridge.mesh_arrays import read_loop_triangles, read_loop_vertices, read_positions
-
+PAPER_GRAY = 0.93
+INK_GRAY = 0.12
+LINE_HEIGHT = 20  # pixels
 SUPERSAMPLES = 4  # per axis
 FONT_SIZE_FRACTION = 0.72  # font size relative to the line height
 BASELINE_FRACTION = 0.28  # distance of the baseline from the lower edge relative to the line height
@@ -23,6 +22,13 @@ def rasterize_text(text: str, height: int) -> np.ndarray:
     samples = np.zeros((height * SUPERSAMPLES, width * SUPERSAMPLES), bool)
     _fill_triangles(samples, points[triangles])
     return samples.reshape(height, SUPERSAMPLES, width, SUPERSAMPLES).mean(axis=(1, 3))[::-1]
+
+
+def draw_text(image: np.ndarray, text: str, y: int, x: int, color: float | tuple[float, float, float] = INK_GRAY) -> None:
+    """Draw `text` into `image`, row 0 at the top, with its upper left corner at (x, y). Text beyond the image is clipped."""
+    mask = rasterize_text(text, LINE_HEIGHT)[: image.shape[0] - y, : image.shape[1] - x]
+    area = image[y : y + mask.shape[0], x : x + mask.shape[1]]
+    area += mask[..., None] * (np.asarray(color) - area)
 
 
 def _text_outline(text: str) -> tuple[np.ndarray, np.ndarray]:

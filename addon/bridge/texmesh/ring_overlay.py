@@ -1,0 +1,85 @@
+"""Overlay of switch rings: where in the horizontal plane a 3D Viewport would have to be for a level to switch."""
+
+from typing import Any
+
+import blf
+import bpy
+import gpu
+import numpy as np
+from bpy_extras.view3d_utils import location_3d_to_region_2d
+from gpu_extras.batch import batch_for_shader
+
+from ...core.geometry.cameras import Camera
+from ...core.texmesh.switch_rings import ring_around_box
+from ..viewers import viewport_camera
+from .level_sets import LevelSet, level_sets_in
+
+LINE_WIDTH, FONT_SIZE = 2.0, 12.0  # pixels
+COLORS = ((0.95, 0.75, 0.15, 0.9), (0.35, 0.75, 0.95, 0.9), (0.60, 0.90, 0.40, 0.9), (0.95, 0.50, 0.45, 0.9), (0.80, 0.60, 0.95, 0.9))
+
+
+class RingOverlay:
+    """The switch rings of all levels in the scene, drawn while `is_shown`."""
+
+    def __init__(self) -> None:
+        self._handlers: list[Any] = []
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether the rings are drawn."""
+        return bool(self._handlers)
+
+    def show(self) -> None:
+        """Start to draw the rings in all 3D Viewports."""
+        if not self.is_shown:
+            add = bpy.types.SpaceView3D.draw_handler_add
+            self._handlers = [add(self._draw_lines, (), "WINDOW", "POST_VIEW"), add(self._draw_labels, (), "WINDOW", "POST_PIXEL")]
+
+    def hide(self) -> None:
+        """Stop drawing."""
+        while self._handlers:
+            bpy.types.SpaceView3D.draw_handler_remove(self._handlers.pop(), "WINDOW")
+
+    def _draw_lines(self) -> None:
+        gpu.state.blend_set("ALPHA")
+        gpu.state.depth_test_set("LESS_EQUAL")
+        shader = gpu.shader.from_builtin("POLYLINE_UNIFORM_COLOR")
+        shader.bind()
+        shader.uniform_float("viewportSize", gpu.state.viewport_get()[2:])
+        shader.uniform_float("lineWidth", LINE_WIDTH)
+        for number, ring in _find_context_rings():
+            shader.uniform_float("color", COLORS[(number - 1) % len(COLORS)])
+            batch_for_shader(shader, "LINE_STRIP", {"pos": np.concatenate([ring, ring[:1]]).astype(np.float32)}).draw(shader)
+        gpu.state.depth_test_set("NONE")
+        gpu.state.blend_set("NONE")
+
+    def _draw_labels(self) -> None:
+        region, view = bpy.context.region, bpy.context.region_data
+        eye = np.array(view.view_matrix.inverted().translation)
+        blf.size(0, FONT_SIZE * bpy.context.preferences.system.ui_scale)
+        for number, ring in _find_context_rings():
+            ahead = ring[np.argsort(np.linalg.norm(ring - eye, axis=1), kind="stable")]
+            places = (location_3d_to_region_2d(region, view, point) for point in ahead)
+            place = next((xy for xy in places if xy is not None and 0 <= xy[0] < region.width and 0 <= xy[1] < region.height), None)
+            if place is not None:
+                blf.color(0, *COLORS[(number - 1) % len(COLORS)])
+                blf.position(0, place[0], place[1] + 4.0, 0.0)
+                blf.draw(0, f"L{number}")
+
+
+def find_rings(levels: LevelSet, camera: Camera) -> list[tuple[int, np.ndarray]]:
+    """Return the numbers of levels, and the rings (N, 3) in world space where `camera` would switch to them; none if it is orthographic."""
+    low, high, scale = levels.bounds()
+    distances = [camera.switch_distance(error * scale) if camera.field_of_view else 0.0 for error in levels.errors]
+    return [(number, ring_around_box(low, high, distance)) for number, distance in enumerate(distances) if distance > 0.0]
+
+
+def _find_context_rings() -> list[tuple[int, np.ndarray]]:
+    context = bpy.context
+    if context.region_data is None:
+        return []
+    camera = viewport_camera(context.region_data, context.region.width)
+    return [ring for levels in level_sets_in(context.scene) for ring in find_rings(levels, camera)]
+
+
+overlay = RingOverlay()

@@ -1,0 +1,258 @@
+"""Operators that show levels for a while: the one that the viewport's distance calls for, and a flicker between neighboring levels."""
+
+import time
+from typing import Any
+
+import bpy
+
+from ...bridge.texmesh.level_sets import LevelSet, find_level_set, level_sets_in
+from ...bridge.texmesh.ring_overlay import overlay as rings
+from ...bridge.texmesh.temporary_visibility import restore, resume_crossfades, show_temporarily
+from ...bridge.viewers import viewport_camera
+from ...core.geometry.cameras import Camera
+from ...core.texmesh.inspection_settings import InspectionSettings
+from .. import long_work, properties
+from ..error_reports import reports_errors
+from ..view_following import context_viewport
+
+TICK = 0.1  # seconds between two calls of the timer
+NO_LEVELS = "Make levels first"
+
+
+class LevelPreview:
+    """Which levels all 3D Viewports show for a while. Operators, panels, handlers and the timer share one instance.
+
+    follows_view: whether they are those that the distance of a 3D Viewport calls for. flickers: whether every other moment the next finer
+    level shows. shown: the number of the level that shows, by the name of its collection.
+    """
+
+    def __init__(self) -> None:
+        self.follows_view = self.flickers = False
+        self.shown: dict[str, int] = {}
+        self._fixed: dict[str, int] = {}
+        self._area_address = 0
+        self._flicker_seconds, self._started = 0.5, 0.0
+        self._timer = self._tick  # Blender identifies timers by the object
+
+    @property
+    def is_running(self) -> bool:
+        """Whether levels are shown for a while."""
+        return self.follows_view or self.flickers
+
+    def follow_view(self, area: bpy.types.Area | None) -> None:
+        """Show the levels that the distance of the 3D Viewport `area` calls for, and the switch rings."""
+        self._area_address = 0 if area is None else area.as_pointer()
+        self.follows_view = True
+        rings.show()
+        self._start()
+
+    def flicker(self, area: bpy.types.Area | None, seconds: float, scene: bpy.types.Scene) -> None:
+        """Alternate between the levels that show and the next finer ones."""
+        if not self.follows_view:
+            self._area_address = 0 if area is None else area.as_pointer()
+        visible = {levels.collection.name: _visible_level(levels) for levels in level_sets_in(scene)}
+        self._fixed = {name: number for name, number in visible.items() if number is not None}
+        self.flickers, self._flicker_seconds, self._started = True, seconds, time.monotonic()
+        self._start()
+
+    def stop(self, follows_view: bool = False, flickers: bool = False) -> None:
+        """Show what was shown before, unless one of the two continues."""
+        self.follows_view, self.flickers = self.follows_view and follows_view, self.flickers and flickers
+        if not self.follows_view:
+            rings.hide()
+        if not self.is_running:
+            if bpy.app.timers.is_registered(self._timer):
+                bpy.app.timers.unregister(self._timer)
+            self.suspend()
+        _redraw()
+
+    def suspend(self) -> None:
+        """Show what was shown before, until the next tick."""
+        self.shown.clear()
+        restore(bpy.data.objects)
+
+    def update(self, camera: Camera, scene: bpy.types.Scene, now: float) -> None:
+        """Show the levels of `scene` for a view at a time in seconds."""
+        is_finer = self.flickers and int((now - self._started) / self._flicker_seconds) % 2 == 1
+        shown = {}
+        for levels in level_sets_in(scene):
+            if not levels.is_editable:
+                continue
+            name = levels.collection.name
+            fixed = None if self.follows_view else self._fixed.get(name)
+            number = levels.choose_level(camera) if fixed is None else min(fixed, len(levels.levels) - 1)
+            shown[name] = max(number - is_finer, 0)
+            show_temporarily(levels.levels, shown[name], levels.source)
+        if shown != self.shown:
+            self.shown = shown
+            _redraw()
+
+    def _start(self) -> None:
+        if not bpy.app.timers.is_registered(self._timer):
+            bpy.app.timers.register(self._timer, first_interval=0.0)
+        _redraw()
+
+    def _tick(self) -> float | None:
+        continues = False
+        try:
+            continues = self._advance()
+        finally:
+            if not continues:
+                self.stop()
+        return TICK if continues else None
+
+    def _advance(self) -> bool:
+        """Show the levels for the current view; return whether to continue."""
+        if long_work.current_run() is not None or bpy.app.is_job_running("RENDER") or bpy.app.is_job_running("OBJECT_BAKE"):
+            self.suspend()  # a job creates levels or reads what is visible
+            return True
+        windows = bpy.context.window_manager.windows
+        if any(operator.bl_idname.startswith("TRANSFORM_OT_") for window in windows for operator in window.modal_operators):
+            return True
+        viewports = [(window.scene, area) for window in windows for area in window.screen.areas if area.type == "VIEW_3D"]
+        if viewports:
+            scene, area = next((each for each in viewports if each[1].as_pointer() == self._area_address), viewports[0])
+            window_region = [region for region in area.regions if region.type == "WINDOW"][-1]  # of four, the one of region_3d
+            self.update(viewport_camera(area.spaces.active.region_3d, window_region.width), scene, time.monotonic())
+        return True
+
+
+current = LevelPreview()
+
+
+class FARFIELD_OT_texmesh_preview(bpy.types.Operator):
+    """Show the levels that the distance of this 3D Viewport calls for, and the distances at which they switch"""
+
+    bl_idname = "farfield.texmesh_preview"
+    bl_label = "Preview Perceptual Levels"
+    bl_options = {"REGISTER"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Return whether the scene has levels."""
+        return current.follows_view or long_work.poll_with_reason(cls, "" if level_sets_in(context.scene) else NO_LEVELS)
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Start or end the preview. Nothing of it is an undo step."""
+        if current.follows_view:
+            current.stop(flickers=True)
+        else:
+            current.follow_view(context_viewport(context))
+        return {"FINISHED"}
+
+
+class FARFIELD_OT_texmesh_flicker(bpy.types.Operator):
+    """Alternate between the level that is shown and the next finer one. Press again, or Esc, to end"""
+
+    bl_idname = "farfield.texmesh_flicker"
+    bl_label = "Flicker Between Perceptual Levels"
+    bl_options = {"REGISTER"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Return whether the scene has levels."""
+        return current.flickers or long_work.poll_with_reason(cls, "" if level_sets_in(context.scene) else NO_LEVELS)
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Start or end the flicker. Nothing of it is an undo step."""
+        if current.flickers:
+            current.stop(follows_view=True)
+        else:
+            settings = properties.read(InspectionSettings, context.scene.farfield_texmesh_inspection)
+            current.flicker(context_viewport(context), settings.flicker_seconds, context.scene)
+        return {"FINISHED"}
+
+    @reports_errors
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Start or end the flicker, and wait for Esc."""
+        self.execute(context)
+        if not current.flickers or context.window is None:
+            return {"FINISHED"}
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    @reports_errors
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """End with Esc; all other events have their usual meaning."""
+        if not current.flickers:
+            return {"FINISHED", "PASS_THROUGH"}
+        if event.type == "ESC" and event.value == "PRESS":
+            current.stop(follows_view=True)
+            return {"FINISHED"}
+        return {"PASS_THROUGH"}
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """End the flicker: the window is closed or Blender quits."""
+        current.stop(follows_view=True)
+
+
+def selected_number(context: bpy.types.Context) -> int | None:
+    """Return the number of the level of the active object that the preview shows, None if it does not."""
+    levels = find_level_set(context.scene, context.active_object) if current.is_running else None
+    return None if levels is None else current.shown.get(levels.collection.name)
+
+
+def _visible_level(levels: LevelSet) -> int | None:
+    """Return the number of the only level that is visible, None if several or none are."""
+    visible = [number for number, item in enumerate(levels.levels) if not item.hide_viewport]
+    return visible[0] if len(visible) == 1 else None
+
+
+def _redraw() -> None:
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
+
+
+@bpy.app.handlers.persistent
+def _before_load(*_: Any) -> None:
+    current.stop()
+
+
+@bpy.app.handlers.persistent
+def _before_save(*_: Any) -> None:
+    """A saved file holds what was shown before; the next tick goes on."""
+    current.suspend()
+
+
+@bpy.app.handlers.persistent
+def _before_render(*_: Any) -> None:
+    resume_crossfades(bpy.data.objects)
+
+
+@bpy.app.handlers.persistent
+def _after_change(*_: Any) -> None:
+    """An undo step or a file may hold a state that was shown for a while."""
+    if not current.is_running:
+        restore(bpy.data.objects)
+
+
+HANDLERS: tuple[tuple[str, Any], ...] = (
+    ("load_pre", _before_load),
+    ("save_pre", _before_save),
+    ("render_init", _before_render),
+    ("undo_post", _after_change),
+    ("redo_post", _after_change),
+    ("load_post", _after_change),
+)
+register_classes, unregister_classes = bpy.utils.register_classes_factory((FARFIELD_OT_texmesh_preview, FARFIELD_OT_texmesh_flicker))
+
+
+def register() -> None:
+    """Register the operators and the handlers."""
+    register_classes()
+    for name, handler in HANDLERS:
+        getattr(bpy.app.handlers, name).append(handler)
+
+
+def unregister() -> None:
+    """End the preview, and unregister the handlers and the operators."""
+    current.stop()
+    for name, handler in HANDLERS:
+        handlers = getattr(bpy.app.handlers, name)
+        if handler in handlers:  # another add-on may have cleared the list
+            handlers.remove(handler)
+    unregister_classes()
