@@ -116,7 +116,9 @@ class LevelsJob:
         if earlier is not None and earlier.is_editable:
             remove_level_set(earlier)
         new = [
-            NewLevel(create_level_mesh(f"{item.name} L{number}", source, level.mesh), level.pixel_size, self._switch_distance(level.pixel_size))
+            NewLevel(
+                create_level_mesh(f"{item.name} L{number}", source, level.mesh), level.pixel_size, self._switch_distance(level.pixel_size)
+            )
             for number, level in enumerate(chain.levels)
         ]
         levels = add_level_set(item, scene, f"{item.name} Levels", new, materials)

@@ -90,7 +90,12 @@ class FARFIELD_OT_texmesh_show(LevelsOperator, bpy.types.Operator):
     bl_label = "Show Perceptual Level"
 
     level: bpy.props.IntProperty(
-        name="Level", description="Level to show, 0 for the finest. -1 for the original object", default=0, min=-1, max=99, options={"SKIP_SAVE"}
+        name="Level",
+        description="Level to show, 0 for the finest. -1 for the original object",
+        default=0,
+        min=-1,
+        max=99,
+        options={"SKIP_SAVE"},
     )
 
     @reports_errors
