@@ -54,13 +54,16 @@ def make_refit_levels(
     starts = [max(round((1.0 - settings.split_fraction) * target), 1) for target in targets]
     simplified = yield from subprogress(simplify_by_cost(fine, cost, starts, simplification), 0.0, SIMPLIFICATION_FRACTION)
     levels = []
+    surface = FineSurface(fine, find_islands(fine))
     for index, (target, subset) in enumerate(zip(targets, simplified.levels, strict=True)):
         first, last = (SIMPLIFICATION_FRACTION + (1.0 - SIMPLIFICATION_FRACTION) * number / len(targets) for number in (index, index + 1))
-        levels.append((yield from subprogress(refit(fine, extract_level(fine, subset), settings, target), first, last)))
+        levels.append((yield from subprogress(refit(fine, extract_level(fine, subset), settings, target, surface), first, last)))
     return levels
 
 
-def refit(fine: TexturedMesh, level: TexturedMesh, settings: RefitSettings, target: int = 0) -> Steps[TexturedMesh]:
+def refit(
+    fine: TexturedMesh, level: TexturedMesh, settings: RefitSettings, target: int = 0, surface: FineSurface | None = None
+) -> Steps[TexturedMesh]:
     """Return `level` with positions, texture coordinates and edges such that it deviates least from `fine`.
 
     Vertices on seams and boundaries keep their texture coordinates on the curves of `fine`, equal on both sides of a seam; corners of
@@ -68,12 +71,12 @@ def refit(fine: TexturedMesh, level: TexturedMesh, settings: RefitSettings, targ
     Attributes follow their wedges.
 
     Args:
-        level: any simplification of `fine`, in the same space.
+        level: any simplification of `fine`, in the same space. surface: of `fine`, for several levels; None to make it.
     """
     yield Progress(0.0, "Refitting")
     count = int(np.clip(settings.samples_per_triangle * max(len(level.triangles), target), MIN_SAMPLES, MAX_SAMPLES))
-    islands, uv_scale = find_islands(fine), compute_uv_scale(fine)
-    surface = FineSurface(fine, islands)
+    surface = FineSurface(fine, find_islands(fine)) if surface is None else surface
+    islands, uv_scale = surface.islands, compute_uv_scale(fine)
     samples = sample_surface(fine, islands, count, np.random.default_rng(0))
     level_islands = match_islands(samples, fine.materials[samples.triangles], level, uv_scale)
     start = state = attach(level, level_islands, samples, settings.normal_weight)

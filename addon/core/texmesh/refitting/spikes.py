@@ -5,10 +5,11 @@ shows such a spike, renders do.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from ...geometry.distance import closest_on_mesh
+from ...geometry.distance import TriangleTree
 from ...geometry.mesh import scaled_normals
 from ..textured_mesh import TexturedMesh
 from .correspondence import find_correspondence
@@ -31,7 +32,11 @@ class FineSurface:
 
     def measure_distances(self, points: np.ndarray) -> np.ndarray:
         """Return the distances (N,) of `points` (N, 3) from the surface."""
-        return closest_on_mesh(points, self.mesh.vertices[self.mesh.triangles])[0]
+        return self._tree.find_closest(points)[0]
+
+    @cached_property
+    def _tree(self) -> TriangleTree:
+        return TriangleTree(self.mesh.vertices[self.mesh.triangles])
 
     def find_positions(self, points: np.ndarray, uvs: np.ndarray, islands: np.ndarray) -> np.ndarray:
         """Return the points (N, 3) of the surface with texture coordinates `uvs` (N, 2) in `islands` (N,); of several the nearest to
