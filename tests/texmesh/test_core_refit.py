@@ -13,11 +13,12 @@ from farfield.addon.core.texmesh.refitting.edge_splits import split_edges
 from farfield.addon.core.texmesh.refitting.least_squares import Linearization, compute_moments
 from farfield.addon.core.texmesh.refitting.level_state import LevelState, attach
 from farfield.addon.core.texmesh.refitting.refit import make_refit_levels, refit
-from farfield.addon.core.texmesh.refitting.sampling import find_islands, sample_surface
+from farfield.addon.core.texmesh.refitting.sampling import sample_surface
 from farfield.addon.core.texmesh.refitting.settings import RefitSettings
 from farfield.addon.core.texmesh.refitting.uv_moves import compute_uv_areas
 from farfield.addon.core.texmesh.simplification.levels import extract_level, simplify_by_cost
 from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
+from farfield.addon.core.texmesh.simplification.islands import find_islands
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 from tests.shapes import cylinder, sheet
 
@@ -127,7 +128,7 @@ def test_gradient_and_curvature_agree_with_finite_differences(fine):
     derivative = float((linearization.gradient() * step).sum())
     curvature = float((linearization.apply(step) * step).sum())
     size = 1e-3
-    cost, moved = state.compute_costs().sum(), state.move(coarse.vertices + size * step[:, :3]).compute_costs().sum()
+    cost, moved = state.costs.sum(), state.move(coarse.vertices + size * step[:, :3]).costs.sum()
     assert 0.5 * (moved - cost) == pytest.approx(size * derivative + 0.5 * size**2 * curvature, rel=1e-6)
 
 
@@ -138,18 +139,18 @@ def test_one_solution_of_positions_is_the_minimum(fine):
     for _ in range(8):
         step = Linearization(state, compute_moments(state), directions, 1.0).solve(1.0)
         state = state.move(state.mesh.vertices + step[:, :3])
-    cost = state.compute_costs().sum()
+    cost = state.costs.sum()
     generator = np.random.default_rng(4)
     for _ in range(5):
         other = state.mesh.vertices + 1e-3 * generator.normal(size=state.mesh.vertices.shape)
-        assert state.move(other).compute_costs().sum() > cost
+        assert state.move(other).costs.sum() > cost
 
 
 def test_flips_lower_the_cost_and_keep_seams(fine):
     coarse = build_hill(6)
     state = attach_level(fine, coarse, find_islands(coarse))
     flipped = flip_edges(state, 5)
-    assert flipped.compute_costs().sum() < state.compute_costs().sum()
+    assert flipped.costs.sum() < state.costs.sum()
     seams = [mesh.find_seams(find_edges(mesh.triangles)).sum() for mesh in (coarse, flipped.mesh)]
     assert seams[0] == seams[1] > 0
     points = np.einsum("ni,nic->nc", flipped.found.barycentric, flipped.mesh.corner_uvs[flipped.found.triangles])
@@ -161,6 +162,6 @@ def test_splits_add_two_triangles_each_and_change_no_surface(fine):
     state = attach_level(fine, coarse, find_islands(coarse))
     split = split_edges(state, 5)
     assert len(split.mesh.triangles) == len(coarse.triangles) + 10
-    assert split.compute_costs().sum() == pytest.approx(state.compute_costs().sum())
+    assert split.costs.sum() == pytest.approx(state.costs.sum())
     assert find_edges(split.mesh.triangles).face_counts.max() == 2
     assert (compute_uv_areas(split.mesh.corner_uvs) > 0.0).all()

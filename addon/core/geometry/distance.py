@@ -22,13 +22,24 @@ def closest_on_mesh(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray
     Returns:
         Distances (N,) float64 and triangle indices (N,) int32. Of equally near triangles, an arbitrary one.
     """
-    levels, order = _build_aabb_tree(corners)
-    centroids = cKDTree(corners.mean(axis=1))
-    distances = np.empty(len(points))
-    nearest = np.empty(len(points), np.int32)
-    for chunk in _chunks(len(points)):
-        distances[chunk], nearest[chunk] = _descend(points[chunk], corners, levels, order, centroids)
-    return distances, nearest
+    return TriangleTree(corners).find_closest(points)
+
+
+class TriangleTree:
+    """Triangles `corners` (T, 3, 3) for several searches like `closest_on_mesh`."""
+
+    def __init__(self, corners: np.ndarray) -> None:
+        self._corners = corners
+        self._levels, self._order = _build_aabb_tree(corners)
+        self._centroids = cKDTree(corners.mean(axis=1))
+
+    def find_closest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the distances (N,) of `points` (N, 3) and the indices (N,) of the nearest triangles, see `closest_on_mesh`."""
+        distances = np.empty(len(points))
+        nearest = np.empty(len(points), np.int32)
+        for chunk in _chunks(len(points)):
+            distances[chunk], nearest[chunk] = _descend(points[chunk], self._corners, self._levels, self._order, self._centroids)
+        return distances, nearest
 
 
 def squared_point_triangle_distances(points: np.ndarray, corners: np.ndarray) -> np.ndarray:

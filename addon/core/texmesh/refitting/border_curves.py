@@ -1,10 +1,11 @@
 """The borders of the UV islands of a mesh, along which the seam vertices of a level slide."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from ...geometry.distance import closest_barycentric, closest_on_mesh
+from ...geometry.distance import TriangleTree, closest_barycentric
 from ...geometry.edges import find_edges
 from ..textured_mesh import TexturedMesh
 from .level_state import LevelState
@@ -22,15 +23,26 @@ class BorderCurves:
     islands: np.ndarray
     twins: np.ndarray
 
+    @cached_property
+    def _spacing(self) -> float:
+        """Distance between islands in the third coordinate, by which they are told apart."""
+        return 16.0 * float(np.abs(self.ends).max(initial=0.0)) + 1e-300
+
+    @cached_property
+    def _segments(self) -> np.ndarray:
+        layers = np.broadcast_to(self._spacing * self.islands[:, None, None].astype(float), (len(self.ends), 2, 1))
+        return np.concatenate([self.ends, layers], axis=2)[:, [0, 1, 1]]
+
+    @cached_property
+    def _tree(self) -> TriangleTree:
+        return TriangleTree(self._segments)
+
     def project(self, uvs: np.ndarray, islands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the points (N, 2) of the borders of `islands` (N,) that are nearest to `uvs` (N, 2), and the same points on the other side
         of their seams (N, 2), NaN on a boundary."""
-        spacing = 4.0 * (np.abs(self.ends).max() + np.abs(uvs).max()) + 1e-300
-        layers = np.broadcast_to(spacing * self.islands[:, None, None].astype(float), (len(self.ends), 2, 1))
-        segments = np.concatenate([self.ends, layers], axis=2)[:, [0, 1, 1]]
-        points = np.column_stack([uvs, spacing * islands])
-        _, nearest = closest_on_mesh(points, segments)
-        coordinates = closest_barycentric(points, segments[nearest])
+        points = np.column_stack([uvs, self._spacing * islands])
+        _, nearest = self._tree.find_closest(points)
+        coordinates = closest_barycentric(points, self._segments[nearest])
         fraction = coordinates[:, 1:].sum(axis=1)[:, None]
         on_border, on_twin = ((1.0 - fraction) * ends[nearest, 0] + fraction * ends[nearest, 1] for ends in (self.ends, self.twins))
         return on_border, on_twin

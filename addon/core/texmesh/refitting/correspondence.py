@@ -59,15 +59,29 @@ def compute_uv_scale(mesh: TexturedMesh) -> float:
     return float(np.sqrt(area / uv_area)) if uv_area > 0.0 else 0.0
 
 
-def find_correspondence(samples: SurfaceSamples, corners: np.ndarray, corner_uvs: np.ndarray, islands: np.ndarray) -> Correspondence:
+def find_correspondence(
+    samples: SurfaceSamples, corners: np.ndarray, corner_uvs: np.ndarray, islands: np.ndarray, guess: np.ndarray | None = None
+) -> Correspondence:
     """Find the points of a level with the texture coordinates of `samples`; of several in the same island the nearest in space.
 
-    corners: (T, 3, 3) positions of the level. corner_uvs: (T, 3, 2). islands: (T,) from `match_islands`.
+    corners: (T, 3, 3) positions of the level. corner_uvs: (T, 3, 2). islands: (T,) from `match_islands`. guess: (N,) triangles, which are
+    kept for the samples that they contain: those found before a small change of the level.
     """
     count = len(samples.uvs)
     triangles = np.full(count, -1, np.int64)
     barycentric = np.zeros((count, 3))
-    for sample, triangle, coordinates in _find_containing(samples, corner_uvs, islands):
+    maps = invert_uv_maps(corner_uvs)
+    searched = samples
+    rows = None
+    if guess is not None:
+        is_kept, coordinates = _locate(maps, guess, samples.uvs)
+        kept = np.flatnonzero(is_kept & (islands[guess] == samples.islands))
+        triangles[kept], barycentric[kept] = guess[kept], coordinates[kept]
+        rows = np.flatnonzero(triangles < 0)
+        searched = samples.take(rows, samples.islands[rows])
+    for sample, triangle, coordinates in _find_containing(searched, corner_uvs, islands, maps):
+        if rows is not None:
+            sample = rows[sample]
         points = np.einsum("ni,nic->nc", coordinates, corners[triangle])
         distances = ((points - samples.positions[sample]) ** 2).sum(axis=1)
         chosen = segment_argmin(distances, np.flatnonzero(np.diff(sample, prepend=-1)))
@@ -79,8 +93,36 @@ def find_correspondence(samples: SurfaceSamples, corners: np.ndarray, corner_uvs
     return Correspondence(triangles, barycentric, is_covered)
 
 
+def invert_uv_maps(corner_uvs: np.ndarray) -> np.ndarray:
+    """Return the affine maps (2, 3, T) from (u, v, 1) to the first two barycentric coordinates; NaN for triangles without area."""
+    u, v, area = corner_uvs[:, :, 0].T, corner_uvs[:, :, 1].T, _cross(corner_uvs)
+    scale = 1.0 / np.where(area != 0.0, area, np.nan)
+    maps = np.empty((2, 3, len(corner_uvs)))
+    for row, (first, second) in enumerate(((1, 2), (2, 0))):
+        maps[row, 0] = (v[first] - v[second]) * scale
+        maps[row, 1] = (u[second] - u[first]) * scale
+        maps[row, 2] = (u[first] * v[second] - v[first] * u[second]) * scale
+    return maps
+
+
+def evaluate_uv_maps(maps: np.ndarray, triangles: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Return barycentric coordinates (3, N) in `triangles` (N,) of texture coordinates `u`, `v` (N,), by maps of `invert_uv_maps`."""
+    coordinates = np.empty((3, len(u)))
+    for row in range(2):
+        coordinates[row] = maps[row, 0].take(triangles) * u + maps[row, 1].take(triangles) * v + maps[row, 2].take(triangles)
+    coordinates[2] = 1.0 - coordinates[0] - coordinates[1]
+    return coordinates
+
+
+def _locate(maps: np.ndarray, triangles: np.ndarray, uvs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return which of `triangles` (N,) contain their row of `uvs` (N, 2), and barycentric coordinates (N, 3), clamped to 0."""
+    coordinates = evaluate_uv_maps(maps, triangles, *uvs.T)
+    is_inside = (coordinates >= -INSIDE_TOLERANCE).all(axis=0)
+    return is_inside, np.maximum(coordinates, 0.0).T
+
+
 def _find_containing(
-    samples: SurfaceSamples, corner_uvs: np.ndarray, islands: np.ndarray
+    samples: SurfaceSamples, corner_uvs: np.ndarray, islands: np.ndarray, maps: np.ndarray
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Yield ascending samples (K,), triangles (K,) that contain them in UV space, and barycentric coordinates (K, 3), a part at a time."""
     low = corner_uvs.min(axis=(0, 1))
@@ -102,7 +144,6 @@ def _find_containing(
     order = np.argsort(cell, kind="stable")
     owners = owners[order]
     starts = np.searchsorted(cell[order], np.arange(size[0] * size[1] + 1))
-    area = _cross(corner_uvs)
     tolerance = INSIDE_TOLERANCE * extent
     for chunk in slices(len(samples.uvs), CHUNK_SAMPLES):
         uvs = samples.uvs[chunk]
@@ -113,14 +154,12 @@ def _find_containing(
         counts = starts[key + 1] - starts[key]
         triangle = owners[concatenate_ranges(starts[key], counts)]
         sample = np.repeat(sample, counts)
-        is_same = (islands[triangle] == samples.islands[chunk][sample]) & (area[triangle] != 0.0)
+        is_same = islands[triangle] == samples.islands[chunk][sample]
         sample, triangle = sample[is_same], triangle[is_same]
-        offsets = corner_uvs[triangle] - uvs[sample, None]
-        coordinates = np.stack([_wedge(offsets[:, 1], offsets[:, 2]), _wedge(offsets[:, 2], offsets[:, 0])], axis=1) / area[triangle, None]
-        coordinates = np.column_stack([coordinates, 1.0 - coordinates.sum(axis=1)])
-        is_inside = (coordinates >= -INSIDE_TOLERANCE).all(axis=1)
-        if is_inside.any():
-            yield chunk.start + sample[is_inside], triangle[is_inside], np.maximum(coordinates[is_inside], 0.0)
+        is_inside, coordinates = _locate(maps, triangle, uvs.take(sample, axis=0))
+        found = np.flatnonzero(is_inside)
+        if len(found):
+            yield chunk.start + sample[found], triangle[found], coordinates[found]
 
 
 def _find_nearest(

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...geometry.distance import closest_on_mesh
+from ..simplification.islands import find_islands
 from ..textured_mesh import TexturedMesh
 from .correspondence import compute_uv_scale, find_correspondence, match_islands
-from .sampling import SurfaceSamples, find_islands, sample_surface
+from .sampling import SurfaceSamples, sample_surface
 
 DEFAULT_SAMPLES = 100_000
 MIN_LABEL_SAMPLES = 20_000  # that tell which island a triangle of a level belongs to

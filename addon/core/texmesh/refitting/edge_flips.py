@@ -1,13 +1,15 @@
 """Edge flips of a level that lower its deviation."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...arrays import TINY, concatenate_ranges
 from ...geometry.mesh import face_areas_and_normals
+from .correspondence import evaluate_uv_maps, invert_uv_maps
 from .level_state import LevelState
 
+NEW_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])  # corners of a quad after the flip
 MIN_UV_FRACTION = 0.02  # area of a new triangle in UV space relative to its quadrilateral
 MIN_NORMAL_COSINE = 0.2  # between a new triangle and the mean of the old ones
 MIN_GAIN = 1e-3  # of the cost of the two triangles
@@ -19,14 +21,34 @@ def flip_edges(state: LevelState, max_rounds: int) -> LevelState:
     Seams, boundaries and edges between materials are kept. No triangle is flipped in UV space.
     """
     for _ in range(max_rounds):
-        flipped = _flip_once(state)
-        if flipped is None:
+        quads = find_quads(state)
+        if not len(quads.triangles):
             break
-        state = flipped
+        gains, costs = _compute_gains(state, quads)
+        rows = select_flips(state, quads, np.where(gains > MIN_GAIN * costs, gains, 0.0))
+        if not len(rows):
+            break
+        state = flip_quads(state, quads, rows)
     return state
 
 
-def _flip_once(state: LevelState) -> LevelState | None:
+@dataclass(frozen=True)
+class Quads:
+    """Pairs of triangles whose common edge may be flipped.
+
+    triangles: (K, 2). corners: (K, 4) of the level, counterclockwise; the edge joins 1 and 3, the flipped one 0 and 2. vertices, wedges:
+    (K, 4), of these corners. normals: (K, 3), means of both triangles.
+    """
+
+    triangles: np.ndarray
+    corners: np.ndarray
+    vertices: np.ndarray
+    wedges: np.ndarray
+    normals: np.ndarray
+
+
+def find_quads(state: LevelState) -> Quads:
+    """Return the pairs of triangles whose edge can be flipped: no seam, and without a fold in space or UV."""
     mesh = state.mesh
     edges = state.find_edges()
     first, second = edges.interior_halfedges.T
@@ -34,79 +56,87 @@ def _flip_once(state: LevelState) -> LevelState | None:
     t, c, s, d = first // 3, first % 3, second // 3, second % 3
     is_open = ~seams & (mesh.materials[t] == mesh.materials[s]) & (state.islands[t] == state.islands[s])
     t, c, s, d = t[is_open], c[is_open], s[is_open], d[is_open]
-    corner = np.stack([3 * t + c, 3 * t + (c + 1) % 3, 3 * s + d, 3 * t + (c + 2) % 3], axis=1)  # r, p, s, q: counterclockwise
-    vertices, wedges = mesh.triangles.ravel()[corner], mesh.wedge_triangles.ravel()[corner]
+    corners = np.stack([3 * t + c, 3 * t + (c + 1) % 3, 3 * s + d, 3 * t + (c + 2) % 3], axis=1)
+    vertices, wedges = mesh.triangles.ravel()[corners], mesh.wedge_triangles.ravel()[corners]
     is_valid = edges.between(vertices[:, 0], vertices[:, 2]) < 0
     is_valid &= (mesh.triangles[s, (d + 1) % 3] == vertices[:, 3]) & (vertices[:, 0] != vertices[:, 2])
     uvs, points = mesh.uvs[wedges], mesh.vertices[vertices]
-    new = np.array([[0, 1, 2], [0, 2, 3]])
-    areas = _cross(uvs[:, new])
+    areas = _cross(uvs[:, NEW_TRIANGLES])
     old = _cross(uvs[:, [[0, 1, 3], [2, 3, 1]]])
     sign = np.sign(old.sum(axis=1))
     is_valid &= (areas * sign[:, None] > MIN_UV_FRACTION * np.abs(old.sum(axis=1))[:, None]).all(axis=1)
     _, normals = face_areas_and_normals(state.corners)
     mean = normals[t] + normals[s]
     mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), TINY)
-    for triangle in new:
+    for triangle in NEW_TRIANGLES:
         _, normal = face_areas_and_normals(points[:, triangle])
         is_valid &= np.einsum("ni,ni->n", normal, mean) > MIN_NORMAL_COSINE
     chosen = np.flatnonzero(is_valid)
-    if not len(chosen):
-        return None
-    gains, costs = _compute_gains(state, t[chosen], s[chosen], uvs[chosen], points[chosen], mean[chosen])
-    gains = np.where(gains > MIN_GAIN * costs, gains, 0.0)
-    taken = chosen[select_independent(gains, np.stack([t, s], axis=1)[chosen], len(mesh.triangles))]
-    if not len(taken):
-        return None
+    return Quads(np.stack([t, s], axis=1)[chosen], corners[chosen], vertices[chosen], wedges[chosen], mean[chosen])
+
+
+def select_flips(state: LevelState, quads: Quads, gains: np.ndarray) -> np.ndarray:
+    """Return the indices of quads with positive `gains` (K,) that share no triangle, and whose flips add no edge twice."""
+    rows = select_largest(gains, quads.triangles, len(state.mesh.triangles))
+    diagonals = np.sort(quads.vertices[rows][:, [0, 2]], axis=1)
+    return rows[np.unique(diagonals, axis=0, return_index=True)[1]]
+
+
+def flip_quads(state: LevelState, quads: Quads, rows: np.ndarray) -> LevelState:
+    """Return the level with the edges of the quads `rows` (R,) flipped."""
+    if not len(rows):
+        return state
+    mesh = state.mesh
     triangles, wedge_triangles, sources = mesh.triangles.copy(), mesh.wedge_triangles.copy(), mesh.sources.copy()
-    rows = np.stack([t[taken], s[taken]], axis=1)
-    triangles[rows] = vertices[taken][:, new]
-    wedge_triangles[rows] = wedges[taken][:, new]
-    sources[rows] = mesh.sources.ravel()[corner[taken]][:, new]
+    pairs = quads.triangles[rows]
+    triangles[pairs] = quads.vertices[rows][:, NEW_TRIANGLES]
+    wedge_triangles[pairs] = quads.wedges[rows][:, NEW_TRIANGLES]
+    sources[pairs] = mesh.sources.ravel()[quads.corners[rows]][:, NEW_TRIANGLES]
     flipped = replace(mesh, triangles=triangles, wedge_triangles=wedge_triangles, sources=sources)
-    return state.replace_triangles(flipped, rows)
+    return state.replace_triangles(flipped, pairs)
 
 
-def select_independent(gains: np.ndarray, triangles: np.ndarray, count: int) -> np.ndarray:
-    """Return the indices of items with positive `gains` (K,), each larger than those of all others that use one of its `triangles`
-    (K, C) of `count`."""
-    order = np.argsort(gains, kind="stable")
-    rank = np.empty(len(gains), np.int64)
-    rank[order] = np.arange(len(gains))
-    best = np.full(count, -1, np.int64)
-    np.maximum.at(best, triangles.ravel(), np.repeat(rank, triangles.shape[1]))
-    return np.flatnonzero((best[triangles] == rank[:, None]).all(axis=1) & (gains > 0.0))
+def select_largest(gains: np.ndarray, triangles: np.ndarray, count: int) -> np.ndarray:
+    """Return the indices of items with positive `gains` (K,) that share none of their `triangles` (K, C) of `count`, large gains first."""
+    rows = np.flatnonzero(gains > 0.0)
+    ranks = np.argsort(np.argsort(-gains[rows], kind="stable"), kind="stable")
+    best = np.full(count, len(rows), np.int64)
+    np.minimum.at(best, triangles[rows].ravel(), np.repeat(ranks, triangles.shape[1]))
+    return rows[(best[triangles[rows]] == ranks[:, None]).all(axis=1)]
 
 
-def _compute_gains(
-    state: LevelState, first: np.ndarray, second: np.ndarray, uvs: np.ndarray, points: np.ndarray, normals: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return by how much the flip of each quadrilateral lowers the cost (K,), and its present cost (K,).
-
-    first, second: (K,) triangles. uvs: (K, 4, 2), points: (K, 4, 3), of the corners; the new edge joins 0 and 2. normals: (K, 3).
-    """
+def _compute_gains(state: LevelState, quads: Quads) -> tuple[np.ndarray, np.ndarray]:
+    """Return by how much the flip of each quad lowers the cost (K,), and its present cost (K,)."""
+    first, second = quads.triangles.T
+    uvs, points, normals = state.mesh.uvs[quads.wedges], state.mesh.vertices[quads.vertices], quads.normals
     count = len(state.islands)
-    costs = np.bincount(state.found.triangles, state.compute_costs(), count)
+    costs = np.bincount(state.found.triangles, state.costs, count)
     order = np.argsort(state.found.triangles, kind="stable")
     sizes = np.bincount(state.found.triangles, minlength=count)
     starts = np.cumsum(sizes) - sizes
+    new_triangles = uvs[:, NEW_TRIANGLES].reshape(-1, 3, 2)
+    maps, places = invert_uv_maps(new_triangles), points[:, NEW_TRIANGLES].reshape(-1, 3, 3)
+    diagonal = uvs[:, 2] - uvs[:, 0]
+    side = np.sign(_cross(uvs[:, [0, 1, 2]]))
+    offset = diagonal[:, 0] * uvs[:, 0, 1] - diagonal[:, 1] * uvs[:, 0, 0]
     total = np.zeros(len(first))
     for triangle in (first, second):
         quad = np.repeat(np.arange(len(first)), sizes[triangle])
         sample = order[concatenate_ranges(starts[triangle], sizes[triangle])]
-        u = uvs[quad] - state.samples.uvs[sample, None]
-        diagonal = _wedge(u[:, 0], u[:, 2])
-        quad_sign = np.sign(_cross(uvs[:, None, [0, 1, 2]])[:, 0])[quad]
-        is_second = diagonal * quad_sign > 0.0
-        rows = np.arange(len(quad))
-        corners = np.where(is_second[:, None], [0, 2, 3], [0, 1, 2])
-        v = u[rows[:, None], corners]
-        weights = np.stack([_wedge(v[:, 1], v[:, 2]), _wedge(v[:, 2], v[:, 0]), _wedge(v[:, 0], v[:, 1])], axis=1)
-        weights = np.maximum(weights * quad_sign[:, None], 0.0)  # clamped for samples that the level does not cover
-        weights /= np.maximum(weights.sum(axis=1, keepdims=True), TINY)
-        residuals = np.einsum("ni,nic->nc", weights, points[quad[:, None], corners]) - state.samples.positions[sample]
-        along = np.einsum("ni,ni->n", residuals, normals[quad])
-        cost = state.samples.weights[sample] * ((residuals**2).sum(axis=1) + (state.normal_weight - 1.0) * along**2)
+        u, v = state.samples.uvs.take(sample, axis=0).T
+        across = diagonal[:, 0].take(quad) * v - diagonal[:, 1].take(quad) * u - offset.take(quad)
+        triangles = 2 * quad + (across * side.take(quad) > 0.0)
+        weights = evaluate_uv_maps(maps, triangles, u, v)
+        np.maximum(weights, 0.0, out=weights)  # for samples that the level does not cover
+        weights /= np.maximum(weights.sum(axis=0), TINY)
+        squares, along = np.zeros(len(quad)), np.zeros(len(quad))
+        for axis in range(3):
+            residual = -state.samples.positions[:, axis].take(sample)
+            for corner in range(3):
+                residual += weights[corner] * places[:, corner, axis].take(triangles)
+            squares += residual**2
+            along += residual * normals[:, axis].take(quad)
+        cost = state.samples.weights.take(sample) * (squares + (state.normal_weight - 1.0) * along**2)
         total += np.bincount(quad, cost, len(first))
     present = costs[first] + costs[second]
     return present - total, present

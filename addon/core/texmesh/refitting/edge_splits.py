@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...geometry.mesh import face_areas_and_normals
-from .edge_flips import select_independent
+from .edge_flips import select_largest
 from .level_state import LevelState, attach
 
 SHORT_EDGE_FACTOR = 0.25  # of the deviation that counts for edges that are not the longest of their triangle
@@ -29,7 +29,7 @@ def split_edges(state: LevelState, count: int) -> LevelState:
         np.where(lengths >= longest[halfedges // 3], 1.0, SHORT_EDGE_FACTOR) * peaks[halfedges // 3] for halfedges in (first, second)
     ]
     scores = np.maximum(*peaks_beside) * ((areas[first // 3] > 0.0) & (areas[second // 3] > 0.0))
-    chosen = select_independent(scores, np.stack([first // 3, second // 3], axis=1), len(mesh.triangles))
+    chosen = select_largest(scores, np.stack([first // 3, second // 3], axis=1), len(mesh.triangles))
     chosen = chosen[np.argsort(-scores[chosen], kind="stable")[:count]]
     return _split(state, first[chosen], second[chosen])
 
@@ -38,7 +38,7 @@ def find_peaks(state: LevelState) -> np.ndarray:
     """Return the largest distance (T,) of the samples of each triangle from its plane."""
     _, normals = face_areas_and_normals(state.corners)
     triangles = state.found.triangles
-    along = np.abs(np.einsum("ni,ni->n", state.compute_residuals(), normals[triangles]))
+    along = np.abs(np.einsum("ni,ni->n", state.residuals, normals[triangles]))
     peaks = np.zeros(len(state.islands))
     np.maximum.at(peaks, triangles, along)
     return peaks
@@ -79,4 +79,4 @@ def _split(state: LevelState, first: np.ndarray, second: np.ndarray) -> LevelSta
         sources=np.concatenate([mesh.sources, mesh.sources[faces]]),
         **changed,
     )
-    return attach(split, np.concatenate([state.islands, state.islands[faces]]), state.samples, state.normal_weight)
+    return attach(split, np.concatenate([state.islands, state.islands[faces]]), state.samples, state.normal_weight, state.found.triangles)

@@ -30,7 +30,7 @@ class Moments:
 def compute_moments(state: LevelState) -> Moments:
     """Return the moments of the triangles of the level."""
     count, triangles, barycentric = len(state.islands), state.found.triangles, state.found.barycentric
-    residuals = state.compute_residuals()
+    residuals = state.residuals
     weighted = state.samples.weights[:, None] * barycentric
     products, gradients = np.empty((count, 3, 3)), np.empty((count, 3, 3))
     for row in range(3):

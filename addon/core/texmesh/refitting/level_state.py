@@ -1,6 +1,7 @@
 """A level while it is refitted: arrays that change, its fine mesh, and the samples of the fine mesh that it is fitted to."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -32,17 +33,21 @@ class LevelState:
         """(T, 3, 3) float64 positions of the corners."""
         return self.mesh.vertices[self.mesh.triangles]
 
-    def compute_residuals(self) -> np.ndarray:
-        """Return the vectors (N, 3) from the samples to the corresponding points of the level."""
-        points = np.einsum("ni,nic->nc", self.found.barycentric, self.corners[self.found.triangles])
-        return points - self.samples.positions
+    @cached_property
+    def residuals(self) -> np.ndarray:
+        """(N, 3) vectors from the samples to the corresponding points of the level."""
+        residuals = -self.samples.positions
+        for corner, vertices in enumerate(self.mesh.triangles.T):
+            residuals += self.found.barycentric[:, corner, None] * self.mesh.vertices.take(vertices.take(self.found.triangles), axis=0)
+        return residuals
 
-    def compute_costs(self) -> np.ndarray:
-        """Return the cost (N,) of each sample: weighted squared distance times area."""
-        residuals = self.compute_residuals()
+    @cached_property
+    def costs(self) -> np.ndarray:
+        """(N,) cost of each sample: weighted squared distance times area."""
         _, normals = face_areas_and_normals(self.corners)
-        along = np.einsum("ni,ni->n", residuals, normals[self.found.triangles])
-        return self.samples.weights * ((residuals**2).sum(axis=1) + (self.normal_weight - 1.0) * along**2)
+        along = np.einsum("ni,ni->n", self.residuals, normals.take(self.found.triangles, axis=0))
+        squares = np.einsum("ni,ni->n", self.residuals, self.residuals)
+        return self.samples.weights * (squares + (self.normal_weight - 1.0) * along**2)
 
     def find_edges(self) -> Edges:
         """Return the edges of the level."""
@@ -53,7 +58,7 @@ class LevelState:
         if uvs is None:
             return replace(self, mesh=replace(self.mesh, vertices=vertices))
         mesh = replace(self.mesh, vertices=vertices, uvs=uvs)
-        return attach(mesh, self.islands, self.samples, self.normal_weight)
+        return attach(mesh, self.islands, self.samples, self.normal_weight, self.found.triangles)
 
     def replace_triangles(self, mesh: TexturedMesh, groups: np.ndarray) -> "LevelState":
         """Return the level with another `mesh`, in which the triangles of each row of `groups` (K, C) cover together what they covered."""
@@ -73,9 +78,12 @@ class LevelState:
         return replace(self, mesh=mesh, found=replace(self.found, triangles=triangles, barycentric=barycentric))
 
 
-def attach(mesh: TexturedMesh, islands: np.ndarray, samples: SurfaceSamples, normal_weight: float) -> LevelState:
-    """Return the state of the level `mesh` with triangles in `islands` (T,), with corresponding points for all `samples`."""
-    found = find_correspondence(samples, mesh.vertices[mesh.triangles], mesh.corner_uvs, islands)
+def attach(
+    mesh: TexturedMesh, islands: np.ndarray, samples: SurfaceSamples, normal_weight: float, guess: np.ndarray | None = None
+) -> LevelState:
+    """Return the state of the level `mesh` with triangles in `islands` (T,), with corresponding points for all `samples`. guess: see
+    `find_correspondence`."""
+    found = find_correspondence(samples, mesh.vertices[mesh.triangles], mesh.corner_uvs, islands, guess)
     return LevelState(mesh, islands, samples, found, normal_weight)
 
 

@@ -8,10 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...geometry.mesh import face_areas_and_normals, scaled_normals
+from ...geometry.mesh import face_areas_and_normals
 from ...jobs.progress import Progress, Steps, subprogress
 from ..simplification.levels import extract_level, simplify_by_cost
 from ..simplification.settings import SimplificationSettings
+from ..simplification.islands import find_islands
 from ..textured_mesh import TexturedMesh
 from .border_curves import BorderCurves, Freedom, find_border_curves, find_freedom
 from .correspondence import compute_uv_scale, match_islands
@@ -20,11 +21,12 @@ from .edge_flips import flip_edges
 from .edge_splits import split_edges
 from .least_squares import Linearization, compute_moments
 from .level_state import LevelState, attach
-from .sampling import find_islands, sample_surface
+from .sampling import sample_surface
 from .settings import RefitSettings
+from .spikes import FineSurface, avoid_folds, remove_spikes
 from .uv_moves import move_uvs
 
-MIN_SAMPLES, MAX_SAMPLES = 40_000, 400_000  # per level
+MIN_SAMPLES, MAX_SAMPLES = 20_000, 300_000  # per level
 MAX_SAMPLED = 1_600_000  # samples times iterations: large levels get fewer iterations, as most of their error goes in the first
 MIN_ITERATIONS = 3
 INITIAL_DAMPING, MIN_DAMPING = 0.1, 1e-3  # of moves of texture coordinates
@@ -52,13 +54,16 @@ def make_refit_levels(
     starts = [max(round((1.0 - settings.split_fraction) * target), 1) for target in targets]
     simplified = yield from subprogress(simplify_by_cost(fine, cost, starts, simplification), 0.0, SIMPLIFICATION_FRACTION)
     levels = []
+    surface = FineSurface(fine, find_islands(fine))
     for index, (target, subset) in enumerate(zip(targets, simplified.levels, strict=True)):
         first, last = (SIMPLIFICATION_FRACTION + (1.0 - SIMPLIFICATION_FRACTION) * number / len(targets) for number in (index, index + 1))
-        levels.append((yield from subprogress(refit(fine, extract_level(fine, subset), settings, target), first, last)))
+        levels.append((yield from subprogress(refit(fine, extract_level(fine, subset), settings, target, surface), first, last)))
     return levels
 
 
-def refit(fine: TexturedMesh, level: TexturedMesh, settings: RefitSettings, target: int = 0) -> Steps[TexturedMesh]:
+def refit(
+    fine: TexturedMesh, level: TexturedMesh, settings: RefitSettings, target: int = 0, surface: FineSurface | None = None
+) -> Steps[TexturedMesh]:
     """Return `level` with positions, texture coordinates and edges such that it deviates least from `fine`.
 
     Vertices on seams and boundaries keep their texture coordinates on the curves of `fine`, equal on both sides of a seam; corners of
@@ -66,14 +71,15 @@ def refit(fine: TexturedMesh, level: TexturedMesh, settings: RefitSettings, targ
     Attributes follow their wedges.
 
     Args:
-        level: any simplification of `fine`, in the same space.
+        level: any simplification of `fine`, in the same space. surface: of `fine`, for several levels; None to make it.
     """
     yield Progress(0.0, "Refitting")
     count = int(np.clip(settings.samples_per_triangle * max(len(level.triangles), target), MIN_SAMPLES, MAX_SAMPLES))
-    islands, uv_scale = find_islands(fine), compute_uv_scale(fine)
+    surface = FineSurface(fine, find_islands(fine)) if surface is None else surface
+    islands, uv_scale = surface.islands, compute_uv_scale(fine)
     samples = sample_surface(fine, islands, count, np.random.default_rng(0))
     level_islands = match_islands(samples, fine.materials[samples.triangles], level, uv_scale)
-    state = attach(level, level_islands, samples, settings.normal_weight)
+    start = state = attach(level, level_islands, samples, settings.normal_weight)
     curves = find_border_curves(fine, islands)
     iterations = min(settings.iterations, max(MAX_SAMPLED // count, MIN_ITERATIONS))
     damping, is_converged = INITIAL_DAMPING, False
@@ -86,16 +92,18 @@ def refit(fine: TexturedMesh, level: TexturedMesh, settings: RefitSettings, targ
         if index > 0 and settings.peak_weight > 0.0:
             state = emphasize_peaks(state, samples.weights, settings.peak_weight)
         state = flip_edges(state, FLIP_ROUNDS)
-        cost = state.compute_costs().sum()
+        cost = state.costs.sum()
         moved = _move(state, curves, uv_scale, damping)
-        new_cost = moved.compute_costs().sum()
+        new_cost = moved.costs.sum()
         is_better = new_cost < cost
         damping = max(damping * DAMPING_DECREASE, MIN_DAMPING) if is_better else damping * DAMPING_INCREASE
         is_converged = is_better and new_cost > (1.0 - TOLERANCE) * cost and missing <= 0
         state = moved if is_better else state
         if is_converged:
             break
-    return state.mesh
+    state = remove_spikes(state, surface)
+    is_better = replace(state, samples=samples).costs.sum() < start.costs.sum()
+    return state.mesh if is_better else start.mesh
 
 
 def _move(state: LevelState, curves: BorderCurves, uv_scale: float, damping: float) -> LevelState:
@@ -103,25 +111,15 @@ def _move(state: LevelState, curves: BorderCurves, uv_scale: float, damping: flo
     freedom: Freedom = find_freedom(state, uv_scale)
     step = Linearization(state, compute_moments(state), freedom.directions, damping).solve(uv_scale)
     uvs, fractions = move_uvs(state.mesh, step[:, 3:], freedom, curves)
-    moved = state.move(_avoid_folds(state, state.mesh.vertices + fractions[:, None] * step[:, :3]), uvs)
+    moved = state.move(avoid_folds(state, state.mesh.vertices + fractions[:, None] * step[:, :3]), uvs)
     step = Linearization(moved, compute_moments(moved), np.zeros_like(freedom.directions), damping).solve(uv_scale)
-    return moved.move(_avoid_folds(moved, moved.mesh.vertices + step[:, :3]))
-
-
-def _avoid_folds(state: LevelState, vertices: np.ndarray) -> np.ndarray:
-    """Return `vertices` (V, 3), but those of triangles that would turn over stay where they are in `state`."""
-    before = scaled_normals(state.corners)
-    is_folded = np.einsum("ti,ti->t", before, scaled_normals(vertices[state.mesh.triangles])) < 0.0
-    result = vertices.copy()
-    stays = state.mesh.triangles[is_folded]
-    result[stays] = state.mesh.vertices[stays]
-    return result
+    return moved.move(avoid_folds(moved, moved.mesh.vertices + step[:, :3]))
 
 
 def emphasize_peaks(state: LevelState, areas: np.ndarray, peak_weight: float) -> LevelState:
     """Return the level with larger weights of samples that are far from the planes of its triangles. areas: (N,) of the samples."""
     _, normals = face_areas_and_normals(state.corners)
-    squares = np.einsum("ni,ni->n", state.compute_residuals(), normals[state.found.triangles]) ** 2
+    squares = np.einsum("ni,ni->n", state.residuals, normals[state.found.triangles]) ** 2
     mean = max(float((squares * areas).sum() / areas.sum()), np.finfo(float).tiny)
     emphasis = 1.0 + np.minimum(peak_weight * squares / (PEAK_SCALE * mean), MAX_EMPHASIS)
     weights = 0.5 * (areas * emphasis + state.samples.weights)  # the mean of two iterations, so that weights do not swing

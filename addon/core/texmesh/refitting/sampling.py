@@ -3,8 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from ...arrays import concatenate_ranges
 from ...geometry.mesh import face_areas_and_normals
@@ -33,15 +31,6 @@ class SurfaceSamples:
         """Return the samples `rows` (K,), with other `islands` (K,)."""
         values = (self.triangles, self.barycentric, self.positions, self.uvs)
         return SurfaceSamples(*(value[rows] for value in values), islands, self.weights[rows])
-
-
-def find_islands(mesh: TexturedMesh) -> np.ndarray:
-    """Return the UV island (T,) int32 of each triangle: triangles that share a wedge are of the same island."""
-    triangles = mesh.wedge_triangles
-    starts, ends = triangles[:, :2].ravel(), triangles[:, 1:].ravel()
-    count = len(mesh.wedge_vertices)
-    graph = coo_array((np.ones(len(starts), np.int8), (starts, ends)), shape=(count, count))
-    return connected_components(graph, directed=False)[1][triangles[:, 0]].astype(np.int32)
 
 
 def sample_surface(mesh: TexturedMesh, islands: np.ndarray, count: int, generator: np.random.Generator) -> SurfaceSamples:
