@@ -160,15 +160,15 @@ class FARFIELD_PT_texmesh_inspect(SettingsSubPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the settings and the buttons."""
         self.draw_settings(context)
-        number = preview.selected_number(context)
-        if number is not None:
-            self.layout.label(text=f"Level {number} is shown", icon="HIDE_OFF")
         buttons = self.layout.column(align=True)
         buttons.operator(FARFIELD_OT_texmesh_overlay.bl_idname, text="Features by Scale", icon="OVERLAY", depress=overlay.is_shown)
         buttons.operator(FARFIELD_OT_texmesh_plot.bl_idname, text="Plot", icon="IMAGE_DATA")
         follows_view, flickers = preview.current.follows_view, preview.current.flickers
         buttons.operator(preview.FARFIELD_OT_texmesh_preview.bl_idname, text="Preview", icon="VIEW_PERSPECTIVE", depress=follows_view)
         buttons.operator(preview.FARFIELD_OT_texmesh_flicker.bl_idname, text="Flicker", icon="UV_SYNC_SELECT", depress=flickers)
+        number = preview.selected_number(context)
+        if number is not None:
+            self.layout.label(text=f"Level {number} is shown", icon="HIDE_OFF")
 
 
 class FARFIELD_PT_texmesh_calibration(SidebarPanel, bpy.types.Panel):

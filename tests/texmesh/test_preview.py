@@ -75,6 +75,21 @@ def test_everything_is_as_before_afterwards(levels):
     assert visibility() == before and not preview.current.is_running
 
 
+def test_the_selection_goes_along_and_comes_back(levels):
+    bpy.ops.object.select_all(action="DESELECT")
+    objects = bpy.context.view_layer.objects
+    objects.active = levels.levels[1]
+    for item in levels.levels[1:]:
+        item.select_set(True)
+    preview.current.follow_view(None)
+    show(0.0)
+    assert bpy.context.active_object == levels.levels[0] and bpy.context.selected_objects == [levels.levels[0]]
+    show(1000.0)
+    assert bpy.context.active_object == levels.levels[2]
+    preview.current.stop()
+    assert objects.active == levels.levels[1] and {*levels.levels[1:]} <= {*bpy.context.selected_objects}
+
+
 def test_renders_are_not_changed(levels):
     before = [(item.hide_render, tuple(item[CROSSFADE])) for item in levels.levels]
     preview.current.follow_view(None)

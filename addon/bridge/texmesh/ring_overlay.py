@@ -55,12 +55,11 @@ class RingOverlay:
 
     def _draw_labels(self) -> None:
         region, view = bpy.context.region, bpy.context.region_data
-        eye = np.array(view.view_matrix.inverted().translation)
         blf.size(0, FONT_SIZE * bpy.context.preferences.system.ui_scale)
         for number, ring in _find_context_rings():
-            ahead = ring[np.argsort(np.linalg.norm(ring - eye, axis=1), kind="stable")]
-            places = (location_3d_to_region_2d(region, view, point) for point in ahead)
-            place = next((xy for xy in places if xy is not None and 0 <= xy[0] < region.width and 0 <= xy[1] < region.height), None)
+            projected = (location_3d_to_region_2d(region, view, point) for point in ring)
+            inside = [xy for xy in projected if xy is not None and 0 <= xy[0] < region.width and 0 <= xy[1] < region.height]
+            place = min(inside, key=lambda xy: abs(xy[0] - 0.5 * region.width) + 0.1 * xy[1], default=None)
             if place is not None:
                 blf.color(0, *COLORS[(number - 1) % len(COLORS)])
                 blf.position(0, place[0], place[1] + 4.0, 0.0)

@@ -1,13 +1,15 @@
 """Operators that show levels for a while: the one that the viewport's distance calls for, and a flicker between neighboring levels."""
 
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import bpy
 
+from ...bridge.session_ids import find_by_uid
 from ...bridge.texmesh.level_sets import LevelSet, find_level_set, level_sets_in
 from ...bridge.texmesh.ring_overlay import overlay as rings
-from ...bridge.texmesh.temporary_visibility import restore, resume_crossfades, show_temporarily
+from ...bridge.texmesh.temporary_visibility import STATE, restore, resume_crossfades, show_temporarily
 from ...bridge.viewers import viewport_camera
 from ...core.geometry.cameras import Camera
 from ...core.texmesh.inspection_settings import InspectionSettings
@@ -30,6 +32,7 @@ class LevelPreview:
         self.follows_view = self.flickers = False
         self.shown: dict[str, int] = {}
         self._fixed: dict[str, int] = {}
+        self._selection: dict[int, bool] = {}  # by session UID of objects that were selected: whether one was active
         self._area_address = 0
         self._flicker_seconds, self._started = 0.5, 0.0
         self._timer = self._tick  # Blender identifies timers by the object
@@ -70,6 +73,7 @@ class LevelPreview:
         """Show what was shown before, until the next tick."""
         self.shown.clear()
         restore(bpy.data.objects)
+        self._restore_selection()
 
     def update(self, camera: Camera, scene: bpy.types.Scene, now: float) -> None:
         """Show the levels of `scene` for a view at a time in seconds."""
@@ -82,10 +86,24 @@ class LevelPreview:
             fixed = None if self.follows_view else self._fixed.get(name)
             number = levels.choose_level(camera) if fixed is None else min(fixed, len(levels.levels) - 1)
             shown[name] = max(number - is_finer, 0)
+            if shown[name] == self.shown.get(name) and STATE in levels.levels[shown[name]]:
+                continue
+            selected = _find_selected([*levels.levels, levels.source])
+            if not self._selection:
+                self._selection = selected
             show_temporarily(levels.levels, shown[name], levels.source)
+            if selected:  # what is hidden is neither selected nor active any more
+                _select(levels.levels[shown[name]], any(selected.values()))
         if shown != self.shown:
             self.shown = shown
             _redraw()
+
+    def _restore_selection(self) -> None:
+        selection, self._selection = self._selection, {}
+        for uid, is_active in selection.items():
+            item = find_by_uid(bpy.data.objects, uid)
+            if item is not None:
+                _select(item, is_active)
 
     def _start(self) -> None:
         if not bpy.app.timers.is_registered(self._timer):
@@ -198,6 +216,23 @@ def _visible_level(levels: LevelSet) -> int | None:
     """Return the number of the only level that is visible, None if several or none are."""
     visible = [number for number, item in enumerate(levels.levels) if not item.hide_viewport]
     return visible[0] if len(visible) == 1 else None
+
+
+def _find_selected(items: Sequence[bpy.types.Object | None]) -> dict[int, bool]:
+    """Return the session UIDs of those that are selected or active in the view layer, and whether they are active."""
+    objects = bpy.context.view_layer.objects
+    present = [item for item in items if item is not None and item.name in objects]
+    return {item.session_uid: item == objects.active for item in present if item == objects.active or item.select_get()}
+
+
+def _select(item: bpy.types.Object, is_active: bool) -> None:
+    """Select an object of the view layer if it is visible, and let it be active."""
+    view_layer = bpy.context.view_layer
+    view_layer.update()
+    if item.name in view_layer.objects and item.visible_get():
+        item.select_set(True)
+        if is_active:
+            view_layer.objects.active = item
 
 
 def _redraw() -> None:
