@@ -16,9 +16,9 @@ from farfield.addon.core.texmesh.refitting.refit import make_refit_levels, refit
 from farfield.addon.core.texmesh.refitting.sampling import sample_surface
 from farfield.addon.core.texmesh.refitting.settings import RefitSettings
 from farfield.addon.core.texmesh.refitting.uv_moves import compute_uv_areas
+from farfield.addon.core.texmesh.simplification.islands import find_islands
 from farfield.addon.core.texmesh.simplification.levels import extract_level, simplify_by_cost
 from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
-from farfield.addon.core.texmesh.simplification.islands import find_islands
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 from tests.shapes import cylinder, sheet
 

@@ -13,8 +13,8 @@ import numpy as np
 from ...geometry.mesh import face_areas_and_normals
 from .level_state import LevelState, sum_by
 
-MAX_ITERATIONS = 60
-TOLERANCE = 1e-4  # of the preconditioned gradient
+MAX_ITERATIONS = 30
+TOLERANCE = 1e-3  # of the preconditioned gradient
 DAMPING = 0.03  # of the weight that a vertex has if samples are dense: keeps vertices with few samples in place
 
 
@@ -47,12 +47,13 @@ class Linearization:
     """The cost around a level, as a quadratic function of V displacements in space and V displacements in UV space.
 
     state: the level. moments: of its triangles. directions: (W, 2, 2), which map the two degrees of freedom of a vertex to the
-    displacement of its wedges in UV space; zero where a wedge is fixed. damping: added to the diagonal, as a fraction of it.
+    displacement of its wedges in UV space; zero where a wedge is fixed. None if only positions move: then all derivatives and steps have 3
+    columns instead of 5. damping: added to the diagonal, as a fraction of it.
     """
 
     state: LevelState
     moments: Moments
-    directions: np.ndarray
+    directions: np.ndarray | None
     damping: float
 
     @cached_property
@@ -82,6 +83,8 @@ class Linearization:
 
     def _spread(self, corner_forces: np.ndarray) -> np.ndarray:
         """Return the derivatives (V, 5) by all degrees of freedom from those (T, 3, 3) by the residuals at corners."""
+        if self.directions is None:
+            return self._sums @ corner_forces.reshape(-1, 3)
         by_uv = -np.einsum("tkac,tka->tkc", self._derivatives, corner_forces)
         return self._sums @ np.concatenate([corner_forces, by_uv], axis=2).reshape(-1, 5)
 
@@ -92,15 +95,19 @@ class Linearization:
     def apply(self, step: np.ndarray) -> np.ndarray:
         """Return the product (V, 5) of the Gauss-Newton matrix, without damping, with a `step` (V, 5)."""
         at_corners = step[self.state.mesh.triangles]
-        changes = at_corners[:, :, :3] - np.einsum("tkac,tkc->tka", self._derivatives, at_corners[:, :, 3:])
+        changes = at_corners[:, :, :3]
+        if self.directions is not None:
+            changes = changes - np.einsum("tkac,tkc->tka", self._derivatives, at_corners[:, :, 3:])
         return self._spread(self.moments.products @ changes @ self._metric)
 
     def diagonal_blocks(self) -> np.ndarray:
         """Return the diagonal blocks (V, 5, 5) of the Gauss-Newton matrix."""
-        full = np.concatenate([np.broadcast_to(np.eye(3), (*self.state.mesh.triangles.shape, 3, 3)), -self._derivatives], axis=3)
         weights = np.einsum("tkk->tk", self.moments.products)
-        blocks = np.einsum("tk,tkai,tab,tkbj->tkij", weights, full, self._metric, full, optimize=True)
-        return (self._sums @ blocks.reshape(-1, 25)).reshape(-1, 5, 5)
+        if self.directions is None:
+            return (self._sums @ (weights[:, :, None, None] * self._metric[:, None]).reshape(-1, 9)).reshape(-1, 3, 3)
+        full = np.concatenate([np.broadcast_to(np.eye(3), (*self.state.mesh.triangles.shape, 3, 3)), -self._derivatives], axis=3)
+        weighted = weights[:, :, None, None] * (self._metric[:, None] @ full)
+        return (self._sums @ (full.swapaxes(2, 3) @ weighted).reshape(-1, 25)).reshape(-1, 5, 5)
 
     def solve(self, uv_scale: float) -> np.ndarray:
         """Return the step (V, 5) to the minimum, damped. uv_scale: length of a unit of UV space on the surface."""
@@ -108,8 +115,8 @@ class Linearization:
         areas, _ = face_areas_and_normals(self.state.corners)
         weight = self._sums @ np.repeat(areas / 6.0, 3)  # what `blocks` are if samples are dense
         scale = np.concatenate([np.ones(3), np.full(2, uv_scale**2)])
-        damping = weight[:, None] * scale * np.array([DAMPING] * 3 + [self.damping] * 2)
-        inverses = np.linalg.inv(blocks + damping[:, :, None] * np.eye(5))
+        damping = (weight[:, None] * scale * np.array([DAMPING] * 3 + [self.damping] * 2))[:, : blocks.shape[1]]
+        inverses = np.linalg.inv(blocks + damping[:, :, None] * np.eye(blocks.shape[1]))
         residual = -self.gradient()
         step = np.zeros_like(residual)
         preconditioned = np.einsum("vij,vj->vi", inverses, residual)

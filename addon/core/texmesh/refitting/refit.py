@@ -10,9 +10,9 @@ import numpy as np
 
 from ...geometry.mesh import face_areas_and_normals
 from ...jobs.progress import Progress, Steps, subprogress
+from ..simplification.islands import find_islands
 from ..simplification.levels import extract_level, simplify_by_cost
 from ..simplification.settings import SimplificationSettings
-from ..simplification.islands import find_islands
 from ..textured_mesh import TexturedMesh
 from .border_curves import BorderCurves, Freedom, find_border_curves, find_freedom
 from .correspondence import compute_uv_scale, match_islands
@@ -26,13 +26,13 @@ from .settings import RefitSettings
 from .spikes import FineSurface, avoid_folds, remove_spikes
 from .uv_moves import move_uvs
 
-MIN_SAMPLES, MAX_SAMPLES = 20_000, 300_000  # per level
-MAX_SAMPLED = 1_600_000  # samples times iterations: large levels get fewer iterations, as most of their error goes in the first
+MIN_SAMPLES, MAX_SAMPLES = 16_000, 300_000  # per level
+MAX_SAMPLED = 1_200_000  # samples times iterations: large levels get fewer iterations, as most of their error goes in the first
 MIN_ITERATIONS = 3
 INITIAL_DAMPING, MIN_DAMPING = 0.1, 1e-3  # of moves of texture coordinates
 DAMPING_DECREASE, DAMPING_INCREASE = 0.5, 8.0
 TOLERANCE = 5e-3  # decrease of the cost below which the fit ends
-FLIP_ROUNDS = 2  # per iteration
+FLIP_ROUNDS = 1  # per iteration
 SPLIT_PARTS = 3  # the splits are divided into so many iterations, each after the fit has followed the one before
 PEAK_SCALE = 4.0  # squared distances count more if they are large compared with this multiple of their mean
 MAX_EMPHASIS = 100.0
@@ -112,8 +112,8 @@ def _move(state: LevelState, curves: BorderCurves, uv_scale: float, damping: flo
     step = Linearization(state, compute_moments(state), freedom.directions, damping).solve(uv_scale)
     uvs, fractions = move_uvs(state.mesh, step[:, 3:], freedom, curves)
     moved = state.move(avoid_folds(state, state.mesh.vertices + fractions[:, None] * step[:, :3]), uvs)
-    step = Linearization(moved, compute_moments(moved), np.zeros_like(freedom.directions), damping).solve(uv_scale)
-    return moved.move(avoid_folds(moved, moved.mesh.vertices + step[:, :3]))
+    step = Linearization(moved, compute_moments(moved), None, damping).solve(uv_scale)
+    return moved.move(avoid_folds(moved, moved.mesh.vertices + step))
 
 
 def emphasize_peaks(state: LevelState, areas: np.ndarray, peak_weight: float) -> LevelState:

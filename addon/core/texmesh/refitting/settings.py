@@ -11,7 +11,7 @@ class RefitSettings(Settings):
 
     iterations: int = setting(12, "Moves of vertices and texture coordinates; large levels get fewer", minimum=1, maximum=100)
     samples_per_triangle: int = setting(
-        12, "Points of the fine mesh per triangle of the level, to which it is fitted", minimum=4, maximum=100
+        8, "Points of the fine mesh per triangle of the level, to which it is fitted", minimum=4, maximum=100
     )
     normal_weight: float = setting(
         8.0,

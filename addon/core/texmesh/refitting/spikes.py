@@ -13,7 +13,7 @@ from ...geometry.distance import TriangleTree
 from ...geometry.mesh import scaled_normals
 from ..textured_mesh import TexturedMesh
 from .correspondence import find_correspondence
-from .edge_flips import flip_quads, find_quads, select_flips
+from .edge_flips import find_quads, flip_quads, select_flips
 from .level_state import LevelState
 from .sampling import SurfaceSamples
 
