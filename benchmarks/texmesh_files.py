@@ -64,7 +64,7 @@ def _find_material(name: str, names: dict[str, int]) -> int:
 
 
 def read_glb(path: Path) -> TexturedMesh:
-    """Read the triangles with texture coordinates of an uncompressed .glb. Materials keep their numbers, or those of `write_obj`."""
+    """Read the triangles with texture coordinates of an uncompressed .glb; others are left out. Materials keep their numbers, or those of `write_obj`."""
     data = path.read_bytes()
     length = struct.unpack_from("<I", data, 12)[0]
     document = json.loads(data[20 : 20 + length])
@@ -75,6 +75,8 @@ def read_glb(path: Path) -> TexturedMesh:
     offset = 0
     for node, matrix in _list_nodes(document):
         for primitive in document["meshes"][node["mesh"]]["primitives"] if "mesh" in node else []:
+            if "TEXCOORD_0" not in primitive["attributes"]:
+                continue
             positions = _read_accessor(document, binary, primitive["attributes"]["POSITION"])
             points.append(positions @ matrix[:3, :3].T + matrix[:3, 3])
             uvs.append(_read_accessor(document, binary, primitive["attributes"]["TEXCOORD_0"]) * [1.0, -1.0] + [0.0, 1.0])
