@@ -53,6 +53,17 @@ def press_button(user: UserInput, operator: str) -> Iterator[float | tuple[int, 
     return x, y
 
 
+def scroll_sidebar(user: UserInput) -> Iterator[float]:
+    """Scroll to the lower end of the sidebar."""
+    sidebar = user.region("UI")
+    position = sidebar.x + sidebar.width // 2, sidebar.y + sidebar.height // 2
+    user.move(*position)
+    yield 0.3
+    for _ in range(20):
+        user.press("WHEELDOWNMOUSE", *position)
+        yield 0.05
+
+
 def session() -> Iterator[float]:
     """Run the session; yields pauses in seconds."""
     user = UserInput()
@@ -106,8 +117,7 @@ def session() -> Iterator[float]:
     results["after_preview"], results["rings_hidden"] = visible_objects(), not preview.is_running
 
     view.view_distance = 8.0
-    open_panel_alone("texmesh", "calibration")
-    yield from user.open_sidebar()
+    yield from scroll_sidebar(user)
     before = scene_state()
     yield from press_button(user, "farfield.texmesh_calibrate")
     yield 1.0

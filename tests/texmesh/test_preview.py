@@ -87,7 +87,7 @@ def test_the_selection_goes_along_and_comes_back(levels):
     show(1000.0)
     assert bpy.context.active_object == levels.levels[2]
     preview.current.stop()
-    assert objects.active == levels.levels[1] and {*levels.levels[1:]} <= {*bpy.context.selected_objects}
+    assert objects.active == levels.levels[1] and {*levels.levels[1:]} == {*bpy.context.selected_objects}
 
 
 def test_renders_are_not_changed(levels):
@@ -199,6 +199,8 @@ def test_rings_are_where_levels_switch(levels):
             distance = distance_to_box(point, low, high)
             assert camera.pixel_size(distance) == pytest.approx(scale * levels.levels[number][ERROR], rel=1e-6)
     assert find_rings(levels, Camera(np.zeros(3), 1000, 0.0, 5.0)) == []
+    levels.levels[1][ERROR] = levels.levels[2][ERROR]
+    assert [number for number, _ in find_rings(levels, camera)] == [2]
 
 
 @pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])

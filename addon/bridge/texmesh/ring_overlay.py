@@ -67,10 +67,11 @@ class RingOverlay:
 
 
 def find_rings(levels: LevelSet, camera: Camera) -> list[tuple[int, np.ndarray]]:
-    """Return the numbers of levels, and the rings (N, 3) in world space where `camera` would switch to them; none if it is orthographic."""
+    """Return the numbers of levels, and the rings (N, 3) in world space where `camera` would switch to them; none if it is orthographic.
+    Of levels with the same error only the coarsest ever shows."""
     low, high, scale = levels.bounds()
-    distances = [camera.switch_distance(error * scale) if camera.field_of_view else 0.0 for error in levels.errors]
-    return [(number, ring_around_box(low, high, distance)) for number, distance in enumerate(distances) if distance > 0.0]
+    errors = dict(zip(levels.errors, range(len(levels.levels)), strict=True)) if camera.field_of_view else {}
+    return [(number, ring_around_box(low, high, camera.switch_distance(error * scale))) for error, number in errors.items() if error > 0.0]
 
 
 def _find_context_rings() -> list[tuple[int, np.ndarray]]:

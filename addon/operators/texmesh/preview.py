@@ -6,7 +6,6 @@ from typing import Any
 
 import bpy
 
-from ...bridge.session_ids import find_by_uid
 from ...bridge.texmesh.level_sets import LevelSet, find_level_set, level_sets_in
 from ...bridge.texmesh.ring_overlay import overlay as rings
 from ...bridge.texmesh.temporary_visibility import STATE, restore, resume_crossfades, show_temporarily
@@ -33,6 +32,7 @@ class LevelPreview:
         self.shown: dict[str, int] = {}
         self._fixed: dict[str, int] = {}
         self._selection: dict[int, bool] = {}  # by session UID of objects that were selected: whether one was active
+        self._selected: set[int] = set()  # session UIDs of levels that have been selected instead
         self._area_address = 0
         self._flicker_seconds, self._started = 0.5, 0.0
         self._timer = self._tick  # Blender identifies timers by the object
@@ -94,16 +94,20 @@ class LevelPreview:
             show_temporarily(levels.levels, shown[name], levels.source)
             if selected:  # what is hidden is neither selected nor active any more
                 _select(levels.levels[shown[name]], any(selected.values()))
+                self._selected.add(levels.levels[shown[name]].session_uid)
         if shown != self.shown:
             self.shown = shown
             _redraw()
 
     def _restore_selection(self) -> None:
-        selection, self._selection = self._selection, {}
-        for uid, is_active in selection.items():
-            item = find_by_uid(bpy.data.objects, uid)
-            if item is not None:
-                _select(item, is_active)
+        present = bpy.context.view_layer.objects
+        objects = {item.session_uid: item for item in bpy.data.objects if item.name in present} if self._selection else {}
+        for uid in objects.keys() & self._selected - self._selection.keys():
+            objects[uid].select_set(False)
+        for uid, is_active in self._selection.items():
+            if uid in objects:
+                _select(objects[uid], is_active)
+        self._selection, self._selected = {}, set()
 
     def _start(self) -> None:
         if not bpy.app.timers.is_registered(self._timer):
