@@ -37,21 +37,21 @@ def project(trial: TrialView, points: np.ndarray, matrix: np.ndarray) -> np.ndar
 
 
 @given(st.floats(1.0, 50.0), st.floats(0.0, 7.0), st.sampled_from([-1, 1]), st.floats(0.5, 3.0))
-def test_objects_fit_into_their_halves_beyond_the_near_plane(factor, angle, side, aspect):
+def test_objects_fit_beside_each_other_beyond_the_near_plane(factor, angle, side, aspect):
     trial = view(aspect=aspect)
     random = np.random.default_rng(0).normal(size=(200, 3))
     points = trial.center + trial.radius * random / np.linalg.norm(random, axis=1, keepdims=True)
     pixels = project(trial, points, trial.object_matrix(factor * trial.nearest, angle, side))
     assert pixels[:, 2].min() > 4.0 * trial.near
     tolerance = 1.2  # perspective enlarges what is near
-    assert np.abs(pixels[:, 0] - 300.0 * side).max() < 300.0 * tolerance and np.abs(pixels[:, 1]).max() < 600.0 / aspect * tolerance
+    assert np.abs(pixels[:, 0] - 150.0 * side).max() < 150.0 * tolerance and np.abs(pixels[:, 1]).max() < 600.0 / aspect * tolerance
 
 
 def test_an_object_covers_the_pixels_of_the_display():
     trial = view()
     distance = 4.0 * trial.nearest
     pixels = project(trial, trial.center + np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), trial.object_matrix(distance, 0.0, -1))
-    np.testing.assert_allclose(pixels[0, :2], [-300.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(pixels[0, :2], [-150.0, 0.0], atol=1e-9)
     assert pixels[1, 0] - pixels[0, 0] == pytest.approx(1.0 / (distance * math.tan(math.radians(1.0 / 67.0))), rel=1e-6)
 
 

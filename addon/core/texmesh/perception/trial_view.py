@@ -11,7 +11,8 @@ from ...geometry.cameras import Camera
 TILT = math.radians(15.0)  # towards the viewer, so that the top is seen
 DEPTH = 10.0  # of the objects, in distances of the near clipping plane
 MIN_DISTANCE = 2.0  # of the viewer from the center, in radii
-MAX_FILLED = 0.9  # of half the width, or the height, by an object
+SIDE = 0.125  # of the width: how far the objects are from the middle, so that a sidebar hides neither
+MAX_FILLED = 0.9  # of twice that distance, or of the height, by an object
 
 
 @dataclass(frozen=True)
@@ -31,8 +32,8 @@ class TrialView:
 
     @property
     def nearest(self) -> float:
-        """The smallest distance, in object units for the display, at which the objects fit into their halves of the image."""
-        half_width = self.camera.pixels * min(0.25, 0.5 / self.aspect) * MAX_FILLED
+        """The smallest distance, in object units for the display, at which the objects fit beside each other into the image."""
+        half_width = self.camera.pixels * min(SIDE, 0.5 / self.aspect) * MAX_FILLED
         fitting = self.radius / half_width / self._pixel_growth
         close = MIN_DISTANCE * self.radius * self.camera.pixel_size(1.0) / self._pixel_growth
         return max(fitting, close)
@@ -62,6 +63,6 @@ class TrialView:
         upright = np.array([[1.0, 0.0, 0.0], [0.0, sine, cosine], [0.0, -cosine, sine]])  # z up, seen slightly from above
         matrix = np.eye(4)
         matrix[:3, :3] = scale * upright @ turn
-        position = np.array([0.25 * side * self.camera.pixels * pixel, 0.0, -depth])
+        position = np.array([SIDE * side * self.camera.pixels * pixel, 0.0, -depth])
         matrix[:3, 3] = position - matrix[:3, :3] @ self.center
         return matrix
