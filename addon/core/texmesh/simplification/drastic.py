@@ -15,7 +15,7 @@ from .islands import label_connected
 from .settings import SimplificationSettings
 from .topology import BOUNDARY
 
-MAX_LOCKED_FRACTION = 0.5  # of the vertices of a level: with more, what can be unlocked is unlocked before all others are gone
+MAX_LOCKED_FRACTION = 0.25  # of the vertices of a level: with more, what can be unlocked is unlocked before all others are gone
 MIN_FILL_QUALITY = 1e-3  # in texture space, of triangles that close holes
 
 
