@@ -64,7 +64,10 @@ def _find_material(name: str, names: dict[str, int]) -> int:
 
 
 def read_glb(path: Path) -> TexturedMesh:
-    """Read the triangles with texture coordinates of an uncompressed .glb; others are left out. Materials keep their numbers, or those of `write_obj`."""
+    """Read the triangles with texture coordinates of an uncompressed .glb; others are left out.
+
+    Materials keep their numbers, or those of `write_obj`.
+    """
     data = path.read_bytes()
     length = struct.unpack_from("<I", data, 12)[0]
     document = json.loads(data[20 : 20 + length])
