@@ -93,7 +93,8 @@ def test_a_known_patch_has_the_documented_streams():
 def test_the_boundary_is_that_of_the_triangle(level, index):
     corners = TREE.corners_of(level, index)
     y, x = (axis.ravel() for axis in np.mgrid[0:65, 0:65])
-    edges = [np.cross(np.roll(corners, -1, axis=0)[k] - corners[k], np.stack([x, y], axis=1) - corners[k]) for k in range(3)]
+    sides = np.roll(corners, -1, axis=0) - corners
+    edges = [side[0] * (y - start[1]) - side[1] * (x - start[0]) for side, start in zip(sides, corners, strict=True)]
     is_inside = np.min(edges, axis=0) >= 0
     found = find_boundary(x[is_inside], y[is_inside], corners)
     assert np.array_equal(found, np.flatnonzero(np.min(edges, axis=0)[is_inside] == 0))
