@@ -19,7 +19,6 @@ from lib import environment
 environment.ensure()
 environment.import_farfield()
 
-import addon_utils
 import bpy
 import numpy as np
 
@@ -279,7 +278,6 @@ def write_scene(objects: list[bpy.types.Object], out: Path) -> None:
         if extension == ".obj":
             bpy.ops.wm.obj_export(filepath=str(temporary / out.name), forward_axis="Y", up_axis="Z", path_mode="ABSOLUTE")
         else:
-            addon_utils.enable("io_scene_gltf2")  # a script in the same process may have disabled it
             bpy.ops.export_scene.gltf(filepath=str(temporary / out.name), export_format="GLB")
 
 
