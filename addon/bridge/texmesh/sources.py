@@ -6,7 +6,8 @@ import bpy
 import numpy as np
 
 from ...core.errors import GeometryError
-from ...core.geometry.mesh import TriangleMesh
+from ...core.geometry.geometry_2d import signed_areas
+from ...core.geometry.mesh import TriangleMesh, face_areas_and_normals
 from ...core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 from ..evaluated_mesh import EvaluatedMesh
 from ..meshes import find_material, read_instances
@@ -100,10 +101,8 @@ def _read_corner_values(mesh: EvaluatedMesh) -> tuple[np.ndarray, tuple[tuple[st
 def _find_flat(mesh: EvaluatedMesh) -> np.ndarray:
     """Return which triangles (T,) bool are shaded flat: their corners have the same normal, and it is that of the triangle."""
     normals = mesh.normals[mesh.loops]
-    corners = mesh.vertices[mesh.triangles].astype(np.float64)
-    direction = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.linalg.norm(direction, axis=1)
-    cosines = np.einsum("tci,ti->tc", normals, direction / np.where(lengths > 0.0, lengths, 1.0)[:, None])
+    _, directions = face_areas_and_normals(mesh.vertices[mesh.triangles].astype(np.float64))
+    cosines = np.einsum("tci,ti->tc", normals, directions)
     return (np.ptp(normals, axis=1).max(axis=1) == 0.0) & (cosines.min(axis=1) > 0.99)
 
 
@@ -122,9 +121,7 @@ def _describe_uvs(name: str, mesh: TexturedMesh, has_uv_map: bool) -> list[str]:
     remarks = []
     if mesh.uvs.min() < 0.0 or mesh.uvs.max() > 1.0:
         remarks.append(f'The UV map of "{name}" leaves the image; the image is repeated there.')
-    edges = mesh.corner_uvs[:, 1:] - mesh.corner_uvs[:, :1]
-    areas = edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]
-    empty = int((areas == 0.0).sum())
+    empty = int((signed_areas(mesh.corner_uvs) == 0.0).sum())
     if empty:
         remarks.append(f'{empty:,} triangles of "{name}" have no area in the UV map.')
     return remarks

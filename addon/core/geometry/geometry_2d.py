@@ -9,5 +9,5 @@ def cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def signed_areas(corners: np.ndarray) -> np.ndarray:
-    """Return the areas (T,) of triangles (T, 3, 2), negative for clockwise ones."""
-    return 0.5 * cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    """Return the areas (...) of triangles (..., 3, 2), negative for clockwise ones."""
+    return 0.5 * cross(corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :])

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from ..arrays import concatenate_ranges
+from ..geometry.geometry_2d import cross
 
 STRIP_ROWS = 512  # of a texture, halved at once; even
 CHUNK_SAMPLES = 1 << 16  # at once, so that intermediate arrays stay in the cache
@@ -98,12 +99,12 @@ def measure_footprints(corners: np.ndarray, corner_uvs: np.ndarray, size: tuple[
     """
     edges = corners[:, 1:] - corners[:, :1]
     uv_edges = (corner_uvs[:, 1:] - corner_uvs[:, :1]) * size
-    areas = edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]
+    areas = cross(edges[:, 0], edges[:, 1])
     safe = np.where(areas != 0.0, areas, 1.0)[:, None]
     across = (edges[:, 1, 1, None] * uv_edges[:, 0] - edges[:, 0, 1, None] * uv_edges[:, 1]) / safe  # texels per pixel along x
     along = (edges[:, 0, 0, None] * uv_edges[:, 1] - edges[:, 1, 0, None] * uv_edges[:, 0]) / safe
     sum_of_squares = (across**2 + along**2).sum(axis=1)
-    determinant = np.abs(across[:, 0] * along[:, 1] - across[:, 1] * along[:, 0])
+    determinant = np.abs(cross(across, along))
     longest = np.sqrt(0.5 * (sum_of_squares + np.sqrt(np.maximum(sum_of_squares**2 - 4.0 * determinant**2, 0.0))))
     return np.where(areas != 0.0, np.maximum(np.sqrt(determinant), longest / max_anisotropy), 1.0)
 

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..geometry.geometry_2d import cross
 from .images import sample_bilinear
 from .raster import draw_ids
 
@@ -37,7 +38,7 @@ def locate_positions(corners: np.ndarray, depths: np.ndarray, positions: np.ndar
     `corners` (N, 3, 2) and positive `depths` (N, 3) along the optical axis."""
     offsets = corners - positions[:, None]
     areas = np.stack(
-        [_cross(offsets[:, 1], offsets[:, 2]), _cross(offsets[:, 2], offsets[:, 0]), _cross(offsets[:, 0], offsets[:, 1])], axis=1
+        [cross(offsets[:, 1], offsets[:, 2]), cross(offsets[:, 2], offsets[:, 0]), cross(offsets[:, 0], offsets[:, 1])], axis=1
     )
     weights = areas / depths
     return weights / weights.sum(axis=1, keepdims=True)
@@ -56,7 +57,3 @@ def render_texture(
     image = np.zeros((size[1], size[0], texture.shape[2]), np.float32)
     image[located.covered] = sample_bilinear(texture, located.interpolate(corner_uvs) * texture.shape[1::-1])
     return image, located.covered
-
-
-def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    return first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]

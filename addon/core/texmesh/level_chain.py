@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import GeometryError
+from ..geometry.geometry_2d import signed_areas
 from ..imaging.mipmaps import Mipmaps, build_mipmaps
 from ..jobs.progress import Progress, Steps, subprogress
 from .perception.level_choice import LevelBudget, LevelOption, choose_levels
@@ -161,8 +162,7 @@ def choose_targets(mesh: TexturedMesh, scale_map: ScaleMap) -> tuple[list[int], 
 
 def _has_uv_area(mesh: TexturedMesh) -> bool:
     """Return whether a triangle has an area in UV space, without which nothing can be refitted."""
-    edges = mesh.corner_uvs[:, 1:] - mesh.corner_uvs[:, :1]
-    return bool((edges[:, 0, 0] * edges[:, 1, 1] != edges[:, 0, 1] * edges[:, 1, 0]).any())
+    return bool(signed_areas(mesh.corner_uvs).any())
 
 
 def _priorities(scale_map: ScaleMap) -> np.ndarray:

@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 
 from ...arrays import concatenate_ranges
 from ...geometry.distance import closest_barycentric, closest_on_mesh, segment_argmin
+from ...geometry.geometry_2d import signed_areas
 from ...geometry.mesh import face_areas_and_normals
 from ...jobs.chunks import slices
 from ..textured_mesh import TexturedMesh
@@ -55,7 +56,7 @@ def match_islands(samples: SurfaceSamples, materials: np.ndarray, level: Texture
 def compute_uv_scale(mesh: TexturedMesh) -> float:
     """Return the length on the surface of a unit of UV space: the square root of the ratio of total areas; 0 if UVs have no area."""
     area = face_areas_and_normals(mesh.vertices[mesh.triangles])[0].sum()
-    uv_area = 0.5 * np.abs(_cross(mesh.corner_uvs)).sum()
+    uv_area = np.abs(signed_areas(mesh.corner_uvs)).sum()
     return float(np.sqrt(area / uv_area)) if uv_area > 0.0 else 0.0
 
 
@@ -95,7 +96,7 @@ def find_correspondence(
 
 def invert_uv_maps(corner_uvs: np.ndarray) -> np.ndarray:
     """Return the affine maps (2, 3, T) from (u, v, 1) to the first two barycentric coordinates; NaN for triangles without area."""
-    u, v, area = corner_uvs[:, :, 0].T, corner_uvs[:, :, 1].T, _cross(corner_uvs)
+    u, v, area = corner_uvs[:, :, 0].T, corner_uvs[:, :, 1].T, 2.0 * signed_areas(corner_uvs)
     scale = 1.0 / np.where(area != 0.0, area, np.nan)
     maps = np.empty((2, 3, len(corner_uvs)))
     for row, (first, second) in enumerate(((1, 2), (2, 0))):
@@ -172,11 +173,3 @@ def _find_nearest(
     points = np.column_stack([uvs, spacing * islands])
     _, nearest = closest_on_mesh(points, corners)
     return nearest.astype(np.int64), closest_barycentric(points, corners[nearest])
-
-
-def _cross(corner_uvs: np.ndarray) -> np.ndarray:
-    return _wedge(corner_uvs[:, 1] - corner_uvs[:, 0], corner_uvs[:, 2] - corner_uvs[:, 0])
-
-
-def _wedge(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    return first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]

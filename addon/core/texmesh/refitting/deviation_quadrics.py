@@ -9,6 +9,7 @@ slides along the surface and its texture coordinates do not.
 
 import numpy as np
 
+from ...geometry.geometry_2d import signed_areas
 from ...geometry.mesh import face_areas_and_normals
 from ..simplification.collapse_fans import CollapseFans
 from ..simplification.topology import Collapses
@@ -87,7 +88,7 @@ def _deviation_rows(corners: np.ndarray, normals: np.ndarray, normal_weight: flo
     origin = corners[:, 0]
     edges = np.stack([corners[:, 1, 3:] - origin[:, 3:], corners[:, 2, 3:] - origin[:, 3:]], axis=2)
     sides = np.stack([corners[:, 1, :3] - origin[:, :3], corners[:, 2, :3] - origin[:, :3]], axis=2)
-    determinants = edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]
+    determinants = 2.0 * signed_areas(corners[:, :, 3:])
     squares = (edges**2).sum(axis=(1, 2))
     is_flat = np.abs(determinants) <= 1e-9 * squares
     edges[is_flat] = np.eye(2)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...arrays import TINY, concatenate_ranges
+from ...geometry.geometry_2d import cross, signed_areas
 from ...geometry.mesh import face_areas_and_normals
 from .correspondence import evaluate_uv_maps, invert_uv_maps
 from .level_state import LevelState
@@ -61,8 +62,8 @@ def find_quads(state: LevelState) -> Quads:
     is_valid = edges.between(vertices[:, 0], vertices[:, 2]) < 0
     is_valid &= (mesh.triangles[s, (d + 1) % 3] == vertices[:, 3]) & (vertices[:, 0] != vertices[:, 2])
     uvs, points = mesh.uvs[wedges], mesh.vertices[vertices]
-    areas = _cross(uvs[:, NEW_TRIANGLES])
-    old = _cross(uvs[:, [[0, 1, 3], [2, 3, 1]]])
+    areas = signed_areas(uvs[:, NEW_TRIANGLES])
+    old = signed_areas(uvs[:, [[0, 1, 3], [2, 3, 1]]])
     sign = np.sign(old.sum(axis=1))
     is_valid &= (areas * sign[:, None] > MIN_UV_FRACTION * np.abs(old.sum(axis=1))[:, None]).all(axis=1)
     _, normals = face_areas_and_normals(state.corners)
@@ -117,8 +118,8 @@ def _compute_gains(state: LevelState, quads: Quads) -> tuple[np.ndarray, np.ndar
     new_triangles = uvs[:, NEW_TRIANGLES].reshape(-1, 3, 2)
     maps, places = invert_uv_maps(new_triangles), points[:, NEW_TRIANGLES].reshape(-1, 3, 3)
     diagonal = uvs[:, 2] - uvs[:, 0]
-    side = np.sign(_cross(uvs[:, [0, 1, 2]]))
-    offset = diagonal[:, 0] * uvs[:, 0, 1] - diagonal[:, 1] * uvs[:, 0, 0]
+    side = np.sign(signed_areas(uvs[:, [0, 1, 2]]))
+    offset = cross(diagonal, uvs[:, 0])
     total = np.zeros(len(first))
     for triangle in (first, second):
         quad = np.repeat(np.arange(len(first)), sizes[triangle])
@@ -140,11 +141,3 @@ def _compute_gains(state: LevelState, quads: Quads) -> tuple[np.ndarray, np.ndar
         total += np.bincount(quad, cost, len(first))
     present = costs[first] + costs[second]
     return present - total, present
-
-
-def _cross(corner_uvs: np.ndarray) -> np.ndarray:
-    return _wedge(corner_uvs[..., 1, :] - corner_uvs[..., 0, :], corner_uvs[..., 2, :] - corner_uvs[..., 0, :])
-
-
-def _wedge(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]

@@ -10,6 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ...geometry.geometry_2d import signed_areas
 from ...geometry.mesh import face_areas_and_normals
 from .level_state import LevelState, sum_by
 
@@ -68,7 +69,7 @@ class Linearization:
         mesh = self.state.mesh
         uvs, corners = mesh.corner_uvs, self.state.corners
         edges = np.stack([uvs[:, 1] - uvs[:, 0], uvs[:, 2] - uvs[:, 0]], axis=2)
-        determinants = edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]
+        determinants = 2.0 * signed_areas(uvs)
         adjugate = np.stack(
             [np.stack([edges[:, 1, 1], -edges[:, 0, 1]], axis=1), np.stack([-edges[:, 1, 0], edges[:, 0, 0]], axis=1)], axis=1
         )

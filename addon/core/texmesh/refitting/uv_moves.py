@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ...geometry.geometry_2d import signed_areas
 from ..textured_mesh import TexturedMesh
 from .border_curves import BorderCurves, Freedom
 
@@ -17,26 +18,20 @@ def move_uvs(mesh: TexturedMesh, steps: np.ndarray, freedom: Freedom, curves: Bo
     Steps are halved where triangles would lose most of their area in UV space.
     """
     moves = np.einsum("wij,wj->wi", freedom.directions, steps[mesh.wedge_vertices])
-    before = compute_uv_areas(mesh.corner_uvs)
+    before = signed_areas(mesh.corner_uvs)
     fractions = np.ones(len(mesh.vertices))
     for _ in range(MAX_HALVINGS):
         scaled = moves * fractions[mesh.wedge_vertices, None]
         uvs = mesh.uvs + scaled
         stays = _slide(mesh, uvs, scaled, freedom, curves)
         fractions[mesh.wedge_vertices[stays]] = 0.0
-        after = compute_uv_areas(uvs[mesh.wedge_triangles])
+        after = signed_areas(uvs[mesh.wedge_triangles])
         is_flipped = after * np.sign(before) < MIN_AREA_FRACTION * np.abs(before)
         if not is_flipped.any():
             return uvs, fractions
         vertices = np.unique(mesh.triangles[is_flipped])
         fractions[vertices] = np.where(fractions[vertices] > MIN_FRACTION, 0.5 * fractions[vertices], 0.0)
     return mesh.uvs, np.zeros(len(mesh.vertices))
-
-
-def compute_uv_areas(corner_uvs: np.ndarray) -> np.ndarray:
-    """Return twice the signed areas (T,) of triangles in UV space, `corner_uvs` (T, 3, 2)."""
-    first, second = corner_uvs[:, 1] - corner_uvs[:, 0], corner_uvs[:, 2] - corner_uvs[:, 0]
-    return first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
 
 
 def _slide(mesh: TexturedMesh, uvs: np.ndarray, moves: np.ndarray, freedom: Freedom, curves: BorderCurves) -> np.ndarray:

@@ -8,6 +8,7 @@ add the squared distance from their edges within the triangle's plane in (x, y, 
 import numpy as np
 
 from ...arrays import TINY
+from ...geometry.geometry_2d import signed_areas
 from ...geometry.mesh import longest_side, scaled_normals
 from ..textured_mesh import TexturedMesh
 from .collapse_fans import CollapseFans
@@ -100,9 +101,7 @@ class TextureQuadrics:
 
 def _find_uv_scales(mesh: TexturedMesh, unit: float) -> tuple[np.ndarray, float]:
     """Return the length in space of one in texture space for each triangle (T,), limited by that of its island, and for all."""
-    corners = mesh.corner_uvs
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    uv_areas = 0.5 * np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+    uv_areas = np.abs(signed_areas(mesh.corner_uvs))
     areas = 0.5 * np.linalg.norm(scaled_normals(mesh.vertices[mesh.triangles] * unit), axis=1)
     overall = _find_scale(areas.sum(), uv_areas.sum(), 1.0)
     islands = find_islands(mesh)
