@@ -11,13 +11,12 @@ from photos_scores import find_truth, score_truth
 
 from farfield.addon.core.files.scratch import Scratch
 from farfield.addon.core.geometry.lenses import PhotoCamera
-from farfield.addon.core.geometry.mesh import TriangleMesh
+from farfield.addon.core.geometry.mesh import TriangleMesh, vertex_normals
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.photos.merging import merge
 from farfield.addon.core.photos.refinement import refine
 from farfield.addon.core.photos.registration import register
 from farfield.addon.core.photos.settings import PhotosSettings
-from farfield.addon.core.photos.texels import vertex_normals
 from farfield.addon.core.photos.views import View
 
 MODELS = {"rock": make_rock, "knot": make_knot}
@@ -62,7 +61,7 @@ def measure_alignment(seed: int, size: int) -> dict[str, Any]:
 def _refine_one(mesh: TriangleMesh, shoot: Shoot, index: int, random: np.random.Generator) -> dict[str, Any]:
     """Register the camera of a photograph, refine it, and return its errors."""
     truth = shoot.true_cameras[index]
-    visible = mesh.vertices[View(truth, mesh).see(mesh.vertices, vertex_normals(mesh)).indices]
+    visible = mesh.vertices[View(truth, mesh).see(mesh.vertices, vertex_normals(mesh.vertices, mesh.triangles)).indices]
     points = visible[random.choice(len(visible), PAIRS, replace=False)]
     positions = truth.project(points)[0] + NOISE * random.normal(size=(PAIRS, 2))
     registered = register(truth.name, points, positions, truth.lens.size).camera

@@ -8,13 +8,13 @@ from scipy.optimize import minimize_scalar
 
 from farfield.addon.core.geometry.edges import find_edges
 from farfield.addon.core.geometry.lenses import PhotoCamera
-from farfield.addon.core.geometry.mesh import TriangleMesh
+from farfield.addon.core.geometry.mesh import TriangleMesh, vertex_normals
 from farfield.addon.core.imaging.colors import decode_signed_srgb, encode_signed_srgb
 from farfield.addon.core.imaging.images import sample_bilinear
 from farfield.addon.core.imaging.metrics import psnr, ssim_map
 from farfield.addon.core.imaging.texture_renders import render_texture
 from farfield.addon.core.photos.photographs import Photograph
-from farfield.addon.core.photos.texels import TexelMap, vertex_normals
+from farfield.addon.core.photos.texels import TexelMap
 from farfield.addon.core.photos.views import View
 
 STEP = 1.0  # texels from an edge to each side
@@ -32,7 +32,7 @@ class Truth(NamedTuple):
 def find_truth(mesh: TriangleMesh, corner_uvs: np.ndarray, size: int, paint: Paint, cameras: list[PhotoCamera]) -> Truth:
     """Return the truth for a texture of `size`, with the cameras that took the photographs."""
     views = [View(camera, mesh) for camera in cameras]
-    normals = vertex_normals(mesh)[mesh.triangles]
+    normals = vertex_normals(mesh.vertices, mesh.triangles)[mesh.triangles]
     texels, colors = [], []
     for tile in TexelMap(corner_uvs, size).tiles():
         points, directions = tile.interpolate(mesh.corners), tile.interpolate(normals)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from farfield.addon.core.errors import GeometryError, ImageError
 from farfield.addon.core.files.scratch import Scratch
 from farfield.addon.core.geometry.edges import find_edges
-from farfield.addon.core.geometry.mesh import TriangleMesh
+from farfield.addon.core.geometry.mesh import TriangleMesh, vertex_normals
 from farfield.addon.core.imaging.colors import decode_signed_srgb, encode_signed_srgb
 from farfield.addon.core.imaging.raster import draw_ids
 from farfield.addon.core.jobs.progress import run_to_end
@@ -20,7 +20,7 @@ from farfield.addon.core.photos.merging import merge
 from farfield.addon.core.photos.photographs import Photograph, apply_gain
 from farfield.addon.core.photos.settings import METHODS, PhotosSettings
 from farfield.addon.core.photos.surface import interpolate_colors
-from farfield.addon.core.photos.texels import TexelMap, corner_normals, vertex_normals
+from farfield.addon.core.photos.texels import TexelMap, corner_normals
 from farfield.addon.core.photos.views import View
 from photo_scenes import SIZE, box, camera_at, grid, observations, photograph, ring, smooth_texture
 
@@ -232,7 +232,7 @@ class TestFaces:
     def test_decisions_by_triangle_agree_with_those_by_texel(self, seed):
         random = np.random.default_rng(seed)
         mesh, uvs = grid(60, lambda x, y: 0.3 * np.sin(4.0 * x) * np.cos(5.0 * y))
-        normals = vertex_normals(mesh)
+        normals = vertex_normals(mesh.vertices, mesh.triangles)
         view = View(camera_at((*random.uniform(-1.5, 1.5, 2), 2.0)), mesh)
         faces = FaceVisibility(view, prepare_surface(mesh, normals, corner_normals(mesh, normals)), is_cosine=False)
         assert {HIDDEN, VISIBLE, MIXED} >= set(faces.status.tolist()) and (faces.status != MIXED).mean() > 0.5

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from farfield.addon.core.geometry.edges import find_edges
+from farfield.addon.core.geometry.edges import find_edges, halfedge_ends
 from farfield.addon.core.geometry.geometry_2d import signed_areas
 from farfield.addon.core.geometry.mesh import concatenate
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.texmesh.refitting.border_curves import find_border_curves, find_border_halfedges, wedge_ends
+from farfield.addon.core.texmesh.refitting.border_curves import find_border_curves, find_border_halfedges
 from farfield.addon.core.texmesh.refitting.deviation import measure_geometric_deviation, measure_texture_deviation
 from farfield.addon.core.texmesh.refitting.edge_flips import flip_edges
 from farfield.addon.core.texmesh.refitting.edge_splits import split_edges
@@ -76,11 +76,11 @@ def test_no_triangle_is_flipped_in_texture_space(refitted):
 def test_both_sides_of_seams_and_boundaries_stay_on_the_curves_of_the_fine_mesh(fine, refitted):
     curves = find_border_curves(fine, np.zeros(len(fine.triangles), np.int32))
     halfedges, twins = find_border_halfedges(refitted)
-    starts = refitted.uvs[wedge_ends(refitted, halfedges)[:, 0]]
+    starts = refitted.uvs[halfedge_ends(refitted.wedge_triangles, halfedges)[:, 0]]
     on_border, on_twin = curves.project(starts, np.zeros(len(starts), np.int32))
     assert np.abs(on_border - starts).max() < BOUNDARY_TOLERANCE
     has_twin = twins >= 0
-    ends = refitted.uvs[wedge_ends(refitted, twins[has_twin])[:, 1]]
+    ends = refitted.uvs[halfedge_ends(refitted.wedge_triangles, twins[has_twin])[:, 1]]
     expected, is_corner = on_twin[has_twin], ~np.isfinite(on_twin[has_twin]).all(axis=1)
     assert has_twin.any() and (np.abs(expected - ends).max(axis=1)[~is_corner] < BOUNDARY_TOLERANCE).all()
 

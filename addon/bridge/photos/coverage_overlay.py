@@ -3,9 +3,8 @@
 import bpy
 import numpy as np
 
-from ...core.geometry.mesh import TriangleMesh
+from ...core.geometry.mesh import TriangleMesh, vertex_normals
 from ...core.photos.stages import CLASS_COLORS
-from ...core.photos.texels import vertex_normals
 from ..face_overlay import FaceColors, FaceOverlay, offset_from_faces
 from ..meshes import SourceInstance
 
@@ -24,7 +23,7 @@ class CoverageOverlay(FaceOverlay):
         cameras: session UIDs of the objects from whose photographs they were found.
         """
         self.hide()
-        vertices = offset_from_faces(mesh.vertices, vertex_normals(mesh))
+        vertices = offset_from_faces(mesh.vertices, vertex_normals(mesh.vertices, mesh.triangles))
         owners = np.repeat([each.object_uid for each in instances], [len(each.mesh.triangles) for each in instances])
         for owner in np.unique(owners):
             own = owners == owner

@@ -62,3 +62,9 @@ def find_edges(triangles: np.ndarray, vertex_count: int | None = None) -> Edges:
     starts, ends = triangles[:, [1, 2, 0]], triangles[:, [2, 0, 1]]
     keys, index = np.unique(encode_pairs(starts, ends, vertex_count), return_inverse=True)
     return Edges(decode_pairs(keys, vertex_count), index.reshape(-1, 3), vertex_count)
+
+
+def halfedge_ends(triangles: np.ndarray, halfedges: np.ndarray) -> np.ndarray:
+    """Return the values (N, 2) of `triangles` (T, 3) at the start and the end of `halfedges` (N,), 3 t + c, opposite to corner c."""
+    faces, corners = halfedges // 3, halfedges % 3
+    return np.stack([triangles[faces, (corners + 1) % 3], triangles[faces, (corners + 2) % 3]], axis=1)

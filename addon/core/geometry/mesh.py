@@ -59,6 +59,17 @@ def face_areas_and_normals(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return 0.5 * lengths, normals / np.where(lengths > 0.0, lengths, 1.0)[:, None]
 
 
+def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Return unit normals (V, 3) float64 of `vertices` (V, 3), the means of the `triangles` (T, 3) around them by area; zero where
+    undefined."""
+    normals = np.zeros((len(vertices), 3))
+    scaled = scaled_normals(vertices[triangles])
+    for axis in range(3):
+        normals[:, axis] = np.bincount(triangles.ravel(), np.repeat(scaled[:, axis], 3), len(vertices))
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return normals / np.where(lengths > 0.0, lengths, 1.0)
+
+
 def has_area(corners: np.ndarray) -> np.ndarray:
     """Return whether each of the finite triangles `corners` (T, 3, 3) has an area, (T,) bool.
 

@@ -4,11 +4,11 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from ..geometry.mesh import TriangleMesh, check_points, face_areas_and_normals
+from ..geometry.mesh import TriangleMesh, check_points, face_areas_and_normals, vertex_normals
 from ..jobs.progress import Progress, Steps
 from .photographs import Photograph
 from .stages import INTERPOLATED, PHOTOGRAPHED, UNBOUND
-from .texels import corner_normals, vertex_normals
+from .texels import corner_normals
 from .views import View
 
 CORNER_SAMPLES = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4]]) / 6.0  # barycentric
@@ -29,7 +29,7 @@ def classify_triangles(mesh: TriangleMesh, photographs: Iterable[Photograph], co
     check_points(mesh.vertices, "mesh")
     origin = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))  # float32 is exact enough near it
     mesh = TriangleMesh(mesh.vertices - origin, mesh.triangles)
-    corners, normals = mesh.corners, corner_normals(mesh, vertex_normals(mesh))
+    corners, normals = mesh.corners, corner_normals(mesh, vertex_normals(mesh.vertices, mesh.triangles))
     points = [np.einsum("i,tic->tc", weights, corners) for weights in CORNER_SAMPLES]
     directions = [_unit(np.einsum("i,tic->tc", weights, normals)) for weights in CORNER_SAMPLES]
     bound, is_shown = np.zeros((3, len(corners)), bool), np.zeros(len(corners), bool)

@@ -13,7 +13,7 @@ from ..errors import GeometryError, ImageError
 from ..files.scratch import Scratch
 from ..geometry.edges import Edges, find_edges
 from ..geometry.geometry_2d import signed_areas
-from ..geometry.mesh import TriangleMesh, check_points, face_areas_and_normals
+from ..geometry.mesh import TriangleMesh, check_points, face_areas_and_normals, vertex_normals
 from ..imaging.images import dilate_in_place, sample_bilinear
 from ..jobs.chunks import map_ordered
 from ..jobs.progress import Progress, StageClock, Steps, subprogress
@@ -39,7 +39,7 @@ from .sharpening import estimate_noise, find_residuals, sharpen_colors
 from .stages import CLASS_COLORS, classify_texels, draw_trust
 from .surface import interpolate_colors
 from .texel_colors import NO_PHOTOGRAPH, TexelPainter
-from .texels import TexelMap, corner_normals, vertex_normals
+from .texels import TexelMap, corner_normals
 from .views import View
 
 EXPOSURE_POINTS = 20_000
@@ -137,7 +137,7 @@ class _Merger:
         origin = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
         self.mesh = TriangleMesh(mesh.vertices - origin, mesh.triangles)
         self.photographs = [replace(photograph, camera=photograph.camera.relative_to(origin)) for photograph in photographs]
-        self.normals = vertex_normals(self.mesh)
+        self.normals = vertex_normals(self.mesh.vertices, self.mesh.triangles)
         self.corner_normals = corner_normals(self.mesh, self.normals)
         self.edges: Edges = find_edges(mesh.triangles, len(mesh.vertices))
         self.views: list[View] = []

@@ -14,14 +14,14 @@ from scipy.spatial.transform import Rotation
 from ..errors import GeometryError, ImageError
 from ..files.scratch import Scratch
 from ..geometry.lenses import Lens, PhotoCamera
-from ..geometry.mesh import TriangleMesh, check_points, face_areas_and_normals
+from ..geometry.mesh import TriangleMesh, check_points, face_areas_and_normals, vertex_normals
 from ..jobs.progress import Progress, Steps
 from ..text import format_count
 from .exposure import estimate_gains
 from .matching import GrayPhotograph, Matches, Surface, make_gray, match_photograph
 from .observations import observe, sample_surface
 from .photographs import Photograph
-from .texels import corner_normals, vertex_normals
+from .texels import corner_normals
 from .views import View
 
 ROUNDS = 3
@@ -88,7 +88,7 @@ class _Refiner:
             raise GeometryError("The faces of the mesh have no area; scale it up.")
         origin = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
         mesh = TriangleMesh(mesh.vertices - origin, mesh.triangles)
-        surface = Surface(mesh, corner_normals(mesh, vertex_normals(mesh)))
+        surface = Surface(mesh, corner_normals(mesh, vertex_normals(mesh.vertices, mesh.triangles)))
         views = []
         for index, photograph in enumerate(photographs):
             yield Progress(0.2 * index / len(photographs), "Finding visible faces")

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..geometry.mesh import TriangleMesh, face_areas_and_normals, scaled_normals
+from ..geometry.mesh import TriangleMesh, face_areas_and_normals
 from ..imaging.raster import rasterize
 
 MIN_SMOOTH_COSINE = 0.7  # of the angle between the normals of a triangle and its vertices
@@ -68,16 +68,6 @@ class TexelMap:
             corners = self.corners if chosen is None and is_own.all() else self.corners[own]
             for rows, texels, barycentric in rasterize(corners, (self.size, self.size)):
                 yield own[rows], texels + page * self.size**2, barycentric
-
-
-def vertex_normals(mesh: TriangleMesh) -> np.ndarray:
-    """Return unit normals (V, 3) float64 of the vertices, the means of the triangles around them by area; zero where undefined."""
-    normals = np.zeros((len(mesh.vertices), 3))
-    scaled = scaled_normals(mesh.corners)
-    for axis in range(3):
-        normals[:, axis] = np.bincount(mesh.triangles.ravel(), np.repeat(scaled[:, axis], 3), len(mesh.vertices))
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return normals / np.where(lengths > 0.0, lengths, 1.0)
 
 
 def corner_normals(mesh: TriangleMesh, normals: np.ndarray) -> np.ndarray:

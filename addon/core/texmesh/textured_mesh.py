@@ -7,7 +7,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ..errors import GeometryError
-from ..geometry.edges import Edges, find_edges
+from ..geometry.edges import Edges, find_edges, halfedge_ends
 from ..geometry.mesh import TriangleMesh, check_points, drop_degenerate
 
 
@@ -48,7 +48,8 @@ class TexturedMesh:
         """Return which of the `edges` of `triangles` are seams, (E,) bool. Boundaries are not."""
         is_seam = np.zeros(len(edges.ends), bool)
         first, second = edges.interior_halfedges.T
-        is_seam[edges.interior] = (_ends(self.wedge_triangles, first) != _ends(self.wedge_triangles, second)[:, ::-1]).any(axis=1)
+        wedges, others = (halfedge_ends(self.wedge_triangles, halfedges) for halfedges in (first, second))
+        is_seam[edges.interior] = (wedges != others[:, ::-1]).any(axis=1)
         return is_seam
 
 
@@ -90,12 +91,6 @@ def build_textured_mesh(
         materials=materials,
         sources=(3 * kept[:, None] + np.arange(3)).astype(np.int32),
     )
-
-
-def _ends(triangles: np.ndarray, halfedges: np.ndarray) -> np.ndarray:
-    """Return the values (N, 2) at start and end of halfedges 3 t + c, opposite to corner c."""
-    faces, corners = halfedges // 3, halfedges % 3
-    return np.stack([triangles[faces, (corners + 1) % 3], triangles[faces, (corners + 2) % 3]], axis=1)
 
 
 def _weld_boundaries(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...geometry.mesh import scaled_normals
+from ...geometry.mesh import face_areas_and_normals, vertex_normals
 from ...imaging.mipmaps import Mipmaps, measure_footprints, sample_mipmaps
 from ...imaging.raster import draw_ids
 from ...imaging.texture_renders import locate_positions
@@ -76,12 +76,10 @@ def prepare_surface(
 
 def find_corner_normals(mesh: TexturedMesh) -> np.ndarray:
     """Return normals (T, 3, 3) float32 of corners: those of the vertex, or of the face where it deviates more than 40 degrees."""
-    faces = scaled_normals(mesh.vertices[mesh.triangles])
-    vertices = np.stack([np.bincount(mesh.triangles.ravel(), np.repeat(column, 3), len(mesh.vertices)) for column in faces.T], axis=1)
-    units = [normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300) for normals in (faces, vertices)]
-    corners = units[1][mesh.triangles]
-    is_sharp = np.einsum("tci,ti->tc", corners, units[0]) < MIN_SMOOTH_COSINE
-    return np.where(is_sharp[..., None], units[0][:, None], corners).astype(np.float32)
+    _, faces = face_areas_and_normals(mesh.vertices[mesh.triangles])
+    corners = vertex_normals(mesh.vertices, mesh.triangles)[mesh.triangles]
+    is_sharp = np.einsum("tci,ti->tc", corners, faces) < MIN_SMOOTH_COSINE
+    return np.where(is_sharp[..., None], faces[:, None], corners).astype(np.float32)
 
 
 def turning_directions(count: int) -> np.ndarray:

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import csr_array, eye_array
 from scipy.sparse.linalg import spsolve_triangular
 
-from ...geometry.mesh import face_areas_and_normals, scaled_normals
+from ...geometry.mesh import face_areas_and_normals, vertex_normals
 from .settings import PerceptionSettings
 
 MAX_CANDIDATES = 8  # displacements of a scale whose thickness is measured: casting a line costs a pass over all triangles
@@ -137,10 +137,8 @@ def _cast_line(vertices: np.ndarray, triangles: np.ndarray, position: np.ndarray
 
 def _vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Return area-weighted unit normals (V, 3); +Z where they cancel. They stand for those of the mean planes of the neighbors."""
-    faces = scaled_normals(vertices[triangles])
-    sums = np.stack([np.bincount(triangles.ravel(), np.repeat(column, 3), len(vertices)) for column in faces.T], axis=1)
-    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
-    return np.where(lengths > 0.0, sums / np.where(lengths > 0.0, lengths, 1.0), [0.0, 0.0, 1.0])
+    normals = vertex_normals(vertices, triangles)
+    return np.where(normals.any(axis=1, keepdims=True), normals, [0.0, 0.0, 1.0])
 
 
 def _quadric_distances(vertices: np.ndarray, triangles: np.ndarray, collapses: Collapses) -> np.ndarray:

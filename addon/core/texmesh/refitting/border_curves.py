@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from ...geometry.distance import TriangleTree, closest_barycentric
-from ...geometry.edges import find_edges
+from ...geometry.edges import find_edges, halfedge_ends
 from ..textured_mesh import TexturedMesh
 from .level_state import LevelState
 
@@ -51,11 +51,11 @@ class BorderCurves:
 def find_border_curves(mesh: TexturedMesh, islands: np.ndarray) -> BorderCurves:
     """Return the borders of the `islands` (T,) of a mesh."""
     halfedges, twins = find_border_halfedges(mesh)
-    wedges = wedge_ends(mesh, halfedges)
+    wedges = halfedge_ends(mesh.wedge_triangles, halfedges)
     ends = mesh.uvs[wedges]
     other = np.full_like(ends, np.nan)
     has_twin = twins >= 0
-    other[has_twin] = mesh.uvs[wedge_ends(mesh, twins[has_twin])[:, ::-1]]
+    other[has_twin] = mesh.uvs[halfedge_ends(mesh.wedge_triangles, twins[has_twin])[:, ::-1]]
     return BorderCurves(ends, islands[halfedges // 3], other)
 
 
@@ -66,12 +66,6 @@ def find_border_halfedges(mesh: TexturedMesh) -> tuple[np.ndarray, np.ndarray]:
     boundary = np.flatnonzero(edges.face_counts[edges.face_edges.ravel()] != 2)
     halfedges = np.concatenate([seams[:, 0], seams[:, 1], boundary])
     return halfedges, np.concatenate([seams[:, 1], seams[:, 0], np.full(len(boundary), -1)])
-
-
-def wedge_ends(mesh: TexturedMesh, halfedges: np.ndarray) -> np.ndarray:
-    """Return the wedges (N, 2) at the start and the end of `halfedges` (N,)."""
-    faces, corners = halfedges // 3, halfedges % 3
-    return np.stack([mesh.wedge_triangles[faces, (corners + 1) % 3], mesh.wedge_triangles[faces, (corners + 2) % 3]], axis=1)
 
 
 @dataclass(frozen=True)
@@ -94,7 +88,7 @@ def find_freedom(state: LevelState, uv_scale: float) -> Freedom:
     """Return the freedom of the wedges of a level. uv_scale: length of a unit of UV space on the surface."""
     mesh = state.mesh
     halfedges, _ = find_border_halfedges(mesh)
-    wedges = wedge_ends(mesh, halfedges)
+    wedges = halfedge_ends(mesh.wedge_triangles, halfedges)
     vertex_count, wedge_count = len(mesh.vertices), len(mesh.uvs)
     following, preceding = np.full(wedge_count, -1), np.full(wedge_count, -1)
     following[wedges[:, 0]], preceding[wedges[:, 1]] = wedges[:, 1], wedges[:, 0]

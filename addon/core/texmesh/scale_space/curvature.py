@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...geometry.edges import Edges
+from ...geometry.edges import Edges, halfedge_ends
 from ...geometry.mesh import face_areas_and_normals
 
 
@@ -16,8 +16,8 @@ def integrate_mean_curvature(vertices: np.ndarray, triangles: np.ndarray, edges:
     corners = vertices[triangles]
     normals = face_areas_and_normals(corners)[1]
     first, second = edges.interior_halfedges.T
-    starts, ends = _ends(triangles, first)
-    is_oriented = starts == _ends(triangles, second)[1]
+    starts, ends = halfedge_ends(triangles, first).T
+    is_oriented = starts == halfedge_ends(triangles, second)[:, 1]
     first, second, starts, ends = first[is_oriented], second[is_oriented], starts[is_oriented], ends[is_oriented]
     left, right, along = normals[first // 3], normals[second // 3], vertices[ends] - vertices[starts]
     lengths = np.linalg.norm(along, axis=1)
@@ -25,9 +25,3 @@ def integrate_mean_curvature(vertices: np.ndarray, triangles: np.ndarray, edges:
     angles = np.arctan2(sines, np.einsum("ij,ij->i", left, right))
     halves = 0.25 * angles * lengths
     return np.bincount(starts, halves, minlength=len(vertices)) + np.bincount(ends, halves, minlength=len(vertices))
-
-
-def _ends(triangles: np.ndarray, halfedges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the vertices at start and end of `halfedges` 3 t + c, opposite to corner c."""
-    faces, corners = halfedges // 3, halfedges % 3
-    return triangles[faces, (corners + 1) % 3], triangles[faces, (corners + 2) % 3]

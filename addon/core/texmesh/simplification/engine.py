@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from ...geometry.independent_vertices import select_independent
-from ...geometry.mesh import scaled_normals
+from ...geometry.mesh import vertex_normals
 from ..textured_mesh import TexturedMesh
 from .collapse_fans import CollapseFans, build_fans, find_compatible
 from .collapse_guards import FOLD, SHORT_CURVE, VALID, Relaxation, Surface, find_orientations, find_refusals
@@ -60,7 +60,8 @@ class CollapseEngine:
         self.materials = mesh.materials.copy()
         self.groups = np.arange(len(mesh.uvs), dtype=np.int32)
         self.orientations = find_orientations(mesh.corner_uvs, find_islands(mesh))
-        self.surface = Surface(np.ascontiguousarray(mesh.vertices.T), _find_vertex_normals(mesh), np.ascontiguousarray(mesh.uvs.T))
+        vectors = (mesh.vertices, vertex_normals(mesh.vertices, mesh.triangles), mesh.uvs)
+        self.surface = Surface(*(np.ascontiguousarray(values.T) for values in vectors))
         self.relaxation = Relaxation()
         self.perceptual = PerceptualValues(mesh, perceptual_value)
         self.reasons = np.zeros(len(mesh.vertices), np.uint8)
@@ -177,11 +178,3 @@ class CollapseEngine:
         self._is_waiting[changed] = False
         order.mark_changed(changed)
         self.rebuild()
-
-
-def _find_vertex_normals(mesh: TexturedMesh) -> np.ndarray:
-    """Return unit normals (3, V), means of those of the triangles by area."""
-    normals = scaled_normals(mesh.vertices[mesh.triangles])
-    corners = mesh.triangles.reshape(-1)
-    sums = np.stack([np.bincount(corners, np.repeat(normals[:, axis], 3), len(mesh.vertices)) for axis in range(3)])
-    return sums / np.maximum(np.linalg.norm(sums, axis=0), np.finfo(float).tiny)
