@@ -9,6 +9,8 @@ import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
 
+from .redraws import redraw_areas
+
 OPACITY = 0.85
 SURFACE_OFFSET = 2e-3  # of the longest bounding-box side: distance of the overlay from the faces
 CHANGES = ("undo_post", "redo_post", "load_pre")  # handlers, beside `depsgraph_update_post`, that replace data
@@ -62,7 +64,7 @@ class FaceOverlay:
         bpy.app.handlers.depsgraph_update_post.append(_report_update)
         for name in CHANGES:
             getattr(bpy.app.handlers, name).append(_report_change)
-        _redraw()
+        redraw_areas()
 
     def hide(self) -> None:
         """Stop drawing the overlay and release its memory."""
@@ -79,7 +81,7 @@ class FaceOverlay:
         for handlers, handler in lists:
             if handler in handlers:  # another add-on may have cleared the list
                 handlers.remove(handler)
-        _redraw()
+        redraw_areas()
 
     def clear_cache(self) -> None:
         """Forget the batches of all objects."""
@@ -139,12 +141,6 @@ def _report_update(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> N
 def _report_change(*_: Any) -> None:
     if _shown is not None:
         _shown.update(None)
-
-
-def _redraw() -> None:
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            area.tag_redraw()
 
 
 def _build_batches(found: FaceColors) -> dict[str, Any]:

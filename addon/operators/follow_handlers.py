@@ -12,6 +12,7 @@ from ..bridge import viewers
 from ..bridge.mesh_pool import spare_meshes
 from ..bridge.terrain_roots import TerrainRoot
 from . import follow_tools, following, view_following
+from .app_handlers import add_handlers, remove_handlers
 from .engine_cache import cache
 from .error_reports import describe_error
 from .follow_tools import FollowTool
@@ -192,14 +193,10 @@ def unregister_tool(tool: FollowTool) -> None:
 
 def register() -> None:
     """Register the handlers."""
-    for name, handler in HANDLERS:
-        getattr(bpy.app.handlers, name).append(handler)
+    add_handlers(HANDLERS)
 
 
 def unregister() -> None:
     """Close all followings and unregister the handlers."""
     _before_load()
-    for name, handler in HANDLERS:
-        handlers = getattr(bpy.app.handlers, name)
-        if handler in handlers:  # another add-on may have cleared the list
-            handlers.remove(handler)
+    remove_handlers(HANDLERS)

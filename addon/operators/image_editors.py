@@ -38,14 +38,6 @@ def show_image(editor: int, image: bpy.types.Image, mode: str = "VIEW") -> None:
                 area.tag_redraw()
 
 
-def redraw_editors(context: bpy.types.Context) -> None:
-    """Redraw all Image Editors."""
-    for window in context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "IMAGE_EDITOR":
-                area.tag_redraw()
-
-
 def _set_frames(user: bpy.types.ImageUser, image: bpy.types.Image) -> None:
     """Follow the frame of the scene, if the editor did not show a sequence before."""
     user.frame_duration = max(user.frame_duration, image.frame_duration)

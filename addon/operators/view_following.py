@@ -77,8 +77,8 @@ class ViewFollowing:
         if terrain.root is None:
             self._end(f'The terrain "{terrain.name}" was removed or renamed; it no longer follows the view.')
             return False
-        if not _is_scene_in_use():
-            viewer = replace(view_of_area(*_find_viewport(self._area_address)), is_interactive=True)
+        if not is_job_running() and not is_transforming():
+            viewer = replace(view_of_area(*find_viewport(self._area_address)), is_interactive=True)
             if self._following.tick(follow_tools.registered.of(terrain).to_terrain(terrain, viewer), self._max_seconds):
                 long_work.redraw_sidebars(bpy.context.window_manager)
         return True
@@ -160,7 +160,7 @@ def context_viewport(context: bpy.types.Context) -> bpy.types.Area | None:
     return next((area for area in context.screen.areas if area.type == "VIEW_3D"), None)
 
 
-def _find_viewport(area_address: int) -> tuple[bpy.types.Scene, bpy.types.Area | None]:
+def find_viewport(area_address: int) -> tuple[bpy.types.Scene, bpy.types.Area | None]:
     """Return the 3D Viewport at this address and the scene that it shows, or the first one if it was closed."""
     viewports = [
         (window.scene, area)
@@ -173,9 +173,12 @@ def _find_viewport(area_address: int) -> tuple[bpy.types.Scene, bpy.types.Area |
     return next((viewport for viewport in viewports if viewport[1].as_pointer() == area_address), viewports[0])
 
 
-def _is_scene_in_use() -> bool:
-    """Return whether meshes must not be exchanged now: something renders, a job of Farfield runs, or the user transforms objects."""
-    if long_work.current_run() is not None or any(bpy.app.is_job_running(job) for job in BLOCKING_JOBS):
-        return True
+def is_job_running() -> bool:
+    """Return whether something renders or bakes, or a job of Farfield runs: visibility and meshes must not change now."""
+    return long_work.current_run() is not None or any(bpy.app.is_job_running(job) for job in BLOCKING_JOBS)
+
+
+def is_transforming() -> bool:
+    """Return whether the user transforms objects: they must not be exchanged now."""
     windows = bpy.context.window_manager.windows
     return any(operator.bl_idname.startswith("TRANSFORM_OT_") for window in windows for operator in window.modal_operators)

@@ -9,6 +9,7 @@ import numpy as np
 from bpy_extras.view3d_utils import location_3d_to_region_2d
 from gpu_extras.batch import batch_for_shader
 
+from ..redraws import redraw_areas
 from .point_pairs import PROPERTY
 
 ARROW_SCALE = 10.0  # arrows are longer than the residuals
@@ -42,10 +43,7 @@ markers = PairMarkers()
 
 def redraw_editors() -> None:
     """Redraw all editors with markers."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type in {"IMAGE_EDITOR", "VIEW_3D"}:
-                area.tag_redraw()
+    redraw_areas("IMAGE_EDITOR", "VIEW_3D")
 
 
 def _draw_in_image() -> None:

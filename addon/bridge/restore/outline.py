@@ -14,6 +14,7 @@ import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
 
+from ..redraws import redraw_areas
 from ..session_ids import find_by_uid
 from .image_users import MASKED_PROPERTY, read_image_property
 from .outline_segments import find_segments
@@ -97,7 +98,7 @@ class MaskOutline:
         end = time.monotonic()
         self._next_update = end + max(MIN_PAUSE, PAUSE_FACTOR * (end - start))
         if has_changed:
-            _redraw()
+            redraw_areas("IMAGE_EDITOR")
 
     def _request(self, image: bpy.types.Image, scene: bpy.types.Scene) -> None:
         self._requested[image.session_uid] = scene.name
@@ -131,13 +132,6 @@ def _update() -> None:
 @bpy.app.handlers.persistent
 def _clear(*_: Any) -> None:
     outline.clear()
-
-
-def _redraw() -> None:
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "IMAGE_EDITOR":
-                area.tag_redraw()
 
 
 def _tile_offset(number: int) -> np.ndarray:

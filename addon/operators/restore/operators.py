@@ -5,6 +5,7 @@ from typing import Any
 import bpy
 import numpy as np
 
+from ...bridge.redraws import redraw_areas
 from ...bridge.restore import image_users
 from ...bridge.restore.mask_images import WHITE, create_mask, set_brush_color
 from ...bridge.restore.outline import outline
@@ -86,7 +87,7 @@ class FARFIELD_OT_restore_outline(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Show or hide the outline."""
         outline.is_hidden = not outline.is_hidden
-        image_editors.redraw_editors(context)
+        redraw_areas("IMAGE_EDITOR")
         return {"FINISHED"}
 
 

@@ -13,6 +13,7 @@ from ...core.errors import GeometryError, SettingsError
 from ...core.texmesh.perception.recorded_answers import estimate_recorded
 from ...core.text import format_count
 from .. import long_work
+from ..app_handlers import add_handlers, remove_handlers
 from ..error_reports import report_message, reports_errors
 from .calibration_run import ANSWERS, CalibrationRun, clear_answers, stored_answers
 from .preview import NO_LEVELS
@@ -240,15 +241,11 @@ register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSE
 def register() -> None:
     """Register the operators and the handlers."""
     register_classes()
-    for name, handler in HANDLERS:
-        getattr(bpy.app.handlers, name).append(handler)
+    add_handlers(HANDLERS)
 
 
 def unregister() -> None:
     """End the calibration, and unregister the handlers and the operators."""
     end_calibration()
-    for name, handler in HANDLERS:
-        handlers = getattr(bpy.app.handlers, name)
-        if handler in handlers:  # another add-on may have cleared the list
-            handlers.remove(handler)
+    remove_handlers(HANDLERS)
     unregister_classes()

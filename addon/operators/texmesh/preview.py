@@ -6,6 +6,7 @@ from typing import Any
 
 import bpy
 
+from ...bridge.redraws import redraw_areas
 from ...bridge.texmesh.level_sets import LevelSet, find_level_set, level_sets_in
 from ...bridge.texmesh.ring_overlay import overlay as rings
 from ...bridge.texmesh.temporary_visibility import STATE, restore, resume_crossfades, show_temporarily
@@ -13,8 +14,9 @@ from ...bridge.viewers import viewport_camera
 from ...core.geometry.cameras import Camera
 from ...core.texmesh.inspection_settings import InspectionSettings
 from .. import long_work, properties
+from ..app_handlers import add_handlers, remove_handlers
 from ..error_reports import reports_errors
-from ..view_following import context_viewport
+from ..view_following import context_viewport, find_viewport, is_job_running, is_transforming
 
 TICK = 0.1  # seconds between two calls of the timer
 NO_LEVELS = "Make levels first"
@@ -67,7 +69,7 @@ class LevelPreview:
             if bpy.app.timers.is_registered(self._timer):
                 bpy.app.timers.unregister(self._timer)
             self.suspend()
-        _redraw()
+        redraw_areas("VIEW_3D")
 
     def suspend(self) -> None:
         """Show what was shown before, until the next tick."""
@@ -97,7 +99,7 @@ class LevelPreview:
                 self._selected.add(levels.levels[shown[name]].session_uid)
         if shown != self.shown:
             self.shown = shown
-            _redraw()
+            redraw_areas("VIEW_3D")
 
     def _restore_selection(self) -> None:
         present = bpy.context.view_layer.objects
@@ -112,7 +114,7 @@ class LevelPreview:
     def _start(self) -> None:
         if not bpy.app.timers.is_registered(self._timer):
             bpy.app.timers.register(self._timer, first_interval=0.0)
-        _redraw()
+        redraw_areas("VIEW_3D")
 
     def _tick(self) -> float | None:
         continues = False
@@ -125,15 +127,13 @@ class LevelPreview:
 
     def _advance(self) -> bool:
         """Show the levels for the current view; return whether to continue."""
-        if long_work.current_run() is not None or bpy.app.is_job_running("RENDER") or bpy.app.is_job_running("OBJECT_BAKE"):
+        if is_job_running():
             self.suspend()  # a job creates levels or reads what is visible
             return True
-        windows = bpy.context.window_manager.windows
-        if any(operator.bl_idname.startswith("TRANSFORM_OT_") for window in windows for operator in window.modal_operators):
+        if is_transforming():
             return True
-        viewports = [(window.scene, area) for window in windows for area in window.screen.areas if area.type == "VIEW_3D"]
-        if viewports:
-            scene, area = next((each for each in viewports if each[1].as_pointer() == self._area_address), viewports[0])
+        scene, area = find_viewport(self._area_address)
+        if area is not None:
             window_region = [region for region in area.regions if region.type == "WINDOW"][-1]  # of four, the one of region_3d
             self.update(viewport_camera(area.spaces.active.region_3d, window_region.width), scene, time.monotonic())
         return True
@@ -239,13 +239,6 @@ def _select(item: bpy.types.Object, is_active: bool) -> None:
             view_layer.objects.active = item
 
 
-def _redraw() -> None:
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
-
-
 @bpy.app.handlers.persistent
 def _before_load(*_: Any) -> None:
     current.stop()
@@ -283,15 +276,11 @@ register_classes, unregister_classes = bpy.utils.register_classes_factory((FARFI
 def register() -> None:
     """Register the operators and the handlers."""
     register_classes()
-    for name, handler in HANDLERS:
-        getattr(bpy.app.handlers, name).append(handler)
+    add_handlers(HANDLERS)
 
 
 def unregister() -> None:
     """End the preview, and unregister the handlers and the operators."""
     current.stop()
-    for name, handler in HANDLERS:
-        handlers = getattr(bpy.app.handlers, name)
-        if handler in handlers:  # another add-on may have cleared the list
-            handlers.remove(handler)
+    remove_handlers(HANDLERS)
     unregister_classes()
