@@ -7,6 +7,7 @@ import pytest
 from farfield.addon.bridge.lod_crossfade import CROSSFADE
 from farfield.addon.bridge.texmesh.level_sets import ERROR, level_sets_in
 from farfield.addon.bridge.texmesh.scale_attributes import SCALE_ATTRIBUTE
+from textured_scenes import textured_ball
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 SMALL = {"choice": "count", "levels": 3, "views": 2, "max_image": 128}
@@ -15,22 +16,7 @@ SMALL = {"choice": "count", "levels": 3, "views": 2, "max_image": 128}
 @pytest.fixture
 def ball() -> bpy.types.Object:
     """A smooth sphere with a UV map and a checkered image."""
-    bpy.ops.mesh.primitive_uv_sphere_add(segments=32, ring_count=16)
-    item = bpy.context.object
-    item.name = "Ball"
-    item.data.shade_smooth()
-    material = bpy.data.materials.new("Checker")
-    image = bpy.data.images.new("Checker", 64, 64)
-    rows, columns = np.mgrid[0:64, 0:64]
-    colors = np.ones((64, 64, 4), np.float32)
-    colors[..., :3] = (((rows // 8 + columns // 8) % 2) * 0.6 + 0.2)[..., None]
-    image.pixels.foreach_set(colors.ravel())
-    material.use_nodes = True
-    node = material.node_tree.nodes.new("ShaderNodeTexImage")
-    node.image = image
-    material.node_tree.links.new(node.outputs["Color"], material.node_tree.nodes["Principled BSDF"].inputs["Base Color"])
-    item.data.materials.append(material)
-    return item
+    return textured_ball(16, "Ball")
 
 
 def make(**values) -> list[bpy.types.Object]:

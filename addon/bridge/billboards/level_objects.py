@@ -2,12 +2,12 @@
 
 import bpy
 import idprop
-import mathutils
 import numpy as np
 
 from ...core.billboards.texels import QuadPolygons, Texels, texels_under_quads
 from ..images import read_pixels
 from ..mesh_arrays import read_attribute, read_positions
+from ..world_matrices import world_matrix
 from .cloud_materials import FRONT_COLOR
 
 CENTER = "farfield_center"  # custom property of a level object: the mean of its vertices in world space when the cloud was built
@@ -27,7 +27,7 @@ def read_level_quads(level_object: bpy.types.Object, center: np.ndarray | None =
     mesh = level_object.data
     uvs = read_attribute(mesh.attributes["UVMap"])
     local = read_positions(mesh).astype(np.float64)
-    offset = np.array(level_world_matrix(level_object).translation, np.float64) if center is None else center - local.mean(axis=0)
+    offset = np.array(world_matrix(level_object).translation, np.float64) if center is None else center - local.mean(axis=0)
     world = local + offset
     size = np.array(level_object["farfield_atlas"], np.float64)
     corners, coordinates = [], []
@@ -47,11 +47,6 @@ def built_center(level_object: bpy.types.Object, source_origin: np.ndarray) -> n
     if isinstance(stored, idprop.types.IDPropertyArray) and len(stored) == 3 and stored.typecode in "fdi":
         return np.array(stored, np.float64)
     return read_positions(level_object.data).astype(np.float64).mean(axis=0) + source_origin
-
-
-def level_world_matrix(level_object: bpy.types.Object) -> mathutils.Matrix:
-    """Return the world matrix of a level object. Blender does not compute `matrix_world` of objects that are hidden in an opened file."""
-    return level_object.matrix_basis if level_object.parent is None and not level_object.constraints else level_object.matrix_world
 
 
 def read_quad_flags(level_object: bpy.types.Object, name: str) -> np.ndarray:

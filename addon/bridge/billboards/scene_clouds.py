@@ -12,8 +12,9 @@ from ...core.geometry.cameras import Camera, choose_level, distance_to_box
 from .. import lod_crossfade, meshes, transparent_bounces
 from ..source_links import SourceIndex, find_sources
 from ..visibility import temporarily_visible
+from ..world_matrices import world_matrix
 from . import clouds, source_proxies
-from .level_objects import level_world_matrix, pbr_material
+from .level_objects import pbr_material
 
 LEVEL_NUMBERS = ("farfield_level", "farfield_error", "farfield_quads", "farfield_texels")  # without them an object is no level
 
@@ -96,7 +97,7 @@ class SceneCloud:
     def distance(self, position: np.ndarray) -> float:
         """Return the distance from `position` (3,) in world space to the bounding box of the cloud."""
         level = next((level for level in self.levels if not level.hide_viewport), self.levels[0])
-        corners = transform_points(level_world_matrix(level), level.bound_box)
+        corners = transform_points(world_matrix(level), level.bound_box)
         return distance_to_box(position, corners.min(axis=0), corners.max(axis=0))
 
     def add_crossfade(self, context: bpy.types.Context, fade_range: float) -> None:

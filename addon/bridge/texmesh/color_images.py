@@ -31,10 +31,7 @@ def read_color_image(image: bpy.types.Image) -> tuple[np.ndarray, bool]:
     Raises:
         FileError: it has no pixels, for instance because its file is missing.
     """
-    if not all(image.size):
-        raise FileError(
-            f'The image "{image.name}" is missing or empty ("{find_path(image)}"); find its file, or remove it from the material.'
-        )
+    check_pixels(image)
     side = max(image.size)
     if side <= MAX_SIDE:
         return _to_linear(image, read_pixels(image)[..., :3]), False
@@ -45,6 +42,14 @@ def read_color_image(image: bpy.types.Image) -> tuple[np.ndarray, bool]:
         return _to_linear(copy, read_pixels(copy)[..., :3]), True
     finally:
         bpy.data.images.remove(copy)
+
+
+def check_pixels(image: bpy.types.Image) -> None:
+    """Raise FileError if an image has no pixels, for instance because its file is missing."""
+    if not all(image.size):
+        raise FileError(
+            f'The image "{image.name}" is missing or empty ("{find_path(image)}"); find its file, or remove it from the material.'
+        )
 
 
 def _to_linear(image: bpy.types.Image, pixels: np.ndarray) -> np.ndarray:

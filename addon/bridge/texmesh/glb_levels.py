@@ -12,6 +12,7 @@ from ...core.files.glb import GlbMesh, GlbNode, GlbPrimitive, GlbScene, encode_g
 from ...core.texmesh.perception.switch_distances import screen_coverage
 from ..evaluated_mesh import read_evaluated_mesh
 from ..meshes import find_material
+from ..world_matrices import world_matrix
 from .glb_materials import GlbMaterials
 from .level_sets import LevelSet
 
@@ -102,9 +103,8 @@ def _join_corners(vertices: np.ndarray, triangles: np.ndarray, normals: np.ndarr
 
 
 def _matrix(item: bpy.types.Object) -> np.ndarray:
-    """Return the matrix (4, 4) to the world with y upwards. `matrix_world` of hidden objects is not up to date, but they have no parent."""
-    matrix = np.array(item.matrix_world if item.parent is not None else item.matrix_basis, np.float64)
-    return Y_UP @ matrix @ Y_UP.T
+    """Return the matrix (4, 4) to the world with y upwards."""
+    return Y_UP @ np.array(world_matrix(item), np.float64) @ Y_UP.T
 
 
 def _bounds(levels: LevelSet) -> np.ndarray:

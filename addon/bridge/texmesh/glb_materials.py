@@ -7,13 +7,12 @@ import bpy
 import numpy as np
 
 from ...compat import uses_nodes
-from ...core.errors import FileError
 from ...core.files.file_access import convert_os_errors
 from ...core.files.glb import IMAGE_TYPES, GlbMaterial
 from ...core.imaging.coded_images import encode
 from ...core.imaging.colors import encode_signed_srgb
 from ..images import find_path, read_pixels
-from .color_images import COLOR_INPUTS, find_color_image
+from .color_images import COLOR_INPUTS, check_pixels, find_color_image
 
 WHITE = (1.0, 1.0, 1.0, 1.0)
 MAX_NODES = 64  # between the output of a material and the node with its color
@@ -75,10 +74,7 @@ def read_coded_image(image: bpy.types.Image) -> bytes:
     Raises:
         FileError: it has no pixels, for instance because its file is missing, or cannot be read.
     """
-    if not all(image.size):
-        raise FileError(
-            f'The image "{image.name}" is missing or empty ("{find_path(image)}"); find its file, or remove it from the material.'
-        )
+    check_pixels(image)
     if image.source == "FILE" and not image.is_dirty and image.colorspace_settings.name == "sRGB":
         content = _read_content(image)
         if any(content.startswith(start) for start in IMAGE_TYPES):

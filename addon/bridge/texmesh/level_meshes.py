@@ -3,6 +3,7 @@
 import bpy
 import numpy as np
 
+from ...core.geometry.mesh import scaled_normals
 from ...core.texmesh.textured_mesh import TexturedMesh
 from ..evaluated_mesh import EvaluatedMesh, MeshAttribute
 from ..mesh_arrays import write_attribute, write_triangles
@@ -30,7 +31,7 @@ def create_level_mesh(name: str, source: TexturedSource, level: TexturedMesh) ->
         values = level.attributes[:, start : start + width][level.wedge_triangles]
         start += width
         if attribute == NORMALS:
-            _write_normals(mesh, values)
+            _write_normals(mesh, level, values)
         elif attribute not in mesh.attributes:
             write_attribute(mesh, attribute, "CORNER", values)
     if not any(attribute == NORMALS for attribute, _ in source.attributes):
@@ -56,28 +57,16 @@ def _carry(mesh: EvaluatedMesh, attribute: MeshAttribute, faces: np.ndarray, cor
     return values[..., 0] if values.shape[-1] == 1 else values
 
 
-def _write_normals(mesh: bpy.types.Mesh, normals: np.ndarray) -> None:
-    """Write the normals (T, 3, 3) of smooth faces; corners of flat faces have normals without length."""
-    lengths = np.linalg.norm(normals, axis=2)
-    is_flat = lengths.min(axis=1) < 0.5
+def _write_normals(mesh: bpy.types.Mesh, level: TexturedMesh, normals: np.ndarray) -> None:
+    """Write the normals (T, 3, 3) of smooth faces; corners of flat faces have normals without length, and get that of the face."""
+    is_flat = np.linalg.norm(normals, axis=2).min(axis=1) < 0.5
     if is_flat.any():
         _write_flat(mesh, is_flat)
     if not is_flat.all():
-        corners = mesh_corner_normals(mesh, normals, is_flat)
-        write_attribute(mesh, "custom_normal", "CORNER", corners)
-
-
-def mesh_corner_normals(mesh: bpy.types.Mesh, normals: np.ndarray, is_flat: np.ndarray) -> np.ndarray:
-    """Return unit normals (T, 3, 3) float32: those given, and of flat triangles their own."""
-    positions = np.empty(len(mesh.vertices) * 3, np.float32)
-    mesh.attributes["position"].data.foreach_get("vector", positions)
-    triangles = np.empty(len(mesh.loops), np.int32)
-    mesh.attributes[".corner_vert"].data.foreach_get("value", triangles)
-    corners = positions.reshape(-1, 3)[triangles.reshape(-1, 3)].astype(np.float64)
-    own = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    chosen = np.where(is_flat[:, None, None], own[:, None], normals)
-    lengths = np.linalg.norm(chosen, axis=2, keepdims=True)
-    return (chosen / np.where(lengths > 0.0, lengths, 1.0)).astype(np.float32)
+        faces = scaled_normals(level.vertices[level.triangles])
+        chosen = np.where(is_flat[:, None, None], faces[:, None], normals)
+        lengths = np.linalg.norm(chosen, axis=2, keepdims=True)
+        write_attribute(mesh, "custom_normal", "CORNER", chosen / np.where(lengths > 0.0, lengths, 1.0))
 
 
 def _write_flat(mesh: bpy.types.Mesh, is_flat: np.ndarray) -> None:

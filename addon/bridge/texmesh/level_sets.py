@@ -10,10 +10,12 @@ from dataclasses import dataclass, field
 import bpy
 import numpy as np
 
+from ...core.geometry.affine import transform_points
 from ...core.geometry.cameras import Camera, distance_to_box
 from .. import lod_crossfade, transparent_bounces
 from ..mesh_pool import is_local
 from ..source_links import SourceIndex, find_sources, store_sources
+from ..world_matrices import world_matrix
 from .temporary_visibility import restore
 
 KIND, LEVEL = "farfield_kind", "texmesh_level"
@@ -59,6 +61,12 @@ class LevelSet:
         """Whether the levels can be changed: not if they are linked from a library."""
         return is_local(self.collection) and all(is_local(level) for level in self.levels)
 
+    def hide_source(self, hidden: bool) -> None:
+        """Hide the source in viewports and renders, or show it, unless it is linked from a library or does not exist any more."""
+        source = self.source
+        if source is not None and source.is_editable:
+            set_hidden(source, hidden)
+
     @property
     def has_crossfade(self) -> bool:
         """Whether the levels cross-fade."""
@@ -94,8 +102,8 @@ class LevelSet:
     def bounds(self) -> tuple[np.ndarray, np.ndarray, float]:
         """Return the lowest and highest corner of the bounding box in world space, and the scale of the objects."""
         level = self.levels[0]
-        matrix = np.array(level.matrix_world if level.parent is not None else level.matrix_basis, np.float64)
-        corners = np.array(level.bound_box) @ matrix[:3, :3].T + matrix[:3, 3]
+        matrix = np.array(world_matrix(level), np.float64)
+        corners = transform_points(matrix, level.bound_box)
         return corners.min(axis=0), corners.max(axis=0), float(np.linalg.norm(matrix[:3, :3]) / math.sqrt(3.0)) or 1.0
 
 

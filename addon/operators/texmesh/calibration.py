@@ -10,7 +10,9 @@ from ...bridge.texmesh.level_sets import find_level_set
 from ...bridge.texmesh.trial_objects import remove_trial_objects
 from ...bridge.viewers import viewport_camera
 from ...core.errors import GeometryError, SettingsError
+from ...core.settings import describe
 from ...core.texmesh.perception.recorded_answers import estimate_recorded
+from ...core.texmesh.perception.settings import PerceptionSettings
 from ...core.text import format_count
 from .. import long_work
 from ..app_handlers import add_handlers, remove_handlers
@@ -22,7 +24,7 @@ from .preview import current as preview
 TICK = 1.0 / 30.0  # seconds
 HELP = "Do both look the same? Wheel or Up/Down: Move Nearer/Farther until You See a Difference, Enter: Accept, Esc: End"
 NEARER, FARTHER = {"WHEELUPMOUSE", "UP_ARROW", "NUMPAD_PLUS"}, {"WHEELDOWNMOUSE", "DOWN_ARROW", "NUMPAD_MINUS"}
-MIN_THRESHOLD, MAX_THRESHOLD = 0.001, 1.0  # of the setting
+THRESHOLD = next(item for item in describe(PerceptionSettings) if item.name == "weber_threshold")
 
 _run: CalibrationRun | None = None  # handlers of Blender end the one that runs
 
@@ -161,7 +163,7 @@ class FARFIELD_OT_texmesh_use_threshold(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Set the threshold, within the limits of the setting."""
         threshold = estimate_recorded(stored_answers(context.scene))
-        value = min(max(threshold.value, MIN_THRESHOLD), MAX_THRESHOLD)
+        value = min(max(threshold.value, THRESHOLD.minimum), THRESHOLD.maximum)
         context.scene.farfield_texmesh.weber_threshold = value
         message = f"The threshold is {value:.3g}, between {threshold.low:.3g} and {threshold.high:.3g} with 95% confidence"
         report_message(self, f"{message}, from {format_count(threshold.answers, 'answer')}.")

@@ -10,7 +10,7 @@ import numpy as np
 from ...bridge.meshes import find_material
 from ...bridge.session_ids import find_by_uid
 from ...bridge.texmesh.level_meshes import create_level_mesh
-from ...bridge.texmesh.level_sets import FIGURES, LevelSet, NewLevel, add_level_set, find_level_set, remove_level_set, set_hidden
+from ...bridge.texmesh.level_sets import FIGURES, LevelSet, NewLevel, add_level_set, find_level_set, remove_level_set
 from ...bridge.texmesh.scale_attributes import write_scale_map
 from ...bridge.texmesh.sources import TexturedSource
 from ...core.errors import GeometryError
@@ -124,7 +124,7 @@ class LevelsJob:
         levels = add_level_set(item, scene, f"{item.name} Levels", new, materials)
         levels.collection[FIGURES] = json.dumps(describe_chain(chain))
         self.chains[levels.collection.name] = chain
-        _show(levels, item, scene, self.scene_settings)
+        _show(levels, scene, self.scene_settings)
         counts = ", ".join(f"{len(level.mesh.triangles):,}" for level in chain.levels)
         sentences = [f'"{item.name}" has {format_count(len(chain.levels), "level")} with {counts} triangles.']
         details = dict.fromkeys(sentence for level in chain.levels for sentence in (level.constraint,) if sentence)
@@ -172,13 +172,13 @@ def prepare_levels(
     return LevelsJob(sources, settings, scene_settings, context.scene.session_uid, skipped)
 
 
-def _show(levels: LevelSet, source: bpy.types.Object, scene: bpy.types.Scene, settings: SceneSettings) -> None:
+def _show(levels: LevelSet, scene: bpy.types.Scene, settings: SceneSettings) -> None:
     if settings.crossfade:
         levels.add_crossfade(scene, settings.fade_range)
     else:
         levels.show(0)
-    if not settings.keep_source_visible and source.is_editable:
-        set_hidden(source, True)
+    if not settings.keep_source_visible:
+        levels.hide_source(True)
     bpy.context.view_layer.update()
     first = levels.levels[0]
     if first.name in bpy.context.view_layer.objects:

@@ -101,7 +101,7 @@ class FARFIELD_OT_texmesh_show(LevelsOperator, bpy.types.Operator):
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Show the level, or the coarsest one if there are fewer."""
-        editable = [levels for levels in selected_level_sets(context) if levels.is_editable]
+        editable = editable_level_sets(context)
         for levels in editable:
             is_original = self.level < 0
             if is_original:
@@ -110,9 +110,7 @@ class FARFIELD_OT_texmesh_show(LevelsOperator, bpy.types.Operator):
                     set_hidden(item, True)
             else:
                 levels.show(min(self.level, len(levels.levels) - 1))
-            source = levels.source
-            if source is not None and source.is_editable:
-                set_hidden(source, not is_original)
+            levels.hide_source(not is_original)
             activate_visible(context, levels)
         shown = "the original" if self.level < 0 else f"level {self.level}"
         report_message(self, f"Showing {shown} of {format_count(len(editable), 'object')}.")
@@ -129,12 +127,10 @@ class FARFIELD_OT_texmesh_crossfade(LevelsOperator, bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Add a cross-fade to all levels."""
         settings = properties.read(SceneSettings, context.scene.farfield_texmesh)
-        editable = [levels for levels in selected_level_sets(context) if levels.is_editable]
+        editable = editable_level_sets(context)
         for levels in editable:
             levels.add_crossfade(context.scene, settings.fade_range)
-            source = levels.source
-            if source is not None and source.is_editable:
-                set_hidden(source, True)
+            levels.hide_source(True)
             activate_visible(context, levels)
         report_message(self, f"Cross-fading the levels of {format_count(len(editable), 'object')}.")
         return {"FINISHED"}
@@ -154,11 +150,10 @@ class FARFIELD_OT_texmesh_show_for_camera(LevelsOperator, bpy.types.Operator):
             report_message(self, "The scene has no active camera; add one.", "ERROR")
             return {"CANCELLED"}
         numbers = []
-        for levels in selected_level_sets(context):
-            if levels.is_editable:
-                numbers.append(levels.choose_level(camera))
-                levels.show(numbers[-1])
-                activate_visible(context, levels)
+        for levels in editable_level_sets(context):
+            numbers.append(levels.choose_level(camera))
+            levels.show(numbers[-1])
+            activate_visible(context, levels)
         report_message(self, f"Showing level {', '.join(map(str, numbers))}.")
         return {"FINISHED"}
 
@@ -172,7 +167,7 @@ class FARFIELD_OT_texmesh_remove(LevelsOperator, bpy.types.Operator):
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Remove the levels."""
-        editable = [levels for levels in selected_level_sets(context) if levels.is_editable]
+        editable = editable_level_sets(context)
         for levels in editable:
             source = levels.source
             remove_level_set(levels)
@@ -203,6 +198,11 @@ def selected_level_sets(context: bpy.types.Context) -> list[LevelSet]:
     """Return the level sets of the selected objects, or of the active one, each once."""
     wanted = {*context.selected_objects, context.active_object} - {None}
     return [levels for levels in level_sets_in(context.scene) if wanted & {*levels.levels, levels.source}]
+
+
+def editable_level_sets(context: bpy.types.Context) -> list[LevelSet]:
+    """Return those of `selected_level_sets` that can be changed."""
+    return [levels for levels in selected_level_sets(context) if levels.is_editable]
 
 
 def activate_visible(context: bpy.types.Context, levels: LevelSet) -> None:
