@@ -1,6 +1,6 @@
 """Vertical errors of a grid of degrees in the local frame, for `bench_bdam.py`.
 
-A store bounds errors in the grid and adds a bound of how far the projection bends triangles (`build/curvature_errors.py`). Here they are
+A store bounds errors in the grid and adds a bound of how far the projection curves triangles (`build/curvature_errors.py`). Here they are
 measured where they count: between the triangles of a cut, straight in the local frame, and the projected samples.
 """
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...errors import SettingsError
 
-MIN_STEP = 0.05  # relative growth of the distance from one scale to the next that counts as a slope of the step function
+MIN_STEP = 0.05  # relative growth of the distance from one scale to the next that counts as a step of the step function
 
 
 def find_red_refinements(distances: np.ndarray, min_step: float = MIN_STEP) -> np.ndarray:

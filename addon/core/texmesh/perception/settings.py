@@ -1,4 +1,4 @@
-"""Settings of perception: what counts as visible."""
+"""Settings of perception: which differences are visible."""
 
 from dataclasses import dataclass
 

@@ -27,7 +27,7 @@ def thin_features(positions: np.ndarray, last_scales: np.ndarray, strengths: np.
 
 
 def rank_coverage(positions: np.ndarray, last_scales: np.ndarray, contrasts: np.ndarray, sigmas: np.ndarray, spacing: float) -> np.ndarray:
-    """Return strengths (V,) of the vertices that are no features: the number of the scale up to which they are a sample of what lies
+    """Return strengths (V,) of the vertices that are no features: the number of the scale up to which they are a sample of the surface
     between features, `spacing` standard deviations from each other and from all features, plus a part below 1 that grows with `contrasts`
     (V,). 0 for features.
 
