@@ -1,7 +1,7 @@
 """Drastic simplification (section I.B of the paper): what goes on where constraints stop the collapses.
 
-The steps are taken one after the other, as far as needed, and again for each target. The size of small parts follows from the mean edge length
-of a mesh with as many triangles as the target.
+The steps are taken one after the other, as far as needed, and again for each target. The size of small parts follows from the mean edge
+length of a mesh with as many triangles as the target.
 """
 
 from dataclasses import replace
