@@ -15,6 +15,7 @@ The triangles of a level refer to vertices by what coarser levels are, so that a
 
 import struct
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
