@@ -27,7 +27,7 @@ class ConnectivityDecoder:
     """Decodes the levels of a mesh one after the other.
 
     wedge_vertices: the vertex of each wedge so far. parents: of each vertex so far, -1 in the coarsest level. triangles: three wedges of
-    each triangle of the last level. vertex_references, wedge_references: of all vertices and wedges so far, see `LevelSymbols`.
+    each triangle of the last level. vertex_references, wedge_references: of the vertices and wedges that it adds, see `LevelSymbols`.
     """
 
     def __init__(self) -> None:
@@ -53,7 +53,7 @@ class ConnectivityDecoder:
         self._met: list[int] = []
         self._is_met = [False] * vertex_count
         self._last_known = self._last_vertex = self._last_wedge = 0
-        self.triangles = []
+        self.triangles, self.vertex_references, self.wedge_references = [], [], []
         self._border = _Border()
         self._symbol_count = 0
         for count in triangle_counts:
