@@ -52,8 +52,8 @@ class AllSettings:
 @dataclass(frozen=True)
 class Level:
     """One level. scale: the last scale whose features it has; 0 for the original. pixel_size: see `perception.switch_distances.Switch`, 0
-    for the original. switch, subset: None for the original. constraint, drastic_steps: see `SubsetLevel`. With the product "refit", `subset`
-    is what the level was before its vertices were moved."""
+    for the original. switch, subset: None for the original. constraint, drastic_steps: see `SubsetLevel`. With the product "refit",
+    `subset` is what the level was before its vertices were moved."""
 
     mesh: TexturedMesh
     scale: int

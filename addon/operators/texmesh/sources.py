@@ -7,7 +7,7 @@ import bpy
 
 from ...bridge.meshes import SURFACE_TYPES, describe_type, is_in_view_layer
 from ...bridge.texmesh.level_sets import find_level_set
-from ...bridge.texmesh.sources import TexturedSource, read_textured_source
+from ...bridge.texmesh.sources import read_textured_source
 from ...bridge.visibility import temporarily_visible
 from ...core.errors import FarfieldError, GeometryError
 
