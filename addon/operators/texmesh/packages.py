@@ -15,7 +15,8 @@ from ...core.texmesh.perception.settings import PerceptionSettings
 from ...core.texmesh.scale_space.settings import ScaleSpaceSettings
 from ...core.texmesh.settings import LevelSettings
 from ...core.texmesh.simplification.settings import SimplificationSettings
-from ...core.texmesh.streaming.package import PackageReport, build_package, write_package
+from ...core.texmesh.streaming.package import PackageReport, build_package
+from ...core.texmesh.streaming.package_files import write_package
 from ...core.texmesh.streaming.settings import PackageSettings
 from .. import properties, start_job
 from ..paths import absolute_path
@@ -46,7 +47,7 @@ class PackageJob:
         for index, (source, folder) in enumerate(zip(self.sources, folders, strict=True)):
             steps = build_package(source.name, source.mesh, source.materials, source.textures, self.settings, self.package_settings)
             package = yield from subprogress(steps, index / len(names), (index + 1) / len(names))
-            write_package(package, folder)
+            write_package(package.manifest, package.contents, folder)
             self.reports.append(package.report)
         return self.reports
 
