@@ -29,20 +29,18 @@ from farfield.addon.bridge.texmesh.level_sets import read_level_set
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
 from farfield.addon.core.settings import add_flags, from_flags
-from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
 from farfield.addon.core.texmesh.scale_space.scale_map import ScaleMap
 from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
-from farfield.addon.core.texmesh.settings import LevelSettings, SceneSettings
-from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
+from farfield.addon.core.texmesh.settings import SceneSettings
 from farfield.addon.operators.job_run import run_job
 from farfield.addon.operators.texmesh.job import AnalysisJob, LevelsJob, describe_chain, prepare_analysis, prepare_levels
+from farfield.addon.operators.texmesh.packages import CORE_SETTINGS
 from lib import command_line, scene_files, texmesh_packages
 from lib.atomic_output import atomic_file, check_outputs
 from lib.contact_sheet import write_png
 from lib.texmesh_inputs import open_objects, read_all_settings
 
 EXTENSIONS = (".blend", ".glb")
-CORE_SETTINGS = (LevelSettings, ScaleSpaceSettings, SimplificationSettings, PerceptionSettings)  # in the order of `AllSettings`
 
 
 def build_parser() -> command_line.Parser:
