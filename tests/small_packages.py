@@ -66,7 +66,7 @@ def split_scans(jpeg: bytes) -> tuple[bytes, list[bytes]]:
 
 
 def encode_tiles(image: np.ndarray, tile_size: int, quality: int = 90) -> list[tuple[bytes, list[bytes]]]:
-    """Return header and scans of the tiles of `image` (H, W, 3) uint8, its first row at the top; borders are padded with the last texels."""
+    """Return header and scans of the tiles of `image` (H, W, 3) uint8, row 0 at the top; borders are padded with the last texels."""
     height, width = image.shape[:2]
     padded = np.pad(image, ((0, -height % tile_size), (0, -width % tile_size), (0, 0)), mode="edge")
     tiles = []

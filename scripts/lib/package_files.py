@@ -23,7 +23,12 @@ from farfield.addon.core.texmesh.streaming.manifest_json import read_manifest
 
 PAGE_FOLDER = environment.ROOT / "addon" / "core" / "texmesh" / "streaming" / "page"
 INDEX = "index.html"
-TEXT_TYPES = {".html": "text/html; charset=utf-8", ".js": "text/javascript; charset=utf-8", ".json": "application/json"}
+TEXT_TYPES = {
+    ".html": "text/html; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".json": "application/json",
+}
 CONTENT_TYPES = TEXT_TYPES | {".bin": "application/octet-stream", ".glb": "model/gltf-binary"}
 READ_BYTES = 2**20
 

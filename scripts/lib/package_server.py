@@ -221,7 +221,7 @@ def run_server(
 
     async def run() -> None:
         shared = {"files": paths, "throttle": Throttle(line), "limits": limits or ClientLimits()}
-        application = Application(default_handler_class=PackageHandler, default_handler_args=shared, log_function=lambda handler: None)
+        application = Application(default_handler_class=PackageHandler, default_handler_args=shared, log_function=lambda _handler: None)
         server = PackageHttpServer(application, shared["limits"])
         server.add_sockets(sockets)
         await stopping.wait()
