@@ -30,8 +30,7 @@ Textures = Sequence[Mipmaps | None]
 class ErrorTable:
     """Mean FLIP errors over the pixels of the object.
 
-    level_errors: (K,) of levels with the whole texture, coarsest first. counts: (P,) ascending numbers of increments; the first is the
-    smallest with which every tile has something. texture_errors: (P,) of the finest level with them. exponent: p. residual: largest
+    level_errors: (K,) of levels with the whole texture, coarsest first. counts: (P,) ascending numbers of increments. texture_errors: (P,) of the finest level with them. exponent: p. residual: largest
     difference between predicted and measured errors of combinations.
     """
 

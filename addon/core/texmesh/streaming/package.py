@@ -14,17 +14,19 @@ from ..textured_mesh import TexturedMesh
 from .allocation import ErrorTable, make_plan, measure_errors
 from .increments import Increments, encode_increments
 from .levels_glb import encode_levels
-from .manifest import MESH, TEXTURES, Manifest, PackageMaterial, Section
+from .manifest import MESH, TEXTURES, Manifest, MeshLevel, PackageMaterial, Section
 from .material_sources import MaterialSource, build_color_mipmaps
-from .mesh_coding import EncodedMesh, encode_mesh
+from .mesh_coding import Bounds, encode_mesh
 from .mesh_order import order_mesh
 from .package_files import LEVELS_GLB, describe_file
 from .settings import PackageSettings
 from .textures.building import BuiltTextures, build_textures
-from .textures.partial_textures import count_first_increments, decode_textures
+from .textures.partial_textures import decode_textures
 from .textures.texture_tiles import TextureSource
 
-STOPS = 6  # numbers of increments at which the error of the textures is measured
+STOPS = 7  # numbers of increments at which the error of the textures is measured
+FIRST_STOP = 1.0 / 64.0  # of the bytes of all increments
+NO_TEXTURES = BuiltTextures((), Increments(*[np.zeros(0, np.int64)] * 5, np.zeros(0, np.float16)), b"", np.zeros(1))
 Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # from Blender's axes to those of packages and glTF
 
 
@@ -75,14 +77,20 @@ def build_package(
     yield Progress(0.55, "Coding meshes")
     turned = replace(mesh, vertices=mesh.vertices @ Y_UP.T)
     ordered = order_mesh(turned, [level.subset for level in chain.levels[1:]], chain.simplification)
-    coded = encode_mesh(ordered, len(materials))
+    coded = encode_mesh(ordered, _level_pixels(chain), len(materials))
     sources, references = _list_sources(mesh, materials, chain)
-    built = yield from subprogress(
-        build_textures(sources, package_settings.texture_settings(settings.perception.pixels_per_degree)), 0.6, 0.8
-    )
+    built = NO_TEXTURES
+    if sources:
+        texture_settings = package_settings.texture_settings(settings.perception.pixels_per_degree)
+        built = yield from subprogress(build_textures(sources, texture_settings), 0.6, 0.8)
     table = yield from subprogress(_measure(chain, materials, built, references, settings, package_settings), 0.8, 0.98)
     yield Progress(0.98, "Writing")
     return _assemble(name, materials, references, chain, coded, built, table, package_settings)
+
+
+def _level_pixels(chain: LevelChain) -> tuple[float, ...]:
+    """Return for each level, coarsest first, the size in pixels up to which it looks like the next finer one; 0 for the finest."""
+    return (*(float(level.switch.pixels) for level in reversed(chain.levels[1:])), 0.0)
 
 
 def _list_sources(
@@ -132,13 +140,12 @@ def _measure(
 
 
 def _choose_stops(increments: Increments) -> list[int]:
-    """Return numbers of increments, ascending, whose bytes grow by equal factors from the first at which every tile has something."""
-    first, total = count_first_increments(increments), len(increments.sizes)
-    if not total:
+    """Return numbers of increments, ascending, whose bytes grow by equal factors up to all."""
+    if not len(increments.sizes):
         return [0]
     ends = np.cumsum(increments.sizes)
-    wanted = np.geomspace(ends[first - 1], ends[-1], STOPS)
-    return np.unique(np.clip(np.searchsorted(ends, wanted) + 1, first, total)).tolist()
+    wanted = np.geomspace(ends[-1] * FIRST_STOP, ends[-1], STOPS)
+    return np.unique(np.searchsorted(ends, wanted) + 1).clip(max=len(ends)).tolist()
 
 
 def _assemble(
@@ -146,7 +153,7 @@ def _assemble(
     materials: Sequence[MaterialSource],
     references: Sequence[dict[str, int]],
     chain: LevelChain,
-    coded: EncodedMesh,
+    coded: tuple[bytes, tuple[MeshLevel, ...], Bounds, Bounds],
     built: BuiltTextures,
     table: ErrorTable,
     settings: PackageSettings,
@@ -157,16 +164,15 @@ def _assemble(
     view, ends = memoryview(built.content), np.cumsum(sizes)
     parts = [view[end - size : end] for end, size in zip(ends.tolist(), sizes.tolist(), strict=True)]
     checksums = np.array([zlib.crc32(part) for part in parts], "<u4").tobytes()
-    contents = {MESH: coded.content, TEXTURES: b"".join([encoded, checksums, built.content])}
-    pixels = [0.0 if level.switch is None else float(level.switch.pixels) for level in chain.levels]  # from finer to coarser ones
-    levels = tuple(replace(level, pixels=size) for level, size in zip(coded.levels, reversed([*pixels[1:], 0.0]), strict=True))
-    mesh_sizes = [sum(item.added_size for item in levels[: index + 1]) + level.corners.size for index, level in enumerate(levels)]
+    mesh_content, levels, bounds, uv_bounds = coded
+    contents = {MESH: mesh_content, TEXTURES: b"".join([encoded, checksums, built.content])}
+    mesh_sizes = np.cumsum([level.size for level in levels]).tolist()
     manifest = Manifest(
         name=name,
         files={file: describe_file(content) for file, content in contents.items()},
         mirrors=settings.mirror_urls(),
-        bounds=coded.bounds,
-        uv_bounds=coded.uv_bounds,
+        bounds=bounds,
+        uv_bounds=uv_bounds,
         levels=levels,
         materials=tuple(
             PackageMaterial(material.name, material.base_color, dict(reference), material.is_double_sided)

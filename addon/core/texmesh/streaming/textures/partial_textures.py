@@ -44,10 +44,3 @@ def decode_textures(
                 pixels[number] = tile
         images.append(join_tiles(pixels, grid)[::-1])
     return images
-
-
-def count_first_increments(increments: Increments) -> int:
-    """Return the smallest number of increments with which every tile that has any has its first one."""
-    keys = np.stack([increments.textures, increments.tiles], axis=1)
-    _, first = np.unique(keys, axis=0, return_index=True)
-    return int(first.max()) + 1 if len(first) else 0
