@@ -20,7 +20,7 @@ from .manifest import PlanRow
 MAX_IMAGE = 512  # pixels of the renders: larger objects are seen in parts, and their errors change little
 VIEWS = 3
 MIN_EXPONENT, MAX_EXPONENT = 1.0, 8.0
-COUNTS = 96  # of increments that are tried for the plan, besides those that were measured
+COUNTS = 96  # numbers of increments that are tried for the plan, and those that were measured
 MAX_ROWS = 64  # of the plan
 MIN_GAIN = 0.98  # error of a row of the plan relative to the row before, at most
 Textures = Sequence[Mipmaps | None]

@@ -71,8 +71,9 @@ def build_package(
         settings: of the levels; their product must be "subset".
 
     Raises:
-        GeometryError, SettingsError: see `make_levels`. ImageError: a texture cannot be coded.
+        GeometryError, SettingsError: see `make_levels`, or a setting of the package cannot be used. ImageError: a texture cannot be coded.
     """
+    texture_settings = package_settings.texture_settings(settings.perception.pixels_per_degree)
     chain = yield from subprogress(make_levels(mesh, textures, settings, name), 0.0, 0.55)
     yield Progress(0.55, "Coding meshes")
     turned = replace(mesh, vertices=mesh.vertices @ Y_UP.T)
@@ -81,7 +82,6 @@ def build_package(
     sources, references = _list_sources(mesh, materials, chain)
     built = NO_TEXTURES
     if sources:
-        texture_settings = package_settings.texture_settings(settings.perception.pixels_per_degree)
         built = yield from subprogress(build_textures(sources, texture_settings), 0.6, 0.8)
     table = yield from subprogress(_measure(chain, materials, built, references, settings, package_settings), 0.8, 0.98)
     yield Progress(0.98, "Writing")

@@ -8,6 +8,7 @@ from ...settings import Settings, Unit, setting
 from .textures.settings import TextureSettings
 
 PACKAGE = "Package"
+BLOCK = 16  # pixels of a side of the largest blocks of JPEG
 SCHEMES = ("http", "https")
 
 
@@ -46,7 +47,13 @@ class PackageSettings(Settings):
     with_glb: bool = setting(True, "Also write a .glb file with all levels, for other programs", label="glTF File", group=PACKAGE)
 
     def texture_settings(self, pixels_per_degree: float) -> TextureSettings:
-        """Return the settings of the textures."""
+        """Return the settings of the textures.
+
+        Raises:
+            SettingsError: the size of tiles is no multiple of the blocks of JPEG.
+        """
+        if self.tile_size % BLOCK:
+            raise SettingsError(f"Tile Size is {self.tile_size}; it must be a multiple of {BLOCK}.", ("tile_size",))
         return TextureSettings(tile_size=self.tile_size, quality=self.quality, pixels=self.pixels, pixels_per_degree=pixels_per_degree)
 
     def mirror_urls(self) -> tuple[str, ...]:
