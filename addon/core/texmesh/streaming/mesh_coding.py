@@ -15,6 +15,7 @@ The triangles of a level refer to vertices by what coarser levels are, so that a
 
 import struct
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,9 +59,7 @@ def dequantize(values: np.ndarray, bounds: Bounds) -> np.ndarray:
     return (low + values * ((high - low) / STEPS)).astype(np.float32)
 
 
-def encode_mesh(
-    ordered: OrderedMesh, pixels: tuple[float, ...], material_count: int
-) -> tuple[bytes, tuple[MeshLevel, ...], Bounds, Bounds]:
+def encode_mesh(ordered: OrderedMesh, pixels: Sequence[float], material_count: int) -> tuple[bytes, tuple[MeshLevel, ...], Bounds, Bounds]:
     """Encode all levels of a mesh.
 
     Args:

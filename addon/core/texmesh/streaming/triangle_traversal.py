@@ -31,8 +31,10 @@ class Traversal:
 
 
 def find_opposite_halfedges(triangles: np.ndarray, materials: np.ndarray) -> np.ndarray:
-    """Return for each halfedge 3 t + c of `triangles` (T, 3), from corner c to the next one, the halfedge of a triangle of the same material
-    with the same ends and the opposite direction, (3 T,); -1 where there is none. No two halfedges have the same one."""
+    """Return for each halfedge 3 t + c of `triangles` (T, 3), from corner c to the next one, the opposite one, (3 T,); -1 if it has none.
+
+    It has the same ends, the opposite direction and the same material. No two halfedges have the same opposite one.
+    """
     starts, ends = triangles.reshape(-1).astype(np.int64), np.roll(triangles, -1, axis=1).reshape(-1)
     low, high = np.minimum(starts, ends), np.maximum(starts, ends)
     size = int(triangles.max(initial=0)) + 1
@@ -65,15 +67,14 @@ def traverse(triangles: np.ndarray, materials: np.ndarray) -> Traversal:
             if not border.is_visited[triangle]:
                 border.start(triangle)
                 border.grow()
-        while border.symbols and border.symbols[-1] == BOUNDARY:  # what follows the last triangle of a material is known
-            border.symbols.pop()
+        del border.symbols[border.symbol_count :]  # nothing needs to be known after the last triangle of a material
     columns = (border.first_corners, border.across, border.third_sources)
     return Traversal(*(np.array(column, np.int64) for column in columns), np.array(border.symbols, np.uint8))
 
 
 class _Border:
-    """The border of the triangles so far: edges e with their start, end, previous and next edge, and inner halfedge, which goes from the end
-    to the start of the edge."""
+    """The border of the triangles so far: edges with their start, their end, the previous and the next edge, and the halfedge inside, which
+    goes from the end to the start of the edge."""
 
     def __init__(self, corners: list[int], opposite: list[int]) -> None:
         self.corners, self.opposite = corners, opposite
@@ -89,11 +90,13 @@ class _Border:
         self.across: list[int] = []
         self.third_sources: list[int] = []
         self.symbols: list[int] = []
+        self.symbol_count = 0  # up to the last triangle
 
     def start(self, triangle: int) -> None:
         """Add a triangle with a loop of its own."""
         first = 3 * triangle
         self.is_visited[triangle] = True
+        self.symbol_count = len(self.symbols)
         self.first_corners.append(first)
         self.across.append(-1)
         self.third_sources.append(-1)
@@ -170,6 +173,7 @@ class _Border:
                 self._link(before, left)
                 self._link(right, after)
             self.third_sources.append(source)
+            self.symbol_count = len(symbols)
 
     def _add(self, halfedge: int) -> int:
         """Add an edge outside of `halfedge`, with its opposite direction."""
