@@ -24,11 +24,41 @@ CLIENTS, REQUESTS = 100, 100_000
 CANARY = b"canary-5d41402abc4b2a76"
 NAMES = ("manifest.json", "mesh.bin", "textures.bin", "model-L0.glb", "index.html", "main.js", "secret.txt", "private.txt", "link.glb", "")
 PIECES = (
-    *("..", ".", "/", "//", "\\", "%2e", "%2E%2e", "%2f", "%5c", "%00", "%c0%ae", "%252e", "\u2025", "\uff0e", "~", "etc/passwd", "C:", ";", "?", "#"),
+    *(
+        "..",
+        ".",
+        "/",
+        "//",
+        "\\",
+        "%2e",
+        "%2E%2e",
+        "%2f",
+        "%5c",
+        "%00",
+        "%c0%ae",
+        "%252e",
+        "\u2025",
+        "\uff0e",
+        "~",
+        "etc/passwd",
+        "C:",
+        ";",
+        "?",
+        "#",
+    ),
     *("package", "sub", "inner.glb", "con", "nul", "%", "%zz", " ", "http://127.0.0.1/", "file://", "..;/", "....//", *NAMES),
 )
 METHODS = ("GET", "GET", "GET", "GET", "HEAD", "OPTIONS", "POST", "PUT", "get", "TRACE", "\x00")
-RANGES = ("bytes={0}-{1}", "bytes={0}-", "bytes=-{0}", "bytes={1}-{0}", "bytes={0}-{1},{1}-{0}", "bytes=a-b", "lines=1-2", "bytes={0}{1}{0}{1}{0}-")
+RANGES = (
+    "bytes={0}-{1}",
+    "bytes={0}-",
+    "bytes=-{0}",
+    "bytes={1}-{0}",
+    "bytes={0}-{1},{1}-{0}",
+    "bytes=a-b",
+    "lines=1-2",
+    "bytes={0}{1}{0}{1}{0}-",
+)
 
 
 def measure_server(seed: int, requests: int = REQUESTS) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 import { begin, buildJob, decide, estimateRate, isFinished, meanDifference } from "./controller.js";
 import { decodeLevel, inflate } from "./mesh_decoding.js";
-import { DamageError, openRange, PartialFile, SimulatedLine } from "./network.js";
+import { crc32, DamageError, openRange, PartialFile, SimulatedLine } from "./network.js";
 import { readIncrements, ROW_BYTES, TileDecoder } from "./tiles.js";
 
 const FORMAT = "farfield-package", VERSION = 1;
@@ -230,16 +230,4 @@ export class Loader {
     const isKnown = error instanceof DamageError || error instanceof TypeError || !(error instanceof RangeError);
     this.events.problem((isKnown ? error : new DamageError("The package")).message);
   }
-}
-
-const CRC_TABLE = Uint32Array.from({ length: 256 }, (_, byte) => {
-  for (let bit = 0; bit < 8; bit++) byte = byte & 1 ? (byte >>> 1) ^ 0xedb88320 : byte >>> 1;
-  return byte;
-});
-
-/** CRC-32 as in zlib. */
-export function crc32(bytes) {
-  let value = -1;
-  for (let i = 0; i < bytes.length; i++) value = CRC_TABLE[(value ^ bytes[i]) & 255] ^ (value >>> 8);
-  return (value ^ -1) >>> 0;
 }
