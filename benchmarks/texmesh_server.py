@@ -15,10 +15,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
-from small_packages import write_opaque_package
-
 from farfield.addon.core.texmesh.streaming.page_files import read_page
 from lib.package_server import run_server
+from small_packages import write_opaque_package
 
 CLIENTS, REQUESTS = 100, 100_000
 CANARY = b"canary-5d41402abc4b2a76"
