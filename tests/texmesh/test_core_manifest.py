@@ -45,9 +45,9 @@ def test_tiles_cover_padded_texture():
     assert (texture.columns, texture.tile_count) == (3, 6)
 
 
-def test_mesh_size_is_that_of_added_data_and_one_set_of_triangles():
+def test_mesh_size_is_that_of_a_level_and_all_coarser_ones():
     assert make_manifest().mesh_size(0) == 50
-    assert make_manifest().mesh_size(1) == 90
+    assert make_manifest().mesh_size(1) == 100
 
 
 @pytest.mark.parametrize(

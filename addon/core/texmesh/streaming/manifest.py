@@ -52,9 +52,10 @@ class MeshLevel:
     """What a level adds to the coarser ones.
 
     vertex_count, wedge_count: of the level, those of coarser levels included: they come first. triangle_counts: per material; triangles
-    are sorted by material. positions, parents, wedges, uvs: sections of mesh.bin for the added vertices and wedges. corners: section of
-    mesh.bin with the level's triangles, all of them. pixels: size of the object in the image, in pixels, up to which the level looks the
-    same as the next finer one; 0 for the finest.
+    are sorted by material. positions, uvs: sections of mesh.bin for the added vertices and wedges. corners, wedges, parents: sections with
+    the level's triangles, all of them, and the parents of the added vertices. See `mesh_coding`: to decode a level needs all sections of
+    coarser ones. pixels: size of the object in the image, in pixels, up to which the level looks the same as the next finer one; 0 for the
+    finest.
     """
 
     vertex_count: int
@@ -68,9 +69,9 @@ class MeshLevel:
     pixels: float
 
     @property
-    def added_size(self) -> int:
-        """Bytes that this level and all finer ones need of it."""
-        return self.positions.size + self.parents.size + self.wedges.size + self.uvs.size
+    def size(self) -> int:
+        """Bytes of all sections."""
+        return self.corners.size + self.wedges.size + self.parents.size + self.positions.size + self.uvs.size
 
 
 @dataclass(frozen=True)
@@ -140,5 +141,5 @@ class Manifest:
     pixels: float
 
     def mesh_size(self, level: int) -> int:
-        """Return the bytes of mesh.bin that show `level`, without those of the triangles of coarser ones."""
-        return sum(item.added_size for item in self.levels[: level + 1]) + self.levels[level].corners.size
+        """Return the bytes of mesh.bin that show `level`: those of this level and of all coarser ones."""
+        return sum(item.size for item in self.levels[: level + 1])

@@ -1,0 +1,202 @@
+"""Meshes with levels as bytes: coarse first, quantized, predicted from neighbors, and compressed by raw DEFLATE.
+
+Sections of a level (see `manifest.MeshLevel`), all of them raw DEFLATE:
+
+| section | content |
+|---|---|
+| corners | number of symbols, uint32 little-endian; symbols; LEB128 integers that tell vertices |
+| wedges | LEB128 codes of the wedges of corners |
+| parents | one symbol per added vertex; LEB128 integers that tell parents |
+| positions | byte planes of the residuals of added vertices: low and high bytes of x, y, z |
+| uvs | byte planes of the residuals of added wedges: low and high bytes of u, v |
+
+The triangles of a level refer to vertices by what coarser levels are, so that a level needs all sections of coarser ones.
+"""
+
+import struct
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .connectivity_decoding import ConnectivityDecoder, LevelStreams
+from .connectivity_encoding import ConnectivityEncoder, LevelSymbols
+from .manifest import MESH, Manifest, MeshLevel, Section
+from .mesh_order import OrderedMesh
+from .sections import MAX_LEB128_BYTES, MAX_RATIO, IntegerReader, damage, decode_residuals, deflate, encode_residuals, inflate
+
+STEPS = 65535  # of 16-bit positions and texture coordinates, between the bounds
+Bounds = tuple[tuple[float, ...], tuple[float, ...]]
+
+
+@dataclass(frozen=True)
+class DecodedLevel:
+    """A level as the page shows it.
+
+    positions: (V, 3) uint16 within the bounds. wedge_vertices: (W,) int32. uvs: (W, 2) uint16 within the bounds, v downwards. triangles:
+    (T, 3) int32 into wedges. materials: (T,) int32, ascending. parents: (V,) int32, -1 in the coarsest level.
+    """
+
+    positions: np.ndarray
+    wedge_vertices: np.ndarray
+    uvs: np.ndarray
+    triangles: np.ndarray
+    materials: np.ndarray
+    parents: np.ndarray
+
+
+def quantize(values: np.ndarray, bounds: Bounds) -> np.ndarray:
+    """Return `values` (N, D) as (N, D) uint16, 0 to 65535 from the lower to the upper bound."""
+    low, high = np.array(bounds)
+    extent = np.where(high > low, high - low, 1.0)
+    return np.clip(np.rint((values - low) / extent * STEPS), 0, STEPS).astype(np.uint16)
+
+
+def dequantize(values: np.ndarray, bounds: Bounds) -> np.ndarray:
+    """Return the values (N, D) float32 of `values` (N, D) uint16, as the page computes them: bit by bit the same."""
+    low, high = np.array(bounds, np.float64)
+    return (low + values * ((high - low) / STEPS)).astype(np.float32)
+
+
+def encode_mesh(ordered: OrderedMesh, pixels: Sequence[float], material_count: int) -> tuple[bytes, tuple[MeshLevel, ...], Bounds, Bounds]:
+    """Encode all levels of a mesh.
+
+    Args:
+        pixels: see `MeshLevel`, one per level, coarsest first. material_count: larger than all materials.
+
+    Returns:
+        mesh.bin, the levels of the manifest, the bounds of positions, and of texture coordinates with v downwards.
+    """
+    uvs = ordered.uvs * [1.0, -1.0] + [0.0, 1.0]
+    bounds, uv_bounds = _find_bounds(ordered.positions), _find_bounds(uvs)
+    positions, uvs = (values.astype(np.int64) for values in (quantize(ordered.positions, bounds), quantize(uvs, uv_bounds)))
+    encoder = ConnectivityEncoder(ordered)
+    content, levels = bytearray(), []
+    for level, size in zip(ordered.levels, pixels, strict=True):
+        symbols = encoder.encode(level)
+        sections = []
+        for part in _pack(symbols, positions, uvs, level.vertex_count, level.wedge_count):
+            packed = deflate(part)
+            sections.append(Section(len(content), len(packed), zlib.crc32(packed)))
+            content += packed
+        corners, wedges, parents, level_positions, level_uvs = sections
+        counts = np.bincount(level.materials, minlength=material_count)
+        levels.append(
+            MeshLevel(
+                vertex_count=level.vertex_count,
+                wedge_count=level.wedge_count,
+                triangle_counts=tuple(int(count) for count in counts),
+                positions=level_positions,
+                parents=parents,
+                wedges=wedges,
+                uvs=level_uvs,
+                corners=corners,
+                pixels=float(size),
+            )
+        )
+    return bytes(content), tuple(levels), bounds, uv_bounds
+
+
+def decode_level(content: bytes | memoryview, manifest: Manifest, level: int) -> DecodedLevel:
+    """Decode `level` of `content`, mesh.bin, of which only the sections of this level and of coarser ones are read.
+
+    Raises:
+        FileError: the mesh is damaged, or contradicts the manifest.
+    """
+    decoder = ConnectivityDecoder()
+    residuals, uv_residuals = [], []
+    vertex_count = wedge_count = 0
+    for item in manifest.levels[: level + 1]:
+        added = item.vertex_count - vertex_count
+        decoder.decode(_read_streams(content, item, added), item.triangle_counts, item.vertex_count)
+        if len(decoder.wedge_vertices) != item.wedge_count:
+            raise damage()
+        residuals.append(_read_residuals(content, item.positions, added, 3))
+        uv_residuals.append(_read_residuals(content, item.uvs, item.wedge_count - wedge_count, 2))
+        vertex_count, wedge_count = item.vertex_count, item.wedge_count
+    counts = manifest.levels[level].triangle_counts
+    return DecodedLevel(
+        positions=_add_predictions(np.concatenate(residuals), decoder.vertex_references),
+        wedge_vertices=np.array(decoder.wedge_vertices, np.int32),
+        uvs=_add_predictions(np.concatenate(uv_residuals), decoder.wedge_references),
+        triangles=np.array(decoder.triangles, np.int32).reshape(-1, 3),
+        materials=np.repeat(np.arange(len(counts), dtype=np.int32), counts),
+        parents=np.array(decoder.parents, np.int32),
+    )
+
+
+def _find_bounds(values: np.ndarray) -> Bounds:
+    return tuple(values.min(axis=0).tolist()), tuple(values.max(axis=0).tolist())
+
+
+def _pack(symbols: LevelSymbols, positions: np.ndarray, uvs: np.ndarray, vertex_count: int, wedge_count: int) -> tuple[bytes, ...]:
+    """Return the sections corners, wedges, parents, positions and uvs, before compression."""
+    residuals = [
+        encode_residuals(values[count - len(references) : count] - _predict(values, references, count - len(references)))
+        for values, references, count in (
+            (positions, symbols.vertex_references, vertex_count),
+            (uvs, symbols.wedge_references, wedge_count),
+        )
+    ]
+    corners = struct.pack("<I", len(symbols.symbols)) + symbols.symbols + symbols.vertices
+    return corners, symbols.wedges, symbols.parent_symbols + symbols.parents, *residuals
+
+
+def _predict(values: np.ndarray, references: np.ndarray, first_row: int) -> np.ndarray:
+    """Return the predictions (N, D) for the rows from `first_row` on, from `values` (M, D) by `references` (N, 3). Row 0 is predicted as 0:
+    it refers to itself."""
+    first, second, third = references.T
+    prediction = values[first] + values[second] - values[third]
+    if first_row == 0:
+        prediction[:1] = 0
+    return prediction
+
+
+def _add_predictions(residuals: np.ndarray, references: list[tuple[int, int, int]]) -> np.ndarray:
+    """Return the values (N, D) uint16 of `residuals` (N, D)."""
+    columns = []
+    for column in residuals.T.tolist():
+        values = [0] * len(column)
+        for index, ((first, second, third), residual) in enumerate(zip(references, column, strict=True)):
+            values[index] = (values[first] + values[second] - values[third] + residual) & STEPS
+        columns.append(values)
+    return np.array(columns, np.uint16).T
+
+
+def _read_streams(content: bytes | memoryview, level: MeshLevel, added: int) -> LevelStreams:
+    """Return what tells the triangles of `level`, which adds so many vertices."""
+    triangle_count = sum(level.triangle_counts)
+    _check_size(triangle_count, level.corners)
+    _check_size(added, level.positions)
+    size = 3 * triangle_count
+    corners = inflate(level.corners.read(content, MESH), 4 + size * (1 + MAX_LEB128_BYTES))
+    if len(corners) < 4:
+        raise damage()
+    symbol_count = struct.unpack_from("<I", corners)[0]
+    codes = inflate(level.wedges.read(content, MESH), size * MAX_LEB128_BYTES)
+    parents = inflate(level.parents.read(content, MESH), added * (1 + MAX_LEB128_BYTES))
+    parent_count = added if parents else 0
+    if 4 + symbol_count > len(corners) or len(parents) < parent_count:
+        raise damage()
+    return LevelStreams(
+        symbols=corners[4 : 4 + symbol_count],
+        vertices=IntegerReader(corners, 4 + symbol_count),
+        wedges=IntegerReader(codes, 0),
+        parent_symbols=parents[:parent_count],
+        parents=IntegerReader(parents, parent_count),
+    )
+
+
+def _check_size(count: int, section: Section) -> None:
+    """Raise FileError if `section` is too small for at least one byte for each of `count` items, before anything is allocated for them."""
+    if count > MAX_RATIO * section.size:
+        raise damage()
+
+
+def _read_residuals(content: bytes | memoryview, section: Section, count: int, columns: int) -> np.ndarray:
+    _check_size(2 * columns * count, section)
+    part = inflate(section.read(content, MESH), 2 * columns * count)
+    if len(part) != 2 * columns * count:
+        raise damage()
+    return decode_residuals(part, columns)
