@@ -5,6 +5,7 @@ They are listed and opened once, when the server starts: requests select one of 
 
 import gzip
 import hashlib
+import io
 import os
 import stat
 from collections.abc import Mapping
@@ -20,8 +21,8 @@ from farfield.addon.core.errors import FileError
 from farfield.addon.core.files.file_access import error_reason
 from farfield.addon.core.texmesh.streaming.manifest import MANIFEST, MESH, TEXTURES
 from farfield.addon.core.texmesh.streaming.manifest_json import read_manifest
+from farfield.addon.core.texmesh.streaming.page_files import read_page
 
-PAGE_FOLDER = environment.ROOT / "addon" / "core" / "texmesh" / "streaming" / "page"
 INDEX = "index.html"
 TEXT_TYPES = {
     ".html": "text/html; charset=utf-8",
@@ -51,26 +52,25 @@ class PackageFile:
 
 
 def open_package(folder: Path) -> dict[str, PackageFile]:
-    """Return the files of the package in `folder` by name, open for reading: manifest.json, mesh.bin, textures.bin, every .glb, and the
-    page. Where the package has no page, it is that of Farfield. Links and everything else in the folder are left out.
+    """Return the files of the package in `folder` by name, open for reading: manifest.json, mesh.bin, textures.bin and every .glb; and
+    the page of this Farfield, whatever page the folder has. Links and everything else in the folder are left out.
 
     Raises:
         FileError: the manifest is damaged, a file is missing, cannot be read, or has another size than the manifest says.
     """
     manifest = read_manifest(folder)
-    page_names = {path.name for path in PAGE_FOLDER.iterdir() if path.suffix in CONTENT_TYPES}
-    paths = {name: PAGE_FOLDER / name for name in page_names}
+    paths: dict[str, Path] = {}
     try:
         with os.scandir(folder) as entries:
             for entry in entries:
-                is_ours = entry.name in {MANIFEST, MESH, TEXTURES} | page_names or entry.name.endswith(".glb")
+                is_ours = entry.name in (MANIFEST, MESH, TEXTURES) or entry.name.endswith(".glb")
                 if is_ours and entry.is_file(follow_symlinks=False):
                     paths[entry.name] = folder / entry.name
     except OSError as error:
         raise FileError(f'The folder "{folder}" cannot be read ({error_reason(error)}); choose the folder of a package.') from error
-    files: dict[str, PackageFile] = {}
+    files = {name: _to_file(io.BytesIO(content), Path(name).suffix) for name, content in read_page().items()}
     try:
-        for name, path in sorted(paths.items()):
+        for name, path in paths.items():
             files[name] = _open_file(path)
         for name, (size, _) in manifest.files.items():
             if name in (MESH, TEXTURES) and (name not in files or files[name].size != size):
@@ -94,17 +94,21 @@ def _open_file(path: Path) -> PackageFile:
     try:
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
         handle = os.fdopen(descriptor, "rb")
-        status = os.fstat(descriptor)
-        if not stat.S_ISREG(status.st_mode):
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
             handle.close()
             raise FileError(f'"{path}" is no file; export the package again.')
-        digest = hashlib.sha256()
-        while block := handle.read(READ_BYTES):
-            digest.update(block)
-        compressed = None
-        if path.suffix in TEXT_TYPES:
-            handle.seek(0)
-            compressed = gzip.compress(handle.read(), 9, mtime=0)
+        return _to_file(handle, path.suffix)
     except OSError as error:
         raise FileError(f'"{path}" cannot be read ({error_reason(error)}); check its permissions.') from error
-    return PackageFile(status.st_size, CONTENT_TYPES[path.suffix], digest.hexdigest(), compressed, handle)
+
+
+def _to_file(handle: BinaryIO, suffix: str) -> PackageFile:
+    digest, size = hashlib.sha256(), 0
+    while block := handle.read(READ_BYTES):
+        digest.update(block)
+        size += len(block)
+    compressed = None
+    if suffix in TEXT_TYPES:
+        handle.seek(0)
+        compressed = gzip.compress(handle.read(), 9, mtime=0)
+    return PackageFile(size, CONTENT_TYPES[suffix], digest.hexdigest(), compressed, handle)

@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 pytest.importorskip("tornado")
 
 from farfield.addon.core.errors import FileError, SettingsError
+from farfield.addon.core.texmesh.streaming.page_files import read_page
 from lib.line_rate import LineRate, parse_rate
-from lib.package_files import PAGE_FOLDER
 from lib.package_server import ClientLimits, read_range, run_server
 from small_packages import write_opaque_package
 
@@ -88,7 +88,7 @@ def test_files_of_package_are_sent(url, package):
         assert headers["Access-Control-Allow-Origin"] == "*"
         assert headers["X-Content-Type-Options"] == "nosniff"
         assert "Server" not in headers
-    assert request(url, "/")[2] == request(url, "/index.html")[2] == (PAGE_FOLDER / "index.html").read_bytes()
+    assert request(url, "/")[2] == request(url, "/index.html")[2] == read_page()["index.html"]
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 import { begin, buildJob, decide, estimateRate, isFinished, meanDifference } from "./controller.js";
 import { decodeLevel, inflate } from "./mesh_decoding.js";
-import { DamageError, openRange, PartialFile, SimulatedLine } from "./network.js";
+import { crc32, DamageError, openRange, PartialFile, SimulatedLine } from "./network.js";
 import { readIncrements, ROW_BYTES, TileDecoder } from "./tiles.js";
 
 const FORMAT = "farfield-package", VERSION = 1;
@@ -10,21 +10,20 @@ const MESH = "mesh.bin", TEXTURES = "textures.bin";
 const SECTIONS = ["positions", "parents", "wedges", "uvs", "corners"];
 const TICK_SECONDS = 0.05;
 const PATIENCE = 0.25; // seconds after the limit for which responses are waited for
-const MANIFEST_TRIES = 3;
+const MANIFEST_TRIES = 3, MANIFEST_SECONDS = 15;
 const MAX_FILE_BYTES = 2 ** 31;
 
 /** Fetch the manifest of the package in the folder `base` (URL). Throws an Error with a sentence for the user. */
-export async function fetchManifest(base, signal) {
+export async function fetchManifest(base) {
   const url = new URL("manifest.json", base);
   let manifest;
   for (let attempt = 1; ; attempt++) {
     try {
-      const response = await fetch(url, { cache: "no-cache", signal });
+      const response = await fetch(url, { cache: "no-cache", signal: AbortSignal.timeout(MANIFEST_SECONDS * 1000) });
       if (!response.ok) throw new Error(`The server answers ${response.status} for ${url}.`);
       manifest = await response.json();
       break;
     } catch (error) {
-      if (signal.aborted) throw error;
       if (error instanceof SyntaxError) throw new DamageError("manifest.json");
       if (attempt === MANIFEST_TRIES) throw new Error(`${url} cannot be loaded. ${error.message}`);
     }
@@ -93,13 +92,14 @@ export class Loader {
     return isHere && !this.tasks && this.decoder.isIdle;
   }
 
-  /** Numbers to show: received bytes, bytes per second, seconds until the last response, deviation from the limit, Lambda of the paper. */
+  /** Numbers to show: received bytes, those of all increments and levels, bytes per second, seconds until the last response, deviation from the limit, Lambda of the paper. */
   get measures() {
     const files = Object.values(this.files);
     const bytes = files.reduce((sum, file) => sum + file.intervals.reduce((part, [start, end]) => part + end - start, 0), 0);
     const ended = this.isWhole ? this.ended || this.time : this.state.ended;
     const rate = this.isWhole ? bytes / ended : this.urls.reduce((sum, _, index) => sum + estimateRate(this.state, index, 1), 0);
-    return { bytes, rate, ended, deviation: ended - this.options.limit, difference: meanDifference(this.state) };
+    const total = files.reduce((sum, file) => sum + file.size, 0) - this.manifest.checksums[1];
+    return { bytes, total, rate, ended, deviation: ended - this.options.limit, difference: meanDifference(this.state) };
   }
 
   /** Go on after the limit, or not. */
@@ -230,16 +230,4 @@ export class Loader {
     const isKnown = error instanceof DamageError || error instanceof TypeError || !(error instanceof RangeError);
     this.events.problem((isKnown ? error : new DamageError("The package")).message);
   }
-}
-
-const CRC_TABLE = Uint32Array.from({ length: 256 }, (_, byte) => {
-  for (let bit = 0; bit < 8; bit++) byte = byte & 1 ? (byte >>> 1) ^ 0xedb88320 : byte >>> 1;
-  return byte;
-});
-
-/** CRC-32 as in zlib. */
-export function crc32(bytes) {
-  let value = -1;
-  for (let i = 0; i < bytes.length; i++) value = CRC_TABLE[(value ^ bytes[i]) & 255] ^ (value >>> 8);
-  return (value ^ -1) >>> 0;
 }

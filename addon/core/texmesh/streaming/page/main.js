@@ -12,13 +12,17 @@ const base = new URL(new URLSearchParams(location.search).get("package") ?? "./"
 if (!base.pathname.endsWith("/")) base.pathname += "/";
 const historyKey = `farfield-rate ${base.origin}`;
 
-let loader = null, renderer, orbit, isRequested = false, isSettled = false;
+let loader = null, renderer = null, isRequested = false, isSettled = false;
 let levels = []; // surfaces that have come, by level
+const first = fetchManifest(base); // before all other work
+first.catch(() => {}); // `load` reports it
 const session = { start: 0, firstImage: null, problems: [] };
+
+const orbit = new Orbit(element("view"), requestDraw);
 
 /** Draw with the next frame of the screen. */
 function requestDraw() {
-  if (isRequested || !renderer?.materials) return;
+  if (isRequested || !renderer?.program) return;
   isRequested = true;
   requestAnimationFrame(() => {
     isRequested = false;
@@ -39,8 +43,8 @@ function report(sentence) {
   element("status").textContent = session.problems.join(" ");
 }
 
-/** Load the package from the beginning. */
-async function load(start = performance.now()) {
+/** Load the package from the beginning. coming: a promise of its manifest. */
+async function load(coming = fetchManifest(base), start = performance.now()) {
   loader?.stop();
   Object.assign(session, { start, firstImage: null, problems: [] });
   isSettled = false;
@@ -48,15 +52,11 @@ async function load(start = performance.now()) {
   element("status").textContent = "";
   let manifest;
   try {
-    manifest = await fetchManifest(base, AbortSignal.timeout(30000));
+    manifest = await coming;
   } catch (error) {
     return report(error.message);
   }
-  document.title = element("name").textContent = manifest.name;
   fillChoices(manifest);
-  renderer.start(manifest);
-  if (renderer.isReduced) report("Textures are shown at a lower resolution, because the graphics processor has a limit.");
-  orbit.frame(manifest.bounds);
   const options = {
     limit: Number(element("limit").value), keepsRefining: element("refine").checked, rate: readHistory(),
     simulatedRate: Number(element("bandwidth").value), tileSide: (index) => renderer.tileSide(index), start,
@@ -74,7 +74,17 @@ async function load(start = performance.now()) {
     },
     problem: report,
   });
-  loader.start();
+  loader.start(); // first: requests are under way while shaders are compiled
+  document.title = element("name").textContent = manifest.name;
+  try {
+    if (!renderer) createRenderer();
+  } catch (error) {
+    loader.stop();
+    return report(error.message);
+  }
+  renderer.start(manifest);
+  if (renderer.isReduced) report("Textures are shown at a lower resolution, because the graphics processor has a limit.");
+  orbit.frame(manifest.bounds);
 }
 
 function fillChoices(manifest) {
@@ -102,7 +112,7 @@ function showLevel() {
 
 function showMeasures() {
   if (!loader || isSettled) return;
-  const { bytes, rate, ended, deviation, difference } = loader.measures, total = sum(Object.values(loader.files).map((file) => file.size));
+  const { bytes, total, rate, ended, deviation, difference } = loader.measures;
   element("progress").value = bytes / total;
   element("bytes").textContent = `${formatBytes(bytes)} of ${formatBytes(total)}`;
   element("rate").textContent = `${((rate * 8) / 1e6).toFixed(1)} Mbit/s`;
@@ -156,27 +166,26 @@ window.farfield = {
   load,
 };
 
-try {
+function createRenderer() {
   renderer = new Renderer(element("view"), () => {
     renderer.start(loader.manifest);
     showLevel();
     loader.decoder.repeat();
   });
-  orbit = new Orbit(element("view"), requestDraw);
+  renderer.isLit = element("light").checked;
   new ResizeObserver(resize).observe(element("view"));
-  element("light").addEventListener("change", ({ target }) => {
-    renderer.isLit = target.checked;
-    requestDraw();
-  });
-  element("levels").addEventListener("change", showLevel);
-  element("refine").addEventListener("change", ({ target }) => {
-    if (loader) loader.keepsRefining = target.checked;
-    isSettled = false;
-  });
-  element("restart").addEventListener("click", () => load());
-  for (const id of ["bandwidth", "limit"]) element(id).addEventListener("change", () => load());
-  setInterval(showMeasures, FRAME_MILLISECONDS);
-  load(0); // the user's wish began with the navigation to the page
-} catch (error) {
-  report(error.message);
 }
+
+element("light").addEventListener("change", ({ target }) => {
+  renderer.isLit = target.checked;
+  requestDraw();
+});
+element("levels").addEventListener("change", showLevel);
+element("refine").addEventListener("change", ({ target }) => {
+  if (loader) loader.keepsRefining = target.checked;
+  isSettled = false;
+});
+element("restart").addEventListener("click", () => load());
+for (const id of ["bandwidth", "limit"]) element(id).addEventListener("change", () => load());
+setInterval(showMeasures, FRAME_MILLISECONDS);
+load(first, 0); // the user's wish began with the navigation to the page

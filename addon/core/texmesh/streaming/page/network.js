@@ -91,3 +91,15 @@ export class DamageError extends Error {
     super(`"${name}" is damaged or of another package. Export the package again, or copy it again.`);
   }
 }
+
+const CRC_TABLE = Uint32Array.from({ length: 256 }, (_, byte) => {
+  for (let bit = 0; bit < 8; bit++) byte = byte & 1 ? (byte >>> 1) ^ 0xedb88320 : byte >>> 1;
+  return byte;
+});
+
+/** CRC-32 as in zlib. */
+export function crc32(bytes) {
+  let value = -1;
+  for (let i = 0; i < bytes.length; i++) value = CRC_TABLE[(value ^ bytes[i]) & 255] ^ (value >>> 8);
+  return (value ^ -1) >>> 0;
+}
