@@ -1,5 +1,6 @@
 """Perceptual levels of textured meshes: `python3 scripts/texmesh.py levels INPUT --out OUT [flags]`, and `analyze INPUT`; packages of them
-that a web page loads within a time limit: `build INPUT --out FOLDER`, `verify FOLDER`, `serve FOLDER` and `view FOLDER`.
+that a web page loads within a time limit: `build INPUT --out FOLDER`, `verify`, `serve`, `view` and
+`simulate FOLDER`.
 
 INPUT is a .blend, .obj, .ply, .stl, .glb, .gltf, .fbx or .usd file; each mesh that is visible in renders gets levels. The extension of
 --out selects the output: .blend (the whole scene with the levels), or .glb (one file per level, OUT-L0.glb and so on; with --one-file a
@@ -46,7 +47,7 @@ EXTENSIONS = (".blend", ".glb")
 def build_parser() -> command_line.Parser:
     """Return the parser of all arguments of the script."""
     parser = command_line.Parser(prog="texmesh.py", description="Make levels of detail of textured meshes that look the same.")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="levels|analyze|build|verify|serve|view")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="levels|analyze|build|verify|serve|view|simulate")
     levels = commands.add_parser("levels", description="Make levels of detail.")
     analyze = commands.add_parser("analyze", description="Find the features of meshes at 21 scales.")
     for command in (levels, analyze):
