@@ -1,7 +1,7 @@
 """Part `packages` of bench_texmesh.py: bytes until a model looks right, against gltfpack with WebP textures; time and memory.
 
 Both are judged by the mean FLIP error of shaded renders, in random views, against the original mesh with the original textures. Farfield
-uses default settings; its bytes are those of the manifest (gzip), the table of increments, the mesh and the increments of a row of the plan.
+uses default settings; its bytes are those of the manifest (gzip), the table of increments, and the mesh and increments of a row of the plan.
 For the other side every combination of a ratio of triangles, a scale and a quality of the textures is tried, and the smallest that reaches
 the error counts. Its geometry is measured before it is quantized.
 """
@@ -81,7 +81,7 @@ def _measure_model(model: TexturedModel, name: str, seed: int) -> dict[str, Any]
     package = build(model, name)
     seconds, cpu = time.perf_counter() - started, time.process_time() - started_cpu
     judge = TextureJudge(model.mesh, model.images, directions, PackageSettings().pixels)
-    ours, table = _search_plan(package, model, judge)
+    ours, table = _search_plan(package, judge)
     peer = _search_peer(model, judge)
     return {
         "ours": None if ours is None else ours._asdict() | {"total": ours.total},
@@ -122,7 +122,7 @@ def _open(package: Package) -> PackageContent:
     return PackageContent(manifest, increments, package.contents[MESH], textures)
 
 
-def _search_plan(package: Package, model: TexturedModel, judge: TextureJudge) -> tuple[Reached | None, list[dict[str, Any]]]:
+def _search_plan(package: Package, judge: TextureJudge) -> tuple[Reached | None, list[dict[str, Any]]]:
     """Return the first row of the plan that reaches MAX_FLIP, by bisection, and the predicted and measured errors of the rows tried."""
     content = _open(package)
     plan, tried = content.manifest.plan, {}
@@ -153,10 +153,8 @@ def _search_plan(package: Package, model: TexturedModel, judge: TextureJudge) ->
 
 
 def _list_rows(tried: dict[PlanRow, float]) -> list[dict[str, Any]]:
-    return [
-        {"bytes": row.byte_count, "level": row.level, "predicted": row.flip, "measured": flip}
-        for row, flip in sorted(tried.items(), key=lambda item: item[0].byte_count)
-    ]
+    rows = sorted(tried, key=lambda row: row.byte_count)
+    return [{"bytes": row.byte_count, "level": row.level, "predicted": row.flip, "measured": tried[row]} for row in rows]
 
 
 def _decode_mesh(content: PackageContent, level: int) -> TexturedMesh:
@@ -172,7 +170,7 @@ def _search_peer(model: TexturedModel, judge: TextureJudge) -> Reached | None:
     best = None
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder) / "model.obj"
-        texmesh_files.write_obj(model.mesh, source)
+        texmesh_files.write_obj(source, model.mesh, {})
         for ratio in RATIOS:
             count = max(int(ratio * len(model.mesh.triangles)), 4)
             level = simplify_with_gltfpack(source, Path(folder), count).mesh if ratio < 1.0 else model.mesh
