@@ -63,7 +63,10 @@ export class Loader {
     this.decoder = new TileDecoder(manifest, events.tile, options.tileSide);
     this.meshes = [];
     this.work = Promise.resolve(); // sections are decoded one after the other
-    this.job = buildJob(manifest);
+    const spans = manifest.levels.map((level) => SECTIONS.map((name) => level[name])).map((sections) => ({
+      file: MESH, start: Math.min(...sections.map(([offset]) => offset)), end: Math.max(...sections.map(([offset, size]) => offset + size)),
+    }));
+    this.job = { ...buildJob(manifest), added: spans.map((span) => [span]), corners: spans.map(() => []) };
     const { limit, rate, keepsRefining } = options;
     this.state = begin(this.job, { limit, rate, servers: urls.length, patience: PATIENCE, keepsRefining });
   }
@@ -130,7 +133,10 @@ export class Loader {
     } catch (error) {
       if (this.isStopped || abort.signal.aborted) return;
       if (error instanceof DamageError || this.isWhole) this.#fail(error);
-      else this.#decide({ id, failed: true });
+      else {
+        this.events.problem(error.message); // and ask again
+        this.#decide({ id, failed: true });
+      }
     } finally {
       this.requests.delete(id);
     }
@@ -164,11 +170,9 @@ export class Loader {
       this.#do(() => this.#readTable());
     }
     if (this.table) this.#passIncrements();
-    const isHere = (level, names) => names.every((name) => mesh.read(manifest.levels[level][name]));
-    let vertices = 0;
-    while (vertices < manifest.levels.length && isHere(vertices, SECTIONS.slice(0, 4))) vertices++;
-    for (let level = vertices - 1; level > this.wanted; level--) {
-      if (!isHere(level, ["corners"])) continue;
+    let level = this.wanted;
+    while (level + 1 < manifest.levels.length && SECTIONS.every((name) => mesh.read(manifest.levels[level + 1][name]))) level++;
+    if (level > this.wanted) {
       this.wanted = level;
       this.#do(() => this.#showLevel(level));
     }
@@ -196,10 +200,7 @@ export class Loader {
     const file = this.files[MESH];
     for (let level = this.meshes.length; level <= index; level++) {
       const sections = {};
-      for (const name of SECTIONS) {
-        const section = this.manifest.levels[level][name];
-        if (name !== "corners" || level === index) sections[name] = await this.#check(file, section);
-      }
+      for (const name of SECTIONS) sections[name] = await this.#check(file, this.manifest.levels[level][name]);
       this.meshes.push(await decodeLevel(this.manifest, level, sections, this.meshes[level - 1]));
     }
     if (this.isStopped) return;

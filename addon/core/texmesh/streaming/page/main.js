@@ -162,7 +162,7 @@ window.farfield = {
     renderer.draw(orbit, true);
     return element("view").toDataURL();
   },
-  setView(view) { orbit.set(view); },
+  orbit,
   load,
 };
 
