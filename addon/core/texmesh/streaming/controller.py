@@ -1,0 +1,301 @@
+"""The controller of a client: which bytes to ask for next, so that sending ends at the time limit (sections III.B, III.C and V of the paper).
+
+`decide` is a pure function of the state and an event; the page has the same one in page/controller.js, with the same arithmetic: only
++ - * / and comparisons of doubles, in the same order, so both decide alike bit for bit.
+
+Order. Level 0 and the table of increments come first, so that something is on the screen; then increments. When the rates have been
+measured, each request is preceded by a look into the plan: the best row that the rest of the time has bytes for. As soon as the plan leaves
+the present level, the level of that row is asked for, without the triangles of the levels between.
+
+Time compensation. The paper's algorithm gives each of the n - j remaining fragments an equal part of the remaining time after fragment j, so
+each deviation spreads evenly over them: with relative errors e_j of the estimated times, the last fragment ends
+
+    Pi = e_n (T / n) prod_{j < n} (1 - e_j / (n - j))
+
+late, which is at most e (T / n) exp(e (1 + 1/2 + ... + 1 / (n - 1))), a harmonic sum (e: the largest |e_j|). Here a request takes FRACTION of
+the remaining time, so a deviation spreads over the remaining requests in proportion to their planned times, which shrink geometrically:
+
+    Pi <= e T (1 - FRACTION (1 - e))^(n - 1).
+
+Requests do not shrink below `_shortest` (one delay of the line; shorter ones would leave it idle); the one that begins when less than that
+remains takes all of it. So with W = `_shortest` + LEAD times the delay, the time for which the last request is in flight at most,
+
+    -(g + delay) <= Pi <= e W,
+
+where g is the time of the increment that does not fit anymore. `Lambda` (eq. 9) is the mean of the absolute differences between planned
+and actual times of all requests but the last.
+
+Several servers: a request goes to the server whose line is free first, and is as long as its measured rate allows; so bytes spread by rates.
+A server that fails or is silent gets nothing for a while, and what it owes is asked for first, elsewhere if possible.
+"""
+
+from bisect import bisect_right
+from dataclasses import replace
+
+from .manifest import MESH, TEXTURES
+from .sending_state import Event, Flight, Job, Request, Server, Span, State
+
+FAST, SLOW = 0.3, 2.0  # seconds that the averages of rates look back
+MIN_SAMPLE = 0.01  # seconds
+GRACE = 0.1  # seconds without a byte that mean nothing
+FRACTION = 0.25  # of the remaining time for the next request
+MAX_REQUEST = 1.0  # seconds
+LEAD = 1.5  # delays before the line is free that the next request is sent
+EXCESS = 1.2  # of the time left, for all requests of a server, at which the newest is aborted
+MEASURED = 0.2  # seconds of measuring before a level is chosen
+LEVEL_MARGIN = 0.9  # fraction of the estimated bytes that a level and its increments may need
+SILENCE = 0.75  # seconds after which a request is given up
+MIN_PAUSE, MAX_PAUSE = 0.25, 8.0  # seconds without a request for a server that failed
+MIN_RATE = 1000.0  # bytes per second
+
+
+def decide(job: Job, state: State, event: Event) -> tuple[State, list[Request], list[int]]:
+    """Return the state after `event`, the requests to send, and the ids of those to abort. What has come of aborted ones is kept."""
+    state = _copy(state)
+    state.time = max(state.time, event.time)
+    for flight in state.flights:
+        if flight.id == event.id:
+            _hear(state, flight, event)
+    is_over = state.time >= state.limit + state.patience and not state.keeps_refining
+    aborted = []
+    for flight in state.flights[::-1]:  # the newest first
+        is_silent = _is_silent(state, flight)
+        if is_silent:
+            _pause(state, flight)
+        if is_silent or (not _is_first(job, flight.span) and (is_over or _is_excess(state, flight))):
+            _owe(state, flight)
+            aborted.append(flight.id)
+    if not any(span.file == MESH for span in state.pending) and not any(flight.span.file == MESH for flight in state.flights):
+        state.shown = state.level
+    requests: list[Request] = []
+    while _ask(job, state, requests):
+        pass
+    return state, requests, aborted
+
+
+def is_finished(job: Job, state: State) -> bool:
+    """Return whether no response is waited for and nothing will be asked for anymore."""
+    if state.flights or any(_is_first(job, span) for span in state.pending):
+        return False
+    is_over = state.time >= state.limit and not state.keeps_refining
+    is_complete = job.ends is not None and state.asked == len(job.ends) and not state.pending
+    return is_over or (is_complete and state.level >= min(job.plan, key=lambda row: row[2])[0])
+
+
+def received_increments(job: Job, state: State) -> int:
+    """Return the number of increments that have come without a gap."""
+    if job.ends is None:
+        return 0
+    spans = [replace(flight.span, start=flight.span.start + flight.received) for flight in state.flights] + state.pending
+    starts = [span.start for span in spans if span.file == TEXTURES and span.start >= job.begin]
+    return min(bisect_right(job.ends, min(starts)), state.asked) if starts else state.asked
+
+
+def mean_difference(state: State) -> float:
+    """Return Lambda (eq. 9 of the paper), seconds: the mean difference between planned and actual times of all requests but the last."""
+    return (state.difference - state.latest) / max(state.responses - 1, 1)
+
+
+def estimate_rate(state: State, index: int, horizon: float) -> float:
+    """Return the bytes per second of server `index` that are to be expected for the next `horizon` seconds."""
+    server = state.servers[index]
+    gap = max(0.0, state.time - server.mark - GRACE)
+    fast = server.bytes / (server.seconds + gap)
+    slow = server.slow_bytes / (server.slow_seconds + gap)
+    return (fast * FAST + slow * horizon) / (FAST + horizon)
+
+
+def _copy(state: State) -> State:
+    return replace(
+        state,
+        servers=[replace(server) for server in state.servers],
+        flights=[replace(flight) for flight in state.flights],
+        pending=list(state.pending),
+    )
+
+
+def _hear(state: State, flight: Flight, event: Event) -> None:
+    server = state.servers[flight.server]
+    if event.failed:
+        _pause(state, flight)
+        _owe(state, flight)
+        return
+    is_busy = any(other.is_open and other.server == flight.server for other in state.flights)
+    fresh = event.received - flight.received
+    if not flight.is_open:
+        flight.is_open = True
+        server.delay += (state.time - flight.asked - server.delay) * (0.25 if server.measured else 1.0)
+    if not is_busy:
+        server.mark, fresh = state.time, 0  # bytes that come with the headers took a time that nobody measured
+    _measure(server, fresh, state.time - server.mark)
+    server.mark = flight.heard = server.heard = state.time
+    flight.received = event.received
+    if flight.received >= flight.span.end - flight.span.start:
+        state.flights = [other for other in state.flights if other.id != flight.id]
+        state.latest = abs(state.time - flight.due)
+        state.difference += state.latest
+        state.responses += 1
+        state.ended = state.time
+        server.failures = 0
+
+
+def _measure(server: Server, count: int, seconds: float) -> None:
+    fast, slow = FAST / (FAST + seconds), SLOW / (SLOW + seconds)
+    server.bytes = server.bytes * fast + count
+    server.seconds = server.seconds * fast + seconds
+    server.slow_bytes = server.slow_bytes * slow + count
+    server.slow_seconds = server.slow_seconds * slow + seconds
+    server.measured += seconds
+
+
+def _is_silent(state: State, flight: Flight) -> bool:
+    server = state.servers[flight.server]
+    since = max(flight.heard, min(server.heard, flight.due))
+    patience = max(SILENCE, 4.0 * server.delay) * (1 << min(server.failures, 3))
+    return state.time - since > (patience if server.measured else 2.0 * patience)  # connecting takes longer
+
+
+def _is_excess(state: State, flight: Flight) -> bool:
+    """Return whether `flight` and the older ones of its server will not end before the limit, so that it takes from them in vain."""
+    is_alone = all(other.server != flight.server or other.id >= flight.id for other in state.flights)
+    if is_alone or flight.span.file == MESH or state.keeps_refining:
+        return False
+    return _line(state, flight.server)[0] > EXCESS * max(state.limit - state.time, 0.0)
+
+
+def _pause(state: State, flight: Flight) -> None:
+    """Let the server of a request alone for a while."""
+    server = state.servers[flight.server]
+    server.until = state.time + min(MIN_PAUSE * (1 << 2 * min(server.failures, 3)), MAX_PAUSE)
+    server.failures += 1
+
+
+def _owe(state: State, flight: Flight) -> None:
+    """Put the rest of a request back, to be asked for first."""
+    state.flights = [other for other in state.flights if other.id != flight.id]
+    state.pending.insert(0, replace(flight.span, start=flight.span.start + flight.received))
+
+
+def _is_first(job: Job, span: Span) -> bool:
+    return any(span.file == first.file and first.start <= span.start < first.end for first in job.first)
+
+
+def _ask(job: Job, state: State, requests: list[Request]) -> bool:
+    """Send one more request, if there is something to ask for and a server whose line will be free soon."""
+    lines = []
+    owes_first = any(_is_first(job, span) for span in state.pending)
+    for index, server in enumerate(state.servers):
+        busy, rest, rate = _line(state, index)
+        if state.time >= server.until and (owes_first or busy <= LEAD * server.delay):
+            lines.append((max(busy, server.delay), index, rest, rate))
+    for start, index, rest, rate in sorted(lines):
+        span = _take(job, state, rest, rate, state.servers[index].delay)
+        if span is not None:
+            due = state.time + start + (span.end - span.start) / rate
+            state.flights.append(Flight(state.next_id, index, span, state.time, due, state.time))
+            requests.append(Request(state.next_id, index, span))
+            state.next_id += 1
+            return True
+    return False
+
+
+def _line(state: State, index: int) -> tuple[float, float, float]:
+    """Return in how many seconds the line of a server is free, how many then remain for a new response, and its rate until then."""
+    is_refining = state.keeps_refining and state.time >= state.limit
+    left = MAX_REQUEST / FRACTION if is_refining else max(state.limit - state.time, 0.0)
+    rate = max(estimate_rate(state, index, left), MIN_RATE)
+    owed = 0
+    for flight in state.flights:
+        if flight.server == index:
+            owed += flight.span.end - flight.span.start - flight.received
+    busy = owed / rate
+    return busy, left if is_refining else left - max(busy, state.servers[index].delay), rate
+
+
+def _take(job: Job, state: State, rest: float, rate: float, shortest: float) -> Span | None:
+    """Return the next span to ask for from a server that has `rest` seconds at `rate`, and remove it from what is owed."""
+    for position, span in enumerate(state.pending):
+        if _is_first(job, span):
+            return state.pending.pop(position)
+    if rest <= 0.0 or job.ends is None:
+        return None
+    _choose_level(job, state)
+    seconds = rest if rest <= shortest else min(max(rest * FRACTION, shortest), MAX_REQUEST)
+    owed_mesh = 0
+    for span in state.pending:
+        owed_mesh += span.end - span.start if span.file == MESH else 0
+    for position, span in enumerate(state.pending):
+        if span.file == TEXTURES:
+            end = _last_end(job, span.start, min(span.end, span.start + seconds * rate), span.start + rest * rate)
+        elif owed_mesh <= _budget(state):
+            end = span.end if span.end - span.start <= 2.0 * seconds * rate else span.start + int(seconds * rate)
+        else:
+            end = span.start
+        if end > span.start:
+            state.pending[position : position + 1] = [replace(span, start=end)] if end < span.end else []
+            return replace(span, end=end)
+    start = _begin(job, state.asked)
+    end = _last_end(job, start, start + seconds * rate, start + rest * rate)
+    state.asked = bisect_right(job.ends, end)
+    return Span(TEXTURES, start, end) if end > start else None
+
+
+def _choose_level(job: Job, state: State) -> None:
+    """Look up the row of the plan for the rest of the time, and ask for its level if the plan leaves the present one."""
+    measured = 0.0
+    for server in state.servers:  # not `sum`, which adds floats in another way in every version of Python
+        measured += server.measured
+    if state.shown < state.level or any(span.file == MESH for span in state.pending) or (measured < MEASURED and state.asked < len(job.ends)):
+        return
+    budget = _budget(state)
+    start = _begin(job, state.asked)
+    state.target = -1
+    for position, (level, count, error) in enumerate(job.plan):
+        cost = max(_begin(job, count) - start, 0)
+        if level > state.level:
+            cost = (cost + _mesh_cost(job, state.added, level)) / LEVEL_MARGIN
+        if cost <= budget and (state.target < 0 or error < job.plan[state.target][2]):
+            state.target = position
+    if state.target < 0 or job.plan[state.target][0] <= state.level:
+        return
+    level, count, _ = job.plan[state.target]
+    leaving = next(row[1] for row in job.plan if row[0] > state.level)
+    if state.asked < min(leaving, count):
+        return
+    if state.added < level:  # step by step: each time, the level may become another one
+        state.added += 1
+        state.pending += job.added[state.added]
+    else:
+        state.pending += job.corners[level]
+        state.level = level
+
+
+def _mesh_cost(job: Job, added: int, level: int) -> int:
+    """Return the bytes that `level` needs if the vertices and wedges of levels up to `added` are there."""
+    spans = [span for finer in job.added[added + 1 : level + 1] for span in finer] + list(job.corners[level])
+    return sum(span.end - span.start for span in spans)
+
+
+def _budget(state: State) -> float:
+    """Return the bytes that can be asked for and come before the limit."""
+    budget = 0.0
+    for index in range(len(state.servers)):
+        _, rest, rate = _line(state, index)
+        if state.time >= state.servers[index].until:
+            budget += max(rest, 0.0) * rate
+    return budget
+
+
+def _begin(job: Job, count: int) -> int:
+    """Return where the increment behind the first `count` begins."""
+    return job.ends[count - 1] if count else job.begin
+
+
+def _last_end(job: Job, start: int, wanted: float, possible: float) -> int:
+    """Return the last end of an increment up to `wanted`, or the first behind `start` if it is `possible`, or `start`."""
+    count = bisect_right(job.ends, wanted)
+    end = _begin(job, count)
+    if end > start:
+        return end
+    after = bisect_right(job.ends, start)
+    return job.ends[after] if after < len(job.ends) and job.ends[after] <= possible else start

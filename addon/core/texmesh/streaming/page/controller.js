@@ -1,0 +1,287 @@
+// The controller of the page: which bytes to ask for next, so that sending ends at the time limit. It is the same function as in
+// streaming/controller.py, which explains the method, with the same arithmetic in the same order: both decide alike bit for bit (tests compare).
+//
+// How to use it:
+//   let job = buildJob(manifest)                           // manifest: the parsed manifest.json
+//   let state = begin(job, {limit, rate, servers, patience, keepsRefining, time})
+//   [state, requests, aborted] = decide(job, state, {time, id, received, failed})
+// Call `decide` at the beginning and about 20 times per second with {time} (seconds since the user's wish), and for request `id`
+//   - when the headers of its response come: {time, id, received: 0},
+//   - whenever bytes come: {time, id, received: bytes of this response altogether}; the response ends with its last byte,
+//   - when it fails: {time, id, failed: true}. Then, and if it is aborted, keep what has come: only the rest is asked for again.
+// Send `requests`, each {id, server, file, start, end}: bytes [start, end) of "mesh.bin" or "textures.bin" from server `server` (0 is the
+// page's own folder, then the mirrors); abort those whose ids are in `aborted`. When the table of increments has come, go on with
+//   job = {...job, ends: offsets in textures.bin of the ends of all increments}.
+// Read: `state.shown` (level that has come wholly, -1: none), `receivedIncrements`, `isFinished`, `meanDifference` (Lambda), `estimateRate`,
+// `state.ended - state.limit` (deviation Pi, when finished).
+
+const MESH = "mesh.bin", TEXTURES = "textures.bin";
+const DEFAULT_RATE = 250000, DEFAULT_DELAY = 0.1, PRIOR_SECONDS = 0.1;
+const FAST = 0.3, SLOW = 2, GRACE = 0.1, FRACTION = 0.25, MAX_REQUEST = 1, LEAD = 1.5, EXCESS = 1.2, MEASURED = 0.2;
+const LEVEL_MARGIN = 0.9, SILENCE = 0.75, MIN_PAUSE = 0.25, MAX_PAUSE = 8, MIN_RATE = 1000;
+const { abs, floor, max, min } = Math;
+
+/** What `manifest` has to send. */
+export function buildJob(manifest) {
+  const added = manifest.levels.map((level) => spans([level.positions, level.parents, level.wedges, level.uvs]));
+  const corners = manifest.levels.map((level) => spans([level.corners]));
+  const { positions, parents, wedges, uvs, corners: triangles } = manifest.levels[0];
+  const first = spans([positions, parents, wedges, uvs, triangles]);
+  const table = spans([manifest.increments]).map((span) => ({ ...span, file: TEXTURES }));
+  return {
+    first: first.concat(table),
+    added,
+    corners,
+    plan: manifest.plan.map(([, level, count, error]) => [level, count, error]),
+    begin: manifest.first_increment,
+    ends: manifest.increment_count ? null : [],
+  };
+}
+
+/** The state before the first request. limit, patience: seconds; rate: bytes per second that the user's line had before, or 0. */
+export function begin(job, { limit, rate = 0, servers = 1, patience = 0, keepsRefining = false }) {
+  const bytes = (rate || DEFAULT_RATE) * PRIOR_SECONDS;
+  const server = { bytes, seconds: PRIOR_SECONDS, slowBytes: bytes, slowSeconds: PRIOR_SECONDS, delay: DEFAULT_DELAY };
+  Object.assign(server, { measured: 0, mark: 0, heard: 0, failures: 0, until: 0 });
+  return {
+    limit, patience, keepsRefining, servers: Array.from({ length: servers }, () => ({ ...server })), time: 0, flights: [],
+    pending: [...job.first], nextId: 0, level: 0, added: 0, shown: -1, asked: 0, target: -1, ended: 0, difference: 0, latest: 0, responses: 0,
+  };
+}
+
+/** The state after `event`, the requests to send, and the ids of those to abort. */
+export function decide(job, before, { time, id = -1, received = 0, failed = false }) {
+  const copy = (items) => items.map((item) => ({ ...item }));
+  const state = { ...before, servers: copy(before.servers), flights: copy(before.flights), pending: [...before.pending] };
+  state.time = max(state.time, time);
+  const heard = state.flights.find((flight) => flight.id === id);
+  if (heard) hear(state, heard, received, failed);
+  const isOver = state.time >= state.limit + state.patience && !state.keepsRefining;
+  const aborted = [];
+  for (const flight of [...state.flights].reverse()) { // the newest first
+    const silent = isSilent(state, flight);
+    if (silent) pause(state, flight);
+    if (silent || (!isFirst(job, flight) && (isOver || isExcess(state, flight)))) {
+      owe(state, flight);
+      aborted.push(flight.id);
+    }
+  }
+  if (![...state.pending, ...state.flights].some((span) => span.file === MESH)) state.shown = state.level;
+  const requests = [];
+  while (ask(job, state, requests));
+  return [state, requests, aborted];
+}
+
+/** Whether no response is waited for and nothing will be asked for anymore. */
+export function isFinished(job, state) {
+  if (state.flights.length || state.pending.some((span) => isFirst(job, span))) return false;
+  if (state.time >= state.limit && !state.keepsRefining) return true;
+  const best = job.plan.reduce((row, other) => (other[2] < row[2] ? other : row));
+  return job.ends !== null && state.asked === job.ends.length && !state.pending.length && state.level >= best[0];
+}
+
+/** The number of increments that have come without a gap. */
+export function receivedIncrements(job, state) {
+  if (!job.ends) return 0;
+  const starts = state.flights.map((flight) => ({ ...flight, start: flight.start + flight.received })).concat(state.pending)
+    .filter((span) => span.file === TEXTURES && span.start >= job.begin).map((span) => span.start);
+  return starts.length ? min(countUpTo(job.ends, min(...starts)), state.asked) : state.asked;
+}
+
+/** Lambda (eq. 9 of the paper), seconds. */
+export function meanDifference(state) {
+  return (state.difference - state.latest) / max(state.responses - 1, 1);
+}
+
+/** The bytes per second of a server that are to be expected for the next `horizon` seconds. */
+export function estimateRate(state, index, horizon) {
+  const server = state.servers[index];
+  const gap = max(0, state.time - server.mark - GRACE);
+  const fast = server.bytes / (server.seconds + gap);
+  const slow = server.slowBytes / (server.slowSeconds + gap);
+  return (fast * FAST + slow * horizon) / (FAST + horizon);
+}
+
+function spans(sections) {
+  const joined = [];
+  for (const [start, size] of sections.filter((section) => section[1]).sort((a, b) => a[0] - b[0])) {
+    const last = joined[joined.length - 1];
+    if (last && last.end === start) last.end += size;
+    else joined.push({ file: MESH, start, end: start + size });
+  }
+  return joined;
+}
+
+function hear(state, flight, received, failed) {
+  if (failed) {
+    pause(state, flight);
+    owe(state, flight);
+    return;
+  }
+  const server = state.servers[flight.server];
+  const isBusy = state.flights.some((other) => other.isOpen && other.server === flight.server);
+  let fresh = received - flight.received;
+  if (!flight.isOpen) {
+    flight.isOpen = true;
+    server.delay += (state.time - flight.asked - server.delay) * (server.measured ? 0.25 : 1);
+  }
+  if (!isBusy) [server.mark, fresh] = [state.time, 0]; // bytes that come with the headers took a time that nobody measured
+  measure(server, fresh, state.time - server.mark);
+  server.mark = flight.heard = server.heard = state.time;
+  flight.received = received;
+  if (received >= flight.end - flight.start) {
+    state.flights = state.flights.filter((other) => other !== flight);
+    state.latest = abs(state.time - flight.due);
+    state.difference += state.latest;
+    state.responses += 1;
+    state.ended = state.time;
+    server.failures = 0;
+  }
+}
+
+function measure(server, count, seconds) {
+  const fast = FAST / (FAST + seconds), slow = SLOW / (SLOW + seconds);
+  server.bytes = server.bytes * fast + count;
+  server.seconds = server.seconds * fast + seconds;
+  server.slowBytes = server.slowBytes * slow + count;
+  server.slowSeconds = server.slowSeconds * slow + seconds;
+  server.measured += seconds;
+}
+
+function isSilent(state, flight) {
+  const server = state.servers[flight.server];
+  const since = max(flight.heard, min(server.heard, flight.due));
+  const patience = max(SILENCE, 4 * server.delay) * (1 << min(server.failures, 3));
+  return state.time - since > (server.measured ? patience : 2 * patience); // connecting takes longer
+}
+
+function isExcess(state, flight) {
+  const isAlone = state.flights.every((other) => other.server !== flight.server || other.id >= flight.id);
+  if (isAlone || flight.file === MESH || state.keepsRefining) return false;
+  return line(state, flight.server)[0] > EXCESS * max(state.limit - state.time, 0);
+}
+
+function pause(state, flight) {
+  const server = state.servers[flight.server];
+  server.until = state.time + min(MIN_PAUSE * (1 << (2 * min(server.failures, 3))), MAX_PAUSE);
+  server.failures += 1;
+}
+
+function owe(state, flight) {
+  state.flights = state.flights.filter((other) => other !== flight);
+  state.pending.unshift({ file: flight.file, start: flight.start + flight.received, end: flight.end });
+}
+
+function isFirst(job, span) {
+  return job.first.some((first) => span.file === first.file && first.start <= span.start && span.start < first.end);
+}
+
+function ask(job, state, requests) {
+  const owesFirst = state.pending.some((span) => isFirst(job, span));
+  const lines = [];
+  state.servers.forEach((server, index) => {
+    const [busy, rest, rate] = line(state, index);
+    if (state.time >= server.until && (owesFirst || busy <= LEAD * server.delay)) lines.push([max(busy, server.delay), index, rest, rate]);
+  });
+  lines.sort((a, b) => a[0] - b[0] || a[1] - b[1]);
+  for (const [start, server, rest, rate] of lines) {
+    const span = take(job, state, rest, rate, state.servers[server].delay);
+    if (!span) continue;
+    const due = state.time + start + (span.end - span.start) / rate;
+    const id = state.nextId++;
+    state.flights.push({ id, server, ...span, asked: state.time, due, heard: state.time, received: 0, isOpen: false });
+    requests.push({ id, server, ...span });
+    return true;
+  }
+  return false;
+}
+
+function line(state, index) {
+  const isRefining = state.keepsRefining && state.time >= state.limit;
+  const left = isRefining ? MAX_REQUEST / FRACTION : max(state.limit - state.time, 0);
+  const rate = max(estimateRate(state, index, left), MIN_RATE);
+  let owed = 0;
+  for (const flight of state.flights) if (flight.server === index) owed += flight.end - flight.start - flight.received;
+  const busy = owed / rate;
+  return [busy, isRefining ? left : left - max(busy, state.servers[index].delay), rate];
+}
+
+function take(job, state, rest, rate, shortest) {
+  const owedFirst = state.pending.findIndex((span) => isFirst(job, span));
+  if (owedFirst >= 0) return state.pending.splice(owedFirst, 1)[0];
+  if (rest <= 0 || job.ends === null) return null;
+  chooseLevel(job, state);
+  const seconds = rest <= shortest ? rest : min(max(rest * FRACTION, shortest), MAX_REQUEST);
+  let owedMesh = 0;
+  for (const span of state.pending) owedMesh += span.file === MESH ? span.end - span.start : 0;
+  for (const [position, span] of state.pending.entries()) {
+    let end = span.start;
+    if (span.file === TEXTURES) {
+      end = lastEnd(job, span.start, min(span.end, span.start + seconds * rate), span.start + rest * rate);
+    } else if (owedMesh <= budgetOf(state)) {
+      end = span.end - span.start <= 2 * seconds * rate ? span.end : span.start + floor(seconds * rate);
+    }
+    if (end > span.start) {
+      state.pending.splice(position, 1, ...(end < span.end ? [{ ...span, start: end }] : []));
+      return { ...span, end };
+    }
+  }
+  const start = beginOf(job, state.asked);
+  const end = lastEnd(job, start, start + seconds * rate, start + rest * rate);
+  state.asked = countUpTo(job.ends, end);
+  return end > start ? { file: TEXTURES, start, end } : null;
+}
+
+function chooseLevel(job, state) {
+  let measured = 0;
+  for (const server of state.servers) measured += server.measured;
+  if (state.shown < state.level || state.pending.some((span) => span.file === MESH) || (measured < MEASURED && state.asked < job.ends.length)) return;
+  const budget = budgetOf(state), start = beginOf(job, state.asked);
+  state.target = -1;
+  job.plan.forEach(([level, count, error], position) => {
+    let cost = max(beginOf(job, count) - start, 0);
+    if (level > state.level) cost = (cost + meshCost(job, state.added, level)) / LEVEL_MARGIN;
+    if (cost <= budget && (state.target < 0 || error < job.plan[state.target][2])) state.target = position;
+  });
+  if (state.target < 0 || job.plan[state.target][0] <= state.level) return;
+  const [level, count] = job.plan[state.target];
+  const leaving = job.plan.find((row) => row[0] > state.level)[1];
+  if (state.asked < min(leaving, count)) return;
+  if (state.added < level) state.pending.push(...job.added[++state.added]); // step by step: the level may become another one
+  else [state.level] = [level, state.pending.push(...job.corners[level])];
+}
+
+function meshCost(job, added, level) {
+  return [...job.added.slice(added + 1, level + 1).flat(), ...job.corners[level]].reduce((sum, span) => sum + span.end - span.start, 0);
+}
+
+function budgetOf(state) {
+  let budget = 0;
+  state.servers.forEach((server, index) => {
+    const [, rest, rate] = line(state, index);
+    if (state.time >= server.until) budget += max(rest, 0) * rate;
+  });
+  return budget;
+}
+
+function beginOf(job, count) {
+  return count ? job.ends[count - 1] : job.begin;
+}
+
+function lastEnd(job, start, wanted, possible) {
+  const end = beginOf(job, countUpTo(job.ends, wanted));
+  if (end > start) return end;
+  const after = job.ends[countUpTo(job.ends, start)];
+  return after !== undefined && after <= possible ? after : start;
+}
+
+/** How many of ascending `ends` are at most `offset`. */
+function countUpTo(ends, offset) {
+  let [low, high] = [0, ends.length];
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (ends[middle] <= offset) low = middle + 1;
+    else high = middle;
+  }
+  return low;
+}

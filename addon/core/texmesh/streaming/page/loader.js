@@ -1,0 +1,234 @@
+// Loads a package within a time limit: asks for what the controller decides, checks it, and passes on levels and tiles as they come.
+
+import { begin, buildJob, decide, estimateRate, isFinished, meanDifference } from "./controller.js";
+import { decodeLevel, inflate } from "./mesh_decoding.js";
+import { crc32, DamageError, openRange, PartialFile, SimulatedLine } from "./network.js";
+import { readIncrements, ROW_BYTES, TileDecoder } from "./tiles.js";
+
+const FORMAT = "farfield-package", VERSION = 1;
+const MESH = "mesh.bin", TEXTURES = "textures.bin";
+const SECTIONS = ["positions", "parents", "wedges", "uvs", "corners"];
+const TICK_SECONDS = 0.05;
+const PATIENCE = 0.25; // seconds after the limit for which responses are waited for
+const MANIFEST_TRIES = 3, MANIFEST_SECONDS = 15;
+const MAX_FILE_BYTES = 2 ** 31;
+
+/** Fetch the manifest of the package in the folder `base` (URL). Throws an Error with a sentence for the user. */
+export async function fetchManifest(base) {
+  const url = new URL("manifest.json", base);
+  let manifest;
+  for (let attempt = 1; ; attempt++) {
+    try {
+      const response = await fetch(url, { cache: "no-cache", signal: AbortSignal.timeout(MANIFEST_SECONDS * 1000) });
+      if (!response.ok) throw new Error(`The server answers ${response.status} for ${url}.`);
+      manifest = await response.json();
+      break;
+    } catch (error) {
+      if (error instanceof SyntaxError) throw new DamageError("manifest.json");
+      if (attempt === MANIFEST_TRIES) throw new Error(`${url} cannot be loaded. ${error.message}`);
+    }
+  }
+  if (manifest?.format !== FORMAT) throw new Error("manifest.json is not that of a package of Farfield.");
+  if (manifest.version !== VERSION) throw new Error(`The package has version ${manifest.version} of the format; this page reads ${VERSION}.`);
+  checkManifest(manifest);
+  return manifest;
+}
+
+function checkManifest(manifest) {
+  try {
+    const sizes = [MESH, TEXTURES].map((name) => manifest.files[name][0]);
+    const sections = manifest.levels.flatMap((level) => SECTIONS.map((name) => level[name]));
+    const fits = ([offset, size], end) => offset >= 0 && size >= 0 && offset + size <= end;
+    const isFine = sizes.every((size) => Number.isInteger(size) && size >= 0 && size <= MAX_FILE_BYTES) && manifest.plan.length &&
+      sections.every((section) => fits(section, sizes[0])) && fits(manifest.increments, manifest.first_increment) &&
+      manifest.first_increment <= sizes[1] && manifest.levels.length && manifest.materials.length && manifest.time_limit > 0;
+    if (!isFine) throw new RangeError();
+  } catch {
+    throw new DamageError("manifest.json");
+  }
+}
+
+/** One run of loading a package.
+ *
+ * events: {level(mesh, counts, index), tile(texture, tile, bitmap), problem(sentence)}: see `decodeLevel` and `TileDecoder`. options: {limit (seconds), keepsRefining, rate (bytes
+ * per second that the line had before, or 0), simulatedRate (bytes per second, or 0), tileSide(texture), start (performance.now() in ms)}. */
+export class Loader {
+  constructor(base, manifest, options, events) {
+    const urls = [base, ...manifest.mirrors].map((url) => new URL(url, base));
+    Object.assign(this, { urls, manifest, options, events, shown: -1, wanted: -1, passed: 0, tasks: 0, table: null });
+    Object.assign(this, { isWhole: false, isStopped: false, isTableWanted: false, ended: 0 });
+    this.files = Object.fromEntries([MESH, TEXTURES].map((name) => [name, new PartialFile(name, manifest.files[name][0])]));
+    this.line = new SimulatedLine(options.simulatedRate);
+    this.requests = new Map(); // AbortControllers by id
+    this.decoder = new TileDecoder(manifest, events.tile, options.tileSide);
+    this.meshes = [];
+    this.work = Promise.resolve(); // sections are decoded one after the other
+    const spans = manifest.levels.map((level) => SECTIONS.map((name) => level[name])).map((sections) => ({
+      file: MESH, start: Math.min(...sections.map(([offset]) => offset)), end: Math.max(...sections.map(([offset, size]) => offset + size)),
+    }));
+    this.job = { ...buildJob(manifest), added: spans.map((span) => [span]), corners: spans.map(() => []) };
+    const { limit, rate, keepsRefining } = options;
+    this.state = begin(this.job, { limit, rate, servers: urls.length, patience: PATIENCE, keepsRefining });
+  }
+
+  /** Begin to load. */
+  start() {
+    this.timer = setInterval(() => this.#decide({}), TICK_SECONDS * 1000);
+    this.#decide({});
+  }
+
+  /** End all requests. */
+  stop() {
+    this.isStopped = true;
+    clearInterval(this.timer);
+    for (const request of this.requests.values()) request.abort();
+  }
+
+  /** Seconds since the user's wish. */
+  get time() {
+    return (performance.now() - this.options.start) / 1000;
+  }
+
+  /** Whether all that will be asked for has come and is decoded. */
+  get isFinished() {
+    const isHere = this.isWhole ? this.ended > 0 : isFinished(this.job, this.state);
+    return isHere && !this.tasks && this.decoder.isIdle;
+  }
+
+  /** Numbers to show: received bytes, those of all increments and levels, bytes per second, seconds until the last response, deviation from the limit, Lambda of the paper. */
+  get measures() {
+    const files = Object.values(this.files);
+    const bytes = files.reduce((sum, file) => sum + file.intervals.reduce((part, [start, end]) => part + end - start, 0), 0);
+    const ended = this.isWhole ? this.ended || this.time : this.state.ended;
+    const rate = this.isWhole ? bytes / ended : this.urls.reduce((sum, _, index) => sum + estimateRate(this.state, index, 1), 0);
+    const total = files.reduce((sum, file) => sum + file.size, 0) - this.manifest.checksums[1];
+    return { bytes, total, rate, ended, deviation: ended - this.options.limit, difference: meanDifference(this.state) };
+  }
+
+  /** Go on after the limit, or not. */
+  set keepsRefining(value) {
+    this.state = { ...this.state, keepsRefining: value };
+  }
+
+  #decide(event) {
+    if (this.isStopped || this.isWhole) return;
+    let requests, aborted;
+    [this.state, requests, aborted] = decide(this.job, this.state, { time: this.time, ...event });
+    for (const id of aborted) this.requests.get(id)?.abort();
+    for (const request of requests) this.#send(request);
+  }
+
+  async #send({ id, server, file: name, start, end }) {
+    const file = this.files[name], abort = new AbortController();
+    this.requests.set(id, abort);
+    try {
+      const { isWhole, parts } = await openRange(new URL(name, this.urls[server]), file, start, end, this.line, abort.signal);
+      if (isWhole && end - start < file.size) return await this.#takeWhole(file, parts, server, abort);
+      this.#decide({ id, received: 0 });
+      for await (const [offset, part] of parts) {
+        file.put(offset, part);
+        this.#decide({ id, received: offset + part.length - start });
+        this.#pass();
+      }
+    } catch (error) {
+      if (this.isStopped || abort.signal.aborted) return;
+      if (error instanceof DamageError || this.isWhole) this.#fail(error);
+      else {
+        this.events.problem(error.message); // and ask again
+        this.#decide({ id, failed: true });
+      }
+    } finally {
+      this.requests.delete(id);
+    }
+  }
+
+  /** Load both files from beginning to end: the server does not know ranges. */
+  async #takeWhole(file, parts, server, abort) {
+    if (this.isWhole) return;
+    this.isWhole = true;
+    this.requests.forEach((request) => request !== abort && request.abort());
+    this.events.problem("This server sends whole files only, so the time limit cannot be kept.");
+    await this.#keep(file, parts);
+    const other = Object.values(this.files).find((item) => item !== file);
+    const url = new URL(other.name, this.urls[server]);
+    await this.#keep(other, (await openRange(url, other, 0, other.size, this.line, abort.signal)).parts);
+    this.ended = this.time;
+  }
+
+  async #keep(file, parts) {
+    for await (const [offset, part] of parts) {
+      file.put(offset, part);
+      this.#pass();
+    }
+  }
+
+  /** Pass on what has become complete. */
+  #pass() {
+    const { manifest } = this, mesh = this.files[MESH], textures = this.files[TEXTURES];
+    if (!this.isTableWanted && textures.read(manifest.increments)) {
+      this.isTableWanted = true;
+      this.#do(() => this.#readTable());
+    }
+    if (this.table) this.#passIncrements();
+    let level = this.wanted;
+    while (level + 1 < manifest.levels.length && SECTIONS.every((name) => mesh.read(manifest.levels[level + 1][name]))) level++;
+    if (level > this.wanted) {
+      this.wanted = level;
+      this.#do(() => this.#showLevel(level));
+    }
+  }
+
+  #passIncrements() {
+    const { table, manifest, files } = this, file = files[TEXTURES], end = file.endFrom(manifest.first_increment);
+    while (this.passed < table.ends.length && table.ends[this.passed] <= end) {
+      const i = this.passed++;
+      const scans = file.bytes.subarray(table.ends[i] - table.sizes[i], table.ends[i]);
+      this.decoder.add(table.textures[i], table.tiles[i], table.headers[i], scans);
+    }
+  }
+
+  async #readTable() {
+    const content = await this.#check(this.files[TEXTURES], this.manifest.increments);
+    const planes = await inflate(content, ROW_BYTES * this.manifest.increment_count);
+    this.table = readIncrements(planes, this.manifest);
+    this.job = { ...this.job, ends: this.table.ends };
+    this.#passIncrements();
+    this.#decide({});
+  }
+
+  async #showLevel(index) {
+    const file = this.files[MESH];
+    for (let level = this.meshes.length; level <= index; level++) {
+      const sections = {};
+      for (const name of SECTIONS) sections[name] = await this.#check(file, this.manifest.levels[level][name]);
+      this.meshes.push(await decodeLevel(this.manifest, level, sections, this.meshes[level - 1]));
+    }
+    if (this.isStopped) return;
+    this.shown = index;
+    this.events.level(this.meshes[index], this.manifest.levels[index].triangle_counts, index);
+  }
+
+  /** The bytes of a section, after asking for them again if they are damaged. */
+  async #check(file, section) {
+    const [offset, size, expected] = section;
+    for (let attempt = 0; crc32(file.read(section)) !== expected; attempt++) {
+      if (attempt === this.urls.length) throw new DamageError(file.name);
+      const url = new URL(file.name, this.urls[this.urls.length - 1 - attempt]); // mirrors first: the damage came from somewhere
+      await this.#keep(file, (await openRange(url, file, offset, offset + size, this.line, new AbortController().signal)).parts);
+    }
+    return file.read(section);
+  }
+
+  /** Run `task` after those before; its failure ends the run. */
+  #do(task) {
+    this.tasks++;
+    this.work = this.work.then(task).catch((error) => this.#fail(error)).finally(() => this.tasks--);
+  }
+
+  #fail(error) {
+    if (this.isStopped) return;
+    this.stop();
+    const isKnown = error instanceof DamageError || error instanceof TypeError || !(error instanceof RangeError);
+    this.events.problem((isKnown ? error : new DamageError("The package")).message);
+  }
+}

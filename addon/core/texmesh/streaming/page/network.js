@@ -1,0 +1,105 @@
+// Requests for byte ranges, and which bytes of the package's files have come.
+
+const STEP_SECONDS = 0.02; // in which a simulated line delivers bytes
+
+/** What has come of a file: its bytes, and the intervals [start, end) of them in ascending order that are there. */
+export class PartialFile {
+  constructor(name, size) {
+    Object.assign(this, { name, size, bytes: null, intervals: [] });
+  }
+
+  /** Keep `part`, which begins at `offset`. */
+  put(offset, part) {
+    this.bytes ??= new Uint8Array(this.size); // once a server has confirmed the size
+    this.bytes.set(part, offset);
+    const merged = [];
+    let [start, end] = [offset, offset + part.length];
+    for (const interval of this.intervals) {
+      if (interval[1] < start || interval[0] > end) merged.push(interval);
+      else [start, end] = [Math.min(start, interval[0]), Math.max(end, interval[1])];
+    }
+    this.intervals = [...merged, [start, end]].sort((a, b) => a[0] - b[0]);
+  }
+
+  /** The end of the bytes that have come without a gap from `offset` on. */
+  endFrom(offset) {
+    const interval = this.intervals.find(([start, end]) => start <= offset && offset < end);
+    return interval ? interval[1] : offset;
+  }
+
+  /** The bytes of a section [offset, size], or null if some are missing. */
+  read([offset, size]) {
+    if (!size) return new Uint8Array(0);
+    return this.endFrom(offset) >= offset + size ? this.bytes.subarray(offset, offset + size) : null;
+  }
+}
+
+/** A line that delivers at most `rate` bytes per second; 0: as many as come. All requests share it. */
+export class SimulatedLine {
+  constructor(rate) {
+    Object.assign(this, { rate, free: 0 });
+  }
+
+  /** Pass `bytes` on in parts as the line delivers them. */
+  async *deliver(bytes, signal) {
+    const step = this.rate ? Math.max(Math.floor(this.rate * STEP_SECONDS), 1) : bytes.length;
+    for (let offset = 0; offset < bytes.length; offset += step) {
+      const part = bytes.subarray(offset, offset + step);
+      if (this.rate) {
+        const now = performance.now() / 1000;
+        this.free = Math.max(this.free, now) + part.length / this.rate;
+        await new Promise((resolve) => setTimeout(resolve, (this.free - now) * 1000));
+        signal.throwIfAborted();
+      }
+      yield part;
+    }
+  }
+}
+
+/** Ask for bytes [start, end) of `file` at `url`. Returns whether the server sends the whole file instead, because it does not know ranges,
+ * and `parts`, an iterator of [offset, bytes]. Both throw if the response fails, is too short, or is of a file of another size. */
+export async function openRange(url, file, start, end, line, signal) {
+  // Browsers let requests for parts of one URL wait for each other where they may store them.
+  const response = await fetch(url, { headers: { Range: `bytes=${start}-${end - 1}` }, cache: "no-store", signal });
+  const isWhole = response.status === 200;
+  const range = /^bytes (\d+)-(\d+)\/(\d+)$/.exec(response.headers.get("Content-Range") ?? "");
+  if (!isWhole && response.status !== 206) throw new Error(`The server answers ${response.status} for ${url}.`);
+  if (range && (+range[1] !== start || +range[3] !== file.size)) throw new DamageError(file.name);
+  return { isWhole, parts: readParts(response.body.getReader(), file, isWhole ? [0, file.size] : [start, end], line, signal) };
+}
+
+async function* readParts(reader, file, [offset, end], line, signal) {
+  try {
+    for (;;) {
+      const { done, value } = await reader.read();
+      if (done) break;
+      if (offset + value.length > end) throw new DamageError(file.name);
+      for await (const part of line.deliver(value, signal)) {
+        yield [offset, part];
+        offset += part.length;
+      }
+    }
+  } finally {
+    reader.cancel().catch(() => {});
+  }
+  if (offset < end) throw new Error(`The response for ${file.name} is too short.`);
+}
+
+/** A file is not the one that the manifest describes. */
+export class DamageError extends Error {
+  constructor(name) {
+    super(`"${name}" is damaged or of another package. Export the package again, or copy it again.`);
+  }
+}
+
+const CRC_TABLE = Uint32Array.from({ length: 256 }, (_, byte) => {
+  for (let bit = 0; bit < 8; bit++) byte = byte & 1 ? (byte >>> 1) ^ 0xedb88320 : byte >>> 1;
+  return byte;
+});
+
+/** CRC-32 as in zlib. */
+export function crc32(bytes) {
+  let value = -1;
+  for (let i = 0; i < bytes.length; i++) value = CRC_TABLE[(value ^ bytes[i]) & 255] ^ (value >>> 8);
+  return (value ^ -1) >>> 0;
+}

@@ -1,0 +1,88 @@
+"""Random packages and random events for controllers of clients."""
+
+import dataclasses
+import random
+
+from farfield.addon.core.texmesh.streaming import controller
+from farfield.addon.core.texmesh.streaming.manifest import MESH, TEXTURES
+from farfield.addon.core.texmesh.streaming.sending_state import Event, Job, Request, Span, State, begin
+
+
+def random_job(rng: random.Random, increment_count: int | None = None) -> Job:
+    """A package with 1 to 5 levels, whose plan goes from the first level to the last one."""
+    levels = rng.randint(1, 5)
+    count = rng.randint(0, 300) if increment_count is None else increment_count
+    added, corners, offset = [], [], 0
+    for level in range(levels):
+        size = int(rng.lognormvariate(8.5 + level, 0.7))
+        middle = offset + rng.randint(1, size)
+        added.append(
+            (Span(MESH, offset, middle),) if middle == offset + size else (Span(MESH, offset, middle), Span(MESH, middle, offset + size))
+        )
+        offset += size
+        size = int(rng.lognormvariate(8.0 + level, 0.7)) + 1
+        corners.append((Span(MESH, offset, offset + size),))
+        offset += size
+    table = rng.randint(10, 20000)
+    first = table + rng.randint(0, 5000)
+    ends, end = [], first
+    for _ in range(count):
+        end += int(rng.lognormvariate(6.5, 1.0)) + 1
+        ends.append(end)
+    rows, error = [], 0.5
+    cuts = sorted(rng.sample(range(20), levels - 1)) if levels > 1 else []
+    for row in range(20):
+        error *= rng.uniform(0.7, 0.95)
+        rows.append((sum(cut <= row for cut in cuts), count * (row + 1) // 20, error))
+    return Job((*added[0], *corners[0], Span(TEXTURES, 0, table)), tuple(added), tuple(corners), tuple(rows), first, tuple(ends))
+
+
+class Exchange:
+    """A client that is told what happens, by random: it keeps all events and decisions."""
+
+    def __init__(self, rng: random.Random, job: Job, state: State, rate: float | None = None) -> None:
+        self.rng, self.job, self.state, self.initial, self.rate = rng, job, state, state, rate
+        self.time = 0.0
+        self.has_table = False
+        self.events: list[tuple[bool, Event]] = []
+        self.decisions: list[tuple[list[Request], list[int]]] = []
+
+    def run(self, steps: int) -> None:
+        """Decide at the beginning and after each of `steps` random events."""
+        self.tell(Event(0.0))
+        for _ in range(steps):
+            self.time += self.rng.expovariate(20.0)
+            self.tell(self.random_event())
+
+    def tell(self, event: Event) -> None:
+        """Decide after `event`. The table of increments has come when no flight or pending span reads it."""
+        job = self.job if self.has_table else dataclasses.replace(self.job, ends=None)
+        self.events.append((self.has_table, event))
+        self.state, requests, aborted = controller.decide(job, self.state, event)
+        self.decisions.append((requests, aborted))
+        spans = [flight.span for flight in self.state.flights] + self.state.pending
+        self.has_table = not any(span.file == TEXTURES and span.start < self.job.begin for span in spans)
+
+    def random_event(self) -> Event:
+        """A tick, a failure, or some or all of the bytes of a response."""
+        if not self.state.flights or self.rng.random() < 0.1:
+            return Event(self.time)
+        flight = self.rng.choice(self.state.flights)
+        if self.rng.random() < 0.03:
+            return Event(self.time, flight.id, failed=True)
+        size = flight.span.end - flight.span.start
+        if not flight.is_open and self.rng.random() < 0.7:
+            return Event(self.time, flight.id)
+        is_last = self.rng.random() < 0.5
+        return Event(self.time, flight.id, size if is_last else self.rng.randint(flight.received, size))
+
+
+def random_exchange(seed: int, steps: int = 80) -> Exchange:
+    """A whole exchange of a random client."""
+    rng = random.Random(seed)
+    job = random_job(rng)
+    rate = rng.choice([None, rng.lognormvariate(12.5, 1.0)])
+    limit, patience = rng.uniform(0.5, 10.0), rng.choice([0.0, 0.1, 1e9])
+    exchange = Exchange(rng, job, begin(job, limit, rate, rng.randint(1, 3), patience, rng.random() < 0.2), rate)
+    exchange.run(steps)
+    return exchange

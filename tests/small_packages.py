@@ -1,0 +1,190 @@
+"""Small packages of textured meshes for tests of the server and the page."""
+
+import hashlib
+import io
+import zlib
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.texmesh.simplification.levels import simplify_by_cost
+from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
+from farfield.addon.core.texmesh.streaming.increments import Increments, decode_increments, encode_increments
+from farfield.addon.core.texmesh.streaming.manifest import (
+    MANIFEST,
+    MESH,
+    TEXTURES,
+    Manifest,
+    MeshLevel,
+    PackageMaterial,
+    PackageTexture,
+    PlanRow,
+    Section,
+)
+from farfield.addon.core.texmesh.streaming.manifest_json import encode_manifest
+from farfield.addon.core.texmesh.streaming.mesh_coding import encode_mesh
+from farfield.addon.core.texmesh.streaming.mesh_order import order_mesh
+from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
+
+
+def write_opaque_package(folder: Path, seed: int = 0, mesh_size: int = 5000, textures_size: int = 20000) -> Manifest:
+    """Write a package whose binary files are random bytes, for a server that does not read them."""
+    random = np.random.default_rng(seed)
+    mesh, increment = random.bytes(mesh_size), random.bytes(textures_size)
+    nothing = Section(0, 0, 0)
+    textures = encode_increments(Increments(*(np.zeros(0, np.int64) for _ in range(6)))) + increment
+    start = len(textures) - textures_size
+    manifest = Manifest(
+        name="noise",
+        files={name: _describe(content) for name, content in ((MESH, mesh), (TEXTURES, textures))},
+        mirrors=(),
+        bounds=((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)),
+        uv_bounds=((0.0, 0.0), (1.0, 1.0)),
+        levels=(MeshLevel(3, 3, (1,), Section(0, mesh_size, zlib.crc32(mesh)), nothing, nothing, nothing, nothing, 0.0),),
+        materials=(PackageMaterial("plain", (1.0, 1.0, 1.0, 1.0), {}, False),),
+        textures=(),
+        increment_count=0,
+        increments=Section(0, start, zlib.crc32(textures[:start])),
+        checksums=nothing,
+        first_increment=start,
+        plan=(PlanRow(mesh_size, 0, 0, 0.1),),
+        time_limit=5.0,
+        pixels=512.0,
+    )
+    write_files(folder, {MANIFEST: encode_manifest(manifest), MESH: mesh, TEXTURES: textures})
+    return manifest
+
+
+def write_files(folder: Path, files: dict[str, bytes]) -> None:
+    """Write files into a folder, which is made."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in files.items():
+        (folder / name).write_bytes(content)
+
+
+def split_scans(jpeg: bytes) -> tuple[bytes, list[bytes]]:
+    """Return the header of a progressive JPEG file, up to the tables of its first scan, and its scans with their tables."""
+    header, scans, start, position = b"", [], 2, 2
+    while jpeg[position : position + 2] != b"\xff\xd9":
+        marker, size = jpeg[position + 1], int.from_bytes(jpeg[position + 2 : position + 4], "big")
+        position += 2 + size
+        if marker not in (0xC4, 0xDA):
+            start = position
+        elif marker == 0xDA:
+            while jpeg[position] != 0xFF or jpeg[position + 1] == 0 or 0xD0 <= jpeg[position + 1] <= 0xD7:
+                position += 1
+            header = header or jpeg[:start]
+            scans.append(jpeg[start:position])
+            start = position
+    return header, scans
+
+
+def encode_tiles(image: np.ndarray, tile_size: int, quality: int = 90) -> list[tuple[bytes, list[bytes]]]:
+    """Return header and scans of the tiles of `image` (H, W, 3) uint8, row 0 at the top; borders are padded with the last texels."""
+    height, width = image.shape[:2]
+    padded = np.pad(image, ((0, -height % tile_size), (0, -width % tile_size), (0, 0)), mode="edge")
+    tiles = []
+    for y in range(0, height, tile_size):
+        for x in range(0, width, tile_size):
+            stream = io.BytesIO()
+            tile = Image.fromarray(np.ascontiguousarray(padded[y : y + tile_size, x : x + tile_size]))
+            tile.save(stream, "JPEG", quality=quality, progressive=True, subsampling=0)
+            tiles.append(split_scans(stream.getvalue()))
+    return tiles
+
+
+def write_textured_package(
+    folder: Path,
+    mesh: TexturedMesh,
+    images: list[np.ndarray],
+    percents: tuple[int, ...] = (20, 5),
+    tile_size: int = 128,
+    time_limit: float = 4.0,
+    mirrors: tuple[str, ...] = (),
+) -> Manifest:
+    """Write a package of `mesh` with levels of `percents` of its triangles, finest first. images: (H, W, 3) uint8, sRGB, row 0 at the top,
+    the base color of each material. All tiles get their first scan, then their second one, and so on."""
+    targets = [len(mesh.triangles) * percent // 100 for percent in percents]
+    result = run_to_end(simplify_by_cost(mesh, None, targets, SimplificationSettings()))
+    ordered = order_mesh(mesh, result.levels, result)
+    mesh_content, levels, bounds, uv_bounds = encode_mesh(ordered, (0.0,) * len(ordered.levels), len(images))
+    textures, rows = [], []
+    for index, image in enumerate(images):
+        tiles = encode_tiles(image, tile_size)
+        headers = sorted({header for header, _ in tiles})
+        textures.append(PackageTexture("base_color", image.shape[1], image.shape[0], tile_size, tuple(headers)))
+        for tile, (header, scans) in enumerate(tiles):
+            rows += [(number, index, tile, headers.index(header), scan) for number, scan in enumerate(scans)]
+    rows.sort(key=lambda row: row[:3])
+    scans = [row[4] for row in rows]
+    sizes = np.array([len(scan) for scan in scans])
+    columns = (np.array([row[column] for row in rows]) for column in (1, 2, 3))
+    table = encode_increments(Increments(*columns, np.ones(len(rows), np.int64), sizes, np.ones(len(rows), np.float16)))
+    checksums = np.array([zlib.crc32(scan) for scan in scans], "<u4").tobytes()
+    texture_content = table + checksums + b"".join(scans)
+    manifest = Manifest(
+        name="Prüfling",
+        files={name: _describe(content) for name, content in ((MESH, mesh_content), (TEXTURES, texture_content))},
+        mirrors=mirrors,
+        bounds=bounds,
+        uv_bounds=uv_bounds,
+        levels=levels,
+        materials=tuple(PackageMaterial(f"paint {index}", (1.0,) * 4, {"base_color": index}, False) for index in range(len(images))),
+        textures=tuple(textures),
+        increment_count=len(rows),
+        increments=Section(0, len(table), zlib.crc32(table)),
+        checksums=Section(len(table), len(checksums), zlib.crc32(checksums)),
+        first_increment=len(table) + len(checksums),
+        plan=_plan(levels, np.cumsum(sizes)),
+        time_limit=time_limit,
+        pixels=512.0,
+    )
+    write_files(folder, {MANIFEST: encode_manifest(manifest), MESH: mesh_content, TEXTURES: texture_content})
+    return manifest
+
+
+def decode_textures(folder: Path, manifest: Manifest) -> list[np.ndarray]:
+    """Return the textures (H, W, 3) uint8 of a package, row 0 at the top, decoded by Pillow from all increments."""
+    content = (folder / TEXTURES).read_bytes()
+    increments = decode_increments(manifest.increments.read(content, TEXTURES), manifest)
+    files: dict[tuple[int, int], bytes] = {}
+    offset = manifest.first_increment
+    for texture, tile, header, size in zip(increments.textures, increments.tiles, increments.headers, increments.sizes, strict=True):
+        files.setdefault((texture, tile), manifest.textures[texture].headers[header])
+        files[texture, tile] += content[offset : offset + size]
+        offset += size
+    images = [np.zeros((texture.height, texture.width, 3), np.uint8) for texture in manifest.textures]
+    for (texture, tile), file in files.items():
+        side, columns = manifest.textures[texture].tile_size, manifest.textures[texture].columns
+        y, x = tile // columns * side, tile % columns * side
+        part = images[texture][y : y + side, x : x + side]
+        part[:] = np.asarray(Image.open(io.BytesIO(file + b"\xff\xd9")))[: part.shape[0], : part.shape[1]]
+    return images
+
+
+def painted_image(width: int, height: int, seed: int = 0) -> np.ndarray:
+    """Return an image (H, W, 3) uint8 that differs everywhere: red grows to the right, green downwards, blue is a pattern of soft spots."""
+    random = np.random.default_rng(seed)
+    y, x = np.mgrid[:height, :width] / [[[height]], [[width]]]
+    phases, frequencies = random.uniform(0.0, 2.0 * np.pi, 6), random.integers(1, 9, (6, 2))
+    waves = sum(np.cos(2.0 * np.pi * (fx * x + fy * y) + phase) for (fx, fy), phase in zip(frequencies, phases, strict=True))
+    return (255.0 * np.stack([x, y, 0.5 + waves / 12.0], axis=2)).round().astype(np.uint8)
+
+
+def _describe(content: bytes) -> tuple[int, str]:
+    return len(content), hashlib.sha256(content).hexdigest()
+
+
+def _plan(levels: tuple[MeshLevel, ...], ends: np.ndarray) -> tuple[PlanRow, ...]:
+    """A plan that uses each level for the same number of increments."""
+    rows, mesh_size, steps = [], 0, 10
+    for index, level in enumerate(levels):
+        mesh_size += level.size
+        for step in range(steps + (index == len(levels) - 1)):
+            done = (index * steps + step) / (len(levels) * steps)
+            count = int(done * len(ends))
+            byte_count = mesh_size + int(ends[count - 1] if count else 0)
+            rows.append(PlanRow(byte_count, index, count, 0.4 * (1.0 - done)))
+    return tuple(sorted(rows, key=lambda row: row.byte_count))

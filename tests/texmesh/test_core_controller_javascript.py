@@ -1,0 +1,77 @@
+"""The page's controller decides like the one in Python, bit for bit."""
+
+import dataclasses
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from farfield.addon.core.texmesh.streaming import controller
+from farfield.addon.core.texmesh.streaming.sending_state import Job, State
+from lib import environment
+from sending_scenarios import Exchange, random_exchange
+
+PAGE = environment.ROOT / "addon" / "core" / "texmesh" / "streaming" / "page" / "controller.js"
+RUNNER = """
+import { readFileSync } from "node:fs";
+const { begin, decide, estimateRate, isFinished, meanDifference, receivedIncrements } = await import(process.argv[2]);
+const results = JSON.parse(readFileSync(process.argv[3])).map(({ job, settings, events }) => {
+  let state = begin(job, settings);
+  return events.map(([hasTable, event]) => {
+    const known = hasTable ? job : { ...job, ends: null };
+    const [next, requests, aborted] = decide(known, state, event);
+    state = next;
+    const figures = [state.shown, state.level, state.asked, state.target, receivedIncrements(known, state), Number(isFinished(known, state))];
+    const rates = state.servers.map((_, index) => estimateRate(state, index, 1.5));
+    return [requests, aborted, figures, rates, state.servers.map((server) => server.delay), meanDifference(state), state.ended];
+  });
+});
+process.stdout.write(JSON.stringify(results));
+"""
+SEEDS = range(200)
+
+
+def encode_vector(seed: int) -> tuple[dict, list]:
+    """A scenario as the page gets it, and all decisions and figures of the controller in Python."""
+    exchange = random_exchange(seed)
+    first = exchange.initial
+    settings = {"limit": first.limit, "rate": exchange.rate or 0, "servers": len(first.servers)}
+    settings |= {"patience": first.patience, "keepsRefining": first.keeps_refining}
+    events = [[has_table, dataclasses.asdict(event)] for has_table, event in exchange.events]
+    return {"job": dataclasses.asdict(exchange.job), "settings": settings, "events": events}, replay(exchange)
+
+
+def replay(exchange: Exchange) -> list:
+    """Decisions and figures after each event, as JSON has them."""
+    state, results = exchange.initial, []
+    for has_table, event in exchange.events:
+        job = exchange.job if has_table else dataclasses.replace(exchange.job, ends=None)
+        state, requests, aborted = controller.decide(job, state, event)
+        sent = [{"id": request.id, "server": request.server, **dataclasses.asdict(request.span)} for request in requests]
+        results.append([sent, aborted, *figures(job, state)])
+    return results
+
+
+def figures(job: Job, state: State) -> list:
+    counts = [state.shown, state.level, state.asked, state.target, controller.received_increments(job, state)]
+    rates = [controller.estimate_rate(state, index, 1.5) for index in range(len(state.servers))]
+    delays = [server.delay for server in state.servers]
+    return [[*counts, int(controller.is_finished(job, state))], rates, delays, controller.mean_difference(state), state.ended]
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed, so the page's controller is not compared")
+def test_page_decides_like_python(tmp_path: Path):
+    vectors, expected = zip(*(encode_vector(seed) for seed in SEEDS), strict=True)
+    (tmp_path / "vectors.json").write_text(json.dumps(vectors))
+    (tmp_path / "runner.mjs").write_text(RUNNER)
+    command = ["node", str(tmp_path / "runner.mjs"), PAGE.as_uri(), str(tmp_path / "vectors.json")]
+    found = json.loads(subprocess.run(command, capture_output=True, check=True, text=True).stdout)
+    for seed, ours, theirs in zip(SEEDS, expected, found, strict=True):
+        for index, (one, other) in enumerate(zip(ours, theirs, strict=True)):
+            assert json.loads(json.dumps(one)) == other, f"seed {seed}, event {index}"
+    kinds = {len(decision[0]) for decisions in expected for decision in decisions}
+    assert {0, 1, 2} <= kinds
+    assert any(decision[1] for decisions in expected for decision in decisions), "no request was aborted"
+    assert any(decision[2][1] > 1 for decisions in expected for decision in decisions), "no level was chosen"
