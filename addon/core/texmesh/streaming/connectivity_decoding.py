@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .coarse_fans import CoarseFans
-from .connectivity_encoding import ADDED_WEDGE, CANDIDATE, SAME_WEDGE, TOLD_PARENT
+from .connectivity_encoding import ADDED_WEDGE, CANDIDATE, SAME_WEDGE, EXPLICIT_PARENT
 from .sections import IntegerReader, damage, decode_signed
 from .triangle_traversal import BOTH, BOUNDARY, LEFT, NEW, OTHER, RIGHT
 
@@ -132,7 +132,7 @@ class ConnectivityDecoder:
         self.triangles += (a, b, c)
 
     def _attach(self, symbol: int, corners: Triple, is_smooth: bool) -> int:
-        """Return the third wedge of a triangle whose vertex the border does not tell. corners: start, end and apex."""
+        """Return the third wedge of a triangle whose vertex does not follow from the border. corners: start, end and apex."""
         near = tuple(self.wedge_vertices[wedge] for wedge in corners)
         references = corners if is_smooth else (corners[1],) * 3
         if symbol == NEW:
@@ -197,7 +197,7 @@ class ConnectivityDecoder:
 
     def _read_parent(self, references: Triple) -> int:
         symbol = self._streams.parent_symbols[len(self.parents) - self._known_count]
-        if symbol != TOLD_PARENT:
+        if symbol != EXPLICIT_PARENT:
             return self._find_candidate(symbol, references)
         parent = self._find_family(references[0]) + decode_signed(self._streams.parents.read())
         if not 0 <= parent < self._known_count:

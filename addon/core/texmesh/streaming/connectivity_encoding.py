@@ -1,4 +1,4 @@
-"""Symbols that tell the triangles of levels, and the references from which positions and texture coordinates are predicted.
+"""Symbols that encode the triangles of levels, and the references from which positions and texture coordinates are predicted.
 
 The vertices and wedges that a level adds are numbered in the order in which its triangles meet them, so that most triangles are one symbol.
 A vertex of a coarser level that is met is mostly the parent of an added vertex nearby.
@@ -14,16 +14,16 @@ from .sections import encode_integers, encode_signed
 from .triangle_traversal import BOUNDARY, NEW, OTHER
 
 CANDIDATE = 6  # the first of the symbols beyond those of triangle_traversal: the vertex is a candidate of `CoarseFans`
-TOLD_PARENT = 255  # symbol of a parent that is none of them
+EXPLICIT_PARENT = 255  # symbol of a parent that is none of them
 SAME_WEDGE, ADDED_WEDGE, OTHER_WEDGE = 0, 1, 2  # codes of wedges: the predicted one, an added one, the first of the others in the ring
 
 
 @dataclass(frozen=True)
 class LevelSymbols:
-    """What tells a level, given coarser ones.
+    """The code of a level, given coarser ones.
 
-    symbols: one byte per examined edge of the border. vertices, wedges, parents: LEB128 integers: vertices that are told, codes of wedges,
-    parents that are told. parent_symbols: one byte per added vertex. vertex_references: (N, 3) of the N added vertices: a position is
+    symbols: one byte per examined edge of the border. vertices, wedges, parents: LEB128 integers: explicit vertices, codes of wedges,
+    explicit parents. parent_symbols: one byte per added vertex. vertex_references: (N, 3) of the N added vertices: a position is
     predicted to be first + second - third. wedge_references: (M, 3), the same for the texture coordinates of the M added wedges.
     """
 
@@ -49,14 +49,14 @@ class ConnectivityEncoder:
         self._wedge_count = 0
 
     def encode(self, level: OrderedLevel) -> LevelSymbols:
-        """Return what tells the next `level`."""
+        """Return the code of the next `level`."""
         self._known_count, added = len(self._first_wedges), level.vertex_count - len(self._first_wedges)
         self._fans = CoarseFans(self._triangles, self._known_count)
         self._triangles = self._wedge_vertices[level.triangles]
         self._latest = self._first_wedges + [-1] * added
         self._ranks: dict[int, int] = {}
         self._last_known = self._last_vertex = self._last_wedge = 0
-        self._told_vertices, self._codes, self._parent_symbols, self._told_parents = [], [], [], []
+        self._explicit_vertices, self._codes, self._parent_symbols, self._explicit_parents = [], [], [], []
         self._vertex_references, self._wedge_references = [], []
         symbols = level.traversal.symbols.tolist()
         triangle_symbols = np.flatnonzero(level.traversal.symbols != BOUNDARY).tolist()
@@ -79,10 +79,10 @@ class ConnectivityEncoder:
                 self._meet(wedges[2], corners[source], None if any(codes) else (wedges[0], wedges[1], apex))
         return LevelSymbols(
             symbols=bytes(symbols),
-            vertices=encode_integers(self._told_vertices),
+            vertices=encode_integers(self._explicit_vertices),
             wedges=encode_integers(self._codes),
             parent_symbols=bytes(self._parent_symbols),
-            parents=encode_integers(self._told_parents),
+            parents=encode_integers(self._explicit_parents),
             vertex_references=np.array(self._vertex_references, np.int32).reshape(-1, 3),
             wedge_references=np.array(self._wedge_references, np.int32).reshape(-1, 3),
         )
@@ -91,7 +91,7 @@ class ConnectivityEncoder:
         """Encode a triangle without an edge at the border."""
         for wedge in wedges:
             vertex = self._vertices[wedge]
-            self._tell(vertex)
+            self._write_vertex(vertex)
             if vertex == len(self._first_wedges):
                 self._add_vertex(wedge, (self._last_vertex,) * 3, (self._last_wedge,) * 3)
             else:
@@ -99,7 +99,7 @@ class ConnectivityEncoder:
             self._mark_met(vertex)
 
     def _attach(self, wedges: list[int], apex: int, is_smooth: bool) -> int:
-        """Encode the third vertex of a triangle, which the border does not tell. Return the symbol. is_smooth: no seam is crossed."""
+        """Encode the third vertex of a triangle, which does not follow from the border. Return the symbol. is_smooth: no seam is crossed."""
         start, end, third, top = (self._vertices[wedge] for wedge in (*wedges, apex))
         references = (wedges[0], wedges[1], apex) if is_smooth else (wedges[1],) * 3
         if third == len(self._first_wedges):
@@ -110,7 +110,7 @@ class ConnectivityEncoder:
         symbol = CANDIDATE + candidate
         if candidate < 0:
             symbol = OTHER
-            self._tell(third)
+            self._write_vertex(third)
         self._meet(wedges[2], self._latest[third], references)
         self._mark_met(third)
         return symbol
@@ -119,14 +119,14 @@ class ConnectivityEncoder:
         """Return the vertices of coarser levels to which `vertices` belong: themselves or their parents."""
         return tuple(vertex if vertex < self._known_count else self._parents[vertex] for vertex in vertices)
 
-    def _tell(self, vertex: int) -> None:
-        """Append the integer that tells `vertex`: 0 for an added one."""
+    def _write_vertex(self, vertex: int) -> None:
+        """Append the integer of `vertex`: 0 for an added one, odd for one that was met, even for another one of coarser levels."""
         if vertex in self._ranks:
-            self._told_vertices.append(1 + 2 * (len(self._ranks) - 1 - self._ranks[vertex]))
+            self._explicit_vertices.append(1 + 2 * (len(self._ranks) - 1 - self._ranks[vertex]))
         elif vertex < self._known_count:
-            self._told_vertices.append(2 + 2 * encode_signed(vertex - self._last_known))
+            self._explicit_vertices.append(2 + 2 * encode_signed(vertex - self._last_known))
         else:
-            self._told_vertices.append(0)
+            self._explicit_vertices.append(0)
 
     def _mark_met(self, vertex: int) -> None:
         self._last_vertex = vertex
@@ -146,9 +146,9 @@ class ConnectivityEncoder:
         if self._known_count:
             families, parent = self._find_families(*references), self._parents[vertex]
             candidate = self._fans.find_index(parent, families)
-            self._parent_symbols.append(TOLD_PARENT if candidate < 0 else candidate)
+            self._parent_symbols.append(EXPLICIT_PARENT if candidate < 0 else candidate)
             if candidate < 0:
-                self._told_parents.append(encode_signed(parent - families[0]))
+                self._explicit_parents.append(encode_signed(parent - families[0]))
 
     def _meet(self, wedge: int, predicted: int, references: tuple[int, int, int] | None = None) -> int:
         """Encode `wedge` of a vertex for which `predicted` is a wedge. Return its code."""

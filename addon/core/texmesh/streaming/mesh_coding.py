@@ -4,9 +4,9 @@ Sections of a level (see `manifest.MeshLevel`), all of them raw DEFLATE:
 
 | section | content |
 |---|---|
-| corners | number of symbols, uint32 little-endian; symbols; LEB128 integers that tell vertices |
+| corners | number of symbols, uint32 little-endian; symbols; LEB128 integers of explicit vertices |
 | wedges | LEB128 codes of the wedges of corners |
-| parents | one symbol per added vertex; LEB128 integers that tell parents |
+| parents | one symbol per added vertex; LEB128 integers of explicit parents |
 | positions | 0 (predicted by parallelograms) or 1 (by UVs); byte planes of the residuals of added vertices: low and high bytes of x, y, z |
 | uvs | byte planes of the residuals of added wedges: low and high bytes of u, v |
 
@@ -113,21 +113,24 @@ def decode_level(content: bytes | memoryview, manifest: Manifest, level: int, mi
     is_exact = True
     for index, item in enumerate(manifest.levels[: level + 1]):
         known, known_wedges = len(positions[0]), len(uvs[0])
-        decoder.decode(_read_streams(content, item, item.vertex_count - known), item.triangle_counts, item.vertex_count)
+        added, added_wedges = item.vertex_count - known, item.wedge_count - known_wedges
+        if not 0 <= added <= added_wedges:
+            raise damage()
+        part = _read_part(content, item.uvs, 4 * added_wedges)
+        decoder.decode(_read_streams(content, item, added), item.triangle_counts, item.vertex_count)
         if len(decoder.wedge_vertices) != item.wedge_count:
             raise damage()
-        part = _read_part(content, item.uvs, 4 * (item.wedge_count - known_wedges))
         reconstruct(uvs, decode_residuals(part, 2), decoder.wedge_references, None)
         triangles, wedge_vertices = np.array(decoder.triangles, np.int64).reshape(-1, 3), np.array(decoder.wedge_vertices, np.int64)
         neighborhood = (triangles, wedge_vertices, np.array(uvs, np.int64).T, known, item.vertex_count)
         is_exact = is_exact and index not in missing_positions
         if not is_exact:
-            parents = np.array(decoder.parents[known:])
+            parents = np.array(decoder.parents[known:], np.int64)
             estimated = estimate_missing_positions(find_affine_weights(*neighborhood, True), np.array(positions).T, parents)
             for column, values in zip(positions, estimated.T.tolist(), strict=True):
                 column.extend(values)
             continue
-        part = _read_part(content, item.positions, 1 + 6 * (item.vertex_count - known))
+        part = _read_part(content, item.positions, 1 + 6 * added)
         affine = find_affine_weights(*neighborhood) if part[0] else None
         reconstruct(positions, decode_residuals(part[1:], 3), decoder.vertex_references, affine)
     counts = manifest.levels[level].triangle_counts
@@ -170,10 +173,9 @@ def _add_references(values: np.ndarray, references: np.ndarray, known_count: int
 
 
 def _read_streams(content: bytes | memoryview, level: MeshLevel, added: int) -> LevelStreams:
-    """Return what tells the triangles of `level`, which adds so many vertices."""
+    """Return the code of the triangles of `level`, which adds so many vertices."""
     triangle_count = sum(level.triangle_counts)
     _check_size(triangle_count, level.corners)
-    _check_size(added, level.positions)
     size = 3 * triangle_count
     corners = inflate(level.corners.read(content, MESH), 4 + size * (1 + MAX_LEB128_BYTES))
     if len(corners) < 4:

@@ -54,9 +54,9 @@ def find_affine_weights(
     determinant, trace = uu * vv - uv * uv, uu + vv
     is_valid = determinant > MIN_DETERMINANT * (trace * trace)
     divisor = np.where(is_valid, determinant, np.inf)
-    slope_u, slope_v = (vv * sum_u - uv * sum_v) / divisor, (uu * sum_v - uv * sum_u) / divisor
+    gradient_u, gradient_v = (vv * sum_u - uv * sum_v) / divisor, (uu * sum_v - uv * sum_u) / divisor
     n = number[owners]
-    weights = (1.0 - slope_u[owners] * (n * u - sum_u[owners]) - slope_v[owners] * (n * v - sum_v[owners])) / n
+    weights = (1.0 - gradient_u[owners] * (n * u - sum_u[owners]) - gradient_v[owners] * (n * v - sum_v[owners])) / n
     starts = np.concatenate([[0], np.cumsum(np.bincount(owners, minlength=count))])
     return AffineWeights(starts, neighbors[rows], weights, is_valid)
 

@@ -20,8 +20,8 @@ class Traversal:
 
     first_corners: (T,) the corner that becomes the first one. The first two are those at the edge of the border; the third one is new to
     it. across: (T,) the corner of another triangle at whose edge the triangle is attached, -1 for the first triangle of a loop.
-    third_sources: (T,) the corner whose vertex and, unless there is a seam, whose wedge the third corner has; -1 if the border does not
-    tell. symbols: (G,) uint8; NEW and OTHER say that the third vertex is met for the first time, or once more.
+    third_sources: (T,) the corner whose vertex and, unless there is a seam, whose wedge the third corner has; -1 if that does not
+    follow from the border. symbols: (G,) uint8; NEW and OTHER say that the third vertex is met for the first time, or once more.
     """
 
     first_corners: np.ndarray

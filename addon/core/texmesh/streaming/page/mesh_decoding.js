@@ -6,7 +6,7 @@
 // levels are estimated. Decode these levels again when they have come.
 
 const NEW = 0, RIGHT = 1, LEFT = 2, BOTH = 3, BOUNDARY = 4, OTHER = 5, CANDIDATE = 6; // symbols of edges of the border
-const TOLD_PARENT = 255, ADDED_WEDGE = 1, RING = 3;
+const EXPLICIT_PARENT = 255, ADDED_WEDGE = 1, RING = 3;
 const MAX_RATIO = 1032, MAX_LEB128_BYTES = 5; // of DEFLATE: bytes from one byte
 const MIN_DETERMINANT = 1e-3, PASSES = 5, STEPS = 65535;
 
@@ -168,7 +168,7 @@ function decodeTriangles({ corners, wedges, nextWedges, firstWedges, parents }, 
   };
   const readParent = (a, b, c) => {
     const symbol = parentSymbols[vertexCount - known];
-    if (symbol !== TOLD_PARENT) return findCandidate(symbol, a, b, c);
+    if (symbol !== EXPLICIT_PARENT) return findCandidate(symbol, a, b, c);
     const parent = findFamily(a) + streams.parents.readSigned();
     check(parent >= 0 && parent < known);
     return parent;
@@ -352,11 +352,11 @@ function findWeights({ corners, wedges, firstWedges, shortUvs: uvs }, known, has
     const uu = n * sumUU - sumU * sumU, uv = n * sumUV - sumU * sumV, vv = n * sumVV - sumV * sumV;
     const determinant = uu * vv - uv * uv, trace = uu + vv;
     isValid[row] = determinant > MIN_DETERMINANT * (trace * trace);
-    const slopeU = isValid[row] ? (vv * sumU - uv * sumV) / determinant : 0;
-    const slopeV = isValid[row] ? (uu * sumV - uv * sumU) / determinant : 0;
+    const gradientU = isValid[row] ? (vv * sumU - uv * sumV) / determinant : 0;
+    const gradientV = isValid[row] ? (uu * sumV - uv * sumU) / determinant : 0;
     for (let slot = begin; slot < end; slot++) {
       const u = uvs[2 * neighbors[slot]] - ownU, v = uvs[2 * neighbors[slot] + 1] - ownV;
-      weights[slot] = (1 - slopeU * (n * u - sumU) - slopeV * (n * v - sumV)) / n;
+      weights[slot] = (1 - gradientU * (n * u - sumU) - gradientV * (n * v - sumV)) / n;
       neighbors[slot] = wedges[neighbors[slot]];
     }
   }
