@@ -3,7 +3,8 @@
 Parts (`--only`): `speed` (time and memory with 200k triangles and a texture of 4096 x 4096), `refits` (deviations beside other programs,
 see texmesh_refits.py), `glb` (the Khronos validator, with --validator, see texmesh_glb.py), `switching` (FLIP between neighboring levels at
 their switch distance, in views that the search did not use), `targets` (subset levels, bit for bit), `paper` (vertices per scale beside
-Figure 4, ranges of Figure 10, steps of Figure 11), `packages` (bytes until a model looks right, see texmesh_packages.py).
+Figure 4, ranges of Figure 10, steps of Figure 11), `packages` (bytes until a model looks right, see texmesh_packages.py), `meshes`
+(bytes of meshes beside gltfpack and Draco, see texmesh_meshes.py).
 Each run generates other models, textures and views; --seed repeats one.
 """
 
@@ -23,6 +24,7 @@ environment.import_farfield()
 import benchmark_cli
 import texmesh_glb
 from texmesh_levels import measure_paper, measure_speed, measure_switching, measure_targets
+from texmesh_meshes import measure_meshes
 from texmesh_packages import measure_packages
 from texmesh_refits import measure_refits
 
@@ -66,6 +68,7 @@ PARTS = {
     "targets": measure_targets,
     "paper": measure_paper,
     "packages": measure_packages,
+    "meshes": measure_meshes,
 }
 
 

@@ -44,10 +44,14 @@ def unwrap_model(path: Path) -> TexturedMesh:
             points.append([float(word) for word in words[1:4]])
         elif words and words[0] == "f":
             faces.append([int(word.split("/")[0]) - 1 for word in words[1:4]])
-    mesh = TriangleMesh(np.array(points), np.array(faces, np.int32))
-    count = len(faces)
-    result = run_to_end(unwrap(mesh, np.arange(count), np.zeros((0, 2), int), np.zeros(count), UnwrapSettings(), path.stem))
-    return build_textured_mesh(mesh, result.corner_uvs, name=path.stem)
+    return unwrap_triangles(TriangleMesh(np.array(points), np.array(faces, np.int32)), path.stem)
+
+
+def unwrap_triangles(mesh: TriangleMesh, name: str) -> TexturedMesh:
+    """Return `mesh`, unwrapped by Farfield."""
+    count = len(mesh.triangles)
+    result = run_to_end(unwrap(mesh, np.arange(count), np.zeros((0, 2), int), np.zeros(count), UnwrapSettings(), name))
+    return build_textured_mesh(mesh, result.corner_uvs, name=name)
 
 
 def generate_planet(generator: np.random.Generator) -> TexturedMesh:
@@ -65,9 +69,9 @@ def generate_planet(generator: np.random.Generator) -> TexturedMesh:
     return _build_patches(directions, _make_bumps(generator), generator, np.zeros(len(directions), np.int32))
 
 
-def generate_ring(generator: np.random.Generator) -> TexturedMesh:
-    """Return a bumpy torus of 18 islands and two materials: 18,432 triangles."""
-    along, around, grid = 6, 3, (32, 16)
+def generate_ring(generator: np.random.Generator, grid: tuple[int, int] = (32, 16)) -> TexturedMesh:
+    """Return a bumpy torus of 18 islands and two materials: 18,432 triangles. grid: cells along the sides of an island."""
+    along, around = 6, 3
     points = []
     for row in range(along):
         for column in range(around):

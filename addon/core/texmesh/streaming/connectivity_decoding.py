@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .coarse_fans import CoarseFans
-from .connectivity_encoding import ADDED_WEDGE, CANDIDATE, SAME_WEDGE, EXPLICIT_PARENT
+from .connectivity_encoding import ADDED_WEDGE, CANDIDATE, EXPLICIT_PARENT, SAME_WEDGE
 from .sections import IntegerReader, damage, decode_signed
 from .triangle_traversal import BOTH, BOUNDARY, LEFT, NEW, OTHER, RIGHT
 

@@ -99,7 +99,7 @@ class ConnectivityEncoder:
             self._mark_met(vertex)
 
     def _attach(self, wedges: list[int], apex: int, is_smooth: bool) -> int:
-        """Encode the third vertex of a triangle, which does not follow from the border. Return the symbol. is_smooth: no seam is crossed."""
+        """Encode the third vertex of a triangle that does not follow from the border. Return the symbol. is_smooth: no seam is crossed."""
         start, end, third, top = (self._vertices[wedge] for wedge in (*wedges, apex))
         references = (wedges[0], wedges[1], apex) if is_smooth else (wedges[1],) * 3
         if third == len(self._first_wedges):
