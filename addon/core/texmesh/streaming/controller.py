@@ -41,6 +41,7 @@ GRACE = 0.1  # seconds without a byte that mean nothing
 FRACTION = 0.25  # of the remaining time for the next request
 MAX_REQUEST = 1.0  # seconds
 LEAD = 1.5  # delays before the line is free that the next request is sent
+EXCESS = 1.2  # of the time left, for all requests of a server, at which the newest is aborted
 MEASURED = 0.2  # seconds of measuring before a level is chosen
 LEVEL_MARGIN = 0.9  # fraction of the estimated bytes that a level and its increments may need
 SILENCE = 0.75  # seconds after which a request is given up
@@ -56,15 +57,20 @@ def decide(job: Job, state: State, event: Event) -> tuple[State, list[Request], 
         if flight.id == event.id:
             _hear(state, flight, event)
     is_over = state.time >= state.limit + state.patience and not state.keeps_refining
-    cancelled = [flight for flight in state.flights if _is_silent(state, flight) or (is_over and not _is_first(job, flight.span))]
-    for flight in cancelled:
-        _give_up(state, flight)
+    aborted = []
+    for flight in state.flights[::-1]:  # the newest first
+        is_silent = _is_silent(state, flight)
+        if is_silent:
+            _pause(state, flight)
+        if is_silent or (not _is_first(job, flight.span) and (is_over or _is_excess(state, flight))):
+            _owe(state, flight)
+            aborted.append(flight.id)
     if not any(span.file == MESH for span in state.pending) and not any(flight.span.file == MESH for flight in state.flights):
         state.shown = state.level
     requests: list[Request] = []
     while _ask(job, state, requests):
         pass
-    return state, requests, [flight.id for flight in cancelled]
+    return state, requests, aborted
 
 
 def is_finished(job: Job, state: State) -> bool:
@@ -111,7 +117,8 @@ def _copy(state: State) -> State:
 def _hear(state: State, flight: Flight, event: Event) -> None:
     server = state.servers[flight.server]
     if event.failed:
-        _give_up(state, flight)
+        _pause(state, flight)
+        _owe(state, flight)
         return
     is_busy = any(other.is_open and other.server == flight.server for other in state.flights)
     fresh = event.received - flight.received
@@ -148,11 +155,23 @@ def _is_silent(state: State, flight: Flight) -> bool:
     return state.time - since > (patience if server.measured else 2.0 * patience)  # connecting takes longer
 
 
-def _give_up(state: State, flight: Flight) -> None:
-    """Ask for the rest of a request again, and let its server alone for a while."""
+def _is_excess(state: State, flight: Flight) -> bool:
+    """Return whether `flight` and the older ones of its server will not end before the limit, so that it takes from them in vain."""
+    is_alone = all(other.server != flight.server or other.id >= flight.id for other in state.flights)
+    if is_alone or flight.span.file == MESH or state.keeps_refining:
+        return False
+    return _line(state, flight.server)[0] > EXCESS * max(state.limit - state.time, 0.0)
+
+
+def _pause(state: State, flight: Flight) -> None:
+    """Let the server of a request alone for a while."""
     server = state.servers[flight.server]
     server.until = state.time + min(MIN_PAUSE * (1 << 2 * min(server.failures, 3)), MAX_PAUSE)
     server.failures += 1
+
+
+def _owe(state: State, flight: Flight) -> None:
+    """Put the rest of a request back, to be asked for first."""
     state.flights = [other for other in state.flights if other.id != flight.id]
     state.pending.insert(0, replace(flight.span, start=flight.span.start + flight.received))
 
@@ -226,7 +245,7 @@ def _choose_level(job: Job, state: State) -> None:
     measured = 0.0
     for server in state.servers:  # not `sum`, which adds floats in another way in every version of Python
         measured += server.measured
-    if state.shown < state.level or (measured < MEASURED and state.asked < len(job.ends)):
+    if state.shown < state.level or any(span.file == MESH for span in state.pending) or (measured < MEASURED and state.asked < len(job.ends)):
         return
     budget = _budget(state)
     start = _begin(job, state.asked)
@@ -234,23 +253,26 @@ def _choose_level(job: Job, state: State) -> None:
     for position, (level, count, error) in enumerate(job.plan):
         cost = max(_begin(job, count) - start, 0)
         if level > state.level:
-            cost = (cost + _mesh_cost(job, state.level, level)) / LEVEL_MARGIN
+            cost = (cost + _mesh_cost(job, state.added, level)) / LEVEL_MARGIN
         if cost <= budget and (state.target < 0 or error < job.plan[state.target][2]):
             state.target = position
     if state.target < 0 or job.plan[state.target][0] <= state.level:
         return
     level, count, _ = job.plan[state.target]
     leaving = next(row[1] for row in job.plan if row[0] > state.level)
-    if state.asked >= min(leaving, count):
-        for finer in range(state.level + 1, level + 1):
-            state.pending += job.added[finer]
+    if state.asked < min(leaving, count):
+        return
+    if state.added < level:  # step by step: each time, the level may become another one
+        state.added += 1
+        state.pending += job.added[state.added]
+    else:
         state.pending += job.corners[level]
         state.level = level
 
 
-def _mesh_cost(job: Job, level: int, finer: int) -> int:
-    """Return the bytes that `finer` needs if `level` is there."""
-    spans = [span for added in job.added[level + 1 : finer + 1] for span in added] + list(job.corners[finer])
+def _mesh_cost(job: Job, added: int, level: int) -> int:
+    """Return the bytes that `level` needs if the vertices and wedges of levels up to `added` are there."""
+    spans = [span for finer in job.added[added + 1 : level + 1] for span in finer] + list(job.corners[level])
     return sum(span.end - span.start for span in spans)
 
 

@@ -7,6 +7,7 @@ from .manifest import MESH, TEXTURES, Manifest, Section
 DEFAULT_RATE = 250000.0  # bytes per second, if there is no history: 2 Mbit/s
 DEFAULT_DELAY = 0.1  # seconds until the headers of a response come
 PRIOR_SECONDS = 0.1  # weight of the initial rate
+ENDLESS = 1e9  # seconds
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ class Flight:
 class State:
     """The state of a client. Times are seconds since the user's wish; read it, but only `decide` changes it.
 
-    level: asked for. shown: the level that has come wholly, or -1. asked: number of increments asked for. target: the row of the plan that
+    level: asked for, with all vertices and wedges up to those of level `added`. shown: the level that has come wholly, or -1. asked: number of increments asked for. target: the row of the plan that
     the rest of the time allows, or -1. ended: when the last response ended. difference: sum of the absolute differences between planned
     and actual times of `responses` requests, `latest` is that of the last one.
     """
@@ -84,6 +85,7 @@ class State:
     pending: list[Span] = field(default_factory=list)
     next_id: int = 0
     level: int = 0
+    added: int = 0
     shown: int = -1
     asked: int = 0
     target: int = -1

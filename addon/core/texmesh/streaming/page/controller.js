@@ -17,7 +17,7 @@
 
 const MESH = "mesh.bin", TEXTURES = "textures.bin";
 const DEFAULT_RATE = 250000, DEFAULT_DELAY = 0.1, PRIOR_SECONDS = 0.1;
-const FAST = 0.3, SLOW = 2, GRACE = 0.1, FRACTION = 0.25, MAX_REQUEST = 1, LEAD = 1.5, MEASURED = 0.2;
+const FAST = 0.3, SLOW = 2, GRACE = 0.1, FRACTION = 0.25, MAX_REQUEST = 1, LEAD = 1.5, EXCESS = 1.2, MEASURED = 0.2;
 const LEVEL_MARGIN = 0.9, SILENCE = 0.75, MIN_PAUSE = 0.25, MAX_PAUSE = 8, MIN_RATE = 1000;
 const { abs, floor, max, min } = Math;
 
@@ -45,7 +45,7 @@ export function begin(job, { limit, rate = 0, servers = 1, patience = 0, keepsRe
   Object.assign(server, { measured: 0, mark: 0, heard: 0, failures: 0, until: 0 });
   return {
     limit, patience, keepsRefining, servers: Array.from({ length: servers }, () => ({ ...server })), time: 0, flights: [],
-    pending: [...job.first], nextId: 0, level: 0, shown: -1, asked: 0, target: -1, ended: 0, difference: 0, latest: 0, responses: 0,
+    pending: [...job.first], nextId: 0, level: 0, added: 0, shown: -1, asked: 0, target: -1, ended: 0, difference: 0, latest: 0, responses: 0,
   };
 }
 
@@ -57,12 +57,19 @@ export function decide(job, before, { time, id = -1, received = 0, failed = fals
   const heard = state.flights.find((flight) => flight.id === id);
   if (heard) hear(state, heard, received, failed);
   const isOver = state.time >= state.limit + state.patience && !state.keepsRefining;
-  const aborted = state.flights.filter((flight) => isSilent(state, flight) || (isOver && !isFirst(job, flight)));
-  for (const flight of aborted) giveUp(state, flight);
+  const aborted = [];
+  for (const flight of [...state.flights].reverse()) { // the newest first
+    const silent = isSilent(state, flight);
+    if (silent) pause(state, flight);
+    if (silent || (!isFirst(job, flight) && (isOver || isExcess(state, flight)))) {
+      owe(state, flight);
+      aborted.push(flight.id);
+    }
+  }
   if (![...state.pending, ...state.flights].some((span) => span.file === MESH)) state.shown = state.level;
   const requests = [];
   while (ask(job, state, requests));
-  return [state, requests, aborted.map((flight) => flight.id)];
+  return [state, requests, aborted];
 }
 
 /** Whether no response is waited for and nothing will be asked for anymore. */
@@ -106,7 +113,11 @@ function spans(sections) {
 }
 
 function hear(state, flight, received, failed) {
-  if (failed) return giveUp(state, flight);
+  if (failed) {
+    pause(state, flight);
+    owe(state, flight);
+    return;
+  }
   const server = state.servers[flight.server];
   const isBusy = state.flights.some((other) => other.isOpen && other.server === flight.server);
   let fresh = received - flight.received;
@@ -144,10 +155,19 @@ function isSilent(state, flight) {
   return state.time - since > (server.measured ? patience : 2 * patience); // connecting takes longer
 }
 
-function giveUp(state, flight) {
+function isExcess(state, flight) {
+  const isAlone = state.flights.every((other) => other.server !== flight.server || other.id >= flight.id);
+  if (isAlone || flight.file === MESH || state.keepsRefining) return false;
+  return line(state, flight.server)[0] > EXCESS * max(state.limit - state.time, 0);
+}
+
+function pause(state, flight) {
   const server = state.servers[flight.server];
   server.until = state.time + min(MIN_PAUSE * (1 << (2 * min(server.failures, 3))), MAX_PAUSE);
   server.failures += 1;
+}
+
+function owe(state, flight) {
   state.flights = state.flights.filter((other) => other !== flight);
   state.pending.unshift({ file: flight.file, start: flight.start + flight.received, end: flight.end });
 }
@@ -215,24 +235,24 @@ function take(job, state, rest, rate, shortest) {
 function chooseLevel(job, state) {
   let measured = 0;
   for (const server of state.servers) measured += server.measured;
-  if (state.shown < state.level || (measured < MEASURED && state.asked < job.ends.length)) return;
+  if (state.shown < state.level || state.pending.some((span) => span.file === MESH) || (measured < MEASURED && state.asked < job.ends.length)) return;
   const budget = budgetOf(state), start = beginOf(job, state.asked);
   state.target = -1;
   job.plan.forEach(([level, count, error], position) => {
     let cost = max(beginOf(job, count) - start, 0);
-    if (level > state.level) cost = (cost + meshCost(job, state.level, level)) / LEVEL_MARGIN;
+    if (level > state.level) cost = (cost + meshCost(job, state.added, level)) / LEVEL_MARGIN;
     if (cost <= budget && (state.target < 0 || error < job.plan[state.target][2])) state.target = position;
   });
   if (state.target < 0 || job.plan[state.target][0] <= state.level) return;
   const [level, count] = job.plan[state.target];
   const leaving = job.plan.find((row) => row[0] > state.level)[1];
   if (state.asked < min(leaving, count)) return;
-  state.pending.push(...job.added.slice(state.level + 1, level + 1).flat(), ...job.corners[level]);
-  state.level = level;
+  if (state.added < level) state.pending.push(...job.added[++state.added]); // step by step: the level may become another one
+  else [state.level] = [level, state.pending.push(...job.corners[level])];
 }
 
-function meshCost(job, level, finer) {
-  return [...job.added.slice(level + 1, finer + 1).flat(), ...job.corners[finer]].reduce((sum, span) => sum + span.end - span.start, 0);
+function meshCost(job, added, level) {
+  return [...job.added.slice(added + 1, level + 1).flat(), ...job.corners[level]].reduce((sum, span) => sum + span.end - span.start, 0);
 }
 
 function budgetOf(state) {

@@ -1,0 +1,214 @@
+"""Simulations of sending a package over lines whose rates change, with a report."""
+
+import json
+import math
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+
+from ...errors import SettingsError
+from .increments import Increments
+from .manifest import Manifest
+from .manifest_json import encode_manifest
+from .sending_state import ENDLESS, Event, Job, build_job
+from .simulated_clients import CompensatingClient, FixedClient, PaperClient
+from .simulated_network import Line, Network
+from .traces import Trace
+
+CLIENTS = ("compensating", "fixed", "paper")
+MAX_ROUNDS = 20.0  # limits after which a simulation ends
+
+
+@dataclass(frozen=True, eq=False)
+class SentPackage:
+    """What a simulation needs of a package. job: with `ends`. gains: (N,) float64, by how much the predicted error falls. tiles: (N,) int64,
+    numbers of tiles over all textures. manifest_size: bytes."""
+
+    job: Job
+    gains: np.ndarray
+    tiles: np.ndarray
+    manifest_size: int
+
+    def error(self, level: int, received: np.ndarray | int) -> float:
+        """Return the predicted error with `level` (-1: nothing is shown, error 1) and the received increments ((N,) bool or a number)."""
+        if level < 0:
+            return 1.0
+        got = self.gains[received].sum() if isinstance(received, np.ndarray) else self.gains[:received].sum()
+        return max(self._level_error(level) + float(self.gains.sum() - got), 0.0)
+
+    def _level_error(self, level: int) -> float:
+        """Return the error of a level with all increments; a level that is not in the plan has that of a coarser one."""
+        sums = np.concatenate([[0.0], np.cumsum(self.gains)])
+        rows = [row for row in self.job.plan if row[0] <= level] or [self.job.plan[0]]
+        return min(error - float(sums[-1] - sums[count]) for _, count, error in rows)
+
+    def best(self, byte_count: float) -> tuple[int, int, float]:
+        """Return the level, number of increments and error of the best use of `byte_count` bytes."""
+        ends = np.array([self.job.begin, *self.job.ends]) - self.job.begin
+        table = sum(span.end - span.start for span in self.job.first) - _size(self.job.added[0]) - _size(self.job.corners[0])
+        best = (-1, 0, 1.0)
+        for level in range(len(self.job.added)):
+            rest = byte_count - table - sum(_size(spans) for spans in self.job.added[: level + 1]) - _size(self.job.corners[level])
+            if rest >= 0.0:
+                count = int(np.searchsorted(ends, rest, side="right")) - 1
+                error = self.error(level, count)
+                best = (level, count, error) if error < best[2] else best
+        return best
+
+
+@dataclass(frozen=True)
+class SendingReport:
+    """What a client got.
+
+    finished: when it stopped, seconds. deviation: Pi, seconds after the limit (negative: before it). mean_difference: Lambda of eq. 9,
+    seconds. is_complete: everything came. byte_count: carried by the lines, headers of responses included. useful_bytes: of the level and
+    increments at the end. level, increments, error: at the limit or at the end if that is earlier. oracle_*: of a client that knows the trace.
+    first_seen: when level 0 was there; first_textured: when the first increment was there; infinite if never.
+    """
+
+    client: str
+    trace: str
+    limit: float
+    finished: float
+    deviation: float
+    mean_difference: float
+    is_complete: bool
+    requests: int
+    aborted: int
+    byte_count: float
+    useful_bytes: int
+    level: int
+    increments: int
+    error: float
+    oracle_bytes: float
+    oracle_level: int
+    oracle_increments: int
+    oracle_error: float
+    first_seen: float
+    first_textured: float
+
+    @property
+    def lateness(self) -> float:
+        """How late sending ended, a fraction of the limit."""
+        return max(self.deviation, 0.0) / self.limit
+
+    def to_json(self) -> str:
+        """Return the report as JSON; times that never came are null."""
+        values = {key: None if isinstance(value, float) and math.isinf(value) else value for key, value in asdict(self).items()}
+        return json.dumps(values, indent=1)
+
+    def to_text(self) -> str:
+        """Return the report as a few lines of text."""
+        side = "after" if self.deviation > 0.0 else "before"
+        return (
+            f"{self.client} client over {self.trace}: ended {abs(self.deviation):.3f} s {side} the limit of {self.limit:g} s "
+            f"({100.0 * self.deviation / self.limit:+.2f} %), mean difference of requests {self.mean_difference:.3f} s\n"
+            f"{self.requests} requests, {self.aborted} aborted, {self.byte_count / 1e6:.3f} MB carried, {self.useful_bytes / 1e6:.3f} MB used\n"
+            f"level {self.level} and {self.increments} increments: predicted error {self.error:.4f}; with the trace known before: level "
+            f"{self.oracle_level}, {self.oracle_increments} increments, {self.oracle_error:.4f}\n"
+            f"shown after {self.first_seen:.2f} s, with texture after {self.first_textured:.2f} s"
+        )
+
+
+def build_sent_package(manifest: Manifest, increments: Increments) -> SentPackage:
+    """Return what simulations need of a package."""
+    ends = manifest.first_increment + np.cumsum(increments.sizes)
+    first_tiles = np.concatenate([[0], np.cumsum([texture.tile_count for texture in manifest.textures])]).astype(np.int64)
+    job = replace(build_job(manifest), ends=tuple(ends.tolist()))
+    tiles = first_tiles[increments.textures] + increments.tiles
+    return SentPackage(job, increments.gains.astype(np.float64) * 1e-6, tiles, len(encode_manifest(manifest)))
+
+
+def simulate_package(manifest: Manifest, increments: Increments, trace: Trace, limit: float, **settings) -> SendingReport:
+    """x"""
+    return simulate(build_sent_package(manifest, increments), (Line(trace),), limit, **settings)
+
+
+def simulate(
+    package: SentPackage,
+    lines: tuple[Line, ...],
+    limit: float,
+    client: str = "compensating",
+    rate: float | None = None,
+    patience: float = ENDLESS,
+    access: Trace | None = None,
+    seed: int = 0,
+) -> SendingReport:
+    """Return what a client gets from `package`.
+
+    lines: one per server. limit: seconds since the user's wish; the manifest is fetched first. client: one of CLIENTS. rate: bytes per second
+    that the client had before, None if it knows nothing. patience: seconds after the limit for which it waits for running responses.
+    access: trace of the client's own line. seed: of losses and jitter.
+
+    Raises:
+        SettingsError: there is no such client, no line, or no time.
+    """
+    if client not in CLIENTS or not lines or not limit > 0.0:
+        raise SettingsError(f"A client {client!r} with {len(lines)} lines and {limit:g} s cannot be simulated; use one of {', '.join(CLIENTS)}.")
+    job = package.job
+    agent = {
+        "compensating": lambda: CompensatingClient(job, limit, rate, len(lines), patience, False),
+        "fixed": lambda: FixedClient(job, limit, rate),
+        "paper": lambda: PaperClient(job, limit, rate, package.tiles),
+    }[client]()
+    network = Network(lines, access, seed)
+    network.send(-2, 0, package.manifest_size)
+    while (event := network.advance()).id != -2 or event.received < package.manifest_size:
+        pass
+    event = Event(event.time)
+    counts = {"requests": 0, "aborted": 0}
+    at_limit, first_seen, first_textured, finished = None, math.inf, math.inf, event.time
+    while True:
+        if at_limit is None and event.time > limit:
+            at_limit = shown
+        requests, aborted = agent.hear(event)
+        for id in aborted:
+            network.abort(id)
+        for request in requests:
+            network.send(request.id, request.server, request.span.end - request.span.start)
+        counts["requests"] += len(requests)
+        counts["aborted"] += len(aborted)
+        shown = (agent.level(), agent.received())
+        first_seen = min(first_seen, event.time) if shown[0] >= 0 else first_seen
+        first_textured = min(first_textured, event.time) if shown[1].any() else first_textured
+        finished = event.time if event.id >= 0 or aborted else finished
+        if agent.is_finished() or event.time > MAX_ROUNDS * limit:
+            break
+        event = network.advance()
+    level, received = at_limit or shown
+    oracle_bytes = _possible_bytes(lines, access, limit)
+    oracle = package.best(oracle_bytes)
+    sizes = np.diff([job.begin, *job.ends])
+    return SendingReport(
+        client=client,
+        trace=" + ".join(line.trace.name for line in lines),
+        limit=limit,
+        finished=finished,
+        deviation=finished - limit,
+        mean_difference=agent.mean_difference(),
+        is_complete=bool(received.all()) and level == package.best(math.inf)[0],
+        **counts,
+        byte_count=network.bytes,
+        useful_bytes=int(sizes[received].sum()) + (0 if level < 0 else sum(map(_size, job.added[: level + 1])) + _size(job.corners[level])),
+        level=level,
+        increments=int(received.sum()),
+        error=package.error(level, received),
+        oracle_bytes=oracle_bytes,
+        oracle_level=oracle[0],
+        oracle_increments=oracle[1],
+        oracle_error=oracle[2],
+        first_seen=first_seen,
+        first_textured=first_textured,
+    )
+
+
+def _possible_bytes(lines: tuple[Line, ...], access: Trace | None, limit: float) -> float:
+    """Return the bytes that all lines can carry before the limit, after a delay for the manifest and one for the first response."""
+    total = 0.0
+    for line in lines:
+        total += max(line.trace.bytes_until(limit) - line.trace.bytes_until(min(2.0 * line.delay, limit)), 0.0)
+    return total if access is None else min(total, access.bytes_until(limit))
+
+
+def _size(spans) -> int:
+    return sum(span.end - span.start for span in spans)
