@@ -21,6 +21,7 @@ from .operators.texmesh import calibration as texmesh_calibration
 from .operators.texmesh import exports as texmesh_exports
 from .operators.texmesh import operators as texmesh_operators
 from .operators.texmesh import overlays as texmesh_overlays
+from .operators.texmesh import packages as texmesh_packages
 from .operators.texmesh import preview as texmesh_preview
 from .operators.unwrap import operators as unwrap_operators
 from .panels import bdam as bdam_panels
@@ -49,6 +50,7 @@ MODULES = (
     restore_operators,
     texmesh_operators,
     texmesh_exports,
+    texmesh_packages,
     texmesh_overlays,
     texmesh_preview,
     texmesh_calibration,

@@ -1,4 +1,6 @@
-"""Perceptual levels of textured meshes: `python3 scripts/texmesh.py levels INPUT --out OUT [flags]`, and `analyze INPUT`.
+"""Perceptual levels of textured meshes: `python3 scripts/texmesh.py levels INPUT --out OUT [flags]`, and `analyze INPUT`; packages of them
+that a web page loads within a time limit: `build INPUT --out FOLDER`, `verify`, `serve`, `view` and
+`simulate FOLDER`.
 
 INPUT is a .blend, .obj, .ply, .stl, .glb, .gltf, .fbx or .usd file; each mesh that is visible in renders gets levels. The extension of
 --out selects the output: .blend (the whole scene with the levels), or .glb (one file per level, OUT-L0.glb and so on; with --one-file a
@@ -25,30 +27,27 @@ import bpy
 from farfield.addon.bridge.line_chart import draw_line_chart
 from farfield.addon.bridge.texmesh.glb_levels import write_levels
 from farfield.addon.bridge.texmesh.level_sets import read_level_set
-from farfield.addon.core.errors import FileError, SettingsError
+from farfield.addon.core.errors import FileError
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
-from farfield.addon.core.settings import Settings, add_flags, from_flags
-from farfield.addon.core.texmesh.level_chain import AllSettings
-from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
-from farfield.addon.core.texmesh.ratios import parse_ratios
+from farfield.addon.core.settings import add_flags, from_flags
 from farfield.addon.core.texmesh.scale_space.scale_map import ScaleMap
 from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
-from farfield.addon.core.texmesh.settings import BUDGETS, LevelSettings, SceneSettings
-from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
+from farfield.addon.core.texmesh.settings import SceneSettings
 from farfield.addon.operators.job_run import run_job
 from farfield.addon.operators.texmesh.job import AnalysisJob, LevelsJob, describe_chain, prepare_analysis, prepare_levels
-from lib import command_line, scene_files
+from farfield.addon.operators.texmesh.packages import CORE_SETTINGS
+from lib import command_line, scene_files, texmesh_packages
 from lib.atomic_output import atomic_file, check_outputs
 from lib.contact_sheet import write_png
+from lib.texmesh_inputs import open_objects, read_all_settings
 
 EXTENSIONS = (".blend", ".glb")
-CORE_SETTINGS = (LevelSettings, ScaleSpaceSettings, SimplificationSettings, PerceptionSettings)  # in the order of `AllSettings`
 
 
 def build_parser() -> command_line.Parser:
     """Return the parser of all arguments of the script."""
     parser = command_line.Parser(prog="texmesh.py", description="Make levels of detail of textured meshes that look the same.")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="levels|analyze")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="levels|analyze|build|verify|serve|view|simulate")
     levels = commands.add_parser("levels", description="Make levels of detail.")
     analyze = commands.add_parser("analyze", description="Find the features of meshes at 21 scales.")
     for command in (levels, analyze):
@@ -61,18 +60,21 @@ def build_parser() -> command_line.Parser:
     for settings_type in (*CORE_SETTINGS, SceneSettings):
         add_flags(levels, settings_type)
     add_flags(analyze, ScaleSpaceSettings)
+    texmesh_packages.add_commands(commands)
     return parser
 
 
 def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     """Run the script and return the summary; raises FarfieldError if the input is invalid."""
     given = build_parser().parse_args(arguments)
+    if given.command in texmesh_packages.COMMANDS:
+        return texmesh_packages.run_command(given, line)
     return analyze(given, line) if given.command == "analyze" else make_levels(given, line)
 
 
 def make_levels(given: Namespace, line: command_line.ProgressLine) -> str:
     """Make levels and write them."""
-    settings, scene_settings = read_settings(given)
+    settings, scene_settings = read_all_settings(given, CORE_SETTINGS), from_flags(SceneSettings, given)
     out = given.out.absolute()
     if out.suffix.lower() not in EXTENSIONS:
         raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(EXTENSIONS)}.')
@@ -108,24 +110,6 @@ def analyze(given: Namespace, line: command_line.ProgressLine) -> str:
     return summary
 
 
-def read_settings(given: Namespace) -> tuple[AllSettings, Settings]:
-    """Return the settings of levels and of the scene.
-
-    Raises:
-        SettingsError: a value is invalid, or two flags imply different choices of levels.
-    """
-    implied = [choice for choice, name in BUDGETS.items() if getattr(given, name) is not None]
-    if given.choice is None and implied:
-        if len(implied) > 1:
-            names = " and ".join(f"--{BUDGETS[choice].replace('_', '-')}" for choice in implied)
-            raise SettingsError(f"{names} exclude each other; give one, or name the one that counts by --choice.")
-        given.choice = implied[0]
-    levels, *others = (from_flags(settings_type, given) for settings_type in CORE_SETTINGS)
-    if levels.choice == "ratio":
-        parse_ratios(levels.ratio)
-    return AllSettings(levels, *others), from_flags(SceneSettings, given)
-
-
 def check_level_files(out: Path, given: Namespace) -> None:
     """Raise FileError if a file of a level would replace the input or the report."""
     if out.suffix.lower() != ".glb" or given.one_file:
@@ -134,12 +118,6 @@ def check_level_files(out: Path, given: Namespace) -> None:
     for name, path in (("the input", given.input), ("--report", given.report)):
         if path is not None and path.absolute().parent.resolve() == out.parent.resolve() and pattern.fullmatch(path.name):
             raise FileError(f'A level of --out and {name} are the same file "{path}"; choose different files.')
-
-
-def open_objects(path: Path) -> list[bpy.types.Object]:
-    """Open the input and return its meshes that are visible in renders. Raises FarfieldError."""
-    scene_files.open_scene(path.absolute())
-    return scene_files.objects_in_renders([item for item in bpy.context.scene.objects if item.type == "MESH"], path)
 
 
 def write_output(job: LevelsJob, out: Path, given: Namespace) -> None:

@@ -30,6 +30,7 @@ class Unit(Enum):
     COUNT = "count"
     MEGABYTES = "MB"
     LENGTH = "scene units"
+    SECONDS = "seconds"
 
 
 @dataclass(frozen=True)

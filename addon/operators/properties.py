@@ -11,7 +11,7 @@ import bpy
 
 from ..core.settings import Description, Settings, Unit, describe
 
-NUMBER_SUBTYPES = {Unit.FRACTION: "PERCENTAGE", Unit.ANGLE: "ANGLE", Unit.LENGTH: "DISTANCE"}
+NUMBER_SUBTYPES = {Unit.FRACTION: "PERCENTAGE", Unit.ANGLE: "ANGLE", Unit.LENGTH: "DISTANCE", Unit.SECONDS: "TIME_ABSOLUTE"}
 PATH_SUBTYPES = {None: "NONE", "file": "FILE_PATH", "folder": "DIR_PATH"}
 
 

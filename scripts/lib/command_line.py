@@ -94,11 +94,15 @@ class ProgressLine:
         Raises:
             KeyboardInterrupt: the user has requested to cancel since the last call.
         """
-        if self._cancel_requested:
-            raise KeyboardInterrupt
+        self.check_cancel()
         left = time_left(time.monotonic() - self._started, progress.fraction)
         text = f"{progress.fraction:4.0%} {single_line(progress.label)}" + ("" if left is None else f", {format_duration(left)} left")
         self._write(text)
+
+    def check_cancel(self) -> None:
+        """Raise KeyboardInterrupt if the user has requested to cancel."""
+        if self._cancel_requested:
+            raise KeyboardInterrupt
 
     def clear(self) -> None:
         """Erase the line."""

@@ -1,5 +1,8 @@
 """The image that gives a material its color, as an array."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import bpy
 import numpy as np
 
@@ -21,7 +24,7 @@ def find_color_image(material: bpy.types.Material | None) -> tuple[bpy.types.Ima
     if material is None or not uses_nodes(material) or material.node_tree is None:
         return None, ""
     output = material.node_tree.get_output_node("ALL")
-    node = _find_image_node(output.inputs["Surface"], ()) if output is not None else None
+    node = find_image_node(output.inputs["Surface"], ()) if output is not None else None
     return (None, "") if node is None else (node.image, _uv_map_of(node))
 
 
@@ -32,14 +35,21 @@ def read_color_image(image: bpy.types.Image) -> tuple[np.ndarray, bool]:
         FileError: it has no pixels, for instance because its file is missing.
     """
     check_pixels(image)
+    with scaled_copy(image, MAX_SIDE) as source:
+        return to_linear(source, read_pixels(source)[..., :3]), source != image
+
+
+@contextmanager
+def scaled_copy(image: bpy.types.Image, max_side: int) -> Iterator[bpy.types.Image]:
+    """Yield an image of at most `max_side` pixels per side: `image` itself, or a copy that is removed afterwards."""
     side = max(image.size)
-    if side <= MAX_SIDE:
-        return _to_linear(image, read_pixels(image)[..., :3]), False
+    if side <= max_side:
+        yield image
+        return
     copy = image.copy()
     try:
-        scale = MAX_SIDE / side
-        copy.scale(max(1, round(image.size[0] * scale)), max(1, round(image.size[1] * scale)))
-        return _to_linear(copy, read_pixels(copy)[..., :3]), True
+        copy.scale(*(max(1, round(length * max_side / side)) for length in image.size))
+        yield copy
     finally:
         bpy.data.images.remove(copy)
 
@@ -52,14 +62,14 @@ def check_pixels(image: bpy.types.Image) -> None:
         )
 
 
-def _to_linear(image: bpy.types.Image, pixels: np.ndarray) -> np.ndarray:
+def to_linear(image: bpy.types.Image, pixels: np.ndarray) -> np.ndarray:
     """Return scene-linear colors. Pixels of float images are scene-linear already, others have the color space of the file."""
     if image.is_float or image.colorspace_settings.is_data:
         return np.ascontiguousarray(pixels)
     return decode_signed_srgb(pixels).astype(np.float32)
 
 
-def _find_image_node(socket: bpy.types.NodeSocket, groups: tuple[bpy.types.Node, ...]) -> bpy.types.Node | None:
+def find_image_node(socket: bpy.types.NodeSocket, groups: tuple[bpy.types.Node, ...]) -> bpy.types.Node | None:
     """Return the first image texture node before `socket`, depth-first. groups: the group nodes that contain it, outermost first."""
     visited: set[tuple[tuple[str, ...], str, str]] = set()
     pending = [(socket, groups)]

@@ -55,17 +55,28 @@ def find_base_color(material: bpy.types.Material) -> tuple[float, float, float, 
     linked. Materials without nodes have their viewport color."""
     if not uses_nodes(material) or material.node_tree is None:
         return tuple(material.diffuse_color)
-    output = material.node_tree.get_output_node("ALL")
+    node = find_surface_node(material)
+    color = None if node is None else _color_input(node)
+    return WHITE if color is None or color.links else (*tuple(color.default_value)[:3], 1.0)
+
+
+def find_surface_node(material: bpy.types.Material) -> bpy.types.Node | None:
+    """Return the shader node with a color input that is nearest to the output of a material, the first of mixed ones; None if there is
+    none."""
+    output = material.node_tree.get_output_node("ALL") if uses_nodes(material) and material.node_tree is not None else None
     socket = None if output is None else output.inputs["Surface"]
     for _ in range(MAX_NODES):
         if socket is None or not socket.links:
-            return WHITE
-        inputs = socket.links[0].from_node.inputs
-        color = next((item for item in inputs if item.name in COLOR_INPUTS and item.type == "RGBA"), None)
-        if color is not None:
-            return WHITE if color.links else (*tuple(color.default_value)[:3], 1.0)
-        socket = next((item for item in inputs if item.type == "SHADER" and item.links), None)
-    return WHITE
+            return None
+        node = socket.links[0].from_node
+        if _color_input(node) is not None:
+            return node
+        socket = next((item for item in node.inputs if item.type == "SHADER" and item.links), None)
+    return None
+
+
+def _color_input(node: bpy.types.Node) -> bpy.types.NodeSocket | None:
+    return next((item for item in node.inputs if item.name in COLOR_INPUTS and item.type == "RGBA"), None)
 
 
 def read_coded_image(image: bpy.types.Image) -> bytes:

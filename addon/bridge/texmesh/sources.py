@@ -37,8 +37,10 @@ class TexturedSource:
 NORMALS = "custom_normal"  # the attribute with the normals of smooth faces
 
 
-def read_textured_source(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> TexturedSource:
+def read_textured_source(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph, has_attributes: bool = True) -> TexturedSource:
     """Read the evaluated mesh of an object, with modifiers and shape keys, in object space, and the images that color its materials.
+
+    has_attributes: whether normals and color attributes are read, too.
 
     Raises:
         GeometryError: it has no faces or no area.
@@ -50,7 +52,7 @@ def read_textured_source(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph)
     uv_map, textures, remarks = _read_textures(item, evaluated)
     count = len(evaluated.triangles)
     corner_uvs = evaluated.at_corners(uv_map, np.arange(count)) if uv_map else np.zeros((count, 3, 2), np.float32)
-    values, attributes = _read_corner_values(evaluated)
+    values, attributes = _read_corner_values(evaluated) if has_attributes else (None, ())
     mesh = TriangleMesh(evaluated.vertices.astype(np.float64), evaluated.triangles, evaluated.material_indices)
     textured = build_textured_mesh(mesh, corner_uvs, values, item.name)
     remarks = [*remarks, *_describe_evaluation(item), *_describe_uvs(item.name, textured, bool(uv_map))]

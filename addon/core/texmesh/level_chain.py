@@ -52,7 +52,8 @@ class AllSettings:
 @dataclass(frozen=True)
 class Level:
     """One level. scale: the last scale whose features it has; 0 for the original. pixel_size: see `perception.switch_distances.Switch`, 0
-    for the original. switch: None for the original. constraint, drastic_steps: see `SubsetLevel`."""
+    for the original. switch, subset: None for the original. constraint, drastic_steps: see `SubsetLevel`. With the product "refit",
+    `subset` is what the level was before its vertices were moved."""
 
     mesh: TexturedMesh
     scale: int
@@ -60,6 +61,7 @@ class Level:
     switch: Switch | None
     constraint: str
     drastic_steps: tuple[str, ...]
+    subset: SubsetLevel | None = None
 
     @property
     def byte_count(self) -> int:
@@ -251,4 +253,4 @@ def _refit(mesh: TexturedMesh, kept: Sequence[_Candidate], settings: Simplificat
 
 def _to_level(item: _Candidate, switch: Switch | None) -> Level:
     constraint, drastic_steps = ("", ()) if item.subset is None else (item.subset.constraint, item.subset.drastic_steps)
-    return Level(item.mesh, item.scale, 0.0 if switch is None else switch.pixel_size, switch, constraint, drastic_steps)
+    return Level(item.mesh, item.scale, 0.0 if switch is None else switch.pixel_size, switch, constraint, drastic_steps, item.subset)

@@ -13,13 +13,13 @@ from ...core.bdam.build.terrain_build import build_terrain
 from ...core.bdam.fields.height_sources import OPENERS
 from ...core.bdam.fields.terrain_field import FieldSettings, TerrainField, open_field, warn_of_heights
 from ...core.bdam.settings import BdamSettings
-from ...core.errors import FileError, SettingsError
+from ...core.errors import SettingsError
 from ...core.files.scratch import Scratch
 from ...core.jobs.progress import Progress, Steps
 from .. import long_work, properties, start_job
 from ..error_reports import reports_errors
+from ..paths import BLEND_PREFIX, absolute_path
 
-BLEND_PREFIX = "//"
 MAX_KEPT_BYTES = 64 << 20  # of images of heights that stay in memory
 KINDS = [
     ("SOURCES", "Elevation Models", "Files with heights: GeoTIFF, .hgt, .asc, .npy or images"),
@@ -166,21 +166,12 @@ class FARFIELD_OT_bdam_build(start_job.StartJob, bpy.types.Operator):
         scratch = Scratch(MAX_KEPT_BYTES)
         field_settings = FieldSettings(settings.cell_size, settings.image_height, settings.allow_gaps)
         field = open_field(sources, field_settings, lambda path: scratch.keep(read_gray_image(path), 0))
-        return BuildJob(field, sources, images, _absolute(folder), settings, scratch)
+        return BuildJob(field, sources, images, absolute_path(folder), settings, scratch)
 
 
 def _read_paths(files: bpy.types.bpy_prop_collection) -> list[Path]:
     """Return the absolute paths of a list of files."""
-    return [_absolute(file.name) for file in files]
-
-
-def _absolute(path: str) -> Path:
-    """Return an absolute path. Raises FileError if it is relative to a .blend file that was never saved."""
-    if path.startswith(BLEND_PREFIX):
-        if not bpy.data.filepath:
-            raise FileError(f'The path "{path}" is relative to a file that was never saved; save the file or choose the path again.')
-        path = bpy.path.abspath(path)
-    return Path(path).absolute()
+    return [absolute_path(file.name) for file in files]
 
 
 CLASSES = (

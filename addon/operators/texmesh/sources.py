@@ -1,14 +1,17 @@
 """Which objects levels are made from."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 import bpy
 
 from ...bridge.meshes import SURFACE_TYPES, describe_type, is_in_view_layer
 from ...bridge.texmesh.level_sets import find_level_set
-from ...bridge.texmesh.sources import TexturedSource, read_textured_source
+from ...bridge.texmesh.sources import read_textured_source
 from ...bridge.visibility import temporarily_visible
 from ...core.errors import FarfieldError, GeometryError
+
+Source = TypeVar("Source")
 
 
 def source_objects(context: bpy.types.Context) -> list[bpy.types.Object]:
@@ -33,8 +36,12 @@ def refusal(item: bpy.types.Object, view_layer: bpy.types.ViewLayer) -> str:
     return ""
 
 
-def read_sources(context: bpy.types.Context, objects: Sequence[bpy.types.Object]) -> tuple[list[TexturedSource], list[str]]:
-    """Return what can be read of `objects`, and the names of the others with the reason.
+def read_sources(
+    context: bpy.types.Context,
+    objects: Sequence[bpy.types.Object],
+    read: Callable[[bpy.types.Object, bpy.types.Depsgraph], Source] = read_textured_source,
+) -> tuple[list[Source], list[str]]:
+    """Return what `read` returns of `objects`, and the names of the others with the reason.
 
     Raises:
         FarfieldError: none can be read.
@@ -47,7 +54,7 @@ def read_sources(context: bpy.types.Context, objects: Sequence[bpy.types.Object]
             continue
         try:
             with temporarily_visible(context, [item]) as depsgraph:  # originals are hidden while their levels are shown
-                sources.append(read_textured_source(item, depsgraph))
+                sources.append(read(item, depsgraph))
         except FarfieldError as error:
             errors.append(error)
     if not sources:

@@ -2,7 +2,10 @@
 
 from dataclasses import dataclass
 
-from .connectivity_encoding import ADDED_WEDGE, NEAREST, SAME_WEDGE, TOLD_PARENT
+import numpy as np
+
+from .coarse_fans import CoarseFans
+from .connectivity_encoding import ADDED_WEDGE, CANDIDATE, SAME_WEDGE, TOLD_PARENT
 from .sections import IntegerReader, damage, decode_signed
 from .triangle_traversal import BOTH, BOUNDARY, LEFT, NEW, OTHER, RIGHT
 
@@ -24,7 +27,7 @@ class ConnectivityDecoder:
     """Decodes the levels of a mesh one after the other.
 
     wedge_vertices: the vertex of each wedge so far. parents: of each vertex so far, -1 in the coarsest level. triangles: three wedges of
-    each triangle of the last level. vertex_references, wedge_references: of all vertices and wedges so far, see `LevelSymbols`.
+    each triangle of the last level. vertex_references, wedge_references: of the vertices and wedges that it adds, see `LevelSymbols`.
     """
 
     def __init__(self) -> None:
@@ -44,11 +47,13 @@ class ConnectivityDecoder:
         """
         self._streams = streams
         self._known_count, self._vertex_count = len(self.parents), vertex_count
+        corners = np.array([self.wedge_vertices[wedge] for wedge in self.triangles], np.int64).reshape(-1, 3)
+        self._fans = CoarseFans(corners, self._known_count)
         self._latest = self._first_wedges.copy()
         self._met: list[int] = []
         self._is_met = [False] * vertex_count
         self._last_known = self._last_vertex = self._last_wedge = 0
-        self.triangles = []
+        self.triangles, self.vertex_references, self.wedge_references = [], [], []
         self._border = _Border()
         self._symbol_count = 0
         for count in triangle_counts:
@@ -136,17 +141,24 @@ class ConnectivityDecoder:
         else:
             if symbol == OTHER:
                 vertex = self._read_vertex()
-            elif NEAREST <= symbol < NEAREST + 3:
-                vertex = self._find_nearest(near[symbol - NEAREST])
             else:
-                raise damage()
+                vertex = self._find_candidate(symbol - CANDIDATE, near)
             if vertex >= len(self.parents):
                 raise damage()
             wedge = self._read_wedge(self._latest[vertex], references)
         self._mark_met(vertex)
         return wedge
 
-    def _find_nearest(self, vertex: int) -> int:
+    def _find_candidate(self, index: int, near: Triple) -> int:
+        if not self._known_count:
+            raise damage()
+        candidate = self._fans.find_candidate(index, tuple(self._find_family(vertex) for vertex in near))
+        if candidate < 0:
+            raise damage()
+        return candidate
+
+    def _find_family(self, vertex: int) -> int:
+        """Return the vertex of coarser levels to which `vertex` belongs: itself or its parent."""
         return vertex if vertex < self._known_count else self.parents[vertex]
 
     def _read_vertex(self) -> int:
@@ -188,10 +200,10 @@ class ConnectivityDecoder:
 
     def _read_parent(self, references: Triple) -> int:
         symbol = self._streams.parent_symbols[len(self.parents) - self._known_count]
-        if symbol < TOLD_PARENT:
-            return self._find_nearest(references[symbol])
-        parent = self._find_nearest(references[0]) + decode_signed(self._streams.parents.read())
-        if symbol != TOLD_PARENT or not 0 <= parent < self._known_count:
+        if symbol != TOLD_PARENT:
+            return self._find_candidate(symbol, references)
+        parent = self._find_family(references[0]) + decode_signed(self._streams.parents.read())
+        if not 0 <= parent < self._known_count:
             raise damage()
         return parent
 

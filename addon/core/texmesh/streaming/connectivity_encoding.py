@@ -8,14 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .coarse_fans import CoarseFans
 from .mesh_order import OrderedLevel, OrderedMesh
 from .sections import encode_integers, encode_signed
 from .triangle_traversal import BOUNDARY, NEW, OTHER
 
-# Symbols beyond those of triangle_traversal: the vertex is the nearest vertex of coarser levels to the start, end or apex of the edge of
-# the border: its parent, or itself. OTHER: an integer tells the vertex.
-NEAREST = 6
-TOLD_PARENT = 3  # symbol of a parent that is none of these three
+CANDIDATE = 6  # the first of the symbols beyond those of triangle_traversal: the vertex is a candidate of `CoarseFans`
+TOLD_PARENT = 255  # symbol of a parent that is none of them
 SAME_WEDGE, ADDED_WEDGE, OTHER_WEDGE = 0, 1, 2  # codes of wedges: the predicted one, an added one, the first of the others in the ring
 
 
@@ -41,6 +40,8 @@ class ConnectivityEncoder:
     """Encodes the levels of a mesh one after the other."""
 
     def __init__(self, ordered: OrderedMesh) -> None:
+        self._wedge_vertices = ordered.wedge_vertices
+        self._triangles = np.zeros((0, 3), np.int32)  # of the last level
         self._vertices = ordered.wedge_vertices.tolist()
         self._parents = ordered.parents.tolist()
         self._next_wedges = list(range(len(self._vertices)))  # the next wedge of the same vertex, in a ring
@@ -50,6 +51,8 @@ class ConnectivityEncoder:
     def encode(self, level: OrderedLevel) -> LevelSymbols:
         """Return what tells the next `level`."""
         self._known_count, added = len(self._first_wedges), level.vertex_count - len(self._first_wedges)
+        self._fans = CoarseFans(self._triangles, self._known_count)
+        self._triangles = self._wedge_vertices[level.triangles]
         self._latest = self._first_wedges + [-1] * added
         self._ranks: dict[int, int] = {}
         self._last_known = self._last_vertex = self._last_wedge = 0
@@ -103,18 +106,18 @@ class ConnectivityEncoder:
             self._add_vertex(wedges[2], (start, end, top), references)
             self._mark_met(third)
             return NEW
-        nearest = [self._find_nearest(vertex) for vertex in (start, end, top)]
-        symbol = OTHER
-        if third not in self._ranks and third in nearest:
-            symbol = NEAREST + nearest.index(third)
-        else:
+        candidate = -1 if third in self._ranks else self._fans.find_index(third, self._find_families(start, end, top))
+        symbol = CANDIDATE + candidate
+        if candidate < 0:
+            symbol = OTHER
             self._tell(third)
         self._meet(wedges[2], self._latest[third], references)
         self._mark_met(third)
         return symbol
 
-    def _find_nearest(self, vertex: int) -> int:
-        return vertex if vertex < self._known_count else self._parents[vertex]
+    def _find_families(self, *vertices: int) -> tuple[int, ...]:
+        """Return the vertices of coarser levels to which `vertices` belong: themselves or their parents."""
+        return tuple(vertex if vertex < self._known_count else self._parents[vertex] for vertex in vertices)
 
     def _tell(self, vertex: int) -> None:
         """Append the integer that tells `vertex`: 0 for an added one."""
@@ -141,11 +144,11 @@ class ConnectivityEncoder:
         self._vertex_references.append(references)
         self._wedge_references.append(wedge_references)
         if self._known_count:
-            nearest = [self._find_nearest(reference) for reference in references]
-            parent = self._parents[vertex]
-            self._parent_symbols.append(nearest.index(parent) if parent in nearest else TOLD_PARENT)
-            if parent not in nearest:
-                self._told_parents.append(encode_signed(parent - nearest[0]))
+            families, parent = self._find_families(*references), self._parents[vertex]
+            candidate = self._fans.find_index(parent, families)
+            self._parent_symbols.append(TOLD_PARENT if candidate < 0 else candidate)
+            if candidate < 0:
+                self._told_parents.append(encode_signed(parent - families[0]))
 
     def _meet(self, wedge: int, predicted: int, references: tuple[int, int, int] | None = None) -> int:
         """Encode `wedge` of a vertex for which `predicted` is a wedge. Return its code."""

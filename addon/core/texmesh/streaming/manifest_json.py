@@ -83,7 +83,7 @@ def read_manifest(folder: Path) -> Manifest:
 def _to_manifest(values: dict[str, Any]) -> Manifest:
     return Manifest(
         name=str(values["name"]),
-        files={str(name): (_whole(size), str(digest)) for name, (size, digest) in values["files"].items()},
+        files={str(name): (_integer(size), str(digest)) for name, (size, digest) in values["files"].items()},
         mirrors=tuple(str(url) for url in values["mirrors"]),
         bounds=_to_bounds(values["bounds"], 3),
         uv_bounds=_to_bounds(values["uv_bounds"], 2),
@@ -92,7 +92,7 @@ def _to_manifest(values: dict[str, Any]) -> Manifest:
             PackageMaterial(
                 str(item["name"]),
                 _finite(item["base_color"], 4),
-                {str(role): _whole(index) for role, index in item["textures"].items()},
+                {str(role): _integer(index) for role, index in item["textures"].items()},
                 item["is_double_sided"] is True,
             )
             for item in values["materials"]
@@ -100,16 +100,16 @@ def _to_manifest(values: dict[str, Any]) -> Manifest:
         textures=tuple(
             PackageTexture(
                 str(item["role"]),
-                *(_whole(item[key]) for key in ("width", "height", "tile_size")),
+                *(_integer(item[key]) for key in ("width", "height", "tile_size")),
                 tuple(bytes.fromhex(header) for header in item["headers"]),
             )
             for item in values["textures"]
         ),
-        increment_count=_whole(values["increment_count"]),
+        increment_count=_integer(values["increment_count"]),
         increments=_to_section(values["increments"]),
         checksums=_to_section(values["checksums"]),
-        first_increment=_whole(values["first_increment"]),
-        plan=tuple(PlanRow(*(_whole(number) for number in row[:3]), *_finite(row[3:], 1)) for row in values["plan"]),
+        first_increment=_integer(values["first_increment"]),
+        plan=tuple(PlanRow(*(_integer(number) for number in row[:3]), *_finite(row[3:], 1)) for row in values["plan"]),
         time_limit=_finite([values["time_limit"]], 1)[0],
         pixels=_finite([values["pixels"]], 1)[0],
     )
@@ -117,16 +117,16 @@ def _to_manifest(values: dict[str, Any]) -> Manifest:
 
 def _to_level(values: dict[str, Any]) -> MeshLevel:
     return MeshLevel(
-        _whole(values["vertex_count"]),
-        _whole(values["wedge_count"]),
-        tuple(_whole(count) for count in values["triangle_counts"]),
+        _integer(values["vertex_count"]),
+        _integer(values["wedge_count"]),
+        tuple(_integer(count) for count in values["triangle_counts"]),
         *(_to_section(values[key]) for key in ("positions", "parents", "wedges", "uvs", "corners")),
         *_finite([values["pixels"]], 1),
     )
 
 
 def _to_section(values: list[Any]) -> Section:
-    return Section(*(_whole(value) for value in values))
+    return Section(*(_integer(value) for value in values))
 
 
 def _to_bounds(values: list[Any], dimension: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -134,7 +134,7 @@ def _to_bounds(values: list[Any], dimension: int) -> tuple[tuple[float, ...], tu
     return _finite(low, dimension), _finite(high, dimension)
 
 
-def _whole(value: object) -> int:
+def _integer(value: object) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= MAX_FILE_BYTES:
         raise ValueError(value)
     return value

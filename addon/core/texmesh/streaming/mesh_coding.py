@@ -7,7 +7,7 @@ Sections of a level (see `manifest.MeshLevel`), all of them raw DEFLATE:
 | corners | number of symbols, uint32 little-endian; symbols; LEB128 integers that tell vertices |
 | wedges | LEB128 codes of the wedges of corners |
 | parents | one symbol per added vertex; LEB128 integers that tell parents |
-| positions | byte planes of the residuals of added vertices: low and high bytes of x, y, z |
+| positions | 0 if positions are predicted by parallelograms, 1 if by affine functions of UVs; byte planes of the residuals of added vertices: low and high bytes of x, y, z |
 | uvs | byte planes of the residuals of added wedges: low and high bytes of u, v |
 
 The triangles of a level refer to vertices by what coarser levels are, so that a level needs all sections of coarser ones.
@@ -23,7 +23,8 @@ import numpy as np
 from .connectivity_decoding import ConnectivityDecoder, LevelStreams
 from .connectivity_encoding import ConnectivityEncoder, LevelSymbols
 from .manifest import MESH, Manifest, MeshLevel, Section
-from .mesh_order import OrderedMesh
+from .mesh_order import OrderedLevel, OrderedMesh
+from .position_prediction import find_affine_weights, predict, reconstruct
 from .sections import MAX_LEB128_BYTES, MAX_RATIO, IntegerReader, damage, decode_residuals, deflate, encode_residuals, inflate
 
 STEPS = 65535  # of 16-bit positions and texture coordinates, between the bounds
@@ -76,8 +77,7 @@ def encode_mesh(ordered: OrderedMesh, pixels: Sequence[float], material_count: i
     for level, size in zip(ordered.levels, pixels, strict=True):
         symbols = encoder.encode(level)
         sections = []
-        for part in _pack(symbols, positions, uvs, level.vertex_count, level.wedge_count):
-            packed = deflate(part)
+        for packed in _pack(symbols, level, ordered.wedge_vertices, positions, uvs):
             sections.append(Section(len(content), len(packed), zlib.crc32(packed)))
             content += packed
         corners, wedges, parents, level_positions, level_uvs = sections
@@ -105,22 +105,26 @@ def decode_level(content: bytes | memoryview, manifest: Manifest, level: int) ->
         FileError: the mesh is damaged, or contradicts the manifest.
     """
     decoder = ConnectivityDecoder()
-    residuals, uv_residuals = [], []
-    vertex_count = wedge_count = 0
+    positions, uvs = [[], [], []], [[], []]
     for item in manifest.levels[: level + 1]:
-        added = item.vertex_count - vertex_count
-        decoder.decode(_read_streams(content, item, added), item.triangle_counts, item.vertex_count)
+        known, known_wedges = len(positions[0]), len(uvs[0])
+        decoder.decode(_read_streams(content, item, item.vertex_count - known), item.triangle_counts, item.vertex_count)
         if len(decoder.wedge_vertices) != item.wedge_count:
             raise damage()
-        residuals.append(_read_residuals(content, item.positions, added, 3))
-        uv_residuals.append(_read_residuals(content, item.uvs, item.wedge_count - wedge_count, 2))
-        vertex_count, wedge_count = item.vertex_count, item.wedge_count
+        part = _read_part(content, item.uvs, 4 * (item.wedge_count - known_wedges))
+        reconstruct(uvs, decode_residuals(part, 2), decoder.wedge_references, None)
+        part = _read_part(content, item.positions, 1 + 6 * (item.vertex_count - known))
+        triangles, wedge_vertices = np.array(decoder.triangles, np.int64).reshape(-1, 3), np.array(decoder.wedge_vertices, np.int64)
+        weights = None
+        if part[0]:
+            weights = find_affine_weights(triangles, wedge_vertices, np.array(uvs, np.int64).T, known, item.vertex_count)
+        reconstruct(positions, decode_residuals(part[1:], 3), decoder.vertex_references, weights)
     counts = manifest.levels[level].triangle_counts
     return DecodedLevel(
-        positions=_add_predictions(np.concatenate(residuals), decoder.vertex_references),
-        wedge_vertices=np.array(decoder.wedge_vertices, np.int32),
-        uvs=_add_predictions(np.concatenate(uv_residuals), decoder.wedge_references),
-        triangles=np.array(decoder.triangles, np.int32).reshape(-1, 3),
+        positions=np.array(positions, np.uint16).T,
+        wedge_vertices=wedge_vertices.astype(np.int32),
+        uvs=np.array(uvs, np.uint16).T,
+        triangles=triangles.astype(np.int32),
         materials=np.repeat(np.arange(len(counts), dtype=np.int32), counts),
         parents=np.array(decoder.parents, np.int32),
     )
@@ -130,38 +134,28 @@ def _find_bounds(values: np.ndarray) -> Bounds:
     return tuple(values.min(axis=0).tolist()), tuple(values.max(axis=0).tolist())
 
 
-def _pack(symbols: LevelSymbols, positions: np.ndarray, uvs: np.ndarray, vertex_count: int, wedge_count: int) -> tuple[bytes, ...]:
-    """Return the sections corners, wedges, parents, positions and uvs, before compression."""
-    residuals = [
-        encode_residuals(values[count - len(references) : count] - _predict(values, references, count - len(references)))
-        for values, references, count in (
-            (positions, symbols.vertex_references, vertex_count),
-            (uvs, symbols.wedge_references, wedge_count),
-        )
-    ]
+def _pack(symbols: LevelSymbols, level: OrderedLevel, wedge_vertices: np.ndarray, positions: np.ndarray, uvs: np.ndarray) -> list[bytes]:
+    """Return the sections corners, wedges, parents, positions and uvs, compressed."""
+    known_count = level.vertex_count - len(symbols.vertex_references)
+    parallelograms = _add_references(positions, symbols.vertex_references, known_count)
+    affine = find_affine_weights(level.triangles, wedge_vertices[: level.wedge_count], uvs, known_count, level.vertex_count)
+    added = positions[known_count : level.vertex_count]
+    candidates = [parallelograms, predict(affine, positions, parallelograms)]
+    packed_positions = [deflate(bytes([kind]) + encode_residuals(added - values)) for kind, values in enumerate(candidates)]
+    known_wedges = level.wedge_count - len(symbols.wedge_references)
+    uv_residuals = uvs[known_wedges : level.wedge_count] - _add_references(uvs, symbols.wedge_references, known_wedges)
     corners = struct.pack("<I", len(symbols.symbols)) + symbols.symbols + symbols.vertices
-    return corners, symbols.wedges, symbols.parent_symbols + symbols.parents, *residuals
+    others = [deflate(part) for part in (corners, symbols.wedges, symbols.parent_symbols + symbols.parents, encode_residuals(uv_residuals))]
+    return [*others[:3], min(packed_positions, key=len), others[3]]
 
 
-def _predict(values: np.ndarray, references: np.ndarray, first_row: int) -> np.ndarray:
-    """Return the predictions (N, D) for the rows from `first_row` on, from `values` (M, D) by `references` (N, 3). Row 0 is predicted as 0:
-    it refers to itself."""
+def _add_references(values: np.ndarray, references: np.ndarray, known_count: int) -> np.ndarray:
+    """Return first + second - third of `values` (M, D) by `references` (N, 3). The very first one refers to itself; it is predicted as 0."""
     first, second, third = references.T
     prediction = values[first] + values[second] - values[third]
-    if first_row == 0:
+    if known_count == 0:
         prediction[:1] = 0
     return prediction
-
-
-def _add_predictions(residuals: np.ndarray, references: list[tuple[int, int, int]]) -> np.ndarray:
-    """Return the values (N, D) uint16 of `residuals` (N, D)."""
-    columns = []
-    for column in residuals.T.tolist():
-        values = [0] * len(column)
-        for index, ((first, second, third), residual) in enumerate(zip(references, column, strict=True)):
-            values[index] = (values[first] + values[second] - values[third] + residual) & STEPS
-        columns.append(values)
-    return np.array(columns, np.uint16).T
 
 
 def _read_streams(content: bytes | memoryview, level: MeshLevel, added: int) -> LevelStreams:
@@ -194,9 +188,10 @@ def _check_size(count: int, section: Section) -> None:
         raise damage()
 
 
-def _read_residuals(content: bytes | memoryview, section: Section, count: int, columns: int) -> np.ndarray:
-    _check_size(2 * columns * count, section)
-    part = inflate(section.read(content, MESH), 2 * columns * count)
-    if len(part) != 2 * columns * count:
+def _read_part(content: bytes | memoryview, section: Section, size: int) -> bytes:
+    """Return the `size` bytes of `section`."""
+    _check_size(size, section)
+    part = inflate(section.read(content, MESH), size)
+    if len(part) != size:
         raise damage()
-    return decode_residuals(part, columns)
+    return part

@@ -1,0 +1,54 @@
+"""The levels of a package as one binary glTF file for programs that know nothing of packages (MSFT_lod)."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...files.glb import GlbMaterial, GlbMesh, GlbNode, GlbPrimitive, GlbScene, encode_glb
+from ...geometry.mesh import vertex_normals
+from ...imaging.coded_images import encode
+from ..level_chain import LevelChain
+from ..perception.switch_distances import screen_coverage
+from ..textured_mesh import TexturedMesh
+from .material_sources import MaterialSource
+
+IMAGE_SIZE = (1920, 1080)  # pixels of the image whose covered fraction determines the level
+QUALITY = 95  # of JPEG
+
+
+def encode_levels(name: str, chain: LevelChain, materials: Sequence[MaterialSource], axes: np.ndarray) -> bytes:
+    """Return the quantized levels with their base colors. axes: (3, 3), from the axes of the mesh to those of glTF.
+
+    Raises:
+        FileError: the file would be too large.
+    """
+    meshes = [level.mesh for level in chain.levels]
+    vertices = meshes[0].vertices @ axes.T
+    bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
+    radius = 0.5 * float(np.linalg.norm(bounds[1] - bounds[0]))
+    nodes = [GlbNode(f"{name} L{index}", index) for index in range(len(meshes))]
+    if len(meshes) > 1:
+        coverages = (*(screen_coverage(level.pixel_size, radius, IMAGE_SIZE) for level in chain.levels[1:]), 0.0)
+        nodes[0] = GlbNode(nodes[0].name, 0, levels=tuple(range(1, len(meshes))), coverages=coverages)
+    images, indices = [], {}
+    for material in materials:
+        image = material.images.get("base_color")
+        if image is not None and id(image) not in indices:
+            indices[id(image)] = len(images)
+            images.append(encode(image, "jpeg", QUALITY))
+    glb_materials = [
+        GlbMaterial(item.name, item.base_color, indices.get(id(item.images.get("base_color"))), item.is_double_sided) for item in materials
+    ]
+    parts = [GlbMesh(node.name, tuple(_primitives(mesh, axes)), bounds) for node, mesh in zip(nodes, meshes, strict=True)]
+    return encode_glb(GlbScene(tuple(nodes), tuple(parts), tuple(glb_materials), tuple(images)), is_quantized=True)
+
+
+def _primitives(mesh: TexturedMesh, axes: np.ndarray) -> list[GlbPrimitive]:
+    """Return the triangles of each material with smooth normals."""
+    positions = (mesh.vertices @ axes.T)[mesh.wedge_vertices]
+    normals = (vertex_normals(mesh.vertices, mesh.triangles) @ axes.T)[mesh.wedge_vertices]
+    primitives = []
+    for material in np.unique(mesh.materials).tolist():
+        used, triangles = np.unique(mesh.wedge_triangles[mesh.materials == material], return_inverse=True)
+        primitives.append(GlbPrimitive(positions[used], triangles.reshape(-1, 3), normals[used], mesh.uvs[used], material=int(material)))
+    return primitives

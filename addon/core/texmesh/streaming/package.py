@@ -1,0 +1,194 @@
+"""Packages of textured meshes, from a mesh and its materials to the bytes of their files."""
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...imaging.mipmaps import Mipmaps
+from ...jobs.progress import Progress, Steps, subprogress
+from ...text import format_count
+from ..level_chain import AllSettings, LevelChain, make_levels
+from ..textured_mesh import TexturedMesh
+from .allocation import ErrorTable, make_plan, measure_errors
+from .increments import Increments, encode_increments
+from .levels_glb import encode_levels
+from .manifest import MESH, TEXTURES, Manifest, MeshLevel, PackageMaterial, Section
+from .material_sources import MaterialSource, build_color_mipmaps
+from .mesh_coding import Bounds, encode_mesh
+from .mesh_order import order_mesh
+from .package_files import LEVELS_GLB, describe_file
+from .settings import PackageSettings
+from .textures.building import BuiltTextures, build_textures
+from .textures.partial_textures import decode_textures
+from .textures.texture_tiles import TextureSource
+
+STOPS = 7  # numbers of increments at which the error of the textures is measured
+FIRST_STOP = 1.0 / 64.0  # of the bytes of all increments
+NO_TEXTURES = BuiltTextures((), Increments(*[np.zeros(0, np.int64)] * 5, np.zeros(0, np.float16)), b"", np.zeros(1))
+Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # from Blender's axes to those of packages and glTF
+
+
+@dataclass(frozen=True)
+class PackageReport:
+    """Figures about a package."""
+
+    name: str
+    levels: tuple[int, ...]
+    mesh_bytes: int
+    texture_bytes: int
+    table: ErrorTable
+
+    def describe(self) -> str:
+        """Return one sentence for the user."""
+        counts = ", ".join(f"{count:,}" for count in self.levels)
+        sizes = f"{self.mesh_bytes / 1e6:.2f} MB of mesh and {self.texture_bytes / 1e6:.2f} MB of textures"
+        return f'"{self.name}": {format_count(len(self.levels), "level")} with {counts} triangles, {sizes}.'
+
+
+@dataclass(frozen=True, eq=False)
+class Package:
+    """A package. contents: the bytes of its files by name, without those of the page. report: figures about it."""
+
+    manifest: Manifest
+    contents: dict[str, bytes]
+    report: PackageReport
+
+
+def build_package(
+    name: str,
+    mesh: TexturedMesh,
+    materials: Sequence[MaterialSource],
+    textures: Sequence[np.ndarray | None],
+    settings: AllSettings,
+    package_settings: PackageSettings,
+) -> Steps[Package]:
+    """Build the package of a mesh.
+
+    Args:
+        mesh: z upwards. materials: by number. textures: base colors for the analysis by material, (H, W, 3) float32, scene-linear, or None.
+        settings: of the levels; their product must be "subset".
+
+    Raises:
+        GeometryError, SettingsError: see `make_levels`, or a setting of the package cannot be used. ImageError: a texture cannot be coded.
+    """
+    texture_settings = package_settings.texture_settings(settings.perception.pixels_per_degree)
+    chain = yield from subprogress(make_levels(mesh, textures, settings, name), 0.0, 0.55)
+    yield Progress(0.55, "Coding meshes")
+    turned = replace(mesh, vertices=mesh.vertices @ Y_UP.T)
+    ordered = order_mesh(turned, [level.subset for level in chain.levels[1:]], chain.simplification)
+    coded = encode_mesh(ordered, _level_pixels(chain), len(materials))
+    sources, references = _list_sources(mesh, materials, chain)
+    built = NO_TEXTURES
+    if sources:
+        built = yield from subprogress(build_textures(sources, texture_settings), 0.6, 0.8)
+    table = yield from subprogress(_measure(chain, materials, built, references, settings, package_settings), 0.8, 0.98)
+    yield Progress(0.98, "Writing")
+    return _assemble(name, materials, references, chain, coded, built, table, package_settings)
+
+
+def _level_pixels(chain: LevelChain) -> tuple[float, ...]:
+    """Return for each level, coarsest first, the size in pixels up to which it looks like the next finer one; 0 for the finest."""
+    return (*(float(level.switch.pixels) for level in reversed(chain.levels[1:])), 0.0)
+
+
+def _list_sources(
+    mesh: TexturedMesh, materials: Sequence[MaterialSource], chain: LevelChain
+) -> tuple[list[TextureSource], list[dict[str, int]]]:
+    """Return the images that triangles show, each once, and for each material their indices by role."""
+    used = set(np.unique(mesh.materials).tolist())
+    users: dict[tuple[str, int], list[int]] = {}
+    for number, material in enumerate(materials):
+        for role, image in material.images.items():
+            if number in used:
+                users.setdefault((role, id(image)), []).append(number)
+    sources, references = [], [{} for _ in materials]
+    for (role, _), numbers in users.items():
+        image = materials[numbers[0]].images[role]
+        title = f"{role} of {materials[numbers[0]].name}"
+        sources.append(TextureSource(role, image, mesh, tuple(numbers), chain.scale_map.last_scales, title))
+        for number in numbers:
+            references[number][role] = len(sources) - 1
+    return sources, references
+
+
+def _measure(
+    chain: LevelChain,
+    materials: Sequence[MaterialSource],
+    built: BuiltTextures,
+    references: Sequence[dict[str, int]],
+    settings: AllSettings,
+    package_settings: PackageSettings,
+) -> Steps[ErrorTable]:
+    """Measure the errors of levels and of parts of the base colors."""
+    colors = [reference.get("base_color") for reference in references]
+
+    def mipmaps(images: Sequence[np.ndarray | None]) -> list[Mipmaps | None]:
+        return [build_color_mipmaps(image, material.base_color) for image, material in zip(images, materials, strict=True)]
+
+    def decode(count: int) -> list[Mipmaps | None]:
+        images = decode_textures(built.textures, built.increments, built.content, count)
+        return mipmaps([None if index is None else images[index] for index in colors])
+
+    original = mipmaps([material.images.get("base_color") for material in materials])
+    levels = [level.mesh for level in reversed(chain.levels)]
+    pixels_per_degree = settings.perception.pixels_per_degree
+    return (
+        yield from measure_errors(levels, original, _choose_stops(built.increments), decode, package_settings.pixels, pixels_per_degree)
+    )
+
+
+def _choose_stops(increments: Increments) -> list[int]:
+    """Return numbers of increments, ascending, whose bytes grow by equal factors up to all."""
+    if not len(increments.sizes):
+        return [0]
+    ends = np.cumsum(increments.sizes)
+    wanted = np.geomspace(ends[-1] * FIRST_STOP, ends[-1], STOPS)
+    return np.unique(np.searchsorted(ends, wanted) + 1).clip(max=len(ends)).tolist()
+
+
+def _assemble(
+    name: str,
+    materials: Sequence[MaterialSource],
+    references: Sequence[dict[str, int]],
+    chain: LevelChain,
+    coded: tuple[bytes, tuple[MeshLevel, ...], Bounds, Bounds],
+    built: BuiltTextures,
+    table: ErrorTable,
+    settings: PackageSettings,
+) -> Package:
+    """Return the files of the package and its manifest."""
+    sizes = np.asarray(built.increments.sizes, np.int64)
+    encoded = encode_increments(built.increments)
+    view, ends = memoryview(built.content), np.cumsum(sizes)
+    parts = [view[end - size : end] for end, size in zip(ends.tolist(), sizes.tolist(), strict=True)]
+    checksums = np.array([zlib.crc32(part) for part in parts], "<u4").tobytes()
+    mesh_content, levels, bounds, uv_bounds = coded
+    contents = {MESH: mesh_content, TEXTURES: b"".join([encoded, checksums, built.content])}
+    mesh_sizes = np.cumsum([level.size for level in levels]).tolist()
+    manifest = Manifest(
+        name=name,
+        files={file: describe_file(content) for file, content in contents.items()},
+        mirrors=settings.mirror_urls(),
+        bounds=bounds,
+        uv_bounds=uv_bounds,
+        levels=levels,
+        materials=tuple(
+            PackageMaterial(material.name, material.base_color, dict(reference), material.is_double_sided)
+            for material, reference in zip(materials, references, strict=True)
+        ),
+        textures=built.textures,
+        increment_count=len(sizes),
+        increments=Section(0, len(encoded), zlib.crc32(encoded)),
+        checksums=Section(len(encoded), len(checksums), zlib.crc32(checksums)),
+        first_increment=len(encoded) + len(checksums),
+        plan=make_plan(table, mesh_sizes, sizes),
+        time_limit=settings.time_limit,
+        pixels=float(settings.pixels),
+    )
+    if settings.with_glb:
+        contents[LEVELS_GLB] = encode_levels(name, chain, materials, Y_UP)
+    counts = tuple(sum(level.triangle_counts) for level in reversed(levels))
+    report = PackageReport(name, counts, len(contents[MESH]), len(contents[TEXTURES]), table)
+    return Package(manifest, contents, report)

@@ -1,0 +1,69 @@
+"""Settings of packages."""
+
+from dataclasses import dataclass
+from urllib.parse import urlsplit
+
+from ...errors import SettingsError
+from ...settings import Settings, Unit, setting
+from .textures.settings import TextureSettings
+
+PACKAGE = "Package"
+BLOCK = 16  # pixels of a side of the largest blocks of JPEG
+SCHEMES = ("http", "https")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PackageSettings(Settings):
+    """What a package is made for."""
+
+    time_limit: float = setting(
+        10.0,
+        "Time within which the model is complete. The page can change it",
+        minimum=0.5,
+        maximum=3600.0,
+        unit=Unit.SECONDS,
+        group=PACKAGE,
+    )
+    pixels: int = setting(
+        512,
+        "Size of the object in the image that bytes are divided for between mesh and parts of textures, in pixels",
+        minimum=16,
+        maximum=4096,
+        unit=Unit.COUNT,
+        group=PACKAGE,
+    )
+    quality: int = setting(
+        TextureSettings.quality, "JPEG quality of complete textures", minimum=1, maximum=98, unit=Unit.COUNT, group=PACKAGE
+    )
+    tile_size: int = setting(
+        TextureSettings.tile_size,
+        "Side of the tiles of textures in pixels, a multiple of 16",
+        minimum=16,
+        maximum=1024,
+        unit=Unit.COUNT,
+        group=PACKAGE,
+    )
+    mirrors: str = setting("", "URLs of folders with copies of the package, separated by commas", group=PACKAGE)
+    with_glb: bool = setting(True, "Also write a .glb file with all levels, for other programs", label="glTF File", group=PACKAGE)
+
+    def texture_settings(self, pixels_per_degree: float) -> TextureSettings:
+        """Return the settings of the textures.
+
+        Raises:
+            SettingsError: the size of tiles is no multiple of the blocks of JPEG.
+        """
+        if self.tile_size % BLOCK:
+            raise SettingsError(f"Tile Size is {self.tile_size}; it must be a multiple of {BLOCK}.", ("tile_size",))
+        return TextureSettings(tile_size=self.tile_size, quality=self.quality, pixels=self.pixels, pixels_per_degree=pixels_per_degree)
+
+    def mirror_urls(self) -> tuple[str, ...]:
+        """Return the URLs of the mirrors, each ending in "/".
+
+        Raises:
+            SettingsError: one is no URL of a web server.
+        """
+        urls = [url.strip() for url in self.mirrors.split(",") if url.strip()]
+        for url in urls:
+            if urlsplit(url).scheme not in SCHEMES or not urlsplit(url).netloc:
+                raise SettingsError(f'Mirrors has "{url}", which is no URL; write it as https://example.org/folder/.', ("mirrors",))
+        return tuple(url if url.endswith("/") else f"{url}/" for url in urls)

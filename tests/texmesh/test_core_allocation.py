@@ -1,0 +1,74 @@
+"""Division of bytes between mesh and texture: the prediction of errors, and the plan."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from farfield.addon.core.geometry.mesh import TriangleMesh
+from farfield.addon.core.imaging.mipmaps import build_mipmaps
+from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.texmesh.streaming.allocation import ErrorTable, combine_errors, make_plan, measure_errors
+from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
+
+errors = st.floats(0.0, 1.0)
+
+
+@given(errors, errors, st.floats(1.0, 8.0))
+def test_combined_error_is_between_largest_and_sum(first, second, exponent):
+    combined = float(combine_errors(first, second, exponent))
+    assert max(first, second) - 1e-9 <= combined <= first + second + 1e-9
+
+
+def make_table(levels: int = 3, stops: int = 4) -> ErrorTable:
+    counts = np.linspace(2, 40, stops).astype(np.int64)
+    return ErrorTable(np.linspace(0.3, 0.0, levels), counts, np.linspace(0.4, 0.01, stops), 2.0, 0.0)
+
+
+@given(st.integers(1, 5), st.integers(2, 6), st.integers(0, 2**32 - 1))
+def test_plan_is_a_front(levels, stops, seed):
+    generator = np.random.default_rng(seed)
+    table, sizes = make_table(levels, stops), generator.integers(1, 9000, 40)
+    mesh_sizes = np.sort(generator.integers(1, 50_000, levels)).tolist()
+    plan = make_plan(table, mesh_sizes, sizes)
+    assert all(first.byte_count < second.byte_count and first.flip > second.flip for first, second in pairwise(plan))
+    assert plan[0].byte_count == mesh_sizes[0] + sizes[:2].sum()
+    assert plan[-1].flip == pytest.approx(float(table.predict(levels - 1, sizes.sum(), np.cumsum(sizes)[table.counts - 1])), abs=1e-6)
+    for row in plan:
+        assert row.byte_count == mesh_sizes[row.level] + sizes[: row.increment_count].sum()
+
+
+def test_best_use_of_few_bytes_is_the_texture_when_the_mesh_hardly_matters():
+    table = ErrorTable(np.array([0.02, 0.0]), np.array([1, 10]), np.array([0.5, 0.0]), 2.0, 0.0)
+    plan = make_plan(table, [10, 100_000], np.full(10, 1000))
+    assert [row.level for row in plan[:-1]] == [0] * (len(plan) - 1)
+    assert plan[-1].level == 1
+
+
+def make_sphere(rings: int) -> TexturedMesh:
+    v, u = np.meshgrid(np.linspace(0.0, 1.0, rings + 1), np.linspace(0.0, 1.0, 2 * rings + 1), indexing="ij")
+    polar, azimuth = np.pi * v, 2.0 * np.pi * u
+    positions = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), -np.cos(polar)], axis=-1).reshape(-1, 3)
+    uvs = np.stack([u, v], axis=-1).reshape(-1, 2)
+    index = np.arange(len(positions)).reshape(rings + 1, -1)
+    a, b, c, d = index[:-1, :-1].ravel(), index[:-1, 1:].ravel(), index[1:, 1:].ravel(), index[1:, :-1].ravel()
+    triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]).astype(np.int32)
+    mesh = TriangleMesh(positions, triangles, np.zeros(len(triangles), np.int32))
+    return build_textured_mesh(mesh, uvs[triangles].astype(np.float32), np.zeros((len(triangles), 3, 0), np.float32), "sphere")
+
+
+def test_measured_errors_fall_with_levels_and_increments():
+    levels = [make_sphere(rings) for rings in (4, 8, 24)]
+    noise = np.random.default_rng(5).random((64, 64, 3)).astype(np.float32)
+    original = [build_mipmaps(noise)]
+
+    def decode(count: int):
+        return [build_mipmaps(noise * (count / 8.0) + 0.5 * (1.0 - count / 8.0))]
+
+    table = run_to_end(measure_errors(levels, original, [1, 4, 8], decode, 96, 67.0))
+    assert table.level_errors[0] > table.level_errors[1] > table.level_errors[2] == 0.0
+    assert table.texture_errors[0] > table.texture_errors[1] > table.texture_errors[2] == 0.0
+    assert 1.0 <= table.exponent <= 8.0
+    assert table.residual < 0.1
