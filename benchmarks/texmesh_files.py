@@ -68,10 +68,7 @@ def read_glb(path: Path) -> TexturedMesh:
 
     Materials keep their numbers, or those of `write_obj`.
     """
-    data = path.read_bytes()
-    length = struct.unpack_from("<I", data, 12)[0]
-    document = json.loads(data[20 : 20 + length])
-    binary = data[20 + length + 8 :]
+    document, binary = split_glb(path)
     names: dict[str, int] = {}
     numbers = [_find_material(entry.get("name", str(index)), names) for index, entry in enumerate(document.get("materials", []))]
     points, uvs, triangles, materials = [], [], [], []
@@ -92,6 +89,13 @@ def read_glb(path: Path) -> TexturedMesh:
     faces = np.concatenate(triangles).astype(np.int32)
     mesh = TriangleMesh(np.concatenate(points), faces, np.concatenate(materials))
     return build_textured_mesh(mesh, np.concatenate(uvs)[faces], name=path.stem)
+
+
+def split_glb(path: Path) -> tuple[dict[str, Any], bytes]:
+    """Return the JSON document and the binary buffer of a .glb."""
+    data = path.read_bytes()
+    length = struct.unpack_from("<I", data, 12)[0]
+    return json.loads(data[20 : 20 + length]), data[20 + length + 8 :]
 
 
 def _list_nodes(document: dict[str, Any]) -> list[tuple[dict[str, Any], np.ndarray]]:

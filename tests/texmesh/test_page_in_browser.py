@@ -18,7 +18,7 @@ from scipy import ndimage
 pytest.importorskip("tornado")
 
 from chromium import SKIP_REASON, Page, find_chromium, run_chromium
-from farfield.addon.core.imaging.images import sample_bilinear
+from farfield.addon.core.imaging.mipmaps import build_mipmaps, measure_footprints, sample_mipmaps
 from farfield.addon.core.imaging.texture_renders import locate_pixels
 from farfield.addon.core.texmesh.streaming.manifest import MESH, TEXTURES, Manifest
 from farfield.addon.core.texmesh.streaming.mesh_coding import decode_level, dequantize
@@ -60,7 +60,7 @@ def read_capture(page: Page) -> np.ndarray:
 
 def render_level(page: Page, folder: Path, manifest: Manifest, level: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the image (H, W, 3) float32 of a level as the page has to show it, sRGB from 0 to 255, and which pixels (H, W) bool are of one
-    continuous piece of the surface with their neighbors. Textures are sampled without mipmaps."""
+    continuous piece of the surface with their neighbors."""
     decoded = decode_level((folder / MESH).read_bytes(), manifest, level)
     positions, uvs = dequantize(decoded.positions, manifest.bounds), dequantize(decoded.uvs, manifest.uv_bounds).astype(np.float64)
     width, height, clip = page.evaluate("(({width, height}) => [width, height, farfield.orbit.matrices(width / height).clip])(view)")
@@ -77,16 +77,17 @@ def render_level(page: Page, folder: Path, manifest: Manifest, level: int) -> tu
     found, owners = located.interpolate(corner_uvs), materials[located.triangles]
     colors = np.zeros((len(found), 3), np.float32)
     for material, texture in enumerate(decode_textures(folder, manifest)):
-        linear = to_linear(texture[::-1] / np.float32(255.0))
+        mipmaps = build_mipmaps(to_linear(texture[::-1] / np.float32(255.0)))
+        footprints = measure_footprints(corners, corner_uvs, texture.shape[1::-1])
         rows = owners == material
         upwards = found[rows] * [1.0, -1.0] + [0.0, 1.0]
-        colors[rows] = sample_bilinear(linear, upwards % 1.0 * texture.shape[1::-1])
+        colors[rows] = sample_mipmaps(mipmaps, upwards, footprints[located.triangles[rows]])
     image = np.zeros((height, width, 3), np.float32)
     image[located.covered] = 255.0 * to_srgb(colors)
-    uv_image, is_inner = np.full((height, width, 2), np.inf), ndimage.binary_erosion(located.covered, np.ones((5, 5)))
+    uv_image, is_inner = np.full((height, width, 2), 1e9), ndimage.binary_erosion(located.covered, np.ones((5, 5)))
     uv_image[located.covered] = found
     spans = [ndimage.maximum_filter(uv_image[..., axis], 3) - ndimage.minimum_filter(uv_image[..., axis], 3) for axis in (0, 1)]
-    return image, is_inner & (np.nan_to_num(np.maximum(*spans), nan=np.inf) < 0.05)
+    return image, is_inner & (np.maximum(*spans) < 0.05)
 
 
 def to_linear(values: np.ndarray) -> np.ndarray:
@@ -136,7 +137,8 @@ def test_pixels_are_those_of_level(shown, package, level, zoom):
     assert (found[is_inner, 3] == 255).all()
     differences = np.abs(found[is_inner, :3].astype(np.float32) - expected[is_inner])
     assert is_inner.mean() > 0.05
-    assert np.quantile(differences, 0.995) <= (3.0 if zoom > 1.0 else 8.0)  # zoomed out, the page uses mipmaps
+    # Edges are smoothed on the page; where it is zoomed out, there are many.
+    assert np.quantile(differences, 0.99 if zoom > 1.0 else 0.9) <= 2.0
     assert differences.mean() < 1.0
 
 
@@ -159,7 +161,7 @@ def test_keys_and_wheel_move_the_camera(shown):
         shown.call("Input.dispatchKeyEvent", type="keyDown", key=key, modifiers=shift)
         shown.call("Input.dispatchKeyEvent", type="keyUp", key=key, modifiers=shift)
     after = shown.evaluate(read)
-    assert after[0] < azimuth and after[1] > elevation and after[2] > zoom and after[3] < height
+    assert after[0] > azimuth and after[1] < elevation and after[2] > zoom and after[3] < height
     shown.call("Input.dispatchMouseEvent", type="mouseWheel", x=300, y=200, deltaX=0, deltaY=-200)
     shown.wait_for(f"farfield.orbit.zoom > {after[2]}")
     shown.call("Input.dispatchKeyEvent", type="keyDown", key="Home")
@@ -219,6 +221,8 @@ def run_static_server(folder: Path) -> Iterator[str]:
     with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
-        yield f"http://127.0.0.1:{server.server_address[1]}/"
-        server.shutdown()
-        thread.join()
+        try:
+            yield f"http://127.0.0.1:{server.server_address[1]}/"
+        finally:
+            server.shutdown()
+            thread.join()

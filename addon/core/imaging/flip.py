@@ -81,7 +81,7 @@ def prepare_image(pixels: np.ndarray, pixels_per_degree: float = DEFAULT_PIXELS_
     # In double precision: of gray, the chromatic parts must vanish, since the error grows with a small power of a difference.
     opponent = (linear.astype(np.float64) @ OPPONENT_OF_RGB.T).astype(np.float32)
     edges, points = _detect_features(opponent[..., 0], pixels_per_degree)
-    return FlipImage(_adjust_hunt(_lab(_blur(opponent, pixels_per_degree))), edges, points)
+    return FlipImage(adjust_hunt(lab_colors(_blur(opponent, pixels_per_degree))), edges, points)
 
 
 def compare(reference: FlipImage, image: FlipImage) -> np.ndarray:
@@ -152,14 +152,14 @@ def _balance(weights: np.ndarray) -> np.ndarray:
     return np.where(weights < 0.0, weights / negative, weights / positive)
 
 
-def _lab(relative: np.ndarray) -> np.ndarray:
+def lab_colors(relative: np.ndarray) -> np.ndarray:
     """Return CIELAB colors (..., 3) of XYZ values relative to the white."""
     roots = np.where(relative > CUBE_ROOT_LIMIT, np.cbrt(relative), LINE_FACTOR * relative + LINE_OFFSET)
     x, y, z = np.moveaxis(roots, -1, 0)
     return np.stack([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)], axis=-1)
 
 
-def _adjust_hunt(lab: np.ndarray) -> np.ndarray:
+def adjust_hunt(lab: np.ndarray) -> np.ndarray:
     """Return CIELAB colors whose chroma grows with luminance (Hunt effect)."""
     return np.concatenate([lab[..., :1], 0.01 * lab[..., :1] * lab[..., 1:]], axis=-1)
 
@@ -171,5 +171,5 @@ def _hyab(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 RGB_OF_RELATIVE = (np.linalg.inv(XYZ_OF_RGB) * WHITE).astype(np.float32)
-GREEN, BLUE = (_adjust_hunt(_lab(XYZ_OF_RGB[:, channel] / WHITE)) for channel in (1, 2))
+GREEN, BLUE = (adjust_hunt(lab_colors(XYZ_OF_RGB[:, channel] / WHITE)) for channel in (1, 2))
 MAX_DIFFERENCE = float(_hyab(GREEN, BLUE)) ** COLOR_EXPONENT  # between the two most different colors of a display

@@ -14,7 +14,7 @@ from ...textured_mesh import TexturedMesh
 from ..manifest import MAX_TEXTURE_SIDE, MAX_TILES, ROLES
 
 MARGIN = 4  # texels around triangles that are used too: bilinear samples and mipmaps read them
-MAX_PERIODS = 1e-9  # texture coordinates beyond 0..1 by more repeat the texture
+MAX_PERIODS = 16  # of a texture that repeats; with more, all of it is used
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,19 +78,23 @@ def check_source(source: TextureSource, tile_size: int) -> TileGrid:
 def find_used_texels(source: TextureSource, grid: TileGrid) -> np.ndarray:
     """Return which texels of the padded texture triangles show, (H', W') bool, row 0 at the top: those within MARGIN of one.
 
-    A texture that repeats is used wherever it is.
+    A texture that repeats often is used wherever it is.
     """
     corners = texel_corners(source, grid)
     size = np.array([grid.width, grid.height])
     used = np.zeros(grid.padded_shape, bool)
-    if (corners < -MAX_PERIODS * size).any() or (corners > (1.0 + MAX_PERIODS) * size).any():
+    periods = corners.reshape(-1, 2) / size
+    first, last = np.floor(periods.min(axis=0)).astype(np.int64), np.ceil(periods.max(axis=0)).astype(np.int64)
+    if (last - first).prod() > MAX_PERIODS:
         used[: grid.height, : grid.width] = True
         return used
     flat = np.zeros(grid.width * grid.height, bool)
-    for _, pixels, _ in rasterize(corners, (grid.width, grid.height)):
-        flat[pixels] = True
+    for x in range(first[0], last[0]):
+        for y in range(first[1], last[1]):
+            for _, pixels, _ in rasterize(corners - size * [x, y], (grid.width, grid.height)):
+                flat[pixels] = True
     inside = flat.reshape(grid.height, grid.width)
-    ends = np.clip(np.floor(corners.reshape(-1, 2)).astype(np.int64), 0, size - 1)  # of triangles between the centers of texels
+    ends = np.floor(corners.reshape(-1, 2)).astype(np.int64) % size  # of triangles between the centers of texels
     inside[ends[:, 1], ends[:, 0]] = True
     used[: grid.height, : grid.width] = _grow(inside, MARGIN)
     return used

@@ -1,0 +1,183 @@
+"""One texture, coded: the bytes and the predicted errors of all scans of its tiles, in the best order for each tile."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ....jobs.progress import Progress, Steps
+from ..manifest import PackageTexture
+from .block_errors import (
+    color_sensitivities,
+    data_sensitivities,
+    filter_energies,
+    measure_gains,
+    predict_flip,
+)
+from .dct_blocks import BLOCK, COEFFICIENTS, quantize, standard_steps, transform_tiles
+from .settings import TextureSettings
+from .texture_tiles import TextureSource, TileGrid, cut_tiles, fill_unused, find_used_texels
+from .tile_coding import MAX_DC_SHIFT, Scan, build_tables, code_scan, find_first_shifts, list_scans, write_header
+from .visibility import FOOTPRINT_LEVELS, level_footprints
+
+COLOR_ROLES = {"base_color", "emission"}
+BATCH_TEXELS = 1 << 20  # coded at once
+SAMPLE_TILES = 64  # whose symbols decide the Huffman tables, at 128 pixels
+MIN_VISIBILITY = 1e-3  # of blocks that no view shows, relative to the mean of the used ones
+ROUNDING = 0.6  # fraction of a step from which coefficients are rounded up
+
+
+@dataclass(frozen=True, eq=False)
+class CodedTexture:
+    """A texture of N used tiles.
+
+    texture: with the header. tiles: (N,) their numbers. contents: their scans, each in the best order. sizes: (N, K) bytes of the scans, 0
+    behind the last one. errors: (N, K + 1) predicted FLIP error of the tile's pixels without and with the first scans, times the fraction
+    of all pixels of the object that show the tile.
+    """
+
+    texture: PackageTexture
+    tiles: np.ndarray
+    contents: list[list[bytes]]
+    sizes: np.ndarray
+    errors: np.ndarray
+
+
+def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, settings: TextureSettings) -> Steps[CodedTexture]:
+    """Code the tiles of a texture, those that triangles use.
+
+    Args:
+        visibility: (rows, columns, FOOTPRINT_LEVELS) of blocks, see `measure_visibility`.
+    """
+    side, blocks = grid.tile_size, (grid.tile_size // BLOCK) ** 2
+    used = find_used_texels(source, grid)
+    image = fill_unused(source, grid, used)
+    components = 1 if (image[..., 1:] == image[..., :1]).all() else 3
+    used_tiles = cut_tiles(used, side)
+    numbers = np.flatnonzero(used_tiles.any(axis=(1, 2)))
+    shown = cut_tiles(visibility, side // BLOCK)[numbers].reshape(len(numbers), blocks, FOOTPRINT_LEVELS)
+    used_blocks = cut_tiles(used.reshape(-1, side // BLOCK * grid.columns, BLOCK).any(axis=2)[::BLOCK], side // BLOCK)
+    del used
+    tiles = cut_tiles(image, side)[numbers]
+    del image
+    fractions = _floor_fractions(shown.sum(axis=2), used_blocks[numbers].reshape(len(numbers), blocks))
+    is_color = source.role in COLOR_ROLES
+    energies = filter_energies(level_footprints(), settings.pixels_per_degree)[[0, 1, 2] if is_color else [0, 0, 0]][:components]
+    steps, scans = standard_steps(settings.quality, components), list_scans(components)
+    quantized = np.empty((components, len(numbers), blocks, COEFFICIENTS), np.int16)
+    before = np.empty((len(numbers), blocks), np.float32)
+    gains = np.empty((len(scans), len(numbers), blocks), np.float32)
+    common = shown.sum(axis=(0, 1))
+    batch = max(BATCH_TEXELS // side**2, 1)
+    for start in range(0, len(numbers), batch):
+        yield Progress(0.5 * start / len(numbers), "Measuring errors of textures")
+        rows = slice(start, start + batch)
+        coefficients = transform_tiles(tiles[rows], components)
+        quantized[:, rows] = quantize(coefficients, steps, ROUNDING)
+        weights = _weigh_blocks(coefficients, shown[rows], common, energies, is_color)
+        before[rows], gains[:, rows] = measure_gains(coefficients, quantized[:, rows], steps, scans, weights)
+    del tiles
+    samples = np.unique(np.linspace(0, len(numbers) - 1, min(len(numbers), max(SAMPLE_TILES * 128**2 // side**2, 4))).astype(np.int64))
+    tables = build_tables(quantized[:, samples], np.abs(quantized).max(axis=(1, 2)), scans)
+    contents: list[list[bytes]] = []
+    for start in range(0, len(numbers), batch):
+        yield Progress(0.5 + 0.5 * start / len(numbers), "Coding textures")
+        part = quantized[:, start : start + batch]
+        tops = find_first_shifts(part, scans)
+        coded = [code_scan(part, scan, top, tables) for scan, top in zip(scans, tops, strict=True)]
+        contents += [list(scans_of_tile) for scans_of_tile in zip(*coded, strict=True)]
+    sizes = np.array([[len(scan) for scan in scans_of_tile] for scans_of_tile in contents])
+    _carry_gains(gains, sizes)
+    order = order_scans(sizes, (gains * fractions).sum(axis=2).T, scans)
+    errors = _predict_errors(before, gains, order, fractions)
+    ordered = [[scans_of_tile[index] for index in row] for scans_of_tile, row in zip(contents, order.tolist(), strict=True)]
+    texture = PackageTexture(source.role, grid.width, grid.height, side, (write_header(side, steps, tables),))
+    return CodedTexture(texture, numbers, ordered, np.take_along_axis(sizes, order, axis=1), errors)
+
+
+def order_scans(sizes: np.ndarray, gains: np.ndarray, scans: Sequence[Scan]) -> np.ndarray:
+    """Return the order (N, K) int64 of the K scans of N tiles: the next is the one with the largest gain per byte, after those before it in
+    its band, the first of DC coefficients first of all. Scans without bytes come last.
+
+    Args:
+        sizes: (N, K) bytes, 0 for scans that a tile does not have. gains: (N, K).
+    """
+    count = len(scans)
+    rates = np.where(sizes > 0, gains / np.maximum(sizes, 1), -np.inf)
+    waits = np.zeros(sizes.shape, bool)  # for the scan before
+    for index in range(1, count):
+        is_same = (scans[index].component, scans[index].first) == (scans[index - 1].component, scans[index - 1].first)
+        waits[:, index] = (sizes[:, index - 1] > 0) if is_same else True
+    rows = np.arange(len(sizes))
+    order = np.empty(sizes.shape, np.int64)
+    is_done = np.zeros(sizes.shape, bool)
+    follows = [
+        index + 1
+        if index + 1 < count and (scans[index].component, scans[index].first) == (scans[index + 1].component, scans[index + 1].first)
+        else -1
+        for index in range(count)
+    ]
+    is_start = np.array([index == 0 or follows[index - 1] < 0 for index in range(count)])
+    for place in range(count):
+        allowed = np.where(is_done | waits, -np.inf, rates)
+        chosen = allowed.argmax(axis=1)
+        nothing = ~np.isfinite(allowed[rows, chosen])
+        chosen[nothing] = (~is_done[nothing]).argmax(axis=1)
+        order[:, place] = chosen
+        is_done[rows, chosen] = True
+        following = np.array(follows)[chosen]
+        has_next = following >= 0
+        waits[rows[has_next], following[has_next]] = False
+        first_dc = scans[0].component is None and place == 0
+        if first_dc:
+            waits[:, is_start] = False
+    return order
+
+
+def _carry_gains(gains: np.ndarray, sizes: np.ndarray) -> None:
+    """Move the `gains` (K, N, B) of scans of DC coefficients that a tile does not have, since it begins with a lower bit, to the next."""
+    for index in range(MAX_DC_SHIFT):
+        is_missing = sizes[:, index] == 0
+        gains[index + 1, is_missing] += gains[index, is_missing]
+        gains[index, is_missing] = 0.0
+
+
+def _weigh_blocks(
+    coefficients: np.ndarray, shown: np.ndarray, common: np.ndarray, energies: np.ndarray, is_color: bool
+) -> list[np.ndarray]:
+    """Return the weights (N, B, 64) float32 of squared errors of coefficients, per component.
+
+    Args:
+        coefficients: (C, N, B, 64). shown: (N, B, L) how often each block is seen at each level of footprints. common: (L,) of all blocks,
+            for those that no view shows. energies: (C, L, 64).
+    """
+    mix = np.where(shown.sum(axis=2, keepdims=True) > 0.0, shown, common if common.any() else np.ones_like(common))
+    mix = (mix / mix.sum(axis=2, keepdims=True)).astype(np.float32)
+    means = np.zeros((*coefficients.shape[1:3], 3))
+    means[..., : len(coefficients)] = np.moveaxis(coefficients[..., 0], 0, -1) / BLOCK
+    if is_color:
+        sensitivities = color_sensitivities(means.reshape(-1, 3)).reshape(means.shape)
+    else:
+        sensitivities = np.broadcast_to(data_sensitivities(), means.shape)
+    return [
+        (mix @ energies[component].astype(np.float32)) * sensitivities[..., component, None].astype(np.float32)
+        for component in range(len(coefficients))
+    ]
+
+
+def _floor_fractions(fractions: np.ndarray, used: np.ndarray) -> np.ndarray:
+    """Return the fractions (N, B) float32 of the object's pixels that show each block, with a small one for used blocks not seen."""
+    mean = fractions.sum() / max(int(used.sum()), 1)
+    return np.maximum(fractions, np.where(used, MIN_VISIBILITY * max(mean, 1e-9), 0.0)).astype(np.float32)
+
+
+def _predict_errors(before: np.ndarray, gains: np.ndarray, order: np.ndarray, fractions: np.ndarray) -> np.ndarray:
+    """Return the predicted errors (N, K + 1) of tiles without and with their first scans in `order` (N, K)."""
+    left = before.copy()
+    errors = np.empty((len(order), order.shape[1] + 1))
+    errors[:, 0] = (predict_flip(left) * fractions).sum(axis=1)
+    rows = np.arange(len(order))
+    for place in range(order.shape[1]):
+        left -= gains[order[:, place], rows]
+        errors[:, place + 1] = (predict_flip(left) * fractions).sum(axis=1)
+    return errors
