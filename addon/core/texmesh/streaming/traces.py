@@ -100,13 +100,14 @@ def burst_trace(rng: np.random.Generator, duration: float, rate: float) -> Trace
 def cellular_trace(rng: np.random.Generator, duration: float, generation: int, rate: float) -> Trace:
     """Return a line like that of a moving phone: a Markov-modulated rate with fades.
 
-    The mean of the logarithm of the rate jumps between states that last seconds; around it the rate is a first-order autoregressive process;
-    fades to a few percent come on average every 12 s and last 0.3 to 1.5 s. Variation is chosen after what is reported for commutes with
-    HSDPA (Riiser et al., MMSys 2013) and LTE (van der Hooft et al., IEEE Communications Letters 2016): the standard deviation is about half
-    the mean for 3G (`generation` 3), and 0.4 of it for 4G, which varies faster. The numbers here are ours, not fitted to their logs.
+    The mean of the logarithm of the rate jumps between states that last seconds; around it the rate is a first-order autoregressive
+    process; fades to a few percent come on average every 12 s and last 0.3 to 1.5 s. Variation is chosen after what is reported for
+    commutes with HSDPA (Riiser et al., MMSys 2013) and LTE (van der Hooft et al., IEEE Communications Letters 2016): the standard deviation
+    is about half the mean for 3G (`generation` 3), and 0.4 of it for 4G, which varies faster. The numbers here are ours, not fitted to
+    their logs.
     """
     spread, stay, memory, noise = (0.45, 4.0, 0.90, 0.12) if generation == 3 else (0.35, 2.5, 0.80, 0.15)
-    count = max(int(math.ceil(duration / STEP)), 1)
+    count = max(math.ceil(duration / STEP), 1)
     rates = np.empty(count)
     state, deviation, fading = rng.normal(0.0, spread), 0.0, 0
     for index in range(count):

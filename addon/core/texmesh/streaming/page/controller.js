@@ -15,7 +15,7 @@
 const MESH = "mesh.bin", TEXTURES = "textures.bin";
 const DEFAULT_RATE = 250000, DEFAULT_DELAY = 0.1, PRIOR_SECONDS = 0.1;
 const FAST = 0.3, SLOW = 2, GRACE = 0.1, FRACTION = 0.25, MAX_REQUEST = 1, LEAD = 1.5, EXCESS = 1.2, MEASURED = 0.2;
-const LEVEL_MARGIN = 0.9, SILENCE = 0.75, MIN_PAUSE = 0.25, MAX_PAUSE = 8, MIN_RATE = 1000;
+const LEVEL_MARGIN = 0.9, SILENCE = 0.75, MIN_PAUSE = 0.25, MAX_PAUSE = 8, MIN_RATE = 1000, ENDLESS = 1e9;
 const { abs, floor, max, min } = Math;
 
 /** What `manifest` has to send. */
@@ -93,7 +93,8 @@ export function meanDifference(state) {
 /** The bytes per second of a server that are to be expected for the next `horizon` seconds. */
 export function estimateRate(state, index, horizon) {
   const server = state.servers[index];
-  const gap = max(0, state.time - server.mark - GRACE);
+  const isOpen = state.flights.some((flight) => flight.isOpen && flight.server === index);
+  const gap = isOpen ? max(0, state.time - server.mark - GRACE) : 0;
   const fast = server.bytes / (server.seconds + gap);
   const slow = server.slowBytes / (server.slowSeconds + gap);
   return (fast * FAST + slow * horizon) / (FAST + horizon);
@@ -197,12 +198,16 @@ function ask(job, state, requests) {
 
 function line(state, index) {
   const isRefining = state.keepsRefining && state.time >= state.limit;
-  const left = isRefining ? MAX_REQUEST / FRACTION : max(state.limit - state.time, 0);
+  const left = isRefining ? ENDLESS : max(state.limit - state.time, 0);
   const rate = max(estimateRate(state, index, left), MIN_RATE);
-  let owed = 0;
-  for (const flight of state.flights) if (flight.server === index) owed += flight.end - flight.start - flight.received;
-  const busy = owed / rate;
-  return [busy, isRefining ? left : left - max(busy, state.servers[index].delay), rate];
+  const { delay } = state.servers[index];
+  let busy = 0;
+  for (const flight of state.flights) {
+    if (flight.server !== index) continue;
+    const begins = flight.isOpen ? busy : max(busy, flight.asked + delay - state.time);
+    busy = begins + (flight.end - flight.start - flight.received) / rate;
+  }
+  return [busy, isRefining ? left : left - max(busy, delay), rate];
 }
 
 function take(job, state, rest, rate, shortest) {
