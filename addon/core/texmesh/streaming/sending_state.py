@@ -7,7 +7,6 @@ from .manifest import MESH, TEXTURES, Manifest, Section
 DEFAULT_RATE = 250000.0  # bytes per second, if there is no history: 2 Mbit/s
 DEFAULT_DELAY = 0.1  # seconds until the headers of a response come
 PRIOR_SECONDS = 0.1  # weight of the initial rate
-ENDLESS = 1e9  # seconds
 
 
 @dataclass(frozen=True)
@@ -71,9 +70,9 @@ class Flight:
 class State:
     """The state of a client. Times are seconds since the user's wish; read it, but only `decide` changes it.
 
-    level: asked for, with all vertices and wedges up to those of level `added`. shown: the level that has come wholly, or -1. asked: number of increments asked for. target: the row of the plan that
-    the rest of the time allows, or -1. ended: when the last response ended. difference: sum of the absolute differences between planned
-    and actual times of `responses` requests, `latest` is that of the last one.
+    level: asked for, with all vertices and wedges up to those of level `added`. shown: the level that has come wholly, or -1. asked: number
+    of increments asked for. target: the row of the plan that the rest of the time allows, or -1. ended: when the last response ended.
+    difference: sum of the absolute differences between planned and actual times of `responses` requests, `latest` is that of the last one.
     """
 
     limit: float
