@@ -245,11 +245,7 @@ def _choose_level(job: Job, state: State) -> None:
     measured = 0.0
     for server in state.servers:  # not `sum`, which adds floats in another way in every version of Python
         measured += server.measured
-    if (
-        state.shown < state.level
-        or any(span.file == MESH for span in state.pending)
-        or (measured < MEASURED and state.asked < len(job.ends))
-    ):
+    if state.shown < state.level or any(span.file == MESH for span in state.pending) or (measured < MEASURED and state.asked < len(job.ends)):
         return
     budget = _budget(state)
     start = _begin(job, state.asked)

@@ -144,9 +144,7 @@ def simulate(
         SettingsError: there is no such client, no line, or no time.
     """
     if client not in CLIENTS or not lines or not limit > 0.0:
-        raise SettingsError(
-            f"A client {client!r} with {len(lines)} lines and {limit:g} s cannot be simulated; use one of {', '.join(CLIENTS)}."
-        )
+        raise SettingsError(f"A client {client!r} with {len(lines)} lines and {limit:g} s cannot be simulated; use one of {', '.join(CLIENTS)}.")
     job = package.job
     agent = {
         "compensating": lambda: CompensatingClient(job, limit, rate, len(lines), patience, False),
