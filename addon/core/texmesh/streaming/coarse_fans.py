@@ -1,7 +1,7 @@
 """The triangles around the vertices of a level, among which an added vertex of the next finer level finds its parent.
 
-Collapses map each triangle of the finer level to a triangle of the coarser one, to an edge or to a vertex. So the third vertex of a triangle
-belongs to the first or second one, or to the vertex on their side of the edge between these, or is next to them.
+Collapses map each triangle of the finer level to a triangle of the coarser one, to an edge or to a vertex. So the third vertex of a
+triangle belongs to the first or second one, or to the vertex on their side of the edge between these, or is next to them.
 """
 
 import numpy as np

@@ -139,10 +139,7 @@ class ConnectivityDecoder:
             vertex = len(self.parents)
             wedge = self._add_vertex(near, references)
         else:
-            if symbol == OTHER:
-                vertex = self._read_vertex()
-            else:
-                vertex = self._find_candidate(symbol - CANDIDATE, near)
+            vertex = self._read_vertex() if symbol == OTHER else self._find_candidate(symbol - CANDIDATE, near)
             if vertex >= len(self.parents):
                 raise damage()
             wedge = self._read_wedge(self._latest[vertex], references)

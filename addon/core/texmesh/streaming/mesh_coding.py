@@ -7,7 +7,7 @@ Sections of a level (see `manifest.MeshLevel`), all of them raw DEFLATE:
 | corners | number of symbols, uint32 little-endian; symbols; LEB128 integers that tell vertices |
 | wedges | LEB128 codes of the wedges of corners |
 | parents | one symbol per added vertex; LEB128 integers that tell parents |
-| positions | 0 if positions are predicted by parallelograms, 1 if by affine functions of UVs; byte planes of the residuals of added vertices: low and high bytes of x, y, z |
+| positions | 0 (predicted by parallelograms) or 1 (by UVs); byte planes of the residuals of added vertices: low and high bytes of x, y, z |
 | uvs | byte planes of the residuals of added wedges: low and high bytes of u, v |
 
 The triangles of a level refer to vertices by what coarser levels are, so that a level needs all sections of coarser ones.
@@ -15,7 +15,7 @@ The triangles of a level refer to vertices by what coarser levels are, so that a
 
 import struct
 import zlib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,7 @@ from .connectivity_decoding import ConnectivityDecoder, LevelStreams
 from .connectivity_encoding import ConnectivityEncoder, LevelSymbols
 from .manifest import MESH, Manifest, MeshLevel, Section
 from .mesh_order import OrderedLevel, OrderedMesh
+from .missing_positions import estimate_missing_positions
 from .position_prediction import find_affine_weights, predict, reconstruct
 from .sections import MAX_LEB128_BYTES, MAX_RATIO, IntegerReader, damage, decode_residuals, deflate, encode_residuals, inflate
 
@@ -98,27 +99,37 @@ def encode_mesh(ordered: OrderedMesh, pixels: Sequence[float], material_count: i
     return bytes(content), tuple(levels), bounds, uv_bounds
 
 
-def decode_level(content: bytes | memoryview, manifest: Manifest, level: int) -> DecodedLevel:
+def decode_level(content: bytes | memoryview, manifest: Manifest, level: int, missing_positions: Collection[int] = ()) -> DecodedLevel:
     """Decode `level` of `content`, mesh.bin, of which only the sections of this level and of coarser ones are read.
+
+    Args:
+        missing_positions: levels whose positions have not come; theirs and those of finer levels are estimated.
 
     Raises:
         FileError: the mesh is damaged, or contradicts the manifest.
     """
     decoder = ConnectivityDecoder()
     positions, uvs = [[], [], []], [[], []]
-    for item in manifest.levels[: level + 1]:
+    is_exact = True
+    for index, item in enumerate(manifest.levels[: level + 1]):
         known, known_wedges = len(positions[0]), len(uvs[0])
         decoder.decode(_read_streams(content, item, item.vertex_count - known), item.triangle_counts, item.vertex_count)
         if len(decoder.wedge_vertices) != item.wedge_count:
             raise damage()
         part = _read_part(content, item.uvs, 4 * (item.wedge_count - known_wedges))
         reconstruct(uvs, decode_residuals(part, 2), decoder.wedge_references, None)
-        part = _read_part(content, item.positions, 1 + 6 * (item.vertex_count - known))
         triangles, wedge_vertices = np.array(decoder.triangles, np.int64).reshape(-1, 3), np.array(decoder.wedge_vertices, np.int64)
-        weights = None
-        if part[0]:
-            weights = find_affine_weights(triangles, wedge_vertices, np.array(uvs, np.int64).T, known, item.vertex_count)
-        reconstruct(positions, decode_residuals(part[1:], 3), decoder.vertex_references, weights)
+        neighborhood = (triangles, wedge_vertices, np.array(uvs, np.int64).T, known, item.vertex_count)
+        is_exact = is_exact and index not in missing_positions
+        if not is_exact:
+            parents = np.array(decoder.parents[known:])
+            estimated = estimate_missing_positions(find_affine_weights(*neighborhood, True), np.array(positions).T, parents)
+            for column, values in zip(positions, estimated.T.tolist(), strict=True):
+                column.extend(values)
+            continue
+        part = _read_part(content, item.positions, 1 + 6 * (item.vertex_count - known))
+        affine = find_affine_weights(*neighborhood) if part[0] else None
+        reconstruct(positions, decode_residuals(part[1:], 3), decoder.vertex_references, affine)
     counts = manifest.levels[level].triangle_counts
     return DecodedLevel(
         positions=np.array(positions, np.uint16).T,
@@ -150,7 +161,7 @@ def _pack(symbols: LevelSymbols, level: OrderedLevel, wedge_vertices: np.ndarray
 
 
 def _add_references(values: np.ndarray, references: np.ndarray, known_count: int) -> np.ndarray:
-    """Return first + second - third of `values` (M, D) by `references` (N, 3). The very first one refers to itself; it is predicted as 0."""
+    """Return first + second - third of `values` (M, D) by `references` (N, 3), 0 for the very first one, which refers to itself."""
     first, second, third = references.T
     prediction = values[first] + values[second] - values[third]
     if known_count == 0:

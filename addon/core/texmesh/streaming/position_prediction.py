@@ -70,22 +70,23 @@ def predict(affine: AffineWeights, positions: np.ndarray, parallelograms: np.nda
 
 
 def reconstruct(
-    positions: list[list[int]], residuals: np.ndarray, references: list[tuple[int, int, int]], affine: AffineWeights | None
+    columns: list[list[int]], residuals: np.ndarray, references: list[tuple[int, int, int]], affine: AffineWeights | None
 ) -> None:
-    """Append positions to the columns `positions`: predictions by `affine`, or by parallelograms if it is None, plus `residuals` (N, 3).
+    """Append values to `columns`: predictions by `affine`, by parallelograms where it is not valid or None, plus `residuals` (N, D).
 
     references: (N, 3), see `connectivity_encoding.LevelSymbols`.
     """
     if affine is not None:
         starts, neighbors, weights, is_valid = (values.tolist() for values in vars(affine).values())
-    for values, column in zip(positions, residuals.T.tolist(), strict=True):
+    for values, column in zip(columns, residuals.T.tolist(), strict=True):
         for row, ((first, second, third), residual) in enumerate(zip(references, column, strict=True)):
             if affine is not None and is_valid[row]:
                 total = 0.0
                 for slot in range(starts[row], starts[row + 1]):
                     total += weights[slot] * values[neighbors[slot]]
-                values.append((math.floor(total + 0.5) + residual) & MAX_VALUE)
-            elif first == len(values):  # the very first vertex
-                values.append(residual & MAX_VALUE)
+                value = math.floor(total + 0.5) + residual
+            elif first == len(values):  # the very first one
+                value = residual
             else:
-                values.append((values[first] + values[second] - values[third] + residual) & MAX_VALUE)
+                value = values[first] + values[second] - values[third] + residual
+            values.append(value & MAX_VALUE)
