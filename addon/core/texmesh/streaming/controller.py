@@ -1,32 +1,32 @@
 """The controller of a client: which bytes to ask for next, so that sending ends at the time limit (sections III.B, III.C and V of the paper).
 
-`decide` is a pure function of the state and an event; the page has the same one in page/controller.js, with the same arithmetic: only
-+ - * / and comparisons of doubles, in the same order, so both decide alike bit for bit.
+`decide` is a pure function of the state and an event. The page has the same one in page/controller.js, with the same arithmetic in the same
+order (only + - * / and comparisons of doubles), so both decide alike bit for bit. The caller tells every event at once, ticks about 20 times
+per second, and one at the limit.
 
 Order. Level 0 and the table of increments come first, so that something is on the screen; then increments. When the rates have been
-measured, each request is preceded by a look into the plan: the best row that the rest of the time has bytes for. As soon as the plan leaves
-the present level, the level of that row is asked for, without the triangles of the levels between.
+measured, the plan is looked up before each request: its best row for which the rest of the time has bytes. As soon as the plan leaves the
+present level, vertices and wedges of the next levels are asked for, level by level, each time with a new look into the plan, and then the
+triangles of the level that the plan still has; those of the levels between are skipped.
 
-Time compensation. The paper's algorithm gives each of the n - j remaining fragments an equal part of the remaining time after fragment j, so
-each deviation spreads evenly over them: with relative errors e_j of the estimated times, the last fragment ends
+Time compensation. The paper's algorithm gives each of the n - j remaining fragments an equal part of the time that remains after fragment j,
+so a deviation spreads evenly over them: with relative errors e_j of the estimated times, the last of n fragments ends
 
     Pi = e_n (T / n) prod_{j < n} (1 - e_j / (n - j))
 
-late, which is at most e (T / n) exp(e (1 + 1/2 + ... + 1 / (n - 1))), a harmonic sum (e: the largest |e_j|). Here a request takes FRACTION of
-the remaining time, so a deviation spreads over the remaining requests in proportion to their planned times, which shrink geometrically:
+after the limit T; with e the largest |e_j|, that is at most e (T / n) exp(e (1 + 1/2 + ... + 1 / (n - 1))), a harmonic sum. Here each request
+takes FRACTION of the remaining time, so a deviation spreads over the remaining requests in proportion to their planned times, which shrink
+geometrically: the factor behind e_n is T (1 - FRACTION (1 - e))^(n - 1) at most. Requests shorter than the delay of the line would leave it
+idle, so the one that begins when less remains takes all of it; and the increment that is next, which takes g seconds, may be longer than its
+request should be. So the last request is sent W seconds before the limit at most, and ends (our bound in place of eq. 8)
 
-    Pi <= e T (1 - FRACTION (1 - e))^(n - 1).
+    -(g + W) <= Pi <= e W,    W = (1 + LEAD) delay + g / (1 - FRACTION)
 
-Requests do not shrink below `_shortest` (one delay of the line; shorter ones would leave it idle); the one that begins when less than that
-remains takes all of it. So with W = `_shortest` + LEAD times the delay, the time for which the last request is in flight at most,
-
-    -(g + delay) <= Pi <= e W,
-
-where g is the time of the increment that does not fit anymore. `Lambda` (eq. 9) is the mean of the absolute differences between planned
-and actual times of all requests but the last.
+after it. `mean_difference` is Lambda of eq. 9. At the limit the client stops: whole increments of a response that is running are of use.
 
 Several servers: a request goes to the server whose line is free first, and is as long as its measured rate allows; so bytes spread by rates.
-A server that fails or is silent gets nothing for a while, and what it owes is asked for first, elsewhere if possible.
+A server that fails or is silent gets nothing for a while, and what it owes is asked for first, elsewhere if possible. When requests will
+not end before the limit, the newest are taken back, so that older ones get the whole line.
 """
 
 from bisect import bisect_right
@@ -36,7 +36,6 @@ from .manifest import MESH, TEXTURES
 from .sending_state import Event, Flight, Job, Request, Server, Span, State
 
 FAST, SLOW = 0.3, 2.0  # seconds that the averages of rates look back
-MIN_SAMPLE = 0.01  # seconds
 GRACE = 0.1  # seconds without a byte that mean nothing
 FRACTION = 0.25  # of the remaining time for the next request
 MAX_REQUEST = 1.0  # seconds
@@ -121,7 +120,9 @@ def _hear(state: State, flight: Flight, event: Event) -> None:
         _owe(state, flight)
         return
     is_busy = any(other.is_open and other.server == flight.server for other in state.flights)
-    fresh = event.received - flight.received
+    size = flight.span.end - flight.span.start
+    received = min(max(event.received, flight.received), size)
+    fresh = received - flight.received
     if not flight.is_open:
         flight.is_open = True
         server.delay += (state.time - flight.asked - server.delay) * (0.25 if server.measured else 1.0)
@@ -129,8 +130,8 @@ def _hear(state: State, flight: Flight, event: Event) -> None:
         server.mark, fresh = state.time, 0  # bytes that come with the headers took a time that nobody measured
     _measure(server, fresh, state.time - server.mark)
     server.mark = flight.heard = server.heard = state.time
-    flight.received = event.received
-    if flight.received >= flight.span.end - flight.span.start:
+    flight.received = received
+    if received == size:
         state.flights = [other for other in state.flights if other.id != flight.id]
         state.latest = abs(state.time - flight.due)
         state.difference += state.latest

@@ -151,11 +151,8 @@ def simulate(
         "fixed": lambda: FixedClient(job, limit, rate),
         "paper": lambda: PaperClient(job, limit, rate, package.tiles),
     }[client]()
-    network = Network(lines, access, seed)
-    network.send(-2, 0, package.manifest_size)
-    while (event := network.advance()).id != -2 or event.received < package.manifest_size:
-        pass
-    event = Event(event.time)
+    network = Network(lines, access, seed, limit + patience)
+    event = Event(network.fetch(0, package.manifest_size))
     counts = {"requests": 0, "aborted": 0}
     at_limit, first_seen, first_textured, finished = None, math.inf, math.inf, event.time
     while True:
@@ -206,7 +203,7 @@ def _possible_bytes(lines: tuple[Line, ...], access: Trace | None, limit: float)
     """Return the bytes that all lines can carry before the limit, after a delay for the manifest and one for the first response."""
     total = 0.0
     for line in lines:
-        total += max(line.trace.bytes_until(limit) - line.trace.bytes_until(min(2.0 * line.delay, limit)), 0.0)
+        total += max(line.bytes_until(limit) - line.bytes_until(min(2.0 * line.delay, limit)), 0.0)
     return total if access is None else min(total, access.bytes_until(limit))
 
 

@@ -1,7 +1,7 @@
 """Traces of lines: the rate of a line over time, generated or read from a file."""
 
 import math
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -54,6 +54,14 @@ class Trace:
         rounds, rest = divmod(time, self.duration)
         index = bisect_right(self.times, rest) - 1
         return rounds * self._sums[-1] + self._sums[index] + (rest - self.times[index]) * self.rates[index]
+
+    def time_of(self, byte_count: float) -> float:
+        """Return when the line has carried `byte_count` bytes since 0."""
+        rounds, rest = divmod(byte_count, self._sums[-1])
+        index = min(bisect_left(self._sums, rest), len(self.rates)) - 1
+        if rest <= 0.0:
+            return rounds * self.duration
+        return rounds * self.duration + self.times[index] + (rest - self._sums[index]) / self.rates[index]
 
 
 def constant_trace(rate: float) -> Trace:

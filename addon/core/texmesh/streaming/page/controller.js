@@ -1,19 +1,16 @@
-// The controller of the page: which bytes to ask for next, so that sending ends at the time limit. It is the same function as in
-// streaming/controller.py, which explains the method, with the same arithmetic in the same order: both decide alike bit for bit (tests compare).
+// Decides which bytes of a package to ask for next, so that sending ends at the time limit. streaming/controller.py is the same function,
+// explains it, and has the same arithmetic in the same order: both decide alike bit for bit, as a test checks.
 //
-// How to use it:
-//   let job = buildJob(manifest)                           // manifest: the parsed manifest.json
-//   let state = begin(job, {limit, rate, servers, patience, keepsRefining, time})
+//   let job = buildJob(manifest)      // the parsed manifest.json
+//   let state = begin(job, {limit, rate, servers, patience, keepsRefining})
 //   [state, requests, aborted] = decide(job, state, {time, id, received, failed})
-// Call `decide` at the beginning and about 20 times per second with {time} (seconds since the user's wish), and for request `id`
-//   - when the headers of its response come: {time, id, received: 0},
-//   - whenever bytes come: {time, id, received: bytes of this response altogether}; the response ends with its last byte,
-//   - when it fails: {time, id, failed: true}. Then, and if it is aborted, keep what has come: only the rest is asked for again.
-// Send `requests`, each {id, server, file, start, end}: bytes [start, end) of "mesh.bin" or "textures.bin" from server `server` (0 is the
-// page's own folder, then the mirrors); abort those whose ids are in `aborted`. When the table of increments has come, go on with
-//   job = {...job, ends: offsets in textures.bin of the ends of all increments}.
-// Read: `state.shown` (level that has come wholly, -1: none), `receivedIncrements`, `isFinished`, `meanDifference` (Lambda), `estimateRate`,
-// `state.ended - state.limit` (deviation Pi, when finished).
+//
+// Times are seconds since the user's wish. Call `decide` with {time} at first, about 20 times per second, and at the limit; and for request
+// `id` with {time, id, received: 0} when its headers come, {time, id, received} when bytes come (received: bytes of this response altogether;
+// the last byte ends it), or {time, id, failed: true}. Send `requests`, [{id, server, file, start, end}, ...]: bytes [start, end) of a file
+// from server `server` (0: the page's folder, then the mirrors), and abort those whose ids are in `aborted`; keep what has come of them: only
+// the rest is asked for again. When the table of increments has come, go on with job = {...job, ends}: where increments end in textures.bin.
+// To read: state.shown (the level that is there, or -1), state.level (asked for), state.ended - limit (deviation Pi), and the functions below.
 
 const MESH = "mesh.bin", TEXTURES = "textures.bin";
 const DEFAULT_RATE = 250000, DEFAULT_DELAY = 0.1, PRIOR_SECONDS = 0.1;
@@ -118,6 +115,8 @@ function hear(state, flight, received, failed) {
   }
   const server = state.servers[flight.server];
   const isBusy = state.flights.some((other) => other.isOpen && other.server === flight.server);
+  const size = flight.end - flight.start;
+  received = min(max(received, flight.received), size);
   let fresh = received - flight.received;
   if (!flight.isOpen) {
     flight.isOpen = true;
@@ -127,7 +126,7 @@ function hear(state, flight, received, failed) {
   measure(server, fresh, state.time - server.mark);
   server.mark = flight.heard = server.heard = state.time;
   flight.received = received;
-  if (received >= flight.end - flight.start) {
+  if (received === size) {
     state.flights = state.flights.filter((other) => other !== flight);
     state.latest = abs(state.time - flight.due);
     state.difference += state.latest;
