@@ -116,14 +116,12 @@ class Request:
 
 def build_job(manifest: Manifest) -> Job:
     """Return what `manifest` has to send. `ends` is None: add them when the table of increments has come."""
-    added = [_spans(level.positions, level.parents, level.wedges, level.uvs) for level in manifest.levels]
-    corners = [_spans(level.corners) for level in manifest.levels]
+    added = [_spans(level.positions, level.parents, level.wedges, level.uvs, level.corners) for level in manifest.levels]
+    corners = ((),) * len(added)  # finer levels refer to the triangles of coarser ones, so they are among what is added
     table = tuple(replace(span, file=TEXTURES) for span in _spans(manifest.increments))
     plan = tuple((row.level, row.increment_count, row.flip) for row in manifest.plan)
-    level = manifest.levels[0]
-    first = _spans(level.positions, level.parents, level.wedges, level.uvs, level.corners)
     ends = None if manifest.increment_count else ()
-    return Job(first + table, tuple(added), tuple(corners), plan, manifest.first_increment, ends)
+    return Job(added[0] + table, tuple(added), corners, plan, manifest.first_increment, ends)
 
 
 def begin(

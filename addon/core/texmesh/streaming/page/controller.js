@@ -20,13 +20,11 @@ const { abs, floor, max, min } = Math;
 
 /** What `manifest` has to send. */
 export function buildJob(manifest) {
-  const added = manifest.levels.map((level) => spans([level.positions, level.parents, level.wedges, level.uvs]));
-  const corners = manifest.levels.map((level) => spans([level.corners]));
-  const { positions, parents, wedges, uvs, corners: triangles } = manifest.levels[0];
-  const first = spans([positions, parents, wedges, uvs, triangles]);
+  const added = manifest.levels.map((level) => spans([level.positions, level.parents, level.wedges, level.uvs, level.corners]));
+  const corners = manifest.levels.map(() => []); // finer levels refer to the triangles of coarser ones, so they are among what is added
   const table = spans([manifest.increments]).map((span) => ({ ...span, file: TEXTURES }));
   return {
-    first: first.concat(table),
+    first: added[0].concat(table),
     added,
     corners,
     plan: manifest.plan.map(([, level, count, error]) => [level, count, error]),
