@@ -5,15 +5,14 @@ import sys
 import time
 from argparse import Namespace
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import texmesh_models
-from PIL import Image
+from texmesh_chains import PAINTED_SIDE, TexturedModel, default_settings, make_chain, model_names, open_textured, paint
+from texmesh_renders import random_directions
 
 from farfield.addon.core.geometry.mesh import TriangleMesh
-from farfield.addon.core.imaging.mipmaps import build_mipmaps, resize_by_area
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.level_chain import AllSettings, LevelChain, make_levels
 from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
@@ -29,8 +28,6 @@ from lib import command_line
 
 MAX_SECONDS, MAX_MEMORY_MB = 40.0, 2000.0
 SPEED_RINGS, SPEED_SIDE = 224, 4096  # 4 x 224 x 223 = 199,808 triangles
-SPOT_TEXTURE = "textured/spot/spot_texture.png"
-TEXTURE_SIDE = 512
 MAX_DIFFERENCE = 0.05
 VIEWS = 8  # in which switches are checked; other ones than those of the search
 FRACTIONS = (0.5, 0.25, 0.1, 0.03)
@@ -73,20 +70,16 @@ def measure_switching(given: Namespace) -> dict[str, Any]:
     """Return the FLIP between neighboring levels at their switch distance, in views that the search did not use."""
     results = {}
     for name in model_names(given):
-        generator = np.random.default_rng(given.seed)
-        mesh, textures = open_textured(given.data, name, generator)
-        chain = run_to_end(make_levels(mesh, textures, default_settings(), name))
-        results[name] = check_switches(chain, textures, generator)
+        model, chain = open_textured(given.data, name, given.seed), make_chain(given.data, name, given.seed)
+        results[name] = check_switches(chain, model, np.random.default_rng([given.seed, 0]))
         print(name, json.dumps(results[name]), file=sys.stderr)
     return results
 
 
-def check_switches(chain: LevelChain, textures: list[np.ndarray], generator: np.random.Generator) -> dict[str, Any]:
+def check_switches(chain: LevelChain, model: TexturedModel, generator: np.random.Generator) -> dict[str, Any]:
     """Return the largest mean FLIP of each switch, in random views."""
     settings = PerceptionSettings()
-    directions = generator.normal(size=(VIEWS, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    mipmaps, frame = [build_mipmaps(texture) for texture in textures], frame_around(chain.levels[0].mesh.vertices)
+    directions, mipmaps, frame = random_directions(VIEWS, generator), model.mipmaps, frame_around(chain.levels[0].mesh.vertices)
     images = [
         LevelImages(prepare_surface(level.mesh, mipmaps, settings.is_lit), frame, directions, settings.pixels_per_degree)
         for level in chain.levels
@@ -145,7 +138,7 @@ def check_subsets(fine: TexturedMesh, simplification: Simplification, targets: l
 def measure_paper(given: Namespace) -> dict[str, Any]:
     """Return vertices per scale (Figure 4), ranges (Figure 10) and pixel sizes of all levels (Figure 11) of a head like the paper's."""
     generator = np.random.default_rng(given.seed)
-    head, texture = make_head(generator), paint(TEXTURE_SIDE, generator)
+    head, texture = make_head(generator), paint(PAINTED_SIDE, generator)
     results: dict[str, Any] = {"vertices_of_figure_4": PAPER_COUNTS}
     for mode in ("paper", "surface"):
         scale_map = run_to_end(analyze_scale_space(head, [texture], ScaleSpaceSettings(mode=mode)))
@@ -162,38 +155,6 @@ def measure_paper(given: Namespace) -> dict[str, Any]:
         for level in chain.levels
     ]
     return results
-
-
-def default_settings() -> AllSettings:
-    """Return the default settings."""
-    return AllSettings(LevelSettings(), ScaleSpaceSettings(), SimplificationSettings(), PerceptionSettings())
-
-
-def model_names(given: Namespace) -> list[str]:
-    """Return the models that were asked for, or all, generated ones by the seed."""
-    generated = [f"{kind}:{given.seed + index}" for index, kind in enumerate(texmesh_models.GENERATORS)]
-    return given.models or [*texmesh_models.REAL_MODELS, "bunny", *generated]
-
-
-def open_textured(data: Path, name: str, generator: np.random.Generator) -> tuple[TexturedMesh, list[np.ndarray]]:
-    """Return a model and a texture per material: its own one for spot, painted ones for the others."""
-    mesh = texmesh_models.open_model(data, name)
-    if name == "spot":
-        with Image.open(data / SPOT_TEXTURE) as image:
-            encoded = np.asarray(image.convert("RGB"))[::-1].astype(np.float32) / 255.0
-        return mesh, [(encoded**2.2).astype(np.float32)]
-    return mesh, [paint(TEXTURE_SIDE, generator) for _ in range(int(mesh.materials.max()) + 1)]
-
-
-def paint(side: int, generator: np.random.Generator) -> np.ndarray:
-    """Return an image (side, side, 3) of soft spots of several sizes in two colors, linear."""
-    total = np.zeros((side, side), np.float32)
-    for cells in (8, 32, 128):
-        coarse = generator.random((cells, cells, 1)).astype(np.float32)
-        total += resize_by_area(np.repeat(np.repeat(coarse, side // cells, axis=0), side // cells, axis=1), side)[..., 0] / 3.0
-    colors = generator.uniform(0.05, 0.9, (2, 3)).astype(np.float32)
-    weights = np.clip(3.0 * total - 1.0, 0.0, 1.0)[..., None]
-    return colors[0] + weights * (colors[1] - colors[0])
 
 
 def make_ball(rings: int, generator: np.random.Generator) -> TexturedMesh:
