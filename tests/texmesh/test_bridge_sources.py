@@ -10,9 +10,11 @@ from farfield.addon.bridge.texmesh.glb_materials import find_base_color, read_co
 from farfield.addon.bridge.texmesh.sources import read_textured_source
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.imaging.coded_images import decode
+from farfield.addon.core.imaging.colors import encode_signed_srgb
 from textured_scenes import checker_image, textured_ball, textured_material
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
+LINEAR_REC_2020 = np.array([[1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.0083], [-0.0182, -0.1006, 1.1187]])  # ITU-R BT.2087
 
 
 def fill(image: bpy.types.Image, color: tuple[float, float, float]) -> bpy.types.Image:
@@ -96,6 +98,9 @@ def test_materials_without_an_image():
         ({}, "sRGB", [0.21404, 0.03310, 0.60383]),  # encoded values in a byte image
         ({"float_buffer": True}, "Linear Rec.709", [0.5, 0.2, 0.8]),
         ({"is_data": True}, "Non-Color", [0.5, 0.2, 0.8]),
+        ({}, "Linear Rec.709", [0.5, 0.2, 0.8]),
+        ({}, "Linear Rec.2020", LINEAR_REC_2020 @ [0.5, 0.2, 0.8]),
+        ({}, "Rec.1886", np.power([0.5, 0.2, 0.8], 2.4)),
     ],
 )
 def test_color_spaces(properties, space, linear):
@@ -105,8 +110,9 @@ def test_color_spaces(properties, space, linear):
     colors, is_scaled = read_color_image(image)
     assert colors.shape == (8, 8, 3) and colors.dtype == np.float32 and not is_scaled
     np.testing.assert_allclose(colors, np.broadcast_to(linear, (8, 8, 3)), atol=4e-3)
-    coded = decode(read_coded_image(image))  # glTF wants sRGB values
-    np.testing.assert_allclose(coded[0, 0], [128, 51, 204] if space == "sRGB" else [188, 124, 231], atol=1)
+    coded = decode(read_coded_image(image)) / 255.0  # glTF wants sRGB values
+    np.testing.assert_allclose(coded[0, 0], np.clip(encode_signed_srgb(np.float64(linear)), 0.0, 1.0), atol=6e-3)
+    assert [item.name for item in bpy.data.scenes] == ["Scene"] and list(bpy.data.images) == [image]
 
 
 def test_larger_images_are_scaled_down_and_said(monkeypatch):

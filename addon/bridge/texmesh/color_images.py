@@ -5,8 +5,8 @@ import numpy as np
 
 from ...compat import uses_nodes
 from ...core.errors import FileError
-from ...core.imaging.colors import decode_signed_srgb
-from ..images import find_path, read_pixels
+from ..color_spaces import read_linear_pixels
+from ..images import find_path
 
 MAX_SIDE = 4096  # pixels; larger images are halved until they fit
 COLOR_INPUTS = ("Base Color", "Color")
@@ -34,12 +34,12 @@ def read_color_image(image: bpy.types.Image) -> tuple[np.ndarray, bool]:
     check_pixels(image)
     side = max(image.size)
     if side <= MAX_SIDE:
-        return _to_linear(image, read_pixels(image)[..., :3]), False
+        return _read_colors(image), False
     copy = image.copy()
     try:
         scale = MAX_SIDE / side
         copy.scale(max(1, round(image.size[0] * scale)), max(1, round(image.size[1] * scale)))
-        return _to_linear(copy, read_pixels(copy)[..., :3]), True
+        return _read_colors(copy), True
     finally:
         bpy.data.images.remove(copy)
 
@@ -52,11 +52,8 @@ def check_pixels(image: bpy.types.Image) -> None:
         )
 
 
-def _to_linear(image: bpy.types.Image, pixels: np.ndarray) -> np.ndarray:
-    """Return scene-linear colors. Pixels of float images are scene-linear already, others have the color space of the file."""
-    if image.is_float or image.colorspace_settings.is_data:
-        return np.ascontiguousarray(pixels)
-    return decode_signed_srgb(pixels).astype(np.float32)
+def _read_colors(image: bpy.types.Image) -> np.ndarray:
+    return np.ascontiguousarray(read_linear_pixels(image)[..., :3])
 
 
 def _find_image_node(socket: bpy.types.NodeSocket, groups: tuple[bpy.types.Node, ...]) -> bpy.types.Node | None:
