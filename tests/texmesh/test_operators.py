@@ -47,6 +47,22 @@ def test_materials_of_the_original_stay(ball):
     assert len(copies) == 1 and material not in copies
 
 
+def test_levels_render_with_the_settings_of_their_object(ball):
+    lights = bpy.data.collections.new("Lights")
+    ball.light_linking.receiver_collection = lights
+    ball.shadow_terminator_geometry_offset, ball.shadow_terminator_shading_offset = 0.3, 0.4
+    ball.visible_glossy, ball.is_holdout, ball.pass_index, ball.lightgroup = False, True, 5, "Key"
+    ball.color, ball.cycles.is_caustics_caster = (0.25, 0.5, 0.75, 1.0), True
+    ball["wetness"] = 0.5
+    for level in make():
+        assert level.light_linking.receiver_collection == lights
+        assert level.shadow_terminator_geometry_offset == pytest.approx(0.3)
+        assert level.shadow_terminator_shading_offset == pytest.approx(0.4)
+        assert (level.visible_camera, level.visible_glossy, level.is_holdout) == (True, False, True)
+        assert (level.pass_index, level.lightgroup, level["wetness"]) == (5, "Key", 0.5)
+        assert tuple(level.color) == (0.25, 0.5, 0.75, 1.0) and level.cycles.is_caustics_caster
+
+
 def test_one_level_is_shown_and_the_original_again(ball):
     levels = make(crossfade=False)
     assert [level.hide_render for level in levels] == [False, True, True]
