@@ -6,7 +6,7 @@ import pytest
 
 from farfield.addon.bridge.lod_crossfade import CROSSFADE
 from farfield.addon.bridge.texmesh.level_sets import ERROR, level_sets_in
-from farfield.addon.bridge.texmesh.scale_attributes import SCALE_ATTRIBUTE
+from farfield.addon.bridge.texmesh.scale_attributes import SCALE_ATTRIBUTE, read_scales
 from textured_scenes import textured_ball
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
@@ -94,6 +94,17 @@ def test_features_become_an_attribute(ball):
     attribute = ball.data.attributes[SCALE_ATTRIBUTE]
     scales = np.array([item.value for item in attribute.data])
     assert attribute.domain == "POINT" and scales.min() >= 0 and 0 < scales.max() <= 20
+
+
+def test_levels_have_the_scales_of_their_own_analysis(ball):
+    stale = np.full(len(ball.data.vertices), 99, np.int32)
+    ball.data.attributes.new(SCALE_ATTRIBUTE, "INT", "POINT").data.foreach_set("value", stale)
+    levels = make(product="subset")
+    assert np.array_equal(read_scales(ball.data), stale), "only Analyze changes the original"
+    assert bpy.ops.farfield.texmesh_analyze() == {"FINISHED"}
+    of_position = {tuple(vertex.co): scale for vertex, scale in zip(ball.data.vertices, read_scales(ball.data).tolist(), strict=True)}
+    for level in levels:
+        assert read_scales(level.data).tolist() == [of_position[tuple(vertex.co)] for vertex in level.data.vertices]
 
 
 def test_other_attributes_are_carried(ball):
