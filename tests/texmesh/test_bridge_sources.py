@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from farfield.addon.bridge.texmesh import color_images
-from farfield.addon.bridge.texmesh.color_images import find_color_image, read_color_image
+from farfield.addon.bridge.texmesh.color_images import find_color_image, find_color_images, read_color_image
 from farfield.addon.bridge.texmesh.glb_materials import find_base_color, read_coded_image
 from farfield.addon.bridge.texmesh.sources import read_textured_source
 from farfield.addon.core.errors import FileError
@@ -82,6 +82,41 @@ def test_colors_come_before_normals_and_roughness():
         other.image = checker_image(name)
         links.new(other.outputs["Color"], nodes["Principled BSDF"].inputs[name])
     assert find_color_image(material)[0] == color
+
+
+def test_images_of_other_inputs_are_no_colors():
+    material = textured_material(None)
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    shader, normal_map, other = nodes["Principled BSDF"], nodes.new("ShaderNodeNormalMap"), nodes.new("ShaderNodeTexImage")
+    shader.inputs["Base Color"].default_value = (0.1, 0.2, 0.3, 1.0)
+    other.image = checker_image("Roughness", is_data=True)
+    links.new(other.outputs["Color"], shader.inputs["Roughness"])
+    links.new(other.outputs["Color"], normal_map.inputs["Color"])
+    links.new(normal_map.outputs["Normal"], shader.inputs["Normal"])
+    mix, transparent = nodes.new("ShaderNodeMixShader"), nodes.new("ShaderNodeBsdfTransparent")
+    links.new(other.outputs["Color"], mix.inputs[0])
+    links.new(transparent.outputs[0], mix.inputs[1])
+    links.new(shader.outputs[0], mix.inputs[2])
+    links.new(mix.outputs[0], nodes["Material Output"].inputs["Surface"])
+    assert find_color_images(material) == []
+    light = nodes.new("ShaderNodeTexImage")
+    light.image = checker_image("Light")
+    links.new(light.outputs["Color"], shader.inputs["Emission Color"])
+    assert find_color_images(material) == [(light.image, "")]
+
+
+def test_all_images_of_a_color_are_found_the_nearest_first():
+    material = textured_material(first := checker_image("First"))
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    ramp, mix, hue = (nodes.new(f"ShaderNode{kind}") for kind in ("ValToRGB", "MixRGB", "HueSaturation"))
+    mask = nodes.new("ShaderNodeTexImage")
+    mask.image = checker_image("Mask")
+    links.new(mask.outputs["Color"], ramp.inputs[0])
+    links.new(ramp.outputs[0], mix.inputs[0])
+    links.new(nodes["Image Texture"].outputs["Color"], hue.inputs["Color"])
+    links.new(hue.outputs[0], mix.inputs[1])
+    links.new(mix.outputs[0], nodes["Principled BSDF"].inputs["Base Color"])
+    assert find_color_images(material) == [(first, ""), (mask.image, "")] and find_color_image(material) == (first, "")
 
 
 def test_materials_without_an_image():
