@@ -3,8 +3,8 @@
 Parts (`--only`): `speed` (time and memory with 200k triangles and a texture of 4096 x 4096), `refits` (deviations beside other programs,
 see texmesh_refits.py), `glb` (the Khronos validator, with --validator, see texmesh_glb.py), `switching` (FLIP between neighboring levels at
 their switch distance, in views that the search did not use), `renders` (FLIP of levels by Farfield and by other programs against the
-original, see texmesh_renders.py), `targets` (subset levels, bit for bit), `paper` (vertices per scale beside
-Figure 4, ranges of Figure 10, steps of Figure 11).
+original, see texmesh_renders.py), `targets` (subset levels, bit for bit), `paper` (Figures 4, 10 and 11,
+see texmesh_paper.py).
 Each run generates other models, textures and views; --seed repeats one.
 """
 
@@ -23,7 +23,8 @@ environment.import_farfield()
 
 import benchmark_cli
 import texmesh_glb
-from texmesh_levels import measure_paper, measure_speed, measure_switching, measure_targets
+from texmesh_levels import measure_speed, measure_switching, measure_targets
+from texmesh_paper import measure_paper
 from texmesh_refits import measure_refits
 from texmesh_renders import measure_renders
 

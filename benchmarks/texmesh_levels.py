@@ -1,26 +1,22 @@
-"""Measures whole chains of levels for `bench_texmesh.py`: time and memory, switches, subset levels, and the figures of the paper."""
+"""Measures whole chains of levels for `bench_texmesh.py`: time and memory, switches, and subset levels."""
 
 import json
 import sys
 import time
 from argparse import Namespace
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 import texmesh_models
-from texmesh_chains import PAINTED_SIDE, TexturedModel, default_settings, make_chain, model_names, open_textured, paint
+from texmesh_chains import TexturedModel, default_settings, make_chain, model_names, open_textured, paint
 from texmesh_renders import random_directions
 
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.texmesh.level_chain import AllSettings, LevelChain, make_levels
+from farfield.addon.core.texmesh.level_chain import LevelChain, make_levels
 from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
 from farfield.addon.core.texmesh.perception.switch_distances import LevelImages, measure_difference
 from farfield.addon.core.texmesh.perception.views import frame_around, prepare_surface
-from farfield.addon.core.texmesh.scale_space.analysis import analyze_scale_space
-from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
-from farfield.addon.core.texmesh.settings import LevelSettings
 from farfield.addon.core.texmesh.simplification.levels import Simplification, extract_level, simplify_by_cost
 from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
@@ -32,18 +28,6 @@ MAX_DIFFERENCE = 0.05
 VIEWS = 8  # in which switches are checked; other ones than those of the search
 FRACTIONS = (0.5, 0.25, 0.1, 0.03)
 MAX_MISS = 0.01  # of a target that is reached
-PAPER_COUNTS = (1872, 1194, 1135, 1055, 893, 676)  # vertices of the head in Figure 4; those between the first and the last from their faces
-HEAD_COLUMNS, HEAD_ROWS = 36, 52
-HEAD_PARTS = (  # angle, height, widths, and height of a bump on the head: nose, eyes, brow, mouth, chin, ears
-    (0.0, 0.0, 0.14, 0.16, 0.25),
-    (0.32, 0.14, 0.13, 0.07, -0.06),
-    (-0.32, 0.14, 0.13, 0.07, -0.06),
-    (0.0, 0.28, 0.6, 0.06, 0.05),
-    (0.0, -0.26, 0.22, 0.04, 0.05),
-    (0.0, -0.48, 0.25, 0.1, 0.1),
-    (1.55, 0.05, 0.1, 0.16, 0.16),
-    (-1.55, 0.05, 0.1, 0.16, 0.16),
-)
 
 
 def measure_speed(given: Namespace) -> dict[str, Any]:
@@ -135,28 +119,6 @@ def check_subsets(fine: TexturedMesh, simplification: Simplification, targets: l
     return {"is_met": is_met, "levels": rows}
 
 
-def measure_paper(given: Namespace) -> dict[str, Any]:
-    """Return vertices per scale (Figure 4), ranges (Figure 10) and pixel sizes of all levels (Figure 11) of a head like the paper's."""
-    generator = np.random.default_rng(given.seed)
-    head, texture = make_head(generator), paint(PAINTED_SIDE, generator)
-    results: dict[str, Any] = {"vertices_of_figure_4": PAPER_COUNTS}
-    for mode in ("paper", "surface"):
-        scale_map = run_to_end(analyze_scale_space(head, [texture], ScaleSpaceSettings(mode=mode)))
-        counts, ranges = scale_map.counts.tolist(), np.round(scale_map.ranges, 3).tolist()
-        results[mode] = {"features": counts, "ranges": ranges, "losses": scale_map.losses}
-    settings = AllSettings(
-        LevelSettings(product="subset", order="scale"), ScaleSpaceSettings(mode="paper"), SimplificationSettings(), PerceptionSettings()
-    )
-    chain = run_to_end(make_levels(head, [texture], settings))
-    results["steps_of_figure_11"] = [{"triangles": count, "pixel_size": round(size, 5)} for count, size in chain.candidates]
-    results["weber_fractions"] = np.round(chain.impacts.fractions, 4).tolist()
-    results["levels"] = [
-        {"triangles": len(level.mesh.triangles), "scale": level.scale, "switch": None if level.switch is None else asdict(level.switch)}
-        for level in chain.levels
-    ]
-    return results
-
-
 def make_ball(rings: int, generator: np.random.Generator) -> TexturedMesh:
     """Return a bumpy ball with longitude and latitude as texture coordinates."""
     polar, azimuth = np.meshgrid(np.linspace(0.0, np.pi, rings + 1), np.linspace(0.0, 2.0 * np.pi, 2 * rings + 1), indexing="ij")
@@ -169,20 +131,6 @@ def make_ball(rings: int, generator: np.random.Generator) -> TexturedMesh:
     points[[0, -1]] = points[[0, -1], :1]
     uvs = np.stack([azimuth / (2.0 * np.pi), 1.0 - polar / np.pi], axis=2)
     return grid_mesh(points, uvs)
-
-
-def make_head(generator: np.random.Generator) -> TexturedMesh:
-    """Return a star-shaped head on the grid of the paper's: 36 angles and 52 heights without caps, with noise of 0.3 %."""
-    height, angle = np.meshgrid(np.linspace(-0.8, 0.8, HEAD_ROWS), np.linspace(-np.pi, np.pi, HEAD_COLUMNS + 1), indexing="ij")
-    radius = 0.7 * np.sqrt(np.maximum(1.0 - height**2, 0.0)) * (1.0 + 0.12 * np.cos(angle))
-    for place, level, width, extent, size in HEAD_PARTS:
-        turn = np.angle(np.exp(1j * (angle - place)))
-        radius += size * np.exp(-((turn / width) ** 2) - ((height - level) / extent) ** 2)
-    radius *= 1.0 + 0.003 * generator.normal(size=radius.shape)
-    radius[:, -1] = radius[:, 0]
-    points = np.stack([radius * np.cos(angle), radius * np.sin(angle), 1.2 * height], axis=2)
-    points[:, -1] = points[:, 0]
-    return grid_mesh(points, np.stack([angle / (2.0 * np.pi) + 0.5, 0.5 * (height + 1.0)], axis=2))
 
 
 def grid_mesh(points: np.ndarray, uvs: np.ndarray) -> TexturedMesh:
