@@ -20,7 +20,8 @@ from farfield.addon.core.texmesh.perception.major_scales import (
     keep_visible_scales,
 )
 from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
-from farfield.addon.core.texmesh.perception.switch_distances import LevelImages, SwitchCheck
+from farfield.addon.core.texmesh.perception.level_images import LevelImages
+from farfield.addon.core.texmesh.perception.switch_distances import SwitchCheck
 from textured_levels import checkered, textured_sphere
 
 #  scale                0    1    2    3    4    5    6    7
