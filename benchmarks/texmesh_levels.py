@@ -16,8 +16,8 @@ from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.imaging.mipmaps import build_mipmaps, resize_by_area
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.level_chain import AllSettings, LevelChain, make_levels
-from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
 from farfield.addon.core.texmesh.perception.level_images import LevelImages, measure_difference
+from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
 from farfield.addon.core.texmesh.perception.views import frame_around, prepare_surface
 from farfield.addon.core.texmesh.scale_space.analysis import analyze_scale_space
 from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings

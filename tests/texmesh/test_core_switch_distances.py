@@ -1,5 +1,6 @@
 """Renders of textured meshes are what geometry predicts, and levels switch where FLIP sees no difference."""
 
+import itertools
 import math
 
 import numpy as np
@@ -122,7 +123,7 @@ def test_images_do_not_grow_along_a_chain_and_with_a_gap_they_shrink():
     pixels = [switch.pixels for switch in find_switches(levels)]
     assert pixels == sorted(pixels, reverse=True) and len(set(pixels)) < len(pixels)
     pixels = [switch.pixels for switch in find_switches(levels, gap=1)]
-    assert all(first > second for first, second in zip(pixels[:-1], pixels[1:], strict=True))
+    assert all(first > second for first, second in itertools.pairwise(pixels))
 
 
 def test_levels_that_would_never_be_shown_are_left_out():
@@ -139,7 +140,7 @@ def test_of_levels_that_switch_together_each_is_shown():
     images = switch_distances.open_images(levels, SETTINGS)
     _, switches = run_to_end(switch_distances.find_shown_levels(images, SETTINGS))
     pixels = [switch.pixels for switch in switches]
-    assert all(first > second for first, second in zip(pixels[:-1], pixels[1:], strict=True))
+    assert all(first > second for first, second in itertools.pairwise(pixels))
 
 
 def test_a_comparison_ends_where_the_difference_is_seen():

@@ -14,9 +14,9 @@ from ..geometry.geometry_2d import signed_areas
 from ..imaging.mipmaps import Mipmaps, build_mipmaps
 from ..jobs.progress import Progress, Steps, subprogress
 from .perception.level_choice import LevelBudget, LevelOption, choose_levels
+from .perception.level_images import LevelImages
 from .perception.major_scales import find_red_refinements, find_zones, keep_visible_scales
 from .perception.settings import PerceptionSettings
-from .perception.level_images import LevelImages
 from .perception.switch_distances import Switch, SwitchCheck, find_shown_levels, find_switches, open_images
 from .perception.views import ViewedSurface, prepare_surface
 from .perception.weber import Collapses, Impacts, measure_impacts
