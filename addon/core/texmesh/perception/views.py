@@ -148,7 +148,7 @@ class _Samples:
 
 
 def _find_barycentric(corners: np.ndarray, rows: np.ndarray, samples: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return barycentric coordinates, three (N,) float32, none negative, of `samples` (N,), indices of an image with sides of `size`, in the
+    """Return barycentric coordinates, three (N,) float32, none negative, of `samples` (N,), indices in an image `size` wide, in the
     triangles `rows` (N,) of `corners` (T, 3, 2)."""
     origin = corners[:, 0]
     (first_x, first_y), (second_x, second_y) = (corners[:, 1] - origin).T, (corners[:, 2] - origin).T

@@ -167,8 +167,8 @@ class Linearization:
 
     def diagonal_blocks(self) -> np.ndarray:
         """Return the diagonal blocks (5, 5, V) of the Gauss-Newton matrix, of which the lower triangles count."""
-        size, wedge_count = self._size, len(self.state.mesh.uvs)
         normals = self._normals
+        size, shape = self._size, (len(self.state.mesh.uvs), len(normals[0]))
         metric = [normals * ((self.state.normal_weight - 1.0) * normals[axis]) for axis in range(3)]
         columns = [metric[axis] + np.eye(3)[axis][:, None] for axis in range(3)]  # of the weights of residuals
         if self.directions is not None:
@@ -182,10 +182,8 @@ class Linearization:
                 values.append(-(self._jacobians[row - 3] * columns[column]).sum(axis=0))
         weights = self._products[[0, 1, 2], [0, 1, 2]].ravel()
         sums = self._corner_sums
-        triangle_sums = csr_array(
-            (weights[sums.indices], sums.indices % len(normals[0]), sums.indptr), shape=(wedge_count, len(normals[0]))
-        )
-        at_wedges = np.zeros((size, size, wedge_count))
+        triangle_sums = csr_array((weights[sums.indices], sums.indices % shape[1], sums.indptr), shape=shape)
+        at_wedges = np.zeros((size, size, shape[0]))
         at_wedges[rows, places] = (triangle_sums @ np.stack(values, axis=1)).T
         if self.directions is not None:
             across, along = at_wedges[3:, :3], at_wedges[3:, 3:]
