@@ -48,8 +48,8 @@ def _find_spans(corners: np.ndarray, size: tuple[int, int]) -> Iterator[tuple[np
     edges = []
     for start, end in ((b, c), (c, a), (a, b)):
         with np.errstate(divide="ignore", invalid="ignore"):
-            slope = (end[0] - start[0]) / (end[1] - start[1])
-        edges.append((start[0] - 0.5, start[1], slope, np.sign((start[1] - end[1]) * area)))
+            gradient = (end[0] - start[0]) / (end[1] - start[1])
+        edges.append((start[0] - 0.5, start[1], gradient, np.sign((start[1] - end[1]) * area)))
     ends = np.cumsum(counts)
     start = 0
     while start < len(used):
@@ -58,12 +58,12 @@ def _find_spans(corners: np.ndarray, size: tuple[int, int]) -> Iterator[tuple[np
         y = concatenate_ranges(low[start:stop], counts[start:stop])
         height = y + 0.5
         left, right = np.zeros(len(y)), np.full(len(y), size[0] - 1.0)
-        for start_x, start_y, slope, side in edges:
+        for start_x, start_y, gradient, side in edges:
             with np.errstate(invalid="ignore"):
-                crossing = start_x.take(owners) + (height - start_y.take(owners)) * slope.take(owners)
-            sides = side.take(owners)
-            np.maximum(left, np.ceil(crossing - TOLERANCE), out=left, where=sides > 0.0)
-            np.minimum(right, np.floor(crossing + TOLERANCE), out=right, where=sides < 0.0)
+                crossing = start_x.take(owners) + (height - start_y.take(owners)) * gradient.take(owners)
+            direction = side.take(owners)
+            np.maximum(left, np.ceil(crossing - TOLERANCE), out=left, where=direction > 0.0)
+            np.minimum(right, np.floor(crossing + TOLERANCE), out=right, where=direction < 0.0)
         filled = np.flatnonzero(right >= left)
         lengths = (right[filled] - left[filled]).astype(np.int64) + 1
         yield used[owners[filled]], y[filled], left[filled].astype(np.int64), lengths

@@ -21,7 +21,7 @@ SIZES = (32, 64, 128, 256, 512, 1024, 2048)  # pixels per side, of a first searc
 RELATIVE_PRECISION = 0.03  # of sizes
 CLOSE_RATIO = 0.97  # of the visible difference, from which on a size is not enlarged any more
 AIMED_RATIO = 0.985  # at the next size that is tried
-MIN_SHARE, MAX_SHARE = 0.15, 0.85  # of the interval between two sizes, within which the next one is
+MIN_PART, MAX_PART = 0.15, 0.85  # of the interval between two sizes, within which the next one is
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ def _guess_crossing(same: int, ratio: float, seen: int, seen_ratio: float) -> in
     differences at the two sizes, relative to the largest one that is not seen."""
     part = 0.5
     if ratio > 0.0 and seen_ratio > ratio:
-        part = float(np.clip(math.log(AIMED_RATIO / ratio) / math.log(seen_ratio / ratio), MIN_SHARE, MAX_SHARE))
+        part = float(np.clip(math.log(AIMED_RATIO / ratio) / math.log(seen_ratio / ratio), MIN_PART, MAX_PART))
     return min(max(round(same * (seen / same) ** part), same + 1), seen - 1)
 
 
