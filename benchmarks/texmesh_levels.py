@@ -14,8 +14,8 @@ from texmesh_renders import random_directions
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.level_chain import LevelChain, make_levels
+from farfield.addon.core.texmesh.perception.level_images import LevelImages, measure_difference
 from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
-from farfield.addon.core.texmesh.perception.switch_distances import LevelImages, measure_difference
 from farfield.addon.core.texmesh.perception.views import frame_around, prepare_surface
 from farfield.addon.core.texmesh.simplification.levels import Simplification, extract_level, simplify_by_cost
 from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings

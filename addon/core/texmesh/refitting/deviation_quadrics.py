@@ -12,6 +12,7 @@ import numpy as np
 from ...geometry.geometry_2d import signed_areas
 from ...geometry.mesh import face_areas_and_normals
 from ..simplification.collapse_fans import CollapseFans
+from ..simplification.texture_quadrics import evaluate_quadrics
 from ..simplification.topology import Collapses
 from ..textured_mesh import TexturedMesh
 from .border_curves import find_border_halfedges
@@ -61,8 +62,7 @@ class DeviationQuadrics:
 
     def _evaluate(self, removed: np.ndarray, kept: np.ndarray) -> np.ndarray:
         """Return the costs (N,) of moving wedges (N,) onto others, not negative."""
-        costs = np.einsum("wk,wk->w", self._quadrics.take(removed, axis=0), self._monomials.take(kept, axis=0))
-        return np.maximum(costs + self._own_costs.take(kept), 0.0)
+        return np.maximum(evaluate_quadrics(self._quadrics, self._monomials, removed, kept) + self._own_costs.take(kept), 0.0)
 
     def _add_borders(self, mesh: TexturedMesh) -> None:
         """Add the squared distances from the edges of islands in UV space, which cover what is between the edge and a vertex beside it."""
@@ -92,7 +92,8 @@ def _deviation_rows(corners: np.ndarray, normals: np.ndarray, normal_weight: flo
     squares = (edges**2).sum(axis=(1, 2))
     is_flat = np.abs(determinants) <= 1e-9 * squares
     edges[is_flat] = np.eye(2)
-    jacobians = sides @ np.linalg.inv(edges)
+    inverses = np.stack([edges[:, 1, 1], -edges[:, 0, 1], -edges[:, 1, 0], edges[:, 0, 0]], axis=1).reshape(-1, 2, 2)
+    jacobians = sides @ (inverses / np.where(is_flat, 1.0, determinants)[:, None, None])
     rows = np.zeros((len(corners), 3, 6))
     rows[:, :, :3] = np.eye(3)
     rows[:, :, 3:5] = -jacobians

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...geometry.mesh import face_areas_and_normals
+from ...jobs.parallel_steps import run_in_parallel
 from ...jobs.progress import Progress, Steps, subprogress
 from ..simplification.islands import find_islands
 from ..simplification.levels import extract_level, simplify_by_cost
@@ -53,12 +54,12 @@ def make_refit_levels(
     cost = DeviationQuadrics(fine, settings.normal_weight)
     starts = [max(round((1.0 - settings.split_fraction) * target), 1) for target in targets]
     simplified = yield from subprogress(simplify_by_cost(fine, cost, starts, simplification), 0.0, SIMPLIFICATION_FRACTION)
-    levels = []
     surface = FineSurface(fine, find_islands(fine))
-    for index, (target, subset) in enumerate(zip(targets, simplified.levels, strict=True)):
-        first, last = (SIMPLIFICATION_FRACTION + (1.0 - SIMPLIFICATION_FRACTION) * number / len(targets) for number in (index, index + 1))
-        levels.append((yield from subprogress(refit(fine, extract_level(fine, subset), settings, target, surface), first, last)))
-    return levels
+    tasks = [
+        refit(fine, extract_level(fine, subset), settings, target, surface)
+        for target, subset in zip(targets, simplified.levels, strict=True)
+    ]
+    return (yield from subprogress(run_in_parallel(tasks), SIMPLIFICATION_FRACTION, 1.0))
 
 
 def refit(
