@@ -74,8 +74,9 @@ class DeviationQuadrics:
         rows = np.zeros((len(start), 6))
         rows[:, 3], rows[:, 4] = -edges[:, 1] / lengths, edges[:, 0] / lengths
         rows[:, 5] = -(rows[:, 3:5] * self._points[start, 3:]).sum(axis=1)
-        lengths = np.linalg.norm(self._points[end, :3] - self._points[start, :3], axis=1)
-        terms = rows[:, ROWS] * rows[:, COLUMNS] * (0.5 * CURVE_WEIGHT * lengths**2)[:, None]
+        uv_lengths, lengths = lengths, np.linalg.norm(self._points[end, :3] - self._points[start, :3], axis=1)
+        scales = np.where(uv_lengths > 1e-9 * lengths, lengths / np.maximum(uv_lengths, 1e-300), 0.0)
+        terms = rows[:, ROWS] * rows[:, COLUMNS] * (0.5 * CURVE_WEIGHT * (scales * lengths) ** 2)[:, None]
         np.add.at(self._quadrics, start, terms)
         np.add.at(self._quadrics, end, terms)
 

@@ -48,9 +48,9 @@ class DrasticSteps:
             self._free_seam_ends,
             self._unlock_touching_surfaces,
             self._close_holes,
-            self._drop_islands,
             self._drop_components,
             self._fold_small_triangles,
+            self._drop_islands,
         )
         size = self._settings.drastic_size * np.sqrt(4.0 / np.sqrt(3.0) * self._area / target)  # edge length of equilateral triangles
         while self._taken < len(steps):
