@@ -32,7 +32,11 @@ class FineSurface:
 
     def measure_distances(self, points: np.ndarray) -> np.ndarray:
         """Return the distances (N,) of `points` (N, 3) from the surface."""
-        return self._tree.find_closest(points)[0]
+        return self.find_closest(points)[0]
+
+    def find_closest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the distances (N,) of `points` (N, 3) from the surface, and the nearest triangles (N,)."""
+        return self._tree.find_closest(points)
 
     @cached_property
     def _tree(self) -> TriangleTree:
