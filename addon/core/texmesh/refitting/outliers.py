@@ -4,7 +4,7 @@ Least squares between equal texture coordinates leave them where few samples lie
 beyond concave boundaries, where the fine mesh has no texture coordinates. The mean hardly shows them; renders do.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,6 +22,7 @@ LIMIT_FACTOR = 5.0  # of the root mean squared distance: points that are farther
 EDGE_FRACTIONS = np.array([0.25, 0.5, 0.75])  # along an edge, where its distance is measured
 ATTRACTION = 0.5  # weight of an outlier at the limit, relative to all samples of a triangle
 MAX_ATTRACTION = 30.0
+NEAR_FRACTION = 0.5  # of the limit, up to which middles and ends of an edge tell that no point of it is an outlier
 ATTRACTED_FRACTION = 0.9  # of the limit, from which on points are attracted, so that they do not become outliers
 MAX_FLIPPED_FRACTION = 0.7  # of the distance of an edge that the flipped edge has at most
 MAX_WITHDRAWALS = 4
@@ -31,13 +32,14 @@ MAX_WITHDRAWALS = 4
 class LevelDistances:
     """How far a level is from the fine mesh.
 
-    edges: its E edges. at_vertices: (V,) distances of its vertices, at_edges: (E, 3) those of the points EDGE_FRACTIONS of its edges,
-    from the lower vertex to the other one; at other points at most as far as the limit, upper bounds may stand for them.
+    vertices: (V, 3) of the level. edges: its E edges. at_vertices: (V,) distances of its vertices, at_edges: (E, 3) those of the points
+    EDGE_FRACTIONS of its edges, from the lower vertex to the other one; where they are far below the limit, upper bounds or estimates.
     triangles, barycentric, targets: K points of the level, and the points of the fine mesh (K, 3) that they should be nearer to: the
     nearest ones of distant points of the level, and distant points of the fine mesh. distances: (K,) between them. limit: the distance
     above which points are outliers.
     """
 
+    vertices: np.ndarray
     edges: Edges
     at_vertices: np.ndarray
     at_edges: np.ndarray
@@ -47,38 +49,80 @@ class LevelDistances:
     distances: np.ndarray
     limit: float
 
-    @property
-    def edge_peaks(self) -> np.ndarray:
-        """(E,) largest distances of edges, and of distant points of the fine mesh, which count for the longest edge of their triangle."""
-        return self.at_edges.max(axis=1)
 
+def measure_distances(state: LevelState, surface: FineSurface, previous: LevelDistances | None = None) -> LevelDistances:
+    """Measure a level from both sides.
 
-def measure_distances(state: LevelState, surface: FineSurface) -> LevelDistances:
-    """Measure a level from both sides."""
-    mesh, edges = state.mesh, state.find_edges()
-    points = np.concatenate([mesh.vertices, _edge_points(mesh.vertices, edges).reshape(-1, 3)])
-    distances, nearest = surface.find_closest(points)
-    count = len(mesh.vertices)
+    previous: of the level before vertices moved, edges flipped or vertices were appended. Where it shows that a point can be no outlier,
+    the point is not measured again.
+    """
+    edges = state.find_edges()
     limit = LIMIT_FACTOR * _rms_distance(state)
-    far = np.flatnonzero(distances > ATTRACTED_FRACTION * limit)
+    lowest = ATTRACTED_FRACTION * limit
+    points = _gather_points(state.mesh.vertices, edges)
+    if previous is None:
+        distances, is_near = _measure_coarsely(points, edges, surface, limit)
+    else:
+        distances = _bound_distances(state.mesh.vertices, edges, previous)
+        is_near = distances <= lowest
+    rows = np.flatnonzero(~is_near)
+    distances[rows], nearest = surface.find_closest(points[rows])
+    is_far = distances[rows] > lowest
+    far, nearest = rows[is_far], nearest[is_far]
     triangles, barycentric = _locate(state, edges, far)
-    fine_corners = surface.mesh.vertices[surface.mesh.triangles[nearest[far]]]
+    fine_corners = surface.mesh.vertices[surface.mesh.triangles[nearest]]
     targets = np.einsum("ni,nic->nc", closest_barycentric(points[far], fine_corners), fine_corners)
-    missed = np.flatnonzero(np.einsum("ni,ni->n", state.residuals, state.residuals) > (ATTRACTED_FRACTION * limit) ** 2)
-    fine_points = state.samples.positions[missed]
-    fine_distances, fine_nearest = TriangleTree(state.corners).find_closest(fine_points)
-    is_far = fine_distances > ATTRACTED_FRACTION * limit
-    fine_points, fine_nearest, fine_distances = fine_points[is_far], fine_nearest[is_far], fine_distances[is_far]
+    missed, missed_triangles, missed_distances = _find_missed(state, lowest)
+    count = len(state.mesh.vertices)
     return LevelDistances(
+        vertices=state.mesh.vertices,
         edges=edges,
         at_vertices=distances[:count],
         at_edges=distances[count:].reshape(-1, len(EDGE_FRACTIONS)),
-        triangles=np.concatenate([triangles, fine_nearest]),
-        barycentric=np.concatenate([barycentric, closest_barycentric(fine_points, state.corners[fine_nearest])]),
-        targets=np.concatenate([targets, fine_points]),
-        distances=np.concatenate([distances[far], fine_distances]),
+        triangles=np.concatenate([triangles, missed_triangles]),
+        barycentric=np.concatenate([barycentric, closest_barycentric(missed, state.corners[missed_triangles])]),
+        targets=np.concatenate([targets, missed]),
+        distances=np.concatenate([distances[far], missed_distances]),
         limit=limit,
     )
+
+
+def _measure_coarsely(points: np.ndarray, edges: Edges, surface: FineSurface, limit: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return estimates of the distances of `points` (N, 3) from those of vertices and middles of edges, and which are near, (N,) bool."""
+    count = edges.vertex_count
+    middles = count + len(EDGE_FRACTIONS) * np.arange(len(edges.ends)) + len(EDGE_FRACTIONS) // 2
+    measured = np.concatenate([np.arange(count), middles])
+    distances = np.empty(len(points))
+    distances[measured] = surface.measure_distances(points[measured])
+    highest = np.maximum(distances[middles], distances[edges.ends].max(axis=1))
+    distances[count:] = np.repeat(highest, len(EDGE_FRACTIONS))
+    return distances, distances <= NEAR_FRACTION * limit
+
+
+def _bound_distances(vertices: np.ndarray, edges: Edges, previous: LevelDistances) -> np.ndarray:
+    """Return upper bounds (N,) of the distances of vertices and points of edges; infinite where there were none before."""
+    count, last = len(previous.vertices), previous.edges
+    moves = np.linalg.norm(vertices[:count] - previous.vertices, axis=1)
+    at_vertices = np.full(len(vertices), np.inf)
+    at_vertices[:count] = previous.at_vertices + moves
+    at_edges = np.full((len(edges.ends), len(EDGE_FRACTIONS)), np.inf)
+    rows = np.flatnonzero((edges.ends < count).all(axis=1))
+    old = last.between(*edges.ends[rows].T)
+    rows, old = rows[old >= 0], old[old >= 0]
+    at_edges[rows] = previous.at_edges[old] + moves[edges.ends[rows]].max(axis=1, keepdims=True)
+    return np.concatenate([at_vertices, at_edges.ravel()])
+
+
+def _find_missed(state: LevelState, distance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the samples (K, 3) that are farther than `distance` from the level, and their nearest triangles and distances, (K,) each."""
+    _, normals = face_areas_and_normals(state.corners)
+    along = np.abs(np.einsum("ni,ni->n", state.residuals, normals[state.found.triangles]))
+    squares = np.einsum("ni,ni->n", state.residuals, state.residuals)
+    is_doubtful = (squares > distance**2) & ((along > NEAR_FRACTION * distance) | ~state.found.is_covered)
+    points = state.samples.positions[is_doubtful]
+    distances, nearest = TriangleTree(state.corners).find_closest(points)
+    is_far = distances > distance
+    return points[is_far], nearest[is_far], distances[is_far]
 
 
 def flip_outliers(state: LevelState, surface: FineSurface, measured: LevelDistances) -> LevelState:
@@ -142,7 +186,7 @@ def _withdraw(state: LevelState, vertices: np.ndarray, surface: FineSurface, mea
         moves = np.linalg.norm(result - state.mesh.vertices, axis=1)
         bounds = before + np.concatenate([moves, np.repeat(moves[ends].max(axis=1), len(EDGE_FRACTIONS))])
         rows = np.flatnonzero((bounds > allowed) & (bounds > before))
-        points = np.concatenate([result, _edge_points(result, measured.edges).reshape(-1, 3)])[rows]
+        points = _gather_points(result, measured.edges)[rows]
         worse = rows[surface.measure_distances(points) > allowed[rows]]
         is_vertex = worse < len(vertices)
         stays = np.concatenate([worse[is_vertex], ends[(worse[~is_vertex] - len(vertices)) // len(EDGE_FRACTIONS)].ravel()])
@@ -152,10 +196,11 @@ def _withdraw(state: LevelState, vertices: np.ndarray, surface: FineSurface, mea
     return result
 
 
-def _edge_points(vertices: np.ndarray, edges: Edges) -> np.ndarray:
-    """Return the points (E, 3, 3) of edges at EDGE_FRACTIONS."""
+def _gather_points(vertices: np.ndarray, edges: Edges) -> np.ndarray:
+    """Return the points (V + 3 E, 3) that are measured: vertices, then the points of edges at EDGE_FRACTIONS."""
     first, second = vertices[edges.ends[:, 0]], vertices[edges.ends[:, 1]]
-    return first[:, None] + EDGE_FRACTIONS[:, None] * (second - first)[:, None]
+    points = first[:, None] + EDGE_FRACTIONS[:, None] * (second - first)[:, None]
+    return np.concatenate([vertices, points.reshape(-1, 3)])
 
 
 def _locate(state: LevelState, edges: Edges, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -114,18 +114,21 @@ def refit(
 
 def _repair(state: LevelState, surface: FineSurface, curves: BorderCurves, uv_scale: float, target: int) -> LevelState:
     """Return the level with its outliers nearer to the fine surface."""
+    measured = measure_distances(state, surface)
     for index in range(REPAIR_ROUNDS):
-        measured = measure_distances(state, surface)
         missing = target - len(state.mesh.triangles)
         if missing > 0 and index < LATE_SPLITS:
             missing = -(-missing // (LATE_SPLITS - index))
-            state = split_far_edges(state, measured.edges, measured.edge_peaks, missing, surface, curves)
+            state = split_far_edges(state, measured.edges, measured.at_edges.max(axis=1), missing, surface, curves)
             state = _move(flip_edges(state, FLIP_ROUNDS), curves, uv_scale, MIN_DAMPING)
-            measured = measure_distances(state, surface)
+            measured = measure_distances(state, surface, measured)
         flipped = flip_outliers(state, surface, measured)
         if flipped is not state:
-            state, measured = flipped, measure_distances(flipped, surface)
-        state = approach(state, surface, measured, uv_scale)
+            state, measured = flipped, measure_distances(flipped, surface, measured)
+        moved = approach(state, surface, measured, uv_scale)
+        if moved is state:
+            break
+        state, measured = moved, measure_distances(moved, surface, measured)
     return state
 
 
