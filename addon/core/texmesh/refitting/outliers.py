@@ -10,13 +10,13 @@ import numpy as np
 
 from ...geometry.distance import TriangleTree, closest_barycentric
 from ...geometry.edges import Edges
-from ...geometry.mesh import face_areas_and_normals
+from ...geometry.mesh import face_areas_and_normals, scaled_normals
 from .correspondence import Correspondence
 from .edge_flips import find_quads, flip_quads, select_flips
 from .least_squares import Linearization, compute_moments
 from .level_state import LevelState
 from .sampling import SurfaceSamples
-from .spikes import FineSurface, avoid_folds
+from .spikes import FineSurface
 
 LIMIT_FACTOR = 5.0  # of the root mean squared distance: points that are farther are outliers
 EDGE_FRACTIONS = np.array([0.25, 0.5, 0.75])  # along an edge, where its distance is measured
@@ -26,6 +26,8 @@ NEAR_FRACTION = 0.5  # of the limit, up to which middles and ends of an edge tel
 ATTRACTED_FRACTION = 0.9  # of the limit, from which on points are attracted, so that they do not become outliers
 MAX_FLIPPED_FRACTION = 0.7  # of the distance of an edge that the flipped edge has at most
 MAX_WITHDRAWALS = 4
+ACCEPTED_FRACTION = 0.8  # of the largest distance in the neighborhood, up to which a point may get farther while that is lowered
+PEAK_RINGS = 2
 
 
 @dataclass(frozen=True)
@@ -149,7 +151,7 @@ def approach(state: LevelState, surface: FineSurface, measured: LevelDistances, 
         return state
     attracted = _attract(state, measured)
     step = Linearization(attracted, compute_moments(attracted), None, 0.0).solve(uv_scale)
-    vertices = avoid_folds(state, state.mesh.vertices + step)
+    vertices = _avoid_folds(state, state.mesh.vertices + step, surface)
     return state.move(_withdraw(state, vertices, surface, measured))
 
 
@@ -177,11 +179,35 @@ def _attract(state: LevelState, measured: LevelDistances) -> LevelState:
     )
 
 
+def _avoid_folds(state: LevelState, vertices: np.ndarray, surface: FineSurface) -> np.ndarray:
+    """Return `vertices` (V, 3), but those of triangles stay that would turn away from the fine surface, or would turn over without turning
+    toward it."""
+    mesh, result = state.mesh, vertices.copy()
+    before = scaled_normals(state.corners)
+    for _ in range(MAX_WITHDRAWALS):
+        after = scaled_normals(result[mesh.triangles])
+        rows = np.flatnonzero(np.einsum("ti,ti->t", before, after) < 0.0)
+        if not len(rows):
+            break
+        normals = surface.find_normals(state.corners[rows].mean(axis=1), mesh.corner_uvs[rows].mean(axis=1), state.islands[rows])
+        stays = mesh.triangles[rows[np.einsum("ti,ti->t", normals, after[rows]) < 0.0]]
+        if not len(stays):
+            break
+        result[stays] = mesh.vertices[stays]
+    return result
+
+
 def _withdraw(state: LevelState, vertices: np.ndarray, surface: FineSurface, measured: LevelDistances) -> np.ndarray:
-    """Return `vertices` (V, 3), but those stay where they are in `state` that would make an outlier, or make one worse."""
+    """Return `vertices` (V, 3), but those stay where they are in `state` that would make an outlier, unless a larger one beside it
+    gets smaller."""
     ends, result = measured.edges.ends, vertices.copy()
     before = np.concatenate([measured.at_vertices, measured.at_edges.ravel()])
-    allowed = np.maximum(before, measured.limit)
+    peaks = np.maximum(measured.at_vertices, 0.0)
+    for _ in range(PEAK_RINGS):
+        highest = np.maximum(measured.at_edges.max(axis=1), peaks[ends].max(axis=1))
+        np.maximum.at(peaks, ends.ravel(), np.repeat(highest, 2))
+    around = np.concatenate([peaks, np.repeat(peaks[ends].min(axis=1), len(EDGE_FRACTIONS))])
+    allowed = np.maximum(np.maximum(before, measured.limit), ACCEPTED_FRACTION * around)
     for _ in range(MAX_WITHDRAWALS):
         moves = np.linalg.norm(result - state.mesh.vertices, axis=1)
         bounds = before + np.concatenate([moves, np.repeat(moves[ends].max(axis=1), len(EDGE_FRACTIONS))])
