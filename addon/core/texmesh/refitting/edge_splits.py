@@ -10,10 +10,12 @@ from ...geometry.mesh import face_areas_and_normals, scaled_normals
 from .border_curves import BorderCurves
 from .edge_flips import select_largest
 from .level_state import LevelState, attach
+from .outliers import LevelDistances
 from .spikes import FineSurface
 
 SHORT_EDGE_FACTOR = 0.25  # of the deviation that counts for edges that are not the longest of their triangle
 MIN_UV_FRACTION = 0.1  # area of a new triangle in UV space relative to the one that is divided
+MAX_CANDIDATES = 4  # for each added triangle
 MAX_CURVE_DISTANCE = 0.5  # of the length of an edge on a border: distance of its middle from the border of the fine mesh
 
 
@@ -56,34 +58,53 @@ def split_edges(state: LevelState, count: int) -> LevelState:
     return _split(state, found, points, uvs, uvs)
 
 
-def split_far_edges(
-    state: LevelState, edges: Edges, distances: np.ndarray, count: int, surface: FineSurface, curves: BorderCurves
-) -> LevelState:
+def split_far_edges(state: LevelState, measured: LevelDistances, count: int, surface: FineSurface, curves: BorderCurves) -> LevelState:
     """Return the level with its farthest edges split, seams and boundaries too, so that there are up to `count` more triangles.
 
-    New vertices are on the fine surface, at the middle of the edge in UV space or on the border next to it. No two of the edges have a
-    triangle in common.
+    New vertices are at the sample of the fine mesh that is farthest from the level, if that is beside the edge. Else they are on the fine
+    surface, at the middle of the edge in UV space or on the border next to it. No two of the edges have a triangle in common.
 
     Args:
-        edges: of the level. distances: (E,) of its edges from the fine mesh.
+        measured: of `state`.
     """
     mesh = state.mesh
-    found = find_split_edges(state, edges)
+    found = find_split_edges(state, measured.edges)
     starts, ends = (_wedges(state, found.first, step) for step in (1, 2))
     uvs = 0.5 * (mesh.uvs[starts] + mesh.uvs[ends])
     others = uvs.copy()
-    rows = np.flatnonzero(found.is_border)
     is_valid = np.ones(len(found.first), bool)
+    rows = np.flatnonzero(found.is_border)
     if len(rows):
         uvs[rows], others[rows], is_valid[rows] = _find_border_points(state, found.take(rows), curves)
     points = 0.5 * (_end_points(state, found.first, 1) + _end_points(state, found.first, 2))
-    scores = np.where(is_valid, distances[found.edges], 0.0)
-    candidates = np.argsort(-scores, kind="stable")[: 4 * count]
-    points[candidates] = surface.find_positions(points[candidates], uvs[candidates], state.islands[found.first[candidates] // 3])
-    is_valid[candidates] &= _is_proper(state, found.take(candidates), points[candidates], uvs[candidates], others[candidates])
-    scores = np.where(is_valid, scores, 0.0)
-    chosen = _choose(found, scores, count, len(mesh.triangles))
+    scores = np.where(is_valid, measured.at_edges.max(axis=1)[found.edges], 0.0)
+    rows, samples, distances = _find_missed_edges(state, measured, found)
+    rows, samples, distances = (values[distances > scores[rows]] for values in (rows, samples, distances))
+    scores[rows], points[rows] = distances, state.samples.positions[samples]
+    uvs[rows] = others[rows] = state.samples.uvs[samples]
+    has_point = np.zeros(len(scores), bool)
+    has_point[rows] = True
+    candidates = np.argsort(-scores, kind="stable")[: MAX_CANDIDATES * count]
+    sought = candidates[~has_point[candidates]]
+    points[sought] = surface.find_positions(points[sought], uvs[sought], state.islands[found.first[sought] // 3])
+    is_proper = np.zeros(len(scores), bool)
+    is_proper[candidates] = _is_proper(state, found.take(candidates), points[candidates], uvs[candidates], others[candidates])
+    chosen = _choose(found, np.where(is_proper, scores, 0.0), count, len(mesh.triangles))
     return _split(state, found.take(chosen), points[chosen], uvs[chosen], others[chosen])
+
+
+def _find_missed_edges(state: LevelState, measured: LevelDistances, found: SplitEdges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the rows (R,) of edges `found` beside which the level misses samples, the farthest sample (R,) of each, and its distance."""
+    place = np.full(len(measured.edges.ends), -1)
+    place[found.edges[~found.is_border]] = np.flatnonzero(~found.is_border)
+    samples, distances = measured.missed, measured.distances[len(measured.distances) - len(measured.missed) :]
+    corners = state.found.barycentric[samples].argmin(axis=1)
+    rows = place[measured.edges.face_edges[state.found.triangles[samples], corners]]
+    is_used = (rows >= 0) & state.found.is_covered[samples]
+    rows, samples, distances = rows[is_used], samples[is_used], distances[is_used]
+    order = np.lexsort((-distances, rows))
+    rows, first = np.unique(rows[order], return_index=True)
+    return rows, samples[order][first], distances[order][first]
 
 
 def find_split_edges(state: LevelState, edges: Edges) -> SplitEdges:

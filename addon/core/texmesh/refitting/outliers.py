@@ -18,7 +18,8 @@ from .level_state import LevelState
 from .sampling import SurfaceSamples
 from .spikes import FineSurface
 
-LIMIT_FACTOR = 5.0  # of the root mean squared distance: points that are farther are outliers
+LIMIT_FACTOR = 4.5  # of the root mean squared distance: points that are farther are outliers
+MAX_OUTLIER_FRACTION = 0.01  # of vertices and middles of edges
 EDGE_FRACTIONS = np.array([0.25, 0.5, 0.75])  # along an edge, where its distance is measured
 ATTRACTION = 0.5  # weight of an outlier at the limit, relative to all samples of a triangle
 MAX_ATTRACTION = 30.0
@@ -37,8 +38,8 @@ class LevelDistances:
     vertices: (V, 3) of the level. edges: its E edges. at_vertices: (V,) distances of its vertices, at_edges: (E, 3) those of the points
     EDGE_FRACTIONS of its edges, from the lower vertex to the other one; where they are far below the limit, upper bounds or estimates.
     triangles, barycentric, targets: K points of the level, and the points of the fine mesh (K, 3) that they should be nearer to: the
-    nearest ones of distant points of the level, and distant points of the fine mesh. distances: (K,) between them. limit: the distance
-    above which points are outliers.
+    nearest ones of distant points of the level, then distant samples of the fine mesh. distances: (K,) between them. missed: (M,) the
+    samples that are the last of the targets. limit: the distance above which points are outliers.
     """
 
     vertices: np.ndarray
@@ -49,6 +50,7 @@ class LevelDistances:
     barycentric: np.ndarray
     targets: np.ndarray
     distances: np.ndarray
+    missed: np.ndarray
     limit: float
 
 
@@ -59,12 +61,13 @@ def measure_distances(state: LevelState, surface: FineSurface, previous: LevelDi
     the point is not measured again.
     """
     edges = state.find_edges()
-    limit = LIMIT_FACTOR * _rms_distance(state)
-    lowest = ATTRACTED_FRACTION * limit
     points = _gather_points(state.mesh.vertices, edges)
     if previous is None:
-        distances, is_near = _measure_coarsely(points, edges, surface, limit)
+        distances, is_near, limit = _measure_coarsely(points, edges, surface, LIMIT_FACTOR * _rms_distance(state))
+        lowest = ATTRACTED_FRACTION * limit
     else:
+        limit = previous.limit
+        lowest = ATTRACTED_FRACTION * limit
         distances = _bound_distances(state.mesh.vertices, edges, previous)
         is_near = distances <= lowest
     rows = np.flatnonzero(~is_near)
@@ -75,6 +78,7 @@ def measure_distances(state: LevelState, surface: FineSurface, previous: LevelDi
     fine_corners = surface.mesh.vertices[surface.mesh.triangles[nearest]]
     targets = np.einsum("ni,nic->nc", closest_barycentric(points[far], fine_corners), fine_corners)
     missed, missed_triangles, missed_distances = _find_missed(state, lowest)
+    missed_points = state.samples.positions[missed]
     count = len(state.mesh.vertices)
     return LevelDistances(
         vertices=state.mesh.vertices,
@@ -82,23 +86,28 @@ def measure_distances(state: LevelState, surface: FineSurface, previous: LevelDi
         at_vertices=distances[:count],
         at_edges=distances[count:].reshape(-1, len(EDGE_FRACTIONS)),
         triangles=np.concatenate([triangles, missed_triangles]),
-        barycentric=np.concatenate([barycentric, closest_barycentric(missed, state.corners[missed_triangles])]),
-        targets=np.concatenate([targets, missed]),
+        barycentric=np.concatenate([barycentric, closest_barycentric(missed_points, state.corners[missed_triangles])]),
+        targets=np.concatenate([targets, missed_points]),
         distances=np.concatenate([distances[far], missed_distances]),
+        missed=missed,
         limit=limit,
     )
 
 
-def _measure_coarsely(points: np.ndarray, edges: Edges, surface: FineSurface, limit: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return estimates of the distances of `points` (N, 3) from those of vertices and middles of edges, and which are near, (N,) bool."""
+def _measure_coarsely(
+    points: np.ndarray, edges: Edges, surface: FineSurface, min_limit: float
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return estimates of the distances of `points` (N, 3) from those of vertices and middles of edges, which are near, (N,) bool, and the
+    limit above which they are outliers, at least `min_limit`."""
     count = edges.vertex_count
     middles = count + len(EDGE_FRACTIONS) * np.arange(len(edges.ends)) + len(EDGE_FRACTIONS) // 2
     measured = np.concatenate([np.arange(count), middles])
     distances = np.empty(len(points))
     distances[measured] = surface.measure_distances(points[measured])
+    limit = max(min_limit, float(np.quantile(distances[measured], 1.0 - MAX_OUTLIER_FRACTION)))
     highest = np.maximum(distances[middles], distances[edges.ends].max(axis=1))
     distances[count:] = np.repeat(highest, len(EDGE_FRACTIONS))
-    return distances, distances <= NEAR_FRACTION * limit
+    return distances, distances <= NEAR_FRACTION * limit, limit
 
 
 def _bound_distances(vertices: np.ndarray, edges: Edges, previous: LevelDistances) -> np.ndarray:
@@ -116,15 +125,15 @@ def _bound_distances(vertices: np.ndarray, edges: Edges, previous: LevelDistance
 
 
 def _find_missed(state: LevelState, distance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the samples (K, 3) that are farther than `distance` from the level, and their nearest triangles and distances, (K,) each."""
+    """Return the samples (M,) that are farther than `distance` from the level, and their nearest triangles and distances, (M,) each."""
     _, normals = face_areas_and_normals(state.corners)
     along = np.abs(np.einsum("ni,ni->n", state.residuals, normals[state.found.triangles]))
     squares = np.einsum("ni,ni->n", state.residuals, state.residuals)
     is_doubtful = (squares > distance**2) & ((along > NEAR_FRACTION * distance) | ~state.found.is_covered)
-    points = state.samples.positions[is_doubtful]
-    distances, nearest = TriangleTree(state.corners).find_closest(points)
+    rows = np.flatnonzero(is_doubtful)
+    distances, nearest = TriangleTree(state.corners).find_closest(state.samples.positions[rows])
     is_far = distances > distance
-    return points[is_far], nearest[is_far], distances[is_far]
+    return rows[is_far], nearest[is_far], distances[is_far]
 
 
 def flip_outliers(state: LevelState, surface: FineSurface, measured: LevelDistances) -> LevelState:

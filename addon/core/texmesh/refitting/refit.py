@@ -119,7 +119,7 @@ def _repair(state: LevelState, surface: FineSurface, curves: BorderCurves, uv_sc
         missing = target - len(state.mesh.triangles)
         if missing > 0 and index < LATE_SPLITS:
             missing = -(-missing // (LATE_SPLITS - index))
-            state = split_far_edges(state, measured.edges, measured.at_edges.max(axis=1), missing, surface, curves)
+            state = split_far_edges(state, measured, missing, surface, curves)
             state = _move(flip_edges(state, FLIP_ROUNDS), curves, uv_scale, MIN_DAMPING)
             measured = measure_distances(state, surface, measured)
         flipped = flip_outliers(state, surface, measured)
