@@ -26,7 +26,9 @@ MAX_ATTRACTION = 30.0
 NEAR_FRACTION = 0.5  # of the limit, up to which middles and ends of an edge tell that no point of it is an outlier
 ATTRACTED_FRACTION = 0.9  # of the limit, from which on points are attracted, so that they do not become outliers
 MAX_FLIPPED_FRACTION = 0.7  # of the distance of an edge that the flipped edge has at most
-MAX_WITHDRAWALS = 4
+MAX_WITHDRAWALS = 6
+HALVINGS = 2  # withdrawals that leave a part of a step, before the others leave nothing
+WITHDRAWN_FRACTION = 0.5
 ACCEPTED_FRACTION = 0.8  # of the largest distance in the neighborhood, up to which a point may get farther while that is lowered
 PEAK_RINGS = 2
 
@@ -217,18 +219,41 @@ def _withdraw(state: LevelState, vertices: np.ndarray, surface: FineSurface, mea
         np.maximum.at(peaks, ends.ravel(), np.repeat(highest, 2))
     around = np.concatenate([peaks, np.repeat(peaks[ends].min(axis=1), len(EDGE_FRACTIONS))])
     allowed = np.maximum(np.maximum(before, measured.limit), ACCEPTED_FRACTION * around)
-    for _ in range(MAX_WITHDRAWALS):
+    plain = _measure_planes(state, state.mesh.vertices)
+    corner_peaks = peaks[state.mesh.triangles].min(axis=1)[state.found.triangles]
+    allowed_planes = np.maximum(np.maximum(plain, measured.limit), ACCEPTED_FRACTION * corner_peaks)
+    for attempt in range(MAX_WITHDRAWALS):
         moves = np.linalg.norm(result - state.mesh.vertices, axis=1)
         bounds = before + np.concatenate([moves, np.repeat(moves[ends].max(axis=1), len(EDGE_FRACTIONS))])
         rows = np.flatnonzero((bounds > allowed) & (bounds > before))
         points = _gather_points(result, measured.edges)[rows]
         worse = rows[surface.measure_distances(points) > allowed[rows]]
         is_vertex = worse < len(vertices)
-        stays = np.concatenate([worse[is_vertex], ends[(worse[~is_vertex] - len(vertices)) // len(EDGE_FRACTIONS)].ravel()])
+        missing = np.unique(state.found.triangles[_measure_planes(state, result) > allowed_planes])
+        stays = np.unique(
+            np.concatenate(
+                [
+                    worse[is_vertex],
+                    ends[(worse[~is_vertex] - len(vertices)) // len(EDGE_FRACTIONS)].ravel(),
+                    state.mesh.triangles[missing].ravel(),
+                ]
+            )
+        )
+        stays = stays[moves[stays] > 0.0]
         if not len(stays):
             break
-        result[stays] = state.mesh.vertices[stays]
+        fraction = WITHDRAWN_FRACTION if attempt < HALVINGS else 0.0
+        result[stays] = state.mesh.vertices[stays] + fraction * (result[stays] - state.mesh.vertices[stays])
     return result
+
+
+def _measure_planes(state: LevelState, vertices: np.ndarray) -> np.ndarray:
+    """Return the distances (N,) of the samples from the planes of their triangles if the vertices are at `vertices` (V, 3)."""
+    corners = vertices[state.mesh.triangles]
+    _, normals = face_areas_and_normals(corners)
+    triangles = state.found.triangles
+    offsets = np.einsum("ti,ti->t", normals, corners[:, 0])
+    return np.abs(np.einsum("ni,ni->n", normals[triangles], state.samples.positions) - offsets[triangles])
 
 
 def _gather_points(vertices: np.ndarray, edges: Edges) -> np.ndarray:
