@@ -40,7 +40,7 @@ LATE_SPLIT_FRACTION = 0.4  # of all splits, those of the edges that are farthest
 LATE_SPLITS = 2  # rounds of repair in which edges are split
 REPAIR_ROUNDS = 5
 PEAK_SCALE = 4.0  # squared distances count more if they are large compared with this multiple of their mean
-MAX_EMPHASIS = 100.0
+MAX_EMPHASIS = 3.0
 SIMPLIFICATION_FRACTION = 0.1  # of the progress, for the simplification
 
 
