@@ -17,6 +17,7 @@ from .topology import BOUNDARY
 
 MAX_LOCKED_FRACTION = 0.25  # of the vertices of a level: with more, what can be unlocked is unlocked before all others are gone
 SMALLEST_FRACTION = 0.5  # of the size of small components: those that are dropped before triangles fold
+LARGER_FACTOR = 2.0  # of the size of small triangles: those that fold before larger components are dropped
 MIN_FILL_QUALITY = 1e-3  # in texture space, of triangles that close holes
 
 
@@ -51,6 +52,7 @@ class DrasticSteps:
             self._close_holes,
             self._drop_smallest_components,
             self._fold_small_triangles,
+            self._fold_larger_triangles,
             self._drop_components,
             self._drop_islands,
         )
@@ -82,6 +84,9 @@ class DrasticSteps:
     def _fold_small_triangles(self, size: float) -> bool:
         self._engine.relaxation = replace(self._engine.relaxation, small_size=size)
         return self._engine.retry(is_forced=True)
+
+    def _fold_larger_triangles(self, size: float) -> bool:
+        return self._fold_small_triangles(LARGER_FACTOR * size)
 
     def _unlock_attributes(self, size: float) -> bool:
         """Keep only seams of texture coordinates and materials."""
