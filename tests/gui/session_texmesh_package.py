@@ -8,7 +8,7 @@ import bpy
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not add the script's folder
 
-from session import FOLDER, UserInput, module, open_panel_alone, results, save_screenshot, start_session, wait_for_job
+from session import FOLDER, UserInput, open_panel_alone, results, save_screenshot, start_session, wait_for_job
 
 
 def session() -> Iterator[float]:
@@ -23,13 +23,6 @@ def session() -> Iterator[float]:
     open_panel_alone("texmesh", "package")
     yield from user.open_sidebar()
     results["objects_before"] = len(bpy.data.objects)
-    x, y = yield from user.find_button("farfield.texmesh_package")
-    user.press("LEFTMOUSE", x, y)  # without a folder
-    yield 1.0
-    region = user.region("WINDOW")
-    user.move(region.x + region.width // 4, region.y + region.height // 4)  # so that the message closes
-    yield 1.0
-    results["is_refused"] = module("addon.operators.long_work").current_run() is None and not list(FOLDER.glob("package*"))
     package.folder = str(FOLDER / "package été")
     yield 0.5
     save_screenshot("1-panel")

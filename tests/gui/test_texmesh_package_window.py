@@ -17,10 +17,6 @@ def test_the_session_ran_to_its_end(results):
     assert results["error"] is None, results["error"]
 
 
-def test_a_folder_is_needed(results):
-    assert results["is_refused"]
-
-
 def test_the_package_is_written_with_its_page(results):
     assert {"manifest.json", "mesh.bin", "textures.bin", "levels.glb", "index.html"} <= set(results["files"])
     assert results["fractions"] == sorted(results["fractions"])
