@@ -9,11 +9,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-PEERS = {
+PEERS = {  # columns by the names of texmesh_peers; gltfpack by its flags
     "blender": "Decimate",
     "gltfpack -si": "-si",
     "gltfpack -si -sv": "-si -sv",
     "gltfpack -si -sp": "-si -sp",
+    "gltfpack -si -sp -sv": "-si -sp -sv",
     "pymeshlab": "pymeshlab",
 }
 LAST_SCALE = 20
