@@ -1,0 +1,144 @@
+"""What a package contains.
+
+A package is a folder of static files:
+
+| file | content |
+|---|---|
+| manifest.json | `Manifest`, see `manifest_json` |
+| mesh.bin | sections of the levels, coarsest first, see `MeshLevel` |
+| textures.bin | the tables of increments and of their checksums, and the increments in the order in which they improve the image most |
+
+Everything that is compressed is raw DEFLATE (RFC 1951), which browsers decode.
+"""
+
+import zlib
+from dataclasses import dataclass
+
+from ...errors import FileError
+
+FORMAT, VERSION = "farfield-package", 1
+MANIFEST, MESH, TEXTURES = "manifest.json", "mesh.bin", "textures.bin"
+MAX_TEXTURE_SIDE = 65536
+MAX_TILES = 65536  # of one texture: tile indices are 16 bits
+ROLES = ("base_color", "normal", "roughness", "metallic", "occlusion", "emission")
+
+
+@dataclass(frozen=True)
+class Section:
+    """`size` bytes at `offset` of a file, and their CRC-32."""
+
+    offset: int
+    size: int
+    crc32: int
+
+    @property
+    def end(self) -> int:
+        return self.offset + self.size
+
+    def read(self, content: bytes | memoryview, name: str) -> memoryview:
+        """Return the bytes of this section of a whole file.
+
+        Raises:
+            FileError: the file is too short, or the bytes are others than were written.
+        """
+        part = memoryview(content)[self.offset : self.end]
+        if len(part) != self.size or zlib.crc32(part) != self.crc32:
+            raise FileError(f'"{name}" of the package is damaged at byte {self.offset}; export the package again, or copy it again.')
+        return part
+
+
+@dataclass(frozen=True)
+class MeshLevel:
+    """What a level adds to the coarser ones.
+
+    vertex_count, wedge_count: of the level, those of coarser levels included: they come first. triangle_counts: per material; triangles
+    are sorted by material. positions, parents, wedges, uvs: sections of mesh.bin for the added vertices and wedges. corners: section of
+    mesh.bin with the level's triangles, all of them. pixels: size of the object in the image, in pixels, up to which the level looks the
+    same as the next finer one; 0 for the finest.
+    """
+
+    vertex_count: int
+    wedge_count: int
+    triangle_counts: tuple[int, ...]
+    positions: Section
+    parents: Section
+    wedges: Section
+    uvs: Section
+    corners: Section
+    pixels: float
+
+    @property
+    def added_size(self) -> int:
+        """Bytes that this level and all finer ones need of it."""
+        return self.positions.size + self.parents.size + self.wedges.size + self.uvs.size
+
+
+@dataclass(frozen=True)
+class PackageTexture:
+    """A texture. Tiles are squares of `tile_size` pixels, row by row from the top left corner; those at the right and lower border are
+    padded. headers: beginnings of JPEG files up to the first scan; each tile uses one of them."""
+
+    role: str
+    width: int
+    height: int
+    tile_size: int
+    headers: tuple[bytes, ...]
+
+    @property
+    def columns(self) -> int:
+        return -(-self.width // self.tile_size)
+
+    @property
+    def tile_count(self) -> int:
+        return self.columns * -(-self.height // self.tile_size)
+
+
+@dataclass(frozen=True)
+class PackageMaterial:
+    """A material. base_color: scene-linear RGBA, multiplied with the texture. textures: indices into those of the package, by role."""
+
+    name: str
+    base_color: tuple[float, float, float, float]
+    textures: dict[str, int]
+    is_double_sided: bool
+
+
+@dataclass(frozen=True)
+class PlanRow:
+    """The best use of a number of bytes: a level, coarsest is 0, and the first increments. flip: predicted mean FLIP error."""
+
+    byte_count: int
+    level: int
+    increment_count: int
+    flip: float
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What a package contains.
+
+    name: of the object. files: size and SHA-256 (hexadecimal) by name. mirrors: URLs of folders with copies, ending in "/". bounds: (2, 3)
+    lowest and highest position. uv_bounds: (2, 2) lowest and highest texture coordinate, v downwards as in glTF. levels: coarsest first.
+    increment_count, increments, checksums: see `increments`. first_increment: offset of the first increment in textures.bin. plan:
+    ascending by bytes. time_limit: seconds. pixels: size of the object in the image that the plan is for.
+    """
+
+    name: str
+    files: dict[str, tuple[int, str]]
+    mirrors: tuple[str, ...]
+    bounds: tuple[tuple[float, ...], tuple[float, ...]]
+    uv_bounds: tuple[tuple[float, ...], tuple[float, ...]]
+    levels: tuple[MeshLevel, ...]
+    materials: tuple[PackageMaterial, ...]
+    textures: tuple[PackageTexture, ...]
+    increment_count: int
+    increments: Section
+    checksums: Section
+    first_increment: int
+    plan: tuple[PlanRow, ...]
+    time_limit: float
+    pixels: float
+
+    def mesh_size(self, level: int) -> int:
+        """Return the bytes of mesh.bin that show `level`, without those of the triangles of coarser ones."""
+        return sum(item.added_size for item in self.levels[: level + 1]) + self.levels[level].corners.size
