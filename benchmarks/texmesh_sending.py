@@ -76,7 +76,7 @@ def run_clients(rng: np.random.Generator, kind: str, mirrors: int = 0) -> dict[s
     history = rate * float(rng.lognormal(0.0, 0.4))
     seed = int(rng.integers(10**9))
     names = ("compensating",) if mirrors else CLIENTS
-    return {name: simulate(package, tuple(lines), limit, name, history / count, seed=seed) for name in names}
+    return {name: simulate(package, tuple(lines), limit, name, history / count, seed=seed, patience=1e9) for name in names}
 
 
 def measure_sending(given: Namespace) -> dict[str, Any]:

@@ -1,11 +1,15 @@
-"""Random packages and random events for controllers of clients."""
+"""Random packages, events and lines for controllers of clients."""
 
 import dataclasses
 import random
 
+import numpy as np
+
 from farfield.addon.core.texmesh.streaming import controller
 from farfield.addon.core.texmesh.streaming.manifest import MESH, TEXTURES
 from farfield.addon.core.texmesh.streaming.sending_state import Event, Job, Request, Span, State, begin
+from farfield.addon.core.texmesh.streaming.simulation import SentPackage
+from farfield.addon.core.texmesh.streaming.traces import Trace
 
 
 def random_job(rng: random.Random, increment_count: int | None = None) -> Job:
@@ -86,3 +90,36 @@ def random_exchange(seed: int, steps: int = 80) -> Exchange:
     exchange = Exchange(rng, job, begin(job, limit, rate, rng.randint(1, 3), patience, rng.random() < 0.2), rate)
     exchange.run(steps)
     return exchange
+
+
+def make_package(
+    texture_size: int = 1_000_000, increment_count: int = 1000, level_sizes: tuple[int, ...] = (20_000, 40_000, 80_000)
+) -> SentPackage:
+    """A package whose increments have equal sizes and falling gains, and whose plan has the best use of every number of bytes."""
+    added, corners, offset = [], [], 0
+    for size in level_sizes:
+        added.append((Span(MESH, offset, offset + size),))
+        corners.append((Span(MESH, offset + size, offset + 2 * size),))
+        offset += 2 * size
+    first = 8000
+    ends = first + np.arange(1, increment_count + 1) * (texture_size // increment_count)
+    gains = np.linspace(2.0, 0.0, increment_count) * 0.3 / increment_count
+    errors = [0.2 * 0.3**level for level in range(len(level_sizes))]
+    plan = tuple((level, increment_count, error) for level, error in enumerate(errors))
+    spans = (*added[0], *corners[0], Span(TEXTURES, 0, 6000))
+    job = Job(spans, tuple(added), tuple(corners), plan, first, tuple(ends.tolist()))
+    tiles = np.arange(increment_count) % 64
+    package = SentPackage(job, gains, tiles, 2000)
+    rows = [package.best(size) for size in np.linspace(2.0 * level_sizes[0], texture_size + 2.0 * sum(level_sizes), 60)]
+    plan = tuple(dict.fromkeys(row for row in rows if row[0] >= 0))
+    return SentPackage(dataclasses.replace(job, plan=plan), gains, tiles, 2000)
+
+
+def wavering_trace(rng: random.Random, rate: float, variation: float) -> Trace:
+    """A line whose rate changes every 0.05 to 0.5 s within `rate` (1 - `variation`) to `rate` (1 + `variation`)."""
+    times, rates, time = [], [], 0.0
+    while time < 30.0:
+        times.append(time)
+        rates.append(rate * (1.0 + rng.uniform(-variation, variation)))
+        time += rng.uniform(0.05, 0.5)
+    return Trace("wavering", tuple(times), tuple(rates), time)

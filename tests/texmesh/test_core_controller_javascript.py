@@ -19,18 +19,19 @@ import { readFileSync } from "node:fs";
 const { begin, decide, estimateRate, isFinished, meanDifference, receivedIncrements } = await import(process.argv[2]);
 const results = JSON.parse(readFileSync(process.argv[3])).map(({ job, settings, events }) => {
   let state = begin(job, settings);
-  return events.map(([hasTable, event]) => {
-    const known = hasTable ? job : { ...job, ends: null };
+  return events.map(([isKnown, event]) => {
+    const known = isKnown ? job : { ...job, ends: null };
     const [next, requests, aborted] = decide(known, state, event);
     state = next;
-    const figures = [state.shown, state.level, state.asked, state.target, receivedIncrements(known, state), Number(isFinished(known, state))];
+    const counts = [state.shown, state.level, state.asked, state.target, receivedIncrements(known, state)];
+    const figures = [...counts, Number(isFinished(known, state))];
     const rates = state.servers.map((_, index) => estimateRate(state, index, 1.5));
     return [requests, aborted, figures, rates, state.servers.map((server) => server.delay), meanDifference(state), state.ended];
   });
 });
 process.stdout.write(JSON.stringify(results));
 """
-SEEDS = range(200)
+SEEDS = range(120)
 
 
 def encode_vector(seed: int) -> tuple[dict, list]:

@@ -1,32 +1,33 @@
-"""The controller of a client: which bytes to ask for next, so that sending ends at the time limit (sections III.B, III.C and V of the paper).
+"""The controller of a client: which bytes to ask for next, so that sending ends at the time limit (sections III.B, III.C and V of the
+paper).
 
-`decide` is a pure function of the state and an event; the page has the same one in page/controller.js, with the same arithmetic: only
-+ - * / and comparisons of doubles, in the same order, so both decide alike bit for bit.
+`decide` is a pure function of the state and an event. The page has the same one in page/controller.js, with the same arithmetic in the same
+order (only + - * / and comparisons of doubles), so both decide alike bit for bit. The caller tells every event at once, ticks about 20
+times per second, and one at the limit.
 
 Order. Level 0 and the table of increments come first, so that something is on the screen; then increments. When the rates have been
-measured, each request is preceded by a look into the plan: the best row that the rest of the time has bytes for. As soon as the plan leaves
-the present level, the level of that row is asked for, without the triangles of the levels between.
+measured, the plan is looked up before each request: its best row for which the rest of the time has bytes. As soon as the plan leaves the
+present level, vertices and wedges of the next levels are asked for, level by level, each time with a new look into the plan, and then the
+triangles of the level that the plan still has; those of the levels between are skipped.
 
-Time compensation. The paper's algorithm gives each of the n - j remaining fragments an equal part of the remaining time after fragment j, so
-each deviation spreads evenly over them: with relative errors e_j of the estimated times, the last fragment ends
+Time compensation. The paper's algorithm gives each of the n - j remaining fragments an equal part of the time that remains after fragment
+j, so a deviation spreads evenly over them: with relative errors e_j of the estimated times, the last of n fragments ends
 
     Pi = e_n (T / n) prod_{j < n} (1 - e_j / (n - j))
 
-late, which is at most e (T / n) exp(e (1 + 1/2 + ... + 1 / (n - 1))), a harmonic sum (e: the largest |e_j|). Here a request takes FRACTION of
-the remaining time, so a deviation spreads over the remaining requests in proportion to their planned times, which shrink geometrically:
+after the limit T; with e the largest |e_j|, that is at most e (T / n) exp(e (1 + 1/2 + ... + 1 / (n - 1))), a harmonic sum. Here each
+request takes FRACTION of the remaining time, so a deviation spreads over the remaining requests in proportion to their planned times, which
+shrink geometrically: the factor behind e_n is T (1 - FRACTION (1 - e))^(n - 1) at most. Requests shorter than the delay of the line would
+leave it idle, so the one that begins when less remains takes all of it; and the increment that is next, which takes g seconds, may be
+longer than its request should be. So the last request is sent W seconds before the limit at most, and ends (our bound in place of eq. 8)
 
-    Pi <= e T (1 - FRACTION (1 - e))^(n - 1).
+    -(g + W) <= Pi <= e W,    W = (1 + LEAD) delay + g / (1 - FRACTION)
 
-Requests do not shrink below `_shortest` (one delay of the line; shorter ones would leave it idle); the one that begins when less than that
-remains takes all of it. So with W = `_shortest` + LEAD times the delay, the time for which the last request is in flight at most,
+after it. `mean_difference` is Lambda of eq. 9. At the limit the client stops: whole increments of a response that is running are of use.
 
-    -(g + delay) <= Pi <= e W,
-
-where g is the time of the increment that does not fit anymore. `Lambda` (eq. 9) is the mean of the absolute differences between planned
-and actual times of all requests but the last.
-
-Several servers: a request goes to the server whose line is free first, and is as long as its measured rate allows; so bytes spread by rates.
-A server that fails or is silent gets nothing for a while, and what it owes is asked for first, elsewhere if possible.
+Several servers: a request goes to the server whose line is free first, and is as long as its measured rate allows; so bytes spread by
+rates. A server that fails or is silent gets nothing for a while, and what it owes is asked for first, elsewhere if possible. When requests
+will not end before the limit, the newest are taken back, so that older ones get the whole line.
 """
 
 from bisect import bisect_right
@@ -36,7 +37,6 @@ from .manifest import MESH, TEXTURES
 from .sending_state import Event, Flight, Job, Request, Server, Span, State
 
 FAST, SLOW = 0.3, 2.0  # seconds that the averages of rates look back
-MIN_SAMPLE = 0.01  # seconds
 GRACE = 0.1  # seconds without a byte that mean nothing
 FRACTION = 0.25  # of the remaining time for the next request
 MAX_REQUEST = 1.0  # seconds
@@ -47,6 +47,7 @@ LEVEL_MARGIN = 0.9  # fraction of the estimated bytes that a level and its incre
 SILENCE = 0.75  # seconds after which a request is given up
 MIN_PAUSE, MAX_PAUSE = 0.25, 8.0  # seconds without a request for a server that failed
 MIN_RATE = 1000.0  # bytes per second
+ENDLESS = 1e9  # seconds
 
 
 def decide(job: Job, state: State, event: Event) -> tuple[State, list[Request], list[int]]:
@@ -99,7 +100,8 @@ def mean_difference(state: State) -> float:
 def estimate_rate(state: State, index: int, horizon: float) -> float:
     """Return the bytes per second of server `index` that are to be expected for the next `horizon` seconds."""
     server = state.servers[index]
-    gap = max(0.0, state.time - server.mark - GRACE)
+    is_open = any(flight.is_open and flight.server == index for flight in state.flights)
+    gap = max(0.0, state.time - server.mark - GRACE) if is_open else 0.0
     fast = server.bytes / (server.seconds + gap)
     slow = server.slow_bytes / (server.slow_seconds + gap)
     return (fast * FAST + slow * horizon) / (FAST + horizon)
@@ -121,7 +123,9 @@ def _hear(state: State, flight: Flight, event: Event) -> None:
         _owe(state, flight)
         return
     is_busy = any(other.is_open and other.server == flight.server for other in state.flights)
-    fresh = event.received - flight.received
+    size = flight.span.end - flight.span.start
+    received = min(max(event.received, flight.received), size)
+    fresh = received - flight.received
     if not flight.is_open:
         flight.is_open = True
         server.delay += (state.time - flight.asked - server.delay) * (0.25 if server.measured else 1.0)
@@ -129,8 +133,8 @@ def _hear(state: State, flight: Flight, event: Event) -> None:
         server.mark, fresh = state.time, 0  # bytes that come with the headers took a time that nobody measured
     _measure(server, fresh, state.time - server.mark)
     server.mark = flight.heard = server.heard = state.time
-    flight.received = event.received
-    if flight.received >= flight.span.end - flight.span.start:
+    flight.received = received
+    if received == size:
         state.flights = [other for other in state.flights if other.id != flight.id]
         state.latest = abs(state.time - flight.due)
         state.difference += state.latest
@@ -202,14 +206,14 @@ def _ask(job: Job, state: State, requests: list[Request]) -> bool:
 def _line(state: State, index: int) -> tuple[float, float, float]:
     """Return in how many seconds the line of a server is free, how many then remain for a new response, and its rate until then."""
     is_refining = state.keeps_refining and state.time >= state.limit
-    left = MAX_REQUEST / FRACTION if is_refining else max(state.limit - state.time, 0.0)
+    left = ENDLESS if is_refining else max(state.limit - state.time, 0.0)
     rate = max(estimate_rate(state, index, left), MIN_RATE)
-    owed = 0
+    delay, busy = state.servers[index].delay, 0.0
     for flight in state.flights:
         if flight.server == index:
-            owed += flight.span.end - flight.span.start - flight.received
-    busy = owed / rate
-    return busy, left if is_refining else left - max(busy, state.servers[index].delay), rate
+            begins = busy if flight.is_open else max(busy, flight.asked + delay - state.time)
+            busy = begins + (flight.span.end - flight.span.start - flight.received) / rate
+    return busy, left if is_refining else left - max(busy, delay), rate
 
 
 def _take(job: Job, state: State, rest: float, rate: float, shortest: float) -> Span | None:
@@ -245,7 +249,11 @@ def _choose_level(job: Job, state: State) -> None:
     measured = 0.0
     for server in state.servers:  # not `sum`, which adds floats in another way in every version of Python
         measured += server.measured
-    if state.shown < state.level or any(span.file == MESH for span in state.pending) or (measured < MEASURED and state.asked < len(job.ends)):
+    if (
+        state.shown < state.level
+        or any(span.file == MESH for span in state.pending)
+        or (measured < MEASURED and state.asked < len(job.ends))
+    ):
         return
     budget = _budget(state)
     start = _begin(job, state.asked)

@@ -7,7 +7,6 @@ from .manifest import MESH, TEXTURES, Manifest, Section
 DEFAULT_RATE = 250000.0  # bytes per second, if there is no history: 2 Mbit/s
 DEFAULT_DELAY = 0.1  # seconds until the headers of a response come
 PRIOR_SECONDS = 0.1  # weight of the initial rate
-ENDLESS = 1e9  # seconds
 
 
 @dataclass(frozen=True)
@@ -71,9 +70,9 @@ class Flight:
 class State:
     """The state of a client. Times are seconds since the user's wish; read it, but only `decide` changes it.
 
-    level: asked for, with all vertices and wedges up to those of level `added`. shown: the level that has come wholly, or -1. asked: number of increments asked for. target: the row of the plan that
-    the rest of the time allows, or -1. ended: when the last response ended. difference: sum of the absolute differences between planned
-    and actual times of `responses` requests, `latest` is that of the last one.
+    level: asked for, with all vertices and wedges up to those of level `added`. shown: the level that has come wholly, or -1. asked: number
+    of increments asked for. target: the row of the plan that the rest of the time allows, or -1. ended: when the last response ended.
+    difference: sum of the absolute differences between planned and actual times of `responses` requests, `latest` is that of the last one.
     """
 
     limit: float
@@ -117,14 +116,12 @@ class Request:
 
 def build_job(manifest: Manifest) -> Job:
     """Return what `manifest` has to send. `ends` is None: add them when the table of increments has come."""
-    added = [_spans(level.positions, level.parents, level.wedges, level.uvs) for level in manifest.levels]
-    corners = [_spans(level.corners) for level in manifest.levels]
+    added = [_spans(level.positions, level.parents, level.wedges, level.uvs, level.corners) for level in manifest.levels]
+    corners = ((),) * len(added)  # finer levels refer to the triangles of coarser ones, so they are among what is added
     table = tuple(replace(span, file=TEXTURES) for span in _spans(manifest.increments))
     plan = tuple((row.level, row.increment_count, row.flip) for row in manifest.plan)
-    level = manifest.levels[0]
-    first = _spans(level.positions, level.parents, level.wedges, level.uvs, level.corners)
     ends = None if manifest.increment_count else ()
-    return Job(first + table, tuple(added), tuple(corners), plan, manifest.first_increment, ends)
+    return Job(added[0] + table, tuple(added), corners, plan, manifest.first_increment, ends)
 
 
 def begin(

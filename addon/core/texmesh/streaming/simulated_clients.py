@@ -143,8 +143,9 @@ class FixedClient(_SequentialClient):
 
 
 class PaperClient(_SequentialClient):
-    """One fragment after the other, as in the paper: tiles in PAPER_FRAGMENTS groups in their order, each with the quality of the set that the
-    lookup table (here: a number of increments of the whole texture) has for the rest of the time at the rate of the fragments before."""
+    """One fragment after the other, as in the paper: tiles in PAPER_FRAGMENTS groups in their order, each with the quality of the set that
+    the lookup table (here: a number of increments of the whole texture) has for the rest of the time at the rate of the fragments
+    before."""
 
     def __init__(self, job: Job, limit: float, rate: float | None, tiles: np.ndarray) -> None:
         super().__init__(job, limit, rate)

@@ -31,6 +31,11 @@ class Line:
     loss: float = 0.0
     down: tuple[float, float] = (math.inf, math.inf)
 
+    def bytes_until(self, time: float) -> float:
+        """Return how many bytes the line carries from 0 to `time`."""
+        begin, end = (min(moment, time) for moment in self.down)
+        return self.trace.bytes_until(time) - (self.trace.bytes_until(end) - self.trace.bytes_until(begin))
+
 
 @dataclass
 class _Response:
@@ -51,16 +56,24 @@ class _Response:
 
 
 class Network:
-    """Lines, running responses, and the time. bytes: carried so far, headers included."""
+    """Lines, running responses, and the time. alarm: there is a tick at this time. bytes: carried so far, headers included."""
 
-    def __init__(self, lines: tuple[Line, ...], access: Trace | None = None, seed: int = 0) -> None:
-        self.lines, self.access = lines, access
+    def __init__(self, lines: tuple[Line, ...], access: Trace | None = None, seed: int = 0, alarm: float = math.inf) -> None:
+        self.lines, self.access, self.alarm = lines, access, alarm
         self.time = 0.0
         self.bytes = 0.0
         self._random = random.Random(seed)
         self._responses: list[_Response] = []
         self._events: deque[Event] = deque()
         self._next_report = REPORT_INTERVAL
+
+    def fetch(self, server: int, size: int) -> float:
+        """Return when `size` bytes have come that are asked for now, alone, and that are not lost."""
+        begin = self.time + self.lines[server].delay
+        self.time = self.lines[server].trace.time_of(self.lines[server].trace.bytes_until(begin) + size)
+        self._next_report = self.time + REPORT_INTERVAL
+        self.bytes += size
+        return self.time
 
     def send(self, id: int, server: int, size: int) -> None:
         """Ask `server` for `size` bytes now."""
@@ -83,7 +96,7 @@ class Network:
     def _move(self) -> None:
         """Let time pass until something may happen or a rate changes, and note what has happened."""
         rates, end = self._rates()
-        end = min(end, self._next_report)
+        end = min(end, self._next_report, self.alarm if self.alarm > self.time else math.inf)
         for response in self._responses:
             if not response.is_open:
                 end = min(end, response.opens)
@@ -108,14 +121,15 @@ class Network:
                 self._events.append(Event(self.time, response.id, response.size))
         ended = {event.id for event in self._events if event.failed or event.received}
         self._responses = [response for response in self._responses if response.id not in ended]
-        if self.time >= self._next_report:
+        is_report = self.time >= self._next_report
+        if is_report:
             self._next_report += REPORT_INTERVAL
             for response in self._responses:
                 if response.received > response.reported:
                     response.reported = response.received
                     self._events.append(Event(self.time, response.id, response.received))
-            if not self._events:
-                self._events.append(Event(self.time))
+        if not self._events and (is_report or self.time == self.alarm):
+            self._events.append(Event(self.time))
 
     def _rates(self) -> tuple[list[float], float]:
         """Return the rate of each running response of every server, and until when the rates hold."""

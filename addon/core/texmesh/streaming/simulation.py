@@ -10,7 +10,7 @@ from ...errors import SettingsError
 from .increments import Increments
 from .manifest import Manifest
 from .manifest_json import encode_manifest
-from .sending_state import ENDLESS, Event, Job, build_job
+from .sending_state import Event, Job, Span, build_job
 from .simulated_clients import CompensatingClient, FixedClient, PaperClient
 from .simulated_network import Line, Network
 from .traces import Trace
@@ -21,8 +21,8 @@ MAX_ROUNDS = 20.0  # limits after which a simulation ends
 
 @dataclass(frozen=True, eq=False)
 class SentPackage:
-    """What a simulation needs of a package. job: with `ends`. gains: (N,) float64, by how much the predicted error falls. tiles: (N,) int64,
-    numbers of tiles over all textures. manifest_size: bytes."""
+    """What a simulation needs of a package. job: with `ends`. gains: (N,) float64, by how much the predicted error falls. tiles: (N,)
+    int64, numbers of tiles over all textures. manifest_size: bytes."""
 
     job: Job
     gains: np.ndarray
@@ -62,8 +62,8 @@ class SendingReport:
 
     finished: when it stopped, seconds. deviation: Pi, seconds after the limit (negative: before it). mean_difference: Lambda of eq. 9,
     seconds. is_complete: everything came. byte_count: carried by the lines, headers of responses included. useful_bytes: of the level and
-    increments at the end. level, increments, error: at the limit or at the end if that is earlier. oracle_*: of a client that knows the trace.
-    first_seen: when level 0 was there; first_textured: when the first increment was there; infinite if never.
+    increments at the end. level, increments, error: at the limit or at the end if that is earlier. oracle_*: of a client that knows the
+    trace. first_seen: when level 0 was there; first_textured: when the first increment was there; infinite if never.
     """
 
     client: str
@@ -103,7 +103,8 @@ class SendingReport:
         return (
             f"{self.client} client over {self.trace}: ended {abs(self.deviation):.3f} s {side} the limit of {self.limit:g} s "
             f"({100.0 * self.deviation / self.limit:+.2f} %), mean difference of requests {self.mean_difference:.3f} s\n"
-            f"{self.requests} requests, {self.aborted} aborted, {self.byte_count / 1e6:.3f} MB carried, {self.useful_bytes / 1e6:.3f} MB used\n"
+            f"{self.requests} requests, {self.aborted} aborted, {self.byte_count / 1e6:.3f} MB carried, "
+            f"{self.useful_bytes / 1e6:.3f} MB used\n"
             f"level {self.level} and {self.increments} increments: predicted error {self.error:.4f}; with the trace known before: level "
             f"{self.oracle_level}, {self.oracle_increments} increments, {self.oracle_error:.4f}\n"
             f"shown after {self.first_seen:.2f} s, with texture after {self.first_textured:.2f} s"
@@ -119,9 +120,28 @@ def build_sent_package(manifest: Manifest, increments: Increments) -> SentPackag
     return SentPackage(job, increments.gains.astype(np.float64) * 1e-6, tiles, len(encode_manifest(manifest)))
 
 
-def simulate_package(manifest: Manifest, increments: Increments, trace: Trace, limit: float, **settings) -> SendingReport:
-    """x"""
-    return simulate(build_sent_package(manifest, increments), (Line(trace),), limit, **settings)
+def simulate_package(
+    manifest: Manifest,
+    increments: Increments,
+    traces: Trace | tuple[Trace, ...],
+    limit: float,
+    client: str = "compensating",
+    rate: float | None = None,
+    delay: float = 0.06,
+    loss: float = 0.0,
+    patience: float = 0.0,
+    seed: int = 0,
+) -> SendingReport:
+    """Return what a client gets from a package over a line with a trace, or from several servers with a trace each.
+
+    limit: seconds since the user's wish. client, rate, patience, seed: see `simulate`. delay: seconds until a response begins. loss:
+    fraction of responses that stop midway.
+
+    Raises:
+        SettingsError: see `simulate`.
+    """
+    lines = tuple(Line(trace, delay, loss=loss) for trace in ((traces,) if isinstance(traces, Trace) else traces))
+    return simulate(build_sent_package(manifest, increments), lines, limit, client, rate, patience, seed=seed)
 
 
 def simulate(
@@ -130,52 +150,33 @@ def simulate(
     limit: float,
     client: str = "compensating",
     rate: float | None = None,
-    patience: float = ENDLESS,
+    patience: float = 0.0,
     access: Trace | None = None,
     seed: int = 0,
 ) -> SendingReport:
     """Return what a client gets from `package`.
 
-    lines: one per server. limit: seconds since the user's wish; the manifest is fetched first. client: one of CLIENTS. rate: bytes per second
-    that the client had before, None if it knows nothing. patience: seconds after the limit for which it waits for running responses.
-    access: trace of the client's own line. seed: of losses and jitter.
+    lines: one per server. limit: seconds since the user's wish; the manifest is fetched first. client: one of CLIENTS. rate: bytes per
+    second that the client had before, None if it knows nothing. patience: seconds after the limit for which that with time compensation
+    waits for running responses; the others wait for all that they have asked for. access: trace of the client's own line. seed: of losses
+    and jitter.
 
     Raises:
         SettingsError: there is no such client, no line, or no time.
     """
     if client not in CLIENTS or not lines or not limit > 0.0:
-        raise SettingsError(f"A client {client!r} with {len(lines)} lines and {limit:g} s cannot be simulated; use one of {', '.join(CLIENTS)}.")
+        raise SettingsError(
+            f"A client {client!r} with {len(lines)} lines and {limit:g} s is impossible; choose one of {', '.join(CLIENTS)}."
+        )
     job = package.job
     agent = {
         "compensating": lambda: CompensatingClient(job, limit, rate, len(lines), patience, False),
         "fixed": lambda: FixedClient(job, limit, rate),
         "paper": lambda: PaperClient(job, limit, rate, package.tiles),
     }[client]()
-    network = Network(lines, access, seed)
-    network.send(-2, 0, package.manifest_size)
-    while (event := network.advance()).id != -2 or event.received < package.manifest_size:
-        pass
-    event = Event(event.time)
-    counts = {"requests": 0, "aborted": 0}
-    at_limit, first_seen, first_textured, finished = None, math.inf, math.inf, event.time
-    while True:
-        if at_limit is None and event.time > limit:
-            at_limit = shown
-        requests, aborted = agent.hear(event)
-        for id in aborted:
-            network.abort(id)
-        for request in requests:
-            network.send(request.id, request.server, request.span.end - request.span.start)
-        counts["requests"] += len(requests)
-        counts["aborted"] += len(aborted)
-        shown = (agent.level(), agent.received())
-        first_seen = min(first_seen, event.time) if shown[0] >= 0 else first_seen
-        first_textured = min(first_textured, event.time) if shown[1].any() else first_textured
-        finished = event.time if event.id >= 0 or aborted else finished
-        if agent.is_finished() or event.time > MAX_ROUNDS * limit:
-            break
-        event = network.advance()
-    level, received = at_limit or shown
+    course = _Course(Network(lines, access, seed, limit + patience), agent)
+    course.run(package.manifest_size, limit)
+    level, received = course.at_limit
     oracle_bytes = _possible_bytes(lines, access, limit)
     oracle = package.best(oracle_bytes)
     sizes = np.diff([job.begin, *job.ends])
@@ -183,12 +184,13 @@ def simulate(
         client=client,
         trace=" + ".join(line.trace.name for line in lines),
         limit=limit,
-        finished=finished,
-        deviation=finished - limit,
+        finished=course.finished,
+        deviation=course.finished - limit,
         mean_difference=agent.mean_difference(),
         is_complete=bool(received.all()) and level == package.best(math.inf)[0],
-        **counts,
-        byte_count=network.bytes,
+        requests=course.requests,
+        aborted=course.aborted,
+        byte_count=course.network.bytes,
         useful_bytes=int(sizes[received].sum()) + (0 if level < 0 else sum(map(_size, job.added[: level + 1])) + _size(job.corners[level])),
         level=level,
         increments=int(received.sum()),
@@ -197,18 +199,53 @@ def simulate(
         oracle_level=oracle[0],
         oracle_increments=oracle[1],
         oracle_error=oracle[2],
-        first_seen=first_seen,
-        first_textured=first_textured,
+        first_seen=course.first_seen,
+        first_textured=course.first_textured,
     )
+
+
+class _Course:
+    """What happens to a client: see `SendingReport`. at_limit: the level and the increments that have come at the limit or at the end."""
+
+    def __init__(self, network: Network, agent: CompensatingClient | FixedClient | PaperClient) -> None:
+        self.network, self.agent = network, agent
+        self.at_limit = (-1, np.zeros(0, bool))
+        self.requests = self.aborted = 0
+        self.finished, self.first_seen, self.first_textured = 0.0, math.inf, math.inf
+
+    def run(self, manifest_size: int, limit: float) -> None:
+        """Fetch the manifest and then what the client asks for, until it is finished."""
+        event = Event(self.network.fetch(0, manifest_size))
+        while True:
+            self._tell(event, limit)
+            if self.agent.is_finished() or event.time > MAX_ROUNDS * limit:
+                return
+            event = self.network.advance()
+
+    def _tell(self, event: Event, limit: float) -> None:
+        requests, aborted = self.agent.hear(event)
+        for id in aborted:
+            self.network.abort(id)
+        for request in requests:
+            self.network.send(request.id, request.server, request.span.end - request.span.start)
+        self.requests += len(requests)
+        self.aborted += len(aborted)
+        if event.id >= 0 or aborted or not self.finished:
+            self.finished = event.time
+        level, received = self.agent.level(), self.agent.received()
+        if event.time <= limit or not len(self.at_limit[1]):
+            self.at_limit = (level, received)
+        self.first_seen = min(self.first_seen, event.time if level >= 0 else math.inf)
+        self.first_textured = min(self.first_textured, event.time if received.any() else math.inf)
 
 
 def _possible_bytes(lines: tuple[Line, ...], access: Trace | None, limit: float) -> float:
     """Return the bytes that all lines can carry before the limit, after a delay for the manifest and one for the first response."""
     total = 0.0
     for line in lines:
-        total += max(line.trace.bytes_until(limit) - line.trace.bytes_until(min(2.0 * line.delay, limit)), 0.0)
+        total += max(line.bytes_until(limit) - line.bytes_until(min(2.0 * line.delay, limit)), 0.0)
     return total if access is None else min(total, access.bytes_until(limit))
 
 
-def _size(spans) -> int:
+def _size(spans: tuple[Span, ...]) -> int:
     return sum(span.end - span.start for span in spans)

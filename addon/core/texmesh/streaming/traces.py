@@ -1,7 +1,7 @@
 """Traces of lines: the rate of a line over time, generated or read from a file."""
 
 import math
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -55,6 +55,14 @@ class Trace:
         index = bisect_right(self.times, rest) - 1
         return rounds * self._sums[-1] + self._sums[index] + (rest - self.times[index]) * self.rates[index]
 
+    def time_of(self, byte_count: float) -> float:
+        """Return when the line has carried `byte_count` bytes since 0."""
+        rounds, rest = divmod(byte_count, self._sums[-1])
+        index = min(bisect_left(self._sums, rest), len(self.rates)) - 1
+        if rest <= 0.0:
+            return rounds * self.duration
+        return rounds * self.duration + self.times[index] + (rest - self._sums[index]) / self.rates[index]
+
 
 def constant_trace(rate: float) -> Trace:
     """Return a line that always carries `rate` bytes per second."""
@@ -92,13 +100,14 @@ def burst_trace(rng: np.random.Generator, duration: float, rate: float) -> Trace
 def cellular_trace(rng: np.random.Generator, duration: float, generation: int, rate: float) -> Trace:
     """Return a line like that of a moving phone: a Markov-modulated rate with fades.
 
-    The mean of the logarithm of the rate jumps between states that last seconds; around it the rate is a first-order autoregressive process;
-    fades to a few percent come on average every 12 s and last 0.3 to 1.5 s. Variation is chosen after what is reported for commutes with
-    HSDPA (Riiser et al., MMSys 2013) and LTE (van der Hooft et al., IEEE Communications Letters 2016): the standard deviation is about half
-    the mean for 3G (`generation` 3), and 0.4 of it for 4G, which varies faster. The numbers here are ours, not fitted to their logs.
+    The mean of the logarithm of the rate jumps between states that last seconds; around it the rate is a first-order autoregressive
+    process; fades to a few percent come on average every 12 s and last 0.3 to 1.5 s. Variation is chosen after what is reported for
+    commutes with HSDPA (Riiser et al., MMSys 2013) and LTE (van der Hooft et al., IEEE Communications Letters 2016): the standard deviation
+    is about half the mean for 3G (`generation` 3), and 0.4 of it for 4G, which varies faster. The numbers here are ours, not fitted to
+    their logs.
     """
     spread, stay, memory, noise = (0.45, 4.0, 0.90, 0.12) if generation == 3 else (0.35, 2.5, 0.80, 0.15)
-    count = max(int(math.ceil(duration / STEP)), 1)
+    count = max(math.ceil(duration / STEP), 1)
     rates = np.empty(count)
     state, deviation, fading = rng.normal(0.0, spread), 0.0, 0
     for index in range(count):

@@ -1,35 +1,30 @@
-// The controller of the page: which bytes to ask for next, so that sending ends at the time limit. It is the same function as in
-// streaming/controller.py, which explains the method, with the same arithmetic in the same order: both decide alike bit for bit (tests compare).
+// Decides which bytes of a package to ask for next, so that sending ends at the time limit. streaming/controller.py is the same function,
+// explains it, and has the same arithmetic in the same order: both decide alike bit for bit, as a test checks.
 //
-// How to use it:
-//   let job = buildJob(manifest)                           // manifest: the parsed manifest.json
-//   let state = begin(job, {limit, rate, servers, patience, keepsRefining, time})
+//   let job = buildJob(manifest)      // the parsed manifest.json
+//   let state = begin(job, {limit, rate, servers, patience, keepsRefining})
 //   [state, requests, aborted] = decide(job, state, {time, id, received, failed})
-// Call `decide` at the beginning and about 20 times per second with {time} (seconds since the user's wish), and for request `id`
-//   - when the headers of its response come: {time, id, received: 0},
-//   - whenever bytes come: {time, id, received: bytes of this response altogether}; the response ends with its last byte,
-//   - when it fails: {time, id, failed: true}. Then, and if it is aborted, keep what has come: only the rest is asked for again.
-// Send `requests`, each {id, server, file, start, end}: bytes [start, end) of "mesh.bin" or "textures.bin" from server `server` (0 is the
-// page's own folder, then the mirrors); abort those whose ids are in `aborted`. When the table of increments has come, go on with
-//   job = {...job, ends: offsets in textures.bin of the ends of all increments}.
-// Read: `state.shown` (level that has come wholly, -1: none), `receivedIncrements`, `isFinished`, `meanDifference` (Lambda), `estimateRate`,
-// `state.ended - state.limit` (deviation Pi, when finished).
+//
+// Times are seconds since the user's wish. Call `decide` with {time} at first, about 20 times per second, and at the limit; and for request
+// `id` with {time, id, received: 0} when its headers come, {time, id, received} when bytes come (received: bytes of this response altogether;
+// the last byte ends it), or {time, id, failed: true}. Send `requests`, [{id, server, file, start, end}, ...]: bytes [start, end) of a file
+// from server `server` (0: the page's folder, then the mirrors), and abort those whose ids are in `aborted`; keep what has come of them: only
+// the rest is asked for again. When the table of increments has come, go on with job = {...job, ends}: where increments end in textures.bin.
+// To read: state.shown (the level that is there, or -1), state.level (asked for), state.ended - limit (deviation Pi), and the functions below.
 
 const MESH = "mesh.bin", TEXTURES = "textures.bin";
 const DEFAULT_RATE = 250000, DEFAULT_DELAY = 0.1, PRIOR_SECONDS = 0.1;
 const FAST = 0.3, SLOW = 2, GRACE = 0.1, FRACTION = 0.25, MAX_REQUEST = 1, LEAD = 1.5, EXCESS = 1.2, MEASURED = 0.2;
-const LEVEL_MARGIN = 0.9, SILENCE = 0.75, MIN_PAUSE = 0.25, MAX_PAUSE = 8, MIN_RATE = 1000;
+const LEVEL_MARGIN = 0.9, SILENCE = 0.75, MIN_PAUSE = 0.25, MAX_PAUSE = 8, MIN_RATE = 1000, ENDLESS = 1e9;
 const { abs, floor, max, min } = Math;
 
 /** What `manifest` has to send. */
 export function buildJob(manifest) {
-  const added = manifest.levels.map((level) => spans([level.positions, level.parents, level.wedges, level.uvs]));
-  const corners = manifest.levels.map((level) => spans([level.corners]));
-  const { positions, parents, wedges, uvs, corners: triangles } = manifest.levels[0];
-  const first = spans([positions, parents, wedges, uvs, triangles]);
+  const added = manifest.levels.map((level) => spans([level.positions, level.parents, level.wedges, level.uvs, level.corners]));
+  const corners = manifest.levels.map(() => []); // finer levels refer to the triangles of coarser ones, so they are among what is added
   const table = spans([manifest.increments]).map((span) => ({ ...span, file: TEXTURES }));
   return {
-    first: first.concat(table),
+    first: added[0].concat(table),
     added,
     corners,
     plan: manifest.plan.map(([, level, count, error]) => [level, count, error]),
@@ -96,7 +91,8 @@ export function meanDifference(state) {
 /** The bytes per second of a server that are to be expected for the next `horizon` seconds. */
 export function estimateRate(state, index, horizon) {
   const server = state.servers[index];
-  const gap = max(0, state.time - server.mark - GRACE);
+  const isOpen = state.flights.some((flight) => flight.isOpen && flight.server === index);
+  const gap = isOpen ? max(0, state.time - server.mark - GRACE) : 0;
   const fast = server.bytes / (server.seconds + gap);
   const slow = server.slowBytes / (server.slowSeconds + gap);
   return (fast * FAST + slow * horizon) / (FAST + horizon);
@@ -120,6 +116,8 @@ function hear(state, flight, received, failed) {
   }
   const server = state.servers[flight.server];
   const isBusy = state.flights.some((other) => other.isOpen && other.server === flight.server);
+  const size = flight.end - flight.start;
+  received = min(max(received, flight.received), size);
   let fresh = received - flight.received;
   if (!flight.isOpen) {
     flight.isOpen = true;
@@ -129,7 +127,7 @@ function hear(state, flight, received, failed) {
   measure(server, fresh, state.time - server.mark);
   server.mark = flight.heard = server.heard = state.time;
   flight.received = received;
-  if (received >= flight.end - flight.start) {
+  if (received === size) {
     state.flights = state.flights.filter((other) => other !== flight);
     state.latest = abs(state.time - flight.due);
     state.difference += state.latest;
@@ -198,12 +196,16 @@ function ask(job, state, requests) {
 
 function line(state, index) {
   const isRefining = state.keepsRefining && state.time >= state.limit;
-  const left = isRefining ? MAX_REQUEST / FRACTION : max(state.limit - state.time, 0);
+  const left = isRefining ? ENDLESS : max(state.limit - state.time, 0);
   const rate = max(estimateRate(state, index, left), MIN_RATE);
-  let owed = 0;
-  for (const flight of state.flights) if (flight.server === index) owed += flight.end - flight.start - flight.received;
-  const busy = owed / rate;
-  return [busy, isRefining ? left : left - max(busy, state.servers[index].delay), rate];
+  const { delay } = state.servers[index];
+  let busy = 0;
+  for (const flight of state.flights) {
+    if (flight.server !== index) continue;
+    const begins = flight.isOpen ? busy : max(busy, flight.asked + delay - state.time);
+    busy = begins + (flight.end - flight.start - flight.received) / rate;
+  }
+  return [busy, isRefining ? left : left - max(busy, delay), rate];
 }
 
 function take(job, state, rest, rate, shortest) {

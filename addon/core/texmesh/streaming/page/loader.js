@@ -7,7 +7,7 @@ import { readIncrements, ROW_BYTES, TileDecoder } from "./tiles.js";
 
 const FORMAT = "farfield-package", VERSION = 1;
 const MESH = "mesh.bin", TEXTURES = "textures.bin";
-const SECTIONS = ["positions", "parents", "wedges", "uvs", "corners"];
+const REFERENCES = ["parents", "wedges", "uvs", "corners"], SECTIONS = [...REFERENCES, "positions"];
 const TICK_SECONDS = 0.05;
 const PATIENCE = 0.25; // seconds after the limit for which responses are waited for
 const MANIFEST_TRIES = 3, MANIFEST_SECONDS = 15;
@@ -50,12 +50,13 @@ function checkManifest(manifest) {
 
 /** One run of loading a package.
  *
- * events: {level(mesh, counts, index), tile(texture, tile, bitmap), problem(sentence)}: see `decodeLevel` and `TileDecoder`. options: {limit (seconds), keepsRefining, rate (bytes
- * per second that the line had before, or 0), simulatedRate (bytes per second, or 0), tileSide(texture), start (performance.now() in ms)}. */
+ * events: {level(mesh, counts, index), tile(texture, tile, bitmap), problem(sentence)}, see `decodeLevel` and `TileDecoder`. options: {limit
+ * (seconds), keepsRefining, rate (bytes per second that the line had before, or 0), simulatedRate (bytes per second, or 0),
+ * tileSide(texture), start (performance.now() in ms)}. */
 export class Loader {
   constructor(base, manifest, options, events) {
     const urls = [base, ...manifest.mirrors].map((url) => new URL(url, base));
-    Object.assign(this, { urls, manifest, options, events, shown: -1, wanted: -1, passed: 0, tasks: 0, table: null });
+    Object.assign(this, { urls, manifest, options, events, shown: -1, wanted: -1, exact: 0, passed: 0, tasks: 0, table: null });
     Object.assign(this, { isWhole: false, isStopped: false, isTableWanted: false, ended: 0 });
     this.files = Object.fromEntries([MESH, TEXTURES].map((name) => [name, new PartialFile(name, manifest.files[name][0])]));
     this.line = new SimulatedLine(options.simulatedRate);
@@ -63,10 +64,7 @@ export class Loader {
     this.decoder = new TileDecoder(manifest, events.tile, options.tileSide);
     this.meshes = [];
     this.work = Promise.resolve(); // sections are decoded one after the other
-    const spans = manifest.levels.map((level) => SECTIONS.map((name) => level[name])).map((sections) => ({
-      file: MESH, start: Math.min(...sections.map(([offset]) => offset)), end: Math.max(...sections.map(([offset, size]) => offset + size)),
-    }));
-    this.job = { ...buildJob(manifest), added: spans.map((span) => [span]), corners: spans.map(() => []) };
+    this.job = buildJob(manifest);
     const { limit, rate, keepsRefining } = options;
     this.state = begin(this.job, { limit, rate, servers: urls.length, patience: PATIENCE, keepsRefining });
   }
@@ -95,7 +93,8 @@ export class Loader {
     return isHere && !this.tasks && this.decoder.isIdle;
   }
 
-  /** Numbers to show: received bytes, those of all increments and levels, bytes per second, seconds until the last response, deviation from the limit, Lambda of the paper. */
+  /** Numbers to show: received bytes, those of all increments and levels, bytes per second, seconds until the last response, deviation from
+   * the limit, Lambda of the paper. */
   get measures() {
     const files = Object.values(this.files);
     const bytes = files.reduce((sum, file) => sum + file.intervals.reduce((part, [start, end]) => part + end - start, 0), 0);
@@ -164,18 +163,22 @@ export class Loader {
 
   /** Pass on what has become complete. */
   #pass() {
-    const { manifest } = this, mesh = this.files[MESH], textures = this.files[TEXTURES];
+    const { manifest } = this, textures = this.files[TEXTURES];
     if (!this.isTableWanted && textures.read(manifest.increments)) {
       this.isTableWanted = true;
       this.#do(() => this.#readTable());
     }
     if (this.table) this.#passIncrements();
-    let level = this.wanted;
-    while (level + 1 < manifest.levels.length && SECTIONS.every((name) => mesh.read(manifest.levels[level + 1][name]))) level++;
-    if (level > this.wanted) {
-      this.wanted = level;
-      this.#do(() => this.#showLevel(level));
-    }
+    let level = -1, exact = 0; // of positions that have not come, the decoder makes estimates
+    while (level + 1 < manifest.levels.length && this.#isHere(level + 1, level < 0 ? SECTIONS : REFERENCES)) level++;
+    while (exact <= level && this.#isHere(exact, SECTIONS)) exact++;
+    if (level <= this.wanted && exact <= this.exact) return;
+    [this.wanted, this.exact] = [level, exact];
+    this.#do(() => this.#showLevel(level));
+  }
+
+  #isHere(level, names) {
+    return names.every((name) => this.files[MESH].read(this.manifest.levels[level][name]));
   }
 
   #passIncrements() {
@@ -197,10 +200,13 @@ export class Loader {
   }
 
   async #showLevel(index) {
-    const file = this.files[MESH];
+    const firstEstimate = this.meshes.findIndex((mesh) => !mesh.isExact);
+    if (firstEstimate >= 0) this.meshes.length = firstEstimate;
     for (let level = this.meshes.length; level <= index; level++) {
-      const sections = {};
-      for (const name of SECTIONS) sections[name] = await this.#check(file, this.manifest.levels[level][name]);
+      const sections = {}, hasPositions = this.#isHere(level, SECTIONS);
+      for (const name of hasPositions ? SECTIONS : REFERENCES) {
+        sections[name] = await this.#check(this.files[MESH], this.manifest.levels[level][name]);
+      }
       this.meshes.push(await decodeLevel(this.manifest, level, sections, this.meshes[level - 1]));
     }
     if (this.isStopped) return;

@@ -1,4 +1,4 @@
-// A camera that orbits around a target, moved by pointer, touch, wheel and keys. z is up.
+// A camera that orbits around a target, moved by pointer, touch, wheel and keys. y is up, as in glTF.
 
 const FIELD_OF_VIEW = 0.6; // radians, of the shorter side of the image
 const MAX_ELEVATION = 1.56; // radians
@@ -23,7 +23,7 @@ export class Orbit {
 
   /** Return to the first view. */
   reset() {
-    this.set({ azimuth: -0.9, elevation: 0.3, zoom: 1, target: [...this.center] });
+    this.set({ azimuth: 0.6, elevation: 0.3, zoom: 1, target: [...this.center] });
   }
 
   /** Set the view, or a part of it. azimuth, elevation: radians; zoom: 1 shows the whole object; target: position in the center. */
@@ -38,7 +38,7 @@ export class Orbit {
    * wide as high. */
   matrices(aspect) {
     const [sa, ca, se, ce] = [sin(this.azimuth), cos(this.azimuth), sin(this.elevation), cos(this.elevation)];
-    const axes = [[-sa, ca, 0], [-se * ca, -se * sa, ce], [ce * ca, ce * sa, se]]; // right, up, towards the viewer
+    const axes = [[ca, 0, -sa], [-se * sa, ce, -se * ca], [ce * sa, se, ce * ca]]; // right, up, towards the viewer
     const rows = axes.map((axis, i) => [...axis, -dot(axis, this.target) - (i === 2 ? this.distance : 0)]);
     const reach = this.radius + hypot(...this.target.map((value, i) => value - this.center[i]));
     const far = this.distance + reach, near = max(this.distance - reach, far * 1e-4);

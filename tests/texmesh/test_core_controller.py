@@ -1,0 +1,209 @@
+"""The controller of a client: what it asks for, and that it ends at the limit."""
+
+import dataclasses
+import math
+import random
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from farfield.addon.core.texmesh.streaming import controller
+from farfield.addon.core.texmesh.streaming.manifest import MESH, TEXTURES
+from farfield.addon.core.texmesh.streaming.sending_state import Event, Request, Span, begin
+from farfield.addon.core.texmesh.streaming.simulated_network import REPORT_INTERVAL, Line
+from farfield.addon.core.texmesh.streaming.simulation import simulate
+from farfield.addon.core.texmesh.streaming.traces import constant_trace
+from sending_scenarios import Exchange, make_package, random_exchange, random_job, wavering_trace
+
+WAITING = 1e9  # seconds of patience
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=60, deadline=None)
+def test_requests_never_overlap_what_has_come_or_is_running(seed):
+    exchange = random_exchange(seed)
+    state = exchange.initial
+    received = []  # spans
+    for (is_known, event), decision in zip(exchange.events, exchange.decisions, strict=True):
+        job = exchange.job if is_known else dataclasses.replace(exchange.job, ends=None)
+        before = {flight.id: flight for flight in state.flights}
+        state, requests, aborted = controller.decide(job, state, event)
+        assert (requests, aborted) == decision
+        if event.id in before and event.received:
+            span = before[event.id].span
+            received.append((span.file, span.start + before[event.id].received, span.start + event.received))
+        for request in requests:
+            running = [(f.span.file, f.span.start + f.received, f.span.end) for f in state.flights if f.id != request.id]
+            for file, start, end in received + running:
+                assert file != request.span.file or end <= request.span.start or start >= request.span.end
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=60, deadline=None)
+def test_requests_stay_within_the_package_and_end_with_increments(seed):
+    exchange = random_exchange(seed)
+    job = exchange.job
+    parts = [span for spans in job.added + job.corners for span in spans] + list(job.first)
+    for requests, _ in exchange.decisions:
+        for request in requests:
+            span = request.span
+            assert 0 <= request.server < len(exchange.initial.servers)
+            assert span.start < span.end
+            if span.file == TEXTURES and span.start >= job.begin:
+                assert span.end in job.ends
+            else:
+                assert any(part.file == span.file and part.start <= span.start and span.end <= part.end for part in parts)
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=40, deadline=None)
+def test_time_never_goes_back_and_nothing_is_asked_for_after_the_limit(seed):
+    exchange = random_exchange(seed)
+    state = exchange.initial
+    for is_known, event in exchange.events:
+        job = exchange.job if is_known else dataclasses.replace(exchange.job, ends=None)
+        late = dataclasses.replace(event, time=event.time - 0.3)  # a clock that went back
+        after, _, _ = controller.decide(job, state, late)
+        assert after.time >= state.time
+        state, requests, _ = controller.decide(job, state, event)
+        if event.time >= state.limit and not state.keeps_refining:
+            assert all(
+                any(span.file == request.span.file and span.start <= request.span.start < span.end for span in job.first)
+                for request in requests
+            )
+
+
+def test_states_are_not_changed():
+    exchange = random_exchange(3)
+    copy = dataclasses.asdict(exchange.state)
+    controller.decide(exchange.job, exchange.state, Event(exchange.time + 0.1))
+    controller.decide(exchange.job, exchange.state, Event(exchange.time + 20.0))
+    assert dataclasses.asdict(exchange.state) == copy
+
+
+@given(st.integers(0, 10**6), st.booleans())
+@settings(max_examples=30, deadline=None)
+def test_everything_comes_once_if_there_is_time(seed, keeps_refining):
+    """All increments and one set of triangles beside those of level 0 and of levels on the way: never a byte twice."""
+    rng = random.Random(seed)
+    job = random_job(rng)
+    limit = 0.1 if keeps_refining else 1e4
+    exchange = Exchange(rng, job, begin(job, limit, 1e5, rng.randint(1, 3), keeps_refining=keeps_refining))
+    exchange.tell(Event(0.0))
+    for _ in range(3000):
+        known = job if exchange.has_table else dataclasses.replace(job, ends=None)
+        if controller.is_finished(known, exchange.state):
+            break
+        exchange.time += 0.02
+        flights = exchange.state.flights
+        exchange.tell(Event(exchange.time, flights[0].id, flights[0].span.end - flights[0].span.start) if flights else Event(exchange.time))
+    state = exchange.state
+    assert controller.is_finished(job, state)
+    assert controller.received_increments(job, state) == len(job.ends)
+    assert state.shown == state.level == job.plan[-1][0]
+    sent = sum(
+        request.span.end - request.span.start for requests, _ in exchange.decisions for request in requests if request.span.file == TEXTURES
+    )
+    assert sent == (job.ends[-1] if job.ends else job.begin) - job.begin + job.first[-1].end
+    meshes = sorted(
+        (request.span.start, request.span.end) for requests, _ in exchange.decisions for request in requests if request.span.file == MESH
+    )
+    needed = [span for added in job.added[: state.level + 1] for span in added] + list(job.corners[state.level])
+    assert all(any(start <= span.start < end for start, end in meshes) for span in needed)
+
+
+def test_first_requests_are_level_0_and_the_table():
+    job = dataclasses.replace(make_package().job, ends=None)
+    _, requests, _ = controller.decide(job, begin(job, 5.0), Event(0.0))
+    assert [request.span for request in requests] == list(job.first)
+
+
+@pytest.mark.parametrize("rate", [1e5, 2e5, 4e5])
+def test_constant_rate_ends_within_one_increment_of_the_limit(rate):
+    package = make_package(texture_size=3_000_000, increment_count=3000)
+    report = simulate(package, (Line(constant_trace(rate), 0.05, jitter=0.0, overhead=0),), 5.0, rate=rate, patience=WAITING)
+    assert -0.01 * 5.0 <= report.deviation <= 0.002 * 5.0
+    assert report.useful_bytes >= 0.8 * report.oracle_bytes
+    assert report.error <= 1.35 * report.oracle_error
+
+
+@given(st.integers(0, 10**6), st.floats(0.0, 0.5), st.floats(0.02, 0.15), st.floats(2.0, 8.0))
+@settings(max_examples=40, deadline=None)
+def test_deviation_is_within_its_bound(seed, variation, delay, limit):
+    """-(g + W) <= Pi <= e W, of the docstring. Estimates are means of rates within b (1 - v) to b (1 + v), and off by bytes that are reported
+    up to REPORT_INTERVAL late."""
+    rng = random.Random(seed)
+    rate = 5e5
+    package = make_package(texture_size=6_000_000, increment_count=3000)
+    line = Line(wavering_trace(rng, rate, variation), delay, jitter=0.0, overhead=0)
+    report = simulate(package, (line,), limit, rate=rate, patience=WAITING)
+    slowest = rate * (1.0 - variation)
+    increment = 2000 / slowest
+    window = (1.0 + controller.LEAD) * delay + increment / (1.0 - controller.FRACTION)
+    error = (1.0 + variation) * (1.0 + REPORT_INTERVAL / controller.FAST) / (1.0 - variation) - 1.0
+    if not report.is_complete:
+        assert report.deviation >= -(increment + window + REPORT_INTERVAL)
+        assert report.deviation <= error * window + 1e-6
+
+
+@given(st.lists(st.floats(-0.5, 0.5), min_size=1, max_size=40))
+def test_deviation_of_even_parts_is_the_harmonic_product(errors):
+    """The formula that the docstring gives for the paper's algorithm."""
+    count, left = len(errors), 1.0
+    for position, error in enumerate(errors):
+        planned = left / (count - position)
+        left -= planned * (1.0 + error)
+    product = math.prod(1.0 - error / (count - 1 - position) for position, error in enumerate(errors[:-1]))
+    assert -left == pytest.approx(errors[-1] / count * product, abs=1e-9)
+    largest = max(map(abs, errors))
+    assert abs(left) <= largest / count * math.exp(largest * sum(1.0 / rest for rest in range(1, count))) + 1e-9
+
+
+def test_level_waits_for_the_plan_and_skips_triangles_between():
+    package = make_package()
+    job = package.job
+    report = simulate(package, (Line(constant_trace(4e5)),), 4.0, rate=4e5)
+    assert report.level == 2
+    mesh_bytes = 2 * 20_000 + 40_000 + 2 * 80_000
+    assert report.byte_count < mesh_bytes + job.ends[-1] + 60_000  # without the 40 000 of level 1's triangles, with headers
+
+
+def test_what_is_silent_is_asked_for_again_from_another_server():
+    job = make_package().job
+    state, requests, _ = controller.decide(job, begin(job, 5.0, server_count=2), Event(0.0))
+    silent = next(request for request in requests if request.server == 0)
+    others = [request for request in requests if request.id != silent.id]
+    state, _, _ = controller.decide(job, state, Event(0.1, silent.id))
+    state, _, _ = controller.decide(job, state, Event(0.2, silent.id, 5000))
+    rest = Span(MESH, silent.span.start + 5000, silent.span.end)
+    for tick in range(3, 40):
+        events = [Event(0.1 * tick, other.id, other.span.end - other.span.start) for other in others] + [Event(0.1 * tick)]
+        others = []
+        for event in events:
+            state, new, aborted = controller.decide(job, state, event)
+            others += [request for request in new if request.server == 1]
+            if silent.id in aborted:
+                assert Request(new[0].id, 1, rest) in new
+                return
+    raise AssertionError("it was waited for too long")
+
+
+def test_server_that_failed_gets_nothing_for_a_while():
+    job = make_package().job
+    state, requests, _ = controller.decide(job, begin(job, 5.0), Event(0.0))
+    state, more, _ = controller.decide(job, state, Event(0.1, requests[0].id, failed=True))
+    assert not more
+    state, more, _ = controller.decide(job, state, Event(0.1 + 0.9 * controller.MIN_PAUSE))
+    assert not more
+    state, more, _ = controller.decide(job, state, Event(0.1 + 1.1 * controller.MIN_PAUSE))
+    assert [request.span for request in more] == [requests[0].span]
+
+
+def test_refining_goes_on_after_the_limit():
+    job = make_package().job
+    state = dataclasses.replace(begin(job, 1.0, keeps_refining=True), pending=[])
+    _, requests, _ = controller.decide(job, state, Event(1.5))
+    assert requests
+    _, requests, _ = controller.decide(job, dataclasses.replace(state, keeps_refining=False), Event(1.5))
+    assert not requests
