@@ -1,8 +1,8 @@
-"""How much of the error of a coefficient a viewer sees: after the texture is minified, and through the eye's contrast sensitivity.
+"""How much of the error of a coefficient a viewer sees: after minification, and through the eye's contrast sensitivity.
 
-An error in a block of a texture is seen through the filter of mipmaps, as wide as what a pixel covers of the texture, and through the filters
-of FLIP for luminance, red-green and blue-yellow, which are about those of Y, Cr and Cb. What is left of the energy of each cosine is its
-weight. The color of a block says by how much its appearance changes with Y, Cb and Cr.
+An error in a block of a texture is seen through the filter of mipmaps, as wide as what a pixel covers, and through the filters of
+FLIP for luminance, red-green and blue-yellow, about those of Y, Cr and Cb. What is left of the energy of each cosine is its weight. The
+color of a block says by how much its appearance changes with Y, Cb and Cr.
 """
 
 import math
@@ -127,8 +127,10 @@ def luminance_sensitivities(means: np.ndarray) -> np.ndarray:
 
 
 def contrast_sensitivities(means: np.ndarray) -> np.ndarray:
-    """Return the change of appearance (N, 3) around colors `means` (N, 3) where light is averaged, per variance of Y, Cb and Cr: the mean of
-    linear values is brighter than that of encoded ones. Of Cb blue counts, of Cr red."""
+    """Return the change of appearance (N, 3) around colors `means` (N, 3) where light is averaged, per variance of Y, Cb and Cr.
+
+    The mean of linear values is brighter than that of encoded ones. Of Cb blue counts, of Cr red.
+    """
     encoded = np.clip((means + [128.0, 0.0, 0.0]) @ RGB_OF_YCC.T, 0.0, 255.0)
     steps = np.array([-1.0, 0.0, 1.0]) * CONTRAST_STEP
     channels = np.stack([(means[:, 0] + 128.0).clip(0.0, 255.0), encoded[:, 2], encoded[:, 0]], axis=1)
@@ -148,12 +150,14 @@ class BlockWeights:
     """What an error of tiles of N x B blocks means, float32.
 
     colors: per component (N, B, 64), of squared errors of coefficients for the color that is seen. features: (N, B, 64), of those of Y for
-    edges and points. contrasts: per component (N, B, 64), of the squares of coefficients that are not seen themselves, for brightness.
+    edges and points. contrasts: per component (N, B, 64), of the squares of coefficients that are not seen themselves, for brightness. means:
+    per component (N, B), of squared errors of DC coefficients that are alike everywhere.
     """
 
     colors: list[np.ndarray]
     features: np.ndarray
     contrasts: list[np.ndarray]
+    means: list[np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,6 +209,8 @@ def measure_errors(
         if band != (scan.component, scan.first):
             band = scan.component, scan.first
             left = sum(weigh(0.0, component, columns) for component in components)
+            if scan.component is None:  # gray instead of colors, not an error that differs from block to block
+                left[0] = sum(coefficients[component, :, :, 0] ** 2 * weights.means[component] for component in components) / COEFFICIENTS
             totals += left
         remaining = np.zeros_like(left)
         for component in components:

@@ -21,6 +21,7 @@ from .block_errors import (
     predict_flip,
 )
 from .dct_blocks import BLOCK, COEFFICIENTS, quantize, standard_steps, transform_tiles
+from .fragments import count_features
 from .settings import TextureSettings
 from .texture_tiles import TextureSource, TileGrid, cut_tiles, fill_unused, find_used_texels
 from .tile_coding import Scan, build_tables, code_scan, find_first_shifts, list_scans, write_header
@@ -30,6 +31,8 @@ COLOR_ROLES = {"base_color", "emission"}
 BATCH_TEXELS = 1 << 20  # coded at once
 SAMPLE_TILES = 64  # whose symbols decide the Huffman tables, at 128 pixels
 MIN_VISIBILITY = 1e-3  # of blocks that no view shows, relative to the mean of the used ones
+FLAT_VARIANCE, FLAT_FRACTION = 4.0, 0.2  # of Y in a block, and of the blocks of a tile
+FLAT_QUALITY = 95  # JPEG quality of the mean colors of flat tiles
 STEP_FACTORS = (1.0, 2.0, 4.0)  # of steps of quantization, the coarser the more texels a pixel covers
 
 
@@ -37,9 +40,9 @@ STEP_FACTORS = (1.0, 2.0, 4.0)  # of steps of quantization, the coarser the more
 class CodedTexture:
     """A texture of N used tiles.
 
-    texture: with the headers. tiles: (N,) their numbers. headers: (N,) of each tile. contents: their scans, each in the best order. sizes: (N, K) bytes of the scans, 0
-    behind the last one. errors: (N, K + 1) predicted FLIP error of the tile's pixels without and with the first scans, times the fraction
-    of all pixels of the object that show the tile.
+    texture: with the headers. tiles: (N,) their numbers. headers: (N,) of each tile. contents: their scans, each in the best order. sizes:
+    (N, K) bytes of the scans, 0 for those that are missing, which come last. errors: (N, K + 1) predicted FLIP error of the tile's pixels
+    without and with the first scans, times the fraction of all pixels of the object that show the tile.
     """
 
     texture: PackageTexture
@@ -68,12 +71,13 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
     tiles = cut_tiles(image, side)[numbers]
     del image
     fractions = _floor_fractions(shown.sum(axis=2), used_blocks[numbers].reshape(len(numbers), blocks))
+    if source.feature_scales is not None and settings.feature_weight > 0.0:
+        fractions *= _weigh_features(source, grid, settings.feature_weight)[numbers, None]
     is_color = source.role in COLOR_ROLES
     energies = filter_energies(level_footprints(), settings.pixels_per_degree)[[0, 1, 2] if is_color else [0, 0, 0]][:components]
     scans, common = list_scans(components), shown.sum(axis=(0, 1))
-    headers, classes = np.unique(_choose_factors(shown, common, energies[0, :, 0]), return_inverse=True)
-    tables_of_steps = [standard_steps(settings.quality, components, STEP_FACTORS[number]) for number in headers]
-    steps = np.stack(tables_of_steps)[classes].swapaxes(0, 1)
+    all_steps = _list_steps(settings.quality, components)
+    classes = 2 * _choose_factors(shown, common, energies[0, :, 0])
     quantized = np.empty((components, len(numbers), blocks, COEFFICIENTS), np.int16)
     feature_table = feature_energies(level_footprints(), settings.pixels_per_degree)
     parts: list[BlockErrors] = []
@@ -82,9 +86,11 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
         yield Progress(0.5 * start / len(numbers), "Measuring errors of textures")
         rows = slice(start, start + batch)
         coefficients = transform_tiles(tiles[rows], components)
-        quantized[:, rows] = quantize(coefficients, steps[:, rows])
+        classes[rows] += _are_flat(coefficients)
+        steps = all_steps[:, classes[rows]]
+        quantized[:, rows] = quantize(coefficients, steps)
         weights = _weigh_blocks(coefficients, shown[rows], common, energies, feature_table, is_color)
-        parts.append(measure_errors(coefficients, quantized[:, rows], steps[:, rows], scans, weights))
+        parts.append(measure_errors(coefficients, quantized[:, rows], steps, scans, weights))
     del tiles
     totals = np.concatenate([part.totals for part in parts], axis=1)
     gains = np.concatenate([part.gains for part in parts], axis=2)
@@ -103,12 +109,12 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
     linear = gains[0] + np.einsum("cknb,cnb->knb", gains[2:], totals[2:])
     order = order_scans(sizes, np.einsum("knb,nb->nk", linear, fractions), scans)
     ordered = [[scans_of_tile[index] for index in row] for scans_of_tile, row in zip(contents, order.tolist(), strict=True)]
+    used_classes, headers = np.unique(classes, return_inverse=True)
     texture = PackageTexture(
-        source.role, grid.width, grid.height, side, tuple(write_header(side, item, tables) for item in tables_of_steps)
+        source.role, grid.width, grid.height, side, tuple(write_header(side, all_steps[:, item], tables) for item in used_classes)
     )
-    return CodedTexture(
-        texture, numbers, classes, ordered, np.take_along_axis(sizes, order, axis=1), _predict_errors(totals, gains, order, fractions)
-    )
+    sizes = np.take_along_axis(sizes, order, axis=1)
+    return CodedTexture(texture, numbers, headers, ordered, sizes, _predict_errors(totals, gains, order, fractions))
 
 
 def order_scans(sizes: np.ndarray, gains: np.ndarray, scans: Sequence[Scan]) -> np.ndarray:
@@ -150,6 +156,24 @@ def order_scans(sizes: np.ndarray, gains: np.ndarray, scans: Sequence[Scan]) -> 
     return order
 
 
+def _list_steps(quality: int, components: int) -> np.ndarray:
+    """Return the steps (C, classes, 64) of classes of tiles: for each of STEP_FACTORS ordinary and flat ones."""
+    classes = []
+    for factor in STEP_FACTORS:
+        ordinary = standard_steps(quality, components, factor)
+        flat = ordinary.copy()
+        flat[:, 0] = np.minimum(flat[:, 0], standard_steps(FLAT_QUALITY, components)[:, 0])
+        classes += [ordinary, flat]
+    return np.stack(classes, axis=1)
+
+
+def _are_flat(coefficients: np.ndarray) -> np.ndarray:
+    """Return which of the tiles (C, N, B, 64) have many blocks of about one color: (N,) int64, 0 or 1. Rounded means of such blocks all
+    deviate alike, which is seen from any distance."""
+    variances = (coefficients[0, :, :, 1:] ** 2).sum(axis=2) / COEFFICIENTS
+    return ((variances < FLAT_VARIANCE).mean(axis=1) > FLAT_FRACTION).astype(np.int64)
+
+
 def _choose_factors(shown: np.ndarray, common: np.ndarray, energies: np.ndarray) -> np.ndarray:
     """Return for each tile (N,) int64 which of STEP_FACTORS keeps its errors as visible as they are where a pixel covers one texel.
 
@@ -186,13 +210,22 @@ def _weigh_blocks(
     tables = energies.astype(np.float32)
     hidden = 1.0 - tables
     hidden[..., 0] = 0.0
+    shape = means.shape[:2]
     return BlockWeights(
         colors=[
             (mix @ tables[component]) * sensitivities[..., component, None].astype(np.float32) for component in range(len(coefficients))
         ],
         features=(mix @ feature_table.astype(np.float32)) * luminance[..., None].astype(np.float32),
         contrasts=[(mix @ hidden[component]) * contrasts[..., component, None].astype(np.float32) for component in range(len(hidden))],
+        means=[sensitivities[..., component].astype(np.float32).reshape(shape) for component in range(len(tables))],
     )
+
+
+def _weigh_features(source: TextureSource, grid: TileGrid, weight: float) -> np.ndarray:
+    """Return the importance (N,) float32 of all tiles, about 1 in the mean: it grows with the scales that features in the tile last."""
+    counts = count_features(source.mesh, source.materials, source.feature_scales, grid).counts[1:].sum(axis=0).ravel()
+    relative = counts / max(counts[counts > 0].mean() if counts.any() else 1.0, 1.0)
+    return ((1.0 + weight * relative) / (1.0 + weight)).astype(np.float32)
 
 
 def _floor_fractions(fractions: np.ndarray, used: np.ndarray) -> np.ndarray:

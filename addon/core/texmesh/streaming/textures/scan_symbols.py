@@ -67,7 +67,7 @@ def list_ac_corrections(coefficients: np.ndarray, shift: int) -> ScanSymbols:
     count = np.arange(len(items))
     block_start = np.maximum.accumulate(np.where(np.diff(owners, prepend=-1) > 0, count, 0)) if len(items) else count
     zeros = places - (count - block_start)  # in the block before each item
-    # A coefficient that becomes nonzero ends a segment; runs of 16 zeros within it are written when the next nonzero coefficient is reached.
+    # A coefficient that becomes nonzero ends a segment. Runs of 16 zeros within it are written before the next nonzero coefficient.
     previous_new = np.maximum.accumulate(np.concatenate([[-1], np.where(is_new, count, -1)]))[:-1]
     has_previous = previous_new >= block_start
     since = zeros - np.where(has_previous, zeros[np.maximum(previous_new, 0)] if len(items) else 0, 0)
