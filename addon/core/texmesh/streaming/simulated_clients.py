@@ -80,7 +80,7 @@ class _SequentialClient:
 
     def received(self) -> np.ndarray:
         """Return which increments have come, (N,) bool."""
-        return self.mask
+        return self.mask.copy()
 
     def mean_difference(self) -> float:
         """Return Lambda (eq. 9 of the paper), seconds."""
