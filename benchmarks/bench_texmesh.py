@@ -3,7 +3,7 @@
 Parts (`--only`): `speed` (time and memory with 200k triangles and a texture of 4096 x 4096), `refits` (deviations beside other programs,
 see texmesh_refits.py), `glb` (the Khronos validator, with --validator, see texmesh_glb.py), `switching` (FLIP between neighboring levels at
 their switch distance, in views that the search did not use), `targets` (subset levels, bit for bit), `paper` (vertices per scale beside
-Figure 4, ranges of Figure 10, steps of Figure 11).
+Figure 4, ranges of Figure 10, steps of Figure 11), `sending` (packages over 200 replayed traces, see texmesh_sending.py).
 Each run generates other models, textures and views; --seed repeats one.
 """
 
@@ -24,6 +24,7 @@ import benchmark_cli
 import texmesh_glb
 from texmesh_levels import measure_paper, measure_speed, measure_switching, measure_targets
 from texmesh_refits import measure_refits
+from texmesh_sending import measure_sending
 
 from farfield.addon.core.errors import SettingsError
 from lib import command_line
@@ -64,6 +65,7 @@ PARTS = {
     "switching": measure_switching,
     "targets": measure_targets,
     "paper": measure_paper,
+    "sending": measure_sending,
 }
 
 
