@@ -40,7 +40,11 @@ function resize() {
 
 function report(sentence) {
   if (!session.problems.includes(sentence)) session.problems.push(sentence);
-  element("status").textContent = session.problems.join(" ");
+  showStatus();
+}
+
+function showStatus(result = "") {
+  element("status").textContent = [...session.problems, result].join(" ").trim();
 }
 
 /** Load the package from the beginning. coming: a promise of its manifest. */
@@ -49,7 +53,7 @@ async function load(coming = fetchManifest(base), start = performance.now()) {
   Object.assign(session, { start, firstImage: null, problems: [] });
   isSettled = false;
   levels = [];
-  element("status").textContent = "";
+  showStatus();
   let manifest;
   try {
     manifest = await coming;
@@ -124,6 +128,7 @@ function showMeasures() {
   element("deviation").title = `Mean difference between planned and actual times of requests: ${difference.toFixed(3)} s`;
   if (loader.decoder.failures) report(`${loader.decoder.failures} times, a tile of a texture could not be decoded.`);
   if (!loader.options.simulatedRate) writeHistory(rate);
+  showStatus(bytes < total ? "Stopped at the time limit." : "Complete.");
   requestDraw();
 }
 
@@ -184,6 +189,7 @@ element("levels").addEventListener("change", showLevel);
 element("refine").addEventListener("change", ({ target }) => {
   if (loader) loader.keepsRefining = target.checked;
   isSettled = false;
+  showStatus();
 });
 element("restart").addEventListener("click", () => load());
 for (const id of ["bandwidth", "limit"]) element(id).addEventListener("change", () => load());

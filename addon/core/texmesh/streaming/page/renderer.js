@@ -1,9 +1,9 @@
 // Draws a textured mesh with WebGL 2: without light, as the texture is, or with a light at the viewer.
 
 const MIPMAP_SECONDS = 0.25; // between two updates of the mipmaps while tiles come
-const MAX_TEXELS = 2 ** 27; // of a texture on the graphics processor; larger ones are halved
+const MAX_TEXELS = 2 ** 26; // of a texture on the graphics processor; larger ones are halved
 const MAX_ANISOTROPY = 4;
-const EMPTY = [0.5, 0.5, 0.5, 1]; // what a tile shows before it comes
+const GRAY = [0.216, 0.216, 0.216, 1], FLAT = [0.5, 0.5, 1, 1]; // what tiles show before they come: middle gray of sRGB, no relief
 const COLOR_ROLES = ["base_color", "emission"]; // stored in sRGB
 const UNITS = { base_color: 0, normal: 1 }; // texture units of the roles that are drawn
 
@@ -83,7 +83,7 @@ export class Renderer {
     }
     Object.assign(this, { materials: manifest.materials, mesh: null, outdated: new Set(), updated: -Infinity });
     this.white = this.#createTexture({ role: "base_color", width: 1, height: 1, tile_size: 1 }, [1, 1, 1, 1]);
-    this.textures = manifest.textures.map((description) => this.#createTexture(description, EMPTY));
+    this.textures = manifest.textures.map((description) => this.#createTexture(description, description.role === "normal" ? FLAT : GRAY));
   }
 
   /** Whether textures are smaller than in the package, because of the limits of the graphics processor. */
