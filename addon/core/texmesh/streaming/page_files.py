@@ -20,8 +20,8 @@ def read_page() -> dict[str, bytes]:
 
 
 def join_modules(modules: dict[str, str]) -> str:
-    """Return one JavaScript module that does what the module "main" does. Each of `modules`, by name, becomes a function that is called once
-    and returns what the module exports, after those that it imports."""
+    """Return one JavaScript module that does what the module "main" does. Each of `modules`, by name, becomes a function that is called
+    once, after those that it imports, and returns what the module exports."""
     parts: list[str] = []
     joined: set[str] = set()
 
