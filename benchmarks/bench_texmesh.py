@@ -2,9 +2,9 @@
 
 Parts (`--only`): `speed` (time and memory with 200k triangles and a texture of 4096 x 4096), `refits` (deviations beside other programs,
 see texmesh_refits.py), `glb` (the Khronos validator, with --validator, see texmesh_glb.py), `switching` (FLIP between neighboring levels at
-their switch distance, in views that the search did not use), `targets` (subset levels, bit for bit), `paper` (vertices per scale beside
-Figure 4, ranges of Figure 10, steps of Figure 11), `packages` (bytes until a model looks right, see texmesh_packages.py), `meshes`
-(bytes of meshes beside gltfpack and Draco, see texmesh_meshes.py).
+their switch distance, in views that the search did not use), `renders` (FLIP of levels by Farfield and by other programs against the
+original, see texmesh_renders.py), `targets` (subset levels, bit for bit), `paper` (Figures 4, 10 and 11, see texmesh_paper.py), `packages`
+(bytes until a model looks right, see texmesh_packages.py), `meshes` (bytes of meshes beside gltfpack and Draco, see texmesh_meshes.py).
 Each run generates other models, textures and views; --seed repeats one.
 """
 
@@ -23,10 +23,12 @@ environment.import_farfield()
 
 import benchmark_cli
 import texmesh_glb
-from texmesh_levels import measure_paper, measure_speed, measure_switching, measure_targets
+from texmesh_levels import measure_speed, measure_switching, measure_targets
 from texmesh_meshes import measure_meshes
 from texmesh_packages import measure_packages
+from texmesh_paper import measure_paper
 from texmesh_refits import measure_refits
+from texmesh_renders import measure_renders
 
 from farfield.addon.core.errors import SettingsError
 from lib import command_line
@@ -65,6 +67,7 @@ PARTS = {
     "refits": measure_refits,
     "glb": measure_glb,
     "switching": measure_switching,
+    "renders": measure_renders,
     "targets": measure_targets,
     "paper": measure_paper,
     "packages": measure_packages,

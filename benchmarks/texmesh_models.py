@@ -1,6 +1,7 @@
 """Textured meshes for `bench_texmesh.py`: real ones, a painted bunny, and generated ones with many UV islands."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,11 +29,16 @@ def open_model(data: Path, name: str) -> TexturedMesh:
     """Return the model `name`: one of REAL_MODELS, `bunny`, or KIND:SEED with one of GENERATORS."""
     if name in REAL_MODELS:
         path = data / REAL_MODELS[name]
-        return texmesh_files.read_glb(path) if path.suffix == ".glb" else texmesh_files.read_obj(path)
+        return turn_upright(texmesh_files.read_glb(path)) if path.suffix == ".glb" else texmesh_files.read_obj(path)
     if name == "bunny":
         return unwrap_model(data / BUNNY)
     kind, seed = name.split(":")
     return GENERATORS[kind](np.random.default_rng(int(seed)))
+
+
+def turn_upright(mesh: TexturedMesh) -> TexturedMesh:
+    """Return a mesh of a .glb, in which y is up, with z up as in Blender."""
+    return replace(mesh, vertices=mesh.vertices[:, [0, 2, 1]] * [1.0, -1.0, 1.0])
 
 
 def unwrap_model(path: Path) -> TexturedMesh:

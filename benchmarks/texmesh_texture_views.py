@@ -7,7 +7,7 @@ import numpy as np
 from farfield.addon.core.imaging.colors import decode_signed_srgb
 from farfield.addon.core.imaging.flip import FlipImage, compare, filter_radius, prepare_image
 from farfield.addon.core.imaging.mipmaps import Mipmaps, build_mipmaps
-from farfield.addon.core.texmesh.perception.views import BACKGROUND, frame_around, prepare_surface, render
+from farfield.addon.core.texmesh.perception.views import frame_around, prepare_surface, render
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
 PIXELS_PER_DEGREE = 67.0

@@ -6,9 +6,8 @@ from ..bridge import cameras
 from ..bridge.texmesh.level_sets import ERROR, SWITCH_DISTANCE, TRIANGLES, LevelSet, find_level_set
 from ..core.errors import SettingsError
 from ..core.settings import describe
-from ..core.texmesh.inspection_settings import InspectionSettings
 from ..core.texmesh.perception.recorded_answers import estimate_recorded
-from ..core.texmesh.settings import BUDGETS
+from ..core.texmesh.settings import BUDGETS, InspectionSettings
 from ..core.texmesh.streaming.settings import PackageSettings
 from ..operators.texmesh import preview
 from ..operators.texmesh.calibration import (

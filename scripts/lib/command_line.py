@@ -44,9 +44,15 @@ class Parser(argparse.ArgumentParser):
     """An argument parser whose errors are one line. Negative numbers, and lists that begin with one, are accepted as values of flags."""
 
     def __init__(
-        self, prog: str, description: str, formatter_class: Callable[[str], argparse.HelpFormatter] = argparse.HelpFormatter
+        self,
+        prog: str,
+        description: str,
+        formatter_class: Callable[[str], argparse.HelpFormatter] = argparse.HelpFormatter,
+        color: bool | None = None,
     ) -> None:
         super().__init__(prog=prog, description=description, formatter_class=formatter_class)
+        if color is not None:  # from Python 3.14 on, which hands it to the parsers of commands
+            self.color = color
         self.add_argument("--verbose", action="store_true", help="also print the messages of Blender, its add-ons and Cycles")
 
     def parse_args(self, args: list[str], namespace: argparse.Namespace | None = None) -> argparse.Namespace:

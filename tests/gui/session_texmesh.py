@@ -119,8 +119,10 @@ def session() -> Iterator[float]:
     view.view_distance = 8.0
     yield from scroll_sidebar(user)
     before = scene_state()
+    view.view_perspective = "ORTHO"
     yield from press_button(user, "farfield.texmesh_calibrate")
     yield 1.0
+    results["perspective_of_calibration"] = view.view_perspective
     save_screenshot("4-calibration")
     results["calibrating"] = scene_state() != before
     center = viewport_center(user)
@@ -132,6 +134,7 @@ def session() -> Iterator[float]:
     user.press("ESC", *center)
     yield 1.0
     results["after_calibration"] = scene_state() == before
+    results["perspective_afterwards"] = view.view_perspective
     results["answers"] = json.loads(bpy.context.scene["farfield_texmesh_answers"])
     results["overlays_again"] = user.area.spaces.active.overlay.show_overlays
     with bpy.context.temp_override(window=user.window, area=user.area):

@@ -5,14 +5,16 @@ import numpy as np
 import pytest
 
 from farfield.addon.bridge.texmesh import color_images
-from farfield.addon.bridge.texmesh.color_images import find_color_image, read_color_image
+from farfield.addon.bridge.texmesh.color_images import find_color_image, find_color_images, read_color_image
 from farfield.addon.bridge.texmesh.glb_materials import find_base_color, read_coded_image
 from farfield.addon.bridge.texmesh.sources import read_textured_source
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.imaging.coded_images import decode
+from farfield.addon.core.imaging.colors import encode_signed_srgb
 from textured_scenes import checker_image, textured_ball, textured_material
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
+LINEAR_REC_2020 = np.array([[1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.0083], [-0.0182, -0.1006, 1.1187]])  # ITU-R BT.2087
 
 
 def fill(image: bpy.types.Image, color: tuple[float, float, float]) -> bpy.types.Image:
@@ -82,6 +84,41 @@ def test_colors_come_before_normals_and_roughness():
     assert find_color_image(material)[0] == color
 
 
+def test_images_of_other_inputs_are_no_colors():
+    material = textured_material(None)
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    shader, normal_map, other = nodes["Principled BSDF"], nodes.new("ShaderNodeNormalMap"), nodes.new("ShaderNodeTexImage")
+    shader.inputs["Base Color"].default_value = (0.1, 0.2, 0.3, 1.0)
+    other.image = checker_image("Roughness", is_data=True)
+    links.new(other.outputs["Color"], shader.inputs["Roughness"])
+    links.new(other.outputs["Color"], normal_map.inputs["Color"])
+    links.new(normal_map.outputs["Normal"], shader.inputs["Normal"])
+    mix, transparent = nodes.new("ShaderNodeMixShader"), nodes.new("ShaderNodeBsdfTransparent")
+    links.new(other.outputs["Color"], mix.inputs[0])
+    links.new(transparent.outputs[0], mix.inputs[1])
+    links.new(shader.outputs[0], mix.inputs[2])
+    links.new(mix.outputs[0], nodes["Material Output"].inputs["Surface"])
+    assert find_color_images(material) == []
+    light = nodes.new("ShaderNodeTexImage")
+    light.image = checker_image("Light")
+    links.new(light.outputs["Color"], shader.inputs["Emission Color"])
+    assert find_color_images(material) == [(light.image, "")]
+
+
+def test_all_images_of_a_color_are_found_the_nearest_first():
+    material = textured_material(first := checker_image("First"))
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    ramp, mix, hue = (nodes.new(f"ShaderNode{kind}") for kind in ("ValToRGB", "MixRGB", "HueSaturation"))
+    mask = nodes.new("ShaderNodeTexImage")
+    mask.image = checker_image("Mask")
+    links.new(mask.outputs["Color"], ramp.inputs[0])
+    links.new(ramp.outputs[0], mix.inputs[0])
+    links.new(nodes["Image Texture"].outputs["Color"], hue.inputs["Color"])
+    links.new(hue.outputs[0], mix.inputs[1])
+    links.new(mix.outputs[0], nodes["Principled BSDF"].inputs["Base Color"])
+    assert find_color_images(material) == [(first, ""), (mask.image, "")] and find_color_image(material) == (first, "")
+
+
 def test_materials_without_an_image():
     assert find_color_image(None) == (None, "")
     material = textured_material(None)
@@ -96,6 +133,9 @@ def test_materials_without_an_image():
         ({}, "sRGB", [0.21404, 0.03310, 0.60383]),  # encoded values in a byte image
         ({"float_buffer": True}, "Linear Rec.709", [0.5, 0.2, 0.8]),
         ({"is_data": True}, "Non-Color", [0.5, 0.2, 0.8]),
+        ({}, "Linear Rec.709", [0.5, 0.2, 0.8]),
+        ({}, "Linear Rec.2020", LINEAR_REC_2020 @ [0.5, 0.2, 0.8]),
+        ({}, "Rec.1886", np.power([0.5, 0.2, 0.8], 2.4)),
     ],
 )
 def test_color_spaces(properties, space, linear):
@@ -105,8 +145,9 @@ def test_color_spaces(properties, space, linear):
     colors, is_scaled = read_color_image(image)
     assert colors.shape == (8, 8, 3) and colors.dtype == np.float32 and not is_scaled
     np.testing.assert_allclose(colors, np.broadcast_to(linear, (8, 8, 3)), atol=4e-3)
-    coded = decode(read_coded_image(image))  # glTF wants sRGB values
-    np.testing.assert_allclose(coded[0, 0], [128, 51, 204] if space == "sRGB" else [188, 124, 231], atol=1)
+    coded = decode(read_coded_image(image)) / 255.0  # glTF wants sRGB values
+    np.testing.assert_allclose(coded[0, 0], np.clip(encode_signed_srgb(np.float64(linear)), 0.0, 1.0), atol=6e-3)
+    assert [item.name for item in bpy.data.scenes] == ["Scene"] and list(bpy.data.images) == [image]
 
 
 def test_larger_images_are_scaled_down_and_said(monkeypatch):

@@ -12,6 +12,7 @@ from farfield.addon.core.errors import SettingsError
 from farfield.addon.core.imaging.mipmaps import build_mipmaps
 from farfield.addon.core.texmesh.perception import views
 from farfield.addon.core.texmesh.perception.level_choice import RANGE_MARGIN, LevelBudget, LevelOption, choose_levels
+from farfield.addon.core.texmesh.perception.level_images import LevelImages
 from farfield.addon.core.texmesh.perception.major_scales import (
     choose_scale,
     find_major_scales,
@@ -20,7 +21,7 @@ from farfield.addon.core.texmesh.perception.major_scales import (
     keep_visible_scales,
 )
 from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
-from farfield.addon.core.texmesh.perception.switch_distances import LevelImages, SwitchCheck
+from farfield.addon.core.texmesh.perception.switch_distances import SwitchCheck
 from textured_levels import checkered, textured_sphere
 
 #  scale                0    1    2    3    4    5    6    7

@@ -1,5 +1,6 @@
 """Renders of textured meshes are what geometry predicts, and levels switch where FLIP sees no difference."""
 
+import itertools
 import math
 
 import numpy as np
@@ -9,7 +10,9 @@ from farfield.addon.core.geometry.cameras import pixel_size_at, switch_distance
 from farfield.addon.core.imaging.mipmaps import build_mipmaps, resize_by_area
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.perception import switch_distances, views
+from farfield.addon.core.texmesh.perception.level_images import LevelComparison, LevelImages, measure_difference
 from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
+from farfield.addon.core.texmesh.perception.switch_distances import Switch
 from textured_levels import checkered, textured_sphere
 
 SETTINGS = PerceptionSettings(views=4, max_image=128)
@@ -18,6 +21,10 @@ TEXTURES = [build_mipmaps(checkered())]
 
 def surfaces(*rings: int) -> list[views.ViewedSurface]:
     return [views.prepare_surface(textured_sphere(count), TEXTURES) for count in rings]
+
+
+def find_switches(levels: list[views.ViewedSurface], settings: PerceptionSettings = SETTINGS, gap: int = 0) -> list[Switch]:
+    return run_to_end(switch_distances.find_switches(switch_distances.open_images(levels, settings), settings, gap))
 
 
 def test_views_turn_around_the_object():
@@ -59,40 +66,37 @@ def test_sharp_edges_are_shaded_flat():
 
 
 def test_equal_levels_switch_at_the_nearest_distance():
-    (switch,) = run_to_end(switch_distances.find_switches(surfaces(12, 12), SETTINGS))
+    (switch,) = find_switches(surfaces(12, 12))
     assert switch.difference == 0.0 and switch.pixels == 128 and switch.limit == "nearest"
 
 
 def test_levels_look_the_same_where_they_switch_and_differ_nearer():
     levels = surfaces(32, 16, 8, 5)
-    switches = run_to_end(switch_distances.find_switches(levels, SETTINGS))
+    switches = find_switches(levels)
     sizes = [switch.pixel_size for switch in switches]
     assert sizes == sorted(sizes) and sizes[-1] > 3.0 * sizes[0]
     frame = views.frame_around(levels[0].vertices)
     for index, switch in enumerate(switches):
         assert switch.limit != "farthest" and switch.difference <= 0.04 and switch.local_difference <= 0.2
-        pair = [
-            switch_distances.LevelImages(level, frame, views.turning_directions(5), SETTINGS.pixels_per_degree)
-            for level in levels[index : index + 2]
-        ]
-        other_views = switch_distances.measure_difference(*pair, switch.pixels, range(5))
+        pair = [LevelImages(level, frame, views.turning_directions(5), SETTINGS.pixels_per_degree) for level in levels[index : index + 2]]
+        other_views = measure_difference(*pair, switch.pixels, range(5))
         assert other_views.means.max() <= 0.05
         if switch.limit == "":
-            nearer = switch_distances.measure_difference(*pair, min(3 * switch.pixels, 128), range(5))
+            nearer = measure_difference(*pair, min(3 * switch.pixels, 128), range(5))
             assert nearer.is_seen(SETTINGS)
 
 
 def test_levels_of_opposite_colors_switch_where_the_object_is_smaller_than_a_pixel():
     first, second = (views.prepare_surface(textured_sphere(8), [build_mipmaps(np.full((2, 2, 3), color, np.float32))]) for color in (0, 1))
-    (switch,) = run_to_end(switch_distances.find_switches([first, second], SETTINGS))
+    (switch,) = find_switches([first, second])
     assert switch.limit == "farthest" and switch.pixels == 1
 
 
 def test_a_stricter_limit_moves_switches_away():
     levels = surfaces(24, 8)
-    (usual,) = run_to_end(switch_distances.find_switches(levels, SETTINGS))
+    (usual,) = find_switches(levels)
     strict = PerceptionSettings(views=4, max_image=128, max_difference=0.01)
-    (far,) = run_to_end(switch_distances.find_switches(levels, strict))
+    (far,) = find_switches(levels, strict)
     assert far.pixel_size > usual.pixel_size
 
 
@@ -103,7 +107,7 @@ def test_a_large_object_switches_farther_away():
     for scale in (1.0, 10.0):
         scaled = [type(small)(**{**vars(mesh), "vertices": scale * mesh.vertices}) for mesh in (large, coarse)]
         levels = [views.prepare_surface(mesh, TEXTURES) for mesh in scaled]
-        sizes.append(run_to_end(switch_distances.find_switches(levels, SETTINGS))[0].pixel_size)
+        sizes.append(find_switches(levels)[0].pixel_size)
     assert sizes[1] == pytest.approx(10.0 * sizes[0], rel=0.1)
     distance = switch_distance(sizes[0], math.radians(40.0), 1080)
     assert pixel_size_at(distance, math.radians(40.0), 1080) == pytest.approx(sizes[0])
@@ -112,3 +116,38 @@ def test_a_large_object_switches_farther_away():
 def test_screen_coverage_is_that_of_a_disc():
     assert switch_distances.screen_coverage(0.1, 1.0, (100, 100)) == pytest.approx(math.pi * 0.01)
     assert switch_distances.screen_coverage(1e-9, 1.0, (100, 100)) == 1.0
+
+
+def test_images_do_not_grow_along_a_chain_and_with_a_gap_they_shrink():
+    levels = surfaces(32, 8, 31, 30, 5)  # the second one is worse than those that follow
+    pixels = [switch.pixels for switch in find_switches(levels)]
+    assert pixels == sorted(pixels, reverse=True) and len(set(pixels)) < len(pixels)
+    pixels = [switch.pixels for switch in find_switches(levels, gap=1)]
+    assert all(first > second for first, second in itertools.pairwise(pixels))
+
+
+def test_levels_that_would_never_be_shown_are_left_out():
+    levels = surfaces(32, 8, 31, 5)
+    images = switch_distances.open_images(levels, SETTINGS)
+    shown, switches = run_to_end(switch_distances.find_shown_levels(images, SETTINGS))
+    assert shown == [0, 2, 3]
+    again = find_switches([levels[index] for index in shown])
+    assert [switch.pixels for switch in switches] == pytest.approx([switch.pixels for switch in again], rel=0.05, abs=1.0)
+
+
+def test_of_levels_that_switch_together_each_is_shown():
+    levels = surfaces(32, 8, 7, 6, 5)
+    images = switch_distances.open_images(levels, SETTINGS)
+    _, switches = run_to_end(switch_distances.find_shown_levels(images, SETTINGS))
+    pixels = [switch.pixels for switch in switches]
+    assert all(first > second for first, second in itertools.pairwise(pixels))
+
+
+def test_a_comparison_ends_where_the_difference_is_seen():
+    images = switch_distances.open_images(surfaces(32, 8), SETTINGS)
+    comparison = LevelComparison(*images, SETTINGS, [2, 0, 1, 3])
+    assert comparison.examine(100).is_seen(SETTINGS)
+    assert len(images[0].images) == 2 and sorted(comparison.ranking) == [0, 1, 2, 3]
+    everything = measure_difference(*images, 6, range(4))
+    order = np.argsort(-everything.measure_ratios(SETTINGS))
+    assert not comparison.examine(6).is_seen(SETTINGS) and comparison.ranking == order.tolist()

@@ -18,7 +18,7 @@ from farfield.addon.core.texmesh.perception.calibration import (
     next_trial,
     record_answer,
 )
-from farfield.addon.core.texmesh.perception.settings import MEASURES, PerceptionSettings
+from farfield.addon.core.texmesh.perception.settings import PERCEPTUAL_VALUES, PerceptionSettings
 from farfield.addon.core.texmesh.perception.weber import Collapses, measure_cross_section, measure_impacts, measure_thickness
 from shapes import box, sheet, sphere
 
@@ -56,17 +56,17 @@ def test_the_largest_displacement_of_a_scale_counts_relative_to_the_diameter():
     assert impacts.is_noticed.tolist() == [False, False, True, False] and impacts.vertices.tolist()[1] == -1
 
 
-@pytest.mark.parametrize(("measure", "factor"), [("center", 2.0), ("skeleton", 2.0)])
-def test_on_a_ball_radius_and_skeleton_give_twice_the_fraction_of_the_diameter(measure, factor):
+@pytest.mark.parametrize(("perceptual_value", "factor"), [("center", 2.0), ("skeleton", 2.0)])
+def test_on_a_ball_radius_and_skeleton_give_twice_the_fraction_of_the_diameter(perceptual_value, factor):
     removed = collapses([0.05, 0.1, 0.3, 0.01], [0, 0, 1, 1])
     usual = measure_impacts(SPHERE.vertices, SPHERE.triangles, removed, 2, PerceptionSettings())
-    other = measure_impacts(SPHERE.vertices, SPHERE.triangles, removed, 2, PerceptionSettings(measure=measure))
+    other = measure_impacts(SPHERE.vertices, SPHERE.triangles, removed, 2, PerceptionSettings(perceptual_value=perceptual_value))
     assert np.allclose(other.fractions, factor * usual.fractions, rtol=0.02)
 
 
-@pytest.mark.parametrize("measure", MEASURES)
-def test_fractions_do_not_depend_on_the_size_of_the_object(measure):
-    settings = PerceptionSettings(measure=measure)
+@pytest.mark.parametrize("perceptual_value", PERCEPTUAL_VALUES)
+def test_fractions_do_not_depend_on_the_size_of_the_object(perceptual_value):
+    settings = PerceptionSettings(perceptual_value=perceptual_value)
     small = measure_impacts(SPHERE.vertices, SPHERE.triangles, collapses([0.05, 0.1], [0, 1]), 2, settings)
     large = measure_impacts(100.0 * SPHERE.vertices, SPHERE.triangles, collapses([5.0, 10.0], [0, 1]), 2, settings)
     assert np.allclose(small.fractions, large.fractions) and (small.fractions > 0.0).all()
@@ -76,7 +76,7 @@ def test_removing_vertices_of_a_plane_has_no_quadric_error():
     flat = sheet(6)
     links = flat.triangles[:4, :2]
     removed = Collapses(links[:, 0], links[:, 1], np.ones(4), np.zeros(4, int))
-    assert measure_impacts(flat.vertices, flat.triangles, removed, 1, PerceptionSettings(measure="quadric")).fractions[0] < 1e-9
+    assert measure_impacts(flat.vertices, flat.triangles, removed, 1, PerceptionSettings(perceptual_value="quadric")).fractions[0] < 1e-9
 
 
 def simulate(count: int, threshold: float, steepness: float, seed: int, stimuli: np.ndarray) -> list[Answer]:

@@ -6,7 +6,7 @@ import pytest
 
 from farfield.addon.bridge.lod_crossfade import CROSSFADE
 from farfield.addon.bridge.texmesh.level_sets import ERROR, level_sets_in
-from farfield.addon.bridge.texmesh.scale_attributes import SCALE_ATTRIBUTE
+from farfield.addon.bridge.texmesh.scale_attributes import SCALE_ATTRIBUTE, read_scales
 from textured_scenes import textured_ball
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
@@ -47,6 +47,22 @@ def test_materials_of_the_original_stay(ball):
     assert len(copies) == 1 and material not in copies
 
 
+def test_levels_render_with_the_settings_of_their_object(ball):
+    lights = bpy.data.collections.new("Lights")
+    ball.light_linking.receiver_collection = lights
+    ball.shadow_terminator_geometry_offset, ball.shadow_terminator_shading_offset = 0.3, 0.4
+    ball.visible_glossy, ball.is_holdout, ball.pass_index, ball.lightgroup = False, True, 5, "Key"
+    ball.color, ball.cycles.is_caustics_caster = (0.25, 0.5, 0.75, 1.0), True
+    ball["wetness"] = 0.5
+    for level in make():
+        assert level.light_linking.receiver_collection == lights
+        assert level.shadow_terminator_geometry_offset == pytest.approx(0.3)
+        assert level.shadow_terminator_shading_offset == pytest.approx(0.4)
+        assert (level.visible_camera, level.visible_glossy, level.is_holdout) == (True, False, True)
+        assert (level.pass_index, level.lightgroup, level["wetness"]) == (5, "Key", 0.5)
+        assert tuple(level.color) == (0.25, 0.5, 0.75, 1.0) and level.cycles.is_caustics_caster
+
+
 def test_one_level_is_shown_and_the_original_again(ball):
     levels = make(crossfade=False)
     assert [level.hide_render for level in levels] == [False, True, True]
@@ -78,6 +94,17 @@ def test_features_become_an_attribute(ball):
     attribute = ball.data.attributes[SCALE_ATTRIBUTE]
     scales = np.array([item.value for item in attribute.data])
     assert attribute.domain == "POINT" and scales.min() >= 0 and 0 < scales.max() <= 20
+
+
+def test_levels_have_the_scales_of_their_own_analysis(ball):
+    stale = np.full(len(ball.data.vertices), 99, np.int32)
+    ball.data.attributes.new(SCALE_ATTRIBUTE, "INT", "POINT").data.foreach_set("value", stale)
+    levels = make(product="subset")
+    assert np.array_equal(read_scales(ball.data), stale), "only Analyze changes the original"
+    assert bpy.ops.farfield.texmesh_analyze() == {"FINISHED"}
+    of_position = {tuple(vertex.co): scale for vertex, scale in zip(ball.data.vertices, read_scales(ball.data).tolist(), strict=True)}
+    for level in levels:
+        assert read_scales(level.data).tolist() == [of_position[tuple(vertex.co)] for vertex in level.data.vertices]
 
 
 def test_other_attributes_are_carried(ball):

@@ -161,6 +161,26 @@ def add_fin(item):
         entry.vector = uv
 
 
+def mix_images(item):
+    tree = item.data.materials[0].node_tree
+    mix, other = tree.nodes.new("ShaderNodeMixRGB"), tree.nodes.new("ShaderNodeTexImage")
+    other.image = checker_image("Dirt")
+    tree.links.new(tree.nodes["Image Texture"].outputs["Color"], mix.inputs[1])
+    tree.links.new(other.outputs["Color"], mix.inputs[2])
+    tree.links.new(mix.outputs[0], tree.nodes["Principled BSDF"].inputs["Base Color"])
+
+
+def use_two_uv_maps(item):
+    item.data.uv_layers.new(name="Second")
+    material = textured_material(checker_image("Detail", 16), "Detail")
+    node = material.node_tree.nodes.new("ShaderNodeUVMap")
+    node.uv_map = "Second"
+    material.node_tree.links.new(node.outputs["UV"], material.node_tree.nodes["Image Texture"].inputs["Vector"])
+    item.data.materials.append(material)
+    for polygon in item.data.polygons:
+        polygon.material_index = polygon.index % 2
+
+
 def add_shape_key(item):
     item.shape_key_add(name="Basis")
     key = item.shape_key_add(name="Wide")
@@ -180,7 +200,10 @@ def add_armature(item):
         (remove_materials, '"Bällchen" has no image texture; only its geometry counts.'),
         (move_uvs, 'The UV map of "Bällchen" leaves the image; the image is repeated there.'),
         (flatten_uvs, 'triangles of "Bällchen" have no area in the UV map.'),
-        (add_fin, '"Bällchen" has 2 levels'),
+        (flatten_uvs, 'triangles of "Bällchen" are mirrored in the UV map, and stay so.'),
+        (add_fin, '"Bällchen" has 1 edge with more than two faces; its levels may be open there.'),
+        (mix_images, 'Materials of "Bällchen" mix images; only "Checker" counts, bake them to count all.'),
+        (use_two_uv_maps, 'The images of "Bällchen" use several UV maps; only "UVMap" counts, the others are carried.'),
         (add_shape_key, 'The levels of "Bällchen" have its current shape; they do not follow its shape keys.'),
         (add_armature, 'The levels of "Bällchen" have its current shape; they do not follow its armature.'),
     ],

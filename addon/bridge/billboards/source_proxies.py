@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import bpy
 
 from ..meshes import visible_meshes
+from ..render_properties import copy_render_properties
 from .cloud_materials import create_gray_material
 from .clouds import KIND
 
 SOURCE_PROXY = "source_proxy"  # value of farfield_kind
-RAY_VISIBILITY = ("camera", "diffuse", "glossy", "transmission", "volume_scatter", "shadow")
 
 
 def add_source_proxies(sources: Sequence[bpy.types.Object], collection: bpy.types.Collection, depsgraph: bpy.types.Depsgraph) -> None:
@@ -29,7 +29,7 @@ def add_source_proxies(sources: Sequence[bpy.types.Object], collection: bpy.type
         if key not in meshes:
             meshes[key] = _copy_mesh(evaluated, f"{collection.name} {evaluated.name}", depsgraph, copies)
         proxy = bpy.data.objects.new(meshes[key].name, meshes[key])
-        _copy_properties(owner, proxy)
+        copy_render_properties(owner, proxy)
         proxy[KIND] = SOURCE_PROXY
         proxy.matrix_world = matrix
         collection.objects.link(proxy)
@@ -76,13 +76,3 @@ def _copy_material(material: bpy.types.Material | None) -> bpy.types.Material:
     copy = material.copy()
     copy.use_transparent_shadow = True
     return copy
-
-
-def _copy_properties(source: bpy.types.Object, target: bpy.types.Object) -> None:
-    """Copy the properties that materials and renderers read from an object."""
-    target.pass_index, target.color = source.pass_index, source.color
-    for name in RAY_VISIBILITY:
-        setattr(target, f"visible_{name}", getattr(source, f"visible_{name}"))
-    for key in source.keys():  # noqa: SIM118 - an object is not a dict
-        if not key.startswith("farfield_") and key not in target:
-            target[key] = source[key]

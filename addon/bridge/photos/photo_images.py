@@ -1,7 +1,6 @@
 """Photographs from the background images of cameras."""
 
 import os
-import tempfile
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -9,18 +8,17 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ...compat import set_file_format
 from ...core.errors import FileError, ImageError
 from ...core.files.file_access import check_readable
 from ...core.geometry.lenses import PhotoCamera
 from ...core.imaging.colors import encode_signed_srgb
 from ...core.photos.photographs import Photograph
 from ..blender_modules import import_blender_module
+from ..color_spaces import convert_to_linear
 from ..image_files import EXTENSIONS
 from ..images import find_path, read_pixels
 from ..restore.image_pixels import read_format, to_display
 from ..restore.image_sources import check_image
-from ..tiled_images import load_image
 from .photo_files import read_photograph_file
 
 MIN_ALPHA = 0.5  # of usable pixels
@@ -116,31 +114,7 @@ def _read_image(camera: PhotoCamera, image: bpy.types.Image) -> Photograph:
     if pixel_format.is_float or pixel_format.is_data or color_space == BYTE_COLOR_SPACE:
         pixels = colors if pixel_format.is_float else np.rint(255.0 * colors).astype(np.uint8)
     else:
-        pixels = _convert_colors(colors, color_space)
+        pixels = encode_signed_srgb(convert_to_linear(colors, color_space))
     photograph = Photograph(camera, np.ascontiguousarray(pixels), None if mask.all() else mask)
     photograph.check()
     return photograph
-
-
-def _convert_colors(colors: np.ndarray, color_space: str) -> np.ndarray:
-    """Return 8-bit `colors` (H, W, 3) of a color space of Blender as sRGB-encoded colors (H, W, 3) float32, through a linear file."""
-    height, width = colors.shape[:2]
-    scene = bpy.data.scenes.new("Color Conversion")
-    image = bpy.data.images.new("Color Conversion", width, height, alpha=False)
-    try:
-        scene.view_settings.view_transform = "Raw"
-        set_file_format(scene.render.image_settings, "OPEN_EXR")
-        scene.render.image_settings.color_depth = "32"
-        image.colorspace_settings.name = color_space
-        image.pixels.foreach_set(np.dstack([colors, np.ones((height, width), np.float32)]).ravel())
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder, "linear.exr")
-            image.save_render(str(path), scene=scene)
-            converted = load_image(path)
-            try:
-                return encode_signed_srgb(read_pixels(converted)[..., :3])
-            finally:
-                bpy.data.images.remove(converted)
-    finally:
-        bpy.data.images.remove(image)
-        bpy.data.scenes.remove(scene)

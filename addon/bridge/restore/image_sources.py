@@ -12,6 +12,7 @@ import numpy as np
 from ...core.errors import FileError, ImageError
 from ...core.files.file_access import check_readable, convert_os_errors
 from ..blender_errors import error_sentence
+from ..color_spaces import find_scene_linear_space
 from ..images import find_path, read_pixels, tile_paths
 from ..tiled_images import EXTENSIONS, FILE_FORMATS, load_image
 
@@ -149,11 +150,7 @@ def default_color_space(image: bpy.types.Image) -> str:
     """Return the color space in which files hold the stored values of `image`: scene-linear for colors as floats, otherwise its own."""
     if not image.is_float or image.colorspace_settings.is_data:
         return image.colorspace_settings.name
-    linear = bpy.data.images.new("linear", 1, 1, float_buffer=True)
-    try:
-        return linear.colorspace_settings.name
-    finally:
-        bpy.data.images.remove(linear)
+    return find_scene_linear_space()
 
 
 def lossless_alpha_mode(alpha_mode: str, is_float: bool) -> str:

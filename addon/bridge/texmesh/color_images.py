@@ -8,24 +8,32 @@ import numpy as np
 
 from ...compat import uses_nodes
 from ...core.errors import FileError
-from ...core.imaging.colors import decode_signed_srgb
-from ..images import find_path, read_pixels
+from ..color_spaces import read_linear_pixels
+from ..images import find_path
 
 MAX_SIDE = 4096  # pixels; larger images are halved until they fit
-COLOR_INPUTS = ("Base Color", "Color")
+COLOR_INPUTS = ("Base Color", "Color", "Emission Color")  # the first one that is linked counts
 
 
 def find_color_image(material: bpy.types.Material | None) -> tuple[bpy.types.Image | None, str]:
     """Return the image texture that is nearest to the color of the surface of a material, and the name of the UV map it uses ("" for the
-    active one); None if there is none.
+    active one); None if there is none."""
+    return next(iter(find_color_images(material)), (None, ""))
 
-    Links are followed from the active output, through groups and reroutes, color inputs first.
+
+def find_color_images(material: bpy.types.Material | None) -> list[tuple[bpy.types.Image, str]]:
+    """Return the images of all image textures that the color of the surface of a material depends on, each once, the nearest one first,
+    with the names of the UV maps that they use ("" for the active one).
+
+    Links are followed from the active output, through groups and reroutes. Images for roughness, normals and other inputs do not count.
     """
     if material is None or not uses_nodes(material) or material.node_tree is None:
-        return None, ""
+        return []
     output = material.node_tree.get_output_node("ALL")
-    node = find_image_node(output.inputs["Surface"], ()) if output is not None else None
-    return (None, "") if node is None else (node.image, _uv_map_of(node))
+    found: dict[bpy.types.Image, str] = {}
+    for node in () if output is None else _image_nodes(output.inputs["Surface"]):
+        found.setdefault(node.image, _uv_map_of(node))
+    return list(found.items())
 
 
 def read_color_image(image: bpy.types.Image) -> tuple[np.ndarray, bool]:
@@ -36,7 +44,7 @@ def read_color_image(image: bpy.types.Image) -> tuple[np.ndarray, bool]:
     """
     check_pixels(image)
     with scaled_copy(image, MAX_SIDE) as source:
-        return to_linear(source, read_pixels(source)[..., :3]), source != image
+        return _read_colors(source), source != image
 
 
 @contextmanager
@@ -62,17 +70,19 @@ def check_pixels(image: bpy.types.Image) -> None:
         )
 
 
-def to_linear(image: bpy.types.Image, pixels: np.ndarray) -> np.ndarray:
-    """Return scene-linear colors. Pixels of float images are scene-linear already, others have the color space of the file."""
-    if image.is_float or image.colorspace_settings.is_data:
-        return np.ascontiguousarray(pixels)
-    return decode_signed_srgb(pixels).astype(np.float32)
+def _read_colors(image: bpy.types.Image) -> np.ndarray:
+    return np.ascontiguousarray(read_linear_pixels(image)[..., :3])
 
 
-def find_image_node(socket: bpy.types.NodeSocket, groups: tuple[bpy.types.Node, ...]) -> bpy.types.Node | None:
-    """Return the first image texture node before `socket`, depth-first. groups: the group nodes that contain it, outermost first."""
+def find_image_node(socket: bpy.types.NodeSocket) -> bpy.types.Node | None:
+    """Return the image texture node before `socket` that is nearest to it, None if there is none."""
+    return next(_image_nodes(socket), None)
+
+
+def _image_nodes(surface: bpy.types.NodeSocket) -> Iterator[bpy.types.Node]:
+    """Yield the image texture nodes before `surface`, depth-first, that determine colors."""
     visited: set[tuple[tuple[str, ...], str, str]] = set()
-    pending = [(socket, groups)]
+    pending: list[tuple[bpy.types.NodeSocket, tuple[bpy.types.Node, ...]]] = [(surface, ())]  # with the groups that contain it
     while pending:
         current, path = pending.pop()
         key = (tuple(group.name for group in path), current.node.name, current.identifier)
@@ -81,9 +91,10 @@ def find_image_node(socket: bpy.types.NodeSocket, groups: tuple[bpy.types.Node, 
         visited.add(key)
         source = current.links[0].from_socket
         node = source.node
-        if node.type == "TEX_IMAGE" and node.image is not None:
-            return node
-        if node.type == "GROUP" and node.node_tree is not None:
+        if node.type == "TEX_IMAGE":
+            if node.image is not None:
+                yield node
+        elif node.type == "GROUP" and node.node_tree is not None:
             output = next((item for item in node.node_tree.nodes if item.type == "GROUP_OUTPUT" and item.is_active_output), None)
             inside = None if output is None else output.inputs.get(source.name)
             if inside is not None:
@@ -93,14 +104,22 @@ def find_image_node(socket: bpy.types.NodeSocket, groups: tuple[bpy.types.Node, 
             if outside is not None:
                 pending.append((outside, path[:-1]))
         else:
-            pending += [(item, path) for item in _ordered_inputs(node)]
-    return None
+            pending += [(item, path) for item in _color_inputs(node)]
 
 
-def _ordered_inputs(node: bpy.types.Node) -> list[bpy.types.NodeSocket]:
-    """Return the linked inputs of a node in the order in which a stack should hold them: those of colors last, so that they come first."""
-    linked = [item for item in node.inputs if item.links][::-1]
-    return sorted(linked, key=lambda item: (item.name in COLOR_INPUTS, item.type in ("RGBA", "SHADER")))
+def _color_inputs(node: bpy.types.Node) -> list[bpy.types.NodeSocket]:
+    """Return the linked inputs of a node that determine its color, in the order in which a stack should hold them: the nearest one last."""
+    linked = [item for item in node.inputs if item.links]
+    shaders = [item for item in linked if item.type == "SHADER"]
+    colors = [item for name in COLOR_INPUTS for item in linked if item.name == name and item.type == "RGBA"]
+    if any(item.type == "SHADER" for item in node.outputs):
+        return shaders[::-1] or colors[:1]
+    if colors:
+        return colors[:1]
+    if node.type.startswith("TEX_"):  # their vectors are positions
+        return []
+    first = [item for item in linked if item.type in ("RGBA", "SHADER")]
+    return [*(item for item in reversed(linked) if item not in first), *reversed(first)]
 
 
 def _uv_map_of(node: bpy.types.Node) -> str:

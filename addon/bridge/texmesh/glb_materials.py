@@ -11,6 +11,7 @@ from ...core.files.file_access import convert_os_errors
 from ...core.files.glb import IMAGE_TYPES, GlbMaterial
 from ...core.imaging.coded_images import encode
 from ...core.imaging.colors import encode_signed_srgb
+from ..color_spaces import SRGB, read_linear_pixels
 from ..images import find_path, read_pixels
 from .color_images import COLOR_INPUTS, check_pixels, find_color_image
 
@@ -86,14 +87,13 @@ def read_coded_image(image: bpy.types.Image) -> bytes:
         FileError: it has no pixels, for instance because its file is missing, or cannot be read.
     """
     check_pixels(image)
-    if image.source == "FILE" and not image.is_dirty and image.colorspace_settings.name == "sRGB":
+    if image.source == "FILE" and not image.is_dirty and image.colorspace_settings.name == SRGB:
         content = _read_content(image)
         if any(content.startswith(start) for start in IMAGE_TYPES):
             return content
-    pixels = read_pixels(image)
-    colors = pixels[..., :3]
-    if image.is_float or image.colorspace_settings.is_data:  # scene-linear, where byte images have the values of the file
-        colors = encode_signed_srgb(colors)
+    is_encoded = not image.is_float and image.colorspace_settings.name == SRGB
+    pixels = read_pixels(image) if is_encoded else read_linear_pixels(image)
+    colors = pixels[..., :3] if is_encoded else encode_signed_srgb(pixels[..., :3])
     has_alpha = bool((pixels[..., 3] < 1.0).any())
     values = np.concatenate([colors, pixels[..., 3:]], axis=2) if has_alpha else colors
     return encode(np.rint(255.0 * np.clip(values, 0.0, 1.0)).astype(np.uint8), "png")

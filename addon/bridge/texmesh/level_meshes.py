@@ -4,19 +4,21 @@ import bpy
 import numpy as np
 
 from ...core.geometry.mesh import scaled_normals
+from ...core.texmesh.scale_space.scale_map import ScaleMap
 from ...core.texmesh.textured_mesh import TexturedMesh
 from ..evaluated_mesh import EvaluatedMesh, MeshAttribute
 from ..mesh_arrays import write_attribute, write_triangles
+from .scale_attributes import SCALE_ATTRIBUTE, find_vertex_scales
 from .sources import NORMALS, TexturedSource
 
 DEFAULT_UV_MAP = "UVMap"
 
 
-def create_level_mesh(name: str, source: TexturedSource, level: TexturedMesh) -> bpy.types.Mesh:
+def create_level_mesh(name: str, source: TexturedSource, level: TexturedMesh, scale_map: ScaleMap) -> bpy.types.Mesh:
     """Create a mesh in the object space of the source, without materials.
 
-    Texture coordinates, normals and corner colors are those of the level. All other attributes are those of the source that
-    `level.sources` refers to: those of faces at the first corner.
+    Texture coordinates, normals and corner colors are those of the level. SCALE_ATTRIBUTE is that of `scale_map`, the analysis of the
+    source. All other attributes are those of the source that `level.sources` refers to: those of faces at the first corner.
     """
     mesh = bpy.data.meshes.new(name)
     write_triangles(mesh, level.vertices, level.triangles)
@@ -38,6 +40,8 @@ def create_level_mesh(name: str, source: TexturedSource, level: TexturedMesh) ->
         _write_flat(mesh, np.ones(len(level.triangles), bool))
     vertex_corners = np.zeros(len(level.vertices), np.int64)
     vertex_corners[level.triangles] = level.sources
+    scales = find_vertex_scales(source, scale_map)[evaluated.triangles[vertex_corners // 3, vertex_corners % 3]]
+    mesh.attributes.new(SCALE_ATTRIBUTE, "INT", "POINT").data.foreach_set("value", scales)
     for attribute_name, attribute in evaluated.attributes.items():
         if attribute_name not in mesh.attributes:
             write_attribute(mesh, attribute_name, attribute.domain, _carry(evaluated, attribute, faces, corners, vertex_corners))

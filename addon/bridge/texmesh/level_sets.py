@@ -14,6 +14,7 @@ from ...core.geometry.affine import transform_points
 from ...core.geometry.cameras import Camera, distance_to_box
 from .. import lod_crossfade, transparent_bounces
 from ..mesh_pool import is_local
+from ..render_properties import copy_render_properties
 from ..source_links import SourceIndex, find_sources, store_sources
 from ..world_matrices import world_matrix
 from .temporary_visibility import restore
@@ -130,7 +131,7 @@ def add_level_set(
         item.matrix_world = source.matrix_world
         item[KIND], item[NUMBER], item[ERROR] = LEVEL, number, float(level.error)
         item[SWITCH_DISTANCE], item[TRIANGLES] = float(level.switch_distance), len(level.mesh.polygons)
-        item.pass_index, item.color = source.pass_index, source.color
+        copy_render_properties(source, item)
         collection.objects.link(item)
         objects.append(item)
     store_sources(collection, [source])

@@ -5,8 +5,9 @@ import numpy as np
 
 from ...core.imaging.colors import encode_signed_srgb
 from ...core.texmesh.streaming.material_sources import MaterialSource
+from ..color_spaces import SRGB, read_linear_pixels
 from ..images import read_pixels
-from .color_images import check_pixels, find_color_image, find_image_node, scaled_copy, to_linear
+from .color_images import check_pixels, find_color_image, find_image_node, scaled_copy
 from .glb_materials import WHITE, find_base_color, find_surface_node
 
 INPUTS = {"roughness": "Roughness", "metallic": "Metallic", "emission": "Emission Color"}  # input of Principled BSDF by role
@@ -36,9 +37,9 @@ def read_color_bytes(image: bpy.types.Image) -> np.ndarray:
     """Return the colors (H, W, 3) uint8 of an image, sRGB-encoded, row 0 at the bottom. Raises FileError."""
     check_pixels(image)
     with scaled_copy(image, MAX_SIDE) as source:
-        if source.colorspace_settings.name == "sRGB" and not source.is_float:
+        if source.colorspace_settings.name == SRGB and not source.is_float:
             return _to_bytes(read_pixels(source)[..., :3])
-        return _to_bytes(encode_signed_srgb(to_linear(source, read_pixels(source)[..., :3])))
+        return _to_bytes(encode_signed_srgb(read_linear_pixels(source)[..., :3]))
 
 
 def _read_data_images(node: bpy.types.Node) -> dict[str, np.ndarray]:
@@ -46,13 +47,13 @@ def _read_data_images(node: bpy.types.Node) -> dict[str, np.ndarray]:
     images = {}
     for role, name in INPUTS.items():
         socket = node.inputs.get(name)
-        found = None if socket is None or not socket.links else find_image_node(socket, ())
+        found = None if socket is None or not socket.links else find_image_node(socket)
         if found is not None:
             images[role] = read_color_bytes(found.image) if role == "emission" else _read_channel(found.image, socket)
     normal = node.inputs.get("Normal")
     source = None if normal is None or not normal.links else normal.links[0].from_node
     if source is not None and source.type == "NORMAL_MAP" and source.space == "TANGENT":
-        found = find_image_node(source.inputs["Color"], ())
+        found = find_image_node(source.inputs["Color"])
         if found is not None:
             images["normal"] = _read_data(found.image)
     return images

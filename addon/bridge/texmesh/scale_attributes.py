@@ -36,12 +36,12 @@ def write_scale_map(item: bpy.types.Object, source: TexturedSource, scale_map: S
 
 
 def read_scales(mesh: bpy.types.Mesh) -> np.ndarray | None:
-    """Return the scales (V,) int32 that were written, None if there are none. Levels carry them as floats."""
+    """Return the scales (V,) int32 that were written, None if there are none."""
     attribute = mesh.attributes.get(SCALE_ATTRIBUTE)
-    if attribute is None or attribute.domain != "POINT" or attribute.data_type not in ("INT", "FLOAT"):
+    if attribute is None or attribute.domain != "POINT" or attribute.data_type != "INT":
         return None
-    scales = np.empty(len(mesh.vertices), np.int32 if attribute.data_type == "INT" else np.float32)
+    scales = np.empty(len(mesh.vertices), np.int32)
     if len(attribute.data) != len(scales):
         return None  # in Edit Mode
     attribute.data.foreach_get("value", scales)
-    return np.rint(scales).astype(np.int32)
+    return scales

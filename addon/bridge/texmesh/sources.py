@@ -6,12 +6,14 @@ import bpy
 import numpy as np
 
 from ...core.errors import GeometryError
+from ...core.geometry.edges import find_edges
 from ...core.geometry.geometry_2d import signed_areas
 from ...core.geometry.mesh import TriangleMesh, face_areas_and_normals
 from ...core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
+from ...core.text import format_count
 from ..evaluated_mesh import EvaluatedMesh
 from ..meshes import find_material, read_instances
-from .color_images import find_color_image, read_color_image
+from .color_images import find_color_images, read_color_image
 
 
 @dataclass(frozen=True)
@@ -55,13 +57,19 @@ def read_textured_source(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph,
     values, attributes = _read_corner_values(evaluated) if has_attributes else (None, ())
     mesh = TriangleMesh(evaluated.vertices.astype(np.float64), evaluated.triangles, evaluated.material_indices)
     textured = build_textured_mesh(mesh, corner_uvs, values, item.name)
-    remarks = [*remarks, *_describe_evaluation(item), *_describe_uvs(item.name, textured, bool(uv_map))]
+    remarks = [
+        *remarks,
+        *_describe_evaluation(item),
+        *_describe_edges(item.name, textured),
+        *_describe_uvs(item.name, textured, bool(uv_map)),
+    ]
     return TexturedSource(item.name, item.session_uid, textured, evaluated, uv_map, attributes, textures, tuple(remarks))
 
 
 def _read_textures(item: bpy.types.Object, mesh: EvaluatedMesh) -> tuple[str, tuple[np.ndarray | None, ...], list[str]]:
     """Return the UV map of the textures, the texture of each material, and remarks."""
-    found = [find_color_image(None if key is None else find_material(key)) for key in mesh.materials]
+    all_found = [find_color_images(None if key is None else find_material(key)) for key in mesh.materials]
+    found = [images[0] if images else (None, "") for images in all_found]
     names = dict.fromkeys(name or mesh.uv_map for image, name in found if image is not None)
     uv_maps = [name for name in names if name in mesh.attributes and mesh.attributes[name].domain == "CORNER"]
     uv_map = uv_maps[0] if uv_maps else mesh.uv_map
@@ -82,6 +90,10 @@ def _read_textures(item: bpy.types.Object, mesh: EvaluatedMesh) -> tuple[str, tu
         textures.append(read[image.name])
     if not read:
         remarks.append(f'"{item.name}" has no image texture; only its geometry counts.')
+    mixed = [images[0][0].name for images in all_found if len(images) > 1]
+    if mixed:
+        names = ", ".join(f'"{name}"' for name in dict.fromkeys(mixed))
+        remarks.append(f'Materials of "{item.name}" mix images; only {names} counts, bake them to count all.')
     return uv_map, tuple(textures), remarks
 
 
@@ -116,6 +128,12 @@ def _describe_evaluation(item: bpy.types.Object) -> list[str]:
     return [f'The levels of "{item.name}" have its current shape; they do not follow {" and ".join(reasons)}.'] if reasons else []
 
 
+def _describe_edges(name: str, mesh: TexturedMesh) -> list[str]:
+    """Return a sentence if edges belong to more than two triangles."""
+    count = int((find_edges(mesh.triangles).face_counts > 2).sum())
+    return [f'"{name}" has {format_count(count, "edge")} with more than two faces; its levels may be open there.'] if count else []
+
+
 def _describe_uvs(name: str, mesh: TexturedMesh, has_uv_map: bool) -> list[str]:
     """Return sentences about texture coordinates that levels can keep only in part."""
     if not has_uv_map:
@@ -123,7 +141,9 @@ def _describe_uvs(name: str, mesh: TexturedMesh, has_uv_map: bool) -> list[str]:
     remarks = []
     if mesh.uvs.min() < 0.0 or mesh.uvs.max() > 1.0:
         remarks.append(f'The UV map of "{name}" leaves the image; the image is repeated there.')
-    empty = int((signed_areas(mesh.corner_uvs) == 0.0).sum())
-    if empty:
-        remarks.append(f'{empty:,} triangles of "{name}" have no area in the UV map.')
+    areas = signed_areas(mesh.corner_uvs)
+    if (areas == 0.0).any():
+        remarks.append(f'{int((areas == 0.0).sum()):,} triangles of "{name}" have no area in the UV map.')
+    if (areas < 0.0).any():
+        remarks.append(f'{int((areas < 0.0).sum()):,} triangles of "{name}" are mirrored in the UV map, and stay so.')
     return remarks

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from .proximity import decode_pairs, encode_pairs
+from .proximity import argsort_pairs, decode_pairs, encode_pairs
 
 
 @dataclass(frozen=True)
@@ -59,9 +59,14 @@ class Edges:
 def find_edges(triangles: np.ndarray, vertex_count: int | None = None) -> Edges:
     """Find the edges of `triangles` (T, 3) among `vertex_count` vertices; by default as many as the largest index needs."""
     vertex_count = int(triangles.max(initial=-1)) + 1 if vertex_count is None else vertex_count
-    starts, ends = triangles[:, [1, 2, 0]], triangles[:, [2, 0, 1]]
-    keys, index = np.unique(encode_pairs(starts, ends, vertex_count), return_inverse=True)
-    return Edges(decode_pairs(keys, vertex_count), index.reshape(-1, 3), vertex_count)
+    starts, ends = triangles[:, [1, 2, 0]].ravel(), triangles[:, [2, 0, 1]].ravel()
+    order = argsort_pairs(starts, ends, vertex_count)
+    keys = encode_pairs(starts[order], ends[order], vertex_count)
+    is_first = np.ones(len(keys), bool)
+    is_first[1:] = keys[1:] != keys[:-1]
+    index = np.empty(len(keys), np.int64)
+    index[order] = np.cumsum(is_first) - 1
+    return Edges(decode_pairs(keys[is_first], vertex_count), index.reshape(-1, 3), vertex_count)
 
 
 def halfedge_ends(triangles: np.ndarray, halfedges: np.ndarray) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Proximity graphs of primitives, by the distance between the primitives themselves instead of between their centroids."""
 
 import numpy as np
+from scipy import sparse
 from scipy.spatial import cKDTree
 
 from ..arrays import TINY
@@ -62,6 +63,19 @@ def _candidate_pairs(corners: np.ndarray, count: int) -> np.ndarray:
 def encode_pairs(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
     """Return one int64 key per unordered pair (first, second) of indices below `count`."""
     return np.minimum(first, second).astype(np.int64) * count + np.maximum(first, second)
+
+
+def argsort_pairs(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
+    """Return the order (N,) int32 of the unordered pairs `first`, `second` (N,) of indices below `count` by their keys from `encode_pairs`,
+    stable. Two counting sorts, several times as fast as sorting the keys."""
+    order = _counting_argsort(np.maximum(first, second), count)
+    return order[_counting_argsort(np.minimum(first, second)[order], count)]
+
+
+def _counting_argsort(values: np.ndarray, count: int) -> np.ndarray:
+    """Return the stable order (N,) int32 of `values` (N,) below `count`."""
+    rows = np.arange(len(values) + 1, dtype=np.int32)
+    return sparse.csr_array((rows[:-1], values.astype(np.int32), rows), shape=(len(values), count)).tocsc().data
 
 
 def unique_pair_keys(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:

@@ -64,10 +64,13 @@ def sample_mipmaps(mipmaps: Mipmaps, uvs: np.ndarray, footprints: np.ndarray) ->
         chunk = slice(start, start + CHUNK_SAMPLES)
         levels = np.clip(np.log2(np.maximum(footprints[chunk], 1.0)), 0.0, last)
         fine = np.minimum(levels.astype(np.int64), max(last - 1, 0))
-        fractions = (levels - fine).astype(np.float32)[:, None]
-        found = _sample_level(mipmaps, uvs[chunk], fine)
+        wrapped = uvs[chunk] - np.floor(uvs[chunk])
+        found = _sample_level(mipmaps, wrapped, fine)
         if last:
-            found += fractions * (_sample_level(mipmaps, uvs[chunk], fine + 1) - found)
+            coarse = _sample_level(mipmaps, wrapped, fine + 1)
+            coarse -= found
+            coarse *= (levels - fine).astype(np.float32)[:, None]
+            found += coarse
         colors[chunk] = found
     return colors
 
@@ -123,18 +126,33 @@ def _halve_odd(rows: np.ndarray) -> np.ndarray:
 
 
 def _sample_level(mipmaps: Mipmaps, uvs: np.ndarray, levels: np.ndarray) -> np.ndarray:
-    """Return bilinear samples (N, C) float32 at `uvs` (N, 2) of the level of each sample."""
-    sizes = mipmaps.sizes[levels]
-    positions = uvs * sizes - 0.5
-    low = np.floor(positions)
-    x, y = (positions - low).astype(np.float32).T[..., None]
-    first = low.astype(np.int64) % sizes
-    second = (first + 1) % sizes
-    starts, widths = mipmaps.starts[levels], sizes[:, 0]
-    lower, upper = starts + first[:, 1] * widths, starts + second[:, 1] * widths
+    """Return bilinear samples (N, C) float32 at `uvs` (N, 2), within 0 to 1, of the level of each sample."""
+    widths, heights = (mipmaps.sizes[:, axis].take(levels) for axis in range(2))
+    (left, right, x), (below, above, y) = _locate_texels(uvs[:, 0], widths), _locate_texels(uvs[:, 1], heights)
+    starts = mipmaps.starts.take(levels)
+    below = starts + below * widths
+    above = starts + above * widths
     texels = mipmaps.texels
-    bottom, top = texels.take(lower + first[:, 0], axis=0), texels.take(upper + first[:, 0], axis=0)
-    bottom += x * (texels.take(lower + second[:, 0], axis=0) - bottom)
-    top += x * (texels.take(upper + second[:, 0], axis=0) - top)
-    bottom += y * (top - bottom)
+    bottom, top = texels.take(below + left, axis=0), texels.take(above + left, axis=0)
+    for row, first in ((bottom, below), (top, above)):
+        change = texels.take(first + right, axis=0)
+        change -= row
+        change *= x
+        row += change
+    top -= bottom
+    top *= y
+    bottom += top
     return bottom
+
+
+def _locate_texels(positions: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the texels (N,) int64 before and after `positions` (N,), fractions of sides with `sizes` (N,) texels that repeat, and the
+    fraction (N, 1) float32 of the way between their centers."""
+    scaled = positions * sizes - 0.5
+    low = np.floor(scaled)
+    scaled -= low
+    first = low.astype(np.int64)
+    second = first + 1
+    first += np.where(first < 0, sizes, 0)
+    second -= np.where(second >= sizes, sizes, 0)
+    return first, second, scaled.astype(np.float32)[:, None]

@@ -17,53 +17,69 @@ def rasterize(corners: np.ndarray, size: tuple[int, int]) -> Iterator[tuple[np.n
     Args:
         corners: (T, 3, 2) float64 in pixels, from the lower left corner of the image. size: width and height.
     """
-    first, second, third = corners.transpose(1, 0, 2)  # pairwise: NumPy reduces short axes slowly
-    low = np.clip(np.ceil(np.minimum(np.minimum(first, second), third) - 0.5 - TOLERANCE), 0, size)
-    high = np.clip(np.floor(np.maximum(np.maximum(first, second), third) - 0.5 + TOLERANCE), -1, np.array(size) - 1)
-    a, b, c = corners.transpose(1, 2, 0)
-    used = np.flatnonzero((high >= low).all(axis=1) & (_cross(b - a, c - a) != 0.0))
-    low, counts = low[used, 1].astype(np.int64), (high - low)[used, 1].astype(np.int64) + 1
+    for triangles, y, left, lengths in _find_spans(corners, size):
+        a, b, c = corners[triangles].transpose(1, 2, 0)
+        area = _cross(b - a, c - a)
+        opposite = ((b, c), (c, a), (a, b))
+        gradients = [(start[1] - end[1]) / area for start, end in opposite]  # of barycentric coordinates, per column
+        center = np.stack([left + 0.5, y + 0.5])
+        values = [_cross(start - center, end - center) / area for start, end in opposite]
+        for rows, steps, pixels in _fill_spans(y * size[0] + left, lengths):
+            counts = lengths[rows]
+            barycentric = [
+                np.repeat(value[rows], counts) + steps * np.repeat(gradient[rows], counts)
+                for value, gradient in zip(values, gradients, strict=True)
+            ]
+            yield np.repeat(triangles[rows], counts), pixels, np.stack(barycentric, axis=1)
+
+
+def _find_spans(corners: np.ndarray, size: tuple[int, int]) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """Yield the rows of pixels whose centers lie in triangles, some triangles at a time: triangle indices (R,), rows (R,), first columns
+    (R,) int64, and numbers of pixels (R,), none 0. Arguments as for `rasterize`."""
+    a, b, c = np.ascontiguousarray(corners.transpose(1, 2, 0))  # pairwise: NumPy reduces short axes slowly
+    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    limits = np.array(size)[:, None]
+    low = np.clip(np.ceil(low - (0.5 + TOLERANCE)), 0, limits)
+    high = np.clip(np.floor(high - (0.5 - TOLERANCE)), -1, limits - 1)
+    area = _cross(b - a, c - a)
+    used = np.flatnonzero((high[0] >= low[0]) & (high[1] >= low[1]) & (area != 0.0))
+    low, counts = low[1, used].astype(np.int64), (high - low)[1, used].astype(np.int64) + 1
+    a, b, c, area = a[:, used], b[:, used], c[:, used], area[used]
+    edges = []
+    for start, end in ((b, c), (c, a), (a, b)):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            gradient = (end[0] - start[0]) / (end[1] - start[1])
+        edges.append((start[0] - 0.5, start[1], gradient, np.sign((start[1] - end[1]) * area)))
     ends = np.cumsum(counts)
     start = 0
     while start < len(used):
         stop = max(int(np.searchsorted(ends, (ends[start - 1] if start else 0) + CHUNK_ROWS, side="right")), start + 1)
-        chunk = slice(start, stop)
-        y = concatenate_ranges(low[chunk], counts[chunk])
-        yield from _fill_rows(corners, np.repeat(used[chunk], counts[chunk]), y, size[0])
+        owners = np.repeat(np.arange(start, stop), counts[start:stop])
+        y = concatenate_ranges(low[start:stop], counts[start:stop])
+        height = y + 0.5
+        left, right = np.zeros(len(y)), np.full(len(y), size[0] - 1.0)
+        for start_x, start_y, gradient, side in edges:
+            with np.errstate(invalid="ignore"):
+                crossing = start_x.take(owners) + (height - start_y.take(owners)) * gradient.take(owners)
+            direction = side.take(owners)
+            np.maximum(left, np.ceil(crossing - TOLERANCE), out=left, where=direction > 0.0)
+            np.minimum(right, np.floor(crossing + TOLERANCE), out=right, where=direction < 0.0)
+        filled = np.flatnonzero(right >= left)
+        lengths = (right[filled] - left[filled]).astype(np.int64) + 1
+        yield used[owners[filled]], y[filled], left[filled].astype(np.int64), lengths
         start = stop
 
 
-def _fill_rows(
-    corners: np.ndarray, triangles: np.ndarray, y: np.ndarray, width: int
-) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield what `rasterize` yields for rows `y` (R,) of `triangles` (R,): the columns between the edges."""
-    a, b, c = corners[triangles].transpose(1, 2, 0)
-    area = _cross(b - a, c - a)
-    height = y + 0.5
-    left, right = np.zeros(len(y)), np.full(len(y), width - 1.0)
-    opposite = ((b, c), (c, a), (a, b))
-    gradients = [(start[1] - end[1]) / area for start, end in opposite]  # of barycentric coordinates, per column
-    for (start, end), gradient in zip(opposite, gradients, strict=True):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            crossing = start[0] + (height - start[1]) * ((end[0] - start[0]) / (end[1] - start[1])) - 0.5
-        left = np.maximum(left, np.where(gradient > 0.0, np.ceil(crossing - TOLERANCE), 0.0))
-        right = np.minimum(right, np.where(gradient < 0.0, np.floor(crossing + TOLERANCE), width - 1.0))
-    lengths = np.maximum(right - left + 1.0, 0.0).astype(np.int64)
-    center = np.stack([left + 0.5, height])
-    values = [_cross(start - center, end - center) / area for start, end in opposite]
-    first = y * width + left.astype(np.int64)
+def _fill_spans(first: np.ndarray, lengths: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+    """Yield the pixels of some spans at a time, which begin at the pixels `first` (R,) and have `lengths` (R,): the spans, the number of
+    each pixel in its span (N,), and pixel indices (N,)."""
     ends = np.cumsum(lengths)
     begin = 0
-    while begin < len(y):
+    while begin < len(lengths):
         stop = max(int(np.searchsorted(ends, (ends[begin - 1] if begin else 0) + CHUNK_PIXELS, side="right")), begin + 1)
         rows, begin = slice(begin, stop), stop
-        counts = lengths[rows]
-        steps = concatenate_ranges(0, counts)
-        barycentric = [
-            np.repeat(value[rows], counts) + steps * np.repeat(gradient[rows], counts)
-            for value, gradient in zip(values, gradients, strict=True)
-        ]
-        yield np.repeat(triangles[rows], counts), np.repeat(first[rows], counts) + steps, np.stack(barycentric, axis=1)
+        steps = concatenate_ranges(0, lengths[rows])
+        yield rows, steps, np.repeat(first[rows], lengths[rows]) + steps
 
 
 def depth_buffer(corners: np.ndarray, depths: np.ndarray, size: tuple[int, int]) -> np.ndarray:
@@ -85,12 +101,27 @@ def draw_ids(corners: np.ndarray, depths: np.ndarray, size: tuple[int, int]) -> 
         corners: (T, 3, 2) in pixels. depths: (T, 3), linear in image space, smaller is nearer. size: width and height.
     """
     owners, buffer = np.full(size[0] * size[1], -1, np.int32), np.full(size[0] * size[1], np.inf, np.float32)
-    for triangle, pixels, barycentric in rasterize(corners, size):
-        found = np.einsum("ni,ni->n", barycentric, depths[triangle]).astype(np.float32)
-        np.minimum.at(buffer, pixels, found)
-        is_nearest = found == buffer[pixels]
-        owners[pixels[is_nearest]] = triangle[is_nearest]
+    for triangles, y, left, lengths in _find_spans(corners, size):
+        start, along = _find_depths(corners[triangles], depths[triangles], left, y)
+        for rows, steps, pixels in _fill_spans(y * size[0] + left, lengths):
+            counts = lengths[rows]
+            found = (np.repeat(start[rows], counts) + steps * np.repeat(along[rows], counts)).astype(np.float32)
+            np.minimum.at(buffer, pixels, found)
+            nearest = np.flatnonzero(found == buffer.take(pixels))
+            owners[pixels[nearest]] = np.repeat(triangles[rows], counts)[nearest]
     return owners.reshape(size[1], size[0]), buffer.reshape(size[1], size[0])
+
+
+def _find_depths(corners: np.ndarray, depths: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the depths (R,) of triangles `corners` (R, 3, 2) with `depths` (R, 3) at the pixels `x`, `y` (R,), and by how much they grow
+    from one pixel to the next (R,)."""
+    a, b, c = corners.transpose(1, 2, 0)
+    origin, first, second = depths[:, 0], depths[:, 1] - depths[:, 0], depths[:, 2] - depths[:, 0]
+    ab, ac = b - a, c - a
+    area = _cross(ab, ac)
+    along = (ac[1] * first - ab[1] * second) / area
+    across = (ab[0] * second - ac[0] * first) / area
+    return origin + (x + 0.5 - a[0]) * along + (y + 0.5 - a[1]) * across, along
 
 
 def fill_triangles(corners: np.ndarray, colors: np.ndarray, size: tuple[int, int], background: float = 0.0) -> np.ndarray:

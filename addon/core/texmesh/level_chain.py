@@ -14,10 +14,11 @@ from ..geometry.geometry_2d import signed_areas
 from ..imaging.mipmaps import Mipmaps, build_mipmaps
 from ..jobs.progress import Progress, Steps, subprogress
 from .perception.level_choice import LevelBudget, LevelOption, choose_levels
+from .perception.level_images import LevelImages
 from .perception.major_scales import find_red_refinements, find_zones, keep_visible_scales
 from .perception.settings import PerceptionSettings
-from .perception.switch_distances import LevelImages, Switch, SwitchCheck, find_switches
-from .perception.views import ViewedSurface, frame_around, prepare_surface, turning_directions
+from .perception.switch_distances import Switch, SwitchCheck, find_shown_levels, find_switches, open_images
+from .perception.views import ViewedSurface, prepare_surface
 from .perception.weber import Collapses, Impacts, measure_impacts
 from .ratios import parse_ratios, targets_of_ratios
 from .refitting.refit import make_refit_levels
@@ -121,23 +122,26 @@ def make_levels(
     candidates = _gather_candidates(mesh, simplification, scales)
     collapses = _divide_collapses(simplification, candidates)
     impacts = measure_impacts(mesh.vertices, mesh.triangles, collapses, len(candidates) - 1, settings.perception)
-    steps = find_switches([_view(item.mesh, mipmaps, settings.perception) for item in candidates], settings.perception)
-    switches = yield from subprogress(steps, 0.6, 0.8)
+    images = open_images(_view(candidates, mipmaps, settings.perception), settings.perception)
+    switches = yield from subprogress(find_switches(images, settings.perception), 0.6, 0.8)
     yield Progress(0.8, "Choosing levels")
-    useful = len(candidates) if ratios else 1 + max(1, sum(switch.pixels >= MIN_PIXELS for switch in switches))
-    candidates, switches = candidates[:useful], switches[: useful - 1]
-    pixel_sizes = [0.0, *(switch.pixel_size for switch in switches)]
-    chosen = _choose(candidates, pixel_sizes, impacts, mipmaps, settings)
-    kept = [candidates[index] for index in chosen]
     is_refit = levels.product == "refit" and _has_uv_area(mesh)
+    useful = len(candidates) if ratios else _count_useful(switches, is_refit)
+    candidates, images = candidates[:useful], images[:useful]
+    pixel_sizes = [0.0, *(switch.pixel_size for switch in switches[: useful - 1])]
+    chosen = _choose(candidates, pixel_sizes, impacts, images, settings)
+    kept, images = [candidates[index] for index in chosen], [images[index] for index in chosen]
     if is_refit:
         kept = yield from subprogress(_refit(mesh, kept, settings.simplification), 0.8, 0.95)
-    if is_refit or len(chosen) < len(candidates):
-        steps = find_switches([_view(item.mesh, mipmaps, settings.perception) for item in kept], settings.perception)
-        switches = yield from subprogress(steps, 0.95, 1.0)
+        images = open_images(_view(kept, mipmaps, settings.perception), settings.perception, images[:1])
+    if levels.choice in ("count", "ratio"):  # as many levels as were asked for
+        switches = yield from subprogress(find_switches(images, settings.perception, gap=1), 0.95, 1.0)
+    else:
+        shown, switches = yield from subprogress(find_shown_levels(images, settings.perception), 0.95, 1.0)
+        kept = [kept[index] for index in shown]
     made = [_to_level(item, switch) for item, switch in zip(kept, [None, *switches], strict=True)]
     tried = tuple((len(item.mesh.triangles), size) for item, size in zip(candidates, pixel_sizes, strict=True))
-    return LevelChain(tuple(made), scale_map, impacts, simplification, tried, frame_around(mesh.vertices).side)
+    return LevelChain(tuple(made), scale_map, impacts, simplification, tried, images[0].frame.side)
 
 
 def choose_targets(mesh: TexturedMesh, scale_map: ScaleMap) -> tuple[list[int], list[int]]:
@@ -160,6 +164,13 @@ def choose_targets(mesh: TexturedMesh, scale_map: ScaleMap) -> tuple[list[int], 
         targets.append(last)
         scales.append(SCALES - 1)
     return targets, scales
+
+
+def _count_useful(switches: Sequence[Switch], is_refit: bool) -> int:
+    """Return the number of candidates that are worth having, the original included: those whose images are not too small where they
+    switch, and one more if levels are refitted, after which they look better. There are at least two."""
+    large = sum(switch.pixels >= MIN_PIXELS for switch in switches)
+    return min(1 + max(large + is_refit, 1), 1 + len(switches))
 
 
 def _has_uv_area(mesh: TexturedMesh) -> bool:
@@ -191,25 +202,25 @@ def _gather_candidates(mesh: TexturedMesh, simplification: Simplification, scale
     return candidates
 
 
-def _view(mesh: TexturedMesh, mipmaps: Sequence[Mipmaps | None], settings: PerceptionSettings) -> ViewedSurface:
-    return prepare_surface(mesh, mipmaps, settings.is_lit)
+def _view(levels: Sequence[_Candidate], mipmaps: Sequence[Mipmaps | None], settings: PerceptionSettings) -> list[ViewedSurface]:
+    return [prepare_surface(level.mesh, mipmaps, settings.is_lit) for level in levels]
 
 
 def _choose(
     candidates: Sequence[_Candidate],
     pixel_sizes: Sequence[float],
     impacts: Impacts,
-    mipmaps: Sequence[Mipmaps | None],
+    images: Sequence[LevelImages],
     settings: AllSettings,
 ) -> list[int]:
-    """Return the indices of the levels to keep, 0 for the original first."""
+    """Return the indices of the levels to keep, 0 for the original first. images: of the candidates."""
     if len(candidates) < 2:
         return [0]
-    levels, side = settings.levels, frame_around(candidates[0].mesh.vertices).side
+    levels, side = settings.levels, images[0].frame.side
     if levels.choice == "ratio":
         return list(range(len(candidates)))
     if levels.choice == "perceptual":
-        ends = [end for _, end in find_zones(_find_red(candidates, pixel_sizes, impacts, mipmaps, settings.perception))]
+        ends = [end for _, end in find_zones(_find_red(pixel_sizes, impacts, images, settings.perception))]
         return [0, *(end for end in ends if end)]
     options = [
         LevelOption(len(item.mesh.triangles), _to_level(item, None).byte_count, size)
@@ -226,21 +237,13 @@ def _choose(
     return [0, *(1 + index for index in choose_levels(options[1:], budget))]
 
 
-def _find_red(
-    candidates: Sequence[_Candidate],
-    pixel_sizes: Sequence[float],
-    impacts: Impacts,
-    mipmaps: Sequence[Mipmaps | None],
-    settings: PerceptionSettings,
-) -> np.ndarray:
+def _find_red(pixel_sizes: Sequence[float], impacts: Impacts, images: Sequence[LevelImages], settings: PerceptionSettings) -> np.ndarray:
     """Return which refinements between neighboring candidates are perceptible, (N - 1,) bool.
 
     They are if the coarser one is right only from farther away (Figure 11), and if Weber's law says so. Others are left out only if renders
     do not show the difference.
     """
-    is_red = find_red_refinements(np.array(pixel_sizes)) & impacts.is_noticed[: len(candidates) - 1]
-    directions, frame = turning_directions(settings.views), frame_around(candidates[0].mesh.vertices)
-    images = [LevelImages(_view(item.mesh, mipmaps, settings), frame, directions, settings.pixels_per_degree) for item in candidates]
+    is_red = find_red_refinements(np.array(pixel_sizes)) & impacts.is_noticed[: len(pixel_sizes) - 1]
     return keep_visible_scales(is_red, SwitchCheck(images, pixel_sizes, settings))
 
 

@@ -1,8 +1,10 @@
 """Settings of the tool `texmesh`, beside those of its analysis, simplification and perception."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from ..settings import Choice, Settings, Unit, setting
+from .scale_space.scale_map import SCALES
 
 PRODUCTS = {
     "subset": Choice("Subset", "Vertices are those of the original, unmoved: levels can be sent one after the other"),
@@ -62,3 +64,15 @@ class SceneSettings(Settings):
         unit=Unit.FRACTION,
     )
     keep_source_visible: bool = setting(False, "Keep the original visible in addition to its levels", label="Keep Original Visible")
+
+
+@dataclass(frozen=True, kw_only=True)
+class InspectionSettings(Settings):
+    """How features and levels are shown; they change no result."""
+
+    has_flags: ClassVar[bool] = False
+
+    lowest_scale: int = setting(
+        1, "Scale at which the smallest colored features end", minimum=0, maximum=SCALES - 1, unit=Unit.COUNT, group="Inspect"
+    )
+    flicker_seconds: float = setting(0.5, "Seconds between two levels", minimum=0.1, maximum=10.0, label="Flicker Time", group="Inspect")

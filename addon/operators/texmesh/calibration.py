@@ -37,15 +37,20 @@ class _ViewportState:
     has_gizmos: bool
     shading: str
     color: str
+    perspective: str
 
     @classmethod
     def prepare(cls, space: bpy.types.SpaceView3D) -> "_ViewportState":
-        """Show textures and nothing but objects; return what was shown before."""
-        state = cls(space.overlay.show_overlays, space.show_gizmo, space.shading.type, space.shading.color_type)
+        """Show textures and nothing but objects, in perspective and not through a camera; return what was shown before."""
+        region, shading = space.region_3d, space.shading
+        state = cls(space.overlay.show_overlays, space.show_gizmo, shading.type, shading.color_type, region.view_perspective)
         space.overlay.show_overlays = space.show_gizmo = False
         if state.shading in ("WIREFRAME", "SOLID"):
             space.shading.type = "SOLID"
             space.shading.color_type = "TEXTURE"
+        if state.perspective != "PERSP":  # an orthographic view has no distances, a camera may have other shifts and borders
+            region.view_perspective = "PERSP"
+            region.update()  # the matrices, which would change with the next redraw only
         return state
 
     def restore(self, space: bpy.types.SpaceView3D) -> None:
@@ -55,6 +60,8 @@ class _ViewportState:
             space.shading.type = "SOLID"
             space.shading.color_type = self.color
             space.shading.type = self.shading
+        if space.region_3d.view_perspective != self.perspective:
+            space.region_3d.view_perspective = self.perspective
 
 
 class FARFIELD_OT_texmesh_calibrate(bpy.types.Operator):
@@ -90,8 +97,6 @@ class FARFIELD_OT_texmesh_calibrate(bpy.types.Operator):
         global _run
         if context.window is None or context.area is None or context.area.type != "VIEW_3D":
             return self.execute(context)
-        if context.space_data.region_3d.view_perspective != "PERSP":
-            raise SettingsError("The 3D Viewport must show a perspective view that is not that of a camera; press Numpad 5 or Numpad 0.")
         preview.stop()
         if context.mode != "OBJECT":
             bpy.ops.object.mode_set(mode="OBJECT")

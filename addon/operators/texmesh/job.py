@@ -117,7 +117,9 @@ class LevelsJob:
             remove_level_set(earlier)
         new = [
             NewLevel(
-                create_level_mesh(f"{item.name} L{number}", source, level.mesh), level.pixel_size, self._switch_distance(level.pixel_size)
+                create_level_mesh(f"{item.name} L{number}", source, level.mesh, chain.scale_map),
+                level.pixel_size,
+                self._switch_distance(level.pixel_size),
             )
             for number, level in enumerate(chain.levels)
         ]

@@ -12,7 +12,7 @@ from ...bridge.texmesh.ring_overlay import overlay as rings
 from ...bridge.texmesh.temporary_visibility import STATE, restore, resume_crossfades, show_temporarily
 from ...bridge.viewers import viewport_camera
 from ...core.geometry.cameras import Camera
-from ...core.texmesh.inspection_settings import InspectionSettings
+from ...core.texmesh.settings import InspectionSettings
 from .. import long_work, properties
 from ..app_handlers import add_handlers, remove_handlers
 from ..error_reports import reports_errors

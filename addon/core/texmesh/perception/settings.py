@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from ...settings import Choice, Settings, Unit, setting
 
-MEASURES = {
+PERCEPTUAL_VALUES = {
     "cross_section": Choice("Cross-Section", "Displacement relative to the length of the object in its direction, as in the paper"),
     "center": Choice("Center", "Displacement relative to the distance from the center of the object"),
     "skeleton": Choice("Skeleton", "Displacement relative to half the thickness of the object"),
@@ -61,4 +61,4 @@ class PerceptionSettings(Settings):
         maximum=1.0,
         group="Perception",
     )
-    measure: str = setting("cross_section", "How large a change of shape is", choices=MEASURES, group="Perception")
+    perceptual_value: str = setting("cross_section", "How much a change of shape is seen", choices=PERCEPTUAL_VALUES, group="Perception")

@@ -4,26 +4,24 @@ What a viewer sees depends on the size of a pixel on the object. It is the error
 pixel is larger than its error, `geometry.cameras` converts errors to distances of a camera and back.
 """
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from ...imaging.flip import FlipImage, compare, filter_radius, prepare_image
-from ...imaging.mipmaps import Mipmaps, build_mipmaps, resize_by_area
 from ...jobs.progress import Progress, Steps
+from .level_images import TIERS, Difference, LevelComparison, LevelImages, measure_difference
 from .settings import PerceptionSettings
-from .views import BACKGROUND, Frame, ViewedSurface, frame_around, render, turning_directions
+from .views import ViewedSurface, frame_around, turning_directions
 
 MIN_IMAGE = 1  # pixels per side of the smallest image that is compared
 SIZES = (32, 64, 128, 256, 512, 1024, 2048)  # pixels per side, of a first search
-# Renders for images up to a size: samples per side, and the divisor of the number of views. Differences are largest in the same views
-# at all sizes, so that larger images are compared only where smaller ones differ most.
-TIERS = ((128, 256, 1), (512, 1024, 3), (1024, 2048, 4), (2048, 3072, 4))
-MIN_SAMPLES = 2  # per pixel along each side, where a render has them
-PERCENTILE = 95.0  # of the local difference
 RELATIVE_PRECISION = 0.03  # of sizes
+CLOSE_RATIO = 0.97  # of the visible difference, from which on a size is not enlarged any more
+AIMED_RATIO = 0.985  # at the next size that is tried
+MIN_PART, MAX_PART = 0.15, 0.85  # of the interval between two sizes, within which the next one is
 
 
 @dataclass(frozen=True)
@@ -32,8 +30,8 @@ class Switch:
 
     pixel_size: the smallest size of a pixel in the object's unit at which they look the same, `farfield_error` of the coarse level.
     pixels: side of the object's image there. difference, local_difference: mean and 95th percentile of FLIP over the object's pixels, of
-    the views where they are largest. is_exact: False if they look the same even in the largest image that was compared, or differ even in
-    the smallest.
+    the views where they are largest. limit: "nearest" if they look the same even in the largest image that was compared, "farthest" if they
+    differ even in the smallest, "" otherwise.
     """
 
     pixel_size: float
@@ -43,87 +41,56 @@ class Switch:
     limit: Literal["", "nearest", "farthest"]
 
 
-@dataclass(frozen=True)
-class Difference:
-    """Mean and 95th percentile (N,) of FLIP over the object's pixels in each of N views."""
-
-    means: np.ndarray
-    highs: np.ndarray
-
-    def is_seen(self, settings: PerceptionSettings) -> bool:
-        """Return whether the difference can be seen in any view."""
-        return bool(self.means.max() > settings.max_difference or self.highs.max() > settings.max_local_difference)
-
-    def rank_views(self, settings: PerceptionSettings) -> np.ndarray:
-        """Return the order of the views, the one with the largest difference first."""
-        relative = np.maximum(self.means / settings.max_difference, self.highs / settings.max_local_difference)
-        return np.argsort(-relative, kind="stable")
+def open_images(levels: Sequence[ViewedSurface], settings: PerceptionSettings, opened: Sequence[LevelImages] = ()) -> list[LevelImages]:
+    """Return the images of `levels` of one object, finest first, in all views around it. Those of the first ones may be `opened` already,
+    others are not rendered yet."""
+    frame, directions = frame_around(levels[0].vertices), turning_directions(settings.views)
+    added = [LevelImages(level, frame, directions, settings.pixels_per_degree) for level in levels[len(opened) :]]
+    return [*opened, *added]
 
 
-@dataclass(eq=False)
-class LevelImages:
-    """The images of one level, rendered when they are needed first."""
+def find_switches(images: Sequence[LevelImages], settings: PerceptionSettings, gap: int = 0) -> Steps[list[Switch]]:
+    """Return a switch for each of the levels but the first, finest first: from where on it may replace its finer neighbor.
 
-    surface: ViewedSurface
-    frame: Frame
-    directions: np.ndarray
-    pixels_per_degree: float
-    renders: dict[tuple[int, int], Mipmaps] = field(default_factory=dict)
-    images: dict[tuple[int, int], tuple[FlipImage, np.ndarray]] = field(default_factory=dict)
-
-    def get(self, view: int, size: int) -> tuple[FlipImage, np.ndarray]:
-        """Return the image of a view with `size` pixels per side as FLIP compares it, and its coverage (bool),
-        with a border of background as wide as the viewer's blur."""
-        if (view, size) not in self.images:
-            samples = next(samples for limit, samples, _ in TIERS if size <= limit)
-            if (view, samples) not in self.renders:
-                full = render(self.surface, self.directions[view], self.frame, samples)
-                self.renders[view, samples] = build_mipmaps(np.concatenate([full.colors, full.coverage[..., None]], axis=2))
-            mipmaps = self.renders[view, samples]
-            level = int((mipmaps.sizes[:, 0] >= MIN_SAMPLES * size).sum()) - 1
-            layers = resize_by_area(mipmaps.level(max(level, 0)), size)
-            padding = filter_radius(self.pixels_per_degree)
-            colors = np.full((size + 2 * padding, size + 2 * padding, 3), BACKGROUND, np.float32)
-            colors[padding : padding + size, padding : padding + size] = layers[..., :3]
-            coverage = np.pad(layers[..., 3] > 0.0, padding)
-            self.images[view, size] = prepare_image(colors, self.pixels_per_degree, is_linear=True), coverage
-        return self.images[view, size]
-
-    def forget_larger(self, size: int) -> None:
-        """Release renders and images that are larger than `size` pixels per side."""
-        self.renders = {key: value for key, value in self.renders.items() if key[1] <= 2 * size}
-        self.images = {key: value for key, value in self.images.items() if key[1] <= size}
-
-
-def find_switches(levels: Sequence[ViewedSurface], settings: PerceptionSettings) -> Steps[list[Switch]]:
-    """Return a switch for each of `levels` but the first, finest first: from where on it may replace its finer neighbor.
-
-    Levels must be those of one object. The search goes from small images to larger ones up to the first in which a difference is seen, so
-    that none is seen from farther away. Sizes of pixels grow along the chain.
+    The search goes from small images to larger ones up to the first in which a difference is seen, so that none is seen from farther away.
+    It ends `gap` pixels below the size at which the finer neighbor replaces its own, so that sizes of images do not increase along the
+    chain: no level switches nearer than a finer one. With a gap, every level is shown from some distances, down to one pixel.
     """
-    frame = frame_around(levels[0].vertices)
-    directions = turning_directions(settings.views)
-    coarse = LevelImages(levels[0], frame, directions, settings.pixels_per_degree)
-    switches: list[Switch] = []
-    smallest = 0.0
-    for index, level in enumerate(levels[1:]):
-        fine, coarse = coarse, LevelImages(level, frame, directions, settings.pixels_per_degree)
-        yield Progress(index / (len(levels) - 1), f"Comparing level {index + 1} of {len(levels) - 1}")
-        switch = yield from _search(fine, coarse, settings, index, len(levels) - 1)
-        smallest = max(smallest, switch.pixel_size)
-        switches.append(replace(switch, pixel_size=smallest))
+    search, switches, largest = _PairSearch(images, settings), [], settings.max_image
+    for index in range(1, len(images)):
+        yield Progress((index - 1) / (len(images) - 1), f"Comparing level {index} of {len(images) - 1}")
+        switches.append(search.run(index - 1, index, largest))
+        largest = max(switches[-1].pixels - gap, MIN_IMAGE)
+        search.release(index - 1)
+    search.release(len(images) - 1)
     return switches
 
 
-def measure_difference(fine: LevelImages, coarse: LevelImages, size: int, views: Sequence[int]) -> Difference:
-    """Return the difference of two levels in images with `size` pixels per side, in each of `views`."""
-    means, highs = [], []
-    for view in views:
-        (first, first_coverage), (second, second_coverage) = fine.get(view, size), coarse.get(view, size)
-        errors = compare(first, second)[first_coverage | second_coverage]
-        means.append(float(errors.mean()) if len(errors) else 0.0)
-        highs.append(float(np.percentile(errors, PERCENTILE)) if len(errors) else 0.0)
-    return Difference(np.array(means), np.array(highs))
+def find_shown_levels(images: Sequence[LevelImages], settings: PerceptionSettings) -> Steps[tuple[list[int], list[Switch]]]:
+    """Return the indices of the levels that are shown from some distance, ascending from 0, and the switch of each but the first.
+
+    See `find_switches`. A level is left out if a coarser one can replace the level before it in images that are as large. If only the level
+    itself can be replaced in these, the coarser one waits for smaller images.
+    """
+    search, shown, switches = _PairSearch(images, settings), [0], []
+    for index in range(1, len(images)):
+        yield Progress((index - 1) / (len(images) - 1), f"Comparing level {index} of {len(images) - 1}")
+        switch = search.run(shown[-1], index, switches[-1].pixels if switches else settings.max_image)
+        while switches and switch.pixels == switches[-1].pixels:
+            instead = search.run(shown[-2], index, switches[-2].pixels if len(switches) > 1 else settings.max_image)
+            if instead.pixels < switch.pixels:
+                switch = search.run(shown[-1], index, max(switch.pixels - 1, MIN_IMAGE))
+                break
+            search.release(shown.pop())
+            switches.pop()
+            switch = instead
+        if switches and switch.pixels == switches[-1].pixels:  # that of the smallest image
+            break
+        search.release(shown[-1])
+        shown.append(index)
+        switches.append(switch)
+    search.release(len(images) - 1)
+    return shown, switches
 
 
 def screen_coverage(pixel_size: float, radius: float, image_size: tuple[int, int]) -> float:
@@ -134,37 +101,63 @@ def screen_coverage(pixel_size: float, radius: float, image_size: tuple[int, int
     return float(min(np.pi * (radius / pixel_size) ** 2 / (image_size[0] * image_size[1]), 1.0))
 
 
-def _search(fine: LevelImages, coarse: LevelImages, settings: PerceptionSettings, index: int, count: int) -> Steps[Switch]:
-    """Return the switch of a pair of levels."""
-    views: Sequence[int] = range(settings.views)
+class _PairSearch:
+    """Searches for the switches of pairs of levels with `images`, each beginning with the views where the last one found differences."""
+
+    def __init__(self, images: Sequence[LevelImages], settings: PerceptionSettings) -> None:
+        self._images, self._settings, self._ranking = images, settings, list(range(settings.views))
+
+    def run(self, fine: int, coarse: int, largest: int) -> Switch:
+        """Return the switch of two levels at up to `largest` pixels."""
+        comparison = LevelComparison(self._images[fine], self._images[coarse], self._settings, self._ranking)
+        switch = _search(comparison, largest)
+        self._ranking = comparison.ranking
+        return switch
+
+    def release(self, index: int) -> None:
+        """Release the large images of a level; those of the original, with which other levels may be compared, are kept."""
+        if index:
+            self._images[index].forget_larger(TIERS[0][0])
+
+
+def _search(comparison: LevelComparison, largest: int) -> Switch:
+    """Return the switch of a pair of levels at up to `largest` pixels."""
+    settings = comparison.settings
     same, seen = MIN_IMAGE, None
     found: Difference | None = None
-    sizes = [size for size in SIZES if size < settings.max_image] + [settings.max_image]
-    tier = 0
-    for step, size in enumerate(sizes):
-        while size > TIERS[tier][0]:
-            tier += 1
-            if found is not None:
-                views = [views[position] for position in found.rank_views(settings)[: -(-settings.views // TIERS[tier][2])]]
-        difference = measure_difference(fine, coarse, size, views)
-        yield Progress((index + step / len(sizes)) / count, f"Comparing level {index + 1} of {count}")
+    ratio = seen_ratio = 0.0
+    for size in _climb(largest):
+        difference = comparison.examine(size)
         if difference.is_seen(settings):
-            seen = size
+            seen, seen_ratio = size, float(difference.measure_ratios(settings).max())
             break
-        same, found = size, difference
-    limit = "" if seen is not None else "nearest"
-    while seen is not None and seen - same > max(1.0, RELATIVE_PRECISION * same):
-        size = (same + seen) // 2
-        difference = measure_difference(fine, coarse, size, views)
+        same, found, ratio = size, difference, float(difference.measure_ratios(settings).max())
+    limit = "nearest" if seen is None and same == settings.max_image else ""
+    while seen is not None and seen - same > max(1.0, RELATIVE_PRECISION * same) and ratio < CLOSE_RATIO:
+        size = _guess_crossing(same, ratio, seen, seen_ratio)
+        difference = comparison.examine(size)
         if difference.is_seen(settings):
-            seen = size
+            seen, seen_ratio = size, float(difference.measure_ratios(settings).max())
         else:
-            same, found = size, difference
+            same, found, ratio = size, difference, float(difference.measure_ratios(settings).max())
     if found is None:
-        found = measure_difference(fine, coarse, same, views)
+        found = measure_difference(comparison.fine, comparison.coarse, same, range(settings.views))
         limit = "farthest" if found.is_seen(settings) else ""
-    coarse.forget_larger(TIERS[0][0])
-    return Switch(fine.frame.side / same, same, float(found.means.max()), float(found.highs.max()), limit)
+    return Switch(comparison.fine.frame.side / same, same, float(found.means.max()), float(found.highs.max()), limit)
+
+
+def _climb(largest: int) -> list[int]:
+    """Return the sizes, up to `largest`, at which a difference is looked for first."""
+    return [size for size in SIZES if size < largest] + [largest]
+
+
+def _guess_crossing(same: int, ratio: float, seen: int, seen_ratio: float) -> int:
+    """Return a size between `same` and `seen` at which a difference, which is a power of the size, is just not seen. ratio, seen_ratio:
+    differences at the two sizes, relative to the largest one that is not seen."""
+    part = 0.5
+    if ratio > 0.0 and seen_ratio > ratio:
+        part = float(np.clip(math.log(AIMED_RATIO / ratio) / math.log(seen_ratio / ratio), MIN_PART, MAX_PART))
+    return min(max(round(same * (seen / same) ** part), same + 1), seen - 1)
 
 
 @dataclass(eq=False)
@@ -179,8 +172,12 @@ class SwitchCheck:
     settings: PerceptionSettings
 
     def __call__(self, fine: int, coarse: int) -> bool:
-        """Return whether level `coarse` looks like level `fine` at the distance from which `fine` is shown."""
-        nearest = self.images[fine].frame.side / self.settings.max_image
-        size = max(int(self.images[fine].frame.side / max(self.pixel_sizes[fine], nearest)), MIN_IMAGE)
-        difference = measure_difference(self.images[fine], self.images[coarse], size, range(self.settings.views))
-        return not difference.is_seen(self.settings)
+        """Return whether level `coarse` looks like level `fine` from the distance from which `fine` is shown on."""
+        side = self.images[fine].frame.side
+        nearest = side / self.settings.max_image
+        largest = max(int(side / max(self.pixel_sizes[fine], nearest)), MIN_IMAGE)
+        comparison = LevelComparison(self.images[fine], self.images[coarse], self.settings, list(range(self.settings.views)))
+        is_same = not any(comparison.examine(size).is_seen(self.settings) for size in _climb(largest))
+        for level in self.images[1:]:
+            level.forget_larger(TIERS[0][0])
+        return is_same

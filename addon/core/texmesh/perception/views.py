@@ -12,7 +12,6 @@ import numpy as np
 from ...geometry.mesh import face_areas_and_normals, vertex_normals
 from ...imaging.mipmaps import Mipmaps, measure_footprints, sample_mipmaps
 from ...imaging.raster import draw_ids
-from ...imaging.texture_renders import locate_positions
 from ..textured_mesh import TexturedMesh
 
 ELEVATIONS = (np.radians(15.0), np.radians(-10.0), np.radians(40.0), np.radians(-35.0))  # of successive views around the object
@@ -117,32 +116,80 @@ def render(surface: ViewedSurface, direction: np.ndarray, frame: Frame, size: in
     coverage = owners >= 0
     samples = np.flatnonzero(coverage)
     triangles = owners.ravel()[samples]
-    centers = np.stack([samples % size, samples // size], axis=1) + 0.5
-    barycentric = locate_positions(corners[triangles], np.ones((len(triangles), 3)), centers)
-    colors = _texture_colors(surface, corners, triangles, barycentric)
+    is_shown = np.zeros(len(corners), bool)
+    is_shown[triangles] = True
+    shown = np.flatnonzero(is_shown)
+    rows = np.empty(len(corners), np.int32)
+    rows[shown] = np.arange(len(shown))
+    located = _Samples(rows.take(triangles), _find_barycentric(corners[shown], rows.take(triangles), samples, size))
+    colors = _texture_colors(surface, corners[shown], shown, located)
     if surface.corner_normals is not None:
-        normals = np.einsum("ni,nic->nc", barycentric.astype(np.float32), surface.corner_normals[triangles])
-        lengths = np.sqrt(np.einsum("nc,nc->n", normals, normals))
-        facing = np.abs(normals @ axes[2].astype(np.float32)) / np.maximum(lengths, MIN_LENGTH)
+        facing = _measure_facing(surface.corner_normals[shown], axes[2].astype(np.float32), located)
         colors *= (AMBIENT + (1.0 - AMBIENT) * facing)[:, None]
     image = np.full((size * size, 3), BACKGROUND, np.float32)
     image[samples] = colors
     return Render(image.reshape(size, size, 3), coverage)
 
 
-def _texture_colors(surface: ViewedSurface, corners: np.ndarray, triangles: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
-    """Return the colors (N, 3) float32 of samples without light."""
-    colors = np.full((len(triangles), 3), PLAIN_COLOR, np.float32)
-    owners = np.unique(triangles)
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """Covered samples of an image: rows (N,) int32 of the triangles that are shown, and barycentric coordinates, three (N,) float32."""
+
+    rows: np.ndarray
+    barycentric: tuple[np.ndarray, np.ndarray, np.ndarray]
+
+    def interpolate(self, corner_values: np.ndarray) -> np.ndarray:
+        """Return `corner_values` (T, 3) at the samples, (N,)."""
+        first, second, third = corner_values.astype(np.float32).T.copy()
+        result = first.take(self.rows) * self.barycentric[0]
+        result += second.take(self.rows) * self.barycentric[1]
+        result += third.take(self.rows) * self.barycentric[2]
+        return result
+
+
+def _find_barycentric(corners: np.ndarray, rows: np.ndarray, samples: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return barycentric coordinates, three (N,) float32, none negative, of `samples` (N,), indices in an image `size` wide, in the
+    triangles `rows` (N,) of `corners` (T, 3, 2)."""
+    origin = corners[:, 0]
+    (first_x, first_y), (second_x, second_y) = (corners[:, 1] - origin).T, (corners[:, 2] - origin).T
+    scale = 1.0 / (first_x * second_y - first_y * second_x)
+    lines, columns = np.divmod(samples, size)
+    x = columns + 0.5
+    x -= origin[:, 0].take(rows)
+    y = lines + 0.5
+    y -= origin[:, 1].take(rows)
+    second = (second_y * scale).take(rows) * x
+    second -= (second_x * scale).take(rows) * y
+    third = (first_x * scale).take(rows) * y
+    third -= (first_y * scale).take(rows) * x
+    second, third = (np.clip(values, 0.0, 1.0).astype(np.float32) for values in (second, third))
+    return np.maximum(1.0 - second - third, 0.0), second, third
+
+
+def _measure_facing(corner_normals: np.ndarray, direction: np.ndarray, located: _Samples) -> np.ndarray:
+    """Return the cosines (N,) float32 between the interpolated `corner_normals` (T, 3, 3), unit vectors, and `direction` (3,)."""
+    along = located.interpolate(corner_normals @ direction)
+    first, second, third = located.barycentric
+    squares = first * first + second * second + third * third
+    for corner, following, product in ((0, 1, first * second), (1, 2, second * third), (2, 0, third * first)):
+        cosines = np.einsum("tc,tc->t", corner_normals[:, corner], corner_normals[:, following])
+        squares += 2.0 * cosines.take(located.rows) * product
+    return np.abs(along) / np.sqrt(np.maximum(squares, MIN_LENGTH**2))
+
+
+def _texture_colors(surface: ViewedSurface, corners: np.ndarray, shown: np.ndarray, located: _Samples) -> np.ndarray:
+    """Return the colors (N, 3) float32 of samples without light. corners: (T, 3, 2) of the triangles `shown` (T,)."""
+    colors = np.full((len(located.rows), 3), PLAIN_COLOR, np.float32)
+    corner_uvs, materials = surface.corner_uvs[shown], surface.materials[shown]
     for material, texture in enumerate(surface.textures):
         if texture is None:
             continue
-        rows = np.flatnonzero(surface.materials[triangles] == material)
-        shown = owners[surface.materials[owners] == material]
-        if not len(rows):
+        of_material = materials == material
+        samples = slice(None) if of_material.all() else np.flatnonzero(of_material.take(located.rows))
+        part = _Samples(located.rows[samples], tuple(values[samples] for values in located.barycentric))
+        if not len(part.rows):
             continue
-        footprints = np.ones(len(surface.triangles))
-        footprints[shown] = measure_footprints(corners[shown], surface.corner_uvs[shown], tuple(texture.sizes[0]))
-        uvs = np.einsum("ni,nic->nc", barycentric[rows], surface.corner_uvs[triangles[rows]])
-        colors[rows] = sample_mipmaps(texture, uvs, footprints[triangles[rows]])
+        footprints = measure_footprints(corners, corner_uvs, tuple(texture.sizes[0]))
+        uvs = np.stack([part.interpolate(corner_uvs[:, :, axis]) for axis in range(2)], axis=1)
+        colors[samples] = sample_mipmaps(texture, uvs, footprints.take(part.rows))
     return colors

@@ -18,7 +18,7 @@ BORDER = 1e-9  # barycentric coordinate of a line that meets an edge
 class Collapses:
     """Vertices that were removed from a mesh, in any order.
 
-    removed, kept: (N,) indices, in the order of the collapses. values: (N,) float64, perceptual values in the unit of the mesh, each with
+    removed, kept: (N,) indices, in the order of the collapses. values: (N,) float64, distances to mean planes, each with
     those of the vertices that had collapsed onto it. scales: (N,) the finest scale that contains the removed vertex; refining from scale i
     to i - 1 adds those of scale i - 1.
     """
@@ -52,8 +52,8 @@ def measure_impacts(
     Args:
         vertices, triangles: (V, 3) float64 and (T, 3), the mesh before any collapse.
     """
-    measure = settings.measure
-    displacements = _quadric_distances(vertices, triangles, collapses) if measure == "quadric" else accumulate_within_scales(collapses)
+    kind = settings.perceptual_value
+    displacements = _quadric_distances(vertices, triangles, collapses) if kind == "quadric" else accumulate_within_scales(collapses)
     center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
     normals = _vertex_normals(vertices, triangles)
@@ -63,9 +63,9 @@ def measure_impacts(
         if not len(added):
             continue
         order = added[np.argsort(-displacements[added], kind="stable")]
-        if measure == "center":
+        if kind == "center":
             found = np.maximum(np.linalg.norm(vertices[collapses.kept[order]] - center, axis=1), MIN_LENGTH * diagonal)
-        elif measure == "skeleton":
+        elif kind == "skeleton":
             order = order[:MAX_CANDIDATES]
             ends = collapses.kept[order]
             found = np.array([0.5 * measure_thickness(vertices, triangles, vertices[end], normals[end]) for end in ends])

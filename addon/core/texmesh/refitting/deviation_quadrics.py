@@ -12,9 +12,11 @@ import numpy as np
 from ...geometry.geometry_2d import signed_areas
 from ...geometry.mesh import face_areas_and_normals
 from ..simplification.collapse_fans import CollapseFans
+from ..simplification.texture_quadrics import evaluate_quadrics
 from ..simplification.topology import Collapses
 from ..textured_mesh import TexturedMesh
 from .border_curves import find_border_halfedges
+from .border_deviations import BorderDeviations
 from .correspondence import compute_uv_scale
 
 ROWS, COLUMNS = np.triu_indices(6)
@@ -40,6 +42,7 @@ class DeviationQuadrics:
         for corner in range(3):
             np.add.at(self._quadrics, mesh.wedge_triangles[:, corner], terms)
         self._add_borders(mesh)
+        self._borders = BorderDeviations(mesh)
         self._own_costs = np.einsum("wk,wk->w", self._quadrics, self._monomials)
 
     def evaluate(self, collapses: Collapses) -> np.ndarray:
@@ -48,6 +51,7 @@ class DeviationQuadrics:
         costs = self._evaluate(removed, kept)
         rows = np.flatnonzero((other_removed >= 0) & (other_removed != removed))
         costs[rows] += self._evaluate(other_removed[rows], other_kept[rows])
+        costs += 0.5 * CURVE_WEIGHT * self._borders.evaluate(removed, kept)
         lengths = ((self._points[removed, :3] - self._points[kept, :3]) ** 2).sum(axis=1)
         return costs + LENGTH_WEIGHT * self._areas[removed] * lengths
 
@@ -55,14 +59,14 @@ class DeviationQuadrics:
         """See `CollapseCost`."""
         pairs = np.unique(fans.topology.wedges[fans.corners].astype(np.int64) * len(self._areas) + fans.wedges)
         removed, kept = pairs // len(self._areas), pairs % len(self._areas)
+        self._borders.merge(removed, kept)
         np.add.at(self._quadrics, kept, self._quadrics[removed])
         np.add.at(self._areas, kept, self._areas[removed])
         self._own_costs[kept] = np.einsum("wk,wk->w", self._quadrics[kept], self._monomials[kept])
 
     def _evaluate(self, removed: np.ndarray, kept: np.ndarray) -> np.ndarray:
         """Return the costs (N,) of moving wedges (N,) onto others, not negative."""
-        costs = np.einsum("wk,wk->w", self._quadrics.take(removed, axis=0), self._monomials.take(kept, axis=0))
-        return np.maximum(costs + self._own_costs.take(kept), 0.0)
+        return np.maximum(evaluate_quadrics(self._quadrics, self._monomials, removed, kept) + self._own_costs.take(kept), 0.0)
 
     def _add_borders(self, mesh: TexturedMesh) -> None:
         """Add the squared distances from the edges of islands in UV space, which cover what is between the edge and a vertex beside it."""
@@ -74,8 +78,9 @@ class DeviationQuadrics:
         rows = np.zeros((len(start), 6))
         rows[:, 3], rows[:, 4] = -edges[:, 1] / lengths, edges[:, 0] / lengths
         rows[:, 5] = -(rows[:, 3:5] * self._points[start, 3:]).sum(axis=1)
-        lengths = np.linalg.norm(self._points[end, :3] - self._points[start, :3], axis=1)
-        terms = rows[:, ROWS] * rows[:, COLUMNS] * (0.5 * CURVE_WEIGHT * lengths**2)[:, None]
+        uv_lengths, lengths = lengths, np.linalg.norm(self._points[end, :3] - self._points[start, :3], axis=1)
+        scales = np.where(uv_lengths > 1e-9 * lengths, lengths / np.maximum(uv_lengths, 1e-300), 0.0)
+        terms = rows[:, ROWS] * rows[:, COLUMNS] * (0.5 * CURVE_WEIGHT * (scales * lengths) ** 2)[:, None]
         np.add.at(self._quadrics, start, terms)
         np.add.at(self._quadrics, end, terms)
 
@@ -92,7 +97,8 @@ def _deviation_rows(corners: np.ndarray, normals: np.ndarray, normal_weight: flo
     squares = (edges**2).sum(axis=(1, 2))
     is_flat = np.abs(determinants) <= 1e-9 * squares
     edges[is_flat] = np.eye(2)
-    jacobians = sides @ np.linalg.inv(edges)
+    inverses = np.stack([edges[:, 1, 1], -edges[:, 0, 1], -edges[:, 1, 0], edges[:, 0, 0]], axis=1).reshape(-1, 2, 2)
+    jacobians = sides @ (inverses / np.where(is_flat, 1.0, determinants)[:, None, None])
     rows = np.zeros((len(corners), 3, 6))
     rows[:, :, :3] = np.eye(3)
     rows[:, :, 3:5] = -jacobians

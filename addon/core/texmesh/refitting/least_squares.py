@@ -9,13 +9,16 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse import csr_array
 
-from ...geometry.geometry_2d import signed_areas
 from ...geometry.mesh import face_areas_and_normals
+from ...jobs.chunks import slices
+from .block_factors import factorize_blocks
 from .level_state import LevelState, sum_by
 
 MAX_ITERATIONS = 30
-TOLERANCE = 1e-3  # of the preconditioned gradient
+TOLERANCE = 3e-2  # of the preconditioned gradient; with 1e-3 levels deviate as much
+CHUNK_TRIANGLES = 1 << 13
 DAMPING = 0.03  # of the weight that a vertex has if samples are dense: keeps vertices with few samples in place
 
 
@@ -50,6 +53,9 @@ class Linearization:
     state: the level. moments: of its triangles. directions: (W, 2, 2), which map the two degrees of freedom of a vertex to the
     displacement of its wedges in UV space; zero where a wedge is fixed. None if only positions move: then all derivatives and steps have 3
     columns instead of 5. damping: added to the diagonal, as a fraction of it.
+
+    Inside, values of wedges and triangles are rows of arrays whose last axis is that of the elements, and triangles are worked on in
+    chunks, so that intermediate arrays stay in the cache.
     """
 
     state: LevelState
@@ -57,80 +63,158 @@ class Linearization:
     directions: np.ndarray | None
     damping: float
 
-    @cached_property
-    def _metric(self) -> np.ndarray:
-        """(T, 3, 3) weights of residuals: the normal counts more."""
-        _, normals = face_areas_and_normals(self.state.corners)
-        return np.eye(3) + (self.state.normal_weight - 1.0) * normals[:, :, None] * normals[:, None, :]
+    @property
+    def _size(self) -> int:
+        """Degrees of freedom of a vertex."""
+        return 3 if self.directions is None else 5
 
     @cached_property
-    def _derivatives(self) -> np.ndarray:
-        """(T, 3 corners, 3, 2): the derivative of positions on the triangle by the degrees of freedom of each corner's vertex."""
-        mesh = self.state.mesh
-        uvs, corners = mesh.corner_uvs, self.state.corners
-        edges = np.stack([uvs[:, 1] - uvs[:, 0], uvs[:, 2] - uvs[:, 0]], axis=2)
-        determinants = 2.0 * signed_areas(uvs)
-        adjugate = np.stack(
-            [np.stack([edges[:, 1, 1], -edges[:, 0, 1]], axis=1), np.stack([-edges[:, 1, 0], edges[:, 0, 0]], axis=1)], axis=1
-        )
-        inverse = adjugate * np.where(determinants == 0.0, 0.0, 1.0 / np.where(determinants == 0.0, 1.0, determinants))[:, None, None]
-        sides = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
-        jacobians = sides @ inverse
-        return np.einsum("tab,tkbc->tkac", jacobians, self.directions[mesh.wedge_triangles])
+    def _normals(self) -> np.ndarray:
+        """(3, T) normals; residuals along them count more."""
+        return np.ascontiguousarray(face_areas_and_normals(self.state.corners)[1].T)
 
     @cached_property
-    def _sums(self):
-        return sum_by(self.state.mesh.triangles, len(self.state.mesh.vertices))
+    def _products(self) -> np.ndarray:
+        """(3, 3, T), the products of the moments."""
+        return np.ascontiguousarray(self.moments.products.transpose(1, 2, 0))
 
-    def _spread(self, corner_forces: np.ndarray) -> np.ndarray:
-        """Return the derivatives (V, 5) by all degrees of freedom from those (T, 3, 3) by the residuals at corners."""
+    @cached_property
+    def _jacobians(self) -> np.ndarray:
+        """(2, 3, T): the derivatives of positions on the triangle by both texture coordinates."""
+        uvs, corners = self.state.mesh.corner_uvs, self.state.corners
+        (a, b), (c, d) = (uvs[:, 1] - uvs[:, 0]).T, (uvs[:, 2] - uvs[:, 0]).T
+        determinants = a * d - b * c
+        scale = np.divide(1.0, determinants, out=np.zeros_like(determinants), where=determinants != 0.0)
+        first, second = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+        return np.stack([(d * scale) * first - (b * scale) * second, (a * scale) * second - (c * scale) * first])
+
+    @cached_property
+    def _turns(self) -> np.ndarray:
+        """(2, 2, W), the directions."""
+        return np.ascontiguousarray(self.directions.transpose(1, 2, 0))
+
+    @cached_property
+    def _wedge_corners(self) -> np.ndarray:
+        """(3, T), the wedges of the corners."""
+        return np.ascontiguousarray(self.state.mesh.wedge_triangles.T)
+
+    @cached_property
+    def _corner_sums(self) -> csr_array:
+        """(W, 3 T), which sums values of corners by their wedges."""
+        return sum_by(self._wedge_corners, len(self.state.mesh.uvs))
+
+    @cached_property
+    def _wedge_sums(self) -> csr_array:
+        """(V, W), which sums values of wedges by their vertices."""
+        return sum_by(self.state.mesh.wedge_vertices, len(self.state.mesh.vertices))
+
+    def _to_wedges(self, step: np.ndarray) -> np.ndarray:
+        """Return the displacements (5, W) of wedges in space and UV space by a step (5, V)."""
+        at_wedges = step.take(self.state.mesh.wedge_vertices, axis=1)
+        if self.directions is not None:
+            first, second = at_wedges[3:].copy()
+            at_wedges[3:] = self._turns[:, 0] * first + self._turns[:, 1] * second
+        return at_wedges
+
+    def _to_vertices(self, at_wedges: np.ndarray) -> np.ndarray:
+        """Return the derivatives (5, V) by the degrees of freedom from those (5, W) by displacements of wedges."""
+        if self.directions is not None:
+            first, second = at_wedges[3:].copy()
+            at_wedges[3:] = self._turns[0] * first + self._turns[1] * second
+        return np.stack([self._wedge_sums @ row for row in at_wedges])
+
+    def _weigh(self, forces: np.ndarray, chunk: slice) -> np.ndarray:
+        """Return the derivatives (3, 5, K) by displacements of corners from those (3, 3, K) by unweighted residuals at corners."""
+        normals = self._normals[:, chunk]
+        along = (self.state.normal_weight - 1.0) * (forces * normals).sum(axis=1)
+        forces = forces + along[:, None] * normals
         if self.directions is None:
-            return self._sums @ corner_forces.reshape(-1, 3)
-        by_uv = -np.einsum("tkac,tka->tkc", self._derivatives, corner_forces)
-        return self._sums @ np.concatenate([corner_forces, by_uv], axis=2).reshape(-1, 5)
+            return forces
+        jacobians = self._jacobians[:, :, chunk]
+        return np.concatenate([forces, *(-(forces * jacobian).sum(axis=1, keepdims=True) for jacobian in jacobians)], axis=1)
+
+    def _sum_corners(self, at_corners: np.ndarray) -> np.ndarray:
+        """Return the sums (5, V) of values (3, T, 5) at corners."""
+        return self._to_vertices(np.ascontiguousarray((self._corner_sums @ at_corners.reshape(-1, self._size)).T))
 
     def gradient(self) -> np.ndarray:
         """Return the gradient (V, 5) of half the cost at the level."""
-        return self._spread(np.einsum("tka,tab->tkb", self.moments.gradients, self._metric))
+        forces = self.moments.gradients.transpose(1, 2, 0)
+        return self._sum_corners(self._weigh(forces, slice(None)).transpose(0, 2, 1)).T
 
     def apply(self, step: np.ndarray) -> np.ndarray:
         """Return the product (V, 5) of the Gauss-Newton matrix, without damping, with a `step` (V, 5)."""
-        at_corners = step[self.state.mesh.triangles]
-        changes = at_corners[:, :, :3]
-        if self.directions is not None:
-            changes = changes - np.einsum("tkac,tkc->tka", self._derivatives, at_corners[:, :, 3:])
-        return self._spread(self.moments.products @ changes @ self._metric)
+        return self._apply(np.ascontiguousarray(step.T)).T
+
+    def _apply(self, step: np.ndarray) -> np.ndarray:
+        """The same as `apply`, for and with arrays (5, V)."""
+        at_wedges, count = self._to_wedges(step), len(self.state.mesh.triangles)
+        result = np.empty((3, count, self._size))
+        for chunk in slices(count, CHUNK_TRIANGLES):
+            moves = [at_wedges.take(corner[chunk], axis=1) for corner in self._wedge_corners]
+            products = self._products[:, :, chunk]
+            sums = np.empty((3, *moves[0].shape))
+            for corner in range(3):
+                np.multiply(products[corner, 0], moves[0], out=sums[corner])
+                sums[corner] += products[corner, 1] * moves[1]
+                sums[corner] += products[corner, 2] * moves[2]
+            forces = sums[:, :3]
+            if self.directions is not None:
+                for axis, jacobian in enumerate(self._jacobians[:, :, chunk]):
+                    forces -= jacobian * sums[:, 3 + axis, None]
+            result[:, chunk] = self._weigh(forces, chunk).transpose(0, 2, 1)
+        return self._sum_corners(result)
 
     def diagonal_blocks(self) -> np.ndarray:
-        """Return the diagonal blocks (V, 5, 5) of the Gauss-Newton matrix."""
-        weights = np.einsum("tkk->tk", self.moments.products)
-        if self.directions is None:
-            return (self._sums @ (weights[:, :, None, None] * self._metric[:, None]).reshape(-1, 9)).reshape(-1, 3, 3)
-        full = np.concatenate([np.broadcast_to(np.eye(3), (*self.state.mesh.triangles.shape, 3, 3)), -self._derivatives], axis=3)
-        weighted = weights[:, :, None, None] * (self._metric[:, None] @ full)
-        return (self._sums @ (full.swapaxes(2, 3) @ weighted).reshape(-1, 25)).reshape(-1, 5, 5)
+        """Return the diagonal blocks (5, 5, V) of the Gauss-Newton matrix, of which the lower triangles count."""
+        normals = self._normals
+        size, shape = self._size, (len(self.state.mesh.uvs), len(normals[0]))
+        metric = [normals * ((self.state.normal_weight - 1.0) * normals[axis]) for axis in range(3)]
+        columns = [metric[axis] + np.eye(3)[axis][:, None] for axis in range(3)]  # of the weights of residuals
+        if self.directions is not None:
+            columns += [-sum(jacobian[axis] * columns[axis] for axis in range(3)) for jacobian in self._jacobians]
+        rows, places = np.tril_indices(size)
+        values = []
+        for row, column in zip(rows, places, strict=True):
+            if row < 3:
+                values.append(columns[column][row])
+            else:
+                values.append(-(self._jacobians[row - 3] * columns[column]).sum(axis=0))
+        weights = self._products[[0, 1, 2], [0, 1, 2]].ravel()
+        sums = self._corner_sums
+        triangle_sums = csr_array((weights[sums.indices], sums.indices % shape[1], sums.indptr), shape=shape)
+        at_wedges = np.zeros((size, size, shape[0]))
+        at_wedges[rows, places] = (triangle_sums @ np.stack(values, axis=1)).T
+        if self.directions is not None:
+            across, along = at_wedges[3:, :3], at_wedges[3:, 3:]
+            along[0, 1] = along[1, 0]
+            at_wedges[3:, :3] = np.einsum("ijw,icw->jcw", self._turns, across)
+            at_wedges[3:, 3:] = np.einsum("ijw,ilw->jlw", self._turns, np.einsum("ikw,klw->ilw", along, self._turns))
+        return (self._wedge_sums @ at_wedges.reshape(size * size, -1).T).T.reshape(size, size, -1)
 
     def solve(self, uv_scale: float) -> np.ndarray:
         """Return the step (V, 5) to the minimum, damped. uv_scale: length of a unit of UV space on the surface."""
         blocks = self.diagonal_blocks()
         areas, _ = face_areas_and_normals(self.state.corners)
-        weight = self._sums @ np.repeat(areas / 6.0, 3)  # what `blocks` are if samples are dense
-        scale = np.concatenate([np.ones(3), np.full(2, uv_scale**2)])
-        damping = (weight[:, None] * scale * np.array([DAMPING] * 3 + [self.damping] * 2))[:, : blocks.shape[1]]
-        inverses = np.linalg.inv(blocks + damping[:, :, None] * np.eye(blocks.shape[1]))
-        residual = -self.gradient()
+        vertices = self.state.mesh.triangles.ravel()
+        weight = np.bincount(vertices, np.repeat(areas / 6.0, 3), blocks.shape[2])  # what `blocks` are if samples are dense
+        scale = np.array([DAMPING] * 3 + [self.damping * uv_scale**2] * 2)[: len(blocks)]
+        damping = scale[:, None] * weight
+        blocks[np.arange(len(blocks)), np.arange(len(blocks))] += damping
+        factors = factorize_blocks(blocks)
+        residual = -self.gradient().T
         step = np.zeros_like(residual)
-        preconditioned = np.einsum("vij,vj->vi", inverses, residual)
-        direction, product = preconditioned, float((residual * preconditioned).sum())
+        direction = preconditioned = factors.solve(residual)
+        product = float(np.vdot(residual, preconditioned))
         limit = TOLERANCE**2 * product
         for _ in range(MAX_ITERATIONS):
             if product <= limit or product <= 0.0:
                 break
-            applied = self.apply(direction) + damping * direction
-            length = product / float((direction * applied).sum())
-            step = step + length * direction
-            residual = residual - length * applied
-            preconditioned = np.einsum("vij,vj->vi", inverses, residual)
-            previous, product = product, float((residual * preconditioned).sum())
+            applied = self._apply(direction) + damping * direction
+            length = product / float(np.vdot(direction, applied))
+            step += length * direction
+            residual -= length * applied
+            preconditioned = factors.solve(residual)
+            previous, product = product, float(np.vdot(residual, preconditioned))
             direction = preconditioned + (product / previous) * direction
-        return step
+        return step.T

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...geometry.mesh import face_areas_and_normals
+from ...jobs.parallel_steps import run_in_parallel
 from ...jobs.progress import Progress, Steps, subprogress
 from ..simplification.islands import find_islands
 from ..simplification.levels import extract_level, simplify_by_cost
@@ -18,24 +19,29 @@ from .border_curves import BorderCurves, Freedom, find_border_curves, find_freed
 from .correspondence import compute_uv_scale, match_islands
 from .deviation_quadrics import DeviationQuadrics
 from .edge_flips import flip_edges
-from .edge_splits import split_edges
+from .edge_splits import split_edges, split_far_edges
 from .least_squares import Linearization, compute_moments
 from .level_state import LevelState, attach
+from .outliers import approach, flip_outliers, measure_distances
 from .sampling import sample_surface
 from .settings import RefitSettings
-from .spikes import FineSurface, avoid_folds, remove_spikes
+from .spikes import FineSurface, avoid_folds
 from .uv_moves import move_uvs
 
 MIN_SAMPLES, MAX_SAMPLES = 16_000, 300_000  # per level
+TRIANGLE_FRACTION = 0.5  # of the samples, those that are divided evenly among the triangles of the fine mesh: small parts need some
 MAX_SAMPLED = 1_200_000  # samples times iterations: large levels get fewer iterations, as most of their error goes in the first
 MIN_ITERATIONS = 3
 INITIAL_DAMPING, MIN_DAMPING = 0.1, 1e-3  # of moves of texture coordinates
 DAMPING_DECREASE, DAMPING_INCREASE = 0.5, 8.0
 TOLERANCE = 5e-3  # decrease of the cost below which the fit ends
 FLIP_ROUNDS = 1  # per iteration
-SPLIT_PARTS = 3  # the splits are divided into so many iterations, each after the fit has followed the one before
+SPLIT_PARTS = 2  # the splits are divided into so many iterations, each after the fit has followed the one before
+LATE_SPLIT_FRACTION = 0.4  # of all splits, those of the edges that are farthest after the fit
+LATE_SPLITS = 2  # rounds of repair in which edges are split
+REPAIR_ROUNDS = 5
 PEAK_SCALE = 4.0  # squared distances count more if they are large compared with this multiple of their mean
-MAX_EMPHASIS = 100.0
+MAX_EMPHASIS = 3.0
 SIMPLIFICATION_FRACTION = 0.1  # of the progress, for the simplification
 
 
@@ -53,12 +59,12 @@ def make_refit_levels(
     cost = DeviationQuadrics(fine, settings.normal_weight)
     starts = [max(round((1.0 - settings.split_fraction) * target), 1) for target in targets]
     simplified = yield from subprogress(simplify_by_cost(fine, cost, starts, simplification), 0.0, SIMPLIFICATION_FRACTION)
-    levels = []
     surface = FineSurface(fine, find_islands(fine))
-    for index, (target, subset) in enumerate(zip(targets, simplified.levels, strict=True)):
-        first, last = (SIMPLIFICATION_FRACTION + (1.0 - SIMPLIFICATION_FRACTION) * number / len(targets) for number in (index, index + 1))
-        levels.append((yield from subprogress(refit(fine, extract_level(fine, subset), settings, target, surface), first, last)))
-    return levels
+    tasks = [
+        refit(fine, extract_level(fine, subset), settings, target, surface)
+        for target, subset in zip(targets, simplified.levels, strict=True)
+    ]
+    return (yield from subprogress(run_in_parallel(tasks), SIMPLIFICATION_FRACTION, 1.0))
 
 
 def refit(
@@ -77,15 +83,16 @@ def refit(
     count = int(np.clip(settings.samples_per_triangle * max(len(level.triangles), target), MIN_SAMPLES, MAX_SAMPLES))
     surface = FineSurface(fine, find_islands(fine)) if surface is None else surface
     islands, uv_scale = surface.islands, compute_uv_scale(fine)
-    samples = sample_surface(fine, islands, count, np.random.default_rng(0))
+    samples = sample_surface(fine, islands, count, np.random.default_rng(0), TRIANGLE_FRACTION)
     level_islands = match_islands(samples, fine.materials[samples.triangles], level, uv_scale)
     start = state = attach(level, level_islands, samples, settings.normal_weight)
     curves = find_border_curves(fine, islands)
     iterations = min(settings.iterations, max(MAX_SAMPLED // count, MIN_ITERATIONS))
+    reserve = round(LATE_SPLIT_FRACTION * settings.split_fraction * target)
     damping, is_converged = INITIAL_DAMPING, False
     for index in range(iterations):
         yield Progress(index / iterations, "Refitting")
-        missing, parts = (target - len(state.mesh.triangles)) // 2, SPLIT_PARTS - max(index - 1, 0) // 2
+        missing, parts = (target - reserve - len(state.mesh.triangles)) // 2, SPLIT_PARTS - max(index - 1, 0) // 2
         may_split = missing > 0 and (index % 2 == 1 or iterations <= 2 * SPLIT_PARTS)
         if may_split:
             state = split_edges(state, -(-missing // max(min(parts, iterations - 1 - index), 1)))
@@ -101,9 +108,29 @@ def refit(
         state = moved if is_better else state
         if is_converged:
             break
-    state = remove_spikes(state, surface)
+    state = _repair(state, surface, curves, uv_scale, target)
     is_better = replace(state, samples=samples).costs.sum() < start.costs.sum()
     return state.mesh if is_better else start.mesh
+
+
+def _repair(state: LevelState, surface: FineSurface, curves: BorderCurves, uv_scale: float, target: int) -> LevelState:
+    """Return the level with its outliers nearer to the fine surface."""
+    measured = measure_distances(state, surface)
+    for index in range(REPAIR_ROUNDS):
+        missing = target - len(state.mesh.triangles)
+        if missing > 0 and index < LATE_SPLITS:
+            missing = -(-missing // (LATE_SPLITS - index))
+            state = split_far_edges(state, measured, missing, surface, curves)
+            state = _move(flip_edges(state, FLIP_ROUNDS), curves, uv_scale, MIN_DAMPING)
+            measured = measure_distances(state, surface, measured)
+        flipped = flip_outliers(state, surface, measured)
+        if flipped is not state:
+            state, measured = flipped, measure_distances(flipped, surface, measured)
+        moved = approach(state, surface, measured, uv_scale)
+        if moved is state:
+            break
+        state, measured = moved, measure_distances(moved, surface, measured)
+    return state
 
 
 def _move(state: LevelState, curves: BorderCurves, uv_scale: float, damping: float) -> LevelState:

@@ -33,18 +33,25 @@ class SurfaceSamples:
         return SurfaceSamples(*(value[rows] for value in values), islands, self.weights[rows])
 
 
-def sample_surface(mesh: TexturedMesh, islands: np.ndarray, count: int, generator: np.random.Generator) -> SurfaceSamples:
+def sample_surface(
+    mesh: TexturedMesh, islands: np.ndarray, count: int, generator: np.random.Generator, triangle_fraction: float = 0.0
+) -> SurfaceSamples:
     """Return about `count` points on the mesh, uniform by 3D area; equal areas get equal numbers of points, rounded up or down.
 
-    islands: (T,) from `find_islands`.
+    islands: (T,) from `find_islands`. triangle_fraction: of the points, those that are divided evenly among the triangles, however small.
+    Then the points stand for different areas.
     """
     areas, _ = face_areas_and_normals(mesh.vertices[mesh.triangles])
-    ends = np.cumsum(areas) * (count / areas.sum()) + generator.uniform()
+    expected = count * ((1.0 - triangle_fraction) * areas / areas.sum() + triangle_fraction / len(areas))
+    ends = np.cumsum(expected) + generator.uniform()
     counts = np.diff(np.floor(ends), prepend=0.0).astype(np.int64)
     triangles = np.repeat(np.arange(len(areas)), counts)
     order = concatenate_ranges(0, counts)
     barycentric = _spread_points(order, counts[triangles], generator)
-    weights = np.full(len(triangles), areas.sum() / max(len(triangles), 1))
+    if triangle_fraction > 0.0:
+        weights = (areas / np.where(expected < 1.0, expected, np.maximum(counts, 1)))[triangles]
+    else:
+        weights = np.full(len(triangles), areas.sum() / max(len(triangles), 1))
     return SurfaceSamples(
         triangles,
         barycentric,

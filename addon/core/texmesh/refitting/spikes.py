@@ -10,9 +10,9 @@ from functools import cached_property
 import numpy as np
 
 from ...geometry.distance import TriangleTree
-from ...geometry.mesh import scaled_normals
+from ...geometry.mesh import face_areas_and_normals, scaled_normals
 from ..textured_mesh import TexturedMesh
-from .correspondence import find_correspondence
+from .correspondence import Correspondence, find_correspondence
 from .edge_flips import find_quads, flip_quads, select_flips
 from .level_state import LevelState
 from .sampling import SurfaceSamples
@@ -32,7 +32,11 @@ class FineSurface:
 
     def measure_distances(self, points: np.ndarray) -> np.ndarray:
         """Return the distances (N,) of `points` (N, 3) from the surface."""
-        return self._tree.find_closest(points)[0]
+        return self.find_closest(points)[0]
+
+    def find_closest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the distances (N,) of `points` (N, 3) from the surface, and the nearest triangles (N,)."""
+        return self._tree.find_closest(points)
 
     @cached_property
     def _tree(self) -> TriangleTree:
@@ -41,11 +45,19 @@ class FineSurface:
     def find_positions(self, points: np.ndarray, uvs: np.ndarray, islands: np.ndarray) -> np.ndarray:
         """Return the points (N, 3) of the surface with texture coordinates `uvs` (N, 2) in `islands` (N,); of several the nearest to
         `points` (N, 3)."""
+        found = self._find(points, uvs, islands)
+        return np.einsum("ni,nic->nc", found.barycentric, self.mesh.vertices[self.mesh.triangles[found.triangles]])
+
+    def find_normals(self, points: np.ndarray, uvs: np.ndarray, islands: np.ndarray) -> np.ndarray:
+        """Return the unit normals (N, 3) of the surface at the same points."""
+        triangles = self._find(points, uvs, islands).triangles
+        return face_areas_and_normals(self.mesh.vertices[self.mesh.triangles[triangles]])[1]
+
+    def _find(self, points: np.ndarray, uvs: np.ndarray, islands: np.ndarray) -> Correspondence:
         corners = self.mesh.vertices[self.mesh.triangles]
         blank = np.zeros(len(points))
         samples = SurfaceSamples(blank.astype(np.int64), np.zeros((len(points), 3)), points, uvs, islands, blank)
-        found = find_correspondence(samples, corners, self.mesh.corner_uvs, self.islands)
-        return np.einsum("ni,nic->nc", found.barycentric, corners[found.triangles])
+        return find_correspondence(samples, corners, self.mesh.corner_uvs, self.islands)
 
 
 def remove_spikes(state: LevelState, fine: FineSurface) -> LevelState:

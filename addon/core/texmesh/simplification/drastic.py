@@ -16,6 +16,8 @@ from .settings import SimplificationSettings
 from .topology import BOUNDARY
 
 MAX_LOCKED_FRACTION = 0.25  # of the vertices of a level: with more, what can be unlocked is unlocked before all others are gone
+SMALLEST_FRACTION = 0.5  # of the size of small components: those that are dropped before triangles fold
+LARGER_FACTOR = 2.0  # of the size of small triangles: those that fold before larger components are dropped
 MIN_FILL_QUALITY = 1e-3  # in texture space, of triangles that close holes
 
 
@@ -48,9 +50,11 @@ class DrasticSteps:
             self._free_seam_ends,
             self._unlock_touching_surfaces,
             self._close_holes,
-            self._drop_islands,
-            self._drop_components,
+            self._drop_smallest_components,
             self._fold_small_triangles,
+            self._fold_larger_triangles,
+            self._drop_components,
+            self._drop_islands,
         )
         size = self._settings.drastic_size * np.sqrt(4.0 / np.sqrt(3.0) * self._area / target)  # edge length of equilateral triangles
         while self._taken < len(steps):
@@ -80,6 +84,9 @@ class DrasticSteps:
     def _fold_small_triangles(self, size: float) -> bool:
         self._engine.relaxation = replace(self._engine.relaxation, small_size=size)
         return self._engine.retry(is_forced=True)
+
+    def _fold_larger_triangles(self, size: float) -> bool:
+        return self._fold_small_triangles(LARGER_FACTOR * size)
 
     def _unlock_attributes(self, size: float) -> bool:
         """Keep only seams of texture coordinates and materials."""
@@ -153,6 +160,9 @@ class DrasticSteps:
             np.concatenate([engine.orientations, signs[is_closed]]),
         )
         return True
+
+    def _drop_smallest_components(self, size: float) -> bool:
+        return self._drop_components(SMALLEST_FRACTION * size)
 
     def _drop_components(self, size: float) -> bool:
         """Drop small components, from the smallest on, as long as there are too many triangles. The largest one stays."""

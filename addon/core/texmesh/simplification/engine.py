@@ -52,7 +52,7 @@ class CollapseEngine:
     frees_ends: whether ends of seams may collapse. folded_count, dropped_island_count: collapses that only the `relaxation` allowed.
     """
 
-    def __init__(self, mesh: TexturedMesh, perceptual_value: str) -> None:
+    def __init__(self, mesh: TexturedMesh) -> None:
         mesh, self.fine_vertices, self.is_locked = divide_into_surfaces(mesh)
         self.mesh = mesh
         self.frees_ends = False
@@ -63,7 +63,7 @@ class CollapseEngine:
         vectors = (mesh.vertices, vertex_normals(mesh.vertices, mesh.triangles), mesh.uvs)
         self.surface = Surface(*(np.ascontiguousarray(values.T) for values in vectors))
         self.relaxation = Relaxation()
-        self.perceptual = PerceptualValues(mesh, perceptual_value)
+        self.perceptual = PerceptualValues(mesh.vertices)
         self.reasons = np.zeros(len(mesh.vertices), np.uint8)
         self.removed, self.kept, self.texels, self.values = [], [], [], []
         self.folded_count = self.dropped_island_count = 0

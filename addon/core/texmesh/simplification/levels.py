@@ -72,7 +72,7 @@ def simplify_in_order(
         raise SettingsError(
             f"There must be {len(mesh.vertices)} finite priorities, one per vertex, not {priorities.size}; analyze the mesh again."
         )
-    engine = CollapseEngine(mesh, settings.perceptual_value)
+    engine = CollapseEngine(mesh)
     order = GivenOrder(engine.surface.positions, priorities[engine.fine_vertices].astype(np.float64), settings.protected_fraction)
     return (yield from _make_levels(engine, order, targets, settings))
 
@@ -81,7 +81,7 @@ def simplify_by_cost(
     mesh: TexturedMesh, cost: CollapseCost | None, targets: list[int], settings: SimplificationSettings
 ) -> Steps[Simplification]:
     """Simplify `mesh` by the collapses with the smallest `cost`, by default `TextureQuadrics`. See `simplify_in_order`."""
-    engine = CollapseEngine(mesh, settings.perceptual_value)
+    engine = CollapseEngine(mesh)
     order = CheapestOrder(TextureQuadrics(mesh) if cost is None else cost, engine.fine_vertices)
     return (yield from _make_levels(engine, order, targets, settings))
 

@@ -2,22 +2,13 @@
 
 from dataclasses import dataclass
 
-from ...settings import Choice, Settings, Unit, setting
-
-PLANE, CENTER, SKELETON, QUADRIC = "plane", "center", "skeleton", "quadric"
-PERCEPTUAL_VALUES = {
-    PLANE: Choice("Plane", "Distance of the removed vertex to the mean plane of its neighbors, summed over what it has absorbed"),
-    CENTER: Choice("Center", "Displacement of the removed vertex, relative to the distance of the kept vertex to the center of the mesh"),
-    SKELETON: Choice("Skeleton", "As Center, with the centers of the cross sections along the longest axis in place of one center"),
-    QUADRIC: Choice("Quadric", "Root of the mean squared distance of the kept vertex to the planes that the removed vertex stands for"),
-}
+from ...settings import Settings, Unit, setting
 
 
 @dataclass(frozen=True, kw_only=True)
 class SimplificationSettings(Settings):
     """Settings of a simplification by half-edge collapses."""
 
-    perceptual_value: str = setting("plane", "How much the removal of a vertex is seen", choices=PERCEPTUAL_VALUES, group="Simplification")
     protected_fraction: float = setting(
         0.5,
         "Of the vertices, those whose removal would be seen most at the moment, which stay whatever their scale; 0 for the order of scales"

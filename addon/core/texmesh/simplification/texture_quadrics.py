@@ -10,6 +10,7 @@ import numpy as np
 from ...arrays import TINY
 from ...geometry.geometry_2d import signed_areas
 from ...geometry.mesh import longest_side, scaled_normals
+from ...jobs.chunks import slices
 from ..textured_mesh import TexturedMesh
 from .collapse_fans import CollapseFans
 from .islands import find_islands
@@ -17,6 +18,7 @@ from .topology import BOUNDARY, Collapses, build_topology
 
 ROWS, COLUMNS = np.triu_indices(6)
 CHUNK_SIZE = 1 << 14  # triangles
+CHUNK_COLLAPSES = 1 << 13
 MAX_SCALE_RATIO = 4.0  # between the UV scales of a triangle and of its island
 BOUNDARY_WEIGHT = 0.5  # of a squared distance from an edge of a boundary, times its squared length
 SEAM_WEIGHT = 0.02  # likewise of a seam. The texture beyond it is there in the neighboring island, so that more only costs accuracy
@@ -66,8 +68,7 @@ class TextureQuadrics:
 
     def _evaluate(self, removed: np.ndarray, kept: np.ndarray) -> np.ndarray:
         """Return the costs (N,) of moving wedges (N,) onto others, not negative."""
-        costs = np.einsum("wk,wk->w", self._quadrics.take(removed, axis=0), self._monomials.take(kept, axis=0))
-        return np.maximum(costs + self._own_costs.take(kept), 0.0)
+        return np.maximum(evaluate_quadrics(self._quadrics, self._monomials, removed, kept) + self._own_costs.take(kept), 0.0)
 
     def _add_triangles(self, points: np.ndarray, wedges: np.ndarray, scales: np.ndarray, curve_weights: np.ndarray) -> None:
         """Add the quadrics of triangles `wedges` (T, 3), and of their edges with `curve_weights` (3, T), to those of their wedges.
@@ -97,6 +98,15 @@ class TextureQuadrics:
             curve_terms = distances[:, ROWS] * distances[:, COLUMNS] * weights[:, None]
             np.add.at(self._quadrics, wedges[rows, corner], curve_terms)
             np.add.at(self._quadrics, wedges[rows, (corner + 1) % 3], curve_terms)
+
+
+def evaluate_quadrics(quadrics: np.ndarray, monomials: np.ndarray, removed: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """Return the values (N,) of the `quadrics` (W, K) of wedges `removed` (N,) at the `monomials` (W, K) of wedges `kept` (N,), in chunks
+    that stay in the cache."""
+    costs = np.empty(len(removed))
+    for chunk in slices(len(removed), CHUNK_COLLAPSES):
+        np.einsum("wk,wk->w", quadrics.take(removed[chunk], axis=0), monomials.take(kept[chunk], axis=0), out=costs[chunk])
+    return costs
 
 
 def _find_uv_scales(mesh: TexturedMesh, unit: float) -> tuple[np.ndarray, float]:

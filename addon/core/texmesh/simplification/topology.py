@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from ...arrays import concatenate_ranges
-from ...geometry.proximity import encode_pairs
+from ...geometry.proximity import argsort_pairs, encode_pairs
 from ...geometry.vertex_rings import VertexRings, build_rings
 
 BOUNDARY, AMBIGUOUS = -1, -2  # in place of a twin
@@ -175,9 +175,8 @@ def build_topology(
     vertex_count = len(is_locked)
     starts, ends = triangles.reshape(-1), triangles[[1, 2, 0]].reshape(-1)
     flat_wedges, end_wedges = wedges.reshape(-1), wedges[[1, 2, 0]].reshape(-1)
-    keys = encode_pairs(starts, ends, vertex_count)
-    order = np.argsort(keys).astype(np.int32)
-    keys = keys[order]
+    order = argsort_pairs(starts, ends, vertex_count)
+    keys = encode_pairs(starts[order], ends[order], vertex_count)
     first = np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
     counts = np.diff(np.append(first, len(keys)))
     pairs = first[counts == 2]

@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 
 from ...imaging.mipmaps import Mipmaps
 from ...jobs.progress import Progress, Steps
-from ..perception.switch_distances import LevelImages, measure_difference
+from ..perception.level_images import LevelImages, measure_difference
 from ..perception.views import frame_around, prepare_surface, turning_directions
 from ..textured_mesh import TexturedMesh
 from .manifest import PlanRow
@@ -30,8 +30,8 @@ Textures = Sequence[Mipmaps | None]
 class ErrorTable:
     """Mean FLIP errors over the pixels of the object.
 
-    level_errors: (K,) of levels with the whole texture, coarsest first. counts: (P,) ascending numbers of increments. texture_errors: (P,) of the finest level with them. exponent: p. residual: largest
-    difference between predicted and measured errors of combinations.
+    level_errors: (K,) of levels with the whole texture, coarsest first. counts: (P,) ascending numbers of increments. texture_errors: (P,)
+    of the finest level with them. exponent: p. residual: largest difference between predicted and measured errors of combinations.
     """
 
     level_errors: np.ndarray

@@ -1,0 +1,104 @@
+"""Compares renders of levels with those of the original, for `bench_texmesh.py`: FLIP at the distance where each level switches.
+
+Other programs make levels with as many triangles from the same mesh. All are seen from random directions, which the search for switches
+does not use, with the same images and the same light.
+"""
+
+import json
+import sys
+import tempfile
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import texmesh_files
+import texmesh_peers
+from PIL import Image
+from texmesh_chains import TexturedModel, make_chain, model_names, open_textured
+
+from farfield.addon.core.texmesh.level_chain import LevelChain
+from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
+from farfield.addon.core.texmesh.perception.level_images import LevelImages, measure_difference
+from farfield.addon.core.texmesh.perception.views import frame_around, prepare_surface
+from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
+
+VIEWS = 8
+MAX_EXCESS, MIN_REACHED = 1.02, 0.9  # of the triangles of a level; with more or fewer a peer is not comparable
+MAX_RATIO = 1.0  # of the difference to that of the best peer
+
+
+def measure_renders(given: Namespace) -> dict[str, Any]:
+    """Return the FLIP of each level and of those of other programs against the original, of all models."""
+    results = {}
+    for name in model_names(given):
+        model, chain = open_textured(given.data, name, given.seed), make_chain(given.data, name, given.seed)
+        with tempfile.TemporaryDirectory() as folder:
+            results[name] = compare_levels(model, chain, np.random.default_rng([given.seed, 1]), Path(folder))
+        print(name, json.dumps(results[name]), file=sys.stderr)
+    return results
+
+
+def compare_levels(model: TexturedModel, chain: LevelChain, generator: np.random.Generator, folder: Path) -> dict[str, Any]:
+    """Return the figures of one model: per level those of Farfield and of each peer, and the ratio to the best peer."""
+    source = write_source(model.mesh, folder)
+    original, directions = chain.levels[0].mesh, random_directions(VIEWS, generator)
+    rows = []
+    for level in chain.levels[1:]:
+        count = len(level.mesh.triangles)
+        size = max(int(chain.image_side / level.pixel_size), 1)
+        meshes, failures = {"farfield": level.mesh}, {}
+        for peer, simplify in texmesh_peers.PEERS.items():
+            made = simplify(source, folder, count)
+            if made.mesh is None:
+                failures[peer] = made.message
+            else:
+                meshes[peer] = made.mesh
+        figures = {name: measure_render(model, original, mesh, directions, size) for name, mesh in meshes.items()}
+        rows.append({"triangles": count, "pixels": size, **judge(figures, count), "methods": figures, "failures": failures})
+    return {"max_ratio": MAX_RATIO, "is_met": all(row["is_met"] for row in rows), "levels": rows}
+
+
+def measure_render(model: TexturedModel, original: TexturedMesh, mesh: TexturedMesh, directions: np.ndarray, size: int) -> dict[str, Any]:
+    """Return the mean FLIP of `mesh` against the original over all views and in the worst one, and the 95th percentile there."""
+    settings, frame, mipmaps = PerceptionSettings(), frame_around(original.vertices), model.mipmaps
+    images = [
+        LevelImages(prepare_surface(item, mipmaps, settings.is_lit), frame, directions, settings.pixels_per_degree)
+        for item in (original, mesh)
+    ]
+    difference = measure_difference(*images, size, range(len(directions)))
+    return {
+        "triangles": len(mesh.triangles),
+        "mean": round(float(difference.means.mean()), 5),
+        "largest": round(float(difference.means.max()), 5),
+        "local": round(float(difference.highs.max()), 5),
+    }
+
+
+def judge(figures: dict[str, dict[str, Any]], count: int) -> dict[str, Any]:
+    """Return the best peer with about as many triangles, the ratios to it, and whether the bound is met."""
+    peers = {
+        name: values
+        for name, values in figures.items()
+        if name != "farfield" and MIN_REACHED * count <= values["triangles"] <= MAX_EXCESS * count
+    }
+    best = min(peers, key=lambda name: peers[name]["mean"], default=None)
+    if best is None:
+        return {"best": None, "ratio": None, "is_met": True}
+    ratio = figures["farfield"]["mean"] / max(peers[best]["mean"], 1e-9)
+    return {"best": best, "ratio": round(ratio, 3), "is_met": ratio <= MAX_RATIO}
+
+
+def write_source(mesh: TexturedMesh, folder: Path) -> Path:
+    """Write the mesh for other programs, with a small image per material, and return its path."""
+    textures = {int(material): f"texture_{material}.png" for material in np.unique(mesh.materials)}
+    for texture in textures.values():
+        Image.new("RGB", (4, 4)).save(folder / texture)
+    texmesh_files.write_obj(folder / "fine.obj", mesh, textures)
+    return folder / "fine.obj"
+
+
+def random_directions(count: int, generator: np.random.Generator) -> np.ndarray:
+    """Return (count, 3) unit directions."""
+    directions = generator.normal(size=(count, 3))
+    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
