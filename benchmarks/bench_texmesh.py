@@ -4,7 +4,8 @@ Parts (`--only`): `speed` (time and memory with 200k triangles and a texture of 
 see texmesh_refits.py), `glb` (the Khronos validator, with --validator, see texmesh_glb.py), `switching` (FLIP between neighboring levels at
 their switch distance, in views that the search did not use), `renders` (FLIP of levels by Farfield and by other programs against the
 original, see texmesh_renders.py), `targets` (subset levels, bit for bit), `paper` (Figures 4, 10 and 11, see texmesh_paper.py), `packages`
-(bytes until a model looks right, see texmesh_packages.py), `meshes` (bytes of meshes beside gltfpack and Draco, see texmesh_meshes.py).
+(bytes until a model looks right, see texmesh_packages.py), `meshes` (bytes of meshes beside gltfpack and Draco, see texmesh_meshes.py),
+`server` (100,000 random requests of 100 clients at once, see texmesh_server.py).
 Each run generates other models, textures and views; --seed repeats one.
 """
 
@@ -29,6 +30,7 @@ from texmesh_packages import measure_packages
 from texmesh_paper import measure_paper
 from texmesh_refits import measure_refits
 from texmesh_renders import measure_renders
+from texmesh_server import measure_server
 
 from farfield.addon.core.errors import SettingsError
 from lib import command_line
@@ -72,6 +74,7 @@ PARTS = {
     "paper": measure_paper,
     "packages": measure_packages,
     "meshes": measure_meshes,
+    "server": measure_server,
 }
 
 

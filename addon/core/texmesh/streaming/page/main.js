@@ -22,12 +22,12 @@ const orbit = new Orbit(element("view"), requestDraw);
 
 /** Draw with the next frame of the screen. */
 function requestDraw() {
-  if (isRequested || !renderer?.program) return;
+  if (isRequested || !renderer?.materials) return;
   isRequested = true;
   requestAnimationFrame(() => {
     isRequested = false;
-    const isCurrent = renderer.draw(orbit, isSettled);
-    if (renderer.mesh) session.firstImage ??= (performance.now() - session.start) / 1000;
+    const isFree = !renderer.isBusy, isCurrent = isFree && renderer.draw(orbit, isSettled);
+    if (isFree && renderer.mesh) session.firstImage ??= (performance.now() - session.start) / 1000;
     if (!isCurrent) requestDraw();
   });
 }
@@ -78,14 +78,8 @@ async function load(coming = fetchManifest(base), start = performance.now()) {
     },
     problem: report,
   });
-  loader.start(); // first: requests are under way while shaders are compiled
+  loader.start(); // first: requests are under way while textures are created
   document.title = element("name").textContent = manifest.name;
-  try {
-    if (!renderer) createRenderer();
-  } catch (error) {
-    loader.stop();
-    return report(error.message);
-  }
   renderer.start(manifest);
   if (renderer.isReduced) report("Textures are shown at a lower resolution, because the graphics processor has a limit.");
   orbit.frame(manifest.bounds);
@@ -194,4 +188,9 @@ element("refine").addEventListener("change", ({ target }) => {
 element("restart").addEventListener("click", () => load());
 for (const id of ["bandwidth", "limit"]) element(id).addEventListener("change", () => load());
 setInterval(showMeasures, FRAME_MILLISECONDS);
-load(first, 0); // the user's wish began with the navigation to the page
+try {
+  createRenderer(); // while the manifest comes, not later: nobody would notice the responses to the first requests in time
+  load(first, 0); // the user's wish began with the navigation to the page
+} catch (error) {
+  report(error.message);
+}
