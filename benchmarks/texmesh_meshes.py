@@ -26,6 +26,7 @@ from texmesh_peers import GLTFPACK
 
 from farfield.addon.core import texmesh
 from farfield.addon.core.files.temporary_folders import temporary_folder
+from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.simplification.levels import Simplification, simplify_by_cost
 from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
@@ -134,7 +135,8 @@ def measure_model(mesh: TexturedMesh) -> dict[str, Any]:
 
 def _open(data: Path, name: str) -> TexturedMesh:
     if name == "castle":
-        return unwrap_triangles(photos_inputs.read_mesh(data / CASTLE), name)
+        mesh = photos_inputs.read_mesh(data / CASTLE)
+        return unwrap_triangles(TriangleMesh(mesh.vertices, mesh.triangles), name)
     if name.startswith("large ring:"):
         return generate_ring(np.random.default_rng(int(name.split(":")[1])), RING_GRID)
     return open_model(data, name)
@@ -147,7 +149,7 @@ def _measure_peers(mesh: TexturedMesh, folder: Path) -> dict[str, Any]:
     texmesh_files.write_obj(source, mesh, {})
     program = os.environ.get(GLTFPACK, "gltfpack")
     for name, flags in GLTFPACK_FLAGS.items() if shutil.which(program) else ():
-        subprocess.run([program, "-i", str(source), "-o", str(target), "-km", *flags], check=True, capture_output=True)
+        subprocess.run([program, "-i", str(source), "-o", str(target), "-km", "-kv", *flags], check=True, capture_output=True)
         packed = target.read_bytes()
         results[name] = {"bytes": len(packed), "gzip": len(gzip.compress(packed, 9))}
     draco, node = os.environ.get(DRACO), shutil.which("node")

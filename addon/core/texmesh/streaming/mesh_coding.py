@@ -7,8 +7,8 @@ Sections of a level (see `manifest.MeshLevel`), all of them raw DEFLATE:
 | corners | number of symbols, uint32 little-endian; symbols; LEB128 integers of explicit vertices |
 | wedges | LEB128 codes of the wedges of corners |
 | parents | one symbol per added vertex; LEB128 integers of explicit parents |
-| positions | 0 (predicted by parallelograms) or 1 (by UVs); byte planes of the residuals of added vertices: low and high bytes of x, y, z |
-| uvs | byte planes of the residuals of added wedges: low and high bytes of u, v |
+| positions | 0 (predicted by parallelograms) or 1 (by texture coordinates); residuals of added vertices: first all x, then y and z |
+| uvs | residuals of added wedges: first all u, then v |
 
 The triangles of a level refer to vertices by what coarser levels are, so that a level needs all sections of coarser ones.
 """
@@ -26,7 +26,17 @@ from .manifest import MESH, Manifest, MeshLevel, Section
 from .mesh_order import OrderedLevel, OrderedMesh
 from .missing_positions import estimate_missing_positions
 from .position_prediction import find_affine_weights, predict, reconstruct
-from .sections import MAX_LEB128_BYTES, MAX_RATIO, IntegerReader, damage, decode_residuals, deflate, encode_residuals, inflate
+from .sections import (
+    MAX_LEB128_BYTES,
+    MAX_RATIO,
+    MAX_RESIDUAL_BYTES,
+    IntegerReader,
+    damage,
+    decode_residuals,
+    deflate,
+    encode_residuals,
+    inflate,
+)
 
 STEPS = 65535  # of 16-bit positions and texture coordinates, between the bounds
 Bounds = tuple[tuple[float, ...], tuple[float, ...]]
@@ -116,11 +126,12 @@ def decode_level(content: bytes | memoryview, manifest: Manifest, level: int, mi
         added, added_wedges = item.vertex_count - known, item.wedge_count - known_wedges
         if not 0 <= added <= added_wedges:
             raise damage()
-        part = _read_part(content, item.uvs, 4 * added_wedges)
+        uv_part = inflate(item.uvs.read(content, MESH), 2 * MAX_RESIDUAL_BYTES * added_wedges)
+        uv_residuals = decode_residuals(uv_part, added_wedges, 2)
         decoder.decode(_read_streams(content, item, added), item.triangle_counts, item.vertex_count)
         if len(decoder.wedge_vertices) != item.wedge_count:
             raise damage()
-        reconstruct(uvs, decode_residuals(part, 2), decoder.wedge_references, None)
+        reconstruct(uvs, uv_residuals, decoder.wedge_references, None)
         triangles, wedge_vertices = np.array(decoder.triangles, np.int64).reshape(-1, 3), np.array(decoder.wedge_vertices, np.int64)
         neighborhood = (triangles, wedge_vertices, np.array(uvs, np.int64).T, known, item.vertex_count)
         is_exact = is_exact and index not in missing_positions
@@ -130,9 +141,9 @@ def decode_level(content: bytes | memoryview, manifest: Manifest, level: int, mi
             for column, values in zip(positions, estimated.T.tolist(), strict=True):
                 column.extend(values)
             continue
-        part = _read_part(content, item.positions, 1 + 6 * added)
-        affine = find_affine_weights(*neighborhood) if part[0] else None
-        reconstruct(positions, decode_residuals(part[1:], 3), decoder.vertex_references, affine)
+        part = inflate(item.positions.read(content, MESH), 1 + 3 * MAX_RESIDUAL_BYTES * added)
+        affine = find_affine_weights(*neighborhood) if part[:1] == b"\1" else None
+        reconstruct(positions, decode_residuals(part[1:], added, 3), decoder.vertex_references, affine)
     counts = manifest.levels[level].triangle_counts
     return DecodedLevel(
         positions=np.array(positions, np.uint16).T,
@@ -155,12 +166,19 @@ def _pack(symbols: LevelSymbols, level: OrderedLevel, wedge_vertices: np.ndarray
     affine = find_affine_weights(level.triangles, wedge_vertices[: level.wedge_count], uvs, known_count, level.vertex_count)
     added = positions[known_count : level.vertex_count]
     candidates = [parallelograms, predict(affine, positions, parallelograms)]
-    packed_positions = [deflate(bytes([kind]) + encode_residuals(added - values)) for kind, values in enumerate(candidates)]
+    packed_positions = []
+    for kind, values in enumerate(candidates):
+        residual_symbols, bits = encode_residuals(added - values)
+        packed_positions.append(deflate(bytes([kind]) + residual_symbols, bits))
     known_wedges = level.wedge_count - len(symbols.wedge_references)
     uv_residuals = uvs[known_wedges : level.wedge_count] - _add_references(uvs, symbols.wedge_references, known_wedges)
-    corners = struct.pack("<I", len(symbols.symbols)) + symbols.symbols + symbols.vertices
-    others = [deflate(part) for part in (corners, symbols.wedges, symbols.parent_symbols + symbols.parents, encode_residuals(uv_residuals))]
-    return [*others[:3], min(packed_positions, key=len), others[3]]
+    return [
+        deflate(struct.pack("<I", len(symbols.symbols)) + symbols.symbols, symbols.vertices),
+        deflate(symbols.wedges),
+        deflate(symbols.parent_symbols, symbols.parents),
+        min(packed_positions, key=len),
+        deflate(*encode_residuals(uv_residuals)),
+    ]
 
 
 def _add_references(values: np.ndarray, references: np.ndarray, known_count: int) -> np.ndarray:
@@ -199,12 +217,3 @@ def _check_size(count: int, section: Section) -> None:
     """Raise FileError if `section` is too small for at least one byte for each of `count` items, before anything is allocated for them."""
     if count > MAX_RATIO * section.size:
         raise damage()
-
-
-def _read_part(content: bytes | memoryview, section: Section, size: int) -> bytes:
-    """Return the `size` bytes of `section`."""
-    _check_size(size, section)
-    part = inflate(section.read(content, MESH), size)
-    if len(part) != size:
-        raise damage()
-    return part

@@ -1,24 +1,34 @@
-"""Bytes of sections of mesh.bin: raw DEFLATE (RFC 1951) of byte planes and of LEB128 integers."""
+"""Bytes of sections of mesh.bin: raw DEFLATE (RFC 1951) of symbols, extra bits and LEB128 integers.
+
+A residual is a symbol and extra bits. Residuals 0, -1, 1, -2 ... are the numbers n = 0, 1, 2, 3 ... A number below 8 is its symbol. Of a
+larger one with k + 3 bits, the symbol is 4 + 4 k plus the two bits behind the first one, and the k bits behind these are extra bits.
+"""
 
 import zlib
 from collections.abc import Iterable
 
 import numpy as np
 
+from ...arrays import concatenate_ranges
 from ...errors import FileError
 
 MAX_RATIO = 1032  # of DEFLATE: bytes from one byte
 STRATEGIES = (zlib.Z_DEFAULT_STRATEGY, zlib.Z_FILTERED, zlib.Z_HUFFMAN_ONLY, zlib.Z_RLE)
 MAX_LEB128_BYTES = 5
+MAX_SYMBOL = 59  # of a residual: 16 bits, of which 13 are extra
+MAX_RESIDUAL_BYTES = 3  # symbol and extra bits, rounded up
 
 
-def deflate(content: bytes) -> bytes:
-    """Return `content` compressed by the strategy that makes it smallest."""
-    results = []
-    for strategy in STRATEGIES:
-        coder = zlib.compressobj(9, zlib.DEFLATED, -15, 9, strategy)
-        results.append(coder.compress(content) + coder.flush())
-    return min(results, key=len)
+def deflate(*parts: bytes) -> bytes:
+    """Return the content of all `parts` compressed, each in DEFLATE blocks of its own by the strategy that makes it smallest."""
+    result = b""
+    for index, part in enumerate(parts):
+        candidates = []
+        for strategy in STRATEGIES:
+            coder = zlib.compressobj(9, zlib.DEFLATED, -15, 9, strategy)
+            candidates.append(coder.compress(part) + coder.flush(zlib.Z_FINISH if index == len(parts) - 1 else zlib.Z_SYNC_FLUSH))
+        result += min(candidates, key=len)
+    return result
 
 
 def inflate(content: bytes | memoryview, max_size: int) -> bytes:
@@ -42,18 +52,33 @@ def damage() -> FileError:
     return FileError("The mesh of the package is damaged; export the package again, or copy it again.")
 
 
-def encode_residuals(residuals: np.ndarray) -> bytes:
-    """Return `residuals` (N, C) integers modulo 65536, those near 0 as small numbers, as byte planes: low and high byte of each column."""
-    signed = residuals.astype(np.int16).astype(np.int32)
-    zigzag = ((signed << 1) ^ (signed >> 15)).astype("<u2")
-    return np.ascontiguousarray(zigzag.view(np.uint8).T).tobytes()
+def encode_residuals(residuals: np.ndarray) -> tuple[bytes, bytes]:
+    """Return the symbols and the extra bits of `residuals` (N, C), integers modulo 65536: those of one column after those of another."""
+    signed = residuals.T.reshape(-1).astype(np.int16).astype(np.int64)
+    numbers = (signed << 1) ^ (signed >> 15)
+    counts = np.maximum(np.frexp(numbers.astype(np.float64))[1] - 3, 0)
+    symbols = np.where(counts, 4 * counts + (numbers >> counts), numbers)
+    bits = np.repeat(numbers, counts) >> concatenate_ranges(0, counts) & 1
+    return symbols.astype(np.uint8).tobytes(), np.packbits(bits.astype(np.uint8), bitorder="little").tobytes()
 
 
-def decode_residuals(content: bytes, columns: int) -> np.ndarray:
-    """Return the residuals (N, columns) int64 that `encode_residuals` encoded, -32768 to 32767."""
-    planes = np.frombuffer(content, np.uint8).reshape(2 * columns, -1)
-    zigzag = np.ascontiguousarray(planes.T).view("<u2").astype(np.int64)
-    return (zigzag >> 1) ^ -(zigzag & 1)
+def decode_residuals(content: bytes, rows: int, columns: int) -> np.ndarray:
+    """Return the residuals (rows, columns) int64, -32768 to 32767, from symbols and extra bits, one after the other.
+
+    Raises:
+        FileError: there are too few or too many bytes, or a symbol that does not exist.
+    """
+    if len(content) < rows * columns:
+        raise damage()
+    symbols = np.frombuffer(content, np.uint8, rows * columns).astype(np.int64)
+    counts = np.maximum(symbols // 4 - 1, 0)
+    if len(content) - len(symbols) != -(-int(counts.sum()) // 8) or symbols.max(initial=0) > MAX_SYMBOL:
+        raise damage()
+    bits = np.unpackbits(np.frombuffer(content, np.uint8, offset=len(symbols)), count=int(counts.sum()), bitorder="little")
+    owners, positions = np.repeat(np.arange(len(symbols)), counts), concatenate_ranges(0, counts)
+    extra = np.bincount(owners, bits.astype(np.int64) << positions, len(symbols)).astype(np.int64)
+    numbers = np.where(counts, (4 + symbols % 4 << counts) + extra, symbols)
+    return ((numbers >> 1) ^ -(numbers & 1)).reshape(columns, rows).T
 
 
 def encode_integers(values: Iterable[int]) -> bytes:

@@ -7,7 +7,7 @@
 
 const NEW = 0, RIGHT = 1, LEFT = 2, BOTH = 3, BOUNDARY = 4, OTHER = 5, CANDIDATE = 6; // symbols of edges of the border
 const EXPLICIT_PARENT = 255, ADDED_WEDGE = 1, RING = 3;
-const MAX_RATIO = 1032, MAX_LEB128_BYTES = 5; // of DEFLATE: bytes from one byte
+const MAX_RATIO = 1032, MAX_LEB128_BYTES = 5, MAX_RESIDUAL_BYTES = 3; // of DEFLATE: bytes from one byte
 const MIN_DETERMINANT = 1e-3, PASSES = 5, STEPS = 65535;
 
 /** The content of a raw DEFLATE stream, which has `size` bytes. Throws RangeError if it has others, TypeError if it is damaged. */
@@ -43,14 +43,14 @@ export async function decodeLevel(manifest, index, sections, coarser) {
   const level = manifest.levels[index], known = coarser?.parents.length ?? 0, knownWedges = coarser?.wedges.length ?? 0;
   const triangles = level.triangle_counts.reduce((sum, count) => sum + count, 0);
   const added = level.vertex_count - known, addedWedges = level.wedge_count - knownWedges;
-  check(triangles <= MAX_RATIO * sections.corners.length && 4 * addedWedges <= MAX_RATIO * sections.uvs.length);
+  check(triangles <= MAX_RATIO * sections.corners.length && 2 * addedWedges <= MAX_RATIO * sections.uvs.length);
   check(added >= 0 && addedWedges >= added);
-  const [corners, codes, parents, uvResiduals, residuals] = await Promise.all([
+  const [corners, codes, parents, uvPart, positionsPart] = await Promise.all([
     inflateUpTo(sections.corners, 4 + 3 * triangles * (1 + MAX_LEB128_BYTES)),
     inflateUpTo(sections.wedges, 3 * triangles * MAX_LEB128_BYTES),
     inflateUpTo(sections.parents, added * (1 + MAX_LEB128_BYTES)),
-    inflate(sections.uvs, 4 * addedWedges),
-    sections.positions && inflate(sections.positions, 1 + 6 * added),
+    inflateUpTo(sections.uvs, 2 * MAX_RESIDUAL_BYTES * addedWedges),
+    sections.positions && inflateUpTo(sections.positions, 1 + 3 * MAX_RESIDUAL_BYTES * added),
   ]);
   check(corners.length >= 4);
   const symbolsEnd = 4 + new DataView(corners.buffer).getUint32(0, true), parentsEnd = parents.length ? added : 0;
@@ -63,7 +63,7 @@ export async function decodeLevel(manifest, index, sections, coarser) {
     parents: extend(coarser?.parents ?? new Int32Array(0), level.vertex_count),
     shortPositions: extend(coarser?.shortPositions ?? new Uint16Array(0), 3 * level.vertex_count),
     shortUvs: extend(coarser?.shortUvs ?? new Uint16Array(0), 2 * level.wedge_count),
-    isExact: (coarser?.isExact ?? true) && Boolean(residuals),
+    isExact: (coarser?.isExact ?? true) && Boolean(positionsPart),
   };
   const references = decodeTriangles(mesh, level, coarser, {
     symbols: corners.subarray(4, symbolsEnd),
@@ -72,10 +72,10 @@ export async function decodeLevel(manifest, index, sections, coarser) {
     parentSymbols: parents.subarray(0, parentsEnd),
     parents: new IntegerReader(parents, parentsEnd),
   });
-  addPredictions(mesh.shortUvs, knownWedges, 2, references.wedges, uvResiduals, null);
+  addPredictions(mesh.shortUvs, knownWedges, 2, references.wedges, decodeResiduals(uvPart, 0, 2 * addedWedges), null);
   if (mesh.isExact) {
-    const weights = residuals[0] ? findWeights(mesh, known, false) : null;
-    addPredictions(mesh.shortPositions, known, 3, references.vertices, residuals.subarray(1), weights);
+    const weights = positionsPart[0] === 1 ? findWeights(mesh, known, false) : null;
+    addPredictions(mesh.shortPositions, known, 3, references.vertices, decodeResiduals(positionsPart, 1, 3 * added), weights);
   } else {
     estimatePositions(mesh, known);
   }
@@ -117,6 +117,27 @@ class IntegerReader {
 }
 
 const decodeSigned = (value) => (value % 2 ? -(value + 1) / 2 : value / 2);
+
+/** `count` residuals: symbols from `offset` on, then extra bits, see sections.py. */
+function decodeResiduals(bytes, offset, count) {
+  const residuals = new Int16Array(count);
+  let end = offset + count, bits = 0, bitCount = 0;
+  check(end <= bytes.length);
+  for (let index = 0; index < count; index++) {
+    let number = bytes[offset + index];
+    if (number >= 8) {
+      const extra = (number >> 2) - 1;
+      for (; bitCount < extra; bitCount += 8) bits |= bytes[end++] << bitCount;
+      number = ((4 + (number & 3)) << extra) + (bits & ((1 << extra) - 1));
+      check(number < 65536);
+      bits >>>= extra;
+      bitCount -= extra;
+    }
+    residuals[index] = (number >> 1) ^ -(number & 1);
+  }
+  check(end === bytes.length);
+  return residuals;
+}
 
 /** The triangles around the vertices of a mesh, see coarse_fans.py. */
 class CoarseFans {
@@ -364,7 +385,7 @@ function findWeights({ corners, wedges, firstWedges, shortUvs: uvs }, known, has
 }
 
 /** Set values (columns each) from row `first` on: predictions by `weights` of neighbors where these are valid, otherwise by `references`, plus
- * residuals in byte planes, modulo 65536. */
+ * residuals, modulo 65536. */
 function addPredictions(values, first, columns, references, residuals, weights) {
   const count = references.length / 3;
   for (let row = 0; row < count; row++) {
@@ -380,8 +401,7 @@ function addPredictions(values, first, columns, references, residuals, weights) 
       } else if (a !== target) {
         value = values[a + column] + values[b + column] - values[c + column];
       }
-      const zigzag = residuals[2 * column * count + row] | (residuals[(2 * column + 1) * count + row] << 8);
-      values[target + column] = value + ((zigzag >> 1) ^ -(zigzag & 1));
+      values[target + column] = value + residuals[column * count + row];
     }
   }
 }
