@@ -58,7 +58,7 @@ def random_directions(count: int, generator: np.random.Generator) -> np.ndarray:
 
 
 def _find_window(coverage: np.ndarray) -> tuple[slice, slice]:
-    """Return rows and columns around the object with what FLIP filters see of it; the background (BACKGROUND) is the same everywhere."""
+    """Return rows and columns around the object with what FLIP filters see of it; the background is the same everywhere."""
     radius = filter_radius(PIXELS_PER_DEGREE)
     window = []
     for axis in (1, 0):

@@ -38,7 +38,7 @@ def open_textured(data: Path, name: str, seed: int) -> TexturedModel:
     """Return a model: one of TUNING and JUDGING, or KIND:SEED of texmesh_models. seed: of painted textures."""
     generator = np.random.default_rng(seed)
     if name == "sceaux":
-        return build_sceaux(data, generator)
+        return build_sceaux(data)
     mesh = texmesh_models.open_model(data, name)
     count = int(mesh.materials.max()) + 1
     if name in TEXTURE_FILES:
@@ -69,7 +69,7 @@ def read_glb_images(path: Path, count: int) -> list[np.ndarray | None]:
     return images
 
 
-def build_sceaux(data: Path, generator: np.random.Generator) -> TexturedModel:
+def build_sceaux(data: Path) -> TexturedModel:
     """Return the castle, textured from its photographs by the tool `photos`."""
     unwrapped = photos_inputs.unwrap_mesh(photos_inputs.read_mesh(data / "sceaux" / "mesh_15k.ply"))
     photographs = photos_inputs.load_photographs(data)

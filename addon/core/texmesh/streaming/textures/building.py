@@ -69,7 +69,7 @@ def _assemble(coded: Sequence[CodedTexture]) -> BuiltTextures:
     increments = Increments(
         owners[queued.rows],
         np.concatenate([item.tiles for item in coded])[queued.rows],
-        np.zeros(len(parts), np.int64),
+        np.concatenate([item.headers for item in coded])[queued.rows],
         scan_counts,
         np.array([len(part) for part in parts], np.int64),
         gains,

@@ -8,36 +8,46 @@ import numpy as np
 from ....jobs.progress import Progress, Steps
 from ..manifest import PackageTexture
 from .block_errors import (
+    DATA_LUMINANCE,
+    BlockErrors,
+    BlockWeights,
     color_sensitivities,
+    contrast_sensitivities,
     data_sensitivities,
+    feature_energies,
     filter_energies,
-    measure_gains,
+    luminance_sensitivities,
+    measure_errors,
     predict_flip,
 )
 from .dct_blocks import BLOCK, COEFFICIENTS, quantize, standard_steps, transform_tiles
+from .fragments import count_features
 from .settings import TextureSettings
 from .texture_tiles import TextureSource, TileGrid, cut_tiles, fill_unused, find_used_texels
-from .tile_coding import MAX_DC_SHIFT, Scan, build_tables, code_scan, find_first_shifts, list_scans, write_header
+from .tile_coding import Scan, build_tables, code_scan, find_first_shifts, list_scans, write_header
 from .visibility import FOOTPRINT_LEVELS, level_footprints
 
 COLOR_ROLES = {"base_color", "emission"}
 BATCH_TEXELS = 1 << 20  # coded at once
 SAMPLE_TILES = 64  # whose symbols decide the Huffman tables, at 128 pixels
 MIN_VISIBILITY = 1e-3  # of blocks that no view shows, relative to the mean of the used ones
-ROUNDING = 0.6  # fraction of a step from which coefficients are rounded up
+FLAT_VARIANCE, FLAT_FRACTION = 4.0, 0.2  # of Y in a block, and of the blocks of a tile
+FLAT_QUALITY = 95  # JPEG quality of the mean colors of flat tiles
+STEP_FACTORS = (1.0, 2.0, 4.0)  # of steps of quantization, the coarser the more texels a pixel covers
 
 
 @dataclass(frozen=True, eq=False)
 class CodedTexture:
     """A texture of N used tiles.
 
-    texture: with the header. tiles: (N,) their numbers. contents: their scans, each in the best order. sizes: (N, K) bytes of the scans, 0
-    behind the last one. errors: (N, K + 1) predicted FLIP error of the tile's pixels without and with the first scans, times the fraction
-    of all pixels of the object that show the tile.
+    texture: with the headers. tiles: (N,) their numbers. headers: (N,) of each tile. contents: their scans, each in the best order. sizes:
+    (N, K) bytes of the scans, 0 for those that are missing, which come last. errors: (N, K + 1) predicted FLIP error of the tile's pixels
+    without and with the first scans, times the fraction of all pixels of the object that show the tile.
     """
 
     texture: PackageTexture
     tiles: np.ndarray
+    headers: np.ndarray
     contents: list[list[bytes]]
     sizes: np.ndarray
     errors: np.ndarray
@@ -61,22 +71,30 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
     tiles = cut_tiles(image, side)[numbers]
     del image
     fractions = _floor_fractions(shown.sum(axis=2), used_blocks[numbers].reshape(len(numbers), blocks))
+    if source.feature_scales is not None and settings.feature_weight > 0.0:
+        fractions *= _weigh_features(source, grid, settings.feature_weight)[numbers, None]
     is_color = source.role in COLOR_ROLES
     energies = filter_energies(level_footprints(), settings.pixels_per_degree)[[0, 1, 2] if is_color else [0, 0, 0]][:components]
-    steps, scans = standard_steps(settings.quality, components), list_scans(components)
+    scans, common = list_scans(components), shown.sum(axis=(0, 1))
+    all_steps = _list_steps(settings.quality, components)
+    classes = 2 * _choose_factors(shown, common, energies[0, :, 0])
     quantized = np.empty((components, len(numbers), blocks, COEFFICIENTS), np.int16)
-    before = np.empty((len(numbers), blocks), np.float32)
-    gains = np.empty((len(scans), len(numbers), blocks), np.float32)
-    common = shown.sum(axis=(0, 1))
+    feature_table = feature_energies(level_footprints(), settings.pixels_per_degree)
+    parts: list[BlockErrors] = []
     batch = max(BATCH_TEXELS // side**2, 1)
     for start in range(0, len(numbers), batch):
         yield Progress(0.5 * start / len(numbers), "Measuring errors of textures")
         rows = slice(start, start + batch)
         coefficients = transform_tiles(tiles[rows], components)
-        quantized[:, rows] = quantize(coefficients, steps, ROUNDING)
-        weights = _weigh_blocks(coefficients, shown[rows], common, energies, is_color)
-        before[rows], gains[:, rows] = measure_gains(coefficients, quantized[:, rows], steps, scans, weights)
+        classes[rows] += _are_flat(coefficients)
+        steps = all_steps[:, classes[rows]]
+        quantized[:, rows] = quantize(coefficients, steps)
+        weights = _weigh_blocks(coefficients, shown[rows], common, energies, feature_table, is_color)
+        parts.append(measure_errors(coefficients, quantized[:, rows], steps, scans, weights))
     del tiles
+    totals = np.concatenate([part.totals for part in parts], axis=1)
+    gains = np.concatenate([part.gains for part in parts], axis=2)
+    del parts
     samples = np.unique(np.linspace(0, len(numbers) - 1, min(len(numbers), max(SAMPLE_TILES * 128**2 // side**2, 4))).astype(np.int64))
     tables = build_tables(quantized[:, samples], np.abs(quantized).max(axis=(1, 2)), scans)
     contents: list[list[bytes]] = []
@@ -87,12 +105,16 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
         coded = [code_scan(part, scan, top, tables) for scan, top in zip(scans, tops, strict=True)]
         contents += [list(scans_of_tile) for scans_of_tile in zip(*coded, strict=True)]
     sizes = np.array([[len(scan) for scan in scans_of_tile] for scans_of_tile in contents])
-    _carry_gains(gains, sizes)
-    order = order_scans(sizes, (gains * fractions).sum(axis=2).T, scans)
-    errors = _predict_errors(before, gains, order, fractions)
+    # Of lost contrasts, which are squared, the change from the middle of the range.
+    linear = gains[0] + np.einsum("cknb,cnb->knb", gains[2:], totals[2:])
+    order = order_scans(sizes, np.einsum("knb,nb->nk", linear, fractions), scans)
     ordered = [[scans_of_tile[index] for index in row] for scans_of_tile, row in zip(contents, order.tolist(), strict=True)]
-    texture = PackageTexture(source.role, grid.width, grid.height, side, (write_header(side, steps, tables),))
-    return CodedTexture(texture, numbers, ordered, np.take_along_axis(sizes, order, axis=1), errors)
+    used_classes, headers = np.unique(classes, return_inverse=True)
+    texture = PackageTexture(
+        source.role, grid.width, grid.height, side, tuple(write_header(side, all_steps[:, item], tables) for item in used_classes)
+    )
+    sizes = np.take_along_axis(sizes, order, axis=1)
+    return CodedTexture(texture, numbers, headers, ordered, sizes, _predict_errors(totals, gains, order, fractions))
 
 
 def order_scans(sizes: np.ndarray, gains: np.ndarray, scans: Sequence[Scan]) -> np.ndarray:
@@ -134,22 +156,45 @@ def order_scans(sizes: np.ndarray, gains: np.ndarray, scans: Sequence[Scan]) -> 
     return order
 
 
-def _carry_gains(gains: np.ndarray, sizes: np.ndarray) -> None:
-    """Move the `gains` (K, N, B) of scans of DC coefficients that a tile does not have, since it begins with a lower bit, to the next."""
-    for index in range(MAX_DC_SHIFT):
-        is_missing = sizes[:, index] == 0
-        gains[index + 1, is_missing] += gains[index, is_missing]
-        gains[index, is_missing] = 0.0
+def _list_steps(quality: int, components: int) -> np.ndarray:
+    """Return the steps (C, classes, 64) of classes of tiles: for each of STEP_FACTORS ordinary and flat ones."""
+    classes = []
+    for factor in STEP_FACTORS:
+        ordinary = standard_steps(quality, components, factor)
+        flat = ordinary.copy()
+        flat[:, 0] = np.minimum(flat[:, 0], standard_steps(FLAT_QUALITY, components)[:, 0])
+        classes += [ordinary, flat]
+    return np.stack(classes, axis=1)
+
+
+def _are_flat(coefficients: np.ndarray) -> np.ndarray:
+    """Return which of the tiles (C, N, B, 64) have many blocks of about one color: (N,) int64, 0 or 1. Rounded means of such blocks all
+    deviate alike, which is seen from any distance."""
+    variances = (coefficients[0, :, :, 1:] ** 2).sum(axis=2) / COEFFICIENTS
+    return ((variances < FLAT_VARIANCE).mean(axis=1) > FLAT_FRACTION).astype(np.int64)
+
+
+def _choose_factors(shown: np.ndarray, common: np.ndarray, energies: np.ndarray) -> np.ndarray:
+    """Return for each tile (N,) int64 which of STEP_FACTORS keeps its errors as visible as they are where a pixel covers one texel.
+
+    Args:
+        shown: (N, B, L), see `_weigh_blocks`. common: (L,). energies: (L,) of means of blocks.
+    """
+    totals = shown.sum(axis=1)
+    mix = np.where(totals.any(axis=1, keepdims=True), totals, common if common.any() else np.ones_like(common))
+    visible = mix @ energies / mix.sum(axis=1)
+    factors = np.sqrt(energies[int(np.argmin(np.abs(level_footprints() - 1.0)))] / visible)
+    return np.abs(np.log(factors[:, None] / np.array(STEP_FACTORS))).argmin(axis=1)
 
 
 def _weigh_blocks(
-    coefficients: np.ndarray, shown: np.ndarray, common: np.ndarray, energies: np.ndarray, is_color: bool
-) -> list[np.ndarray]:
-    """Return the weights (N, B, 64) float32 of squared errors of coefficients, per component.
+    coefficients: np.ndarray, shown: np.ndarray, common: np.ndarray, energies: np.ndarray, feature_table: np.ndarray, is_color: bool
+) -> BlockWeights:
+    """Return the weights of errors of tiles.
 
     Args:
         coefficients: (C, N, B, 64). shown: (N, B, L) how often each block is seen at each level of footprints. common: (L,) of all blocks,
-            for those that no view shows. energies: (C, L, 64).
+            for those that no view shows. energies: (C, L, 64). feature_table: (L, 64).
     """
     mix = np.where(shown.sum(axis=2, keepdims=True) > 0.0, shown, common if common.any() else np.ones_like(common))
     mix = (mix / mix.sum(axis=2, keepdims=True)).astype(np.float32)
@@ -157,12 +202,30 @@ def _weigh_blocks(
     means[..., : len(coefficients)] = np.moveaxis(coefficients[..., 0], 0, -1) / BLOCK
     if is_color:
         sensitivities = color_sensitivities(means.reshape(-1, 3)).reshape(means.shape)
+        luminance = luminance_sensitivities(means.reshape(-1, 3)).reshape(means.shape[:2])
+        contrasts = contrast_sensitivities(means.reshape(-1, 3)).reshape(means.shape)
     else:
         sensitivities = np.broadcast_to(data_sensitivities(), means.shape)
-    return [
-        (mix @ energies[component].astype(np.float32)) * sensitivities[..., component, None].astype(np.float32)
-        for component in range(len(coefficients))
-    ]
+        luminance, contrasts = np.full(means.shape[:2], DATA_LUMINANCE**2), np.zeros(means.shape)
+    tables = energies.astype(np.float32)
+    hidden = 1.0 - tables
+    hidden[..., 0] = 0.0
+    shape = means.shape[:2]
+    return BlockWeights(
+        colors=[
+            (mix @ tables[component]) * sensitivities[..., component, None].astype(np.float32) for component in range(len(coefficients))
+        ],
+        features=(mix @ feature_table.astype(np.float32)) * luminance[..., None].astype(np.float32),
+        contrasts=[(mix @ hidden[component]) * contrasts[..., component, None].astype(np.float32) for component in range(len(hidden))],
+        means=[sensitivities[..., component].astype(np.float32).reshape(shape) for component in range(len(tables))],
+    )
+
+
+def _weigh_features(source: TextureSource, grid: TileGrid, weight: float) -> np.ndarray:
+    """Return the importance (N,) float32 of all tiles, about 1 in the mean: it grows with the scales that features in the tile last."""
+    counts = count_features(source.mesh, source.materials, source.feature_scales, grid).counts[1:].sum(axis=0).ravel()
+    relative = counts / max(counts[counts > 0].mean() if counts.any() else 1.0, 1.0)
+    return ((1.0 + weight * relative) / (1.0 + weight)).astype(np.float32)
 
 
 def _floor_fractions(fractions: np.ndarray, used: np.ndarray) -> np.ndarray:
@@ -171,13 +234,13 @@ def _floor_fractions(fractions: np.ndarray, used: np.ndarray) -> np.ndarray:
     return np.maximum(fractions, np.where(used, MIN_VISIBILITY * max(mean, 1e-9), 0.0)).astype(np.float32)
 
 
-def _predict_errors(before: np.ndarray, gains: np.ndarray, order: np.ndarray, fractions: np.ndarray) -> np.ndarray:
+def _predict_errors(totals: np.ndarray, gains: np.ndarray, order: np.ndarray, fractions: np.ndarray) -> np.ndarray:
     """Return the predicted errors (N, K + 1) of tiles without and with their first scans in `order` (N, K)."""
-    left = before.copy()
-    errors = np.empty((len(order), order.shape[1] + 1))
-    errors[:, 0] = (predict_flip(left) * fractions).sum(axis=1)
+    left = totals.copy()
+    predicted = np.empty((len(order), order.shape[1] + 1))
+    predicted[:, 0] = (predict_flip(left) * fractions).sum(axis=1)
     rows = np.arange(len(order))
     for place in range(order.shape[1]):
-        left -= gains[order[:, place], rows]
-        errors[:, place + 1] = (predict_flip(left) * fractions).sum(axis=1)
-    return errors
+        left -= gains[:, order[:, place], rows]
+        predicted[:, place + 1] = (predict_flip(left) * fractions).sum(axis=1)
+    return predicted

@@ -44,20 +44,13 @@ def transform_tiles(tiles: np.ndarray, component_count: int) -> np.ndarray:
     return transformed.reshape(component_count, count, -1, COEFFICIENTS)[..., ZIGZAG]
 
 
-def quantize(coefficients: np.ndarray, steps: np.ndarray, rounding: float) -> np.ndarray:
-    """Return `coefficients` (C, N, B, 64) as multiples int16 of `steps` (C, 64).
-
-    rounding: fraction of a step from which a magnitude of an AC coefficient is rounded up: 0.5 for the nearest multiple, more to save bytes.
-    """
-    scaled = coefficients / steps[:, None, None].astype(np.float32)
-    magnitudes = np.abs(scaled)
-    magnitudes[..., 0] += 0.5
-    magnitudes[..., 1:] += np.float32(1.0 - rounding)
-    return (np.sign(scaled) * np.floor(magnitudes)).astype(np.int16)
+def quantize(coefficients: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Return `coefficients` (C, N, B, 64) as the nearest multiples int16 of `steps` (C, N, 64)."""
+    return np.rint(coefficients / steps[:, :, None].astype(np.float32)).astype(np.int16)
 
 
-def standard_steps(quality: int, component_count: int) -> np.ndarray:
-    """Return the steps (C, 64) int64 of quantization, in zigzag order, of the JPEG library for a `quality` of 1 to 100."""
-    scale = 5000 // quality if quality < 50 else 200 - 2 * quality
+def standard_steps(quality: int, component_count: int, factor: float = 1.0) -> np.ndarray:
+    """Return the steps (C, 64) int64 of quantization, in zigzag order, of the JPEG library for a `quality` of 1 to 100, times `factor`."""
+    scale = factor * (5000 / quality if quality < 50 else 200 - 2 * quality)
     tables = [LUMINANCE_STEPS, CHROMINANCE_STEPS, CHROMINANCE_STEPS][:component_count]
-    return np.clip((np.stack(tables)[:, ZIGZAG] * scale + 50) // 100, 1, MAX_STEP)
+    return np.clip(np.floor((np.stack(tables)[:, ZIGZAG] * scale + 50.0) / 100.0), 1, MAX_STEP).astype(np.int64)

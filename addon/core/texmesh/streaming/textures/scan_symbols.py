@@ -29,22 +29,13 @@ class ScanSymbols(NamedTuple):
     tables: np.ndarray
 
 
-def list_dc_symbols(coefficients: np.ndarray, shift: int) -> ScanSymbols:
-    """Return the symbols of the first scan of DC `coefficients` (C, N, B) int16 of N tiles, without `shift` of their lowest bits."""
+def list_dc_symbols(coefficients: np.ndarray) -> ScanSymbols:
+    """Return the symbols of the scan of DC `coefficients` (C, N, B) int16 of N tiles."""
     components, tiles, blocks = coefficients.shape
-    shifted = coefficients.astype(np.int64) >> shift
-    differences = np.diff(shifted, axis=2, prepend=0).transpose(1, 2, 0).ravel()
+    differences = np.diff(coefficients.astype(np.int64), axis=2, prepend=0).transpose(1, 2, 0).ravel()
     sizes = BIT_LENGTHS[np.abs(differences)]
     tables = np.tile(np.minimum(np.arange(components), 1), tiles * blocks)
     return ScanSymbols(sizes, _sign_bits(differences, sizes), sizes, np.repeat(np.arange(tiles), blocks * components), tables)
-
-
-def list_dc_bits(coefficients: np.ndarray, shift: int) -> ScanSymbols:
-    """Return the bits of a scan that refines DC `coefficients` (C, N, B) int16 by the bit `shift`."""
-    components, tiles, blocks = coefficients.shape
-    bits = ((coefficients.astype(np.int64) >> shift) & 1).transpose(1, 2, 0).ravel()
-    owners = np.repeat(np.arange(tiles), blocks * components)
-    return ScanSymbols(np.full(len(bits), RAW), bits, np.ones_like(bits), owners, np.zeros_like(bits))
 
 
 def list_ac_symbols(coefficients: np.ndarray, shift: int) -> ScanSymbols:
@@ -76,7 +67,7 @@ def list_ac_corrections(coefficients: np.ndarray, shift: int) -> ScanSymbols:
     count = np.arange(len(items))
     block_start = np.maximum.accumulate(np.where(np.diff(owners, prepend=-1) > 0, count, 0)) if len(items) else count
     zeros = places - (count - block_start)  # in the block before each item
-    # A coefficient that becomes nonzero ends a segment; runs of 16 zeros within it are written when the next nonzero coefficient is reached.
+    # A coefficient that becomes nonzero ends a segment. Runs of 16 zeros within it are written before the next nonzero coefficient.
     previous_new = np.maximum.accumulate(np.concatenate([[-1], np.where(is_new, count, -1)]))[:-1]
     has_previous = previous_new >= block_start
     since = zeros - np.where(has_previous, zeros[np.maximum(previous_new, 0)] if len(items) else 0, 0)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .dct_blocks import BLOCK
 from .huffman import SYMBOLS, HuffmanTable, build_table, pack_bits
 from .scan_symbols import (
     BIT_LENGTHS,
@@ -18,7 +17,6 @@ from .scan_symbols import (
     ScanSymbols,
     list_ac_corrections,
     list_ac_symbols,
-    list_dc_bits,
     list_dc_symbols,
 )
 
@@ -27,8 +25,7 @@ AC_TABLES = 4
 LOW_LUMINANCE, HIGH_LUMINANCE, CHROMINANCE, REFINEMENT = range(AC_TABLES)
 LUMINANCE_BANDS = ((1, 5), (6, 14), (15, 35), (36, 63))  # first and last coefficient, in zigzag order
 CHROMINANCE_BANDS = ((1, 5), (6, 20), (21, 63))
-MAX_DC_SHIFT, MAX_AC_SHIFT = 1, 2  # bits that the first scan of a band leaves out
-MIN_SAVED_BITS = 0.35  # per DC coefficient, so that its lowest bit is worth a scan of its own
+MAX_SHIFT = 1  # bits that the first scan of a band of AC coefficients leaves out; more of them cost contrast, or bytes
 JFIF = bytes.fromhex("ffe000104a46494600010100000100010000")
 
 
@@ -49,11 +46,11 @@ class Scan:
 
 def list_scans(component_count: int) -> list[Scan]:
     """Return the possible scans of a tile. Those of a band stand one after the other, in the order that JPEG demands."""
-    scans = [Scan(None, 0, 0, shift, 0) for shift in range(MAX_DC_SHIFT, -1, -1)]
+    scans = [Scan(None, 0, 0, 0, 0)]
     for component in range(component_count):
         for index, (first, last) in enumerate(CHROMINANCE_BANDS if component else LUMINANCE_BANDS):
             table = CHROMINANCE if component else (HIGH_LUMINANCE if index else LOW_LUMINANCE)
-            scans += [Scan(component, first, last, shift, table) for shift in range(MAX_AC_SHIFT, -1, -1)]
+            scans += [Scan(component, first, last, shift, table) for shift in range(MAX_SHIFT, -1, -1)]
     return scans
 
 
@@ -63,20 +60,17 @@ def find_first_shifts(quantized: np.ndarray, scans: Sequence[Scan]) -> np.ndarra
     tops = np.empty((len(scans), quantized.shape[1]), np.int64)
     for index, scan in enumerate(scans):
         if scan.component is None:
-            differences = np.abs(np.diff(quantized[..., 0].astype(np.int64), axis=2, prepend=0))
-            saved = BIT_LENGTHS[differences] - BIT_LENGTHS[differences >> 1]
-            tops[index] = np.where(saved.mean(axis=(0, 2)) >= MIN_SAVED_BITS, MAX_DC_SHIFT, 0)
+            tops[index] = 0
         else:
             largest = np.abs(quantized[scan.component, :, :, scan.first : scan.last + 1]).max(axis=(1, 2))
-            tops[index] = np.minimum(BIT_LENGTHS[largest] - 1, MAX_AC_SHIFT)
+            tops[index] = np.minimum(BIT_LENGTHS[largest] - 1, MAX_SHIFT)
     return tops
 
 
 def list_symbols(quantized: np.ndarray, scan: Scan, refines: bool) -> ScanSymbols:
     """Return the symbols of a scan of tiles `quantized` (C, N, B, 64) int16; `refines` unless it is the first one of its band."""
     if scan.component is None:
-        values = quantized[..., 0]
-        return list_dc_bits(values, scan.shift) if refines else list_dc_symbols(values, scan.shift)
+        return list_dc_symbols(quantized[..., 0])
     band = np.ascontiguousarray(quantized[scan.component, :, :, scan.first : scan.last + 1])
     return list_ac_corrections(band, scan.shift) if refines else list_ac_symbols(band, scan.shift)
 
@@ -102,7 +96,7 @@ def build_tables(samples: np.ndarray, max_magnitudes: np.ndarray, scans: Sequenc
                 symbols = runs[:, None] | np.arange(1, size + 1)
                 possible = np.unique(np.concatenate([symbols.ravel(), ends, [RUN_OF_ZEROS]]))
                 counts[DC_TABLES + table, possible] = np.maximum(counts[DC_TABLES + table, possible], 1)
-        for refines, chosen in ((False, tops == scan.shift), (True, tops > scan.shift)):
+        for refines, chosen in _split_tiles(scan, tops):
             found = list_symbols(samples[:, chosen], scan, refines)
             is_coded = found.symbols != RAW
             places = _find_tables(found, scan, refines)[is_coded] * SYMBOLS + found.symbols[is_coded]
@@ -118,7 +112,7 @@ def code_scan(quantized: np.ndarray, scan: Scan, tops: np.ndarray, tables: Seque
     codes = np.stack([table.codes for table in tables]).ravel()
     lengths = np.stack([table.lengths for table in tables]).ravel()
     parts = [b""] * quantized.shape[1]
-    for refines, chosen in ((False, tops == scan.shift), (True, tops > scan.shift)):
+    for refines, chosen in _split_tiles(scan, tops):
         tiles = np.flatnonzero(chosen)
         symbols = list_symbols(quantized[:, tiles], scan, refines)
         is_coded = symbols.symbols != RAW
@@ -129,6 +123,12 @@ def code_scan(quantized: np.ndarray, scan: Scan, tops: np.ndarray, tables: Seque
         for tile, part in zip(tiles.tolist(), pack_bits(code, bit_counts, symbols.tiles, len(tiles)), strict=True):
             parts[tile] = start + part
     return parts
+
+
+def _split_tiles(scan: Scan, tops: np.ndarray) -> list[tuple[bool, np.ndarray]]:
+    """Return which tiles (N,) bool have the scan as the first one of its band, and which of them as a later one."""
+    groups = [(False, tops == scan.shift), (True, tops > scan.shift)]
+    return [group for group in groups if group[1].any()]
 
 
 def _find_tables(symbols: ScanSymbols, scan: Scan, refines: bool) -> np.ndarray:
@@ -165,16 +165,3 @@ def _start_of_scan(scan: Scan, refines: bool, components: int) -> bytes:
         table = min(number, 1) << 4 if scan.component is None else (REFINEMENT if refines else scan.table)
         content += bytes([number + 1, table])
     return _segment(0xDA, content + bytes([scan.first, scan.last, (scan.shift + 1 if refines else 0) << 4 | scan.shift]))
-
-
-def dequantize(quantized: np.ndarray, steps: np.ndarray, shifts: np.ndarray) -> np.ndarray:
-    """Return the coefficients (C, N, B, 64) float32 that a decoder has of tiles `quantized` (C, N, B, 64) of which the lowest `shifts`
-    (C, 64) bits are missing; those with a negative shift are missing wholly."""
-    magnitudes = (np.abs(quantized) >> np.maximum(shifts, 0)[:, None, None]) << np.maximum(shifts, 0)[:, None, None]
-    magnitudes[..., 0] = np.abs((quantized[..., 0] >> max(int(shifts[0, 0]), 0)) << max(int(shifts[0, 0]), 0))
-    return np.sign(quantized) * magnitudes * (steps * (shifts >= 0))[:, None, None].astype(np.float32)
-
-
-def count_blocks(side: int) -> int:
-    """Return the number of blocks of a tile of `side` pixels."""
-    return (side // BLOCK) ** 2
