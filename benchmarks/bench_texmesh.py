@@ -5,7 +5,8 @@ see texmesh_refits.py), `glb` (the Khronos validator, with --validator, see texm
 their switch distance, in views that the search did not use), `renders` (FLIP of levels by Farfield and by other programs against the
 original, see texmesh_renders.py), `targets` (subset levels, bit for bit), `paper` (Figures 4, 10 and 11, see texmesh_paper.py), `packages`
 (bytes until a model looks right, see texmesh_packages.py), `meshes` (bytes of meshes beside gltfpack and Draco, see texmesh_meshes.py),
-`server` (100,000 random requests of 100 clients at once, see texmesh_server.py).
+`server` (100,000 random requests of 100 clients at once, see texmesh_server.py), `sending` (packages over 200 replayed traces, see
+texmesh_sending.py).
 Each run generates other models, textures and views; --seed repeats one.
 """
 
@@ -30,6 +31,7 @@ from texmesh_packages import measure_packages
 from texmesh_paper import measure_paper
 from texmesh_refits import measure_refits
 from texmesh_renders import measure_renders
+from texmesh_sending import measure_sending
 from texmesh_server import measure_server
 
 from farfield.addon.core.errors import SettingsError
@@ -75,6 +77,7 @@ PARTS = {
     "packages": measure_packages,
     "meshes": measure_meshes,
     "server": measure_server,
+    "sending": measure_sending,
 }
 
 

@@ -131,8 +131,8 @@ def test_constant_rate_ends_within_one_increment_of_the_limit(rate):
 @given(st.integers(0, 10**6), st.floats(0.0, 0.5), st.floats(0.02, 0.15), st.floats(2.0, 8.0))
 @settings(max_examples=40, deadline=None)
 def test_deviation_is_within_its_bound(seed, variation, delay, limit):
-    """-(g + W) <= Pi <= e W, of the docstring. Estimates are means of rates within b (1 - v) to b (1 + v), and off by bytes that are reported
-    up to REPORT_INTERVAL late."""
+    """-(g + W) <= Pi <= e W, of the docstring. Estimates are means of rates within b (1 - v) to b (1 + v), and off by bytes that are
+    reported up to REPORT_INTERVAL late."""
     rng = random.Random(seed)
     rate = 5e5
     package = make_package(texture_size=6_000_000, increment_count=3000)

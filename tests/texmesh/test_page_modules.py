@@ -187,7 +187,7 @@ def test_page_knows_which_bytes_have_come(tmp_path):
 
 
 @needs_node
-def test_camera_shows_whole_object(tmp_path):
+def test_camera_shows_all_of_object(tmp_path):
     code = """
       const { Orbit } = await import(page + "orbit.js");
       const orbit = new Orbit({ addEventListener() {} }, () => {});

@@ -39,13 +39,13 @@ from .sending_state import Event, Flight, Job, Request, Server, Span, State
 FAST, SLOW = 0.3, 2.0  # seconds that the averages of rates look back
 GRACE = 0.1  # seconds without a byte that mean nothing
 FRACTION = 0.25  # of the remaining time for the next request
-MAX_REQUEST = 1.0  # seconds
+MAX_REQUEST, FIRST_REQUEST = 1.0, 0.3  # seconds that a request may take, with a rate that was measured and one that was not
 LEAD = 1.5  # delays before the line is free that the next request is sent
 EXCESS = 1.2  # of the time left, for all requests of a server, at which the newest is aborted
 MEASURED = 0.2  # seconds of measuring before a level is chosen
 LEVEL_MARGIN = 0.9  # fraction of the estimated bytes that a level and its increments may need
-SILENCE = 0.75  # seconds after which a request is given up
-MIN_PAUSE, MAX_PAUSE = 0.25, 8.0  # seconds without a request for a server that failed
+SILENCE = 0.5  # seconds after which a request is given up where there are other servers
+MIN_PAUSE, MAX_PAUSE = 0.25, 16.0  # seconds without a request for a server that failed: alone, and beside others
 MIN_RATE = 1000.0  # bytes per second
 ENDLESS = 1e9  # seconds
 
@@ -155,7 +155,7 @@ def _measure(server: Server, count: int, seconds: float) -> None:
 def _is_silent(state: State, flight: Flight) -> bool:
     server = state.servers[flight.server]
     since = max(flight.heard, min(server.heard, flight.due))
-    patience = max(SILENCE, 4.0 * server.delay) * (1 << min(server.failures, 3))
+    patience = max(SILENCE, 4.0 * server.delay) * (2 << min(server.failures, 3) if len(state.servers) == 1 else 1)
     return state.time - since > (patience if server.measured else 2.0 * patience)  # connecting takes longer
 
 
@@ -170,8 +170,16 @@ def _is_excess(state: State, flight: Flight) -> bool:
 def _pause(state: State, flight: Flight) -> None:
     """Let the server of a request alone for a while."""
     server = state.servers[flight.server]
-    server.until = state.time + min(MIN_PAUSE * (1 << 2 * min(server.failures, 3)), MAX_PAUSE)
-    server.failures += 1
+    if state.time >= server.until:  # not one of several requests that fail together
+        server.failed, server.until = state.time, state.time + min(MIN_PAUSE * (1 << 2 * min(server.failures, 3)), MAX_PAUSE)
+        server.failures += 1
+
+
+def _is_paused(state: State, index: int) -> bool:
+    """Return whether a server gets no request; if none may, each gets one again soon."""
+    server = state.servers[index]
+    is_needed = all(state.time < other.until for other in state.servers)
+    return state.time < server.until and not (is_needed and state.time >= server.failed + MIN_PAUSE)
 
 
 def _owe(state: State, flight: Flight) -> None:
@@ -190,10 +198,10 @@ def _ask(job: Job, state: State, requests: list[Request]) -> bool:
     owes_first = any(_is_first(job, span) for span in state.pending)
     for index, server in enumerate(state.servers):
         busy, rest, rate = _line(state, index)
-        if state.time >= server.until and (owes_first or busy <= LEAD * server.delay):
+        if not _is_paused(state, index) and (owes_first or busy <= LEAD * server.delay):
             lines.append((max(busy, server.delay), index, rest, rate))
     for start, index, rest, rate in sorted(lines):
-        span = _take(job, state, rest, rate, state.servers[index].delay)
+        span = _take(job, state, rest, rate, state.servers[index])
         if span is not None:
             due = state.time + start + (span.end - span.start) / rate
             state.flights.append(Flight(state.next_id, index, span, state.time, due, state.time))
@@ -216,15 +224,16 @@ def _line(state: State, index: int) -> tuple[float, float, float]:
     return busy, left if is_refining else left - max(busy, delay), rate
 
 
-def _take(job: Job, state: State, rest: float, rate: float, shortest: float) -> Span | None:
-    """Return the next span to ask for from a server that has `rest` seconds at `rate`, and remove it from what is owed."""
+def _take(job: Job, state: State, rest: float, rate: float, server: Server) -> Span | None:
+    """Return the next span to ask for from `server`, which has `rest` seconds at `rate`, and remove it from what is owed."""
     for position, span in enumerate(state.pending):
         if _is_first(job, span):
             return state.pending.pop(position)
     if rest <= 0.0 or job.ends is None:
         return None
     _choose_level(job, state)
-    seconds = rest if rest <= shortest else min(max(rest * FRACTION, shortest), MAX_REQUEST)
+    longest = MAX_REQUEST if server.measured >= MEASURED else FIRST_REQUEST
+    seconds = rest if rest <= server.delay else min(max(rest * FRACTION, server.delay), longest)
     owed_mesh = 0
     for span in state.pending:
         owed_mesh += span.end - span.start if span.file == MESH else 0
@@ -289,7 +298,7 @@ def _budget(state: State) -> float:
     budget = 0.0
     for index in range(len(state.servers)):
         _, rest, rate = _line(state, index)
-        if state.time >= state.servers[index].until:
+        if not _is_paused(state, index):
             budget += max(rest, 0.0) * rate
     return budget
 

@@ -38,7 +38,7 @@ class Job:
 @dataclass
 class Server:
     """What is known of a server: recent bytes and seconds of its line (two averages), the delay of its responses, when it was measured
-    and heard last, failures in a row, until when it gets no request."""
+    and heard last, failures in a row, when it failed last, until when others come first."""
 
     bytes: float
     seconds: float
@@ -49,6 +49,7 @@ class Server:
     mark: float = 0.0
     heard: float = 0.0
     failures: int = 0
+    failed: float = 0.0
     until: float = 0.0
 
 

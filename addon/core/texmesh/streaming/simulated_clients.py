@@ -65,6 +65,8 @@ class _SequentialClient:
         if event.id == self.next_id - 1 and not event.failed:
             if event.received == 0:
                 self.opened = event.time
+            elif self.parts is not None:
+                self.mask |= self.parts & (np.cumsum(np.where(self.parts, self.sizes, 0)) <= event.received)
             if event.received == self.span.end - self.span.start:
                 self._take(event.time)
                 return self._send(event.time), []
@@ -80,7 +82,7 @@ class _SequentialClient:
 
     def received(self) -> np.ndarray:
         """Return which increments have come, (N,) bool."""
-        return self.mask
+        return self.mask.copy()
 
     def mean_difference(self) -> float:
         """Return Lambda (eq. 9 of the paper), seconds."""
@@ -89,9 +91,7 @@ class _SequentialClient:
     def _take(self, time: float) -> None:
         self.differences.append(abs(time - self.asked - self.planned))
         self.measure(self.span.end - self.span.start, time)
-        if self.parts is not None:
-            self.mask |= self.parts
-        elif not self.queue:
+        if self.parts is None and not self.queue:
             self.shown = self.target  # level 0, or the one that was chosen
 
     def _send(self, time: float) -> list[Request]:
@@ -101,9 +101,8 @@ class _SequentialClient:
             for level in range(1, self.target + 1):
                 self.queue += self.job.added[level]
             self.queue += self.job.corners[self.target] if self.target else ()
-        self.parts = None
         if self.queue:
-            self.span = self.queue.pop(0)
+            self.span, self.parts = self.queue.pop(0), None
         else:
             self.parts = self.next_parts(time)
             self.span = None if self.parts is None else Span(TEXTURES, 0, int(self.sizes[self.parts].sum()))
@@ -136,7 +135,7 @@ class FixedClient(_SequentialClient):
 
     def next_parts(self, time: float) -> np.ndarray | None:
         """Return all increments that fit into the rest of the time at the initial rate, once."""
-        if self.mask.any() or not len(self.mask):
+        if self.parts is not None or not len(self.mask):
             return None
         count = int(np.searchsorted(np.cumsum(self.sizes), self.rate * (self.limit - time - self.delay), side="right"))
         return np.arange(len(self.mask)) < count if count else None

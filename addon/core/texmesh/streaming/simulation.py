@@ -209,7 +209,7 @@ class _Course:
 
     def __init__(self, network: Network, agent: CompensatingClient | FixedClient | PaperClient) -> None:
         self.network, self.agent = network, agent
-        self.at_limit = (-1, np.zeros(0, bool))
+        self.at_limit = (-1, agent.received())
         self.requests = self.aborted = 0
         self.finished, self.first_seen, self.first_textured = 0.0, math.inf, math.inf
 
@@ -233,7 +233,7 @@ class _Course:
         if event.id >= 0 or aborted or not self.finished:
             self.finished = event.time
         level, received = self.agent.level(), self.agent.received()
-        if event.time <= limit or not len(self.at_limit[1]):
+        if event.time <= limit:
             self.at_limit = (level, received)
         self.first_seen = min(self.first_seen, event.time if level >= 0 else math.inf)
         self.first_textured = min(self.first_textured, event.time if received.any() else math.inf)

@@ -14,8 +14,8 @@
 
 const MESH = "mesh.bin", TEXTURES = "textures.bin";
 const DEFAULT_RATE = 250000, DEFAULT_DELAY = 0.1, PRIOR_SECONDS = 0.1;
-const FAST = 0.3, SLOW = 2, GRACE = 0.1, FRACTION = 0.25, MAX_REQUEST = 1, LEAD = 1.5, EXCESS = 1.2, MEASURED = 0.2;
-const LEVEL_MARGIN = 0.9, SILENCE = 0.75, MIN_PAUSE = 0.25, MAX_PAUSE = 8, MIN_RATE = 1000, ENDLESS = 1e9;
+const FAST = 0.3, SLOW = 2, GRACE = 0.1, FRACTION = 0.25, MAX_REQUEST = 1, FIRST_REQUEST = 0.3, LEAD = 1.5, EXCESS = 1.2, MEASURED = 0.2;
+const LEVEL_MARGIN = 0.9, SILENCE = 0.5, MIN_PAUSE = 0.25, MAX_PAUSE = 16, MIN_RATE = 1000, ENDLESS = 1e9;
 const { abs, floor, max, min } = Math;
 
 /** What `manifest` has to send. */
@@ -37,7 +37,7 @@ export function buildJob(manifest) {
 export function begin(job, { limit, rate = 0, servers = 1, patience = 0, keepsRefining = false }) {
   const bytes = (rate || DEFAULT_RATE) * PRIOR_SECONDS;
   const server = { bytes, seconds: PRIOR_SECONDS, slowBytes: bytes, slowSeconds: PRIOR_SECONDS, delay: DEFAULT_DELAY };
-  Object.assign(server, { measured: 0, mark: 0, heard: 0, failures: 0, until: 0 });
+  Object.assign(server, { measured: 0, mark: 0, heard: 0, failures: 0, failed: 0, until: 0 });
   return {
     limit, patience, keepsRefining, servers: Array.from({ length: servers }, () => ({ ...server })), time: 0, flights: [],
     pending: [...job.first], nextId: 0, level: 0, added: 0, shown: -1, asked: 0, target: -1, ended: 0, difference: 0, latest: 0, responses: 0,
@@ -149,7 +149,7 @@ function measure(server, count, seconds) {
 function isSilent(state, flight) {
   const server = state.servers[flight.server];
   const since = max(flight.heard, min(server.heard, flight.due));
-  const patience = max(SILENCE, 4 * server.delay) * (1 << min(server.failures, 3));
+  const patience = max(SILENCE, 4 * server.delay) * (state.servers.length === 1 ? 2 << min(server.failures, 3) : 1);
   return state.time - since > (server.measured ? patience : 2 * patience); // connecting takes longer
 }
 
@@ -161,8 +161,16 @@ function isExcess(state, flight) {
 
 function pause(state, flight) {
   const server = state.servers[flight.server];
+  if (state.time < server.until) return; // one of several requests that fail together
+  server.failed = state.time;
   server.until = state.time + min(MIN_PAUSE * (1 << (2 * min(server.failures, 3))), MAX_PAUSE);
   server.failures += 1;
+}
+
+function isPaused(state, index) {
+  const server = state.servers[index];
+  const isNeeded = state.servers.every((other) => state.time < other.until);
+  return state.time < server.until && !(isNeeded && state.time >= server.failed + MIN_PAUSE);
 }
 
 function owe(state, flight) {
@@ -179,11 +187,11 @@ function ask(job, state, requests) {
   const lines = [];
   state.servers.forEach((server, index) => {
     const [busy, rest, rate] = line(state, index);
-    if (state.time >= server.until && (owesFirst || busy <= LEAD * server.delay)) lines.push([max(busy, server.delay), index, rest, rate]);
+    if (!isPaused(state, index) && (owesFirst || busy <= LEAD * server.delay)) lines.push([max(busy, server.delay), index, rest, rate]);
   });
   lines.sort((a, b) => a[0] - b[0] || a[1] - b[1]);
   for (const [start, server, rest, rate] of lines) {
-    const span = take(job, state, rest, rate, state.servers[server].delay);
+    const span = take(job, state, rest, rate, state.servers[server]);
     if (!span) continue;
     const due = state.time + start + (span.end - span.start) / rate;
     const id = state.nextId++;
@@ -208,12 +216,13 @@ function line(state, index) {
   return [busy, isRefining ? left : left - max(busy, delay), rate];
 }
 
-function take(job, state, rest, rate, shortest) {
+function take(job, state, rest, rate, server) {
   const owedFirst = state.pending.findIndex((span) => isFirst(job, span));
   if (owedFirst >= 0) return state.pending.splice(owedFirst, 1)[0];
   if (rest <= 0 || job.ends === null) return null;
   chooseLevel(job, state);
-  const seconds = rest <= shortest ? rest : min(max(rest * FRACTION, shortest), MAX_REQUEST);
+  const longest = server.measured >= MEASURED ? MAX_REQUEST : FIRST_REQUEST;
+  const seconds = rest <= server.delay ? rest : min(max(rest * FRACTION, server.delay), longest);
   let owedMesh = 0;
   for (const span of state.pending) owedMesh += span.file === MESH ? span.end - span.start : 0;
   for (const [position, span] of state.pending.entries()) {
@@ -261,7 +270,7 @@ function budgetOf(state) {
   let budget = 0;
   state.servers.forEach((server, index) => {
     const [, rest, rate] = line(state, index);
-    if (state.time >= server.until) budget += max(rest, 0) * rate;
+    if (!isPaused(state, index)) budget += max(rest, 0) * rate;
   });
   return budget;
 }
