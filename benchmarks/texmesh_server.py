@@ -5,6 +5,7 @@ import sys
 import tempfile
 import threading
 import time
+from argparse import Namespace
 from collections import Counter
 from contextlib import suppress
 from pathlib import Path
@@ -60,10 +61,10 @@ RANGES = (
 )
 
 
-def measure_server(seed: int, requests: int = REQUESTS) -> dict[str, Any]:
+def measure_server(given: Namespace) -> dict[str, Any]:
     """Send random requests to a server of a package that has secrets beside it, and return what it answered: how often each status, files
     that it opened, answers with a secret, and answers that are no part of the package."""
-    opened: list[str] = []
+    seed, opened = given.seed, []
     is_recording = True
 
     def record(event: str, arguments: tuple) -> None:
@@ -84,10 +85,10 @@ def measure_server(seed: int, requests: int = REQUESTS) -> dict[str, Any]:
             asyncio.run(_send_all(url, seed, CLIENTS, contents))  # the server imports what it needs
             sys.addaudithook(record)
             start = time.perf_counter()
-            outcome = asyncio.run(_send_all(url, seed, requests, contents))
+            outcome = asyncio.run(_send_all(url, seed, REQUESTS, contents))
             seconds = time.perf_counter() - start
             is_recording = False
-    return {"requests": requests, "clients": CLIENTS, "seconds": round(seconds, 1), "opened": opened, **outcome}
+    return {"requests": REQUESTS, "clients": CLIENTS, "seconds": round(seconds, 1), "opened": opened, **outcome}
 
 
 async def _send_all(url: str, seed: int, requests: int, contents: list[bytes]) -> dict[str, Any]:

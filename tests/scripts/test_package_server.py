@@ -124,7 +124,7 @@ def test_range_of_file(url, package):
     assert request(url, "/textures.bin", {"Range": "bytes=0-1"}, "HEAD")[::2] == (206, b"")
 
 
-def test_changed_file_is_sent_whole(url, package):
+def test_changed_file_is_sent_completely(url, package):
     tag = request(url, "/mesh.bin", method="HEAD")[1]["ETag"]
     assert request(url, "/mesh.bin", {"Range": "bytes=0-9", "If-Range": tag})[0] == 206
     assert request(url, "/mesh.bin", {"Range": "bytes=0-9", "If-Range": '"other"'})[0] == 200

@@ -20,7 +20,8 @@ from farfield.addon.core.texmesh.simplification.settings import SimplificationSe
 from farfield.addon.core.texmesh.streaming.manifest import MANIFEST, MESH, TEXTURES
 from farfield.addon.core.texmesh.streaming.mesh_coding import decode_level, dequantize
 from farfield.addon.core.texmesh.streaming.package import build_package
-from farfield.addon.core.texmesh.streaming.package_files import LEVELS_GLB, list_page_files, read_package
+from farfield.addon.core.texmesh.streaming.package_files import LEVELS_GLB, read_package
+from farfield.addon.core.texmesh.streaming.page_files import read_page
 from farfield.addon.core.texmesh.streaming.settings import PackageSettings
 from farfield.addon.core.texmesh.streaming.textures.partial_textures import decode_textures
 from lib import command_line
@@ -48,7 +49,7 @@ def test_a_package_of_an_object(folder):
     before = len(bpy.data.objects), len(bpy.data.meshes), len(bpy.data.images)
     assert bpy.ops.farfield.texmesh_package(folder=str(folder), **SMALL) == {"FINISHED"}
     assert (len(bpy.data.objects), len(bpy.data.meshes), len(bpy.data.images)) == before
-    assert {path.name for path in folder.iterdir()} == {MANIFEST, MESH, TEXTURES, LEVELS_GLB, *(path.name for path in list_page_files())}
+    assert {path.name for path in folder.iterdir()} == {MANIFEST, MESH, TEXTURES, LEVELS_GLB, *read_page()}
     content = read_package(folder)
     manifest = content.manifest
     assert manifest.name == "Bällchen" and len(manifest.levels) == 3

@@ -120,6 +120,18 @@ def test_something_is_shown_soon_and_all_within_limit(page, tmp_path):
     assert all(request.startswith((url, "data:")) for request in page.requests)
 
 
+def test_refining_goes_on_after_limit(page, package):
+    folder, manifest = package
+    with run_server(folder, line=LineRate(((1.0, 50_000.0),))) as url:
+        page.open(url)
+        page.wait_for(FINISHED)
+        assert page.evaluate("farfield.loader.passed") < manifest.increment_count
+        page.evaluate("document.getElementById('refine').click()")
+        page.wait_for(f"{FINISHED} && farfield.loader.passed === {manifest.increment_count}")
+        assert page.evaluate("farfield.loader.shown") == len(manifest.levels) - 1
+        assert page.evaluate("document.getElementById('status').textContent") == "Complete."
+
+
 @pytest.fixture(scope="module")
 def shown(page, package) -> Iterator[Page]:
     """The page with the whole package."""
@@ -180,8 +192,7 @@ def test_damage_is_found_and_repaired_from_mirror(page, package, tmp_path):
     write_files(tmp_path / "damaged", files | {MESH: bytes(damaged)})
     with run_server(tmp_path / "damaged") as url:
         page.open(url)
-        page.wait_for("document.getElementById('status')?.textContent")
-        assert "damaged" in page.evaluate("document.getElementById('status')?.textContent")
+        page.wait_for("document.getElementById('status')?.textContent.includes('is damaged')")
     with run_server(folder) as mirror:
         with_mirror = files["manifest.json"].replace(b'"mirrors":[]', b'"mirrors":["%s"]' % mirror.encode())
         write_files(tmp_path / "repaired", files | {MESH: bytes(damaged), "manifest.json": with_mirror})
@@ -198,13 +209,15 @@ def test_other_servers_and_packages(page, package, tmp_path):
     files = {name: (folder / name).read_bytes() for name in ("manifest.json", MESH, TEXTURES)}
     write_files(tmp_path / "whole", files | read_page())
     write_files(tmp_path / "newer", {"manifest.json": re.sub(rb'"version":1\b', b'"version":2', files["manifest.json"])})
+    lie = files["manifest.json"].replace(b'"mesh.bin":[', b'"mesh.bin":[1')
+    write_files(tmp_path / "lying", files | {"manifest.json": lie})
     write_files(tmp_path / "incomplete", {name: files[name] for name in ("manifest.json", MESH)})
     with run_static_server(tmp_path) as url:
         page.open(f"{url}whole/")
         page.wait_for(FINISHED)
         assert "whole files only" in page.evaluate("document.getElementById('status')?.textContent")
         assert page.evaluate("[farfield.loader.shown, farfield.loader.passed]") == [len(manifest.levels) - 1, manifest.increment_count]
-        for name, message in (("newer", "version 2"), ("incomplete", "404"), ("missing", "cannot be loaded")):
+        for name, message in (("newer", "version 2"), ("lying", "is damaged"), ("incomplete", "404"), ("missing", "cannot be loaded")):
             page.open(f"{url}whole/?package=../{name}")
             page.wait_for(f"document.getElementById('status')?.textContent.includes('{message}')")
 

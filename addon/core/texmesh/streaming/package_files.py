@@ -13,9 +13,8 @@ from ...files.file_access import convert_os_errors
 from .increments import Increments, decode_increments
 from .manifest import MANIFEST, MESH, TEXTURES, Manifest
 from .manifest_json import encode_manifest, read_manifest
+from .page_files import read_page
 
-PAGE_FOLDER = Path(__file__).resolve().parent / "page"
-PAGE_FILES = (".html", ".js", ".css")
 LEVELS_GLB = "levels.glb"
 
 
@@ -27,11 +26,6 @@ class PackageContent:
     increments: Increments
     mesh: bytes
     textures: bytes
-
-
-def list_page_files() -> list[Path]:
-    """Return the files of the page that shows packages, sorted."""
-    return sorted(path for path in PAGE_FOLDER.iterdir() if path.suffix in PAGE_FILES)
 
 
 def write_package(manifest: Manifest, contents: dict[str, bytes], folder: Path) -> None:
@@ -46,8 +40,8 @@ def write_package(manifest: Manifest, contents: dict[str, bytes], folder: Path) 
     with atomic_folder(folder) as temporary:
         for name, content in contents.items():
             (temporary / name).write_bytes(content)
-        for path in list_page_files():
-            (temporary / path.name).write_bytes(path.read_bytes())
+        for name, content in read_page().items():
+            (temporary / name).write_bytes(content)
         (temporary / MANIFEST).write_bytes(encode_manifest(manifest))
 
 

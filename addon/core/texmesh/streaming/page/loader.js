@@ -57,7 +57,7 @@ export class Loader {
   constructor(base, manifest, options, events) {
     const urls = [base, ...manifest.mirrors].map((url) => new URL(url, base));
     Object.assign(this, { urls, manifest, options, events, shown: -1, wanted: -1, exact: 0, passed: 0, tasks: 0, table: null });
-    Object.assign(this, { isWhole: false, isStopped: false, isTableWanted: false, ended: 0 });
+    Object.assign(this, { isWhole: false, isStopped: false, isTableWanted: false, ended: 0, rate: 0 });
     this.files = Object.fromEntries([MESH, TEXTURES].map((name) => [name, new PartialFile(name, manifest.files[name][0])]));
     this.line = new SimulatedLine(options.simulatedRate);
     this.requests = new Map(); // AbortControllers by id
@@ -71,7 +71,8 @@ export class Loader {
 
   /** Begin to load. */
   start() {
-    this.timer = setInterval(() => this.#decide({}), TICK_SECONDS * 1000);
+    clearInterval(this.timer);
+    this.timer = setInterval(() => (this.isFinished ? clearInterval(this.timer) : this.#decide({})), TICK_SECONDS * 1000);
     this.#decide({});
   }
 
@@ -99,7 +100,7 @@ export class Loader {
     const files = Object.values(this.files);
     const bytes = files.reduce((sum, file) => sum + file.intervals.reduce((part, [start, end]) => part + end - start, 0), 0);
     const ended = this.isWhole ? this.ended || this.time : this.state.ended;
-    const rate = this.isWhole ? bytes / ended : this.urls.reduce((sum, _, index) => sum + estimateRate(this.state, index, 1), 0);
+    const rate = this.isWhole ? bytes / ended : this.rate;
     const total = files.reduce((sum, file) => sum + file.size, 0) - this.manifest.checksums[1];
     return { bytes, total, rate, ended, deviation: ended - this.options.limit, difference: meanDifference(this.state) };
   }
@@ -107,12 +108,14 @@ export class Loader {
   /** Go on after the limit, or not. */
   set keepsRefining(value) {
     this.state = { ...this.state, keepsRefining: value };
+    this.start();
   }
 
   #decide(event) {
     if (this.isStopped || this.isWhole) return;
     let requests, aborted;
     [this.state, requests, aborted] = decide(this.job, this.state, { time: this.time, ...event });
+    if (event.received) this.rate = this.urls.reduce((sum, _, index) => sum + estimateRate(this.state, index, 1), 0);
     for (const id of aborted) this.requests.get(id)?.abort();
     for (const request of requests) this.#send(request);
   }

@@ -22,12 +22,12 @@ const orbit = new Orbit(element("view"), requestDraw);
 
 /** Draw with the next frame of the screen. */
 function requestDraw() {
-  if (isRequested || !renderer?.program) return;
+  if (isRequested || !renderer?.materials) return;
   isRequested = true;
   requestAnimationFrame(() => {
     isRequested = false;
-    const isCurrent = renderer.draw(orbit, isSettled);
-    if (renderer.mesh) session.firstImage ??= (performance.now() - session.start) / 1000;
+    const isFree = !renderer.isBusy, isCurrent = isFree && renderer.draw(orbit, isSettled);
+    if (isFree && renderer.mesh) session.firstImage ??= (performance.now() - session.start) / 1000;
     if (!isCurrent) requestDraw();
   });
 }
@@ -40,7 +40,11 @@ function resize() {
 
 function report(sentence) {
   if (!session.problems.includes(sentence)) session.problems.push(sentence);
-  element("status").textContent = session.problems.join(" ");
+  showStatus();
+}
+
+function showStatus(result = "") {
+  element("status").textContent = [...session.problems, result].join(" ").trim();
 }
 
 /** Load the package from the beginning. coming: a promise of its manifest. */
@@ -49,7 +53,7 @@ async function load(coming = fetchManifest(base), start = performance.now()) {
   Object.assign(session, { start, firstImage: null, problems: [] });
   isSettled = false;
   levels = [];
-  element("status").textContent = "";
+  showStatus();
   let manifest;
   try {
     manifest = await coming;
@@ -74,14 +78,8 @@ async function load(coming = fetchManifest(base), start = performance.now()) {
     },
     problem: report,
   });
-  loader.start(); // first: requests are under way while shaders are compiled
+  loader.start(); // first: requests are under way while textures are created
   document.title = element("name").textContent = manifest.name;
-  try {
-    if (!renderer) createRenderer();
-  } catch (error) {
-    loader.stop();
-    return report(error.message);
-  }
   renderer.start(manifest);
   if (renderer.isReduced) report("Textures are shown at a lower resolution, because the graphics processor has a limit.");
   orbit.frame(manifest.bounds);
@@ -124,6 +122,7 @@ function showMeasures() {
   element("deviation").title = `Mean difference between planned and actual times of requests: ${difference.toFixed(3)} s`;
   if (loader.decoder.failures) report(`${loader.decoder.failures} times, a tile of a texture could not be decoded.`);
   if (!loader.options.simulatedRate) writeHistory(rate);
+  showStatus(bytes < total ? "Stopped at the time limit." : "Complete.");
   requestDraw();
 }
 
@@ -184,8 +183,14 @@ element("levels").addEventListener("change", showLevel);
 element("refine").addEventListener("change", ({ target }) => {
   if (loader) loader.keepsRefining = target.checked;
   isSettled = false;
+  showStatus();
 });
 element("restart").addEventListener("click", () => load());
 for (const id of ["bandwidth", "limit"]) element(id).addEventListener("change", () => load());
 setInterval(showMeasures, FRAME_MILLISECONDS);
-load(first, 0); // the user's wish began with the navigation to the page
+try {
+  createRenderer(); // while the manifest comes, not later: nobody would notice the responses to the first requests in time
+  load(first, 0); // the user's wish began with the navigation to the page
+} catch (error) {
+  report(error.message);
+}

@@ -64,7 +64,9 @@ export async function openRange(url, file, start, end, line, signal) {
   const isWhole = response.status === 200;
   const range = /^bytes (\d+)-(\d+)\/(\d+)$/.exec(response.headers.get("Content-Range") ?? "");
   if (!isWhole && response.status !== 206) throw new Error(`The server answers ${response.status} for ${url}.`);
-  if (range && (+range[1] !== start || +range[3] !== file.size)) throw new DamageError(file.name);
+  const length = isWhole && !response.headers.has("Content-Encoding") ? response.headers.get("Content-Length") : null;
+  const isOther = range ? +range[1] !== start || +range[3] !== file.size : length !== null && +length !== file.size;
+  if (isOther) throw new DamageError(file.name);
   return { isWhole, parts: readParts(response.body.getReader(), file, isWhole ? [0, file.size] : [start, end], line, signal) };
 }
 

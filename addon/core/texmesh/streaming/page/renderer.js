@@ -1,9 +1,9 @@
 // Draws a textured mesh with WebGL 2: without light, as the texture is, or with a light at the viewer.
 
-const MIPMAP_SECONDS = 0.25; // between two updates of the mipmaps while tiles come
-const MAX_TEXELS = 2 ** 27; // of a texture on the graphics processor; larger ones are halved
+const MIPMAP_SECONDS = 0.25, MIPMAP_FACTOR = 4; // between two updates of mipmaps while tiles come; also relative to the time for an image
+const MAX_TEXELS = 2 ** 26; // of a texture on the graphics processor; larger ones are halved
 const MAX_ANISOTROPY = 4;
-const EMPTY = [0.5, 0.5, 0.5, 1]; // what a tile shows before it comes
+const GRAY = [0.216, 0.216, 0.216, 1], FLAT = [0.5, 0.5, 1, 1]; // what tiles show before they come: middle gray of sRGB, no relief
 const COLOR_ROLES = ["base_color", "emission"]; // stored in sRGB
 const UNITS = { base_color: 0, normal: 1 }; // texture units of the roles that are drawn
 
@@ -59,7 +59,8 @@ void main() {
 }`;
 
 export class Renderer {
-  /** Throws if the browser has no WebGL 2. lost: called when the browser has taken the graphics context and returned it; all is to be set again. */
+  /** Throws if the browser has no WebGL 2. lost: called when the browser has taken the graphics context and returned it; then all is to be set
+   * again, from `start` on. */
   constructor(canvas, lost) {
     this.canvas = canvas;
     this.isLit = false;
@@ -67,13 +68,17 @@ export class Renderer {
     this.gl = canvas.getContext("webgl2", options);
     if (!this.gl) throw new Error("This browser has no WebGL 2, or it is turned off. Use another browser, or turn on hardware acceleration.");
     canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
-    canvas.addEventListener("webglcontextrestored", lost);
+    canvas.addEventListener("webglcontextrestored", () => {
+      this.textures = [];
+      this.#prepare();
+      lost();
+    });
+    this.textures = [];
+    this.#prepare();
   }
 
-  /** Prepare to draw the package of `manifest`; nothing has come of it. */
-  start(manifest) {
+  #prepare() {
     const { gl } = this;
-    for (const { texture } of this.textures ?? []) gl.deleteTexture(texture);
     this.anisotropy = gl.getExtension("EXT_texture_filter_anisotropic");
     this.program = buildProgram(gl);
     this.uniforms = {};
@@ -81,9 +86,19 @@ export class Renderer {
       const { name } = gl.getActiveUniform(this.program, i);
       this.uniforms[name] = gl.getUniformLocation(this.program, name);
     }
-    Object.assign(this, { materials: manifest.materials, mesh: null, outdated: new Set(), updated: -Infinity });
+    this.outdated = new Set(); // textures whose mipmaps are older than they are
     this.white = this.#createTexture({ role: "base_color", width: 1, height: 1, tile_size: 1 }, [1, 1, 1, 1]);
-    this.textures = manifest.textures.map((description) => this.#createTexture(description, EMPTY));
+    this.mesh = null;
+  }
+
+  /** Prepare to draw the package of `manifest`; nothing has come of it. */
+  start(manifest) {
+    for (const { texture } of this.textures) {
+      this.gl.deleteTexture(texture);
+      this.outdated.delete(texture);
+    }
+    Object.assign(this, { materials: manifest.materials, mesh: null, updated: -Infinity, pause: 0, fence: null });
+    this.textures = manifest.textures.map((description) => this.#createTexture(description, description.role === "normal" ? FLAT : GRAY));
   }
 
   /** Whether textures are smaller than in the package, because of the limits of the graphics processor. */
@@ -126,10 +141,21 @@ export class Renderer {
     this.outdated.add(texture);
   }
 
-  /** The side in pixels that bitmaps of tiles of a texture must have. */
+  /** The side in pixels that bitmaps of tiles of a texture must have, 0 for that of the tile. */
   tileSide(index) {
     const { shift, description } = this.textures[index];
-    return Math.max(description.tile_size >> shift, 1);
+    return shift && Math.max(description.tile_size >> shift, 1);
+  }
+
+  /** Whether the graphics processor has not finished the last image: more images or tiles would only wait for it. */
+  get isBusy() {
+    const { gl } = this, now = performance.now() / 1000;
+    if (!this.fence || gl.isContextLost()) return false;
+    if (gl.getSyncParameter(this.fence, gl.SYNC_STATUS) !== gl.SIGNALED) return true;
+    gl.deleteSync(this.fence);
+    this.fence = null;
+    this.pause = Math.max(MIPMAP_SECONDS, MIPMAP_FACTOR * (now - this.drawn));
+    return false;
   }
 
   /** Draw an image seen by `camera`, an Orbit. Returns false if mipmaps are older than the textures: then draw again soon. isFinal: update
@@ -166,12 +192,13 @@ export class Renderer {
       gl.drawElements(gl.TRIANGLES, 3 * count, gl.UNSIGNED_INT, 12 * first);
       first += count;
     });
+    if (!this.fence) [this.fence, this.drawn] = [gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0), performance.now() / 1000];
     return !this.outdated.size;
   }
 
   #updateMipmaps(isFinal) {
     const { gl } = this, now = performance.now() / 1000;
-    if (!this.outdated.size || (!isFinal && now < this.updated + MIPMAP_SECONDS)) return;
+    if (!this.outdated.size || (!isFinal && now < this.updated + this.pause)) return;
     for (const texture of this.outdated) {
       gl.bindTexture(gl.TEXTURE_2D, texture);
       gl.generateMipmap(gl.TEXTURE_2D);

@@ -2,6 +2,7 @@
 
 const END_OF_IMAGE = new Uint8Array([0xff, 0xd9]);
 const MAX_DECODERS = 4; // at once
+const PAUSE = 8, MAX_PAUSE = 50; // of a decoder after a tile, relative to the time that the tile took to be shown, and in milliseconds
 const FIELDS = [["textures", 1], ["tiles", 2], ["headers", 1], ["scans", 1], ["sizes", 4], ["gains", 2]]; // bytes, as in increments.py
 export const ROW_BYTES = 11;
 
@@ -34,7 +35,7 @@ export function countTiles({ width, height, tile_size: side }) {
 }
 
 /** Decodes tiles in the background and passes (texture index, tile index, ImageBitmap) to `show`, which closes the bitmap. sideOf(texture index):
- * the side in pixels that bitmaps are to have. */
+ * the side in pixels that bitmaps are to have, 0 for that of the tile. */
 export class TileDecoder {
   constructor(manifest, show, sideOf) {
     this.headers = manifest.textures.map((texture) => texture.headers.map(bytesOfHex));
@@ -76,9 +77,11 @@ export class TileDecoder {
       tile.isDecoding = true; // one after the other, or an older state could come last
       try {
         const file = new Blob([...tile.parts, END_OF_IMAGE], { type: "image/jpeg" });
-        const [resizeWidth, resizeHeight] = Array(2).fill(this.sideOf(tile.texture));
-        const options = { colorSpaceConversion: "none", premultiplyAlpha: "none", resizeWidth, resizeHeight, resizeQuality: "high" };
-        this.show(tile.texture, tile.index, await createImageBitmap(file, options));
+        const side = this.sideOf(tile.texture), size = side ? { resizeWidth: side, resizeHeight: side, resizeQuality: "high" } : {};
+        const bitmap = await createImageBitmap(file, { colorSpaceConversion: "none", ...size }), start = performance.now();
+        this.show(tile.texture, tile.index, bitmap);
+        const pause = Math.min(PAUSE * (performance.now() - start), MAX_PAUSE); // for requests and input; meanwhile more scans of waiting tiles come
+        if (pause > 1) await new Promise((resolve) => setTimeout(resolve, pause));
       } catch (error) {
         if (!(error instanceof DOMException)) throw error;
         this.failures++; // a damaged tile: the rest is shown nevertheless
