@@ -19,12 +19,14 @@ from .correspondence import compute_uv_scale, match_islands
 from .deviation_quadrics import DeviationQuadrics
 from .edge_flips import flip_edges
 from .edge_splits import split_edges, split_far_edges
+from .fine_surface import FineSurface
+from .folds import avoid_folds
 from .least_squares import Linearization, compute_moments
 from .level_state import LevelState, attach
-from .outliers import approach, flip_outliers, measure_distances
+from .outlier_repair import approach, flip_outliers
+from .outliers import measure_distances
 from .sampling import sample_surface
 from .settings import RefitSettings
-from .spikes import FineSurface, avoid_folds
 from .uv_moves import move_uvs
 
 MIN_SAMPLES, MAX_SAMPLES = 16_000, 300_000  # per level
@@ -38,7 +40,7 @@ FLIP_ROUNDS = 1  # per iteration
 SPLIT_PARTS = 2  # the splits are divided into so many iterations, each after the fit has followed the one before
 LATE_SPLIT_FRACTION = 0.4  # of all splits, those of the edges that are farthest after the fit
 LATE_SPLITS = 2  # rounds of repair in which edges are split
-REPAIR_ROUNDS = 5
+REPAIR_ROUNDS = 5  # of flips and moves of outliers
 PEAK_SCALE = 4.0  # squared distances count more if they are large compared with this multiple of their mean
 MAX_EMPHASIS = 3.0
 SIMPLIFICATION_FRACTION = 0.1  # of the progress, for the simplification
