@@ -17,9 +17,9 @@ from .level_state import LevelState
 
 LIMIT_FACTOR = 4.5  # of the root mean squared distance: points that are farther are outliers
 MIN_LIMIT = 1e-9  # of the size of the level: below, distances are rounding
-MAX_OUTLIER_FRACTION = 0.01  # of vertices and middles of edges: with more of them, the limit is larger
+MAX_OUTLIER_FRACTION = 0.01  # of vertices and midpoints of edges: with more of them, the limit is larger
 EDGE_FRACTIONS = np.array([0.25, 0.5, 0.75])  # along an edge, where its distance is measured
-NEAR_FRACTION = 0.5  # of the limit, up to which middles and ends of an edge tell that no point of it is an outlier
+NEAR_FRACTION = 0.5  # of the limit, up to which midpoints and ends of an edge tell that no point of it is an outlier
 ATTRACTED_FRACTION = 0.9  # of the limit, from which on points are attracted, so that they do not become outliers
 
 
@@ -87,15 +87,15 @@ def measure_distances(state: LevelState, surface: FineSurface, previous: LevelDi
 
 
 def _measure_coarsely(points: np.ndarray, edges: Edges, surface: FineSurface, min_limit: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return estimates of the distances of `points` (N, 3) from those of vertices and middles of edges, which are near, (N,) bool, and the
+    """Return estimates of the distances of `points` (N, 3) from those of vertices and midpoints of edges, which are near, (N,) bool, and the
     limit above which they are outliers, at least `min_limit`."""
     count = edges.vertex_count
-    middles = count + len(EDGE_FRACTIONS) * np.arange(len(edges.ends)) + len(EDGE_FRACTIONS) // 2
-    measured = np.concatenate([np.arange(count), middles])
+    midpoints = count + len(EDGE_FRACTIONS) * np.arange(len(edges.ends)) + len(EDGE_FRACTIONS) // 2
+    measured = np.concatenate([np.arange(count), midpoints])
     distances = np.empty(len(points))
     distances[measured] = surface.measure_distances(points[measured])
     limit = max(min_limit, float(np.quantile(distances[measured], 1.0 - MAX_OUTLIER_FRACTION)))
-    highest = np.maximum(distances[middles], distances[edges.ends].max(axis=1))
+    highest = np.maximum(distances[midpoints], distances[edges.ends].max(axis=1))
     distances[count:] = np.repeat(highest, len(EDGE_FRACTIONS))
     return distances, distances <= NEAR_FRACTION * limit, limit
 
