@@ -15,7 +15,7 @@ from .outliers import LevelDistances
 
 SHORT_EDGE_FACTOR = 0.25  # of the deviation that counts for edges that are not the longest of their triangle
 MIN_UV_FRACTION = 0.1  # area of a new triangle in UV space relative to the one that is divided
-MAX_CANDIDATES = 4  # for each added triangle
+MIN_CANDIDATES, CANDIDATES_PER_TRIANGLE = 32, 4  # edges that are examined, and more of them per added triangle
 MAX_CURVE_DISTANCE = 0.5  # of the length of an edge on a border: distance of its middle from the border of the fine mesh
 
 
@@ -84,7 +84,7 @@ def split_far_edges(state: LevelState, measured: LevelDistances, count: int, sur
     uvs[rows] = others[rows] = state.samples.uvs[samples]
     has_point = np.zeros(len(scores), bool)
     has_point[rows] = True
-    candidates = np.argsort(-scores, kind="stable")[: MAX_CANDIDATES * count]
+    candidates = np.argsort(-scores, kind="stable")[: CANDIDATES_PER_TRIANGLE * count + MIN_CANDIDATES]
     sought = candidates[~has_point[candidates]]
     points[sought] = surface.find_positions(points[sought], uvs[sought], state.islands[found.first[sought] // 3])
     is_proper = np.zeros(len(scores), bool)

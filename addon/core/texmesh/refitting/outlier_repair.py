@@ -50,6 +50,26 @@ def approach(state: LevelState, surface: FineSurface, measured: LevelDistances, 
     return state.move(_withdraw(state, vertices, surface, measured))
 
 
+def pull_back(state: LevelState, surface: FineSurface, measured: LevelDistances) -> LevelState:
+    """Return the level with outlying vertices, and ends of outlying edges, where the fine mesh has their texture coordinates, as far as
+    that makes no other outlier.
+
+    measured: of `state`.
+    """
+    mesh = state.mesh
+    is_far = measured.at_vertices > measured.limit
+    is_far[measured.edges.ends[(measured.at_edges > measured.limit).any(axis=1)]] = True
+    corners = np.zeros(len(mesh.vertices), np.int64)
+    corners[mesh.triangles.ravel()] = np.arange(mesh.triangles.size)
+    far = np.flatnonzero(is_far)
+    if not len(far):
+        return state
+    vertices = mesh.vertices.copy()
+    uvs = mesh.uvs[mesh.wedge_triangles.ravel()[corners[far]]]
+    vertices[far] = surface.find_positions(mesh.vertices[far], uvs, state.islands[corners[far] // 3])
+    return state.move(_withdraw(state, unfold(state, vertices, surface), surface, measured))
+
+
 def _attract(state: LevelState, measured: LevelDistances) -> LevelState:
     """Return the level with samples added that attract the outliers."""
     count = len(measured.distances)

@@ -23,7 +23,7 @@ from .fine_surface import FineSurface
 from .folds import avoid_folds
 from .least_squares import Linearization, compute_moments
 from .level_state import LevelState, attach
-from .outlier_repair import approach, flip_outliers
+from .outlier_repair import approach, flip_outliers, pull_back
 from .outliers import measure_distances
 from .sampling import sample_surface
 from .settings import RefitSettings
@@ -120,7 +120,7 @@ def _repair(state: LevelState, surface: FineSurface, curves: BorderCurves, uv_sc
     for index in range(REPAIR_ROUNDS):
         missing = target - len(state.mesh.triangles)
         if missing > 0 and index < LATE_SPLITS:
-            missing = -(-missing // (LATE_SPLITS - index))
+            missing = min(2 * -(-missing // (2 * (LATE_SPLITS - index))), missing)  # most edges add two triangles
             state = split_far_edges(state, measured, missing, surface, curves)
             state = _move(flip_edges(state, FLIP_ROUNDS), curves, uv_scale, MIN_DAMPING)
             measured = measure_distances(state, surface, measured)
@@ -128,10 +128,10 @@ def _repair(state: LevelState, surface: FineSurface, curves: BorderCurves, uv_sc
         if flipped is not state:
             state, measured = flipped, measure_distances(flipped, surface, measured)
         moved = approach(state, surface, measured, uv_scale)
-        if moved is state:
+        if moved is state and index >= LATE_SPLITS:
             break
         state, measured = moved, measure_distances(moved, surface, measured)
-    return state
+    return pull_back(state, surface, measured)
 
 
 def _move(state: LevelState, curves: BorderCurves, uv_scale: float, damping: float) -> LevelState:
