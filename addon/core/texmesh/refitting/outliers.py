@@ -87,8 +87,8 @@ def measure_distances(state: LevelState, surface: FineSurface, previous: LevelDi
 
 
 def _measure_coarsely(points: np.ndarray, edges: Edges, surface: FineSurface, min_limit: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return estimates of the distances of `points` (N, 3) from those of vertices and midpoints of edges, which are near, (N,) bool, and the
-    limit above which they are outliers, at least `min_limit`."""
+    """Return estimates of the distances of `points` (N, 3) from those of vertices and midpoints of edges, which are near, (N,) bool, and
+    the limit above which they are outliers, at least `min_limit`."""
     count = edges.vertex_count
     midpoints = count + len(EDGE_FRACTIONS) * np.arange(len(edges.ends)) + len(EDGE_FRACTIONS) // 2
     measured = np.concatenate([np.arange(count), midpoints])
