@@ -188,7 +188,7 @@ def _packed_size(source: Path, folder: Path, ratio: float) -> int:
     target = folder / "packed.glb"
     flags = [] if ratio >= 1.0 else ["-si", f"{ratio:.6f}", "-se", "1"]
     program = os.environ.get(GLTFPACK, "gltfpack")
-    subprocess.run([program, "-i", str(source), "-o", str(target), "-cc", *flags], check=True, capture_output=True)
+    subprocess.run([program, "-i", str(source), "-o", str(target), "-cc", "-km", "-kv", *flags], check=True, capture_output=True)
     content = target.read_bytes()
     return min(len(content), len(gzip.compress(content, 9)))
 
