@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from farfield.addon.core.errors import SettingsError
+from farfield.addon.core.geometry.directions import fibonacci_sphere
 from farfield.addon.core.imaging.mipmaps import build_mipmaps
 from farfield.addon.core.texmesh.perception import views
 from farfield.addon.core.texmesh.perception.level_choice import RANGE_MARGIN, LevelBudget, LevelOption, choose_levels
@@ -72,7 +73,7 @@ def test_flip_tells_which_scales_can_be_dropped():
     frame = views.frame_around(meshes[0].vertices)
     textures = [build_mipmaps(checkered())]
     surfaces = [views.prepare_surface(mesh, textures) for mesh in meshes]
-    images = [LevelImages(surface, frame, views.turning_directions(2), settings.pixels_per_degree) for surface in surfaces]
+    images = [LevelImages(surface, frame, fibonacci_sphere(2), settings.pixels_per_degree) for surface in surfaces]
     check = SwitchCheck(images, [0.0, 0.1, 0.1], settings)
     assert check(0, 1) and not check(0, 2) and not check(1, 2)
     assert keep_visible_scales(np.array([False, False]), check).tolist() == [False, True]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from farfield.addon.core.geometry.cameras import pixel_size_at, switch_distance
+from farfield.addon.core.geometry.directions import fibonacci_sphere
 from farfield.addon.core.imaging.mipmaps import build_mipmaps, resize_by_area
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.perception import switch_distances, views
@@ -27,12 +28,8 @@ def find_switches(levels: list[views.ViewedSurface], settings: PerceptionSetting
     return run_to_end(switch_distances.find_switches(switch_distances.open_images(levels, settings), settings, gap))
 
 
-def test_views_turn_around_the_object():
-    directions = views.turning_directions(8)
-    assert np.allclose(np.linalg.norm(directions, axis=1), 1.0)
-    azimuths = np.unwrap(np.arctan2(directions[:, 1], directions[:, 0]))
-    assert np.allclose(np.diff(azimuths), np.pi / 4.0)
-    for direction in [*directions, np.array([0.0, 0.0, 1.0])]:
+def test_axes_of_views_are_right_handed():
+    for direction in [*fibonacci_sphere(8), np.array([0.0, 0.0, 1.0])]:
         axes = views.view_axes(direction)
         assert np.allclose(axes @ axes.T, np.eye(3)) and np.linalg.det(axes) > 0.0
 
@@ -40,7 +37,7 @@ def test_views_turn_around_the_object():
 def test_a_render_shows_the_disc_of_a_sphere_lit_from_the_viewer():
     surface = views.prepare_surface(textured_sphere(64), [None])
     frame = views.frame_around(surface.vertices)
-    image = views.render(surface, views.turning_directions(3)[1], frame, 200)
+    image = views.render(surface, fibonacci_sphere(3)[1], frame, 200)
     assert abs(image.coverage.mean() - math.pi / frame.side**2) < 2e-3
     assert np.allclose(image.colors[100, 100], views.PLAIN_COLOR, atol=0.01)
     offset = int(0.5 / frame.side * 200)  # halfway to the rim, where the normal deviates by 30 degrees
@@ -51,7 +48,7 @@ def test_a_render_shows_the_disc_of_a_sphere_lit_from_the_viewer():
 
 def test_small_renders_are_resized_large_ones():
     surface = surfaces(24)[0]
-    frame, direction = views.frame_around(surface.vertices), views.turning_directions(4)[0]
+    frame, direction = views.frame_around(surface.vertices), fibonacci_sphere(4)[0]
     small, large = (resize_by_area(views.render(surface, direction, frame, size).colors, 32) for size in (64, 512))
     assert np.abs(small - large).mean() < 0.02
 
@@ -78,11 +75,12 @@ def test_levels_look_the_same_where_they_switch_and_differ_nearer():
     frame = views.frame_around(levels[0].vertices)
     for index, switch in enumerate(switches):
         assert switch.limit != "farthest" and switch.difference <= 0.04 and switch.local_difference <= 0.2
-        pair = [LevelImages(level, frame, views.turning_directions(5), SETTINGS.pixels_per_degree) for level in levels[index : index + 2]]
+        pair = [LevelImages(level, frame, fibonacci_sphere(5), SETTINGS.pixels_per_degree) for level in levels[index : index + 2]]
         other_views = measure_difference(*pair, switch.pixels, range(5))
         assert other_views.means.max() <= 0.05
         if switch.limit == "":
-            nearer = measure_difference(*pair, min(3 * switch.pixels, 128), range(5))
+            pair = switch_distances.open_images(levels[index : index + 2], SETTINGS)
+            nearer = measure_difference(*pair, min(3 * switch.pixels, 128), range(SETTINGS.views))
             assert nearer.is_seen(SETTINGS)
 
 

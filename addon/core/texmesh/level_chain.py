@@ -138,6 +138,8 @@ def make_levels(
         switches = yield from subprogress(find_switches(images, settings.perception, gap=1), 0.95, 1.0)
     else:
         shown, switches = yield from subprogress(find_shown_levels(images, settings.perception), 0.95, 1.0)
+        large = max(1, sum(switch.pixels >= MIN_PIXELS for switch in switches))  # refitted levels may switch nearer than expected
+        shown, switches = shown[: 1 + large], switches[:large]
         kept = [kept[index] for index in shown]
     made = [_to_level(item, switch) for item, switch in zip(kept, [None, *switches], strict=True)]
     tried = tuple((len(item.mesh.triangles), size) for item, size in zip(candidates, pixel_sizes, strict=True))

@@ -11,10 +11,11 @@ from typing import Literal
 
 import numpy as np
 
+from ...geometry.directions import fibonacci_sphere
 from ...jobs.progress import Progress, Steps
 from .level_images import TIERS, Difference, LevelComparison, LevelImages, measure_difference
 from .settings import PerceptionSettings
-from .views import ViewedSurface, frame_around, turning_directions
+from .views import ViewedSurface, frame_around
 
 MIN_IMAGE = 1  # pixels per side of the smallest image that is compared
 SIZES = (32, 64, 128, 256, 512, 1024, 2048)  # pixels per side, of a first search
@@ -44,7 +45,7 @@ class Switch:
 def open_images(levels: Sequence[ViewedSurface], settings: PerceptionSettings, opened: Sequence[LevelImages] = ()) -> list[LevelImages]:
     """Return the images of `levels` of one object, finest first, in all views around it. Those of the first ones may be `opened` already,
     others are not rendered yet."""
-    frame, directions = frame_around(levels[0].vertices), turning_directions(settings.views)
+    frame, directions = frame_around(levels[0].vertices), fibonacci_sphere(settings.views)
     added = [LevelImages(level, frame, directions, settings.pixels_per_degree) for level in levels[len(opened) :]]
     return [*opened, *added]
 

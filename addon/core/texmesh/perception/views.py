@@ -1,4 +1,4 @@
-"""Renders of textured meshes from turning views, as small as they appear from a distance (section IV.A: all silhouettes are examined).
+"""Renders of textured meshes from all around, as small as they appear from a distance (section IV.A: all silhouettes are examined).
 
 Views are orthographic: from where levels switch, objects are small in the visual field. A render has more samples than the images that
 `resize_by_area` makes of it, so that silhouettes are antialiased at every size.
@@ -14,7 +14,6 @@ from ...imaging.mipmaps import Mipmaps, measure_footprints, sample_mipmaps
 from ...imaging.raster import draw_ids
 from ..textured_mesh import TexturedMesh
 
-ELEVATIONS = (np.radians(15.0), np.radians(-10.0), np.radians(40.0), np.radians(-35.0))  # of successive views around the object
 PLAIN_COLOR = 0.6  # linear, of materials without a texture
 AMBIENT = 0.25  # fraction of the color that shows without the headlight
 BACKGROUND = 0.214  # linear; middle gray as displayed
@@ -79,13 +78,6 @@ def find_corner_normals(mesh: TexturedMesh) -> np.ndarray:
     corners = vertex_normals(mesh.vertices, mesh.triangles)[mesh.triangles]
     is_sharp = np.einsum("tci,ti->tc", corners, faces) < MIN_SMOOTH_COSINE
     return np.where(is_sharp[..., None], faces[:, None], corners).astype(np.float32)
-
-
-def turning_directions(count: int) -> np.ndarray:
-    """Return (count, 3) unit directions towards the viewer: a full circle about z, at elevations that alternate."""
-    azimuths = 2.0 * np.pi * np.arange(count) / count
-    elevations = np.resize(ELEVATIONS, count)
-    return np.stack([np.cos(elevations) * np.cos(azimuths), np.cos(elevations) * np.sin(azimuths), np.sin(elevations)], axis=1)
 
 
 def frame_around(vertices: np.ndarray) -> Frame:

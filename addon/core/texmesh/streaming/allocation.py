@@ -10,10 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from ...geometry.directions import fibonacci_sphere
 from ...imaging.mipmaps import Mipmaps
 from ...jobs.progress import Progress, Steps
 from ..perception.level_images import LevelImages, measure_difference
-from ..perception.views import frame_around, prepare_surface, turning_directions
+from ..perception.views import frame_around, prepare_surface
 from ..textured_mesh import TexturedMesh
 from .manifest import PlanRow
 
@@ -70,7 +71,7 @@ def measure_errors(
             the first so many increments. pixels: size of the object in the image.
     """
     size = min(pixels, MAX_IMAGE)
-    frame, directions = frame_around(levels[-1].vertices), turning_directions(VIEWS)
+    frame, directions = frame_around(levels[-1].vertices), fibonacci_sphere(VIEWS)
 
     def images(level: int, textures: Textures) -> LevelImages:
         return LevelImages(prepare_surface(levels[level], textures, is_lit=True), frame, directions, pixels_per_degree)
