@@ -39,8 +39,8 @@ from texmesh_packages import measure_packages
 from texmesh_paper import measure_paper
 from texmesh_refits import measure_refits
 from texmesh_renders import measure_renders
-from texmesh_textures import measure_textures
 from texmesh_sending import measure_sending
+from texmesh_textures import measure_textures
 
 from farfield.addon.core.errors import SettingsError
 from lib import command_line
