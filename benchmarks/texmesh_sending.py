@@ -40,17 +40,24 @@ def make_package(rng: np.random.Generator) -> SentPackage:
     table = 6 * count
     ends = table + 4 * count + np.cumsum(scan_sizes[order])
     level_errors = 0.005 + rng.uniform(0.1, 0.3) * rng.uniform(0.35, 0.5) ** np.arange(levels)
-    job = Job(
-        (*spans[0], Span(TEXTURES, 0, table)),
-        spans,
-        tuple((level, count, float(error)) for level, error in enumerate(level_errors)),
-        table + 4 * count,
-        tuple(ends.tolist()),
-    )
-    package = SentPackage(job, gains, tiles[order], 8000)
-    rows = [package.best(size) for size in np.geomspace(0.1 * mesh_total, 1.2 * (mesh_total + texture_total), 80)]
-    plan = tuple(dict.fromkeys(row for row in rows if row[0] >= 0))
-    return SentPackage(Job(job.first, job.levels, plan, job.begin, job.ends), gains, tiles[order], 8000)
+    plan = make_plan(spans, scan_sizes[order], gains, level_errors)
+    job = Job((*spans[0], Span(TEXTURES, 0, table)), spans, plan, table + 4 * count, tuple(ends.tolist()))
+    return SentPackage(job, gains, tiles[order], 8000)
+
+
+def make_plan(
+    levels: tuple[tuple[Span, ...], ...], sizes: np.ndarray, gains: np.ndarray, errors: np.ndarray
+) -> tuple[tuple[int, int, float], ...]:
+    """Return the plan of a package whose error is the sum of that of its level and of the gains of all increments that are missing."""
+    level_sizes = np.cumsum([sum(span.end - span.start for span in spans) for spans in levels])
+    ends, missing = np.cumsum(sizes), gains.sum() - np.concatenate([[0.0], np.cumsum(gains)])
+    rows = []
+    for total in np.geomspace(level_sizes[0] + sizes[0], level_sizes[-1] + ends[-1], 80):
+        counts = np.searchsorted(ends, total - level_sizes + 1e-6, side="right")
+        possible = np.where(level_sizes <= total + 1e-6, errors + missing[counts], np.inf)
+        best = int(possible.argmin())
+        rows.append((best, int(counts[best]), float(possible[best])))
+    return tuple(dict.fromkeys(rows))
 
 
 def make_trace(rng: np.random.Generator, kind: str, limit: float, rate: float) -> Trace:
@@ -77,7 +84,7 @@ def draw_line(rng: np.random.Generator, kind: str, package: SentPackage) -> tupl
     limit = float(rng.uniform(3.0, 10.0))
     total = package.job.ends[-1] + package.job.levels[-1][-1].end
     fastest = {"3G": 3.0, "4G": 30.0}.get(kind, 100.0) * MEGABIT
-    rate = float(min(rng.uniform(0.15, 0.9) * total / limit, fastest))
+    rate = float(max(min(rng.uniform(0.15, 0.9) * total / limit, fastest), 0.1 * MEGABIT))
     return limit, rate, float(rng.uniform(0.06, 0.12) if kind == "3G" else rng.uniform(0.02, 0.06))
 
 

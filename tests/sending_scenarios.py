@@ -96,14 +96,25 @@ def make_package(
     first = 8000
     ends = first + np.arange(1, increment_count + 1) * (texture_size // increment_count)
     gains = np.linspace(2.0, 0.0, increment_count) * 0.3 / increment_count
-    errors = [0.2 * 0.3**level for level in range(len(level_sizes))]
-    plan = tuple((level, increment_count, error) for level, error in enumerate(errors))
+    errors = 0.2 * 0.3 ** np.arange(len(level_sizes))
+    plan = make_plan(levels, np.full(increment_count, texture_size // increment_count), gains, errors)
     job = Job((*levels[0], Span(TEXTURES, 0, 6000)), levels, plan, first, tuple(ends.tolist()))
-    tiles = np.arange(increment_count) % 64
-    package = SentPackage(job, gains, tiles, 2000)
-    rows = [package.best(size) for size in np.linspace(2.0 * level_sizes[0], texture_size + 1.2 * sum(level_sizes), 60)]
-    plan = tuple(dict.fromkeys(row for row in rows if row[0] >= 0))
-    return SentPackage(dataclasses.replace(job, plan=plan), gains, tiles, 2000)
+    return SentPackage(job, gains, np.arange(increment_count) % 64, 2000)
+
+
+def make_plan(
+    levels: tuple[tuple[Span, ...], ...], sizes: np.ndarray, gains: np.ndarray, errors: np.ndarray
+) -> tuple[tuple[int, int, float], ...]:
+    """The plan of a package whose error is the sum of that of its level and of the gains of all increments that are missing."""
+    level_sizes = np.cumsum([sum(span.end - span.start for span in spans) for spans in levels])
+    ends, missing = np.cumsum(sizes), gains.sum() - np.concatenate([[0.0], np.cumsum(gains)])
+    rows = []
+    for total in np.geomspace(level_sizes[0] + sizes[0], level_sizes[-1] + ends[-1], 60):
+        counts = np.searchsorted(ends, total - level_sizes + 1e-6, side="right")
+        possible = np.where(level_sizes <= total + 1e-6, errors + missing[counts], np.inf)
+        best = int(possible.argmin())
+        rows.append((best, int(counts[best]), float(possible[best])))
+    return tuple(dict.fromkeys(rows))
 
 
 def wavering_trace(rng: random.Random, rate: float, variation: float) -> Trace:
