@@ -33,22 +33,26 @@ class SentPackage:
         """Return the predicted error with `level` (-1: nothing is shown, error 1) and the received increments ((N,) bool or a number)."""
         if level < 0:
             return 1.0
-        got = self.gains[received].sum() if isinstance(received, np.ndarray) else self.gains[:received].sum()
-        return max(self._level_error(level) + float(self.gains.sum() - got), 0.0)
+        count = received if isinstance(received, int) else self._equal_count(received)
+        return min(float(np.interp(count, *self._curve(coarser))) for coarser in range(level + 1))
 
-    def _level_error(self, level: int) -> float:
-        """Return the error of a level with all increments; a level that is not in the plan has that of a coarser one."""
-        sums = np.concatenate([[0.0], np.cumsum(self.gains)])
-        rows = [row for row in self.job.plan if row[0] <= level] or [self.job.plan[0]]
-        return min(error - float(sums[-1] - sums[count]) for _, count, error in rows)
+    def _equal_count(self, received: np.ndarray) -> int:
+        """Return how many increments from the first on have the gain of those that were received, in whatever order."""
+        return int(np.searchsorted(np.cumsum(self.gains), self.gains[received].sum() * (1.0 - 1e-9), side="left")) + bool(received.any())
+
+    def _curve(self, level: int) -> tuple[list[int], list[float]]:
+        """Return numbers of increments and errors of a level, as the plan has them: below its first row the error rises to 1."""
+        rows = [row for row in self.job.plan if row[0] == level]
+        return [0, *(row[1] for row in rows)], [1.0, *(row[2] for row in rows)]
 
     def best(self, byte_count: float) -> tuple[int, int, float]:
         """Return the level, number of increments and error of the best use of `byte_count` bytes."""
         ends = np.array([self.job.begin, *self.job.ends]) - self.job.begin
-        table = sum(span.end - span.start for span in self.job.first) - _size(self.job.added[0]) - _size(self.job.corners[0])
+        table = _size(self.job.first) - _size(self.job.levels[0])
         best = (-1, 0, 1.0)
-        for level in range(len(self.job.added)):
-            rest = byte_count - table - sum(_size(spans) for spans in self.job.added[: level + 1]) - _size(self.job.corners[level])
+        rest = byte_count - table
+        for level, spans in enumerate(self.job.levels):
+            rest -= _size(spans)
             if rest >= 0.0:
                 count = int(np.searchsorted(ends, rest, side="right")) - 1
                 error = self.error(level, count)
@@ -177,7 +181,7 @@ def simulate(
     course = _Course(Network(lines, access, seed, limit + patience), agent)
     course.run(package.manifest_size, limit)
     level, received = course.at_limit
-    oracle_bytes = _possible_bytes(lines, access, limit)
+    oracle_bytes = max(_possible_bytes(lines, access, limit) - package.manifest_size, 0.0)
     oracle = package.best(oracle_bytes)
     sizes = np.diff([job.begin, *job.ends])
     return SendingReport(
@@ -191,7 +195,7 @@ def simulate(
         requests=course.requests,
         aborted=course.aborted,
         byte_count=course.network.bytes,
-        useful_bytes=int(sizes[received].sum()) + (0 if level < 0 else sum(map(_size, job.added[: level + 1])) + _size(job.corners[level])),
+        useful_bytes=int(sizes[received].sum()) + sum(map(_size, job.levels[: level + 1])),
         level=level,
         increments=int(received.sum()),
         error=package.error(level, received),
@@ -240,7 +244,7 @@ class _Course:
 
 
 def _possible_bytes(lines: tuple[Line, ...], access: Trace | None, limit: float) -> float:
-    """Return the bytes that all lines can carry before the limit, after a delay for the manifest and one for the first response."""
+    """Return the bytes that all lines can carry before the limit, after the delays of the manifest and of the first response."""
     total = 0.0
     for line in lines:
         total += max(line.bytes_until(limit) - line.bytes_until(min(2.0 * line.delay, limit)), 0.0)
