@@ -1,12 +1,20 @@
 """Perceptual levels measured against the bounds of their design: `python3 benchmarks/bench_texmesh.py [flags]`. Prints JSON.
 
-Parts (`--only`): `speed` (time and memory with 200k triangles and a texture of 4096 x 4096), `refits` (deviations beside other programs,
-see texmesh_refits.py), `glb` (the Khronos validator, with --validator, see texmesh_glb.py), `switching` (FLIP between neighboring levels at
-their switch distance, in views that the search did not use), `renders` (FLIP of levels by Farfield and by other programs against the
-original, see texmesh_renders.py), `targets` (subset levels, bit for bit), `paper` (Figures 4, 10 and 11, see texmesh_paper.py), `packages`
-(bytes until a model looks right, see texmesh_packages.py), `meshes` (bytes of meshes beside gltfpack and Draco, see texmesh_meshes.py),
-`server` (100,000 random requests of 100 clients at once, see texmesh_server.py), `sending` (packages over 200 replayed traces, see
-texmesh_sending.py).
+Parts (`--only`), each in a module `texmesh_PART.py` if no other one is named:
+
+- `speed` (texmesh_levels.py): time and memory with 200k triangles and a texture of 4096 x 4096
+- `refits`: deviations beside other programs
+- `glb`: the Khronos validator, with --validator
+- `switching` (texmesh_levels.py): FLIP between neighboring levels at their switch distance, in views that the search did not use
+- `renders`: FLIP of levels by Farfield and by other programs against the original
+- `targets` (texmesh_levels.py): subset levels, bit for bit
+- `paper`: Figures 4, 10 and 11
+- `packages`: bytes until a model looks right
+- `meshes`: bytes of meshes beside gltfpack and Draco
+- `textures`: bytes of the textures of packages at equal FLIP
+- `sending`: packages over 200 replayed traces
+- `server`: many clients, and random requests
+
 Each run generates other models, textures and views; --seed repeats one.
 """
 
@@ -33,6 +41,7 @@ from texmesh_refits import measure_refits
 from texmesh_renders import measure_renders
 from texmesh_sending import measure_sending
 from texmesh_server import measure_server
+from texmesh_textures import measure_textures
 
 from farfield.addon.core.errors import SettingsError
 from lib import command_line
@@ -76,6 +85,7 @@ PARTS = {
     "paper": measure_paper,
     "packages": measure_packages,
     "meshes": measure_meshes,
+    "textures": measure_textures,
     "server": measure_server,
     "sending": measure_sending,
 }

@@ -1,7 +1,7 @@
 """Part `packages` of bench_texmesh.py: bytes until a model looks right, against gltfpack with WebP textures; time and memory.
 
 Both are judged by the mean FLIP error of shaded renders, in random views, against the original mesh with the original textures. Farfield
-uses default settings; its bytes are those of the manifest (gzip), the table of increments, and the mesh and increments of a row of the plan.
+uses default settings; its bytes are those of the manifest (gzip), of the table of increments, and of the mesh and increments of a plan row.
 For the other side every combination of a ratio of triangles, a scale and a quality of the textures is tried, and the smallest that reaches
 the error counts. Its geometry is measured before it is quantized.
 """

@@ -18,8 +18,8 @@ from PIL import Image
 from texmesh_chains import TexturedModel, make_chain, model_names, open_textured
 
 from farfield.addon.core.texmesh.level_chain import LevelChain
-from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
 from farfield.addon.core.texmesh.perception.level_images import LevelImages, measure_difference
+from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
 from farfield.addon.core.texmesh.perception.views import frame_around, prepare_surface
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 

@@ -37,9 +37,9 @@ def make_package(rng: np.random.Generator) -> SentPackage:
     count, tiles = 256 * 7, np.tile(np.arange(256), 7)
     scan_sizes = rng.lognormal(0.0, 0.8, 256)[tiles] * np.repeat([1.0, 0.7, 0.8, 1.0, 1.4, 2.0, 3.0], 256) * rng.lognormal(0.0, 0.3, count)
     scan_sizes = np.maximum((scan_sizes * texture_total / scan_sizes.sum()).astype(int), 20)
-    slopes = np.repeat([1.0, 0.4, 0.2, 0.1, 0.05, 0.025, 0.01], 256) * rng.lognormal(0.0, 0.6, count)
-    order = np.argsort(-slopes, kind="stable")
-    gains = (slopes * scan_sizes)[order]
+    ratios = np.repeat([1.0, 0.4, 0.2, 0.1, 0.05, 0.025, 0.01], 256) * rng.lognormal(0.0, 0.6, count)
+    order = np.argsort(-ratios, kind="stable")
+    gains = (ratios * scan_sizes)[order]
     gains *= rng.uniform(0.2, 0.4) / gains.sum()
     table = 6 * count
     ends = table + 4 * count + np.cumsum(scan_sizes[order])

@@ -1,19 +1,43 @@
 """Measures how many bytes textures of packages need for the same FLIP error as uniform quality, for `bench_texmesh.py`."""
 
 import io
+import json
+import sys
+import time
+from argparse import Namespace
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import texmesh_models
+import texmesh_textured_models
 from PIL import Image
+from texmesh_texture_views import LINEAR, TextureJudge, random_directions
 
 from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.texmesh.scale_space.analysis import analyze_scale_space
+from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
 from farfield.addon.core.texmesh.streaming.textures.building import BuiltTextures, build_textures
-from farfield.addon.core.texmesh.streaming.textures.progressive_files import decode_tile, join_scans, split_scans
+from farfield.addon.core.texmesh.streaming.textures.decoding import decode_textures
+from farfield.addon.core.texmesh.streaming.textures.fragments import (
+    CodedFragments,
+    assign_qualities,
+    count_features,
+    make_fragment_grid,
+    normalize_counts,
+    quality_of_scale,
+)
+from farfield.addon.core.texmesh.streaming.textures.progressive_files import decode_tile, split_scans
 from farfield.addon.core.texmesh.streaming.textures.settings import TextureSettings
 from farfield.addon.core.texmesh.streaming.textures.texture_tiles import TextureSource, TileGrid, cut_tiles, join_tiles
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
+VIEWS = {256: 24, 512: 24}  # random views by the size of the image in pixels; others than those of the weights
+TARGETS = (0.15, 0.1, 0.07, 0.05, 0.035)  # mean FLIP errors
+POINTS = 10  # prefixes of a package that are measured
+PREFIX_QUALITY = 50
+PAPER_SCALES = (2, 6, 9, 12, 14, 16, 18, 20)
+WEBP_METHOD = 6
 QUALITIES = (2, 4, 7, 11, 17, 25, 37, 50, 65, 80, 92)
 Images = list[np.ndarray | None]
 
@@ -42,25 +66,6 @@ def list_sources(mesh: TexturedMesh, images: Sequence[np.ndarray | None]) -> lis
     return [TextureSource("base_color", images[materials[0]], mesh, tuple(materials)) for materials in groups.values()]
 
 
-def decode_built(built: BuiltTextures, count: int) -> list[np.ndarray]:
-    """Return the textures (H, W, 3) uint8, row 0 at the bottom, that the first `count` increments give; tiles without any are gray."""
-    parts: dict[tuple[int, int], list[bytes]] = {}
-    ends = np.cumsum(built.increments.sizes)
-    headers: dict[tuple[int, int], int] = {}
-    for index in range(count):
-        key = int(built.increments.textures[index]), int(built.increments.tiles[index])
-        parts.setdefault(key, []).append(built.content[ends[index] - built.increments.sizes[index] : ends[index]])
-        headers[key] = int(built.increments.headers[index])
-    images = []
-    for number, texture in enumerate(built.textures):
-        tiles = np.full((texture.tile_count, texture.tile_size, texture.tile_size, 3), 128, np.uint8)
-        for (owner, tile), scans in parts.items():
-            if owner == number:
-                tiles[tile] = decode_tile(texture.headers[headers[owner, tile]], scans)[::-1]
-        images.append(join_tiles(tiles, TileGrid(texture.width, texture.height, texture.tile_size))[::-1])
-    return images
-
-
 def spread_images(sources: Sequence[TextureSource], decoded: Sequence[np.ndarray], count: int) -> Images:
     """Return the decoded texture of each material."""
     images: Images = [None] * count
@@ -78,17 +83,43 @@ def measure_built(
     fixed = sum(sum(map(len, texture.headers)) for texture in built.textures)
     targets = ends[-1] * np.geomspace(0.03, 1.0, points)
     counts = np.unique(np.searchsorted(ends, targets, side="right") - 1)
-    flips = [judge(spread_images(sources, decode_built(built, int(number)), count)) for number in counts]
+    flips = [
+        judge(spread_images(sources, decode_textures(built.textures, built.increments, built.content, int(number)), count))
+        for number in counts
+    ]
     return Curve(ends[counts] + fixed, np.array(flips))
 
 
-def measure_uniform(sources: Sequence[TextureSource], judge: Callable[[Images], float], count: int) -> Curve:
-    """Return the curve of whole textures as progressive JPEG files of one quality."""
+def measure_uniform(sources: Sequence[TextureSource], judge: Callable[[Images], float], count: int, file_format: str = "JPEG") -> Curve:
+    """Return the curve of whole textures as progressive JPEG or WebP files of one quality."""
     sizes, flips = [], []
     for quality in QUALITIES:
-        files = [encode_image(source.image[::-1], quality) for source in sources]
+        files = [encode_image(source.image[::-1], quality, file_format) for source in sources]
         decoded = [np.asarray(Image.open(io.BytesIO(file)).convert("RGB"))[::-1] for file in files]
         sizes.append(sum(map(len, files)))
+        flips.append(judge(spread_images(sources, decoded, count)))
+    return Curve(np.array(sizes), np.array(flips))
+
+
+def measure_fragments(sources: Sequence[TextureSource], judge: Callable[[Images], float], count: int) -> Curve:
+    """Return the curve of the fragments of the paper, with the default quality of some scales and the mean threshold."""
+    maps: dict[int, np.ndarray] = {}
+    coded = []
+    for source in sources:
+        if id(source.mesh) not in maps:
+            textures = [LINEAR[other.image] for other in sources]
+            maps[id(source.mesh)] = run_to_end(analyze_scale_space(source.mesh, textures, ScaleSpaceSettings())).last_scales
+        grid = make_fragment_grid(source.image.shape[1], source.image.shape[0])
+        features = count_features(source.mesh, source.materials, maps[id(source.mesh)], grid)
+        coded.append((CodedFragments(source.image, grid), features))
+    sizes, flips = [], []
+    for scale in PAPER_SCALES:
+        files = [
+            fragments.code(assign_qualities(normalize_counts(features.counts[scale]), quality_of_scale(scale)))
+            for fragments, features in coded
+        ]
+        decoded = [fragments.decode(items) for (fragments, _), items in zip(coded, files, strict=True)]
+        sizes.append(sum(len(file) for items in files for file in items))
         flips.append(judge(spread_images(sources, decoded, count)))
     return Curve(np.array(sizes), np.array(flips))
 
@@ -112,10 +143,14 @@ def measure_prefixes(sources: Sequence[TextureSource], judge: Callable[[Images],
     return Curve(np.array(sizes), np.array(flips))
 
 
-def encode_image(image: np.ndarray, quality: int) -> bytes:
-    """Return a progressive JPEG file of an image (H, W, 3) uint8, without subsampling of colors."""
+def encode_image(image: np.ndarray, quality: int, file_format: str = "JPEG") -> bytes:
+    """Return a progressive JPEG file, without subsampling of colors, or a WebP file of an image (H, W, 3) uint8."""
     file = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(image)).save(file, "JPEG", quality=quality, progressive=True, subsampling=0)
+    picture = Image.fromarray(np.ascontiguousarray(image))
+    if file_format == "JPEG":
+        picture.save(file, "JPEG", quality=quality, progressive=True, subsampling=0)
+    else:
+        picture.save(file, file_format, quality=quality, method=WEBP_METHOD)
     return file.getvalue()
 
 
@@ -124,4 +159,47 @@ def build(sources: Sequence[TextureSource], settings: TextureSettings) -> BuiltT
     return run_to_end(build_textures(sources, settings))
 
 
-__all__ = ["join_scans"]
+def measure_textures(given: Namespace) -> dict[str, Any]:
+    """Return bytes at equal FLIP of packages and of other ways to send textures, for all models that judge and all sizes of images."""
+    generated = [f"{kind}:{given.seed + index}" for index, kind in enumerate(texmesh_models.GENERATORS)]
+    results: dict[str, Any] = {}
+    for name in given.models or [*texmesh_textured_models.JUDGING, *generated]:
+        model = texmesh_textured_models.open_textured(given.data, name, given.seed)
+        for pixels, views in VIEWS.items():
+            results[f"{name} at {pixels}"] = measure_model(model, pixels, views, np.random.default_rng(given.seed))
+            print(name, pixels, json.dumps(results[f"{name} at {pixels}"]), file=sys.stderr)
+    summary = {}
+    for member in ("uniform", "paper", "webp"):
+        ratios = [row[member] for result in results.values() for row in result["targets"] if row[member] is not None]
+        summary[member] = {"mean": round(float(np.mean(ratios)), 3), "worst": max(ratios)} if ratios else None
+    return {"ratios": summary, "models": results}
+
+
+def measure_model(model: texmesh_textured_models.TexturedModel, pixels: int, views: int, generator: np.random.Generator) -> dict[str, Any]:
+    """Return bytes at equal FLIP errors, relative to the better one of two ways of uniform quality, to the paper's fragments and to WebP;
+    None where one of them does not reach the error."""
+    directions = random_directions(views, generator)
+    judge = TextureJudge(model.mesh, model.images, directions, pixels).measure_flip
+    sources, count = list_sources(model.mesh, model.images), len(model.images)
+    started = time.process_time()
+    built = build(sources, TextureSettings(pixels=pixels))
+    seconds = time.process_time() - started
+    curves = {
+        "package": measure_built(built, sources, judge, count, POINTS),
+        "quality": measure_uniform(sources, judge, count),
+        "prefix": measure_prefixes(sources, judge, count, PREFIX_QUALITY, TextureSettings().tile_size),
+        "paper": measure_fragments(sources, judge, count),
+        "webp": measure_uniform(sources, judge, count, "WEBP"),
+    }
+    rows = []
+    for flip in TARGETS:
+        counts = {name: curve.bytes_at(flip) for name, curve in curves.items()}
+        uniform = np.fmin(counts["quality"], counts["prefix"])
+        others = {"uniform": uniform, "paper": counts["paper"], "webp": counts["webp"]}
+        ratios = {name: counts["package"] / other for name, other in others.items()}
+        rows.append({"flip": flip} | {name: round(float(ratio), 3) if np.isfinite(ratio) else None for name, ratio in ratios.items()})
+    return {
+        "seconds": round(seconds, 1),
+        "targets": rows,
+        "curves": {name: [curve.byte_counts.tolist(), np.round(curve.flips, 4).tolist()] for name, curve in curves.items()},
+    }

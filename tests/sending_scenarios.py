@@ -19,10 +19,8 @@ def random_job(rng: random.Random, increment_count: int | None = None) -> Job:
     added, corners, offset = [], [], 0
     for level in range(levels):
         size = int(rng.lognormvariate(8.5 + level, 0.7))
-        middle = offset + rng.randint(1, size)
-        added.append(
-            (Span(MESH, offset, middle),) if middle == offset + size else (Span(MESH, offset, middle), Span(MESH, middle, offset + size))
-        )
+        cut = offset + rng.randint(1, size)
+        added.append((Span(MESH, offset, cut),) if cut == offset + size else (Span(MESH, offset, cut), Span(MESH, cut, offset + size)))
         offset += size
         size = int(rng.lognormvariate(8.0 + level, 0.7)) + 1
         corners.append((Span(MESH, offset, offset + size),))

@@ -29,7 +29,7 @@ from ..operators.texmesh.operators import (
 )
 from ..operators.texmesh.overlays import FARFIELD_OT_texmesh_overlay, FARFIELD_OT_texmesh_plot, overlay
 from ..operators.texmesh.packages import FARFIELD_OT_texmesh_package
-from .sidebar import SettingsSubPanel, SidebarPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, draw_table
+from .sidebar import SettingsSubPanel, SidebarPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, draw_table, settings_column
 
 LEVEL_TITLES = ("Level", "Triangles", "Distance", "Pixels")
 
@@ -183,7 +183,7 @@ class FARFIELD_PT_texmesh_package(SettingsSubPanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the folder, the settings and the button."""
-        self.layout.prop(context.scene.farfield_texmesh_package, "folder")
+        settings_column(self.layout).prop(context.scene.farfield_texmesh_package, "folder")
         self.draw_settings(context)
         draw_button(self.layout, FARFIELD_OT_texmesh_package, "Export Package", "URL")
 

@@ -108,13 +108,13 @@ def test_images_of_other_inputs_are_no_colors():
 def test_all_images_of_a_color_are_found_the_nearest_first():
     material = textured_material(first := checker_image("First"))
     nodes, links = material.node_tree.nodes, material.node_tree.links
-    ramp, mix, hue = (nodes.new(f"ShaderNode{kind}") for kind in ("ValToRGB", "MixRGB", "HueSaturation"))
+    ramp, mix, gamma = (nodes.new(f"ShaderNode{kind}") for kind in ("ValToRGB", "MixRGB", "Gamma"))
     mask = nodes.new("ShaderNodeTexImage")
     mask.image = checker_image("Mask")
     links.new(mask.outputs["Color"], ramp.inputs[0])
     links.new(ramp.outputs[0], mix.inputs[0])
-    links.new(nodes["Image Texture"].outputs["Color"], hue.inputs["Color"])
-    links.new(hue.outputs[0], mix.inputs[1])
+    links.new(nodes["Image Texture"].outputs["Color"], gamma.inputs["Color"])
+    links.new(gamma.outputs[0], mix.inputs[1])
     links.new(mix.outputs[0], nodes["Principled BSDF"].inputs["Base Color"])
     assert find_color_images(material) == [(first, ""), (mask.image, "")] and find_color_image(material) == (first, "")
 

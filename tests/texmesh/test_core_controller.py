@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from farfield.addon.core.texmesh.streaming import controller
+from farfield.addon.core.texmesh.streaming import controller, sending_servers
 from farfield.addon.core.texmesh.streaming.manifest import MESH, TEXTURES
 from farfield.addon.core.texmesh.streaming.sending_state import Event, Request, Span, begin
 from farfield.addon.core.texmesh.streaming.simulated_network import REPORT_INTERVAL, Line
@@ -141,7 +141,7 @@ def test_deviation_is_within_its_bound(seed, variation, delay, limit):
     slowest = rate * (1.0 - variation)
     increment = 2000 / slowest
     window = (1.0 + controller.LEAD) * delay + increment / (1.0 - controller.FRACTION)
-    error = (1.0 + variation) * (1.0 + REPORT_INTERVAL / controller.FAST) / (1.0 - variation) - 1.0
+    error = (1.0 + variation) * (1.0 + REPORT_INTERVAL / sending_servers.FAST) / (1.0 - variation) - 1.0
     if not report.is_complete:
         assert report.deviation >= -(increment + window + REPORT_INTERVAL)
         assert report.deviation <= error * window + 1e-6
@@ -194,9 +194,9 @@ def test_server_that_failed_gets_nothing_for_a_while():
     state, requests, _ = controller.decide(job, begin(job, 5.0), Event(0.0))
     state, more, _ = controller.decide(job, state, Event(0.1, requests[0].id, failed=True))
     assert not more
-    state, more, _ = controller.decide(job, state, Event(0.1 + 0.9 * controller.MIN_PAUSE))
+    state, more, _ = controller.decide(job, state, Event(0.1 + 0.9 * sending_servers.MIN_PAUSE))
     assert not more
-    state, more, _ = controller.decide(job, state, Event(0.1 + 1.1 * controller.MIN_PAUSE))
+    state, more, _ = controller.decide(job, state, Event(0.1 + 1.1 * sending_servers.MIN_PAUSE))
     assert [request.span for request in more] == [requests[0].span]
 
 

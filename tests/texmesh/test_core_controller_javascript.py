@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from farfield.addon.core.texmesh.streaming import controller
+from farfield.addon.core.texmesh.streaming import controller, sending_servers
 from farfield.addon.core.texmesh.streaming.sending_state import Job, State
 from lib import environment
 from sending_scenarios import Exchange, random_exchange
@@ -57,7 +57,7 @@ def replay(exchange: Exchange) -> list:
 
 def figures(job: Job, state: State) -> list:
     counts = [state.shown, state.level, state.asked, state.target, controller.received_increments(job, state)]
-    rates = [controller.estimate_rate(state, index, 1.5) for index in range(len(state.servers))]
+    rates = [sending_servers.estimate_rate(state, index, 1.5) for index in range(len(state.servers))]
     delays = [server.delay for server in state.servers]
     return [[*counts, int(controller.is_finished(job, state))], rates, delays, controller.mean_difference(state), state.ended]
 

@@ -123,4 +123,6 @@ def test_the_page_bounds_what_it_allocates(tmp_path):
     for change in ({"vertex_count": 2**40}, {"wedge_count": 2**40}, {"triangle_counts": (2**40, 0, 0)}):
         level = type(manifest.levels[0])(**vars(manifest.levels[0]) | change)
         lies.append((content, SimpleNamespace(levels=(level,), bounds=manifest.bounds, uv_bounds=manifest.uv_bounds)))
-    assert run([make_case(*case) for case in [*bombs, *lies]], tmp_path) == ["RangeError"] * 8
+    noise = bytes(np.random.default_rng(0).integers(0, 256, len(content), np.uint8))
+    cases = [*bombs, *lies, (noise, manifest), (content[:-1], manifest), (b"", manifest)]
+    assert run([make_case(*case) for case in cases], tmp_path) == ["RangeError"] * len(cases)

@@ -100,14 +100,14 @@ def test_response_takes_a_delay_and_its_bytes():
     assert receive(network, {7})[7] == pytest.approx(0.5 + 1.1)
 
 
-def test_responses_share_a_line():
+def test_responses_divide_a_line():
     network = Network((Line(constant_trace(1000.0), 0.5, jitter=0.0, overhead=0),))
     network.send(1, 0, 1000)
     network.send(2, 0, 1000)
     assert receive(network, {1, 2}) == {1: pytest.approx(2.5), 2: pytest.approx(2.5)}
 
 
-def test_servers_share_the_access_line():
+def test_servers_divide_the_access_line():
     lines = (Line(constant_trace(1000.0), 0.5, jitter=0.0, overhead=0),) * 2
     network = Network(lines, access=constant_trace(500.0))
     network.send(1, 0, 1000)

@@ -26,8 +26,9 @@ LABEL_POINTS = LABEL_POINTS / LABEL_POINTS.sum(axis=1, keepdims=True)
 class Correspondence:
     """For each of N samples the point of a level with the same texture coordinates.
 
-    triangles: (N,) int64 of the level. barycentric: (N, 3) float64, none negative. is_covered: (N,) bool; where False the level has no
-    point with these coordinates in the sample's UV island, and the point is the one with the nearest coordinates there.
+    triangles: (N,) int64 of the level. barycentric: (N, 3) float64, none negative, column by column in memory.
+    is_covered: (N,) bool; where False the level has no point with these coordinates in the sample's UV island, and the point is the one
+    with the nearest coordinates there.
     """
 
     triangles: np.ndarray
@@ -70,7 +71,7 @@ def find_correspondence(
     """
     count = len(samples.uvs)
     triangles = np.full(count, -1, np.int64)
-    barycentric = np.zeros((count, 3))
+    barycentric = np.zeros((3, count)).T  # column by column in memory, as it is used
     maps = invert_uv_maps(corner_uvs)
     searched = samples
     rows = None
@@ -118,7 +119,8 @@ def evaluate_uv_maps(maps: np.ndarray, triangles: np.ndarray, u: np.ndarray, v: 
 def _locate(maps: np.ndarray, triangles: np.ndarray, uvs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return which of `triangles` (N,) contain their row of `uvs` (N, 2), and barycentric coordinates (N, 3), clamped to 0."""
     coordinates = evaluate_uv_maps(maps, triangles, *uvs.T)
-    is_inside = (coordinates >= -INSIDE_TOLERANCE).all(axis=0)
+    first, second, third = coordinates >= -INSIDE_TOLERANCE
+    is_inside = first & second & third
     return is_inside, np.maximum(coordinates, 0.0).T
 
 
@@ -126,8 +128,11 @@ def _find_containing(
     samples: SurfaceSamples, corner_uvs: np.ndarray, islands: np.ndarray, maps: np.ndarray
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Yield ascending samples (K,), triangles (K,) that contain them in UV space, and barycentric coordinates (K, 3), a part at a time."""
-    low = corner_uvs.min(axis=(0, 1))
-    extent = np.maximum(corner_uvs.max(axis=(0, 1)) - low, 1e-300)
+    triangle_low, triangle_high = (  # pairwise: NumPy reduces short axes slowly
+        bound(bound(corner_uvs[:, 0], corner_uvs[:, 1]), corner_uvs[:, 2]) for bound in (np.minimum, np.maximum)
+    )
+    low = triangle_low.min(axis=0)
+    extent = np.maximum(triangle_high.max(axis=0) - low, 1e-300)
     cells = min(CELLS_PER_TRIANGLE * len(corner_uvs), MAX_CELLS)
     size = np.maximum(np.sqrt(cells * extent / extent[::-1]), 1.0).astype(np.int64)
     size = np.minimum(size, MAX_CELLS // size[::-1] + 1)
@@ -135,7 +140,7 @@ def _find_containing(
     def cell_of(uvs: np.ndarray) -> np.ndarray:
         return np.clip(np.floor((uvs - low) / extent * size), 0, size - 1).astype(np.int64)
 
-    first, last = cell_of(corner_uvs.min(axis=1)), cell_of(corner_uvs.max(axis=1))
+    first, last = cell_of(triangle_low), cell_of(triangle_high)
     rows = last[:, 1] - first[:, 1] + 1
     owners = np.repeat(np.arange(len(corner_uvs)), rows)
     row = concatenate_ranges(first[:, 1], rows)

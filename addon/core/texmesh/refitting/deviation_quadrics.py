@@ -21,6 +21,7 @@ from .correspondence import compute_uv_scale
 
 ROWS, COLUMNS = np.triu_indices(6)
 CURVE_WEIGHT = 1.0  # of squared distances from an edge of a border in UV space, times its squared length
+DEVIATION_WEIGHT = 0.5  # of squared deviations of edges on borders in space, times their squared length
 LENGTH_WEIGHT = 1e-6  # of the squared length of a collapse, which decides where the map is affine
 
 
@@ -51,7 +52,7 @@ class DeviationQuadrics:
         costs = self._evaluate(removed, kept)
         rows = np.flatnonzero((other_removed >= 0) & (other_removed != removed))
         costs[rows] += self._evaluate(other_removed[rows], other_kept[rows])
-        costs += 0.5 * CURVE_WEIGHT * self._borders.evaluate(removed, kept)
+        costs += DEVIATION_WEIGHT * self._borders.evaluate(removed, kept)
         lengths = ((self._points[removed, :3] - self._points[kept, :3]) ** 2).sum(axis=1)
         return costs + LENGTH_WEIGHT * self._areas[removed] * lengths
 

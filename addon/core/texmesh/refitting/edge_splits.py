@@ -9,13 +9,13 @@ from ...geometry.geometry_2d import signed_areas
 from ...geometry.mesh import face_areas_and_normals, scaled_normals
 from .border_curves import BorderCurves
 from .edge_flips import select_largest
+from .fine_surface import FineSurface
 from .level_state import LevelState, attach
 from .outliers import LevelDistances
-from .spikes import FineSurface
 
 SHORT_EDGE_FACTOR = 0.25  # of the deviation that counts for edges that are not the longest of their triangle
 MIN_UV_FRACTION = 0.1  # area of a new triangle in UV space relative to the one that is divided
-MAX_CANDIDATES = 4  # for each added triangle
+MIN_CANDIDATES, CANDIDATES_PER_TRIANGLE = 32, 4  # edges that are examined, and more of them per added triangle
 MAX_CURVE_DISTANCE = 0.5  # of the length of an edge on a border: distance of its middle from the border of the fine mesh
 
 
@@ -84,7 +84,7 @@ def split_far_edges(state: LevelState, measured: LevelDistances, count: int, sur
     uvs[rows] = others[rows] = state.samples.uvs[samples]
     has_point = np.zeros(len(scores), bool)
     has_point[rows] = True
-    candidates = np.argsort(-scores, kind="stable")[: MAX_CANDIDATES * count]
+    candidates = np.argsort(-scores, kind="stable")[: CANDIDATES_PER_TRIANGLE * count + MIN_CANDIDATES]
     sought = candidates[~has_point[candidates]]
     points[sought] = surface.find_positions(points[sought], uvs[sought], state.islands[found.first[sought] // 3])
     is_proper = np.zeros(len(scores), bool)
@@ -123,7 +123,7 @@ def find_split_edges(state: LevelState, edges: Edges) -> SplitEdges:
 
 
 def rate_edges(state: LevelState, edges: Edges, found: SplitEdges, peaks: np.ndarray) -> np.ndarray:
-    """Return for each of the edges `found` (K,) the larger one of the `peaks` (T,) of its triangles, less if it is not their longest edge."""
+    """Return for each of the edges `found` (K,) the larger of the `peaks` (T,) beside it, less where it is not the longest edge."""
     lengths = np.linalg.norm(np.diff(state.mesh.vertices[edges.ends], axis=1)[:, 0], axis=1)
     longest = lengths[edges.face_edges].max(axis=1)
     areas, _ = face_areas_and_normals(state.corners)

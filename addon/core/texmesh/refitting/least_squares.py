@@ -34,14 +34,14 @@ class Moments:
 def compute_moments(state: LevelState) -> Moments:
     """Return the moments of the triangles of the level."""
     count, triangles, barycentric = len(state.islands), state.found.triangles, state.found.barycentric
-    residuals = state.residuals
-    weighted = state.samples.weights[:, None] * barycentric
     products, gradients = np.empty((count, 3, 3)), np.empty((count, 3, 3))
+    columns = np.ascontiguousarray(barycentric.T)
     for row in range(3):
+        weighted = state.samples.weights * columns[row]
         for column in range(3):
-            gradients[:, row, column] = np.bincount(triangles, weighted[:, row] * residuals[:, column], count)
+            gradients[:, row, column] = np.bincount(triangles, weighted * state.residuals[:, column], count)
             if column >= row:
-                products[:, row, column] = np.bincount(triangles, weighted[:, row] * barycentric[:, column], count)
+                products[:, row, column] = np.bincount(triangles, weighted * columns[column], count)
                 products[:, column, row] = products[:, row, column]
     return Moments(products, gradients)
 

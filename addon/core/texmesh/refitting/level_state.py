@@ -35,18 +35,22 @@ class LevelState:
 
     @cached_property
     def residuals(self) -> np.ndarray:
-        """(N, 3) vectors from the samples to the corresponding points of the level."""
-        residuals = -self.samples.positions
-        for corner, vertices in enumerate(self.mesh.triangles.T):
-            residuals += self.found.barycentric[:, corner, None] * self.mesh.vertices.take(vertices.take(self.found.triangles), axis=0)
-        return residuals
+        """(N, 3) vectors from the samples to the corresponding points of the level, column by column in memory."""
+        corners = [corner.take(self.found.triangles) for corner in self.mesh.triangles.T.copy()]
+        residuals = np.negative(self.samples.positions.T, order="C")
+        for values, column in zip(residuals, self.mesh.vertices.T.copy(), strict=True):
+            for weights, corner in zip(self.found.barycentric.T, corners, strict=True):
+                values += weights * column.take(corner)
+        return residuals.T
 
     @cached_property
     def costs(self) -> np.ndarray:
         """(N,) cost of each sample: weighted squared distance times area."""
         _, normals = face_areas_and_normals(self.corners)
-        along = np.einsum("ni,ni->n", self.residuals, normals.take(self.found.triangles, axis=0))
-        squares = np.einsum("ni,ni->n", self.residuals, self.residuals)
+        squares, along = np.zeros(len(self.samples.weights)), np.zeros(len(self.samples.weights))
+        for values, column in zip(self.residuals.T, normals.T.copy(), strict=True):
+            squares += values * values
+            along += values * column.take(self.found.triangles)
         return self.samples.weights * (squares + (self.normal_weight - 1.0) * along**2)
 
     def find_edges(self) -> Edges:
@@ -73,7 +77,7 @@ class LevelState:
             mesh.corner_uvs[rows],
             group_of[rows],
         )
-        triangles, barycentric = self.found.triangles.copy(), self.found.barycentric.copy()
+        triangles, barycentric = self.found.triangles.copy(), self.found.barycentric.copy("F")
         triangles[moved], barycentric[moved] = rows[found.triangles], found.barycentric
         return replace(self, mesh=mesh, found=replace(self.found, triangles=triangles, barycentric=barycentric))
 

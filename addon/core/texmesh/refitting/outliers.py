@@ -8,29 +8,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...arrays import TINY
 from ...geometry.distance import TriangleTree, closest_barycentric
 from ...geometry.edges import Edges
-from ...geometry.mesh import face_areas_and_normals, scaled_normals
-from .correspondence import Correspondence
-from .edge_flips import find_quads, flip_quads, select_flips
-from .least_squares import Linearization, compute_moments
+from ...geometry.mesh import face_areas_and_normals, longest_side
+from .fine_surface import FineSurface
 from .level_state import LevelState
-from .sampling import SurfaceSamples
-from .spikes import FineSurface
 
 LIMIT_FACTOR = 4.5  # of the root mean squared distance: points that are farther are outliers
-MAX_OUTLIER_FRACTION = 0.01  # of vertices and middles of edges
+MIN_LIMIT = 1e-9  # of the size of the level: below, distances are rounding
+MAX_OUTLIER_FRACTION = 0.01  # of vertices and midpoints of edges: with more of them, the limit is larger
 EDGE_FRACTIONS = np.array([0.25, 0.5, 0.75])  # along an edge, where its distance is measured
-ATTRACTION = 0.5  # weight of an outlier at the limit, relative to all samples of a triangle
-MAX_ATTRACTION = 30.0
-NEAR_FRACTION = 0.5  # of the limit, up to which middles and ends of an edge tell that no point of it is an outlier
+NEAR_FRACTION = 0.5  # of the limit, up to which midpoints and ends of an edge tell that no point of it is an outlier
 ATTRACTED_FRACTION = 0.9  # of the limit, from which on points are attracted, so that they do not become outliers
-MAX_FLIPPED_FRACTION = 0.7  # of the distance of an edge that the flipped edge has at most
-MAX_WITHDRAWALS = 6
-HALVINGS = 2  # withdrawals that leave a part of a step, before the others leave nothing
-WITHDRAWN_FRACTION = 0.5
-ACCEPTED_FRACTION = 0.8  # of the largest distance in the neighborhood, up to which a point may get farther while that is lowered
-PEAK_RINGS = 2
 
 
 @dataclass(frozen=True)
@@ -63,9 +53,9 @@ def measure_distances(state: LevelState, surface: FineSurface, previous: LevelDi
     the point is not measured again.
     """
     edges = state.find_edges()
-    points = _gather_points(state.mesh.vertices, edges)
+    points = gather_points(state.mesh.vertices, edges)
     if previous is None:
-        distances, is_near, limit = _measure_coarsely(points, edges, surface, LIMIT_FACTOR * _rms_distance(state))
+        distances, is_near, limit = _measure_coarsely(points, edges, surface, _find_min_limit(state))
         lowest = ATTRACTED_FRACTION * limit
     else:
         limit = previous.limit
@@ -96,18 +86,16 @@ def measure_distances(state: LevelState, surface: FineSurface, previous: LevelDi
     )
 
 
-def _measure_coarsely(
-    points: np.ndarray, edges: Edges, surface: FineSurface, min_limit: float
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return estimates of the distances of `points` (N, 3) from those of vertices and middles of edges, which are near, (N,) bool, and the
-    limit above which they are outliers, at least `min_limit`."""
+def _measure_coarsely(points: np.ndarray, edges: Edges, surface: FineSurface, min_limit: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return estimates of the distances of `points` (N, 3) from those of vertices and midpoints of edges, which are near, (N,) bool, and
+    the limit above which they are outliers, at least `min_limit`."""
     count = edges.vertex_count
-    middles = count + len(EDGE_FRACTIONS) * np.arange(len(edges.ends)) + len(EDGE_FRACTIONS) // 2
-    measured = np.concatenate([np.arange(count), middles])
+    midpoints = count + len(EDGE_FRACTIONS) * np.arange(len(edges.ends)) + len(EDGE_FRACTIONS) // 2
+    measured = np.concatenate([np.arange(count), midpoints])
     distances = np.empty(len(points))
     distances[measured] = surface.measure_distances(points[measured])
     limit = max(min_limit, float(np.quantile(distances[measured], 1.0 - MAX_OUTLIER_FRACTION)))
-    highest = np.maximum(distances[middles], distances[edges.ends].max(axis=1))
+    highest = np.maximum(distances[midpoints], distances[edges.ends].max(axis=1))
     distances[count:] = np.repeat(highest, len(EDGE_FRACTIONS))
     return distances, distances <= NEAR_FRACTION * limit, limit
 
@@ -138,125 +126,7 @@ def _find_missed(state: LevelState, distance: float) -> tuple[np.ndarray, np.nda
     return rows[is_far], nearest[is_far], distances[is_far]
 
 
-def flip_outliers(state: LevelState, surface: FineSurface, measured: LevelDistances) -> LevelState:
-    """Return the level with outlying edges flipped where the flipped edge is much nearer to the fine mesh."""
-    quads = find_quads(state)
-    if not len(quads.triangles):
-        return state
-    peaks = measured.at_edges.max(axis=1)[measured.edges.between(quads.vertices[:, 1], quads.vertices[:, 3])]
-    far = np.flatnonzero(peaks > measured.limit)
-    first, second = (state.mesh.vertices[quads.vertices[far, corner]] for corner in (0, 2))
-    points = first[:, None] + EDGE_FRACTIONS[:, None] * (second - first)[:, None]
-    after = surface.measure_distances(points.reshape(-1, 3)).reshape(-1, len(EDGE_FRACTIONS)).max(axis=1)
-    gains = np.zeros(len(peaks))
-    gains[far] = np.where(after < MAX_FLIPPED_FRACTION * peaks[far], peaks[far] - after, 0.0)
-    return flip_quads(state, quads, select_flips(state, quads, gains))
-
-
-def approach(state: LevelState, surface: FineSurface, measured: LevelDistances, uv_scale: float) -> LevelState:
-    """Return the level after a step of positions in which outliers count more. No vertex moves that would make an outlier.
-
-    measured: of `state`. uv_scale: length of a unit of UV space on the surface.
-    """
-    if not len(measured.distances):
-        return state
-    attracted = _attract(state, measured)
-    step = Linearization(attracted, compute_moments(attracted), None, 0.0).solve(uv_scale)
-    vertices = _avoid_folds(state, state.mesh.vertices + step, surface)
-    return state.move(_withdraw(state, vertices, surface, measured))
-
-
-def _attract(state: LevelState, measured: LevelDistances) -> LevelState:
-    """Return the level with samples added that attract the outliers."""
-    count = len(measured.distances)
-    areas, _ = face_areas_and_normals(state.corners)
-    size = np.maximum(areas[measured.triangles], areas.mean())
-    weights = size * np.minimum(ATTRACTION * (measured.distances / measured.limit) ** 4, MAX_ATTRACTION)
-    samples, found = state.samples, state.found
-    blank = np.zeros(count)
-    added = (blank, measured.barycentric, measured.targets, np.zeros((count, 2)), blank, weights)
-    values = (samples.triangles, samples.barycentric, samples.positions, samples.uvs, samples.islands, samples.weights)
-    joined = SurfaceSamples(*(np.concatenate([value, extra]) for value, extra in zip(values, added, strict=True)))
-    return LevelState(
-        state.mesh,
-        state.islands,
-        joined,
-        Correspondence(
-            np.concatenate([found.triangles, measured.triangles]),
-            np.concatenate([found.barycentric, measured.barycentric]),
-            np.concatenate([found.is_covered, np.ones(count, bool)]),
-        ),
-        state.normal_weight,
-    )
-
-
-def _avoid_folds(state: LevelState, vertices: np.ndarray, surface: FineSurface) -> np.ndarray:
-    """Return `vertices` (V, 3), but those of triangles stay that would turn away from the fine surface, or would turn over without turning
-    toward it."""
-    mesh, result = state.mesh, vertices.copy()
-    before = scaled_normals(state.corners)
-    for _ in range(MAX_WITHDRAWALS):
-        after = scaled_normals(result[mesh.triangles])
-        rows = np.flatnonzero(np.einsum("ti,ti->t", before, after) < 0.0)
-        if not len(rows):
-            break
-        normals = surface.find_normals(state.corners[rows].mean(axis=1), mesh.corner_uvs[rows].mean(axis=1), state.islands[rows])
-        stays = mesh.triangles[rows[np.einsum("ti,ti->t", normals, after[rows]) < 0.0]]
-        if not len(stays):
-            break
-        result[stays] = mesh.vertices[stays]
-    return result
-
-
-def _withdraw(state: LevelState, vertices: np.ndarray, surface: FineSurface, measured: LevelDistances) -> np.ndarray:
-    """Return `vertices` (V, 3), but those stay where they are in `state` that would make an outlier, unless a larger one beside it
-    gets smaller."""
-    ends, result = measured.edges.ends, vertices.copy()
-    before = np.concatenate([measured.at_vertices, measured.at_edges.ravel()])
-    peaks = np.maximum(measured.at_vertices, 0.0)
-    for _ in range(PEAK_RINGS):
-        highest = np.maximum(measured.at_edges.max(axis=1), peaks[ends].max(axis=1))
-        np.maximum.at(peaks, ends.ravel(), np.repeat(highest, 2))
-    around = np.concatenate([peaks, np.repeat(peaks[ends].min(axis=1), len(EDGE_FRACTIONS))])
-    allowed = np.maximum(np.maximum(before, measured.limit), ACCEPTED_FRACTION * around)
-    plain = _measure_planes(state, state.mesh.vertices)
-    corner_peaks = peaks[state.mesh.triangles].min(axis=1)[state.found.triangles]
-    allowed_planes = np.maximum(np.maximum(plain, measured.limit), ACCEPTED_FRACTION * corner_peaks)
-    for attempt in range(MAX_WITHDRAWALS):
-        moves = np.linalg.norm(result - state.mesh.vertices, axis=1)
-        bounds = before + np.concatenate([moves, np.repeat(moves[ends].max(axis=1), len(EDGE_FRACTIONS))])
-        rows = np.flatnonzero((bounds > allowed) & (bounds > before))
-        points = _gather_points(result, measured.edges)[rows]
-        worse = rows[surface.measure_distances(points) > allowed[rows]]
-        is_vertex = worse < len(vertices)
-        missing = np.unique(state.found.triangles[_measure_planes(state, result) > allowed_planes])
-        stays = np.unique(
-            np.concatenate(
-                [
-                    worse[is_vertex],
-                    ends[(worse[~is_vertex] - len(vertices)) // len(EDGE_FRACTIONS)].ravel(),
-                    state.mesh.triangles[missing].ravel(),
-                ]
-            )
-        )
-        stays = stays[moves[stays] > 0.0]
-        if not len(stays):
-            break
-        fraction = WITHDRAWN_FRACTION if attempt < HALVINGS else 0.0
-        result[stays] = state.mesh.vertices[stays] + fraction * (result[stays] - state.mesh.vertices[stays])
-    return result
-
-
-def _measure_planes(state: LevelState, vertices: np.ndarray) -> np.ndarray:
-    """Return the distances (N,) of the samples from the planes of their triangles if the vertices are at `vertices` (V, 3)."""
-    corners = vertices[state.mesh.triangles]
-    _, normals = face_areas_and_normals(corners)
-    triangles = state.found.triangles
-    offsets = np.einsum("ti,ti->t", normals, corners[:, 0])
-    return np.abs(np.einsum("ni,ni->n", normals[triangles], state.samples.positions) - offsets[triangles])
-
-
-def _gather_points(vertices: np.ndarray, edges: Edges) -> np.ndarray:
+def gather_points(vertices: np.ndarray, edges: Edges) -> np.ndarray:
     """Return the points (V + 3 E, 3) that are measured: vertices, then the points of edges at EDGE_FRACTIONS."""
     first, second = vertices[edges.ends[:, 0]], vertices[edges.ends[:, 1]]
     points = first[:, None] + EDGE_FRACTIONS[:, None] * (second - first)[:, None]
@@ -285,8 +155,9 @@ def _locate(state: LevelState, edges: Edges, rows: np.ndarray) -> tuple[np.ndarr
     return triangles, barycentric
 
 
-def _rms_distance(state: LevelState) -> float:
-    """Return the root mean squared distance of the samples from the planes of their triangles, by area."""
+def _find_min_limit(state: LevelState) -> float:
+    """Return the least limit: a multiple of the root mean squared distance of the samples from the planes of their triangles, by area."""
     _, normals = face_areas_and_normals(state.corners)
     along = np.einsum("ni,ni->n", state.residuals, normals[state.found.triangles])
-    return float(np.sqrt(np.average(along**2, weights=state.samples.weights)))
+    rms = np.sqrt((along**2 * state.samples.weights).sum() / max(state.samples.weights.sum(), TINY))
+    return max(LIMIT_FACTOR * float(rms), MIN_LIMIT * longest_side(state.mesh.vertices), TINY)

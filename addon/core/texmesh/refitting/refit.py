@@ -20,12 +20,14 @@ from .correspondence import compute_uv_scale, match_islands
 from .deviation_quadrics import DeviationQuadrics
 from .edge_flips import flip_edges
 from .edge_splits import split_edges, split_far_edges
+from .fine_surface import FineSurface
+from .folds import avoid_folds
 from .least_squares import Linearization, compute_moments
 from .level_state import LevelState, attach
-from .outliers import approach, flip_outliers, measure_distances
+from .outlier_repair import approach, flip_outliers, pull_back
+from .outliers import measure_distances
 from .sampling import sample_surface
 from .settings import RefitSettings
-from .spikes import FineSurface, avoid_folds
 from .uv_moves import move_uvs
 
 MIN_SAMPLES, MAX_SAMPLES = 16_000, 300_000  # per level
@@ -39,7 +41,7 @@ FLIP_ROUNDS = 1  # per iteration
 SPLIT_PARTS = 2  # the splits are divided into so many iterations, each after the fit has followed the one before
 LATE_SPLIT_FRACTION = 0.4  # of all splits, those of the edges that are farthest after the fit
 LATE_SPLITS = 2  # rounds of repair in which edges are split
-REPAIR_ROUNDS = 5
+REPAIR_ROUNDS = 5  # of flips and moves of outliers
 PEAK_SCALE = 4.0  # squared distances count more if they are large compared with this multiple of their mean
 MAX_EMPHASIS = 3.0
 SIMPLIFICATION_FRACTION = 0.1  # of the progress, for the simplification
@@ -119,7 +121,7 @@ def _repair(state: LevelState, surface: FineSurface, curves: BorderCurves, uv_sc
     for index in range(REPAIR_ROUNDS):
         missing = target - len(state.mesh.triangles)
         if missing > 0 and index < LATE_SPLITS:
-            missing = -(-missing // (LATE_SPLITS - index))
+            missing = min(2 * -(-missing // (2 * (LATE_SPLITS - index))), missing)  # most edges add two triangles
             state = split_far_edges(state, measured, missing, surface, curves)
             state = _move(flip_edges(state, FLIP_ROUNDS), curves, uv_scale, MIN_DAMPING)
             measured = measure_distances(state, surface, measured)
@@ -127,10 +129,10 @@ def _repair(state: LevelState, surface: FineSurface, curves: BorderCurves, uv_sc
         if flipped is not state:
             state, measured = flipped, measure_distances(flipped, surface, measured)
         moved = approach(state, surface, measured, uv_scale)
-        if moved is state:
+        if moved is state and index >= LATE_SPLITS:
             break
         state, measured = moved, measure_distances(moved, surface, measured)
-    return state
+    return pull_back(state, surface, measured)
 
 
 def _move(state: LevelState, curves: BorderCurves, uv_scale: float, damping: float) -> LevelState:

@@ -34,20 +34,15 @@ from bisect import bisect_right
 from dataclasses import replace
 
 from .manifest import MESH, TEXTURES
+from .sending_servers import is_paused, is_silent, look_ahead, measure, pause
 from .sending_state import Event, Flight, Job, Request, Server, Span, State
 
-FAST, SLOW = 0.3, 2.0  # seconds that the averages of rates look back
-GRACE = 0.1  # seconds without a byte that mean nothing
 FRACTION = 0.25  # of the remaining time for the next request
 MAX_REQUEST, FIRST_REQUEST = 1.0, 0.3  # seconds that a request may take, with a rate that was measured and one that was not
 LEAD = 1.5  # delays before the line is free that the next request is sent
 EXCESS = 1.2  # of the time left, for all requests of a server, at which the newest is aborted
 MEASURED = 0.2  # seconds of measuring before a level is chosen
 LEVEL_MARGIN = 0.9  # fraction of the estimated bytes that a level and its increments may need
-SILENCE = 0.5  # seconds after which a request is given up where there are other servers
-MIN_PAUSE, MAX_PAUSE = 0.25, 16.0  # seconds without a request for a server that failed: alone, and beside others
-MIN_RATE = 1000.0  # bytes per second
-ENDLESS = 1e9  # seconds
 
 
 def decide(job: Job, state: State, event: Event) -> tuple[State, list[Request], list[int]]:
@@ -60,10 +55,10 @@ def decide(job: Job, state: State, event: Event) -> tuple[State, list[Request], 
     is_over = state.time >= state.limit + state.patience and not state.keeps_refining
     aborted = []
     for flight in state.flights[::-1]:  # the newest first
-        is_silent = _is_silent(state, flight)
-        if is_silent:
-            _pause(state, flight)
-        if is_silent or (not _is_first(job, flight.span) and (is_over or _is_excess(state, flight))):
+        was_silent = is_silent(state, flight)
+        if was_silent:
+            pause(state, flight)
+        if was_silent or (not _is_first(job, flight.span) and (is_over or _is_excess(state, flight))):
             _owe(state, flight)
             aborted.append(flight.id)
     if not any(span.file == MESH for span in state.pending) and not any(flight.span.file == MESH for flight in state.flights):
@@ -97,16 +92,6 @@ def mean_difference(state: State) -> float:
     return (state.difference - state.latest) / max(state.responses - 1, 1)
 
 
-def estimate_rate(state: State, index: int, horizon: float) -> float:
-    """Return the bytes per second of server `index` that are to be expected for the next `horizon` seconds."""
-    server = state.servers[index]
-    is_open = any(flight.is_open and flight.server == index for flight in state.flights)
-    gap = max(0.0, state.time - server.mark - GRACE) if is_open else 0.0
-    fast = server.bytes / (server.seconds + gap)
-    slow = server.slow_bytes / (server.slow_seconds + gap)
-    return (fast * FAST + slow * horizon) / (FAST + horizon)
-
-
 def _copy(state: State) -> State:
     return replace(
         state,
@@ -119,7 +104,7 @@ def _copy(state: State) -> State:
 def _hear(state: State, flight: Flight, event: Event) -> None:
     server = state.servers[flight.server]
     if event.failed:
-        _pause(state, flight)
+        pause(state, flight)
         _owe(state, flight)
         return
     is_busy = any(other.is_open and other.server == flight.server for other in state.flights)
@@ -131,7 +116,7 @@ def _hear(state: State, flight: Flight, event: Event) -> None:
         server.delay += (state.time - flight.asked - server.delay) * (0.25 if server.measured else 1.0)
     if not is_busy:
         server.mark, fresh = state.time, 0  # bytes that come with the headers took a time that nobody measured
-    _measure(server, fresh, state.time - server.mark)
+    measure(server, fresh, state.time - server.mark)
     server.mark = flight.heard = server.heard = state.time
     flight.received = received
     if received == size:
@@ -143,43 +128,12 @@ def _hear(state: State, flight: Flight, event: Event) -> None:
         server.failures = 0
 
 
-def _measure(server: Server, count: int, seconds: float) -> None:
-    fast, slow = FAST / (FAST + seconds), SLOW / (SLOW + seconds)
-    server.bytes = server.bytes * fast + count
-    server.seconds = server.seconds * fast + seconds
-    server.slow_bytes = server.slow_bytes * slow + count
-    server.slow_seconds = server.slow_seconds * slow + seconds
-    server.measured += seconds
-
-
-def _is_silent(state: State, flight: Flight) -> bool:
-    server = state.servers[flight.server]
-    since = max(flight.heard, min(server.heard, flight.due))
-    patience = max(SILENCE, 4.0 * server.delay) * (2 << min(server.failures, 3) if len(state.servers) == 1 else 1)
-    return state.time - since > (patience if server.measured else 2.0 * patience)  # connecting takes longer
-
-
 def _is_excess(state: State, flight: Flight) -> bool:
     """Return whether `flight` and the older ones of its server will not end before the limit, so that it takes from them in vain."""
     is_alone = all(other.server != flight.server or other.id >= flight.id for other in state.flights)
     if is_alone or flight.span.file == MESH or state.keeps_refining:
         return False
-    return _line(state, flight.server)[0] > EXCESS * max(state.limit - state.time, 0.0)
-
-
-def _pause(state: State, flight: Flight) -> None:
-    """Let the server of a request alone for a while."""
-    server = state.servers[flight.server]
-    if state.time >= server.until:  # not one of several requests that fail together
-        server.failed, server.until = state.time, state.time + min(MIN_PAUSE * (1 << 2 * min(server.failures, 3)), MAX_PAUSE)
-        server.failures += 1
-
-
-def _is_paused(state: State, index: int) -> bool:
-    """Return whether a server gets no request; if none may, each gets one again soon."""
-    server = state.servers[index]
-    is_needed = all(state.time < other.until for other in state.servers)
-    return state.time < server.until and not (is_needed and state.time >= server.failed + MIN_PAUSE)
+    return look_ahead(state, flight.server)[0] > EXCESS * max(state.limit - state.time, 0.0)
 
 
 def _owe(state: State, flight: Flight) -> None:
@@ -197,8 +151,8 @@ def _ask(job: Job, state: State, requests: list[Request]) -> bool:
     lines = []
     owes_first = any(_is_first(job, span) for span in state.pending)
     for index, server in enumerate(state.servers):
-        busy, rest, rate = _line(state, index)
-        if not _is_paused(state, index) and (owes_first or busy <= LEAD * server.delay):
+        busy, rest, rate = look_ahead(state, index)
+        if not is_paused(state, index) and (owes_first or busy <= LEAD * server.delay):
             lines.append((max(busy, server.delay), index, rest, rate))
     for start, index, rest, rate in sorted(lines):
         span = _take(job, state, rest, rate, state.servers[index])
@@ -209,19 +163,6 @@ def _ask(job: Job, state: State, requests: list[Request]) -> bool:
             state.next_id += 1
             return True
     return False
-
-
-def _line(state: State, index: int) -> tuple[float, float, float]:
-    """Return in how many seconds the line of a server is free, how many then remain for a new response, and its rate until then."""
-    is_refining = state.keeps_refining and state.time >= state.limit
-    left = ENDLESS if is_refining else max(state.limit - state.time, 0.0)
-    rate = max(estimate_rate(state, index, left), MIN_RATE)
-    delay, busy = state.servers[index].delay, 0.0
-    for flight in state.flights:
-        if flight.server == index:
-            begins = busy if flight.is_open else max(busy, flight.asked + delay - state.time)
-            busy = begins + (flight.span.end - flight.span.start - flight.received) / rate
-    return busy, left if is_refining else left - max(busy, delay), rate
 
 
 def _take(job: Job, state: State, rest: float, rate: float, server: Server) -> Span | None:
@@ -297,8 +238,8 @@ def _budget(state: State) -> float:
     """Return the bytes that can be asked for and come before the limit."""
     budget = 0.0
     for index in range(len(state.servers)):
-        _, rest, rate = _line(state, index)
-        if not _is_paused(state, index):
+        _, rest, rate = look_ahead(state, index)
+        if not is_paused(state, index):
             budget += max(rest, 0.0) * rate
     return budget
 

@@ -20,15 +20,18 @@ MAX_RESIDUAL_BYTES = 3  # symbol and extra bits, rounded up
 
 
 def deflate(*parts: bytes) -> bytes:
-    """Return the content of all `parts` compressed, each in DEFLATE blocks of its own by the strategy that makes it smallest."""
-    result = b""
-    for index, part in enumerate(parts):
-        candidates = []
-        for strategy in STRATEGIES:
-            coder = zlib.compressobj(9, zlib.DEFLATED, -15, 9, strategy)
-            candidates.append(coder.compress(part) + coder.flush(zlib.Z_FINISH if index == len(parts) - 1 else zlib.Z_SYNC_FLUSH))
-        result += min(candidates, key=len)
-    return result
+    """Return the content of all `parts` compressed: together or each in DEFLATE blocks of its own, whatever is smaller."""
+    separate = [_compress(part, zlib.Z_SYNC_FLUSH) for part in parts[:-1]]
+    return min(b"".join([*separate, _compress(parts[-1], zlib.Z_FINISH)]), _compress(b"".join(parts), zlib.Z_FINISH), key=len)
+
+
+def _compress(part: bytes, end: int) -> bytes:
+    """Return the result of the strategy that makes `part` smallest. end: how zlib ends it."""
+    candidates = []
+    for strategy in STRATEGIES:
+        coder = zlib.compressobj(9, zlib.DEFLATED, -15, 9, strategy)
+        candidates.append(coder.compress(part) + coder.flush(end))
+    return min(candidates, key=len)
 
 
 def inflate(content: bytes | memoryview, max_size: int) -> bytes:

@@ -10,7 +10,7 @@ const EXPLICIT_PARENT = 255, ADDED_WEDGE = 1, RING = 3;
 const MAX_RATIO = 1032, MAX_LEB128_BYTES = 5, MAX_RESIDUAL_BYTES = 3; // of DEFLATE: bytes from one byte
 const MIN_DETERMINANT = 1e-3, PASSES = 5, STEPS = 65535;
 
-/** The content of a raw DEFLATE stream, which has `size` bytes. Throws RangeError if it has others, TypeError if it is damaged. */
+/** The content of a raw DEFLATE stream, which has `size` bytes. Throws RangeError if it is damaged or has others. */
 export async function inflate(bytes, size) {
   const result = await inflateUpTo(bytes, size);
   check(result.length === size);
@@ -21,9 +21,10 @@ async function inflateUpTo(bytes, maxSize) {
   const reader = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate-raw")).getReader();
   const parts = [];
   let size = 0;
-  for (let part = await reader.read(); !part.done; part = await reader.read()) {
+  const readPart = () => reader.read().catch(() => check(false));
+  for (let part = await readPart(); !part.done; part = await readPart()) {
     size += part.value.length;
-    if (size > maxSize) reader.cancel();
+    if (size > maxSize) reader.cancel().catch(() => {});
     check(size <= maxSize);
     parts.push(part.value);
   }
@@ -38,7 +39,7 @@ function check(condition) {
 
 /** The mesh of level `index` of `manifest`: positions (3 V) of its vertices, wedges (W) their vertices, uvs (2 W), corners (3 T) wedges of
  * its triangles, those of one material after those of another, and parents (V). coarser: the mesh of the next coarser level.
- * Throws RangeError or TypeError if it is damaged. */
+ * Throws RangeError if it is damaged. */
 export async function decodeLevel(manifest, index, sections, coarser) {
   const level = manifest.levels[index], known = coarser?.parents.length ?? 0, knownWedges = coarser?.wedges.length ?? 0;
   const triangles = level.triangle_counts.reduce((sum, count) => sum + count, 0);

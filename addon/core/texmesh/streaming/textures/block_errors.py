@@ -149,7 +149,7 @@ def contrast_sensitivities(means: np.ndarray) -> np.ndarray:
 class BlockWeights:
     """What an error of tiles of N x B blocks means, float32, per component.
 
-    colors: (N, B, 64), of squared errors of coefficients for the color that is seen. features: (N, B, 64), of those of Y alone for edges and
+    colors: (N, B, 64), of squared errors of coefficients for the color that is seen. features: (N, B, 64), of those of Y for edges and
     points. contrasts: (N, B, 64), of the squares of coefficients that are not seen themselves, for brightness. means: (N, B), of squared
     errors of DC coefficients that are alike everywhere.
     """

@@ -1,0 +1,141 @@
+"""Repair of outliers of a level: flips of edges, and moves of vertices that bring the farthest places nearer to the fine mesh."""
+
+import numpy as np
+
+from ...geometry.mesh import face_areas_and_normals
+from .correspondence import Correspondence
+from .edge_flips import find_quads, flip_quads, select_flips
+from .fine_surface import FineSurface
+from .folds import unfold
+from .least_squares import Linearization, compute_moments
+from .level_state import LevelState
+from .outliers import EDGE_FRACTIONS, LevelDistances, gather_points
+from .sampling import SurfaceSamples
+
+ATTRACTION = 0.5  # weight of an outlier at the limit, relative to all samples of a triangle; it grows with the fourth power of the distance
+MAX_ATTRACTION = 30.0
+MAX_FLIPPED_FRACTION = 0.7  # of the distance of an edge that the flipped edge has at most
+MAX_WITHDRAWALS = 6
+HALVINGS = 2  # withdrawals that leave a part of a step, before the others leave nothing
+WITHDRAWN_FRACTION = 0.5
+ACCEPTED_FRACTION = 0.8  # of the largest distance in the neighborhood, up to which a point may get farther while that is lowered
+PEAK_RINGS = 2
+
+
+def flip_outliers(state: LevelState, surface: FineSurface, measured: LevelDistances) -> LevelState:
+    """Return the level with outlying edges flipped where the flipped edge is much nearer to the fine mesh."""
+    quads = find_quads(state)
+    if not len(quads.triangles):
+        return state
+    peaks = measured.at_edges.max(axis=1)[measured.edges.between(quads.vertices[:, 1], quads.vertices[:, 3])]
+    far = np.flatnonzero(peaks > measured.limit)
+    first, second = (state.mesh.vertices[quads.vertices[far, corner]] for corner in (0, 2))
+    points = first[:, None] + EDGE_FRACTIONS[:, None] * (second - first)[:, None]
+    after = surface.measure_distances(points.reshape(-1, 3)).reshape(-1, len(EDGE_FRACTIONS)).max(axis=1)
+    gains = np.zeros(len(peaks))
+    gains[far] = np.where(after < MAX_FLIPPED_FRACTION * peaks[far], peaks[far] - after, 0.0)
+    return flip_quads(state, quads, select_flips(state, quads, gains))
+
+
+def approach(state: LevelState, surface: FineSurface, measured: LevelDistances, uv_scale: float) -> LevelState:
+    """Return the level after a step of positions in which outliers count more. No vertex moves that would make an outlier.
+
+    measured: of `state`. uv_scale: length of a unit of UV space on the surface.
+    """
+    if not len(measured.distances):
+        return state
+    attracted = _attract(state, measured)
+    step = Linearization(attracted, compute_moments(attracted), None, 0.0).solve(uv_scale)
+    vertices = unfold(state, state.mesh.vertices + step, surface)
+    return state.move(_withdraw(state, vertices, surface, measured))
+
+
+def pull_back(state: LevelState, surface: FineSurface, measured: LevelDistances) -> LevelState:
+    """Return the level with outlying vertices, and ends of outlying edges, where the fine mesh has their texture coordinates, as far as
+    that makes no other outlier.
+
+    measured: of `state`.
+    """
+    mesh = state.mesh
+    is_far = measured.at_vertices > measured.limit
+    is_far[measured.edges.ends[(measured.at_edges > measured.limit).any(axis=1)]] = True
+    corners = np.zeros(len(mesh.vertices), np.int64)
+    corners[mesh.triangles.ravel()] = np.arange(mesh.triangles.size)
+    far = np.flatnonzero(is_far)
+    if not len(far):
+        return state
+    vertices = mesh.vertices.copy()
+    uvs = mesh.uvs[mesh.wedge_triangles.ravel()[corners[far]]]
+    vertices[far] = surface.find_positions(mesh.vertices[far], uvs, state.islands[corners[far] // 3])
+    return state.move(_withdraw(state, unfold(state, vertices, surface), surface, measured))
+
+
+def _attract(state: LevelState, measured: LevelDistances) -> LevelState:
+    """Return the level with samples added that attract the outliers."""
+    count = len(measured.distances)
+    areas, _ = face_areas_and_normals(state.corners)
+    size = np.maximum(areas[measured.triangles], areas.mean())
+    weights = size * np.minimum(ATTRACTION * (measured.distances / measured.limit) ** 4, MAX_ATTRACTION)
+    samples, found = state.samples, state.found
+    blank = np.zeros(count)
+    added = (blank, measured.barycentric, measured.targets, np.zeros((count, 2)), blank, weights)
+    values = (samples.triangles, samples.barycentric, samples.positions, samples.uvs, samples.islands, samples.weights)
+    joined = SurfaceSamples(*(np.concatenate([value, extra]) for value, extra in zip(values, added, strict=True)))
+    return LevelState(
+        state.mesh,
+        state.islands,
+        joined,
+        Correspondence(
+            np.concatenate([found.triangles, measured.triangles]),
+            np.concatenate([found.barycentric, measured.barycentric]),
+            np.concatenate([found.is_covered, np.ones(count, bool)]),
+        ),
+        state.normal_weight,
+    )
+
+
+def _withdraw(state: LevelState, vertices: np.ndarray, surface: FineSurface, measured: LevelDistances) -> np.ndarray:
+    """Return `vertices` (V, 3), but those stay where they are in `state` that would make an outlier, unless a larger one beside it
+    gets smaller."""
+    ends, result = measured.edges.ends, vertices.copy()
+    before = np.concatenate([measured.at_vertices, measured.at_edges.ravel()])
+    peaks = _find_peaks_around(measured)
+    around = np.concatenate([peaks, np.repeat(peaks[ends].min(axis=1), len(EDGE_FRACTIONS))])
+    allowed = np.maximum(np.maximum(before, measured.limit), ACCEPTED_FRACTION * around)
+    planes = _measure_planes(state, state.mesh.vertices)
+    corner_peaks = peaks[state.mesh.triangles].min(axis=1)[state.found.triangles]
+    allowed_planes = np.maximum(np.maximum(planes, measured.limit), ACCEPTED_FRACTION * corner_peaks)
+    for attempt in range(MAX_WITHDRAWALS):
+        moves = np.linalg.norm(result - state.mesh.vertices, axis=1)
+        bounds = before + np.concatenate([moves, np.repeat(moves[ends].max(axis=1), len(EDGE_FRACTIONS))])
+        rows = np.flatnonzero((bounds > allowed) & (bounds > before))
+        points = gather_points(result, measured.edges)[rows]
+        worse = rows[surface.measure_distances(points) > allowed[rows]]
+        is_vertex = worse < len(vertices)
+        missing = np.unique(state.found.triangles[_measure_planes(state, result) > allowed_planes])
+        at_edges = ends[(worse[~is_vertex] - len(vertices)) // len(EDGE_FRACTIONS)]
+        stays = np.unique(np.concatenate([worse[is_vertex], at_edges.ravel(), state.mesh.triangles[missing].ravel()]))
+        stays = stays[moves[stays] > 0.0]
+        if not len(stays):
+            break
+        fraction = WITHDRAWN_FRACTION if attempt < HALVINGS else 0.0
+        result[stays] = state.mesh.vertices[stays] + fraction * (result[stays] - state.mesh.vertices[stays])
+    return result
+
+
+def _find_peaks_around(measured: LevelDistances) -> np.ndarray:
+    """Return the largest distances (V,) around the vertices."""
+    ends, peaks = measured.edges.ends, measured.at_vertices.copy()
+    for _ in range(PEAK_RINGS):
+        highest = np.maximum(measured.at_edges.max(axis=1), peaks[ends].max(axis=1))
+        np.maximum.at(peaks, ends.ravel(), np.repeat(highest, 2))
+    return peaks
+
+
+def _measure_planes(state: LevelState, vertices: np.ndarray) -> np.ndarray:
+    """Return the distances (N,) of the samples from the planes of their triangles if the vertices are at `vertices` (V, 3)."""
+    corners = vertices[state.mesh.triangles]
+    _, normals = face_areas_and_normals(corners)
+    triangles = state.found.triangles
+    offsets = np.einsum("ti,ti->t", normals, corners[:, 0])
+    return np.abs(np.einsum("ni,ni->n", normals[triangles], state.samples.positions) - offsets[triangles])

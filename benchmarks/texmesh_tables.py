@@ -1,0 +1,115 @@
+"""Prints the Markdown tables of docs/results/texmesh.md from reports: `python3 benchmarks/texmesh_tables.py REPORT.json [MORE.json ...]`.
+
+Reports are those of `bench_texmesh.py --report`. Models of later reports replace those of earlier ones.
+"""
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+PEERS = {  # columns by the names of texmesh_peers; gltfpack by its flags
+    "blender": "Decimate",
+    "gltfpack -si": "-si",
+    "gltfpack -si -sv": "-si -sv",
+    "gltfpack -si -sp": "-si -sp",
+    "gltfpack -si -sp -sv": "-si -sp -sv",
+    "pymeshlab": "pymeshlab",
+}
+LAST_SCALE = 20
+
+
+def main(paths: Sequence[str]) -> None:
+    """Print the tables of all parts that the reports contain."""
+    parts: dict[str, dict[str, Any]] = {}
+    for path in paths:
+        for part, figures in json.loads(Path(path).read_text("utf-8")).items():
+            parts.setdefault(part, {}).update(figures)
+    for part, build in TABLES.items():
+        if part in parts:
+            print(f"\n<!-- {part} -->\n{build(parts[part])}")
+
+
+def build_switches(models: dict[str, Any]) -> str:
+    """Return the FLIP at each switch."""
+    rows = []
+    for name, model in models.items():
+        for number, switch in enumerate(model["switches"], 1):
+            figures = [
+                switch["triangles"],
+                switch["pixels"],
+                switch["difference_of_search"],
+                switch["difference"],
+                switch["local_difference"],
+            ]
+            rows.append([name, f"L{number}", *figures])
+    return _table(["model", "level", "triangles", "pixels", "FLIP in views of the search", "in other views", "95th percentile"], rows)
+
+
+def build_renders(models: dict[str, Any]) -> str:
+    """Return the FLIP of all methods against the original."""
+    rows = []
+    for name, model in models.items():
+        for number, level in enumerate(model["levels"], 1):
+            peers = [_render_cell(level["methods"].get(peer), level["triangles"]) for peer in PEERS]
+            own = level["methods"]["farfield"]["mean"]
+            rows.append([name, f"L{number}", level["triangles"], level["pixels"], f"{own:.4f}", *peers, level["ratio"]])
+    return _table(["model", "level", "triangles", "pixels", "Farfield", *PEERS.values(), "ratio to the best"], rows)
+
+
+def build_targets(models: dict[str, Any]) -> str:
+    """Return the triangles of subset levels."""
+    rows = []
+    for name, model in models.items():
+        reached = [f"{level['triangles']:,} of {level['target']:,}" for level in model["levels"]]
+        constraints = sorted({level["constraint"] for level in model["levels"] if level["constraint"]})
+        is_subset = all(level["is_subset"] for level in model["levels"])
+        rows.append([name, f"{model['triangles']:,}", *reached, "yes" if is_subset else "no", " ".join(constraints) or "none"])
+    return _table(["model", "triangles", "50 %", "25 %", "10 %", "3 %", "bit for bit", "constraint"], rows)
+
+
+def build_paper(figures: dict[str, Any]) -> str:
+    """Return the tables beside Figures 4, 10 and 11."""
+    scales = [str(scale) for scale in range(LAST_SCALE + 1)]
+    counts = _table(["vertices", *scales], [[name, *values] for name, values in figures["figure_4"].items()])
+    ranges = _table(["range", *scales], [[name, *(f"{value:.2f}" for value in values)] for name, values in figures["figure_10"].items()])
+    rows = [[name, values["samples"], values["row_spacings"], values["height_fraction"]] for name, values in figures["convergence"].items()]
+    convergence = _table(["body", "samples", "last sigma in distances between rows", "relative to the height"], rows)
+    titles = ["scale", *scales[1:]]
+    rows = []
+    for name, body in figures["figure_11"].items():
+        rows.append([f"{name}, triangles", *body["triangles"]])
+        rows.append([f"{name}, distance in heights", *(f"{distance:.0f}" for distance in body["distances"])])
+        rows.append([f"{name}, zones", *_mark_zones(body["zones"])])
+    return "\n\n".join([counts, ranges, convergence, _table(titles, rows)])
+
+
+def _mark_zones(zones: list[list[int]]) -> list[str]:
+    """Return per scale from 1 on whether the refinement from it to the next finer one is perceptible (red) or not (green)."""
+    starts = {start for start, _ in zones}
+    return ["red" if scale in starts else "green" for scale in range(1, LAST_SCALE + 1)]
+
+
+def _render_cell(method: dict[str, Any] | None, count: int) -> str:
+    if method is None:
+        return "fails"
+    text = f"{method['mean']:.4f}"
+    return text if 0.9 * count <= method["triangles"] <= 1.02 * count else f"{text} ({method['triangles']:,} triangles)"
+
+
+def _table(titles: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    lines = [titles, ["---"] * len(titles), *rows]
+    return "\n".join(_join(line) for line in lines)
+
+
+def _join(line: Sequence[Any]) -> str:
+    cells = [f"{cell:,}" if isinstance(cell, int) else str(cell) for cell in line]
+    return f"|{'|'.join(cells)}|" if cells[0] == "---" else f"| {' | '.join(cells)} |"
+
+
+TABLES = {"switching": build_switches, "renders": build_renders, "targets": build_targets, "paper": build_paper}
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
