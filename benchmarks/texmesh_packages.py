@@ -145,8 +145,8 @@ def _search_plan(package: Package, judge: TextureJudge) -> tuple[Reached | None,
     if measure(plan[high]) > MAX_FLIP:
         return None, _list_rows(tried)
     while low < high:
-        middle = (low + high) // 2
-        low, high = (low, middle) if measure(plan[middle]) <= MAX_FLIP else (middle + 1, high)
+        center = (low + high) // 2
+        low, high = (low, center) if measure(plan[center]) <= MAX_FLIP else (center + 1, high)
     row = plan[high]
     mesh = content.manifest.mesh_size(row.level)
     return Reached(mesh, row.byte_count - mesh + extra, tried[row], f"level {row.level}"), _list_rows(tried)
@@ -188,7 +188,7 @@ def _packed_size(source: Path, folder: Path, ratio: float) -> int:
     target = folder / "packed.glb"
     flags = [] if ratio >= 1.0 else ["-si", f"{ratio:.6f}", "-se", "1"]
     program = os.environ.get(GLTFPACK, "gltfpack")
-    subprocess.run([program, "-i", str(source), "-o", str(target), "-cc", *flags], check=True, capture_output=True)
+    subprocess.run([program, "-i", str(source), "-o", str(target), "-cc", "-km", "-kv", *flags], check=True, capture_output=True)
     content = target.read_bytes()
     return min(len(content), len(gzip.compress(content, 9)))
 
@@ -199,17 +199,17 @@ def _search_textures(model: TexturedModel, level: TexturedMesh, judge: TextureJu
     for scale in SCALES:
         low, high = 0, len(QUALITIES)
         while low < high:
-            middle = (low + high) // 2
-            size, decoded = _encode_textures(model, scale, QUALITIES[middle])
+            center = (low + high) // 2
+            size, decoded = _encode_textures(model, scale, QUALITIES[center])
             ceiling = min((item for item in (limit, None if best is None else best.textures) if item is not None), default=None)
             if ceiling is not None and size >= ceiling:
-                high = middle
+                high = center
                 continue
             flip = judge.measure_flip(decoded, level)
             if flip <= MAX_FLIP:
-                best, high = Reached(0, size, flip, f"scale {scale:g}, quality {QUALITIES[middle]}"), middle
+                best, high = Reached(0, size, flip, f"scale {scale:g}, quality {QUALITIES[center]}"), center
             else:
-                low = middle + 1
+                low = center + 1
     return best
 
 

@@ -12,6 +12,7 @@ from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.streaming.increments import decode_increments, encode_increments
 from farfield.addon.core.texmesh.streaming.manifest import Manifest, Section
 from farfield.addon.core.texmesh.streaming.textures.building import BuiltTextures, build_textures
+from farfield.addon.core.texmesh.streaming.textures.coding import choose_factors
 from farfield.addon.core.texmesh.streaming.textures.decoding import decode_textures
 from farfield.addon.core.texmesh.streaming.textures.progressive_files import check_increment, decode_tile
 from farfield.addon.core.texmesh.streaming.textures.queue import order_increments
@@ -118,6 +119,14 @@ def test_gray_textures_have_one_component():
     built = run_to_end(build_textures([gray], SETTINGS))
     assert len(built.textures[0].headers[0]) < 400
     assert (np.ptp(decode_textures(built.textures, built.increments, built.content)[0].astype(int), axis=2) == 0).all()
+
+
+def test_tiles_take_the_fewest_bytes_that_reach_the_error():
+    errors = np.array([[0.1, 0.2, 0.9], [0.1, 0.8, 0.9]])
+    byte_counts = np.array([[100, 40, 30], [100, 90, 80]])
+    assert choose_factors(errors, byte_counts, 0.31).tolist() == [1, 0]
+    assert choose_factors(errors, byte_counts, 0.0).tolist() == [0, 0]
+    assert choose_factors(errors, byte_counts, 9.0).tolist() == [2, 2]
 
 
 def test_features_change_the_order():

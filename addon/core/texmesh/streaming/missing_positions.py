@@ -2,7 +2,7 @@
 
 The paper estimates a lost vertex from its texel, which came in another packet, and from features before and after it in the queue. Here an
 added vertex begins at its parent. Then, some times, each moves to where the affine function from texture coordinates to positions that fits
-its neighbors best puts its own texel. After few passes that is several times nearer than the parent (docs/results/texmesh.md, Positions that have not come).
+its neighbors best puts its own texel. After few passes that is several times nearer than the parent (docs/results/texmesh.md).
 """
 
 import numpy as np

@@ -33,7 +33,10 @@ SAMPLE_TILES = 64  # whose symbols decide the Huffman tables, at 128 pixels
 MIN_VISIBILITY = 1e-3  # of blocks that no view shows, relative to the mean of the used ones
 FLAT_VARIANCE, FLAT_FRACTION = 4.0, 0.2  # of Y in a block, and of the blocks of a tile
 FLAT_QUALITY = 95  # JPEG quality of the mean colors of flat tiles
-STEP_FACTORS = (1.0, 2.0, 4.0)  # of steps of quantization, the coarser the more texels a pixel covers
+STEP_FACTORS = (1.0, 2.5, 6.0, 15.0)  # of steps of quantization, of which the best one is chosen per tile
+BLOCK_STRIDE = 3  # of the blocks of a tile for that choice
+BITS_OF_VALUE = 5.0  # about those of the position of a nonzero coefficient
+BISECTIONS, RATE_POWER = 40, 4  # of the gain per byte that tiles have in common, whose scale is not known
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,17 +79,27 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
     is_color = source.role in COLOR_ROLES
     energies = filter_energies(level_footprints(), settings.pixels_per_degree)[[0, 1, 2] if is_color else [0, 0, 0]][:components]
     scans, common = list_scans(components), shown.sum(axis=(0, 1))
-    all_steps = _list_steps(settings.quality, components)
-    classes = 2 * _choose_factors(shown, common, energies[0, :, 0])
-    quantized = np.empty((components, len(numbers), blocks, COEFFICIENTS), np.int16)
     feature_table = feature_energies(level_footprints(), settings.pixels_per_degree)
-    parts: list[BlockErrors] = []
+    all_steps = _list_steps(settings.quality, components)
     batch = max(BATCH_TEXELS // side**2, 1)
+    estimates = np.zeros((2, len(numbers), all_steps.shape[1]))
+    is_flat = np.zeros(len(numbers), np.int64)
     for start in range(0, len(numbers), batch):
-        yield Progress(0.5 * start / len(numbers), "Measuring errors of textures")
+        yield Progress(0.2 * start / len(numbers), "Choosing quality of textures")
         rows = slice(start, start + batch)
         coefficients = transform_tiles(tiles[rows], components)
-        classes[rows] += _are_flat(coefficients)
+        is_flat[rows] = _are_flat(coefficients)
+        part = np.ascontiguousarray(coefficients[:, :, ::BLOCK_STRIDE])
+        weights = _weigh_blocks(part, shown[rows, ::BLOCK_STRIDE], common, energies, feature_table, is_color)
+        estimates[:, rows] = _estimate_classes(part, weights, all_steps, fractions[rows, ::BLOCK_STRIDE])
+    factors = choose_factors(estimates[0, :, ::2], estimates[1, :, ::2], settings.error)
+    classes = 2 * factors + is_flat
+    quantized = np.empty((components, len(numbers), blocks, COEFFICIENTS), np.int16)
+    parts: list[BlockErrors] = []
+    for start in range(0, len(numbers), batch):
+        yield Progress(0.2 + 0.4 * start / len(numbers), "Measuring errors of textures")
+        rows = slice(start, start + batch)
+        coefficients = transform_tiles(tiles[rows], components)
         steps = all_steps[:, classes[rows]]
         quantized[:, rows] = quantize(coefficients, steps)
         weights = _weigh_blocks(coefficients, shown[rows], common, energies, feature_table, is_color)
@@ -99,7 +112,7 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
     tables = build_tables(quantized[:, samples], np.abs(quantized).max(axis=(1, 2)), scans)
     contents: list[list[bytes]] = []
     for start in range(0, len(numbers), batch):
-        yield Progress(0.5 + 0.5 * start / len(numbers), "Coding textures")
+        yield Progress(0.6 + 0.4 * start / len(numbers), "Coding textures")
         part = quantized[:, start : start + batch]
         tops = find_first_shifts(part, scans)
         coded = [code_scan(part, scan, top, tables) for scan, top in zip(scans, tops, strict=True)]
@@ -174,17 +187,39 @@ def _are_flat(coefficients: np.ndarray) -> np.ndarray:
     return ((variances < FLAT_VARIANCE).mean(axis=1) > FLAT_FRACTION).astype(np.int64)
 
 
-def _choose_factors(shown: np.ndarray, common: np.ndarray, energies: np.ndarray) -> np.ndarray:
-    """Return for each tile (N,) int64 which of STEP_FACTORS keeps its errors as visible as they are where a pixel covers one texel.
+def _estimate_classes(coefficients: np.ndarray, weights: BlockWeights, all_steps: np.ndarray, fractions: np.ndarray) -> np.ndarray:
+    """Return about the predicted errors and bytes (2, N, classes) of some blocks (C, N, B, 64) of complete tiles with `all_steps`
+    (C, classes, 64) of ordinary tiles."""
+    count = coefficients.shape[1]
+    scans = [Scan(None, 0, COEFFICIENTS - 1, 0, 0)]
+    found = np.zeros((2, count, all_steps.shape[1]))
+    for index in range(0, all_steps.shape[1], 2):
+        steps = np.repeat(all_steps[:, index, None], count, axis=1)
+        quantized = quantize(coefficients, steps)
+        errors = measure_errors(coefficients, quantized, steps, scans, weights)
+        found[0, :, index] = BLOCK_STRIDE * (predict_flip(errors.totals - errors.gains[:, 0]) * fractions).sum(axis=1)
+        bits = BITS_OF_VALUE * (quantized != 0) + 2.0 * np.log2(np.maximum(np.abs(quantized), 1))
+        found[1, :, index] = BLOCK_STRIDE / 8.0 * bits.sum(axis=(0, 2, 3))
+    return found
+
+
+def choose_factors(errors: np.ndarray, byte_counts: np.ndarray, target: float) -> np.ndarray:
+    """Return for each of N tiles (N,) int64 the choice out of K that gives the fewest bytes if all errors may sum to `target`.
 
     Args:
-        shown: (N, B, L), see `_weigh_blocks`. common: (L,). energies: (L,) of means of blocks.
+        errors, byte_counts: (N, K), of which the first choice is the best and largest one. If it does not reach the target, all have it.
     """
-    totals = shown.sum(axis=1)
-    mix = np.where(totals.any(axis=1, keepdims=True), totals, common if common.any() else np.ones_like(common))
-    visible = mix @ energies / mix.sum(axis=1)
-    factors = np.sqrt(energies[int(np.argmin(np.abs(level_footprints() - 1.0)))] / visible)
-    return np.abs(np.log(factors[:, None] / np.array(STEP_FACTORS))).argmin(axis=1)
+    low, high = 0.0, 1.0
+    chosen = np.zeros(len(errors), np.int64)
+    rows = np.arange(len(errors))
+    for _ in range(BISECTIONS):
+        rate = 0.5 * (low + high)
+        trial = (errors + rate**RATE_POWER * byte_counts).argmin(axis=1)
+        if errors[rows, trial].sum() <= target:
+            low, chosen = rate, trial
+        else:
+            high = rate
+    return chosen
 
 
 def _weigh_blocks(

@@ -23,8 +23,8 @@ from .scan_symbols import (
 DC_TABLES = 2  # of Y, and of Cb and Cr
 AC_TABLES = 4
 LOW_LUMINANCE, HIGH_LUMINANCE, CHROMINANCE, REFINEMENT = range(AC_TABLES)
-LUMINANCE_BANDS = ((1, 5), (6, 14), (15, 35), (36, 63))  # first and last coefficient, in zigzag order
-CHROMINANCE_BANDS = ((1, 5), (6, 20), (21, 63))
+LUMINANCE_BANDS = ((1, 5), (6, 20), (21, 63))  # first and last coefficient, in zigzag order
+CHROMINANCE_BANDS = ((1, 5), (6, 63))
 MAX_SHIFT = 1  # bits that the first scan of a band of AC coefficients leaves out; more of them cost contrast, or bytes
 JFIF = bytes.fromhex("ffe000104a46494600010100000100010000")
 
@@ -34,7 +34,8 @@ class Scan:
     """What a scan adds: of `component`, None for all of them, coefficients `first` to `last` in zigzag order, down to the bit `shift`.
 
     The first scan of a band has all bits above too; later ones add a bit each. Tiles whose coefficients are small begin with a lower bit:
-    they have fewer scans. table: for the first scan of AC coefficients.
+    they have fewer scans, and no scan of a band that is zero. Decoders take such a band as not yet known, and smooth steps between blocks
+    without other coefficients. table: for the first scan of AC coefficients.
     """
 
     component: int | None
