@@ -16,14 +16,11 @@ def random_job(rng: random.Random, increment_count: int | None = None) -> Job:
     """A package with 1 to 5 levels, whose plan goes from the first level to the last one."""
     levels = rng.randint(1, 5)
     count = rng.randint(0, 300) if increment_count is None else increment_count
-    added, corners, offset = [], [], 0
+    spans, offset = [], 0
     for level in range(levels):
         size = int(rng.lognormvariate(8.5 + level, 0.7))
         cut = offset + rng.randint(1, size)
-        added.append((Span(MESH, offset, cut),) if cut == offset + size else (Span(MESH, offset, cut), Span(MESH, cut, offset + size)))
-        offset += size
-        size = int(rng.lognormvariate(8.0 + level, 0.7)) + 1
-        corners.append((Span(MESH, offset, offset + size),))
+        spans.append((Span(MESH, offset, cut),) if cut == offset + size else (Span(MESH, offset, cut), Span(MESH, cut, offset + size)))
         offset += size
     table = rng.randint(10, 20000)
     first = table + rng.randint(0, 5000)
@@ -36,7 +33,7 @@ def random_job(rng: random.Random, increment_count: int | None = None) -> Job:
     for row in range(20):
         error *= rng.uniform(0.7, 0.95)
         rows.append((sum(cut <= row for cut in cuts), count * (row + 1) // 20, error))
-    return Job((*added[0], *corners[0], Span(TEXTURES, 0, table)), tuple(added), tuple(corners), tuple(rows), first, tuple(ends))
+    return Job((*spans[0], Span(TEXTURES, 0, table)), tuple(spans), tuple(rows), first, tuple(ends))
 
 
 class Exchange:
@@ -91,24 +88,20 @@ def random_exchange(seed: int, steps: int = 80) -> Exchange:
 
 
 def make_package(
-    texture_size: int = 1_000_000, increment_count: int = 1000, level_sizes: tuple[int, ...] = (20_000, 40_000, 80_000)
+    texture_size: int = 1_000_000, increment_count: int = 1000, level_sizes: tuple[int, ...] = (40_000, 80_000, 160_000)
 ) -> SentPackage:
     """A package whose increments have equal sizes and falling gains, and whose plan has the best use of every number of bytes."""
-    added, corners, offset = [], [], 0
-    for size in level_sizes:
-        added.append((Span(MESH, offset, offset + size),))
-        corners.append((Span(MESH, offset + size, offset + 2 * size),))
-        offset += 2 * size
+    ends_of_levels = np.cumsum(level_sizes).tolist()
+    levels = tuple((Span(MESH, end - size, end),) for end, size in zip(ends_of_levels, level_sizes, strict=True))
     first = 8000
     ends = first + np.arange(1, increment_count + 1) * (texture_size // increment_count)
     gains = np.linspace(2.0, 0.0, increment_count) * 0.3 / increment_count
     errors = [0.2 * 0.3**level for level in range(len(level_sizes))]
     plan = tuple((level, increment_count, error) for level, error in enumerate(errors))
-    spans = (*added[0], *corners[0], Span(TEXTURES, 0, 6000))
-    job = Job(spans, tuple(added), tuple(corners), plan, first, tuple(ends.tolist()))
+    job = Job((*levels[0], Span(TEXTURES, 0, 6000)), levels, plan, first, tuple(ends.tolist()))
     tiles = np.arange(increment_count) % 64
     package = SentPackage(job, gains, tiles, 2000)
-    rows = [package.best(size) for size in np.linspace(2.0 * level_sizes[0], texture_size + 2.0 * sum(level_sizes), 60)]
+    rows = [package.best(size) for size in np.linspace(2.0 * level_sizes[0], texture_size + 1.2 * sum(level_sizes), 60)]
     plan = tuple(dict.fromkeys(row for row in rows if row[0] >= 0))
     return SentPackage(dataclasses.replace(job, plan=plan), gains, tiles, 2000)
 

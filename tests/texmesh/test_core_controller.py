@@ -44,7 +44,7 @@ def test_requests_never_overlap_what_has_come_or_is_running(seed):
 def test_requests_stay_within_the_package_and_end_with_increments(seed):
     exchange = random_exchange(seed)
     job = exchange.job
-    parts = [span for spans in job.added + job.corners for span in spans] + list(job.first)
+    parts = [span for spans in job.levels for span in spans] + list(job.first)
     for requests, _ in exchange.decisions:
         for request in requests:
             span = request.span
@@ -85,7 +85,7 @@ def test_states_are_not_changed():
 @given(st.integers(0, 10**6), st.booleans())
 @settings(max_examples=30, deadline=None)
 def test_everything_comes_once_if_there_is_time(seed, keeps_refining):
-    """All increments and one set of triangles beside those of level 0 and of levels on the way: never a byte twice."""
+    """All increments and all levels of the plan: never a byte twice."""
     rng = random.Random(seed)
     job = random_job(rng)
     limit = 0.1 if keeps_refining else 1e4
@@ -106,11 +106,10 @@ def test_everything_comes_once_if_there_is_time(seed, keeps_refining):
         request.span.end - request.span.start for requests, _ in exchange.decisions for request in requests if request.span.file == TEXTURES
     )
     assert sent == (job.ends[-1] if job.ends else job.begin) - job.begin + job.first[-1].end
-    meshes = sorted(
-        (request.span.start, request.span.end) for requests, _ in exchange.decisions for request in requests if request.span.file == MESH
+    sent = sum(
+        request.span.end - request.span.start for requests, _ in exchange.decisions for request in requests if request.span.file == MESH
     )
-    needed = [span for added in job.added[: state.level + 1] for span in added] + list(job.corners[state.level])
-    assert all(any(start <= span.start < end for start, end in meshes) for span in needed)
+    assert sent == sum(span.end - span.start for spans in job.levels[: state.level + 1] for span in spans)
 
 
 def test_first_requests_are_level_0_and_the_table():
@@ -160,13 +159,11 @@ def test_deviation_of_even_parts_is_the_harmonic_product(errors):
     assert abs(left) <= largest / count * math.exp(largest * sum(1.0 / rest for rest in range(1, count))) + 1e-9
 
 
-def test_level_waits_for_the_plan_and_skips_triangles_between():
+def test_levels_follow_the_plan():
     package = make_package()
-    job = package.job
-    report = simulate(package, (Line(constant_trace(4e5)),), 4.0, rate=4e5)
-    assert report.level == 2
-    mesh_bytes = 2 * 20_000 + 40_000 + 2 * 80_000
-    assert report.byte_count < mesh_bytes + job.ends[-1] + 60_000  # without the 40 000 of level 1's triangles, with headers
+    ample, scarce = (simulate(package, (Line(constant_trace(rate)),), 4.0, rate=rate) for rate in (4e5, 2e4))
+    assert ample.level == 2
+    assert (scarce.level, scarce.oracle_level) == (0, 0)
 
 
 def test_what_is_silent_is_asked_for_again_from_another_server():

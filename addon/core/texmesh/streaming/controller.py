@@ -7,8 +7,7 @@ times per second, and one at the limit.
 
 Order. Level 0 and the table of increments come first, so that something is on the screen; then increments. When the rates have been
 measured, the plan is looked up before each request: its best row for which the rest of the time has bytes. As soon as the plan leaves the
-present level, vertices and wedges of the next levels are asked for, level by level, each time with a new look into the plan, and then the
-triangles of the level that the plan still has; those of the levels between are skipped.
+present level, what the next levels add is asked for, level by level, each time with a new look into the plan.
 
 Time compensation. The paper's algorithm gives each of the n - j remaining fragments an equal part of the time that remains after fragment
 j, so a deviation spreads evenly over them: with relative errors e_j of the estimated times, the last of n fragments ends
@@ -61,8 +60,7 @@ def decide(job: Job, state: State, event: Event) -> tuple[State, list[Request], 
         if was_silent or (not _is_first(job, flight.span) and (is_over or _is_excess(state, flight))):
             _owe(state, flight)
             aborted.append(flight.id)
-    if not any(span.file == MESH for span in state.pending) and not any(flight.span.file == MESH for flight in state.flights):
-        state.shown = state.level
+    state.shown = _shown_level(job, state)
     requests: list[Request] = []
     while _ask(job, state, requests):
         pass
@@ -199,11 +197,7 @@ def _choose_level(job: Job, state: State) -> None:
     measured = 0.0
     for server in state.servers:  # not `sum`, which adds floats in another way in every version of Python
         measured += server.measured
-    if (
-        state.shown < state.level
-        or any(span.file == MESH for span in state.pending)
-        or (measured < MEASURED and state.asked < len(job.ends))
-    ):
+    if state.shown < 0 or any(span.file == MESH for span in state.pending) or (measured < MEASURED and state.asked < len(job.ends)):
         return
     budget = _budget(state)
     start = _begin(job, state.asked)
@@ -211,27 +205,32 @@ def _choose_level(job: Job, state: State) -> None:
     for position, (level, count, error) in enumerate(job.plan):
         cost = max(_begin(job, count) - start, 0)
         if level > state.level:
-            cost = (cost + _mesh_cost(job, state.added, level)) / LEVEL_MARGIN
+            cost = (cost + _mesh_cost(job, state.level, level)) / LEVEL_MARGIN
         if cost <= budget and (state.target < 0 or error < job.plan[state.target][2]):
             state.target = position
     if state.target < 0 or job.plan[state.target][0] <= state.level:
         return
     level, count, _ = job.plan[state.target]
     leaving = next(row[1] for row in job.plan if row[0] > state.level)
-    if state.asked < min(leaving, count):
-        return
-    if state.added < level:  # step by step: each time, the level may become another one
-        state.added += 1
-        state.pending += job.added[state.added]
-    else:
-        state.pending += job.corners[level]
-        state.level = level
+    if state.asked >= min(leaving, count):
+        state.level += 1  # step by step: each time, the plan may lead to another one
+        state.pending += job.levels[state.level]
 
 
-def _mesh_cost(job: Job, added: int, level: int) -> int:
-    """Return the bytes that `level` needs if the vertices and wedges of levels up to `added` are there."""
-    spans = [span for finer in job.added[added + 1 : level + 1] for span in finer] + list(job.corners[level])
-    return sum(span.end - span.start for span in spans)
+def _shown_level(job: Job, state: State) -> int:
+    """Return the finest level that has come wholly, with all coarser ones, or -1."""
+    shown = state.level
+    for waiting in [flight.span for flight in state.flights] + state.pending:
+        for level, spans in enumerate(job.levels[: shown + 1]):
+            if any(waiting.file == span.file and span.start <= waiting.start < span.end for span in spans):
+                shown = level - 1
+                break
+    return shown
+
+
+def _mesh_cost(job: Job, level: int, finer: int) -> int:
+    """Return the bytes that `finer` needs if `level` is there."""
+    return sum(span.end - span.start for spans in job.levels[level + 1 : finer + 1] for span in spans)
 
 
 def _budget(state: State) -> float:

@@ -22,14 +22,13 @@ class Span:
 class Job:
     """What there is to send.
 
-    first: spans without which nothing is shown: level 0 and the table of increments. added: by level, the spans of its vertices and wedges.
-    corners: by level, the spans of its triangles. plan: (level, number of increments, predicted error) ascending by bytes. begin: offset
-    of the first increment. ends: offsets of the ends of the increments in textures.bin; None until the table has come.
+    first: spans without which nothing is shown: level 0 and the table of increments. levels: by level, the spans that it needs beside those
+    of coarser ones. plan: (level, number of increments, predicted error) ascending by bytes. begin: offset of the first increment. ends:
+    offsets of the ends of the increments in textures.bin; None until the table has come.
     """
 
     first: tuple[Span, ...]
-    added: tuple[tuple[Span, ...], ...]
-    corners: tuple[tuple[Span, ...], ...]
+    levels: tuple[tuple[Span, ...], ...]
     plan: tuple[tuple[int, int, float], ...]
     begin: int
     ends: tuple[int, ...] | None = None
@@ -71,7 +70,7 @@ class Flight:
 class State:
     """The state of a client. Times are seconds since the user's wish; read it, but only `decide` changes it.
 
-    level: asked for, with all vertices and wedges up to those of level `added`. shown: the level that has come wholly, or -1. asked: number
+    level: the finest that was asked for. shown: the level that has come wholly, or -1. asked: number
     of increments asked for. target: the row of the plan that the rest of the time allows, or -1. ended: when the last response ended.
     difference: sum of the absolute differences between planned and actual times of `responses` requests, `latest` is that of the last one.
     """
@@ -85,7 +84,6 @@ class State:
     pending: list[Span] = field(default_factory=list)
     next_id: int = 0
     level: int = 0
-    added: int = 0
     shown: int = -1
     asked: int = 0
     target: int = -1
@@ -117,12 +115,11 @@ class Request:
 
 def build_job(manifest: Manifest) -> Job:
     """Return what `manifest` has to send. `ends` is None: add them when the table of increments has come."""
-    added = [_spans(level.positions, level.parents, level.wedges, level.uvs, level.corners) for level in manifest.levels]
-    corners = ((),) * len(added)  # finer levels refer to the triangles of coarser ones, so they are among what is added
+    levels = tuple(_spans(level.positions, level.parents, level.wedges, level.uvs, level.corners) for level in manifest.levels)
     table = tuple(replace(span, file=TEXTURES) for span in _spans(manifest.increments))
     plan = tuple((row.level, row.increment_count, row.flip) for row in manifest.plan)
     ends = None if manifest.increment_count else ()
-    return Job(added[0] + table, tuple(added), corners, plan, manifest.first_increment, ends)
+    return Job(levels[0] + table, levels, plan, manifest.first_increment, ends)
 
 
 def begin(

@@ -99,8 +99,7 @@ class _SequentialClient:
             self.has_level = True
             self.target = self.choose_level(time)
             for level in range(1, self.target + 1):
-                self.queue += self.job.added[level]
-            self.queue += self.job.corners[self.target] if self.target else ()
+                self.queue += self.job.levels[level]
         if self.queue:
             self.span, self.parts = self.queue.pop(0), None
         else:
@@ -122,7 +121,7 @@ class _SequentialClient:
         return min(fitting, key=lambda row: row[2])[0]
 
     def _cost(self, level: int, count: int) -> int:
-        spans = [span for added in self.job.added[1 : level + 1] for span in added] + (list(self.job.corners[level]) if level else [])
+        spans = [span for spans in self.job.levels[1 : level + 1] for span in spans]
         return sum(span.end - span.start for span in spans) + int(self.sizes[:count].sum())
 
     def next_parts(self, time: float) -> np.ndarray | None:

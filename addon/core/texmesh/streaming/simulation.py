@@ -45,10 +45,11 @@ class SentPackage:
     def best(self, byte_count: float) -> tuple[int, int, float]:
         """Return the level, number of increments and error of the best use of `byte_count` bytes."""
         ends = np.array([self.job.begin, *self.job.ends]) - self.job.begin
-        table = sum(span.end - span.start for span in self.job.first) - _size(self.job.added[0]) - _size(self.job.corners[0])
+        table = _size(self.job.first) - _size(self.job.levels[0])
         best = (-1, 0, 1.0)
-        for level in range(len(self.job.added)):
-            rest = byte_count - table - sum(_size(spans) for spans in self.job.added[: level + 1]) - _size(self.job.corners[level])
+        rest = byte_count - table
+        for level, spans in enumerate(self.job.levels):
+            rest -= _size(spans)
             if rest >= 0.0:
                 count = int(np.searchsorted(ends, rest, side="right")) - 1
                 error = self.error(level, count)
@@ -191,7 +192,7 @@ def simulate(
         requests=course.requests,
         aborted=course.aborted,
         byte_count=course.network.bytes,
-        useful_bytes=int(sizes[received].sum()) + (0 if level < 0 else sum(map(_size, job.added[: level + 1])) + _size(job.corners[level])),
+        useful_bytes=int(sizes[received].sum()) + sum(map(_size, job.levels[: level + 1])),
         level=level,
         increments=int(received.sum()),
         error=package.error(level, received),

@@ -20,13 +20,11 @@ const { abs, floor, max, min } = Math;
 
 /** What `manifest` has to send. */
 export function buildJob(manifest) {
-  const added = manifest.levels.map((level) => spans([level.positions, level.parents, level.wedges, level.uvs, level.corners]));
-  const corners = manifest.levels.map(() => []); // finer levels refer to the triangles of coarser ones, so they are among what is added
+  const levels = manifest.levels.map((level) => spans([level.positions, level.parents, level.wedges, level.uvs, level.corners]));
   const table = spans([manifest.increments]).map((span) => ({ ...span, file: TEXTURES }));
   return {
-    first: added[0].concat(table),
-    added,
-    corners,
+    first: levels[0].concat(table),
+    levels,
     plan: manifest.plan.map(([, level, count, error]) => [level, count, error]),
     begin: manifest.first_increment,
     ends: manifest.increment_count ? null : [],
@@ -40,7 +38,7 @@ export function begin(job, { limit, rate = 0, servers = 1, patience = 0, keepsRe
   Object.assign(server, { measured: 0, mark: 0, heard: 0, failures: 0, failed: 0, until: 0 });
   return {
     limit, patience, keepsRefining, servers: Array.from({ length: servers }, () => ({ ...server })), time: 0, flights: [],
-    pending: [...job.first], nextId: 0, level: 0, added: 0, shown: -1, asked: 0, target: -1, ended: 0, difference: 0, latest: 0, responses: 0,
+    pending: [...job.first], nextId: 0, level: 0, shown: -1, asked: 0, target: -1, ended: 0, difference: 0, latest: 0, responses: 0,
   };
 }
 
@@ -61,7 +59,7 @@ export function decide(job, before, { time, id = -1, received = 0, failed = fals
       aborted.push(flight.id);
     }
   }
-  if (![...state.pending, ...state.flights].some((span) => span.file === MESH)) state.shown = state.level;
+  state.shown = shownLevel(job, state);
   const requests = [];
   while (ask(job, state, requests));
   return [state, requests, aborted];
@@ -246,24 +244,31 @@ function take(job, state, rest, rate, server) {
 function chooseLevel(job, state) {
   let measured = 0;
   for (const server of state.servers) measured += server.measured;
-  if (state.shown < state.level || state.pending.some((span) => span.file === MESH) || (measured < MEASURED && state.asked < job.ends.length)) return;
+  if (state.shown < 0 || state.pending.some((span) => span.file === MESH) || (measured < MEASURED && state.asked < job.ends.length)) return;
   const budget = budgetOf(state), start = beginOf(job, state.asked);
   state.target = -1;
   job.plan.forEach(([level, count, error], position) => {
     let cost = max(beginOf(job, count) - start, 0);
-    if (level > state.level) cost = (cost + meshCost(job, state.added, level)) / LEVEL_MARGIN;
+    if (level > state.level) cost = (cost + meshCost(job, state.level, level)) / LEVEL_MARGIN;
     if (cost <= budget && (state.target < 0 || error < job.plan[state.target][2])) state.target = position;
   });
   if (state.target < 0 || job.plan[state.target][0] <= state.level) return;
   const [level, count] = job.plan[state.target];
   const leaving = job.plan.find((row) => row[0] > state.level)[1];
-  if (state.asked < min(leaving, count)) return;
-  if (state.added < level) state.pending.push(...job.added[++state.added]); // step by step: the level may become another one
-  else [state.level] = [level, state.pending.push(...job.corners[level])];
+  if (state.asked >= min(leaving, count)) state.pending.push(...job.levels[++state.level]); // step by step: the plan may lead to another one
 }
 
-function meshCost(job, added, level) {
-  return [...job.added.slice(added + 1, level + 1).flat(), ...job.corners[level]].reduce((sum, span) => sum + span.end - span.start, 0);
+function shownLevel(job, state) {
+  let shown = state.level;
+  for (const { file, start } of [...state.flights, ...state.pending]) {
+    const owed = job.levels.findIndex((spans) => spans.some((span) => span.file === file && span.start <= start && start < span.end));
+    if (owed >= 0) shown = min(shown, owed - 1);
+  }
+  return shown;
+}
+
+function meshCost(job, level, finer) {
+  return job.levels.slice(level + 1, finer + 1).flat().reduce((sum, span) => sum + span.end - span.start, 0);
 }
 
 function budgetOf(state) {
