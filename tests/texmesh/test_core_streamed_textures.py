@@ -121,7 +121,7 @@ def test_gray_textures_have_one_component():
     assert (np.ptp(decode_textures(built.textures, built.increments, built.content)[0].astype(int), axis=2) == 0).all()
 
 
-def test_tiles_take_the_fewest_bytes_that_reach_the_error():
+def test_tiles_take_as_few_bytes_as_the_error_allows():
     errors = np.array([[0.1, 0.2, 0.9], [0.1, 0.8, 0.9]])
     byte_counts = np.array([[100, 40, 30], [100, 90, 80]])
     assert choose_factors(errors, byte_counts, 0.31).tolist() == [1, 0]
