@@ -19,13 +19,15 @@ from farfield.addon.core.texmesh.streaming.manifest import (
     Manifest,
     MeshLevel,
     PackageMaterial,
-    PackageTexture,
     PlanRow,
     Section,
 )
 from farfield.addon.core.texmesh.streaming.manifest_json import encode_manifest
 from farfield.addon.core.texmesh.streaming.mesh_coding import encode_mesh
 from farfield.addon.core.texmesh.streaming.mesh_order import order_mesh
+from farfield.addon.core.texmesh.streaming.textures.building import build_textures
+from farfield.addon.core.texmesh.streaming.textures.settings import TextureSettings
+from farfield.addon.core.texmesh.streaming.textures.texture_tiles import TextureSource
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
 
@@ -64,37 +66,6 @@ def write_files(folder: Path, files: dict[str, bytes]) -> None:
         (folder / name).write_bytes(content)
 
 
-def split_scans(jpeg: bytes) -> tuple[bytes, list[bytes]]:
-    """Return the header of a progressive JPEG file, up to the tables of its first scan, and its scans with their tables."""
-    header, scans, start, position = b"", [], 2, 2
-    while jpeg[position : position + 2] != b"\xff\xd9":
-        marker, size = jpeg[position + 1], int.from_bytes(jpeg[position + 2 : position + 4], "big")
-        position += 2 + size
-        if marker not in (0xC4, 0xDA):
-            start = position
-        elif marker == 0xDA:
-            while jpeg[position] != 0xFF or jpeg[position + 1] == 0 or 0xD0 <= jpeg[position + 1] <= 0xD7:
-                position += 1
-            header = header or jpeg[:start]
-            scans.append(jpeg[start:position])
-            start = position
-    return header, scans
-
-
-def encode_tiles(image: np.ndarray, tile_size: int, quality: int = 90) -> list[tuple[bytes, list[bytes]]]:
-    """Return header and scans of the tiles of `image` (H, W, 3) uint8, row 0 at the top; borders are padded with the last texels."""
-    height, width = image.shape[:2]
-    padded = np.pad(image, ((0, -height % tile_size), (0, -width % tile_size), (0, 0)), mode="edge")
-    tiles = []
-    for y in range(0, height, tile_size):
-        for x in range(0, width, tile_size):
-            stream = io.BytesIO()
-            tile = Image.fromarray(np.ascontiguousarray(padded[y : y + tile_size, x : x + tile_size]))
-            tile.save(stream, "JPEG", quality=quality, progressive=True, subsampling=0)
-            tiles.append(split_scans(stream.getvalue()))
-    return tiles
-
-
 def write_textured_package(
     folder: Path,
     mesh: TexturedMesh,
@@ -105,25 +76,18 @@ def write_textured_package(
     mirrors: tuple[str, ...] = (),
 ) -> Manifest:
     """Write a package of `mesh` with levels of `percents` of its triangles, finest first. images: (H, W, 3) uint8, sRGB, row 0 at the top,
-    the base color of each material. All tiles get their first scan, then their second one, and so on."""
+    the base color of each material."""
     targets = [len(mesh.triangles) * percent // 100 for percent in percents]
     result = run_to_end(simplify_by_cost(mesh, None, targets, SimplificationSettings()))
     ordered = order_mesh(mesh, result.levels, result)
     mesh_content, levels, bounds, uv_bounds = encode_mesh(ordered, (0.0,) * len(ordered.levels), len(images))
-    textures, rows = [], []
-    for index, image in enumerate(images):
-        tiles = encode_tiles(image, tile_size)
-        headers = sorted({header for header, _ in tiles})
-        textures.append(PackageTexture("base_color", image.shape[1], image.shape[0], tile_size, tuple(headers)))
-        for tile, (header, scans) in enumerate(tiles):
-            rows += [(number, index, tile, headers.index(header), scan) for number, scan in enumerate(scans)]
-    rows.sort(key=lambda row: row[:3])
-    scans = [row[4] for row in rows]
-    sizes = np.array([len(scan) for scan in scans])
-    columns = (np.array([row[column] for row in rows]) for column in (1, 2, 3))
-    table = encode_increments(Increments(*columns, np.ones(len(rows), np.int64), sizes, np.ones(len(rows), np.float16)))
-    checksums = np.array([zlib.crc32(scan) for scan in scans], "<u4").tobytes()
-    texture_content = table + checksums + b"".join(scans)
+    sources = [TextureSource("base_color", image[::-1], mesh, (index,)) for index, image in enumerate(images)]
+    built = run_to_end(build_textures(sources, TextureSettings(tile_size=tile_size, quality=90, views=4)))
+    sizes, ends = built.increments.sizes, np.cumsum(built.increments.sizes)
+    table = encode_increments(built.increments)
+    parts = [built.content[end - size : end] for end, size in zip(ends, sizes, strict=True)]
+    checksums = np.array([zlib.crc32(part) for part in parts], "<u4").tobytes()
+    texture_content = table + checksums + built.content
     manifest = Manifest(
         name="Prüfling",
         files={name: _describe(content) for name, content in ((MESH, mesh_content), (TEXTURES, texture_content))},
@@ -132,12 +96,12 @@ def write_textured_package(
         uv_bounds=uv_bounds,
         levels=levels,
         materials=tuple(PackageMaterial(f"paint {index}", (1.0,) * 4, {"base_color": index}, False) for index in range(len(images))),
-        textures=tuple(textures),
-        increment_count=len(rows),
+        textures=built.textures,
+        increment_count=len(sizes),
         increments=Section(0, len(table), zlib.crc32(table)),
         checksums=Section(len(table), len(checksums), zlib.crc32(checksums)),
         first_increment=len(table) + len(checksums),
-        plan=_plan(levels, np.cumsum(sizes)),
+        plan=_plan(levels, ends),
         time_limit=time_limit,
         pixels=512.0,
     )
@@ -155,12 +119,12 @@ def decode_textures(folder: Path, manifest: Manifest) -> list[np.ndarray]:
         files.setdefault((texture, tile), manifest.textures[texture].headers[header])
         files[texture, tile] += content[offset : offset + size]
         offset += size
-    images = [np.zeros((texture.height, texture.width, 3), np.uint8) for texture in manifest.textures]
+    images = [np.full((texture.height, texture.width, 3), 128, np.uint8) for texture in manifest.textures]
     for (texture, tile), file in files.items():
         side, columns = manifest.textures[texture].tile_size, manifest.textures[texture].columns
         y, x = tile // columns * side, tile % columns * side
         part = images[texture][y : y + side, x : x + side]
-        part[:] = np.asarray(Image.open(io.BytesIO(file + b"\xff\xd9")))[: part.shape[0], : part.shape[1]]
+        part[:] = np.asarray(Image.open(io.BytesIO(file + b"\xff\xd9")).convert("RGB"))[: part.shape[0], : part.shape[1]]
     return images
 
 

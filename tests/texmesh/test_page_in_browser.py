@@ -122,7 +122,7 @@ def test_something_is_shown_soon_and_all_within_limit(page, tmp_path):
 
 def test_refining_goes_on_after_limit(page, package):
     folder, manifest = package
-    with run_server(folder, line=LineRate(((1.0, 50_000.0),))) as url:
+    with run_server(folder, line=LineRate(((5.0, 20_000.0), (1.0, 200_000.0)))) as url:
         page.open(url)
         page.wait_for(FINISHED)
         assert page.evaluate("farfield.loader.passed") < manifest.increment_count
