@@ -34,9 +34,9 @@ class TextureJudge:
             self._coverages.append(picture.coverage[window])
             self._references.append(prepare_image(picture.colors[window], PIXELS_PER_DEGREE, is_linear=True))
 
-    def measure_flip(self, images: Sequence[np.ndarray | None]) -> float:
-        """Return the mean FLIP error of the pixels of the object in all views."""
-        surface = prepare_surface(self._mesh, [to_mipmaps(image) for image in images])
+    def measure_flip(self, images: Sequence[np.ndarray | None], mesh: TexturedMesh | None = None) -> float:
+        """Return the mean FLIP error of the pixels of the object in all views, with another mesh if one is given."""
+        surface = prepare_surface(self._mesh if mesh is None else mesh, [to_mipmaps(image) for image in images])
         total, count = 0.0, 0
         for direction, window, coverage, reference in zip(self._directions, self._windows, self._coverages, self._references, strict=True):
             picture = render(surface, direction, self._frame, self._pixels)
