@@ -39,7 +39,7 @@ from farfield.addon.core.texmesh.streaming.mesh_coding import decode_level, dequ
 from farfield.addon.core.texmesh.streaming.package import Package, build_package
 from farfield.addon.core.texmesh.streaming.package_files import PackageContent
 from farfield.addon.core.texmesh.streaming.settings import PackageSettings
-from farfield.addon.core.texmesh.streaming.textures.partial_textures import decode_textures
+from farfield.addon.core.texmesh.streaming.textures.decoding import decode_textures
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 from lib.command_line import peak_memory_mb
 

@@ -23,7 +23,7 @@ from farfield.addon.core.texmesh.streaming.package import build_package
 from farfield.addon.core.texmesh.streaming.package_files import LEVELS_GLB, read_package
 from farfield.addon.core.texmesh.streaming.page_files import read_page
 from farfield.addon.core.texmesh.streaming.settings import PackageSettings
-from farfield.addon.core.texmesh.streaming.textures.partial_textures import decode_textures
+from farfield.addon.core.texmesh.streaming.textures.decoding import decode_textures
 from lib import command_line
 from textured_scenes import textured_ball
 

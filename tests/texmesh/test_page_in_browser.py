@@ -145,6 +145,7 @@ def shown(page, package) -> Iterator[Page]:
 @pytest.mark.parametrize("level", [0, 1, 2])
 @pytest.mark.parametrize("zoom", [1.0, 4.0])
 def test_pixels_are_those_of_level(shown, package, level, zoom):
+    shown.evaluate("light.checked = false; light.dispatchEvent(new Event('change'))")
     shown.evaluate(f"levels.value = {level}; levels.dispatchEvent(new Event('change'))")
     shown.evaluate(f"farfield.orbit.set({{azimuth: 0.7, elevation: 0.5, zoom: {zoom}}})")
     expected, is_inner = render_level(shown, *package, level)

@@ -21,7 +21,7 @@ from .mesh_order import order_mesh
 from .package_files import LEVELS_GLB, describe_file
 from .settings import PackageSettings
 from .textures.building import BuiltTextures, build_textures
-from .textures.partial_textures import decode_textures
+from .textures.decoding import decode_textures
 from .textures.texture_tiles import TextureSource
 
 STOPS = 7  # numbers of increments at which the error of the textures is measured
