@@ -10,6 +10,8 @@ from ...geometry.edges import find_edges, halfedge_ends
 from ..textured_mesh import TexturedMesh
 from .level_state import LevelState
 
+MAX_TURN = np.radians(50.0)  # of a border at a vertex that slides along it; a corner would be cut off
+
 
 @dataclass(frozen=True)
 class BorderCurves:
@@ -73,7 +75,7 @@ class Freedom:
     """How the texture coordinates of the wedges of a level may move.
 
     directions: (W, 2, 2), the displacement of a wedge by the two degrees of freedom of its vertex. Vertices inside of an island have both,
-    vertices on one seam or boundary only the first, along that curve; others are fixed.
+    vertices on one seam or boundary only the first, along that curve; others are fixed, also where the curve has a corner.
     sliding: (S,) wedges, one of each vertex on a curve. partners: (S,) wedges on the other side of the seam, -1 on a boundary.
     islands: (S,), of `sliding`.
     """
@@ -111,6 +113,9 @@ def find_freedom(state: LevelState, uv_scale: float) -> Freedom:
     is_boundary = edges.boundary_vertices
     slides = on_border & (same_counts == wedge_counts) & (simple_counts == wedge_counts)
     slides &= np.where(is_boundary, wedge_counts == 1, wedge_counts == 2)
+    turns = _is_sharp(mesh.vertices[mesh.wedge_vertices], mesh.vertices[last], mesh.vertices[first])
+    turns |= _is_sharp(mesh.uvs, mesh.uvs[preceding], mesh.uvs[following])
+    slides[mesh.wedge_vertices[is_simple & turns]] = False
     chord = mesh.uvs[following] - mesh.uvs[preceding]
     chord *= np.where(first > last, 1.0, -1.0)[:, None]
     length = np.linalg.norm(mesh.vertices[first] - mesh.vertices[last], axis=1)
@@ -129,3 +134,10 @@ def find_freedom(state: LevelState, uv_scale: float) -> Freedom:
     wedge_islands = np.zeros(wedge_count, np.int64)
     wedge_islands[mesh.wedge_triangles] = state.islands[:, None]
     return Freedom(directions, sliding, partners, wedge_islands[sliding])
+
+
+def _is_sharp(points: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Return where a curve through `before`, `points` and `after` (N, D) turns by more than MAX_TURN, (N,) bool."""
+    first, second = points - before, after - points
+    product = np.einsum("ni,ni->n", first, second)
+    return product < np.cos(MAX_TURN) * np.linalg.norm(first, axis=1) * np.linalg.norm(second, axis=1)
