@@ -41,7 +41,7 @@ from .sending_state import Event, Flight, Job, Request, Server, Span, State
 FRACTION = 0.25  # of the remaining time for the next request
 MAX_REQUEST, FIRST_REQUEST = 1.0, 0.3  # seconds that a request may take, with a rate that was measured and one that was not
 LEAD = 1.5  # delays before the line is free that the next request is sent
-EXCESS = 1.2  # of the time left, for all requests of a server, at which the newest is aborted
+EXCESS = 1.2  # of the time left, for all requests of a server, at which the newest is aborted; of the bytes, at which a level is given up
 MEASURED = 0.2  # seconds after which a rate counts as measured
 LEVEL_MARGIN = 0.9  # fraction of the bytes that are expected before the limit that a level may need
 
@@ -193,9 +193,10 @@ def _take(job: Job, state: State, rest: float, rate: float, server: Server) -> S
         if span.file == TEXTURES:
             end = _last_end(job, span.start, min(span.end, span.start + seconds * rate), min(span.end, span.start + rest * rate))
         else:
-            owed_mesh += span.end - span.start
-            if owed_mesh <= budget:
-                end = span.end if span.end - span.start <= 2.0 * seconds * rate else span.start + int(seconds * rate)
+            size = span.end - span.start
+            owed_mesh += size
+            if owed_mesh <= EXCESS * budget:
+                end = span.end if size <= 3.0 * seconds * rate else span.start + int(2.0 * seconds * rate)
         if end > span.start:
             if position == len(state.pending):
                 state.asked = bisect_right(job.ends, end)

@@ -229,8 +229,10 @@ function take(job, state, rest, rate, server) {
     let end = span.start;
     if (span.file === TEXTURES) {
       end = lastEnd(job, span.start, min(span.end, span.start + seconds * rate), min(span.end, span.start + rest * rate));
-    } else if ((owedMesh += span.end - span.start) <= budget) {
-      end = span.end - span.start <= 2 * seconds * rate ? span.end : span.start + floor(seconds * rate);
+    } else {
+      const size = span.end - span.start;
+      owedMesh += size;
+      if (owedMesh <= EXCESS * budget) end = size <= 3 * seconds * rate ? span.end : span.start + floor(2 * seconds * rate);
     }
     if (end <= span.start) continue;
     if (position === state.pending.length) state.asked = countUpTo(job.ends, end);
