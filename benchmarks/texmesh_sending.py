@@ -29,6 +29,7 @@ MODEL_SEED = 7
 TABLE_BYTES = 6  # of the table of increments, per increment
 KINDS = ("step", "ramp", "burst", "3G", "4G")
 MIRROR_CASES = ("fine", "pause", "down", "loss")
+MIN_MIRRORED = 200_000  # bytes of the textures of packages with mirrors: smaller ones need a single server
 TRACES = 40  # of each kind
 PATIENCE = 1e9  # seconds
 BOUNDS = {"step": 0.01, "ramp": 0.01, "burst": 0.03, "3G": 0.03, "4G": 0.03}  # lateness that 95 % must not exceed, fractions of the limit
@@ -121,6 +122,7 @@ def measure_sending(given: Namespace) -> dict[str, Any]:
     for kind in KINDS:
         runs = [run_clients(rng, kind, package) for package in packages]
         figures[kind] = {name: summarize([run[name] for run in runs], BOUNDS[kind]) for name in runs[0]}
+    packages = [package for package in packages if package.job.ends[-1] >= MIN_MIRRORED]
     for case in MIRROR_CASES:
         figures[f"mirrors {case}"] = {"compensating": summarize([run_mirrors(rng, case, package) for package in packages], 0.01)}
     ours = [figures[kind][name] for kind in KINDS for name in ("compensating", "waiting")]
