@@ -161,7 +161,7 @@ def _is_first(job: Job, span: Span) -> bool:
 def _ask(job: Job, state: State, requests: list[Request]) -> bool:
     """Send one more request, if there is something to ask for and a server whose line will be free soon."""
     lines = []
-    owes_first = any(_is_first(job, span) for span in state.pending)
+    owes_first = len(state.servers) == 1 and any(_is_first(job, span) for span in state.pending)
     for index, server in enumerate(state.servers):
         busy, rest, rate = look_ahead(state, index)
         if not is_paused(state, index) and (owes_first or busy <= LEAD * server.delay):
@@ -179,12 +179,12 @@ def _ask(job: Job, state: State, requests: list[Request]) -> bool:
 
 def _take(job: Job, state: State, rest: float, rate: float, server: Server) -> Span | None:
     """Return the next span to ask for from `server`, which has `rest` seconds at `rate`, and remove it from what is owed."""
+    longest = MAX_REQUEST if server.measured >= MEASURED else FIRST_REQUEST
     for position, span in enumerate(state.pending):
         if _is_first(job, span):
-            return state.pending.pop(position)
+            return _cut(state, position, span.end if len(state.servers) == 1 else min(span.end, span.start + int(longest * rate)))
     if rest <= 0.0 or job.ends is None:
         return None
-    longest = MAX_REQUEST if server.measured >= MEASURED else FIRST_REQUEST
     seconds = rest if rest <= server.delay else min(max(rest * FRACTION, server.delay), longest)
     last = _begin(job, _follow_plan(job, state))
     owed_mesh, budget = 0, _budget(state)
@@ -198,12 +198,18 @@ def _take(job: Job, state: State, rest: float, rate: float, server: Server) -> S
             if owed_mesh <= EXCESS * budget:
                 end = span.end if size <= 3.0 * seconds * rate else span.start + int(2.0 * seconds * rate)
         if end > span.start:
-            if position == len(state.pending):
-                state.asked = bisect_right(job.ends, end)
-            else:
-                state.pending[position : position + 1] = [replace(span, start=end)] if end < span.end else []
+            if position < len(state.pending):
+                return _cut(state, position, end)
+            state.asked = bisect_right(job.ends, end)
             return replace(span, end=end)
     return None
+
+
+def _cut(state: State, position: int, end: int) -> Span:
+    """Return a pending span up to `end`, and keep its rest."""
+    span = state.pending[position]
+    state.pending[position : position + 1] = [replace(span, start=end)] if end < span.end else []
+    return replace(span, end=end)
 
 
 def _follow_plan(job: Job, state: State) -> int:

@@ -184,7 +184,7 @@ function isFirst(job, span) {
 }
 
 function ask(job, state, requests) {
-  const owesFirst = state.pending.some((span) => isFirst(job, span));
+  const owesFirst = state.servers.length === 1 && state.pending.some((span) => isFirst(job, span));
   const lines = [];
   state.servers.forEach((server, index) => {
     const [busy, rest, rate] = line(state, index);
@@ -218,10 +218,13 @@ function line(state, index) {
 }
 
 function take(job, state, rest, rate, server) {
-  const owedFirst = state.pending.findIndex((span) => isFirst(job, span));
-  if (owedFirst >= 0) return state.pending.splice(owedFirst, 1)[0];
-  if (rest <= 0 || job.ends === null) return null;
   const longest = server.measured >= MEASURED ? MAX_REQUEST : FIRST_REQUEST;
+  const owedFirst = state.pending.findIndex((span) => isFirst(job, span));
+  if (owedFirst >= 0) {
+    const { start, end } = state.pending[owedFirst];
+    return cut(state, owedFirst, state.servers.length === 1 ? end : min(end, start + floor(longest * rate)));
+  }
+  if (rest <= 0 || job.ends === null) return null;
   const seconds = rest <= server.delay ? rest : min(max(rest * FRACTION, server.delay), longest);
   const last = beginOf(job, followPlan(job, state)), budget = budgetOf(state);
   let owedMesh = 0;
@@ -235,11 +238,17 @@ function take(job, state, rest, rate, server) {
       if (owedMesh <= EXCESS * budget) end = size <= 3 * seconds * rate ? span.end : span.start + floor(2 * seconds * rate);
     }
     if (end <= span.start) continue;
-    if (position === state.pending.length) state.asked = countUpTo(job.ends, end);
-    else state.pending.splice(position, 1, ...(end < span.end ? [{ ...span, start: end }] : []));
+    if (position < state.pending.length) return cut(state, position, end);
+    state.asked = countUpTo(job.ends, end);
     return { ...span, end };
   }
   return null;
+}
+
+function cut(state, position, end) {
+  const span = state.pending[position];
+  state.pending.splice(position, 1, ...(end < span.end ? [{ ...span, start: end }] : []));
+  return { ...span, end };
 }
 
 function followPlan(job, state) {
