@@ -52,8 +52,8 @@ def open_packages(data: Path) -> list[SentPackage]:
 def make_package(rng: np.random.Generator) -> SentPackage:
     """Return a plausible package."""
     level_count = int(rng.integers(4, 9))
-    shares = rng.uniform(1.5, 2.5) ** np.arange(level_count) * rng.uniform(0.8, 1.2, level_count)
-    mesh_ends = np.cumsum((rng.uniform(1e5, 6e5) * shares / shares.sum()).astype(int)).tolist()
+    growth = rng.uniform(1.5, 2.5) ** np.arange(level_count) * rng.uniform(0.8, 1.2, level_count)
+    mesh_ends = np.cumsum((rng.uniform(1e5, 6e5) * growth / growth.sum()).astype(int)).tolist()
     count, tiles = 256 * 7, np.tile(np.arange(256), 7)
     sizes = rng.lognormal(0.0, 0.8, 256)[tiles] * np.repeat([1.0, 0.7, 0.8, 1.0, 1.4, 2.0, 3.0], 256) * rng.lognormal(0.0, 0.3, count)
     order = np.argsort(-np.repeat(0.4 ** np.arange(7), 256) * rng.lognormal(0.0, 0.6, count), kind="stable")
