@@ -1,63 +1,74 @@
 """Part `sending` of bench_texmesh.py: packages over 200 replayed traces, by clients with and without time compensation.
 
-Packages are synthetic: sizes of tiles are lognormal, a texture of 4096 x 4096 has 1 to 4 MB, a mesh 100 to 600 KB.
+Every other package is a real one, built once into the folder for temporary files; the others are synthetic, with plans that are made like
+those of real ones: sizes of tiles are lognormal, a texture of 4096 x 4096 has 1 to 4 MB, a mesh 100 to 600 KB.
 """
 
+import tempfile
 from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from texmesh_packages import build
+from texmesh_textured_models import open_textured
 
+from farfield.addon.core.texmesh.streaming.allocation import ErrorTable, make_plan
 from farfield.addon.core.texmesh.streaming.manifest import MESH, TEXTURES
+from farfield.addon.core.texmesh.streaming.package_files import read_package, write_package
 from farfield.addon.core.texmesh.streaming.sending_state import Job, Span
 from farfield.addon.core.texmesh.streaming.simulated_network import Line
-from farfield.addon.core.texmesh.streaming.simulation import CLIENTS, SendingReport, SentPackage, simulate
+from farfield.addon.core.texmesh.streaming.simulation import CLIENTS, SendingReport, SentPackage, build_sent_package, simulate
 from farfield.addon.core.texmesh.streaming.traces import MEGABIT, Trace, burst_trace, cellular_trace, ramp_trace, step_trace
 
+REAL_MODELS = ("spot", "blub", "planet:7")  # the last one has a texture of 2048 x 2048
+MODEL_SEED = 7
+TABLE_BYTES = 6  # of the table of increments, per increment
 KINDS = ("step", "ramp", "burst", "3G", "4G")
 MIRROR_CASES = ("fine", "pause", "down", "loss")
+MIN_MIRRORED = 200_000  # bytes of the textures of packages with mirrors: smaller ones need a single server
 TRACES = 40  # of each kind
 PATIENCE = 1e9  # seconds
 BOUNDS = {"step": 0.01, "ramp": 0.01, "burst": 0.03, "3G": 0.03, "4G": 0.03}  # lateness that 95 % must not exceed, fractions of the limit
 
 
+def open_packages(data: Path) -> list[SentPackage]:
+    """Return the packages of REAL_MODELS; those that are missing in the folder for temporary files are built."""
+    packages = []
+    for name in REAL_MODELS:
+        folder = Path(tempfile.gettempdir()) / "farfield-benchmark-packages" / name.replace(":", "-")
+        if not folder.is_dir():
+            folder.parent.mkdir(exist_ok=True)
+            package = build(open_textured(data, name, MODEL_SEED), name)
+            write_package(package.manifest, package.contents, folder)
+        content = read_package(folder)
+        packages.append(build_sent_package(content.manifest, content.increments))
+    return packages
+
+
 def make_package(rng: np.random.Generator) -> SentPackage:
     """Return a plausible package."""
-    mesh_total, texture_total = rng.uniform(1e5, 6e5), rng.uniform(1e6, 4e6)
-    levels = int(rng.integers(4, 8))
-    sizes = np.maximum((mesh_total * 0.5 ** np.arange(levels)[::-1] / 2.0 * rng.uniform(0.8, 1.2, levels)).astype(int), 200)
-    ends_of_levels = np.cumsum(sizes).tolist()
-    spans = tuple((Span(MESH, end - size, end),) for end, size in zip(ends_of_levels, sizes.tolist(), strict=True))
+    level_count = int(rng.integers(4, 9))
+    growth = rng.uniform(1.5, 2.5) ** np.arange(level_count) * rng.uniform(0.8, 1.2, level_count)
+    mesh_ends = np.cumsum((rng.uniform(1e5, 6e5) * growth / growth.sum()).astype(int)).tolist()
     count, tiles = 256 * 7, np.tile(np.arange(256), 7)
-    scan_sizes = rng.lognormal(0.0, 0.8, 256)[tiles] * np.repeat([1.0, 0.7, 0.8, 1.0, 1.4, 2.0, 3.0], 256) * rng.lognormal(0.0, 0.3, count)
-    scan_sizes = np.maximum((scan_sizes * texture_total / scan_sizes.sum()).astype(int), 20)
-    ratios = np.repeat([1.0, 0.4, 0.2, 0.1, 0.05, 0.025, 0.01], 256) * rng.lognormal(0.0, 0.6, count)
-    order = np.argsort(-ratios, kind="stable")
-    gains = (ratios * scan_sizes)[order]
-    gains *= rng.uniform(0.2, 0.4) / gains.sum()
-    table = 6 * count
-    ends = table + 4 * count + np.cumsum(scan_sizes[order])
-    level_errors = 0.005 + rng.uniform(0.1, 0.3) * rng.uniform(0.35, 0.5) ** np.arange(levels)
-    plan = make_plan(spans, scan_sizes[order], gains, level_errors)
-    job = Job((*spans[0], Span(TEXTURES, 0, table)), spans, plan, table + 4 * count, tuple(ends.tolist()))
+    sizes = rng.lognormal(0.0, 0.8, 256)[tiles] * np.repeat([1.0, 0.7, 0.8, 1.0, 1.4, 2.0, 3.0], 256) * rng.lognormal(0.0, 0.3, count)
+    order = np.argsort(-np.repeat(0.4 ** np.arange(7), 256) * rng.lognormal(0.0, 0.6, count), kind="stable")
+    sizes = np.maximum(sizes[order] * rng.uniform(1e6, 4e6) / sizes.sum(), 20.0).astype(int)
+    ends = np.cumsum(sizes)
+    counts = np.unique(np.searchsorted(ends, np.geomspace(0.02 * ends[-1], ends[-1], 12)) + 1).clip(max=count)
+    level_errors = np.append(rng.uniform(0.1, 0.3) * rng.uniform(0.4, 0.6) ** np.arange(level_count - 1), 0.0)
+    texture_errors = np.geomspace(rng.uniform(0.4, 0.7), rng.uniform(0.007, 0.04), len(counts))
+    table = ErrorTable(level_errors, counts, texture_errors, float(rng.uniform(1.0, 4.0)), 0.0)
+    gains = -np.diff(np.interp(np.log(np.arange(1, count + 2)), np.log(counts), texture_errors))
+    plan = tuple((row.level, row.increment_count, row.flip) for row in make_plan(table, mesh_ends, sizes))
+    levels = tuple(Span(MESH, start, end) for start, end in pairwise([0, *mesh_ends]))
+    begin = TABLE_BYTES * count + 4 * count
+    job = Job((levels[0], Span(TEXTURES, 0, TABLE_BYTES * count)), levels, plan, begin, tuple((begin + ends).tolist()))
     return SentPackage(job, gains, tiles[order], 8000)
-
-
-def make_plan(
-    levels: tuple[tuple[Span, ...], ...], sizes: np.ndarray, gains: np.ndarray, errors: np.ndarray
-) -> tuple[tuple[int, int, float], ...]:
-    """Return the plan of a package whose error is the sum of that of its level and of the gains of all increments that are missing."""
-    level_sizes = np.cumsum([sum(span.end - span.start for span in spans) for spans in levels])
-    ends, missing = np.cumsum(sizes), gains.sum() - np.concatenate([[0.0], np.cumsum(gains)])
-    rows = []
-    for total in np.geomspace(level_sizes[0] + sizes[0], level_sizes[-1] + ends[-1], 80):
-        counts = np.searchsorted(ends, total - level_sizes + 1e-6, side="right")
-        possible = np.where(level_sizes <= total + 1e-6, errors + missing[counts], np.inf)
-        best = int(possible.argmin())
-        rows.append((best, int(counts[best]), float(possible[best])))
-    return tuple(dict.fromkeys(rows))
 
 
 def make_trace(rng: np.random.Generator, kind: str, limit: float, rate: float) -> Trace:
@@ -68,10 +79,9 @@ def make_trace(rng: np.random.Generator, kind: str, limit: float, rate: float) -
     return {"step": step_trace, "ramp": ramp_trace, "burst": burst_trace}[kind](rng, duration, rate)
 
 
-def run_clients(rng: np.random.Generator, kind: str, package: SentPackage | None = None) -> dict[str, SendingReport]:
-    """Return what each client gets of a package, a new one by default, over a new line. `waiting` is the client with compensation that
-    waits after the limit for all that it has asked for."""
-    package = package or make_package(rng)
+def run_clients(rng: np.random.Generator, kind: str, package: SentPackage) -> dict[str, SendingReport]:
+    """Return what each client gets of a package over a new line. `waiting` is the client with compensation that waits after the limit for
+    all that it has asked for."""
     limit, rate, delay = draw_line(rng, kind, package)
     line = Line(make_trace(rng, kind, limit, rate), delay)
     history, seed = rate * float(rng.lognormal(0.0, 0.4)), int(rng.integers(10**9))
@@ -80,18 +90,16 @@ def run_clients(rng: np.random.Generator, kind: str, package: SentPackage | None
 
 
 def draw_line(rng: np.random.Generator, kind: str, package: SentPackage) -> tuple[float, float, float]:
-    """Return a limit (s), a mean rate (bytes/s) that brings 15 to 90 % of `package` before it, and a delay (s)."""
-    limit = float(rng.uniform(3.0, 10.0))
-    total = package.job.ends[-1] + package.job.levels[-1][-1].end
+    """Return a limit (s), a mean rate (bytes/s) that brings 20 to 150 % of `package` before it, and a delay (s)."""
+    wanted = float(rng.uniform(0.2, 1.5)) * (package.manifest_size + package.job.levels[-1].end + package.job.ends[-1])
     fastest = {"3G": 3.0, "4G": 30.0}.get(kind, 100.0) * MEGABIT
-    rate = float(max(min(rng.uniform(0.15, 0.9) * total / limit, fastest), 0.1 * MEGABIT))
-    return limit, rate, float(rng.uniform(0.06, 0.12) if kind == "3G" else rng.uniform(0.02, 0.06))
+    limit = max(float(rng.uniform(3.0, 10.0)), wanted / fastest)
+    return limit, wanted / limit, float(rng.uniform(0.06, 0.12) if kind == "3G" else rng.uniform(0.02, 0.06))
 
 
-def run_mirrors(rng: np.random.Generator, case: str) -> SendingReport:
+def run_mirrors(rng: np.random.Generator, case: str, package: SentPackage) -> SendingReport:
     """Return what the client gets from two to four mirrors, of which none is down, one is down for a while or for good, or which lose 2 %
     of the responses."""
-    package = make_package(rng)
     kind = str(rng.choice(["step", "ramp", "burst"]))
     limit, rate, delay = draw_line(rng, kind, package)
     parts = rng.dirichlet(np.full(int(rng.integers(2, 5)), 3.0))
@@ -109,12 +117,15 @@ def measure_sending(given: Namespace) -> dict[str, Any]:
     """Return the distributions of lateness and quality of all clients over all kinds of traces, and over mirrors."""
     rng = np.random.default_rng(given.seed)
     figures: dict[str, Any] = {}
+    real = open_packages(given.data)
+    packages = [real[index // 2 % len(real)] if index % 2 else make_package(rng) for index in range(TRACES)]
     for kind in KINDS:
-        runs = [run_clients(rng, kind) for _ in range(TRACES)]
+        runs = [run_clients(rng, kind, package) for package in packages]
         figures[kind] = {name: summarize([run[name] for run in runs], BOUNDS[kind]) for name in runs[0]}
+    packages = [package for package in packages if package.job.ends[-1] >= MIN_MIRRORED]
     for case in MIRROR_CASES:
-        figures[f"mirrors {case}"] = {"compensating": summarize([run_mirrors(rng, case) for _ in range(TRACES)], 0.01)}
-    ours = [figures[kind]["compensating"] for kind in KINDS]  # what the page does; `waiting` shows what would come too late
+        figures[f"mirrors {case}"] = {"compensating": summarize([run_mirrors(rng, case, package) for package in packages], 0.01)}
+    ours = [figures[kind][name] for kind in KINDS for name in ("compensating", "waiting")]
     figures["is_on_time"] = all(item["within_bound"] >= 0.95 for item in ours)
     figures["is_within_twice_the_oracle"] = all(item["within_twice_the_oracle"] >= 0.95 for item in ours)
     return figures

@@ -2,10 +2,12 @@
 
 import dataclasses
 import random
+from itertools import pairwise
 
 import numpy as np
 
 from farfield.addon.core.texmesh.streaming import controller
+from farfield.addon.core.texmesh.streaming.allocation import ErrorTable, make_plan
 from farfield.addon.core.texmesh.streaming.manifest import MESH, TEXTURES
 from farfield.addon.core.texmesh.streaming.sending_state import Event, Job, Request, Span, State, begin
 from farfield.addon.core.texmesh.streaming.simulation import SentPackage
@@ -18,10 +20,8 @@ def random_job(rng: random.Random, increment_count: int | None = None) -> Job:
     count = rng.randint(0, 300) if increment_count is None else increment_count
     spans, offset = [], 0
     for level in range(levels):
-        size = int(rng.lognormvariate(8.5 + level, 0.7))
-        cut = offset + rng.randint(1, size)
-        spans.append((Span(MESH, offset, cut),) if cut == offset + size else (Span(MESH, offset, cut), Span(MESH, cut, offset + size)))
-        offset += size
+        spans.append(Span(MESH, offset, offset + int(rng.lognormvariate(8.5 + level, 0.7)) + 1))
+        offset = spans[-1].end
     table = rng.randint(10, 20000)
     first = table + rng.randint(0, 5000)
     ends, end = [], first
@@ -33,7 +33,7 @@ def random_job(rng: random.Random, increment_count: int | None = None) -> Job:
     for row in range(20):
         error *= rng.uniform(0.7, 0.95)
         rows.append((sum(cut <= row for cut in cuts), count * (row + 1) // 20, error))
-    return Job((*spans[0], Span(TEXTURES, 0, table)), tuple(spans), tuple(rows), first, tuple(ends))
+    return Job((spans[0], Span(TEXTURES, 0, table)), tuple(spans), tuple(rows), first, tuple(ends))
 
 
 class Exchange:
@@ -88,33 +88,19 @@ def random_exchange(seed: int, steps: int = 80) -> Exchange:
 
 
 def make_package(
-    texture_size: int = 1_000_000, increment_count: int = 1000, level_sizes: tuple[int, ...] = (40_000, 80_000, 160_000)
+    texture_size: int = 1_000_000, increment_count: int = 1000, level_sizes: tuple[int, ...] = (20_000, 40_000, 80_000)
 ) -> SentPackage:
-    """A package whose increments have equal sizes and falling gains, and whose plan has the best use of every number of bytes."""
-    ends_of_levels = np.cumsum(level_sizes).tolist()
-    levels = tuple((Span(MESH, end - size, end),) for end, size in zip(ends_of_levels, level_sizes, strict=True))
-    first = 8000
-    ends = first + np.arange(1, increment_count + 1) * (texture_size // increment_count)
+    """A package whose increments have equal sizes and falling gains, and whose plan is made like those of real ones."""
+    sizes = np.full(increment_count, texture_size // increment_count)
     gains = np.linspace(2.0, 0.0, increment_count) * 0.3 / increment_count
-    errors = 0.2 * 0.3 ** np.arange(len(level_sizes))
-    plan = make_plan(levels, np.full(increment_count, texture_size // increment_count), gains, errors)
-    job = Job((*levels[0], Span(TEXTURES, 0, 6000)), levels, plan, first, tuple(ends.tolist()))
+    counts = np.unique(np.geomspace(increment_count / 100, increment_count, 12).astype(int))
+    level_errors = np.array([0.2 * 0.3**level for level in range(len(level_sizes) - 1)] + [0.0])
+    table = ErrorTable(level_errors, counts, 0.31 - np.cumsum(gains)[counts - 1], 2.0, 0.0)
+    plan = tuple((row.level, row.increment_count, row.flip) for row in make_plan(table, np.cumsum(level_sizes).tolist(), sizes))
+    offsets = [0, *np.cumsum(level_sizes).tolist()]
+    spans = tuple(Span(MESH, start, end) for start, end in pairwise(offsets))
+    job = Job((spans[0], Span(TEXTURES, 0, 6000)), spans, plan, 8000, tuple((8000 + np.cumsum(sizes)).tolist()))
     return SentPackage(job, gains, np.arange(increment_count) % 64, 2000)
-
-
-def make_plan(
-    levels: tuple[tuple[Span, ...], ...], sizes: np.ndarray, gains: np.ndarray, errors: np.ndarray
-) -> tuple[tuple[int, int, float], ...]:
-    """The plan of a package whose error is the sum of that of its level and of the gains of all increments that are missing."""
-    level_sizes = np.cumsum([sum(span.end - span.start for span in spans) for spans in levels])
-    ends, missing = np.cumsum(sizes), gains.sum() - np.concatenate([[0.0], np.cumsum(gains)])
-    rows = []
-    for total in np.geomspace(level_sizes[0] + sizes[0], level_sizes[-1] + ends[-1], 60):
-        counts = np.searchsorted(ends, total - level_sizes + 1e-6, side="right")
-        possible = np.where(level_sizes <= total + 1e-6, errors + missing[counts], np.inf)
-        best = int(possible.argmin())
-        rows.append((best, int(counts[best]), float(possible[best])))
-    return tuple(dict.fromkeys(rows))
 
 
 def wavering_trace(rng: random.Random, rate: float, variation: float) -> Trace:

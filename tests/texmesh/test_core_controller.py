@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from farfield.addon.core.texmesh.streaming import controller, sending_servers
 from farfield.addon.core.texmesh.streaming.manifest import MESH, TEXTURES
-from farfield.addon.core.texmesh.streaming.sending_state import Event, Request, Span, begin
+from farfield.addon.core.texmesh.streaming.sending_state import Event, Job, Request, Span, begin
 from farfield.addon.core.texmesh.streaming.simulated_network import REPORT_INTERVAL, Line
 from farfield.addon.core.texmesh.streaming.simulation import simulate
 from farfield.addon.core.texmesh.streaming.traces import constant_trace
@@ -44,7 +44,7 @@ def test_requests_never_overlap_what_has_come_or_is_running(seed):
 def test_requests_stay_within_the_package_and_end_with_increments(seed):
     exchange = random_exchange(seed)
     job = exchange.job
-    parts = [span for spans in job.levels for span in spans] + list(job.first)
+    parts = [*job.levels, *job.first]
     for requests, _ in exchange.decisions:
         for request in requests:
             span = request.span
@@ -85,7 +85,7 @@ def test_states_are_not_changed():
 @given(st.integers(0, 10**6), st.booleans())
 @settings(max_examples=30, deadline=None)
 def test_everything_comes_once_if_there_is_time(seed, keeps_refining):
-    """All increments and all levels of the plan: never a byte twice."""
+    """All increments and levels, and never a byte twice."""
     rng = random.Random(seed)
     job = random_job(rng)
     limit = 0.1 if keeps_refining else 1e4
@@ -101,15 +101,11 @@ def test_everything_comes_once_if_there_is_time(seed, keeps_refining):
     state = exchange.state
     assert controller.is_finished(job, state)
     assert controller.received_increments(job, state) == len(job.ends)
-    assert state.shown == state.level == job.plan[-1][0]
-    sent = sum(
-        request.span.end - request.span.start for requests, _ in exchange.decisions for request in requests if request.span.file == TEXTURES
-    )
-    assert sent == (job.ends[-1] if job.ends else job.begin) - job.begin + job.first[-1].end
-    sent = sum(
-        request.span.end - request.span.start for requests, _ in exchange.decisions for request in requests if request.span.file == MESH
-    )
-    assert sent == sum(span.end - span.start for spans in job.levels[: state.level + 1] for span in spans)
+    assert controller.received_level(job, state) == state.level == job.plan[-1][0]
+    sent = [request.span for requests, _ in exchange.decisions for request in requests]
+    sizes = {file: sum(span.end - span.start for span in sent if span.file == file) for file in (MESH, TEXTURES)}
+    assert sizes[MESH] == job.levels[state.level].end
+    assert sizes[TEXTURES] == (job.ends[-1] if job.ends else job.begin) - job.begin + job.first[-1].end
 
 
 def test_first_requests_are_level_0_and_the_table():
@@ -159,11 +155,61 @@ def test_deviation_of_even_parts_is_the_harmonic_product(errors):
     assert abs(left) <= largest / count * math.exp(largest * sum(1.0 / rest for rest in range(1, count))) + 1e-9
 
 
-def test_levels_follow_the_plan():
-    package = make_package()
-    ample, scarce = (simulate(package, (Line(constant_trace(rate)),), 4.0, rate=rate) for rate in (4e5, 2e4))
-    assert ample.level == 2
-    assert (scarce.level, scarce.oracle_level) == (0, 0)
+def ask_all(job: Job, limit: float, rate: float) -> list[Span]:
+    """The spans that a client asks for if each comes when the next one is asked for, at `rate`."""
+    state, sent, time = begin(job, limit, rate), [], 0.0
+    event = Event(0.0)
+    while time < limit:
+        state, requests, _ = controller.decide(job, state, event)
+        sent += [request.span for request in requests]
+        if not state.flights:
+            break
+        flight = state.flights[0]
+        size = flight.span.end - flight.span.start
+        if flight.is_open:
+            time += size / rate
+        event = Event(time, flight.id, size if flight.is_open else 0)
+    return sent
+
+
+def test_order_is_the_path_of_the_plan():
+    levels = (Span(MESH, 0, 1000), Span(MESH, 1000, 3000), Span(MESH, 3000, 6000), Span(MESH, 6000, 9000))
+    plan = ((0, 3, 0.6), (0, 5, 0.5), (1, 4, 0.4), (1, 9, 0.3), (3, 7, 0.2), (3, 12, 0.1))
+    ends = tuple(range(1500, 1000 + 500 * 21, 500))
+    job = Job((levels[0], Span(TEXTURES, 0, 800)), levels, plan, 1000, ends)
+    sent = ask_all(job, 60.0, 1e4)
+    counts = [sum(span.end - span.start for span in sent[:index] if span.file == TEXTURES) - 800 for index in range(len(sent))]
+    before = {span.start: counts[index] // 500 for index, span in enumerate(sent) if span.file == MESH}
+    assert before[1000] == 5  # the most that a row before the first one with level 1 has
+    assert before[3000] == before[6000] == 9  # no row has level 2
+    assert sum(span.end - span.start for span in sent if span.file == TEXTURES) == 800 + 500 * len(ends)
+
+
+def test_level_that_cannot_come_is_not_begun():
+    levels = (Span(MESH, 0, 1000), Span(MESH, 1000, 60_000))
+    ends = tuple(range(1500, 1000 + 500 * 201, 500))
+    job = Job((levels[0], Span(TEXTURES, 0, 800)), levels, ((0, 5, 0.5), (1, 200, 0.1)), 1000, ends)
+    sent = ask_all(job, 4.0, 1e4)
+    assert [span for span in sent if span.file == MESH] == [levels[0]]
+    assert sum(span.end - span.start for span in sent if span.file == TEXTURES) > 0.8 * 4e4  # and not only the five before level 1
+    assert any(span.file == MESH and span.start == 1000 for span in ask_all(job, 10.0, 1e4))
+
+
+def test_level_goes_before_increments_that_would_cost_it():
+    levels = (Span(MESH, 0, 1000), Span(MESH, 1000, 21_000))
+    ends = tuple(range(1500, 1000 + 500 * 41, 500))
+    job = Job((levels[0], Span(TEXTURES, 0, 800)), levels, ((0, 5, 0.5), (0, 40, 0.4), (1, 10, 0.2), (1, 40, 0.1)), 1000, ends)
+    sent = ask_all(job, 3.7, 1e4)  # 37 kB: not enough for 40 increments and level 1
+    first = next(index for index, span in enumerate(sent) if span.start == 1000 and span.file == MESH)
+    assert sum(span.end - span.start for span in sent[:first] if span.file == TEXTURES) == 800 + 10 * 500
+
+
+def test_received_level_has_all_coarser_ones():
+    job = make_package().job
+    state = dataclasses.replace(begin(job, 5.0), level=2, pending=[])
+    assert controller.received_level(job, state) == 2
+    assert controller.received_level(job, dataclasses.replace(state, pending=[job.levels[1]])) == 0
+    assert controller.received_level(job, dataclasses.replace(state, pending=[Span(MESH, 100, 200)])) == -1
 
 
 def test_what_is_silent_is_asked_for_again_from_another_server():

@@ -16,14 +16,14 @@ from sending_scenarios import Exchange, random_exchange
 PAGE = environment.ROOT / "addon" / "core" / "texmesh" / "streaming" / "page" / "controller.js"
 RUNNER = """
 import { readFileSync } from "node:fs";
-const { begin, decide, estimateRate, isFinished, meanDifference, receivedIncrements } = await import(process.argv[2]);
+const { begin, decide, estimateRate, isFinished, meanDifference, receivedIncrements, receivedLevel } = await import(process.argv[2]);
 const results = JSON.parse(readFileSync(process.argv[3])).map(({ job, settings, events }) => {
   let state = begin(job, settings);
   return events.map(([isKnown, event]) => {
     const known = isKnown ? job : { ...job, ends: null };
     const [next, requests, aborted] = decide(known, state, event);
     state = next;
-    const counts = [state.shown, state.level, state.asked, state.target, receivedIncrements(known, state)];
+    const counts = [receivedLevel(known, state), state.level, state.asked, receivedIncrements(known, state)];
     const figures = [...counts, Number(isFinished(known, state))];
     const rates = state.servers.map((_, index) => estimateRate(state, index, 1.5));
     return [requests, aborted, figures, rates, state.servers.map((server) => server.delay), meanDifference(state), state.ended];
@@ -56,7 +56,7 @@ def replay(exchange: Exchange) -> list:
 
 
 def figures(job: Job, state: State) -> list:
-    counts = [state.shown, state.level, state.asked, state.target, controller.received_increments(job, state)]
+    counts = [controller.received_level(job, state), state.level, state.asked, controller.received_increments(job, state)]
     rates = [sending_servers.estimate_rate(state, index, 1.5) for index in range(len(state.servers))]
     delays = [server.delay for server in state.servers]
     return [[*counts, int(controller.is_finished(job, state))], rates, delays, controller.mean_difference(state), state.ended]

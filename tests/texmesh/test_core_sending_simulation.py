@@ -136,7 +136,7 @@ def test_package_is_simulated_from_its_manifest():
     manifest = make_manifest(increments)
     package = build_sent_package(manifest, increments)
     assert [(span.file, span.start, span.end) for span in package.job.first] == [("mesh.bin", 0, 9200), ("textures.bin", 0, 1000)]
-    assert [[(span.start, span.end) for span in spans] for spans in package.job.levels] == [[(0, 9200)], [(9200, 22800)]]
+    assert [(span.start, span.end) for span in package.job.levels] == [(0, 9200), (9200, 22800)]
     assert package.job.ends[-1] == manifest.files["textures.bin"][0]
     assert package.error(1, count) == pytest.approx(0.02)
     report = simulate_package(manifest, increments, constant_trace(1e5), 5.0, rate=1e5)

@@ -5,9 +5,11 @@ paper).
 order (only + - * / and comparisons of doubles), so both decide alike bit for bit. The caller tells every event at once, ticks about 20
 times per second, and one at the limit.
 
-Order. Level 0 and the table of increments come first, so that something is on the screen; then increments. When the rates have been
-measured, the plan is looked up before each request: its best row for which the rest of the time has bytes. As soon as the plan leaves the
-present level, what the next levels add is asked for, level by level, each time with a new look into the plan.
+Order. Level 0 and the table of increments come first, so that something is on the screen; then the path of the plan: increments, up to the
+largest number that its rows have before they leave the present level, then the next level, increments again, and so on, as each needs what
+comes before it. When all of the plan is asked for, the rest of the increments follow. Estimates decide only near the limit: a level that
+will not come before it is not begun, and its time goes to increments; and one that would not come anymore behind increments that the row
+with it does not need goes before them.
 
 Time compensation. The paper's algorithm gives each of the n - j remaining fragments an equal part of the time that remains after fragment
 j, so a deviation spreads evenly over them: with relative errors e_j of the estimated times, the last of n fragments ends
@@ -39,9 +41,9 @@ from .sending_state import Event, Flight, Job, Request, Server, Span, State
 FRACTION = 0.25  # of the remaining time for the next request
 MAX_REQUEST, FIRST_REQUEST = 1.0, 0.3  # seconds that a request may take, with a rate that was measured and one that was not
 LEAD = 1.5  # delays before the line is free that the next request is sent
-EXCESS = 1.2  # of the time left, for all requests of a server, at which the newest is aborted
-MEASURED = 0.2  # seconds of measuring before a level is chosen
-LEVEL_MARGIN = 0.9  # fraction of the estimated bytes that a level and its increments may need
+EXCESS = 1.2  # of the time left, for all requests of a server, at which the newest is aborted; of the bytes, at which a level is given up
+MEASURED = 0.2  # seconds after which a rate counts as measured
+LEVEL_MARGIN = 0.9  # fraction of the bytes that are expected before the limit that a level may need
 
 
 def decide(job: Job, state: State, event: Event) -> tuple[State, list[Request], list[int]]:
@@ -60,7 +62,6 @@ def decide(job: Job, state: State, event: Event) -> tuple[State, list[Request], 
         if was_silent or (not _is_first(job, flight.span) and (is_over or _is_excess(state, flight))):
             _owe(state, flight)
             aborted.append(flight.id)
-    state.shown = _shown_level(job, state)
     requests: list[Request] = []
     while _ask(job, state, requests):
         pass
@@ -80,14 +81,27 @@ def received_increments(job: Job, state: State) -> int:
     """Return the number of increments that have come without a gap."""
     if job.ends is None:
         return 0
-    spans = [replace(flight.span, start=flight.span.start + flight.received) for flight in state.flights] + state.pending
-    starts = [span.start for span in spans if span.file == TEXTURES and span.start >= job.begin]
-    return min(bisect_right(job.ends, min(starts)), state.asked) if starts else state.asked
+    missing = _first_missing(state, TEXTURES)
+    return state.asked if missing is None else min(bisect_right(job.ends, missing), state.asked)
+
+
+def received_level(job: Job, state: State) -> int:
+    """Return the finest level that has come with all coarser ones, or -1."""
+    missing, level = _first_missing(state, MESH), state.level
+    while missing is not None and level >= 0 and job.levels[level].end > missing:
+        level -= 1
+    return level
 
 
 def mean_difference(state: State) -> float:
     """Return Lambda (eq. 9 of the paper), seconds: the mean difference between planned and actual times of all requests but the last."""
     return (state.difference - state.latest) / max(state.responses - 1, 1)
+
+
+def _first_missing(state: State, file: str) -> int | None:
+    """Return the offset of the first byte that was asked for and has not come, or None."""
+    starts = [flight.span.start + flight.received for flight in state.flights if flight.span.file == file]
+    return min(starts + [span.start for span in state.pending if span.file == file], default=None)
 
 
 def _copy(state: State) -> State:
@@ -147,7 +161,7 @@ def _is_first(job: Job, span: Span) -> bool:
 def _ask(job: Job, state: State, requests: list[Request]) -> bool:
     """Send one more request, if there is something to ask for and a server whose line will be free soon."""
     lines = []
-    owes_first = any(_is_first(job, span) for span in state.pending)
+    owes_first = len(state.servers) == 1 and any(_is_first(job, span) for span in state.pending)
     for index, server in enumerate(state.servers):
         busy, rest, rate = look_ahead(state, index)
         if not is_paused(state, index) and (owes_first or busy <= LEAD * server.delay):
@@ -165,72 +179,58 @@ def _ask(job: Job, state: State, requests: list[Request]) -> bool:
 
 def _take(job: Job, state: State, rest: float, rate: float, server: Server) -> Span | None:
     """Return the next span to ask for from `server`, which has `rest` seconds at `rate`, and remove it from what is owed."""
+    longest = MAX_REQUEST if server.measured >= MEASURED else FIRST_REQUEST
     for position, span in enumerate(state.pending):
         if _is_first(job, span):
-            return state.pending.pop(position)
+            return _cut(state, position, span.end if len(state.servers) == 1 else min(span.end, span.start + int(longest * rate)))
     if rest <= 0.0 or job.ends is None:
         return None
-    _choose_level(job, state)
-    longest = MAX_REQUEST if server.measured >= MEASURED else FIRST_REQUEST
     seconds = rest if rest <= server.delay else min(max(rest * FRACTION, server.delay), longest)
-    owed_mesh = 0
-    for span in state.pending:
-        owed_mesh += span.end - span.start if span.file == MESH else 0
-    for position, span in enumerate(state.pending):
+    last = _begin(job, _follow_plan(job, state))
+    owed_mesh, budget = 0, _budget(state)
+    for position, span in enumerate([*state.pending, Span(TEXTURES, _begin(job, state.asked), last)]):
+        end = span.start
         if span.file == TEXTURES:
-            end = _last_end(job, span.start, min(span.end, span.start + seconds * rate), span.start + rest * rate)
-        elif owed_mesh <= _budget(state):
-            end = span.end if span.end - span.start <= 2.0 * seconds * rate else span.start + int(seconds * rate)
+            end = _last_end(job, span.start, min(span.end, span.start + seconds * rate), min(span.end, span.start + rest * rate))
         else:
-            end = span.start
+            size = span.end - span.start
+            owed_mesh += size
+            if owed_mesh <= EXCESS * budget:
+                end = span.end if size <= 3.0 * seconds * rate else span.start + int(2.0 * seconds * rate)
         if end > span.start:
-            state.pending[position : position + 1] = [replace(span, start=end)] if end < span.end else []
+            if position < len(state.pending):
+                return _cut(state, position, end)
+            state.asked = bisect_right(job.ends, end)
             return replace(span, end=end)
-    start = _begin(job, state.asked)
-    end = _last_end(job, start, start + seconds * rate, start + rest * rate)
-    state.asked = bisect_right(job.ends, end)
-    return Span(TEXTURES, start, end) if end > start else None
+    return None
 
 
-def _choose_level(job: Job, state: State) -> None:
-    """Look up the row of the plan for the rest of the time, and ask for its level if the plan leaves the present one."""
-    measured = 0.0
-    for server in state.servers:  # not `sum`, which adds floats in another way in every version of Python
-        measured += server.measured
-    if state.shown < 0 or any(span.file == MESH for span in state.pending) or (measured < MEASURED and state.asked < len(job.ends)):
-        return
-    budget = _budget(state)
-    start = _begin(job, state.asked)
-    state.target = -1
-    for position, (level, count, error) in enumerate(job.plan):
-        cost = max(_begin(job, count) - start, 0)
-        if level > state.level:
-            cost = (cost + _mesh_cost(job, state.level, level)) / LEVEL_MARGIN
-        if cost <= budget and (state.target < 0 or error < job.plan[state.target][2]):
-            state.target = position
-    if state.target < 0 or job.plan[state.target][0] <= state.level:
-        return
-    level, count, _ = job.plan[state.target]
-    leaving = next(row[1] for row in job.plan if row[0] > state.level)
-    if state.asked >= min(leaving, count):
-        state.level += 1  # step by step: each time, the plan may lead to another one
-        state.pending += job.levels[state.level]
+def _cut(state: State, position: int, end: int) -> Span:
+    """Return a pending span up to `end`, and keep its rest."""
+    span = state.pending[position]
+    state.pending[position : position + 1] = [replace(span, start=end)] if end < span.end else []
+    return replace(span, end=end)
 
 
-def _shown_level(job: Job, state: State) -> int:
-    """Return the finest level that has come wholly, with all coarser ones, or -1."""
-    shown = state.level
-    for waiting in [flight.span for flight in state.flights] + state.pending:
-        for level, spans in enumerate(job.levels[: shown + 1]):
-            if any(waiting.file == span.file and span.start <= waiting.start < span.end for span in spans):
-                shown = level - 1
-                break
-    return shown
-
-
-def _mesh_cost(job: Job, level: int, finer: int) -> int:
-    """Return the bytes that `finer` needs if `level` is there."""
-    return sum(span.end - span.start for spans in job.levels[level + 1 : finer + 1] for span in spans)
+def _follow_plan(job: Job, state: State) -> int:
+    """Begin the levels that are next and will come before the limit, and return up to which increment may be asked for before others."""
+    while True:
+        position = next((position for position, row in enumerate(job.plan) if row[0] > state.level), None)
+        if position is None:
+            return len(job.ends)
+        level, least, _ = job.plan[position]
+        most = max([row[1] for row in job.plan[:position]], default=0)
+        size = job.levels[level].end - job.levels[state.level].end
+        for span in state.pending:
+            size += span.end - span.start if span.file == MESH else 0
+        rest = LEVEL_MARGIN * _budget(state) - size
+        if rest < 0.0:
+            return len(job.ends)
+        count = most if _begin(job, most) - _begin(job, state.asked) <= rest else min(least, most)
+        if state.asked < count:
+            return count
+        state.pending += job.levels[state.level + 1 : level + 1]
+        state.level = level
 
 
 def _budget(state: State) -> float:

@@ -1,6 +1,6 @@
 """What the controller of a client works with: what there is to send, its state, events and requests."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from .manifest import MESH, TEXTURES, Manifest, Section
 
@@ -22,13 +22,13 @@ class Span:
 class Job:
     """What there is to send.
 
-    first: spans without which nothing is shown: level 0 and the table of increments. levels: by level, the spans that it needs beside those
-    of coarser ones. plan: (level, number of increments, predicted error) ascending by bytes. begin: offset of the first increment. ends:
-    offsets of the ends of the increments in textures.bin; None until the table has come.
+    first: spans without which nothing is shown: level 0 and the table of increments. levels: the sections of each, one behind the other;
+    a level needs those of all coarser ones. plan: (level, number of increments, predicted error) ascending by bytes. begin: offset of the
+    first increment. ends: offsets of the ends of the increments in textures.bin; None until the table has come.
     """
 
     first: tuple[Span, ...]
-    levels: tuple[tuple[Span, ...], ...]
+    levels: tuple[Span, ...]
     plan: tuple[tuple[int, int, float], ...]
     begin: int
     ends: tuple[int, ...] | None = None
@@ -70,9 +70,8 @@ class Flight:
 class State:
     """The state of a client. Times are seconds since the user's wish; read it, but only `decide` changes it.
 
-    level: the finest that was asked for. shown: the level that has come wholly, or -1. asked: number
-    of increments asked for. target: the row of the plan that the rest of the time allows, or -1. ended: when the last response ended.
-    difference: sum of the absolute differences between planned and actual times of `responses` requests, `latest` is that of the last one.
+    level, asked: the level and the number of increments asked for. ended: when the last response ended. difference: sum of the absolute
+    differences between planned and actual times of `responses` requests, `latest` is that of the last one.
     """
 
     limit: float
@@ -84,9 +83,7 @@ class State:
     pending: list[Span] = field(default_factory=list)
     next_id: int = 0
     level: int = 0
-    shown: int = -1
     asked: int = 0
-    target: int = -1
     ended: float = 0.0
     difference: float = 0.0
     latest: float = 0.0
@@ -115,11 +112,12 @@ class Request:
 
 def build_job(manifest: Manifest) -> Job:
     """Return what `manifest` has to send. `ends` is None: add them when the table of increments has come."""
-    levels = tuple(_spans(level.positions, level.parents, level.wedges, level.uvs, level.corners) for level in manifest.levels)
-    table = tuple(replace(span, file=TEXTURES) for span in _spans(manifest.increments))
+    levels = tuple(_span(level.positions, level.parents, level.wedges, level.uvs, level.corners) for level in manifest.levels)
+    table = Span(TEXTURES, manifest.increments.offset, manifest.increments.end)
     plan = tuple((row.level, row.increment_count, row.flip) for row in manifest.plan)
-    ends = None if manifest.increment_count else ()
-    return Job(levels[0] + table, levels, plan, manifest.first_increment, ends)
+    if not manifest.increment_count:
+        return Job(levels[:1], levels, plan, manifest.first_increment, ())
+    return Job((levels[0], table), levels, plan, manifest.first_increment)
 
 
 def begin(
@@ -135,12 +133,6 @@ def begin(
     return State(limit, patience, keeps_refining, servers, pending=list(job.first))
 
 
-def _spans(*sections: Section) -> tuple[Span, ...]:
-    """Return the spans of sections of mesh.bin, joined where they touch."""
-    spans: list[Span] = []
-    for section in sorted(sections, key=lambda section: section.offset):
-        if section.size and spans and spans[-1].end == section.offset:
-            spans[-1] = replace(spans[-1], end=section.end)
-        elif section.size:
-            spans.append(Span(MESH, section.offset, section.end))
-    return tuple(spans)
+def _span(*sections: Section) -> Span:
+    """Return the span of sections of mesh.bin."""
+    return Span(MESH, min(section.offset for section in sections), max(section.end for section in sections))

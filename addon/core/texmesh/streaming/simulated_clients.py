@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from . import controller
-from .manifest import TEXTURES
+from .manifest import MESH, TEXTURES
 from .sending_state import DEFAULT_DELAY, DEFAULT_RATE, Event, Job, Request, Span, begin
 
 PAPER_FRAGMENTS = 24  # into which a client as in the paper divides the tiles
@@ -32,7 +32,7 @@ class CompensatingClient:
 
     def level(self) -> int:
         """Return the level that is shown, or -1."""
-        return self._state.shown
+        return controller.received_level(self._known, self._state)
 
     def received(self) -> np.ndarray:
         """Return which increments have come, (N,) bool."""
@@ -51,7 +51,8 @@ class _SequentialClient:
         self.delay = DEFAULT_DELAY
         self.mask = np.zeros(len(job.ends or ()), bool)
         self.sizes = np.diff([job.begin, *(job.ends or ())])
-        self.target, self.shown, self.next_id, self.has_level = 0, -1, 0, False
+        self.row: tuple[int, int] | None = None
+        self.shown, self.next_id = -1, 0
         self.asked, self.opened, self.planned = 0.0, 0.0, 0.0
         self.differences: list[float] = []
         self.span: Span | None = None
@@ -92,14 +93,13 @@ class _SequentialClient:
         self.differences.append(abs(time - self.asked - self.planned))
         self.measure(self.span.end - self.span.start, time)
         if self.parts is None and not self.queue:
-            self.shown = self.target  # level 0, or the one that was chosen
+            self.shown = self.row[0] if self.row else 0
 
     def _send(self, time: float) -> list[Request]:
-        if not self.queue and not self.has_level:
-            self.has_level = True
-            self.target = self.choose_level(time)
-            for level in range(1, self.target + 1):
-                self.queue += self.job.levels[level]
+        if not self.queue and self.row is None:
+            self.row = self.choose_row(time)
+            if self.row[0]:
+                self.queue.append(Span(MESH, self.job.levels[1].start, self.job.levels[self.row[0]].end))
         if self.queue:
             self.span, self.parts = self.queue.pop(0), None
         else:
@@ -114,15 +114,14 @@ class _SequentialClient:
     def measure(self, size: int, time: float) -> None:
         """Learn from a response of `size` bytes that has ended."""
 
-    def choose_level(self, time: float) -> int:
-        """Return the level of the best row of the plan that fits into the rest of the time at the present rate."""
-        budget = self.rate * (self.limit - time)
-        fitting = [row for row in self.job.plan if self._cost(row[0], row[1]) <= budget] or [self.job.plan[0]]
-        return min(fitting, key=lambda row: row[2])[0]
+    def choose_row(self, time: float) -> tuple[int, int]:
+        """Return the level and number of increments of the best row of the plan that fits into the rest of the time at the present rate."""
+        budget = self.rate * (self.limit - time - 2.0 * self.delay)
+        fitting = [row for row in self.job.plan if self._cost(row[0], row[1]) <= budget] or [(0, 0, 1.0)]
+        return min(fitting, key=lambda row: row[2])[:2]
 
     def _cost(self, level: int, count: int) -> int:
-        spans = [span for spans in self.job.levels[1 : level + 1] for span in spans]
-        return sum(span.end - span.start for span in spans) + int(self.sizes[:count].sum())
+        return self.job.levels[level].end - self.job.levels[0].end + int(self.sizes[:count].sum())
 
     def next_parts(self, time: float) -> np.ndarray | None:
         """Return which increments to ask for next, (N,) bool, or None at the end."""
@@ -133,11 +132,9 @@ class FixedClient(_SequentialClient):
     """Decides once, by the initial rate: no time compensation."""
 
     def next_parts(self, time: float) -> np.ndarray | None:
-        """Return all increments that fit into the rest of the time at the initial rate, once."""
-        if self.parts is not None or not len(self.mask):
-            return None
-        count = int(np.searchsorted(np.cumsum(self.sizes), self.rate * (self.limit - time - self.delay), side="right"))
-        return np.arange(len(self.mask)) < count if count else None
+        """Return the increments of the row of the plan, once."""
+        count = self.row[1]
+        return np.arange(len(self.mask)) < count if count and self.parts is None else None
 
 
 class PaperClient(_SequentialClient):

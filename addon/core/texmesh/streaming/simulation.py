@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -30,33 +31,46 @@ class SentPackage:
     manifest_size: int
 
     def error(self, level: int, received: np.ndarray | int) -> float:
-        """Return the predicted error with `level` (-1: nothing is shown, error 1) and the received increments ((N,) bool or a number)."""
+        """Return the error that the plan predicts with `level` (-1: nothing is shown, error 1) and the received increments ((N,) bool or a
+        number).
+
+        Errors of a level are linear in the logarithm of the bytes between rows of the plan, and those of the last row behind it; a finer
+        level is as good as a coarser one at least. Increments with gaps count as the first ones with as large a gain.
+        """
         if level < 0:
             return 1.0
-        count = received if isinstance(received, int) else self._equal_count(received)
-        return min(float(np.interp(count, *self._curve(coarser))) for coarser in range(level + 1))
+        if isinstance(received, np.ndarray):
+            count = int(received.sum())
+            if not received[:count].all():
+                count = int(np.searchsorted(np.cumsum(self.gains), self.gains[received].sum(), side="right"))
+        else:
+            count = received
+        return min(np.interp(self._position(count), *points) for points in self._courses[: level + 1])
 
-    def _equal_count(self, received: np.ndarray) -> int:
-        """Return how many increments from the first on have the gain of those that were received, in whatever order."""
-        return int(np.searchsorted(np.cumsum(self.gains), self.gains[received].sum() * (1.0 - 1e-9), side="left")) + bool(received.any())
+    @cached_property
+    def _courses(self) -> tuple[tuple[list[float], list[float]], ...]:
+        """Positions of increments, and errors with them, of each level. Without any row, a level has error 1."""
+        courses = []
+        for level in range(len(self.job.levels)):
+            rows = sorted((count, error) for row_level, count, error in self.job.plan if row_level == level)
+            courses.append(([0.0, *(self._position(count) for count, _ in rows)], [1.0, *(error for _, error in rows)]))
+        return tuple(courses)
 
-    def _curve(self, level: int) -> tuple[list[int], list[float]]:
-        """Return numbers of increments and errors of a level, as the plan has them: below its first row the error rises to 1."""
-        rows = [row for row in self.job.plan if row[0] == level]
-        return [0, *(row[1] for row in rows)], [1.0, *(row[2] for row in rows)]
+    def _position(self, count: int) -> float:
+        """Return the logarithm of the bytes of the first `count` increments."""
+        return math.log(max((self.job.ends[count - 1] if count else self.job.begin) - self.job.begin, 1))
 
     def best(self, byte_count: float) -> tuple[int, int, float]:
         """Return the level, number of increments and error of the best use of `byte_count` bytes."""
         ends = np.array([self.job.begin, *self.job.ends]) - self.job.begin
-        table = _size(self.job.first) - _size(self.job.levels[0])
+        table = sum(_size(span) for span in self.job.first[1:])
         best = (-1, 0, 1.0)
-        rest = byte_count - table
-        for level, spans in enumerate(self.job.levels):
-            rest -= _size(spans)
+        for level, span in enumerate(self.job.levels):
+            rest = byte_count - table - span.end
             if rest >= 0.0:
                 count = int(np.searchsorted(ends, rest, side="right")) - 1
                 error = self.error(level, count)
-                best = (level, count, error) if error < best[2] else best
+                best = (level, count, error) if best[0] < 0 or error < best[2] else best
         return best
 
 
@@ -67,7 +81,7 @@ class SendingReport:
     finished: when it stopped, seconds. deviation: Pi, seconds after the limit (negative: before it). mean_difference: Lambda of eq. 9,
     seconds. is_complete: everything came. byte_count: carried by the lines, headers of responses included. useful_bytes: of the level and
     increments at the end. level, increments, error: at the limit or at the end if that is earlier. oracle_*: of a client that knows the
-    trace. first_seen: when level 0 was there; first_textured: when the first increment was there; infinite if never.
+    trace; its bytes are those that lines can carry less those of the manifest. first_seen: when level 0 was there; first_textured: when the first increment was there; infinite if never.
     """
 
     client: str
@@ -195,7 +209,7 @@ def simulate(
         requests=course.requests,
         aborted=course.aborted,
         byte_count=course.network.bytes,
-        useful_bytes=int(sizes[received].sum()) + sum(map(_size, job.levels[: level + 1])),
+        useful_bytes=int(sizes[received].sum()) + (0 if level < 0 else job.levels[level].end),
         level=level,
         increments=int(received.sum()),
         error=package.error(level, received),
@@ -244,12 +258,12 @@ class _Course:
 
 
 def _possible_bytes(lines: tuple[Line, ...], access: Trace | None, limit: float) -> float:
-    """Return the bytes that all lines can carry before the limit, after the delays of the manifest and of the first response."""
+    """Return the bytes that all lines can carry before the limit, after a delay for the manifest and one for the first response."""
     total = 0.0
     for line in lines:
         total += max(line.bytes_until(limit) - line.bytes_until(min(2.0 * line.delay, limit)), 0.0)
     return total if access is None else min(total, access.bytes_until(limit))
 
 
-def _size(spans: tuple[Span, ...]) -> int:
-    return sum(span.end - span.start for span in spans)
+def _size(span: Span) -> int:
+    return span.end - span.start

@@ -10,7 +10,7 @@
 // the last byte ends it), or {time, id, failed: true}. Send `requests`, [{id, server, file, start, end}, ...]: bytes [start, end) of a file
 // from server `server` (0: the page's folder, then the mirrors), and abort those whose ids are in `aborted`; keep what has come of them: only
 // the rest is asked for again. When the table of increments has come, go on with job = {...job, ends}: where increments end in textures.bin.
-// To read: state.shown (the level that is there, or -1), state.level (asked for), state.ended - limit (deviation Pi), and the functions below.
+// To read: state.level (asked for), state.ended - limit (deviation Pi), and the functions below.
 
 const MESH = "mesh.bin", TEXTURES = "textures.bin";
 const DEFAULT_RATE = 250000, DEFAULT_DELAY = 0.1, PRIOR_SECONDS = 0.1;
@@ -20,14 +20,17 @@ const { abs, floor, max, min } = Math;
 
 /** What `manifest` has to send. */
 export function buildJob(manifest) {
-  const levels = manifest.levels.map((level) => spans([level.positions, level.parents, level.wedges, level.uvs, level.corners]));
-  const table = spans([manifest.increments]).map((span) => ({ ...span, file: TEXTURES }));
+  const levels = manifest.levels.map((level) => {
+    const sections = [level.positions, level.parents, level.wedges, level.uvs, level.corners];
+    return { file: MESH, start: min(...sections.map(([start]) => start)), end: max(...sections.map(([start, size]) => start + size)) };
+  });
+  const [start, size] = manifest.increments, hasTable = manifest.increment_count > 0;
   return {
-    first: levels[0].concat(table),
+    first: [levels[0], ...(hasTable ? [{ file: TEXTURES, start, end: start + size }] : [])],
     levels,
     plan: manifest.plan.map(([, level, count, error]) => [level, count, error]),
     begin: manifest.first_increment,
-    ends: manifest.increment_count ? null : [],
+    ends: hasTable ? null : [],
   };
 }
 
@@ -38,7 +41,7 @@ export function begin(job, { limit, rate = 0, servers = 1, patience = 0, keepsRe
   Object.assign(server, { measured: 0, mark: 0, heard: 0, failures: 0, failed: 0, until: 0 });
   return {
     limit, patience, keepsRefining, servers: Array.from({ length: servers }, () => ({ ...server })), time: 0, flights: [],
-    pending: [...job.first], nextId: 0, level: 0, shown: -1, asked: 0, target: -1, ended: 0, difference: 0, latest: 0, responses: 0,
+    pending: [...job.first], nextId: 0, level: 0, asked: 0, ended: 0, difference: 0, latest: 0, responses: 0,
   };
 }
 
@@ -59,7 +62,6 @@ export function decide(job, before, { time, id = -1, received = 0, failed = fals
       aborted.push(flight.id);
     }
   }
-  state.shown = shownLevel(job, state);
   const requests = [];
   while (ask(job, state, requests));
   return [state, requests, aborted];
@@ -76,9 +78,15 @@ export function isFinished(job, state) {
 /** The number of increments that have come without a gap. */
 export function receivedIncrements(job, state) {
   if (!job.ends) return 0;
-  const starts = state.flights.map((flight) => ({ ...flight, start: flight.start + flight.received })).concat(state.pending)
-    .filter((span) => span.file === TEXTURES && span.start >= job.begin).map((span) => span.start);
-  return starts.length ? min(countUpTo(job.ends, min(...starts)), state.asked) : state.asked;
+  return min(countUpTo(job.ends, firstMissing(state, TEXTURES)), state.asked);
+}
+
+/** The finest level that has come with all coarser ones, or -1. */
+export function receivedLevel(job, state) {
+  const missing = firstMissing(state, MESH);
+  let { level } = state;
+  while (level >= 0 && job.levels[level].end > missing) level--;
+  return level;
 }
 
 /** Lambda (eq. 9 of the paper), seconds. */
@@ -96,14 +104,9 @@ export function estimateRate(state, index, horizon) {
   return (fast * FAST + slow * horizon) / (FAST + horizon);
 }
 
-function spans(sections) {
-  const joined = [];
-  for (const [start, size] of sections.filter((section) => section[1]).sort((a, b) => a[0] - b[0])) {
-    const last = joined[joined.length - 1];
-    if (last && last.end === start) last.end += size;
-    else joined.push({ file: MESH, start, end: start + size });
-  }
-  return joined;
+function firstMissing(state, file) {
+  const spans = [...state.pending, ...state.flights].filter((span) => span.file === file);
+  return min(...spans.map(({ start, received = 0 }) => start + received)); // infinite if nothing is missing
 }
 
 function hear(state, flight, received, failed) {
@@ -181,7 +184,7 @@ function isFirst(job, span) {
 }
 
 function ask(job, state, requests) {
-  const owesFirst = state.pending.some((span) => isFirst(job, span));
+  const owesFirst = state.servers.length === 1 && state.pending.some((span) => isFirst(job, span));
   const lines = [];
   state.servers.forEach((server, index) => {
     const [busy, rest, rate] = line(state, index);
@@ -215,60 +218,54 @@ function line(state, index) {
 }
 
 function take(job, state, rest, rate, server) {
-  const owedFirst = state.pending.findIndex((span) => isFirst(job, span));
-  if (owedFirst >= 0) return state.pending.splice(owedFirst, 1)[0];
-  if (rest <= 0 || job.ends === null) return null;
-  chooseLevel(job, state);
   const longest = server.measured >= MEASURED ? MAX_REQUEST : FIRST_REQUEST;
+  const owedFirst = state.pending.findIndex((span) => isFirst(job, span));
+  if (owedFirst >= 0) {
+    const { start, end } = state.pending[owedFirst];
+    return cut(state, owedFirst, state.servers.length === 1 ? end : min(end, start + floor(longest * rate)));
+  }
+  if (rest <= 0 || job.ends === null) return null;
   const seconds = rest <= server.delay ? rest : min(max(rest * FRACTION, server.delay), longest);
+  const last = beginOf(job, followPlan(job, state)), budget = budgetOf(state);
   let owedMesh = 0;
-  for (const span of state.pending) owedMesh += span.file === MESH ? span.end - span.start : 0;
-  for (const [position, span] of state.pending.entries()) {
+  for (const [position, span] of [...state.pending, { file: TEXTURES, start: beginOf(job, state.asked), end: last }].entries()) {
     let end = span.start;
     if (span.file === TEXTURES) {
-      end = lastEnd(job, span.start, min(span.end, span.start + seconds * rate), span.start + rest * rate);
-    } else if (owedMesh <= budgetOf(state)) {
-      end = span.end - span.start <= 2 * seconds * rate ? span.end : span.start + floor(seconds * rate);
+      end = lastEnd(job, span.start, min(span.end, span.start + seconds * rate), min(span.end, span.start + rest * rate));
+    } else {
+      const size = span.end - span.start;
+      owedMesh += size;
+      if (owedMesh <= EXCESS * budget) end = size <= 3 * seconds * rate ? span.end : span.start + floor(2 * seconds * rate);
     }
-    if (end > span.start) {
-      state.pending.splice(position, 1, ...(end < span.end ? [{ ...span, start: end }] : []));
-      return { ...span, end };
-    }
+    if (end <= span.start) continue;
+    if (position < state.pending.length) return cut(state, position, end);
+    state.asked = countUpTo(job.ends, end);
+    return { ...span, end };
   }
-  const start = beginOf(job, state.asked);
-  const end = lastEnd(job, start, start + seconds * rate, start + rest * rate);
-  state.asked = countUpTo(job.ends, end);
-  return end > start ? { file: TEXTURES, start, end } : null;
+  return null;
 }
 
-function chooseLevel(job, state) {
-  let measured = 0;
-  for (const server of state.servers) measured += server.measured;
-  if (state.shown < 0 || state.pending.some((span) => span.file === MESH) || (measured < MEASURED && state.asked < job.ends.length)) return;
-  const budget = budgetOf(state), start = beginOf(job, state.asked);
-  state.target = -1;
-  job.plan.forEach(([level, count, error], position) => {
-    let cost = max(beginOf(job, count) - start, 0);
-    if (level > state.level) cost = (cost + meshCost(job, state.level, level)) / LEVEL_MARGIN;
-    if (cost <= budget && (state.target < 0 || error < job.plan[state.target][2])) state.target = position;
-  });
-  if (state.target < 0 || job.plan[state.target][0] <= state.level) return;
-  const [level, count] = job.plan[state.target];
-  const leaving = job.plan.find((row) => row[0] > state.level)[1];
-  if (state.asked >= min(leaving, count)) state.pending.push(...job.levels[++state.level]); // step by step: the plan may lead to another one
+function cut(state, position, end) {
+  const span = state.pending[position];
+  state.pending.splice(position, 1, ...(end < span.end ? [{ ...span, start: end }] : []));
+  return { ...span, end };
 }
 
-function shownLevel(job, state) {
-  let shown = state.level;
-  for (const { file, start } of [...state.flights, ...state.pending]) {
-    const owed = job.levels.findIndex((spans) => spans.some((span) => span.file === file && span.start <= start && start < span.end));
-    if (owed >= 0) shown = min(shown, owed - 1);
+function followPlan(job, state) {
+  for (;;) {
+    const position = job.plan.findIndex((row) => row[0] > state.level);
+    if (position < 0) return job.ends.length;
+    const [level, least] = job.plan[position];
+    const most = max(0, ...job.plan.slice(0, position).map((row) => row[1]));
+    let size = job.levels[level].end - job.levels[state.level].end;
+    for (const span of state.pending) size += span.file === MESH ? span.end - span.start : 0;
+    const rest = LEVEL_MARGIN * budgetOf(state) - size;
+    if (rest < 0) return job.ends.length;
+    const count = beginOf(job, most) - beginOf(job, state.asked) <= rest ? most : min(least, most);
+    if (state.asked < count) return count;
+    state.pending.push(...job.levels.slice(state.level + 1, level + 1));
+    state.level = level;
   }
-  return shown;
-}
-
-function meshCost(job, level, finer) {
-  return job.levels.slice(level + 1, finer + 1).flat().reduce((sum, span) => sum + span.end - span.start, 0);
 }
 
 function budgetOf(state) {
