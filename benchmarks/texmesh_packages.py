@@ -159,8 +159,8 @@ def _list_rows(tried: dict[PlanRow, float]) -> list[dict[str, Any]]:
 
 def _decode_mesh(content: PackageContent, level: int) -> TexturedMesh:
     decoded = decode_level(content.mesh, content.manifest, level)
-    positions = dequantize(decoded.positions, content.manifest.bounds).astype(np.float64) @ Z_UP.T
-    uvs = dequantize(decoded.uvs, content.manifest.uv_bounds).astype(np.float64) * [1.0, -1.0] + [0.0, 1.0]
+    positions = dequantize(decoded.positions, content.manifest.bounds, content.manifest.steps[0]).astype(np.float64) @ Z_UP.T
+    uvs = dequantize(decoded.uvs, content.manifest.uv_bounds, content.manifest.steps[1]).astype(np.float64) * [1.0, -1.0] + [0.0, 1.0]
     mesh = TriangleMesh(positions, decoded.wedge_vertices[decoded.triangles], decoded.materials)
     return build_textured_mesh(mesh, uvs[decoded.triangles], name="package")
 

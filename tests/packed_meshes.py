@@ -10,7 +10,7 @@ from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.simplification.levels import Simplification, simplify_by_cost
 from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
-from farfield.addon.core.texmesh.streaming.manifest import MeshLevel, Section
+from farfield.addon.core.texmesh.streaming.manifest import MAX_STEPS, MeshLevel, Section
 from farfield.addon.core.texmesh.streaming.mesh_coding import encode_mesh
 from farfield.addon.core.texmesh.streaming.mesh_order import OrderedMesh, order_mesh
 from farfield.addon.core.texmesh.streaming.sections import deflate
@@ -42,7 +42,7 @@ def order_with_levels(mesh: TexturedMesh, percents: tuple[int, ...] = (40, 15, 5
 def pack(ordered: OrderedMesh, material_count: int = 3) -> tuple[bytes, SimpleNamespace]:
     """Return mesh.bin and what a manifest says about it."""
     content, levels, bounds, uv_bounds = encode_mesh(ordered, (0.0,) * len(ordered.levels), material_count)
-    return content, SimpleNamespace(levels=levels, bounds=bounds, uv_bounds=uv_bounds)
+    return content, SimpleNamespace(levels=levels, bounds=bounds, uv_bounds=uv_bounds, steps=(MAX_STEPS, MAX_STEPS))
 
 
 def replace_section(content: bytes, manifest: SimpleNamespace, level: int, name: str, part: bytes) -> tuple[bytes, SimpleNamespace]:
@@ -50,7 +50,9 @@ def replace_section(content: bytes, manifest: SimpleNamespace, level: int, name:
     packed = deflate(part)
     levels = list(manifest.levels)
     levels[level] = _with_section(levels[level], name, Section(len(content), len(packed), zlib.crc32(packed)))
-    return content + packed, SimpleNamespace(levels=tuple(levels), bounds=manifest.bounds, uv_bounds=manifest.uv_bounds)
+    return content + packed, SimpleNamespace(
+        levels=tuple(levels), bounds=manifest.bounds, uv_bounds=manifest.uv_bounds, steps=manifest.steps
+    )
 
 
 def _with_section(level: MeshLevel, name: str, section: Section) -> MeshLevel:

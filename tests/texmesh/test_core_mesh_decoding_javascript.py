@@ -55,7 +55,7 @@ def make_case(content: bytes, manifest: SimpleNamespace, missing: int = -1) -> d
         vars(level) | {name: astuple(getattr(level, name)) for name in SECTIONS} | {"triangle_counts": level.triangle_counts}
         for level in manifest.levels
     ]
-    described = {"levels": levels, "bounds": manifest.bounds, "uv_bounds": manifest.uv_bounds}
+    described = {"levels": levels, "bounds": manifest.bounds, "uv_bounds": manifest.uv_bounds, "steps": manifest.steps}
     return {"manifest": described, "mesh": base64.b64encode(content).decode(), "missing": missing}
 
 
@@ -75,8 +75,8 @@ def describe(content: bytes, manifest: SimpleNamespace, missing: int = -1) -> li
     for index in range(len(manifest.levels)):
         level = decode_level(content, manifest, index, () if missing < 0 else (missing,))
         arrays = {
-            "positions": dequantize(level.positions, manifest.bounds),
-            "uvs": dequantize(level.uvs, manifest.uv_bounds),
+            "positions": dequantize(level.positions, manifest.bounds, manifest.steps[0]),
+            "uvs": dequantize(level.uvs, manifest.uv_bounds, manifest.steps[1]),
             "wedges": level.wedge_vertices,
             "corners": level.triangles,
             "parents": level.parents,
@@ -122,7 +122,7 @@ def test_the_page_bounds_what_it_allocates(tmp_path):
     lies = []
     for change in ({"vertex_count": 2**40}, {"wedge_count": 2**40}, {"triangle_counts": (2**40, 0, 0)}):
         level = type(manifest.levels[0])(**vars(manifest.levels[0]) | change)
-        lies.append((content, SimpleNamespace(levels=(level,), bounds=manifest.bounds, uv_bounds=manifest.uv_bounds)))
+        lies.append((content, SimpleNamespace(levels=(level,), bounds=manifest.bounds, uv_bounds=manifest.uv_bounds, steps=manifest.steps)))
     noise = bytes(np.random.default_rng(0).integers(0, 256, len(content), np.uint8))
     cases = [*bombs, *lies, (noise, manifest), (content[:-1], manifest), (b"", manifest)]
     assert run([make_case(*case) for case in cases], tmp_path) == ["RangeError"] * len(cases)

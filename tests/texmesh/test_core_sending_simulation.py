@@ -113,6 +113,7 @@ def make_manifest(increments: Increments) -> Manifest:
         mirrors=(),
         bounds=((0.0,) * 3, (1.0,) * 3),
         uv_bounds=((0.0,) * 2, (1.0,) * 2),
+        steps=(65535, 65535),
         levels=(MeshLevel(100, 120, (200,), *sections[:5], 50.0), MeshLevel(300, 360, (600,), *sections[5:], 0.0)),
         materials=(PackageMaterial("stone", (1.0,) * 4, {"base_color": 0}, False),),
         textures=(PackageTexture("base_color", 512, 512, 128, (b"\xff\xd8",)),),

@@ -88,6 +88,7 @@ def test_table_agrees_with_the_manifest(built):
         mirrors=(),
         bounds=((0.0,) * 3, (1.0,) * 3),
         uv_bounds=((0.0,) * 2, (1.0,) * 2),
+        steps=(65535, 65535),
         levels=(),
         materials=(),
         textures=built.textures,

@@ -62,7 +62,10 @@ def render_level(page: Page, folder: Path, manifest: Manifest, level: int) -> tu
     """Return the image (H, W, 3) float32 of a level as the page has to show it, sRGB from 0 to 255, and which pixels (H, W) bool are of one
     continuous piece of the surface with their neighbors."""
     decoded = decode_level((folder / MESH).read_bytes(), manifest, level)
-    positions, uvs = dequantize(decoded.positions, manifest.bounds), dequantize(decoded.uvs, manifest.uv_bounds).astype(np.float64)
+    positions, uvs = (
+        dequantize(decoded.positions, manifest.bounds, manifest.steps[0]),
+        dequantize(decoded.uvs, manifest.uv_bounds, manifest.steps[1]).astype(np.float64),
+    )
     width, height, clip = page.evaluate("(({width, height}) => [width, height, farfield.orbit.matrices(width / height).clip])(view)")
     points = np.concatenate([positions, np.ones((len(positions), 1))], axis=1) @ np.array(clip).reshape(4, 4)
     depths = points[:, 3]

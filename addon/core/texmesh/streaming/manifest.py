@@ -19,6 +19,7 @@ from ...errors import FileError
 FORMAT, VERSION = "farfield-package", 1
 MANIFEST, MESH, TEXTURES = "manifest.json", "mesh.bin", "textures.bin"
 MAX_TEXTURE_SIDE = 65536
+MAX_STEPS = 65535  # of positions and texture coordinates, which are 16-bit numbers
 MAX_TILES = 65536  # of one texture: tile indices are 16 bits
 ROLES = ("base_color", "normal", "roughness", "metallic", "occlusion", "emission")
 
@@ -119,8 +120,8 @@ class Manifest:
     """What a package contains.
 
     name: of the object. files: size and SHA-256 (hexadecimal) by name. mirrors: URLs of folders with copies, ending in "/". bounds: (2, 3)
-    lowest and highest position. uv_bounds: (2, 2) lowest and highest texture coordinate, v downwards as in glTF. levels: coarsest first.
-    increment_count, increments, checksums: see `increments`. first_increment: offset of the first increment in textures.bin. plan:
+    lowest and highest position. uv_bounds: (2, 2) lowest and highest texture coordinate, v downwards as in glTF. steps: numbers of steps
+    between them, at most MAX_STEPS. levels: coarsest first. increment_count, increments, checksums: see `increments`. first_increment: offset of the first increment in textures.bin. plan:
     ascending by bytes. time_limit: seconds. pixels: size of the object in the image that the plan is for.
     """
 
@@ -129,6 +130,7 @@ class Manifest:
     mirrors: tuple[str, ...]
     bounds: tuple[tuple[float, ...], tuple[float, ...]]
     uv_bounds: tuple[tuple[float, ...], tuple[float, ...]]
+    steps: tuple[int, int]
     levels: tuple[MeshLevel, ...]
     materials: tuple[PackageMaterial, ...]
     textures: tuple[PackageTexture, ...]

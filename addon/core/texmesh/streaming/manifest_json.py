@@ -14,6 +14,7 @@ from ...errors import FileError
 from .manifest import (
     FORMAT,
     MANIFEST,
+    MAX_STEPS,
     MAX_TEXTURE_SIDE,
     MAX_TILES,
     MESH,
@@ -87,6 +88,7 @@ def _to_manifest(values: dict[str, Any]) -> Manifest:
         mirrors=tuple(str(url) for url in values["mirrors"]),
         bounds=_to_bounds(values["bounds"], 3),
         uv_bounds=_to_bounds(values["uv_bounds"], 2),
+        steps=tuple(_integer(count) for count in values["steps"]),
         levels=tuple(_to_level(level) for level in values["levels"]),
         materials=tuple(
             PackageMaterial(
@@ -152,6 +154,8 @@ def _check(manifest: Manifest) -> None:
     mesh_size, textures_size = (manifest.files.get(name, (-1, ""))[0] for name in (MESH, TEXTURES))
     if mesh_size < 0 or textures_size < 0:
         raise _contradiction("it does not list mesh.bin and textures.bin")
+    if len(manifest.steps) != 2 or not all(0 < count <= MAX_STEPS for count in manifest.steps):
+        raise _contradiction("its numbers of steps are not possible")
     if not manifest.levels or not manifest.materials:
         raise _contradiction("it has no level or no material")
     for level, coarser in zip(manifest.levels, (None, *manifest.levels), strict=False):

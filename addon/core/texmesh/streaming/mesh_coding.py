@@ -22,7 +22,7 @@ import numpy as np
 
 from .connectivity_decoding import ConnectivityDecoder, LevelStreams
 from .connectivity_encoding import ConnectivityEncoder, LevelSymbols
-from .manifest import MESH, Manifest, MeshLevel, Section
+from .manifest import MAX_STEPS, MESH, Manifest, MeshLevel, Section
 from .mesh_order import OrderedLevel, OrderedMesh
 from .missing_positions import estimate_missing_positions
 from .position_prediction import find_affine_weights, predict, reconstruct
@@ -38,7 +38,6 @@ from .sections import (
     inflate,
 )
 
-STEPS = 65535  # of 16-bit positions and texture coordinates, between the bounds
 Bounds = tuple[tuple[float, ...], tuple[float, ...]]
 
 
@@ -46,8 +45,8 @@ Bounds = tuple[tuple[float, ...], tuple[float, ...]]
 class DecodedLevel:
     """A level as the page shows it.
 
-    positions: (V, 3) uint16 within the bounds. wedge_vertices: (W,) int32. uvs: (W, 2) uint16 within the bounds, v downwards. triangles:
-    (T, 3) int32 into wedges. materials: (T,) int32, ascending. parents: (V,) int32, -1 in the coarsest level.
+    positions: (V, 3) uint16, 0 to `Manifest.steps` within the bounds. wedge_vertices: (W,) int32. uvs: (W, 2) uint16 likewise, v downwards.
+    triangles: (T, 3) int32 into wedges. materials: (T,) int32, ascending. parents: (V,) int32, -1 in the coarsest level.
     """
 
     positions: np.ndarray
@@ -58,31 +57,35 @@ class DecodedLevel:
     parents: np.ndarray
 
 
-def quantize(values: np.ndarray, bounds: Bounds) -> np.ndarray:
-    """Return `values` (N, D) as (N, D) uint16, 0 to 65535 from the lower to the upper bound."""
+def quantize(values: np.ndarray, bounds: Bounds, steps: int = MAX_STEPS) -> np.ndarray:
+    """Return `values` (N, D) as (N, D) uint16, 0 to `steps` from the lower to the upper bound."""
     low, high = np.array(bounds)
     extent = np.where(high > low, high - low, 1.0)
-    return np.clip(np.rint((values - low) / extent * STEPS), 0, STEPS).astype(np.uint16)
+    return np.clip(np.rint((values - low) / extent * steps), 0, steps).astype(np.uint16)
 
 
-def dequantize(values: np.ndarray, bounds: Bounds) -> np.ndarray:
+def dequantize(values: np.ndarray, bounds: Bounds, steps: int = MAX_STEPS) -> np.ndarray:
     """Return the values (N, D) float32 of `values` (N, D) uint16, as the page computes them: bit by bit the same."""
     low, high = np.array(bounds, np.float64)
-    return (low + values * ((high - low) / STEPS)).astype(np.float32)
+    return (low + values * ((high - low) / steps)).astype(np.float32)
 
 
-def encode_mesh(ordered: OrderedMesh, pixels: Sequence[float], material_count: int) -> tuple[bytes, tuple[MeshLevel, ...], Bounds, Bounds]:
+def encode_mesh(
+    ordered: OrderedMesh, pixels: Sequence[float], material_count: int, steps: tuple[int, int] = (MAX_STEPS, MAX_STEPS)
+) -> tuple[bytes, tuple[MeshLevel, ...], Bounds, Bounds]:
     """Encode all levels of a mesh.
 
     Args:
-        pixels: see `MeshLevel`, one per level, coarsest first. material_count: larger than all materials.
+        pixels: see `MeshLevel`, one per level, coarsest first. material_count: larger than all materials. steps: see `Manifest`.
 
     Returns:
         mesh.bin, the levels of the manifest, the bounds of positions, and of texture coordinates with v downwards.
     """
     uvs = ordered.uvs * [1.0, -1.0] + [0.0, 1.0]
     bounds, uv_bounds = _find_bounds(ordered.positions), _find_bounds(uvs)
-    positions, uvs = (values.astype(np.int64) for values in (quantize(ordered.positions, bounds), quantize(uvs, uv_bounds)))
+    positions, uvs = (
+        values.astype(np.int64) for values in (quantize(ordered.positions, bounds, steps[0]), quantize(uvs, uv_bounds, steps[1]))
+    )
     encoder = ConnectivityEncoder(ordered)
     content, levels = bytearray(), []
     for level, size in zip(ordered.levels, pixels, strict=True):

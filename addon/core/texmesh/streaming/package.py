@@ -1,5 +1,6 @@
 """Packages of textured meshes, from a mesh and its materials to the bytes of their files."""
 
+import math
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -25,6 +26,8 @@ from .textures.decoding import decode_textures
 from .textures.texture_tiles import TextureSource
 
 STOPS = 7  # numbers of increments at which the error of the textures is measured
+MIN_BITS, MAX_BITS = 8, 16  # of positions and texture coordinates
+POSITION_BITS, UV_BITS = 4, 2  # below a pixel and a texel
 FIRST_STOP = 1.0 / 64.0  # of the bytes of all increments
 NO_TEXTURES = BuiltTextures((), Increments(*[np.zeros(0, np.int64)] * 5, np.zeros(0, np.float16)), b"", np.zeros(1))
 Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # from Blender's axes to those of packages and glTF
@@ -78,14 +81,23 @@ def build_package(
     yield Progress(0.55, "Coding meshes")
     turned = replace(mesh, vertices=mesh.vertices @ Y_UP.T)
     ordered = order_mesh(turned, [level.subset for level in chain.levels[1:]], chain.simplification)
-    coded = encode_mesh(ordered, _level_pixels(chain), len(materials))
+    steps = choose_steps(package_settings.pixels, materials)
+    coded = encode_mesh(ordered, _level_pixels(chain), len(materials), steps)
     sources, references = _list_sources(mesh, materials, chain)
     built = NO_TEXTURES
     if sources:
         built = yield from subprogress(build_textures(sources, texture_settings), 0.6, 0.8)
     table = yield from subprogress(_measure(chain, materials, built, references, settings, package_settings), 0.8, 0.98)
     yield Progress(0.98, "Writing")
-    return _assemble(name, materials, references, chain, coded, built, table, package_settings)
+    return _assemble(name, materials, references, chain, coded, steps, built, table, package_settings)
+
+
+def choose_steps(pixels: int, materials: Sequence[MaterialSource]) -> tuple[int, int]:
+    """Return the numbers of steps of positions, fine enough for an object of `pixels` pixels also in views that are several times nearer,
+    and of texture coordinates, a part of a texel."""
+    sides = [max(image.shape[:2]) for material in materials for image in material.images.values()]
+    bits = math.ceil(math.log2(pixels)) + POSITION_BITS, math.ceil(math.log2(max(sides, default=1))) + UV_BITS
+    return tuple(2 ** min(max(count, MIN_BITS), MAX_BITS) - 1 for count in bits)
 
 
 def _level_pixels(chain: LevelChain) -> tuple[float, ...]:
@@ -154,6 +166,7 @@ def _assemble(
     references: Sequence[dict[str, int]],
     chain: LevelChain,
     coded: tuple[bytes, tuple[MeshLevel, ...], Bounds, Bounds],
+    steps: tuple[int, int],
     built: BuiltTextures,
     table: ErrorTable,
     settings: PackageSettings,
@@ -173,6 +186,7 @@ def _assemble(
         mirrors=settings.mirror_urls(),
         bounds=bounds,
         uv_bounds=uv_bounds,
+        steps=steps,
         levels=levels,
         materials=tuple(
             PackageMaterial(material.name, material.base_color, dict(reference), material.is_double_sided)

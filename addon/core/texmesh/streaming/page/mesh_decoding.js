@@ -80,8 +80,8 @@ export async function decodeLevel(manifest, index, sections, coarser) {
   } else {
     estimatePositions(mesh, known);
   }
-  mesh.positions = dequantize(mesh.shortPositions, manifest.bounds);
-  mesh.uvs = dequantize(mesh.shortUvs, manifest.uv_bounds);
+  mesh.positions = dequantize(mesh.shortPositions, manifest.bounds, manifest.steps[0]);
+  mesh.uvs = dequantize(mesh.shortUvs, manifest.uv_bounds, manifest.steps[1]);
   return mesh;
 }
 
@@ -430,9 +430,9 @@ function estimatePositions(mesh, known) {
   }
 }
 
-/** Values of 16-bit ones within the bounds [lowest, highest]. */
-function dequantize(values, [low, high]) {
-  const steps = low.map((value, column) => (high[column] - value) / STEPS), result = new Float32Array(values.length);
+/** Values of 16-bit ones, 0 to `count` within the bounds [lowest, highest]. */
+function dequantize(values, [low, high], count) {
+  const steps = low.map((value, column) => (high[column] - value) / count), result = new Float32Array(values.length);
   for (let index = 0, column = 0; index < values.length; index++, column = (column + 1) % low.length) {
     result[index] = low[column] + values[index] * steps[column];
   }
