@@ -121,8 +121,9 @@ class Manifest:
 
     name: of the object. files: size and SHA-256 (hexadecimal) by name. mirrors: URLs of folders with copies, ending in "/". bounds: (2, 3)
     lowest and highest position. uv_bounds: (2, 2) lowest and highest texture coordinate, v downwards as in glTF. steps: numbers of steps
-    between them, at most MAX_STEPS. levels: coarsest first. increment_count, increments, checksums: see `increments`. first_increment: offset of the first increment in textures.bin. plan:
-    ascending by bytes. time_limit: seconds. pixels: size of the object in the image that the plan is for.
+    between them, at most MAX_STEPS. levels: coarsest first. increment_count, increments, checksums: see `increments`. first_increment:
+    offset of the first increment in textures.bin. plan: ascending by bytes. time_limit: seconds. pixels: size of the object in the image
+    that the plan is for.
     """
 
     name: str
