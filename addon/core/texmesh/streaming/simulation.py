@@ -81,7 +81,8 @@ class SendingReport:
     finished: when it stopped, seconds. deviation: Pi, seconds after the limit (negative: before it). mean_difference: Lambda of eq. 9,
     seconds. is_complete: everything came. byte_count: carried by the lines, headers of responses included. useful_bytes: of the level and
     increments at the end. level, increments, error: at the limit or at the end if that is earlier. oracle_*: of a client that knows the
-    trace; its bytes are those that lines can carry less those of the manifest. first_seen: when level 0 was there; first_textured: when the first increment was there; infinite if never.
+    trace; its bytes are those that lines can carry less those of the manifest. first_seen: when level 0 was there; first_textured: when the
+    first increment was there; infinite if never.
     """
 
     client: str
