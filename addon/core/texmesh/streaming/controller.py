@@ -24,11 +24,13 @@ longer than its request should be. So the last request is sent W seconds before 
 
     -(g + W) <= Pi <= e W,    W = (1 + LEAD) delay + g / (1 - FRACTION)
 
-after it. `mean_difference` is Lambda of eq. 9. At the limit the client stops: whole increments of a response that is running are of use.
+after it. Parts of a level, which are of no use alone, are up to three times as long: if one is the last request, W is the time that it was
+planned to take. `mean_difference` is Lambda of eq. 9. At the limit the client stops: whole increments of a response that is running are of
+use.
 
 Several servers: a request goes to the server whose line is free first, and is as long as its measured rate allows; so bytes spread by
-rates. A server that fails or is silent gets nothing for a while, and what it owes is asked for first, elsewhere if possible. When requests
-will not end before the limit, the newest are taken back, so that older ones get the whole line.
+rates, the first ones, too. A server that fails or is silent gets nothing for a while, and what it owes is asked for first, elsewhere if
+possible. When requests will not end before the limit, the newest are taken back, so that older ones get the whole line.
 """
 
 from bisect import bisect_right

@@ -24,13 +24,13 @@ export function buildJob(manifest) {
     const sections = [level.positions, level.parents, level.wedges, level.uvs, level.corners];
     return { file: MESH, start: min(...sections.map(([start]) => start)), end: max(...sections.map(([start, size]) => start + size)) };
   });
-  const [start, size] = manifest.increments, tableIsThere = manifest.increment_count > 0;
+  const [start, size] = manifest.increments, isTextured = manifest.increment_count > 0;
   return {
-    first: [levels[0], ...(tableIsThere ? [{ file: TEXTURES, start, end: start + size }] : [])],
+    first: [levels[0], ...(isTextured ? [{ file: TEXTURES, start, end: start + size }] : [])],
     levels,
     plan: manifest.plan.map(([, level, count, error]) => [level, count, error]),
     begin: manifest.first_increment,
-    ends: tableIsThere ? null : [],
+    ends: isTextured ? null : [],
   };
 }
 
