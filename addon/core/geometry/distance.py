@@ -6,8 +6,7 @@ from scipy.spatial import cKDTree
 from ..arrays import concatenate_ranges
 from ..jobs.chunks import slices
 
-MAX_LEAF_TRIANGLES = 1
-FIRST_LEVEL, LEVEL_STEP = 3, 2  # of the tree: the first one whose boxes are tested, and from one to the next
+MAX_LEAF_TRIANGLES = 4
 CHUNK_POINTS = 4096  # points or tests at once: fits the cache of a CPU core
 MAX_PIECES = 400_000
 MIN_SQUARED_SINE = 1e-14  # of a triangle's corner; below, it counts as a segment, since dot products cannot resolve its plane
@@ -72,9 +71,8 @@ def closest_on_triangles(points: np.ndarray, corners: np.ndarray) -> tuple[np.nd
 
     The closest point is found from dot products; its distance is then computed from the vector, without cancellation.
     """
-    origin, second, third = np.ascontiguousarray(corners.transpose(1, 2, 0))  # (3, N): NumPy sums short axes slowly
-    ab, ac, ap = second - origin, third - origin, points.T - origin
-    bb, bc, cc, bp, cp = (_dot(first, second) for first, second in ((ab, ab), (ab, ac), (ac, ac), (ab, ap), (ac, ap)))
+    ab, ac, ap = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], points - corners[:, 0]
+    bb, bc, cc, bp, cp = (np.einsum("ij,ij->i", first, second) for first, second in ((ab, ab), (ab, ac), (ac, ac), (ab, ap), (ac, ap)))
     opposite = bb + cc - 2.0 * bc
     zero = np.zeros(len(points))
     on_ab, on_ac = _segment_fraction(bp, bb), _segment_fraction(cp, cc)
@@ -90,14 +88,8 @@ def closest_on_triangles(points: np.ndarray, corners: np.ndarray) -> tuple[np.nd
     is_inside = (scaled_b >= 0.0) & (scaled_c >= 0.0) & (scaled_b + scaled_c <= area_squared) & ~is_degenerate
     scale = np.where(is_degenerate, 1.0, area_squared)
     best_b, best_c = np.where(is_inside, scaled_b / scale, best_b), np.where(is_inside, scaled_c / scale, best_c)
-    ap -= best_b * ab
-    ap -= best_c * ac
-    return _dot(ap, ap), best_b, best_c
-
-
-def _dot(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the dot products (N,) of vectors (3, N)."""
-    return first[0] * second[0] + first[1] * second[1] + first[2] * second[2]
+    offset = ap - best_b[:, None] * ab - best_c[:, None] * ac
+    return np.einsum("ij,ij->i", offset, offset), best_b, best_c
 
 
 def _segment_fraction(dot: np.ndarray, length_squared: np.ndarray) -> np.ndarray:
@@ -191,26 +183,23 @@ def _subdivide(corners: np.ndarray) -> np.ndarray:
 
 
 def _build_aabb_tree(corners: np.ndarray) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray]:
-    """Return the boxes (3, 2^l) low and high of every level l, and the order (T,) of the triangles: node k of 2^l contains those at
+    """Return the boxes (2^l, 3) low and high of every level l, and the order (T,) of the triangles: node k of 2^l contains those at
     k T / 2^l to (k + 1) T / 2^l."""
     count = len(corners)
     depth = max(0, int(np.log2(count / MAX_LEAF_TRIANGLES))) if count > MAX_LEAF_TRIANGLES else 0
-    first, second, third = np.ascontiguousarray(corners.transpose(1, 2, 0))
-    low, high = np.minimum(np.minimum(first, second), third), np.maximum(np.maximum(first, second), third)
-    centers = (first + second + third) / 3.0
+    low, high, centers = corners.min(axis=1), corners.max(axis=1), corners.mean(axis=1)
     order = np.arange(count)
     for level in range(depth):
         starts = _node_starts(count, level)
         node = np.repeat(np.arange(2**level), np.diff(starts))
-        ordered = centers[:, order]
-        extent = np.maximum.reduceat(ordered, starts[:-1], axis=1) - np.minimum.reduceat(ordered, starts[:-1], axis=1)
-        split_axis = extent.argmax(axis=0)[node]
-        order = order[np.lexsort((ordered[split_axis, np.arange(count)], node))]
-    low, high = low[:, order], high[:, order]
+        ordered = centers[order]
+        extent = np.maximum.reduceat(ordered, starts[:-1]) - np.minimum.reduceat(ordered, starts[:-1])
+        split_axis = extent.argmax(axis=1)[node]
+        order = order[np.lexsort((ordered[np.arange(count), split_axis], node))]
     levels = []
     for level in range(depth + 1):
         starts = _node_starts(count, level)[:-1]
-        levels.append((np.minimum.reduceat(low, starts, axis=1), np.maximum.reduceat(high, starts, axis=1)))
+        levels.append((np.minimum.reduceat(low[order], starts), np.maximum.reduceat(high[order], starts)))
     return levels, order
 
 
@@ -221,20 +210,14 @@ def _node_starts(count: int, level: int) -> np.ndarray:
 
 def _descend(points, corners, levels, order, centroids) -> tuple[np.ndarray, np.ndarray]:
     best, nearest = _upper_bounds(points, corners, centroids)
-    columns = np.ascontiguousarray(points.T)
-    depth = len(levels) - 1
-    level = min(FIRST_LEVEL, depth)
-    point = np.repeat(np.arange(len(points)), 2**level)
-    node = np.tile(np.arange(2**level), len(points))
-    while True:
-        is_near = _squared_box_distances(columns, point, levels[level], node) < best.take(point)
-        point, node = point[is_near], node[is_near]
-        if level == depth:
-            break
-        step = min(LEVEL_STEP, depth - level)
-        level += step
-        point = np.repeat(point, 2**step)
-        node = (2**step * node[:, None] + np.arange(2**step)).ravel()
+    point = np.arange(len(points))
+    node = np.zeros(len(points), np.int64)
+    for level, (low, high) in enumerate(levels):
+        if level > 0:
+            point = np.repeat(point, 2)
+            node = np.stack([2 * node, 2 * node + 1], axis=1).ravel()
+        is_candidate = _squared_box_distances(points[point], low[node], high[node]) < best[point]
+        point, node = point[is_candidate], node[is_candidate]
     starts = _node_starts(len(corners), len(levels) - 1)
     sizes = starts[node + 1] - starts[node]
     point = np.repeat(point, sizes)
@@ -248,18 +231,17 @@ def _descend(points, corners, levels, order, centroids) -> tuple[np.ndarray, np.
 
 
 def _upper_bounds(points, corners, centroids) -> tuple[np.ndarray, np.ndarray]:
-    """Return squared distances (N,) and indices (N,) of the triangles with the nearest centroids."""
-    _, triangles = centroids.query(points)
-    return squared_point_triangle_distances(points, corners[triangles]), triangles
+    """Return squared distances (N,) and indices (N,) of the best of the few triangles with the nearest centroids."""
+    count = min(3, len(corners))
+    _, triangles = centroids.query(points, k=count)
+    triangles = np.asarray(triangles).reshape(len(points), count)
+    repeated = np.repeat(points, count, axis=0)
+    squared = squared_point_triangle_distances(repeated, corners[triangles.ravel()]).reshape(len(points), count)
+    best = squared.argmin(axis=1)
+    rows = np.arange(len(points))
+    return squared[rows, best], triangles[rows, best]
 
 
-def _squared_box_distances(columns: np.ndarray, point: np.ndarray, boxes: tuple[np.ndarray, np.ndarray], node: np.ndarray) -> np.ndarray:
-    """Return the squared distances (N,) of the points number `point` (N,) of `columns` (3, P) to the boxes `node` (N,)."""
-    total = np.zeros(len(point))
-    for position, low, high in zip(columns, *boxes, strict=True):
-        values = position.take(point)
-        outside = np.maximum(low.take(node) - values, values - high.take(node))
-        np.maximum(outside, 0.0, out=outside)
-        outside *= outside
-        total += outside
-    return total
+def _squared_box_distances(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    outside = np.maximum(np.maximum(low - points, points - high), 0.0)
+    return np.einsum("ij,ij->i", outside, outside)
