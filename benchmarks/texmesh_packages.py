@@ -24,7 +24,7 @@ from texmesh_texture_views import TextureJudge, random_directions
 from texmesh_textured_models import TexturedModel, open_textured
 
 from farfield.addon.core.geometry.mesh import TriangleMesh
-from farfield.addon.core.imaging.colors import decode_signed_srgb
+from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.level_chain import AllSettings
 from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
@@ -105,7 +105,7 @@ def build(model: TexturedModel, name: str) -> Package:
         MaterialSource(f"m{index}", (1.0, 1.0, 1.0, 1.0), False, {} if image is None else {"base_color": image})
         for index, image in enumerate(model.images)
     ]
-    linear = {id(image): decode_signed_srgb(image / np.float32(255.0)).astype(np.float32) for image in model.images if image is not None}
+    linear = {id(image): LINEAR_OF_BYTE[image] for image in model.images if image is not None}
     textures = [None if image is None else linear[id(image)] for image in model.images]
     settings = AllSettings(LevelSettings(product="subset"), ScaleSpaceSettings(), SimplificationSettings(), PerceptionSettings())
     return run_to_end(build_package(name, model.mesh, materials, textures, settings, PackageSettings()))

@@ -4,14 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from farfield.addon.core.imaging.colors import decode_signed_srgb
+from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
 from farfield.addon.core.imaging.flip import FlipImage, compare, filter_radius, prepare_image
 from farfield.addon.core.imaging.mipmaps import Mipmaps, build_mipmaps
 from farfield.addon.core.texmesh.perception.views import frame_around, prepare_surface, render
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
 PIXELS_PER_DEGREE = 67.0
-LINEAR = decode_signed_srgb(np.arange(256) / 255.0).astype(np.float32)
 
 
 class TextureJudge:
@@ -48,7 +47,7 @@ class TextureJudge:
 
 def to_mipmaps(image: np.ndarray | None) -> Mipmaps | None:
     """Return the mipmaps, linear, of an image (H, W, 3) uint8."""
-    return None if image is None else build_mipmaps(LINEAR[image])
+    return None if image is None else build_mipmaps(LINEAR_OF_BYTE[image])
 
 
 def random_directions(count: int, generator: np.random.Generator) -> np.ndarray:

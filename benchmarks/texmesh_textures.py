@@ -12,8 +12,9 @@ import numpy as np
 import texmesh_models
 import texmesh_textured_models
 from PIL import Image
-from texmesh_texture_views import LINEAR, TextureJudge, random_directions
+from texmesh_texture_views import TextureJudge, random_directions
 
+from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.scale_space.analysis import analyze_scale_space
 from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
@@ -107,7 +108,7 @@ def measure_fragments(sources: Sequence[TextureSource], judge: Callable[[Images]
     coded = []
     for source in sources:
         if id(source.mesh) not in maps:
-            textures = [LINEAR[other.image] for other in sources]
+            textures = [LINEAR_OF_BYTE[other.image] for other in sources]
             maps[id(source.mesh)] = run_to_end(analyze_scale_space(source.mesh, textures, ScaleSpaceSettings())).last_scales
         grid = make_fragment_grid(source.image.shape[1], source.image.shape[0])
         features = count_features(source.mesh, source.materials, maps[id(source.mesh)], grid)

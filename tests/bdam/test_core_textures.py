@@ -7,7 +7,7 @@ import pytest
 
 from farfield.addon.core.bdam.textures import resampling
 from farfield.addon.core.bdam.textures.build import build_textures, build_tiles, discard_pieces, list_tiles, missing_tiles, tile_path
-from farfield.addon.core.bdam.textures.filtering import ENCODED, LINEAR, QUARTERS, encode_linear
+from farfield.addon.core.bdam.textures.filtering import ENCODED, QUARTERS, encode_linear
 from farfield.addon.core.bdam.textures.grid import BORDER, STEP, TILE_SIZE, TextureGrid, count_levels, tile_uv
 from farfield.addon.core.bdam.textures.images import ArraySource, PlacedImage, open_coded_image, place_by_affine, stretch_over_field
 from farfield.addon.core.bdam.textures.plan import TexturePlan, start_build
@@ -15,6 +15,7 @@ from farfield.addon.core.bdam.textures.store import TextureStore, write_textures
 from farfield.addon.core.errors import FileError, ImageError, SettingsError
 from farfield.addon.core.files.scratch import Scratch
 from farfield.addon.core.imaging.coded_images import encode
+from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
 from farfield.addon.core.imaging.images import sample_bilinear
 from farfield.addon.core.jobs.progress import run_to_end
 
@@ -72,7 +73,7 @@ def with_holes(pixels, seed=1):
 
 def test_every_byte_survives_linear_light():
     codes = np.arange(256)
-    assert np.array_equal(encode_linear(LINEAR), codes)
+    assert np.array_equal(encode_linear(LINEAR_OF_BYTE), codes)
     assert np.array_equal(ENCODED[4 * QUARTERS.astype(int)], codes)
 
 
@@ -95,7 +96,7 @@ def test_means_are_those_of_linear_light(tmp_path):
 def test_a_coarse_texel_is_the_mean_of_all_pixels_below_it(tmp_path):
     pixels = photograph(2 * STEP)
     with build(tmp_path, pixels) as store:
-        means = LINEAR[pixels].reshape(STEP, 2, STEP, 2, 3).mean((1, 3))
+        means = LINEAR_OF_BYTE[pixels].reshape(STEP, 2, STEP, 2, 3).mean((1, 3))
         inner = store.read(0)[BORDER:-BORDER, BORDER:-BORDER].astype(int)
         assert np.abs(inner - encode_linear(means)).max() <= 1
 
@@ -116,7 +117,7 @@ def test_uv_leads_to_the_same_color_in_every_tile_of_a_level(tmp_path):
             inner = ((positions > 0.1) & (positions < SIZE - 0.1)).all(axis=1)
             uv = tile_uv(store.grid, level, tile, positions)
             assert uv.min() > BORDER / TILE_SIZE - 1e-9 and uv.max() < 1 - BORDER / TILE_SIZE + 1e-9
-            colors = sample_bilinear(LINEAR[store.read(number)].astype(np.float64), uv * TILE_SIZE)
+            colors = sample_bilinear(LINEAR_OF_BYTE[store.read(number)].astype(np.float64), uv * TILE_SIZE)
             assert np.abs(colors[inner, :2] - positions[inner] / SIZE).max() < 0.006, "8 bits, and the halved texels"
 
 
@@ -285,8 +286,11 @@ def test_later_images_lie_over_earlier_ones(tmp_path):
         tile = store.read(0)
         assert tile.shape[2] == 3
         covered = BORDER + 20 * STEP // SIZE
-        mixed = 128 / 255 * LINEAR[250] + 127 / 255 * LINEAR[60]
-        assert tile[covered, covered].tolist() == [*encode_linear(np.float32([mixed, 127 / 255 * LINEAR[60]])), tile[covered, covered, 2]]
+        mixed = 128 / 255 * LINEAR_OF_BYTE[250] + 127 / 255 * LINEAR_OF_BYTE[60]
+        assert tile[covered, covered].tolist() == [
+            *encode_linear(np.float32([mixed, 127 / 255 * LINEAR_OF_BYTE[60]])),
+            tile[covered, covered, 2],
+        ]
         assert (tile[covered, -1] == 60).all() and tile[covered, covered, 0] > 60
 
 

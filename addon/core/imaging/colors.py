@@ -21,3 +21,6 @@ def decode_signed_srgb(encoded: np.ndarray) -> np.ndarray:
     curve = ((magnitude + OFFSET) / SCALE) ** GAMMA
     is_line = magnitude <= LINEAR_SCALE * LINEAR_LIMIT
     return np.copysign(np.where(is_line, magnitude / LINEAR_SCALE, curve), encoded)
+
+
+LINEAR_OF_BYTE = decode_signed_srgb(np.arange(256) / 255.0).astype(np.float32)  # scene-linear values by sRGB byte

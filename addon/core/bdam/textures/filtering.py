@@ -5,11 +5,10 @@ Tiles are (H, W, 4) uint8, sRGB-encoded with straight alpha; alpha 0 is unknown.
 
 import numpy as np
 
-from ...imaging.colors import LUMINANCE, decode_signed_srgb, encode_signed_srgb
+from ...imaging.colors import LINEAR_OF_BYTE, LUMINANCE, encode_signed_srgb
 from ...imaging.images import dilate_in_place
 
-LINEAR = decode_signed_srgb(np.arange(256) / 255.0).astype(np.float32)  # scene-linear values by sRGB byte
-QUARTERS = np.round(LINEAR * (65535 // 4)).astype(np.uint16)  # a quarter of the scale of ENCODED: the sum of four fits into 16 bits
+QUARTERS = np.round(LINEAR_OF_BYTE * (65535 // 4)).astype(np.uint16)  # a quarter of the scale of ENCODED: the sum of four fits into 16 bits
 ENCODED = np.round(255.0 * encode_signed_srgb(np.arange(65536) / 65535.0)).astype(np.uint8)  # sRGB bytes by scene-linear value * 65535
 EXTENSION = 8  # texels; a block of JPEG with a known texel is filled to its last texel
 DETAIL_FRACTION = 1e-3  # of the texels, which exceed the detail of a tile
@@ -55,7 +54,7 @@ def halve(tile: np.ndarray, row_weights: np.ndarray, column_weights: np.ndarray)
         return result
     weights = row_weights[:, None] * column_weights
     coverage = weights * tile[..., 3] * np.float32(1.0 / 255.0)
-    sums = np.concatenate([LINEAR.take(tile[..., :3]) * coverage[..., None], coverage[..., None], weights[..., None]], axis=2)
+    sums = np.concatenate([LINEAR_OF_BYTE.take(tile[..., :3]) * coverage[..., None], coverage[..., None], weights[..., None]], axis=2)
     sums = sums[0::2] + sums[1::2]
     sums = sums[:, 0::2] + sums[:, 1::2]
     total = sums[..., 4:]
@@ -71,7 +70,7 @@ def extend_colors(tile: np.ndarray) -> np.ndarray:
     known = tile[..., 3] > 0
     if known.all():
         return tile[..., :3]
-    colors = LINEAR.take(tile[..., :3])
+    colors = LINEAR_OF_BYTE.take(tile[..., :3])
     dilate_in_place(colors, tile[..., 3] * np.float32(1.0 / 255.0), EXTENSION)
     return np.where(known[..., None], tile[..., :3], encode_linear(colors))
 

@@ -11,7 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.sparse import csr_array
 
-from .filtering import LINEAR, encode_premultiplied
+from ...imaging.colors import LINEAR_OF_BYTE
+from .filtering import encode_premultiplied
 from .grid import TextureGrid
 from .images import PlacedImage
 
@@ -105,7 +106,7 @@ def _filter_columns(pixels: np.ndarray, weights: csr_array) -> np.ndarray:
 def _to_linear(pixels: np.ndarray) -> np.ndarray:
     """Return pixels (..., 3 or 4) as float32, scene-linear and premultiplied. Opaque bytes keep three channels."""
     if pixels.dtype == np.uint8:
-        colors = LINEAR.take(pixels[..., :3])
+        colors = LINEAR_OF_BYTE.take(pixels[..., :3])
         if pixels.shape[2] == 3:
             return colors
         alpha = pixels[..., 3:] * np.float32(1.0 / 255.0)

@@ -4,10 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...imaging.colors import decode_signed_srgb
+from ...imaging.colors import LINEAR_OF_BYTE
 from ...imaging.mipmaps import Mipmaps, build_mipmaps
-
-LINEAR_OF_BYTE = decode_signed_srgb(np.arange(256) / 255.0).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,11 +22,6 @@ class MaterialSource:
     images: dict[str, np.ndarray]
 
 
-def decode_colors(image: np.ndarray) -> np.ndarray:
-    """Return the scene-linear colors float32 of an sRGB-encoded `image` uint8 of any shape."""
-    return LINEAR_OF_BYTE[image]
-
-
 def build_color_mipmaps(image: np.ndarray | None, base_color: tuple[float, float, float, float]) -> Mipmaps | None:
     """Return the mipmaps of the colors that a base color image gives a surface, None without an image."""
-    return None if image is None else build_mipmaps(decode_colors(image) * np.float32(base_color[:3]))
+    return None if image is None else build_mipmaps(LINEAR_OF_BYTE[image] * np.float32(base_color[:3]))
