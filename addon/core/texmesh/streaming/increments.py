@@ -35,6 +35,15 @@ class Increments:
     sizes: np.ndarray
     gains: np.ndarray
 
+    def split(self, content: bytes | memoryview) -> list[memoryview]:
+        """Return the bytes of each increment. content: those of all, one after the other."""
+        view, ends = memoryview(content), np.cumsum(self.sizes).tolist()
+        return [view[end - size : end] for end, size in zip(ends, self.sizes.tolist(), strict=True)]
+
+    def compute_checksums(self, content: bytes | memoryview) -> np.ndarray:
+        """Return the CRC-32 (N,) uint32, little-endian, of each increment. content: see `split`."""
+        return np.array([zlib.crc32(part) for part in self.split(content)], "<u4")
+
 
 def encode_increments(increments: Increments) -> bytes:
     """Return the table, compressed."""

@@ -137,7 +137,10 @@ def _measure(
     colors = [reference.get("base_color") for reference in references]
 
     def mipmaps(images: Sequence[np.ndarray | None]) -> list[Mipmaps | None]:
-        return [build_color_mipmaps(image, material.base_color) for image, material in zip(images, materials, strict=True)]
+        keys = [(id(image), material.base_color) for image, material in zip(images, materials, strict=True)]
+        sources = dict(zip(keys, images, strict=True))  # materials may share an image
+        built = {key: build_color_mipmaps(image, key[1]) for key, image in sources.items()}
+        return [built[key] for key in keys]
 
     def decode(count: int) -> list[Mipmaps | None]:
         images = decode_textures(built.textures, built.increments, built.content, count)
@@ -174,9 +177,7 @@ def _assemble(
     """Return the files of the package and its manifest."""
     sizes = np.asarray(built.increments.sizes, np.int64)
     encoded = encode_increments(built.increments)
-    view, ends = memoryview(built.content), np.cumsum(sizes)
-    parts = [view[end - size : end] for end, size in zip(ends.tolist(), sizes.tolist(), strict=True)]
-    checksums = np.array([zlib.crc32(part) for part in parts], "<u4").tobytes()
+    checksums = built.increments.compute_checksums(built.content).tobytes()
     mesh_content, levels, bounds, uv_bounds = coded
     contents = {MESH: mesh_content, TEXTURES: b"".join([encoded, checksums, built.content])}
     mesh_sizes = np.cumsum([level.size for level in levels]).tolist()

@@ -1,7 +1,6 @@
 """Packages on the disk: written completely or not at all, and checked when they are read."""
 
 import hashlib
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -80,8 +79,6 @@ def _read_file(path: Path, manifest: Manifest) -> bytes:
 def _check_increments(manifest: Manifest, increments: Increments, textures: bytes) -> None:
     """Raise FileError if an increment differs from its checksum."""
     stored = np.frombuffer(manifest.checksums.read(textures, TEXTURES), "<u4")
-    ends = manifest.first_increment + np.cumsum(increments.sizes)
-    view = memoryview(textures)
-    found = [zlib.crc32(view[end - size : end]) for end, size in zip(ends.tolist(), increments.sizes.tolist(), strict=True)]
-    if len(stored) != len(found) or (stored != np.array(found, np.uint32)).any():
+    found = increments.compute_checksums(memoryview(textures)[manifest.first_increment :])
+    if not np.array_equal(stored, found):
         raise FileError(f'"{TEXTURES}" of the package has increments that differ from their checksums; export the package again.')

@@ -22,14 +22,12 @@ def decode_textures(
     Raises:
         FileError: a tile is damaged.
     """
-    view = memoryview(content)
-    ends = np.cumsum(increments.sizes).tolist()
     parts: dict[tuple[int, int], list[memoryview]] = {}
     headers: dict[tuple[int, int], bytes] = {}
-    for index in range(len(ends) if count is None else count):
+    for index, part in enumerate(increments.split(content)[:count]):
         texture = int(increments.textures[index])
         key = texture, int(increments.tiles[index])
-        parts.setdefault(key, []).append(view[ends[index] - int(increments.sizes[index]) : ends[index]])
+        parts.setdefault(key, []).append(part)
         headers[key] = textures[texture].headers[int(increments.headers[index])]
     images = []
     for number, texture in enumerate(textures):
