@@ -23,6 +23,7 @@ from texmesh_peers import GLTFPACK, simplify_with_gltfpack
 from texmesh_texture_views import TextureJudge, random_directions
 from texmesh_textured_models import TexturedModel, open_textured
 
+from farfield.addon.core.files.glb import Y_UP
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
 from farfield.addon.core.jobs.progress import run_to_end
@@ -49,7 +50,6 @@ VIEWS = 12
 RATIOS = (1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1)
 SCALES = (1.0, 0.5, 0.25)
 QUALITIES = (5, 10, 15, 20, 30, 40, 50, 60, 70, 80, 90, 95)
-Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # from the axes of packages to Blender's
 
 
 class Reached(NamedTuple):
@@ -159,7 +159,7 @@ def _list_rows(tried: dict[PlanRow, float]) -> list[dict[str, Any]]:
 
 def _decode_mesh(content: PackageContent, level: int) -> TexturedMesh:
     decoded = decode_level(content.mesh, content.manifest, level)
-    positions = dequantize(decoded.positions, content.manifest.bounds, content.manifest.steps[0]).astype(np.float64) @ Z_UP.T
+    positions = dequantize(decoded.positions, content.manifest.bounds, content.manifest.steps[0]).astype(np.float64) @ Y_UP
     uvs = dequantize(decoded.uvs, content.manifest.uv_bounds, content.manifest.steps[1]).astype(np.float64) * [1.0, -1.0] + [0.0, 1.0]
     mesh = TriangleMesh(positions, decoded.wedge_vertices[decoded.triangles], decoded.materials)
     return build_textured_mesh(mesh, uvs[decoded.triangles], name="package")

@@ -8,16 +8,14 @@ import numpy as np
 
 from ...core.errors import GeometryError
 from ...core.files.atomic_write import atomic_folder
-from ...core.files.glb import GlbMesh, GlbNode, GlbPrimitive, GlbScene, encode_glb
-from ...core.texmesh.perception.switch_distances import screen_coverage
+from ...core.files.glb import Y_UP, GlbMesh, GlbNode, GlbPrimitive, GlbScene, encode_glb
+from ...core.texmesh.perception.switch_distances import level_coverages
 from ..evaluated_mesh import read_evaluated_mesh
 from ..meshes import find_material
 from ..world_matrices import world_matrix
 from .glb_materials import GlbMaterials
 from .level_sets import LevelSet
 
-IMAGE_SIZE = (1920, 1080)  # pixels of the image whose covered fraction determines the level
-Y_UP = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])  # from Blender's axes to glTF's
 NORMAL_STEPS = 1023.0  # normals of a vertex that are equal to 1/NORMAL_STEPS are one: Blender rounds them differently per corner
 
 
@@ -92,11 +90,11 @@ def _join_corners(vertices: np.ndarray, triangles: np.ndarray, normals: np.ndarr
     columns = [values.reshape(triangles.size, -1) for values in (triangles, np.rint(NORMAL_STEPS * normals))]
     columns.append(uvs.reshape(triangles.size, uvs.shape[2]))
     _, first, inverse = np.unique(np.concatenate(columns, axis=1), axis=0, return_index=True, return_inverse=True)
-    positions = vertices[triangles.ravel()[first]].astype(np.float64) @ Y_UP[:3, :3].T
+    positions = vertices[triangles.ravel()[first]].astype(np.float64) @ Y_UP.T
     return GlbPrimitive(
         positions,
         inverse.reshape(-1, 3).astype(np.int32),
-        normals.reshape(-1, 3)[first] @ Y_UP[:3, :3].T,
+        normals.reshape(-1, 3)[first] @ Y_UP.T,
         uvs.reshape(-1, 2)[first] if uvs.shape[2] else None,
         material=material,
     )
@@ -104,17 +102,18 @@ def _join_corners(vertices: np.ndarray, triangles: np.ndarray, normals: np.ndarr
 
 def _matrix(item: bpy.types.Object) -> np.ndarray:
     """Return the matrix (4, 4) to the world with y upwards."""
-    return Y_UP @ np.array(world_matrix(item), np.float64) @ Y_UP.T
+    axes = np.eye(4)
+    axes[:3, :3] = Y_UP
+    return axes @ np.array(world_matrix(item), np.float64) @ axes.T
 
 
 def _bounds(levels: LevelSet) -> np.ndarray:
     """Return the lowest and highest positions (2, 3) of all levels, so that all are rounded alike."""
-    corners = np.concatenate([np.array(item.bound_box) for item in levels.levels]) @ Y_UP[:3, :3].T
+    corners = np.concatenate([np.array(item.bound_box) for item in levels.levels]) @ Y_UP.T
     return np.stack([corners.min(axis=0), corners.max(axis=0)])
 
 
 def _coverages(levels: LevelSet) -> tuple[float, ...]:
     """Return the fraction of the image down to which each level shows, descending; the last one shows at any size."""
     box = np.array(levels.levels[0].bound_box)
-    radius = 0.5 * float(np.linalg.norm(box.max(axis=0) - box.min(axis=0)))
-    return (*(screen_coverage(error, radius, IMAGE_SIZE) for error in levels.errors[1:]), 0.0)
+    return level_coverages(levels.errors[1:], np.stack([box.min(axis=0), box.max(axis=0)]))

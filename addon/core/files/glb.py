@@ -24,6 +24,7 @@ TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 VERTEX_BUFFER, INDEX_BUFFER = 34962, 34963
 QUANTIZATION, TEXTURE_TRANSFORM, LEVELS = "KHR_mesh_quantization", "KHR_texture_transform", "MSFT_lod"
 SCREEN_COVERAGE = "MSFT_screencoverage"
+Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # from Blender's axes, z upwards, to those of glTF
 IMAGE_TYPES = {b"\x89PNG\r\n\x1a\n": "image/png", b"\xff\xd8\xff": "image/jpeg"}  # first bytes of the content
 
 

@@ -18,6 +18,7 @@ from .settings import PerceptionSettings
 from .views import ViewedSurface, frame_around
 
 MIN_IMAGE = 1  # pixels per side of the smallest image that is compared
+COVERED_IMAGE = (1920, 1080)  # pixels of the image whose covered fraction determines the level in glTF
 SIZES = (32, 64, 128, 256, 512, 1024, 2048)  # pixels per side, of a first search
 RELATIVE_PRECISION = 0.03  # of sizes
 CLOSE_RATIO = 0.97  # of the visible difference, from which on a size is not enlarged any more
@@ -92,6 +93,16 @@ def find_shown_levels(images: Sequence[LevelImages], settings: PerceptionSetting
         switches.append(switch)
     search.release(len(images) - 1)
     return shown, switches
+
+
+def level_coverages(pixel_sizes: Sequence[float], bounds: np.ndarray) -> tuple[float, ...]:
+    """Return the fractions of an image of COVERED_IMAGE pixels down to which levels show, descending; the last one shows at any size.
+
+    Args:
+        pixel_sizes: at the switches to all levels but the finest, finest first. bounds: (2, 3), the lowest and highest position.
+    """
+    radius = 0.5 * float(np.linalg.norm(bounds[1] - bounds[0]))
+    return (*(screen_coverage(size, radius, COVERED_IMAGE) for size in pixel_sizes), 0.0)
 
 
 def screen_coverage(pixel_size: float, radius: float, image_size: tuple[int, int]) -> float:

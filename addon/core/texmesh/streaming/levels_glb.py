@@ -4,31 +4,29 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...files.glb import GlbMaterial, GlbMesh, GlbNode, GlbPrimitive, GlbScene, encode_glb
+from ...files.glb import Y_UP, GlbMaterial, GlbMesh, GlbNode, GlbPrimitive, GlbScene, encode_glb
 from ...geometry.mesh import vertex_normals
 from ...imaging.coded_images import encode
 from ..level_chain import LevelChain
-from ..perception.switch_distances import screen_coverage
+from ..perception.switch_distances import level_coverages
 from ..textured_mesh import TexturedMesh
 from .material_sources import MaterialSource
 
-IMAGE_SIZE = (1920, 1080)  # pixels of the image whose covered fraction determines the level
 QUALITY = 95  # of JPEG
 
 
-def encode_levels(name: str, chain: LevelChain, materials: Sequence[MaterialSource], axes: np.ndarray) -> bytes:
-    """Return the quantized levels with their base colors. axes: (3, 3), from the axes of the mesh to those of glTF.
+def encode_levels(name: str, chain: LevelChain, materials: Sequence[MaterialSource]) -> bytes:
+    """Return the quantized levels with their base colors. The meshes have z upwards.
 
     Raises:
         FileError: the file would be too large.
     """
     meshes = [level.mesh for level in chain.levels]
-    vertices = meshes[0].vertices @ axes.T
+    vertices = meshes[0].vertices @ Y_UP.T
     bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
-    radius = 0.5 * float(np.linalg.norm(bounds[1] - bounds[0]))
     nodes = [GlbNode(f"{name} L{index}", index) for index in range(len(meshes))]
     if len(meshes) > 1:
-        coverages = (*(screen_coverage(level.pixel_size, radius, IMAGE_SIZE) for level in chain.levels[1:]), 0.0)
+        coverages = level_coverages([level.pixel_size for level in chain.levels[1:]], bounds)
         nodes[0] = GlbNode(nodes[0].name, 0, levels=tuple(range(1, len(meshes))), coverages=coverages)
     images, indices = [], {}
     for material in materials:
@@ -39,14 +37,14 @@ def encode_levels(name: str, chain: LevelChain, materials: Sequence[MaterialSour
     glb_materials = [
         GlbMaterial(item.name, item.base_color, indices.get(id(item.images.get("base_color"))), item.is_double_sided) for item in materials
     ]
-    parts = [GlbMesh(node.name, tuple(_primitives(mesh, axes)), bounds) for node, mesh in zip(nodes, meshes, strict=True)]
+    parts = [GlbMesh(node.name, tuple(_primitives(mesh)), bounds) for node, mesh in zip(nodes, meshes, strict=True)]
     return encode_glb(GlbScene(tuple(nodes), tuple(parts), tuple(glb_materials), tuple(images)), is_quantized=True)
 
 
-def _primitives(mesh: TexturedMesh, axes: np.ndarray) -> list[GlbPrimitive]:
+def _primitives(mesh: TexturedMesh) -> list[GlbPrimitive]:
     """Return the triangles of each material with smooth normals."""
-    positions = (mesh.vertices @ axes.T)[mesh.wedge_vertices]
-    normals = (vertex_normals(mesh.vertices, mesh.triangles) @ axes.T)[mesh.wedge_vertices]
+    positions = (mesh.vertices @ Y_UP.T)[mesh.wedge_vertices]
+    normals = (vertex_normals(mesh.vertices, mesh.triangles) @ Y_UP.T)[mesh.wedge_vertices]
     primitives = []
     for material in np.unique(mesh.materials).tolist():
         used, triangles = np.unique(mesh.wedge_triangles[mesh.materials == material], return_inverse=True)

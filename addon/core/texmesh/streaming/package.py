@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...files.glb import Y_UP
 from ...imaging.mipmaps import Mipmaps
 from ...jobs.progress import Progress, Steps, subprogress
 from ...text import format_count
@@ -30,7 +31,6 @@ MIN_BITS, MAX_BITS = 8, 16  # of positions and texture coordinates
 POSITION_BITS, UV_BITS = 4, 2  # below a pixel and a texel
 FIRST_STOP = 1.0 / 64.0  # of the bytes of all increments
 NO_TEXTURES = BuiltTextures((), Increments(*[np.zeros(0, np.int64)] * 5, np.zeros(0, np.float16)), b"", np.zeros(1))
-Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # from Blender's axes to those of packages and glTF
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ def _assemble(
         pixels=float(settings.pixels),
     )
     if settings.with_glb:
-        contents[LEVELS_GLB] = encode_levels(name, chain, materials, Y_UP)
+        contents[LEVELS_GLB] = encode_levels(name, chain, materials)
     counts = tuple(sum(level.triangle_counts) for level in reversed(levels))
     report = PackageReport(name, counts, len(contents[MESH]), len(contents[TEXTURES]), table)
     return Package(manifest, contents, report)
