@@ -16,6 +16,7 @@ import texmesh_files
 import texmesh_peers
 from PIL import Image
 from texmesh_chains import TexturedModel, make_chain, model_names, open_textured
+from texmesh_texture_views import random_directions
 
 from farfield.addon.core.texmesh.level_chain import LevelChain
 from farfield.addon.core.texmesh.perception.level_images import LevelImages, measure_difference
@@ -96,9 +97,3 @@ def write_source(mesh: TexturedMesh, folder: Path) -> Path:
         Image.new("RGB", (4, 4)).save(folder / texture)
     texmesh_files.write_obj(folder / "fine.obj", mesh, textures)
     return folder / "fine.obj"
-
-
-def random_directions(count: int, generator: np.random.Generator) -> np.ndarray:
-    """Return (count, 3) unit directions."""
-    directions = generator.normal(size=(count, 3))
-    return directions / np.linalg.norm(directions, axis=1, keepdims=True)

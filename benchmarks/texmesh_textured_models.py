@@ -40,12 +40,17 @@ def open_textured(data: Path, name: str, seed: int) -> TexturedModel:
     if name == "sceaux":
         return build_sceaux(data)
     mesh = texmesh_models.open_model(data, name)
+    if name in texmesh_models.REAL_MODELS:
+        return TexturedModel(mesh, read_images(data, name, mesh))
+    return TexturedModel(mesh, [paint_patches(generator) for _ in range(int(mesh.materials.max()) + 1)])
+
+
+def read_images(data: Path, name: str, mesh: TexturedMesh) -> list[np.ndarray | None]:
+    """Return the texture (H, W, 3) uint8 of each material of a real model, row 0 at the bottom, None for those without."""
     count = int(mesh.materials.max()) + 1
     if name in TEXTURE_FILES:
-        return TexturedModel(mesh, [read_image(data / TEXTURE_FILES[name])] * count)
-    if name in texmesh_models.REAL_MODELS:
-        return TexturedModel(mesh, read_glb_images(data / texmesh_models.REAL_MODELS[name], count))
-    return TexturedModel(mesh, [paint_patches(generator) for _ in range(count)])
+        return [read_image(data / TEXTURE_FILES[name])] * count
+    return read_glb_images(data / texmesh_models.REAL_MODELS[name], count)
 
 
 def read_image(source: Path | io.BytesIO) -> np.ndarray:
