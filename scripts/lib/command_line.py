@@ -24,6 +24,7 @@ from lib import environment
 
 farfield = environment.import_farfield()
 
+from farfield.addon.compat import blender_version
 from farfield.addon.core.errors import FarfieldError, FileError, SettingsError, single_line
 from farfield.addon.core.files.defect_log import defect_message, write_defect_log
 from farfield.addon.core.files.file_access import convert_os_errors, error_reason, is_stream, is_unicode
@@ -182,7 +183,7 @@ def _run(main: Callable[[list[str], ProgressLine], str | None], arguments: list[
         print_message("Cancelled.")
         return CANCELLED
     except Exception as error:  # noqa: BLE001 - the last net: a defect ends in one sentence too
-        log = write_defect_log(script, error, [f"Blender {bpy.app.version_string}", f"Arguments: {arguments}"])
+        log = write_defect_log(script, error, [f"Blender {blender_version()}", f"Arguments: {arguments}"])
         if verbose:
             traceback.print_exception(error)
         print_message(defect_message(script, error, log))
