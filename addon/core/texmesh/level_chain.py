@@ -53,16 +53,23 @@ class AllSettings:
 @dataclass(frozen=True)
 class Level:
     """One level. scale: the last scale whose features it has; 0 for the original. pixel_size: see `perception.switch_distances.Switch`, 0
-    for the original. switch, subset: None for the original. constraint, drastic_steps: see `SubsetLevel`. With the product "refit",
-    `subset` is what the level was before its vertices were moved."""
+    for the original. switch, subset: None for the original. With the product "refit", `subset` is the level before its vertices moved."""
 
     mesh: TexturedMesh
     scale: int
     pixel_size: float
     switch: Switch | None
-    constraint: str
-    drastic_steps: tuple[str, ...]
-    subset: SubsetLevel | None = None
+    subset: SubsetLevel | None
+
+    @property
+    def constraint(self) -> str:
+        """See `SubsetLevel`."""
+        return "" if self.subset is None else self.subset.constraint
+
+    @property
+    def drastic_steps(self) -> tuple[str, ...]:
+        """See `SubsetLevel`."""
+        return () if self.subset is None else self.subset.drastic_steps
 
     @property
     def byte_count(self) -> int:
@@ -257,5 +264,4 @@ def _refit(mesh: TexturedMesh, kept: Sequence[_Candidate], settings: Simplificat
 
 
 def _to_level(item: _Candidate, switch: Switch | None) -> Level:
-    constraint, drastic_steps = ("", ()) if item.subset is None else (item.subset.constraint, item.subset.drastic_steps)
-    return Level(item.mesh, item.scale, 0.0 if switch is None else switch.pixel_size, switch, constraint, drastic_steps, item.subset)
+    return Level(item.mesh, item.scale, 0.0 if switch is None else switch.pixel_size, switch, item.subset)
