@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from farfield.addon.core.arrays import concatenate_ranges
+from farfield.addon.core.arrays import concatenate_ranges, find_last_positions
 
 
 @given(st.lists(st.tuples(st.integers(-50, 50), st.integers(0, 6))))
@@ -13,3 +13,9 @@ def test_concatenated_ranges_are_the_ranges_in_order(ranges):
     expected = [value for start, count in ranges for value in range(start, start + count)]
     assert concatenate_ranges(starts, counts).tolist() == expected
     assert concatenate_ranges(7, counts).tolist() == [7 + value for count in counts for value in range(count)]
+
+
+@given(st.lists(st.integers(0, 9)))
+def test_last_positions_are_those_of_the_last_equal_values(values):
+    found = find_last_positions(np.array(values, int), 10)
+    assert found.tolist() == [max((index for index, value in enumerate(values) if value == number), default=0) for number in range(10)]

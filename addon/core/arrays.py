@@ -27,3 +27,10 @@ def find_group_medians(groups: np.ndarray, values: np.ndarray) -> np.ndarray:
         rows = starts[counts == count][:, None] + np.arange(count)
         result[rows] = np.median(values[rows], axis=1, keepdims=True)
     return result
+
+
+def find_last_positions(values: np.ndarray, count: int) -> np.ndarray:
+    """Return for each number below `count` the last position (count,) int64 at which the integers `values` (N,) have it, 0 if none has."""
+    positions = np.zeros(count, np.int64)
+    positions[values] = np.arange(len(values))
+    return positions

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ...arrays import find_last_positions
 from ...geometry.mesh import face_areas_and_normals
 from .correspondence import Correspondence
 from .edge_flips import find_quads, flip_quads, select_flips
@@ -59,8 +60,7 @@ def pull_back(state: LevelState, surface: FineSurface, measured: LevelDistances)
     mesh = state.mesh
     is_far = measured.at_vertices > measured.limit
     is_far[measured.edges.ends[(measured.at_edges > measured.limit).any(axis=1)]] = True
-    corners = np.zeros(len(mesh.vertices), np.int64)
-    corners[mesh.triangles.ravel()] = np.arange(mesh.triangles.size)
+    corners = find_last_positions(mesh.triangles.ravel(), len(mesh.vertices))
     far = np.flatnonzero(is_far)
     if not len(far):
         return state

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...arrays import TINY
+from ...arrays import TINY, find_last_positions
 from ...geometry.distance import TriangleTree, closest_barycentric
 from ...geometry.edges import Edges
 from ...geometry.mesh import face_areas_and_normals, longest_side
@@ -136,10 +136,8 @@ def gather_points(vertices: np.ndarray, edges: Edges) -> np.ndarray:
 def _locate(state: LevelState, edges: Edges, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the triangles (N,) and barycentric coordinates (N, 3) of the measured points `rows` (N,): vertices, then points of edges."""
     mesh = state.mesh
-    corners = np.zeros(len(mesh.vertices), np.int64)
-    corners[mesh.triangles.ravel()] = np.arange(mesh.triangles.size)
-    halfedges = np.zeros(len(edges.ends), np.int64)
-    halfedges[edges.face_edges.ravel()] = np.arange(edges.face_edges.size)
+    corners = find_last_positions(mesh.triangles.ravel(), len(mesh.vertices))
+    halfedges = find_last_positions(edges.face_edges.ravel(), len(edges.ends))
     triangles, barycentric = np.zeros(len(rows), np.int64), np.zeros((len(rows), 3))
     is_vertex = rows < len(mesh.vertices)
     at = np.flatnonzero(is_vertex)
