@@ -6,6 +6,7 @@ Arrays of tiles have row 0 at the top, as the files and the format of packages.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import maximum_filter
 
 from ....errors import ImageError, SettingsError
 from ....imaging.images import dilate_in_place
@@ -100,7 +101,7 @@ def find_used_texels(source: TextureSource, grid: TileGrid) -> np.ndarray:
     inside = flat.reshape(grid.height, grid.width)
     ends = np.floor(corners.reshape(-1, 2)).astype(np.int64) % size  # of triangles between the centers of texels
     inside[ends[:, 1], ends[:, 0]] = True
-    used[: grid.height, : grid.width] = _grow(inside, MARGIN)
+    used[: grid.height, : grid.width] = maximum_filter(inside, 2 * MARGIN + 1, mode="constant")
     return used
 
 
@@ -134,15 +135,3 @@ def join_tiles(tiles: np.ndarray, grid: TileGrid) -> np.ndarray:
     size = grid.tile_size
     image = tiles.reshape(grid.rows, grid.columns, size, size, *tiles.shape[3:]).swapaxes(1, 2)
     return image.reshape(*grid.padded_shape, *tiles.shape[3:])[: grid.height, : grid.width]
-
-
-def _grow(inside: np.ndarray, radius: int) -> np.ndarray:
-    """Return `inside` (H, W) bool grown by squares of `radius`."""
-    for axis in (0, 1):
-        grown = inside.copy()
-        lines, sources = np.moveaxis(grown, axis, 0), np.moveaxis(inside, axis, 0)
-        for step in range(1, radius + 1):
-            lines[step:] |= sources[:-step]
-            lines[:-step] |= sources[step:]
-        inside = grown
-    return inside
