@@ -35,7 +35,7 @@ from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
 from farfield.addon.core.texmesh.settings import SceneSettings
 from farfield.addon.operators.job_run import run_job
 from farfield.addon.operators.texmesh.job import AnalysisJob, LevelsJob, describe_chain, prepare_analysis, prepare_levels
-from farfield.addon.operators.texmesh.packages import CORE_SETTINGS
+from farfield.addon.operators.texmesh.operators import CORE_SETTINGS
 from lib import command_line, scene_files, texmesh_packages
 from lib.atomic_output import atomic_file, check_outputs
 from lib.contact_sheet import write_png

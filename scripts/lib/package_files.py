@@ -23,7 +23,6 @@ from farfield.addon.core.texmesh.streaming.manifest import MANIFEST, MESH, TEXTU
 from farfield.addon.core.texmesh.streaming.manifest_json import read_manifest
 from farfield.addon.core.texmesh.streaming.page_files import read_page
 
-INDEX = "index.html"
 TEXT_TYPES = {
     ".html": "text/html; charset=utf-8",
     ".css": "text/css; charset=utf-8",

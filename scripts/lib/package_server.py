@@ -26,8 +26,9 @@ environment.import_farfield()
 
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.files.file_access import error_reason
+from farfield.addon.core.texmesh.streaming.page_files import INDEX
 from lib.line_rate import LineRate, Throttle
-from lib.package_files import INDEX, PackageFile, close_package, open_package
+from lib.package_files import PackageFile, close_package, open_package
 
 LOOPBACK = "127.0.0.1"
 SINGLE_RANGE = re.compile(r"bytes=[ \t]*(\d{0,18})-(\d{0,18})[ \t]*", re.IGNORECASE | re.ASCII)
@@ -214,8 +215,7 @@ def run_server(
         reason = error_reason(error) if isinstance(error, OSError) else str(error)
         raise FileError(f"The server cannot use port {port} of {address} ({reason}); choose another port or address.") from error
     paths = {f"/{name}": file for name, file in files.items()}
-    if INDEX in files:
-        paths["/"] = files[INDEX]
+    paths["/"] = files[INDEX]
     loop = asyncio.new_event_loop()
     stopping = asyncio.Event()
 

@@ -29,7 +29,8 @@ from farfield.addon.core.texmesh.streaming.traces import (
     step_trace,
 )
 from farfield.addon.operators.job_run import run_job
-from farfield.addon.operators.texmesh.packages import CORE_SETTINGS, prepare_packages
+from farfield.addon.operators.texmesh.operators import CORE_SETTINGS
+from farfield.addon.operators.texmesh.packages import prepare_packages
 from lib.line_rate import LineRate, parse_rate
 from lib.texmesh_inputs import open_objects, read_all_settings
 

@@ -13,7 +13,6 @@ from .glb_materials import WHITE, find_base_color, find_surface_node
 INPUTS = {"roughness": "Roughness", "metallic": "Metallic", "emission": "Emission Color"}  # input of Principled BSDF by role
 CHANNELS = ("Red", "Green", "Blue")
 MAX_SIDE = 8192  # pixels; larger images are scaled down
-GRAY_ROLES = ("roughness", "metallic")
 
 
 def read_material(material: bpy.types.Material | None) -> MaterialSource:

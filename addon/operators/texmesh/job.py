@@ -59,7 +59,7 @@ class AnalysisJob:
             sentences.append(f'"{item.name}" has {features} features at scales 1, 5, 10 and 20{note}.')
             sentences += [sentence for sentence in (scale_map.losses, *source.remarks) if sentence]
             self.results.append((item.name, scale_map))
-        return " ".join([*sentences, *_describe_skipped(self.skipped)])
+        return " ".join([*sentences, *describe_skipped(self.skipped)])
 
 
 @dataclass
@@ -101,7 +101,7 @@ class LevelsJob:
         sentences = []
         for item, source, chain, slots in zip(objects, self.sources, core_result, materials, strict=True):
             sentences += self._add(item, source, chain, slots, scene)
-        return " ".join([*sentences, *_describe_skipped(self.skipped)])
+        return " ".join([*sentences, *describe_skipped(self.skipped)])
 
     def _add(
         self,
@@ -195,5 +195,6 @@ def _find_source(source: TexturedSource) -> bpy.types.Object:
     return item
 
 
-def _describe_skipped(skipped: Sequence[str]) -> list[str]:
+def describe_skipped(skipped: Sequence[str]) -> list[str]:
+    """Return a sentence about the objects that were skipped, if there are any."""
     return [f"Skipped: {'; '.join(skipped)}."] if skipped else []

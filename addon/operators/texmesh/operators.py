@@ -15,7 +15,8 @@ from ..error_reports import report_message, reports_errors
 from .job import AnalysisJob, LevelsJob, prepare_analysis, prepare_levels
 from .sources import refusal, source_objects
 
-ALL_SETTINGS = (LevelSettings, ScaleSpaceSettings, SimplificationSettings, PerceptionSettings, SceneSettings)
+CORE_SETTINGS = (LevelSettings, ScaleSpaceSettings, SimplificationSettings, PerceptionSettings)  # in the order of `AllSettings`
+ALL_SETTINGS = (*CORE_SETTINGS, SceneSettings)
 NO_LEVELS = "Select a level of detail, or the object that levels were made from"
 
 

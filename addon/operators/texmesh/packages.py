@@ -11,19 +11,15 @@ from ...core.errors import SettingsError
 from ...core.files.filenames import unique_filenames
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.texmesh.level_chain import AllSettings
-from ...core.texmesh.perception.settings import PerceptionSettings
-from ...core.texmesh.scale_space.settings import ScaleSpaceSettings
-from ...core.texmesh.settings import LevelSettings
-from ...core.texmesh.simplification.settings import SimplificationSettings
 from ...core.texmesh.streaming.package import PackageReport, build_package
 from ...core.texmesh.streaming.package_files import write_package
 from ...core.texmesh.streaming.settings import PackageSettings
 from .. import properties, start_job
 from ..paths import absolute_path
-from .operators import disabled_reason
+from .job import describe_skipped
+from .operators import CORE_SETTINGS, disabled_reason
 from .sources import read_sources, source_objects
 
-CORE_SETTINGS = (LevelSettings, ScaleSpaceSettings, SimplificationSettings, PerceptionSettings)  # in the order of `AllSettings`
 FOLDER = {"name": "Folder", "description": "Folder for the package; files of an earlier one in it are replaced", "subtype": "DIR_PATH"}
 
 
@@ -56,7 +52,7 @@ class PackageJob:
         yield Progress(1.0, "Exported")
         sentences = [report.describe() for report in core_result]
         sentences += [sentence for source in self.sources for sentence in source.remarks]
-        return " ".join([*sentences, *([f"Skipped: {'; '.join(self.skipped)}."] if self.skipped else [])])
+        return " ".join([*sentences, *describe_skipped(self.skipped)])
 
 
 class FARFIELD_PG_texmesh_package(bpy.types.PropertyGroup):
