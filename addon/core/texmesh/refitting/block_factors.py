@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-MIN_PIVOT = 1e-10  # of a diagonal element: what is left of it if rows depend on others
+MIN_PIVOT = 1e-10  # of a diagonal element: a smaller pivot means that rows depend on others
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ class Job:
 
 @dataclass
 class Server:
-    """What is known of a server: recent bytes and seconds of its line (two averages), the delay of its responses, when it was measured
+    """The measurements of a server: recent bytes and seconds of its line (two averages), the delay of its responses, when it was measured
     and heard last, failures in a row, when it failed last, until when others come first."""
 
     bytes: float

@@ -2,7 +2,7 @@
 
 A traversal as in Edgebreaker (Rossignac, "Edgebreaker: connectivity compression for triangle meshes", 1999), made robust: the border is a
 set of doubly linked loops of edges, a triangle attaches to the edge that was added last, and joins the neighboring edges of the border if
-they have its third vertex. What is not a manifold is attached as far as it goes, and the rest starts a new loop.
+they have its third vertex. Parts that are not manifold are attached as far as possible, and the rest starts a new loop.
 """
 
 from dataclasses import dataclass

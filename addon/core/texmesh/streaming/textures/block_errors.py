@@ -1,8 +1,8 @@
 """How much of the error of a coefficient a viewer sees: after minification, and through the eye's contrast sensitivity.
 
-An error in a block of a texture is seen through the filter of mipmaps, as wide as what a pixel covers, and through the filters of
-FLIP for luminance, red-green and blue-yellow, about those of Y, Cr and Cb. What is left of the energy of each cosine is its weight. The
-color of a block says by how much its appearance changes with Y, Cb and Cr.
+An error in a block of a texture is seen through the filter of mipmaps, as wide as the part of it that a pixel covers, and through the
+filters of FLIP for luminance, red-green and blue-yellow, about those of Y, Cr and Cb. Each cosine is weighted by the fraction of its energy
+that remains. The color of a block says by how much its appearance changes with Y, Cb and Cr.
 """
 
 import math
