@@ -44,7 +44,7 @@ from .sending_state import Event, Flight, Job, Request, Server, Span, State
 
 FRACTION = 1.0 / 3.0  # of the remaining time for the next request
 MAX_REQUEST, FIRST_REQUEST = 1.0, 0.3  # seconds that a request may take, with a rate that was measured and one that was not
-SMALLEST = 10_000.0  # bytes of a request, as headers are a part of each, if its end need not be near the limit
+SMALLEST = 15_000.0  # bytes of a request, as headers are a part of each, if its end need not be near the limit
 LEAD = 1.5  # delays before the line is free that the next request is sent
 EXCESS = 1.2  # of the time left, for all requests of a server, at which the newest is aborted
 MEASURED = 0.2  # seconds after which a rate counts as measured

@@ -15,7 +15,7 @@
 const MESH = "mesh.bin", TEXTURES = "textures.bin";
 const DEFAULT_RATE = 250000, DEFAULT_DELAY = 0.1, PRIOR_SECONDS = 0.1;
 const FAST = 0.3, SLOW = 2, GRACE = 0.1, FRACTION = 1 / 3, MAX_REQUEST = 1, FIRST_REQUEST = 0.3, LEAD = 1.5, EXCESS = 1.2, MEASURED = 0.2;
-const SMALLEST = 10000, LATE = 0.3, TWICE = 2, MIN_SAVING = 0.2, MIN_ERROR = 1e-6, SILENCE = 0.5, MIN_PAUSE = 0.25, MAX_PAUSE = 16, MIN_RATE = 1000, ENDLESS = 1e9;
+const SMALLEST = 15000, LATE = 0.3, TWICE = 2, MIN_SAVING = 0.2, MIN_ERROR = 1e-6, SILENCE = 0.5, MIN_PAUSE = 0.25, MAX_PAUSE = 16, MIN_RATE = 1000, ENDLESS = 1e9;
 const STOPS = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1, 1.1, 1.2, 1.3, 1.4, 1.6, 2];
 const { abs, floor, max, min } = Math;
 
