@@ -14,7 +14,7 @@ import numpy as np
 from ..tile_pyramid import sum_tiles
 from .coding import CodedTexture
 
-BYTE_FACTOR = 5.0  # about, between states
+BYTE_FACTOR = 4.0  # about, between states
 BISECTIONS = 40
 MIN_PRICE, MAX_PRICE = 1e-14, 1.0  # of a byte, in error
 
