@@ -10,6 +10,7 @@ Parts (`--only`), each in a module `texmesh_PART.py` if no other one is named:
 - `targets` (texmesh_levels.py): subset levels, bit for bit
 - `paper`: Figures 4, 10 and 11
 - `packages`: bytes until a model looks right
+- `packaging`: time and memory of a package with 200k triangles and a texture of 4096 x 4096
 - `meshes`: bytes of meshes beside gltfpack and Draco
 - `textures`: bytes of the textures of packages at equal FLIP
 - `sending`: packages over 200 replayed traces
@@ -36,6 +37,7 @@ import texmesh_glb
 from texmesh_levels import measure_speed, measure_switching, measure_targets
 from texmesh_meshes import measure_meshes
 from texmesh_packages import measure_packages
+from texmesh_packaging import measure_packaging
 from texmesh_paper import measure_paper
 from texmesh_refits import measure_refits
 from texmesh_renders import measure_renders
@@ -84,6 +86,7 @@ PARTS = {
     "targets": measure_targets,
     "paper": measure_paper,
     "packages": measure_packages,
+    "packaging": measure_packaging,
     "meshes": measure_meshes,
     "textures": measure_textures,
     "server": measure_server,

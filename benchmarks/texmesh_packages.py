@@ -13,6 +13,7 @@ import subprocess
 import tempfile
 import time
 from argparse import Namespace
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,7 +27,7 @@ from texmesh_textured_models import TexturedModel, open_textured
 from farfield.addon.core.files.glb import Y_UP
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
-from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.jobs.progress import Progress, run_to_end
 from farfield.addon.core.texmesh.level_chain import AllSettings
 from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
 from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
@@ -99,7 +100,7 @@ def _measure_model(model: TexturedModel, name: str, seed: int) -> dict[str, Any]
     }
 
 
-def build(model: TexturedModel, name: str) -> Package:
+def build(model: TexturedModel, name: str, on_progress: Callable[[Progress], None] | None = None) -> Package:
     """Return the package of a model with default settings."""
     materials = [
         MaterialSource(f"m{index}", (1.0, 1.0, 1.0, 1.0), False, {} if image is None else {"base_color": image})
@@ -108,7 +109,7 @@ def build(model: TexturedModel, name: str) -> Package:
     linear = {id(image): LINEAR_OF_BYTE[image] for image in model.images if image is not None}
     textures = [None if image is None else linear[id(image)] for image in model.images]
     settings = AllSettings(LevelSettings(product="subset"), ScaleSpaceSettings(), SimplificationSettings(), PerceptionSettings())
-    return run_to_end(build_package(name, model.mesh, materials, textures, settings, PackageSettings()))
+    return run_to_end(build_package(name, model.mesh, materials, textures, settings, PackageSettings()), on_progress)
 
 
 def _stop_bytes(package: Package) -> np.ndarray:
