@@ -107,7 +107,7 @@ def render(surface: ViewedSurface, direction: np.ndarray, frame: Frame, size: in
 class TextureSamples:
     """The covered samples of an image that show one texture.
 
-    material: its index. rows: (N,) among the covered samples, or all of them. uvs: (N, 2) float32. footprints: (N,) float64, sides in texels.
+    material: its index. rows: (N,) among the covered samples, or all of them. uvs: (N, 2) float32. footprints: (N,) float64, in texels.
     """
 
     material: int
