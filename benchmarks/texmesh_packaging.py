@@ -53,7 +53,7 @@ def measure_packaging(given: Namespace) -> dict[str, Any]:
     before = command_line.peak_memory_mb()
     meter = StageMeter()
     started, started_cpu = time.perf_counter(), time.process_time()
-    package = build(model, "ball", meter.note)
+    package = build(model, "ball", on_progress=meter.note)
     meter.finish()
     return {
         "triangles": len(mesh.triangles),
