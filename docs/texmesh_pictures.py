@@ -1,7 +1,7 @@
 """Render images of the docs that show packages: `python3 docs/texmesh_pictures.py [--only NAME ...]`.
 
-fragments (Figure 9 of the paper, the lookup table, and a map of qualities) from the report of `bench_texmesh.py --only fragments`; package
-(the page in Chromium on a line of 2 Mbit/s at three moments) from a textured model.
+package_fragments (Figure 9 of the paper, the lookup table, and a map of qualities), from the report of `bench_texmesh.py --only fragments`;
+package_page (a package in Chromium at three moments, and the panel of the page).
 """
 
 import io
@@ -22,14 +22,15 @@ environment.import_farfield()
 import numpy as np
 from figures.fragment_charts import draw_fragments
 from figures.package_moments import draw_moments
+from PIL import Image
 
 from farfield.addon.core.errors import SettingsError
 from farfield.addon.core.jobs.progress import Progress
 from lib import command_line
 from lib.atomic_output import atomic_file
-from PIL import Image
 
-COLORS = 64  # of the palette of an image
+COLORS = 128  # of the palette of an image
+SPOT = environment.ROOT.parent / "shared" / "data" / "textured" / "spot"
 
 
 def main(arguments: list[str], line: command_line.ProgressLine) -> str:
@@ -38,9 +39,8 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     parser.add_argument("--only", nargs="+", choices=list(PICTURES), default=list(PICTURES), help="the images to render (default: all)")
     parser.add_argument("--out", type=Path, default=environment.ROOT / "docs" / "pictures", help="output folder (default: docs/pictures)")
     parser.add_argument("--report", type=Path, help="the report of bench_texmesh.py, for fragments")
-    parser.add_argument(
-        "--model", type=Path, default=environment.ROOT.parent / "shared" / "data" / "textured" / "spot" / "spot.obj", help="for package"
-    )
+    parser.add_argument("--model", type=Path, default=SPOT / "spot.obj", help="an .obj, for package_page")
+    parser.add_argument("--texture", type=Path, default=SPOT / "spot_texture.png", help="its texture")
     given = parser.parse_args(arguments)
     for index, name in enumerate(given.only):
         line.show(Progress(index / len(given.only), f"Drawing {name}"))
@@ -55,14 +55,14 @@ def fragments(given: Namespace) -> np.ndarray:
         SettingsError: there is no report.
     """
     if given.report is None:
-        raise SettingsError("The image fragments needs --report; write one with bench_texmesh.py --only fragments --report FILE.")
+        raise SettingsError("The image package_fragments needs --report; write one with bench_texmesh.py --only fragments --report FILE.")
     return draw_fragments(json.loads(given.report.read_text("utf-8"))["fragments"])
 
 
 def package(given: Namespace) -> np.ndarray:
     """Draw the page at three moments."""
     with tempfile.TemporaryDirectory() as folder:
-        return draw_moments(given.model, Path(folder))
+        return draw_moments(given.model, given.texture, Path(folder))
 
 
 def write(path: Path, image: np.ndarray) -> None:
