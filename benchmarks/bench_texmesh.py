@@ -14,6 +14,7 @@ Parts (`--only`), each in a module `texmesh_PART.py` if no other one is named:
 - `meshes`: bytes of meshes beside gltfpack and Draco
 - `fragments`: Figures 7 and 9, and the lookup table of the fragments of the paper
 - `textures`: bytes of the textures of packages at equal FLIP
+- `roles`: bytes of base color, normal and roughness maps
 - `sending`: packages over 200 replayed traces
 - `server`: many clients, and random requests
 
@@ -43,6 +44,7 @@ from texmesh_packaging import measure_packaging
 from texmesh_paper import measure_paper
 from texmesh_refits import measure_refits
 from texmesh_renders import measure_renders
+from texmesh_roles import measure_roles
 from texmesh_sending import measure_sending
 from texmesh_server import measure_server
 from texmesh_texture_views import VIEWS
@@ -96,6 +98,7 @@ PARTS = {
     "meshes": measure_meshes,
     "fragments": measure_fragments,
     "textures": measure_textures,
+    "roles": measure_roles,
     "server": measure_server,
     "sending": measure_sending,
 }
