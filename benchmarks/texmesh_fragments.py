@@ -25,6 +25,7 @@ from farfield.addon.core.texmesh.streaming.textures.fragments import (
     make_fragment_grid,
     measure_fragmentation,
     measure_quality_sizes,
+    normalize_counts,
     quality_of_scale,
     tabulate_sizes,
 )
@@ -92,7 +93,7 @@ def tabulate_scales(mesh: TexturedMesh, image: np.ndarray, last_scales: np.ndarr
     grid = make_fragment_grid(image.shape[1], image.shape[0])
     fragments, features = CodedFragments(image, grid), count_features(mesh, (0,), last_scales, grid)
     tables = [tabulate_sizes(fragments, features, scale, np.array(THRESHOLDS)) for scale in range(SCALES)]
-    mean = float(np.mean(features.counts[MAP_SCALE] / max(features.counts[MAP_SCALE].max(), 1)))
+    mean = float(normalize_counts(features.counts[MAP_SCALE]).mean())
     nearest = int(np.abs(np.array(THRESHOLDS) - mean).argmin())
     return {
         "side": image.shape[1],
