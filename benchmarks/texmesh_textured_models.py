@@ -24,7 +24,7 @@ TEXTURE_FILES = {
 }
 PAINTED_SIDE = 2048
 PAINTED_CELLS = 5  # per side of a painted texture, each with a texture of its own
-SCEAUX_SIDE = 4096
+SCEAUX_SIDE = 2048
 
 
 class TexturedModel(NamedTuple):
@@ -79,7 +79,7 @@ def build_sceaux(data: Path) -> TexturedModel:
     unwrapped = photos_inputs.unwrap_mesh(photos_inputs.read_mesh(data / "sceaux" / "mesh_15k.ply"))
     photographs = photos_inputs.load_photographs(data)
     textured = photos_methods.run_method("farfield", unwrapped.mesh, unwrapped.corner_uvs, photographs, SCEAUX_SIDE)
-    image = np.rint(255.0 * np.clip(textured.texture[..., :3], 0.0, 1.0)).astype(np.uint8)
+    image = np.rint(255.0 * np.clip(textured.colors[..., :3], 0.0, 1.0)).astype(np.uint8)
     return TexturedModel(build_textured_mesh(unwrapped.mesh, unwrapped.corner_uvs, name="sceaux"), [image])
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import texmesh_models
 import texmesh_textured_models
 from PIL import Image
-from texmesh_texture_views import TextureJudge, random_directions
+from texmesh_texture_views import VIEWS, TextureJudge, list_left_out, list_members, random_directions
 
 from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
 from farfield.addon.core.jobs.progress import run_to_end
@@ -33,7 +33,6 @@ from farfield.addon.core.texmesh.streaming.textures.settings import TextureSetti
 from farfield.addon.core.texmesh.streaming.textures.texture_tiles import TextureSource
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
-VIEWS = {256: 24, 512: 24}  # random views by the size of the image in pixels; others than those of the weights
 TARGETS = (0.15, 0.1, 0.07, 0.05, 0.035)  # mean FLIP errors
 POINTS = 10  # prefixes of a package that are measured
 PAPER_SCALES = (2, 6, 9, 12, 14, 16, 18, 20)
@@ -140,18 +139,21 @@ def build(sources: Sequence[TextureSource], settings: TextureSettings) -> BuiltT
 
 def measure_textures(given: Namespace) -> dict[str, Any]:
     """Return bytes at equal FLIP of packages and of other ways to send textures, for all models that judge and all sizes of images."""
-    generated = [f"{kind}:{given.seed + index}" for index, kind in enumerate(texmesh_models.GENERATORS)]
+    names = [*texmesh_textured_models.JUDGING, *(f"{kind}:{given.seed + index}" for index, kind in enumerate(texmesh_models.GENERATORS))]
     results: dict[str, Any] = {}
-    for name in given.models or [*texmesh_textured_models.JUDGING, *generated]:
-        model = texmesh_textured_models.open_textured(given.data, name, given.seed)
-        for pixels, views in VIEWS.items():
-            results[f"{name} at {pixels}"] = measure_model(model, pixels, views, np.random.default_rng(given.seed))
-            print(name, pixels, json.dumps(results[f"{name} at {pixels}"]), file=sys.stderr)
+    model, opened = None, ""
+    for name, pixels in list_members(given, names):
+        if name != opened:
+            model, opened = texmesh_textured_models.open_textured(given.data, name, given.seed), name
+        started = time.perf_counter()
+        result = measure_model(model, pixels, VIEWS[pixels], np.random.default_rng([given.seed, pixels]))
+        results[f"{name} at {pixels}"] = result | {"all_seconds": round(time.perf_counter() - started, 1)}
+        print(name, pixels, json.dumps(results[f"{name} at {pixels}"]), file=sys.stderr)
     summary = {}
     for member in ("uniform", "paper", "webp"):
         ratios = [row[member] for result in results.values() for row in result["targets"] if row[member] is not None]
-        summary[member] = {"mean": round(float(np.mean(ratios)), 3), "worst": max(ratios)} if ratios else None
-    return {"ratios": summary, "models": results}
+        summary[member] = {"mean": round(float(np.mean(ratios)), 3), "worst": max(ratios), "count": len(ratios)} if ratios else None
+    return {"ratios": summary, "models": results, "left_out": list_left_out(given, names, results)}
 
 
 def measure_model(model: texmesh_textured_models.TexturedModel, pixels: int, views: int, generator: np.random.Generator) -> dict[str, Any]:

@@ -146,11 +146,15 @@ def _measure(
         images = decode_textures(built.textures, built.increments, built.content, count)
         return mipmaps([None if index is None else images[index] for index in colors])
 
-    original = mipmaps([material.images.get("base_color") for material in materials])
-    levels = [level.mesh for level in reversed(chain.levels)]
-    pixels_per_degree = settings.perception.pixels_per_degree
     return (
-        yield from measure_errors(levels, original, _choose_stops(built.increments), decode, package_settings.pixels, pixels_per_degree)
+        yield from measure_errors(
+            [level.mesh for level in reversed(chain.levels)],
+            mipmaps([material.images.get("base_color") for material in materials]),
+            _choose_stops(built.increments),
+            decode,
+            package_settings.pixels,
+            settings.perception.pixels_per_degree,
+        )
     )
 
 
