@@ -72,8 +72,8 @@ def rebake_texture(
     continue the colors of these.
 
     Args:
-        group: of the texture in `original`. mipmaps: of the texture, from `build_weighted_mipmaps`. triangles: (K,) of the level, those with
-            the texture. halvings: of the sides of the texture.
+        group: of the texture in `original`. mipmaps: of the texture, from `build_weighted_mipmaps`. triangles: (K,) of the level, those
+            with the texture. halvings: of the sides of the texture.
     """
     full = tuple(mipmaps.sizes[0].tolist())
     size = halve_size(full, halvings)

@@ -59,5 +59,6 @@ def rebake_textures(
             steps = rebake_texture(original, group, mipmaps, level, triangles, halvings)
             done = used.index(group) * len(levels) + index
             baked[index, group] = yield from subprogress(steps, done / tasks, (done + 1) / tasks)
-    by_level = tuple(tuple(baked.get((index, group)) for group in material_groups[: len(textures)].tolist()) for index in range(len(levels)))
-    return RebakedTextures(by_level, tuple(material for material, group in enumerate(material_groups.tolist()) if group in repeated))
+    by_material = material_groups[: len(textures)].tolist()
+    by_level = tuple(tuple(baked.get((index, group)) for group in by_material) for index in range(len(levels)))
+    return RebakedTextures(by_level, tuple(material for material, group in enumerate(by_material) if group in repeated))

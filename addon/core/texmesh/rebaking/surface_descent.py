@@ -55,8 +55,8 @@ class SurfaceDescent:
         return triangles, barycentric
 
     def _find_entered(self, active: np.ndarray, triangles: np.ndarray, barycentric: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return rows (K,), ascending, of `active` (M,) points, and the triangles (K,) that they may enter: those across the edge, or around
-        the vertex, on which the points are now."""
+        """Return rows (K,), ascending, of `active` (M,) points, and the triangles (K,) that they may enter: those across the edge, or
+        around the vertex, on which the points are now."""
         is_zero = barycentric[active] <= ON_EDGE
         zeros = is_zero.sum(axis=1)
         on_edge, on_vertex = active[zeros == 1], active[zeros >= 2]
