@@ -65,6 +65,23 @@ def test_images_and_materials_are_removed_with_the_levels(ball):
     assert count_data() == before and find_color_image(ball.data.materials[0])[0].name == "Squares"
 
 
+def test_linked_materials_and_images_stay(ball, tmp_path):
+    path = str(tmp_path / "library.blend")
+    material = ball.data.materials[0]
+    bpy.data.libraries.write(path, {material})
+    ball.data.materials.clear()
+    with bpy.data.libraries.load(path, link=True) as (_, loaded):
+        loaded.materials = [material.name]
+    ball.data.materials.append(loaded.materials[0])
+    levels = make()
+    assert find_color_image(ball.data.materials[0])[0].library is not None
+    for level in levels[1:]:
+        image = find_color_image(level.data.materials[0])[0]
+        assert image.library is None and level.data.materials[0].library is None and image.packed_files
+    assert bpy.ops.farfield.texmesh_remove() == {"FINISHED"}
+    assert not any(image.name.startswith("Ball L") for image in bpy.data.images)
+
+
 def test_undo_takes_images_back(ball):
     bpy.context.preferences.edit.use_global_undo = True
     bpy.ops.ed.undo_push(message="before")
