@@ -34,15 +34,16 @@ class FineSurface:
     def find_positions(self, points: np.ndarray, uvs: np.ndarray, islands: np.ndarray) -> np.ndarray:
         """Return the points (N, 3) of the surface with texture coordinates `uvs` (N, 2) in `islands` (N,); of several the nearest to
         `points` (N, 3)."""
-        found = self._find(points, uvs, islands)
+        found = self.find_points(points, uvs, islands)
         return np.einsum("ni,nic->nc", found.barycentric, self.mesh.vertices[self.mesh.triangles[found.triangles]])
 
     def find_normals(self, points: np.ndarray, uvs: np.ndarray, islands: np.ndarray) -> np.ndarray:
         """Return the unit normals (N, 3) of the surface at the same points."""
-        triangles = self._find(points, uvs, islands).triangles
+        triangles = self.find_points(points, uvs, islands).triangles
         return face_areas_and_normals(self.mesh.vertices[self.mesh.triangles[triangles]])[1]
 
-    def _find(self, points: np.ndarray, uvs: np.ndarray, islands: np.ndarray) -> Correspondence:
+    def find_points(self, points: np.ndarray, uvs: np.ndarray, islands: np.ndarray) -> Correspondence:
+        """Return these points of the surface by triangle; where an island does not have the coordinates, the ones nearest to them there."""
         corners = self.mesh.vertices[self.mesh.triangles]
         blank = np.zeros(len(points))
         samples = SurfaceSamples(blank.astype(np.int64), np.zeros((len(points), 3)), points, uvs, islands, blank)
