@@ -7,8 +7,8 @@ import numpy as np
 from ...arrays import TINY, concatenate_ranges
 from ...geometry.geometry_2d import cross, signed_areas
 from ...geometry.mesh import face_areas_and_normals
-from .correspondence import evaluate_uv_maps, invert_uv_maps
 from .level_state import LevelState
+from .uv_triangles import evaluate_uv_maps, invert_uv_maps
 
 NEW_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])  # corners of a quad after the flip
 MIN_UV_FRACTION = 0.02  # area of a new triangle in UV space relative to its quadrilateral

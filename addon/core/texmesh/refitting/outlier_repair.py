@@ -102,17 +102,21 @@ def _withdraw(state: LevelState, vertices: np.ndarray, surface: FineSurface, mea
     peaks = _find_peaks_around(measured)
     around = np.concatenate([peaks, np.repeat(peaks[ends].min(axis=1), len(EDGE_FRACTIONS))])
     allowed = np.maximum(np.maximum(before, measured.limit), ACCEPTED_FRACTION * around)
-    planes = _measure_planes(state, state.mesh.vertices)
+    planes = _measure_planes(state, state.mesh.vertices, np.arange(len(state.found.triangles)))
     corner_peaks = peaks[state.mesh.triangles].min(axis=1)[state.found.triangles]
     allowed_planes = np.maximum(np.maximum(planes, measured.limit), ACCEPTED_FRACTION * corner_peaks)
+    has_changed = np.ones(len(vertices), bool)
     for attempt in range(MAX_WITHDRAWALS):
         moves = np.linalg.norm(result - state.mesh.vertices, axis=1)
         bounds = before + np.concatenate([moves, np.repeat(moves[ends].max(axis=1), len(EDGE_FRACTIONS))])
-        rows = np.flatnonzero((bounds > allowed) & (bounds > before))
+        is_open = np.concatenate([has_changed, np.repeat(has_changed[ends].any(axis=1), len(EDGE_FRACTIONS))])
+        rows = np.flatnonzero((bounds > allowed) & (bounds > before) & is_open)
         points = gather_points(result, measured.edges)[rows]
-        worse = rows[surface.measure_distances(points) > allowed[rows]]
+        worse = rows[surface.measure_distances(points, allowed[rows]) > allowed[rows]]
         is_vertex = worse < len(vertices)
-        missing = np.unique(state.found.triangles[_measure_planes(state, result) > allowed_planes])
+        samples = np.flatnonzero(has_changed[state.mesh.triangles].any(axis=1)[state.found.triangles])
+        missed = samples[_measure_planes(state, result, samples) > allowed_planes[samples]]
+        missing = np.unique(state.found.triangles[missed])
         at_edges = ends[(worse[~is_vertex] - len(vertices)) // len(EDGE_FRACTIONS)]
         stays = np.unique(np.concatenate([worse[is_vertex], at_edges.ravel(), state.mesh.triangles[missing].ravel()]))
         stays = stays[moves[stays] > 0.0]
@@ -120,6 +124,8 @@ def _withdraw(state: LevelState, vertices: np.ndarray, surface: FineSurface, mea
             break
         fraction = WITHDRAWN_FRACTION if attempt < HALVINGS else 0.0
         result[stays] = state.mesh.vertices[stays] + fraction * (result[stays] - state.mesh.vertices[stays])
+        has_changed[:] = False
+        has_changed[stays] = True
     return result
 
 
@@ -132,10 +138,10 @@ def _find_peaks_around(measured: LevelDistances) -> np.ndarray:
     return peaks
 
 
-def _measure_planes(state: LevelState, vertices: np.ndarray) -> np.ndarray:
-    """Return the distances (N,) of the samples from the planes of their triangles if the vertices are at `vertices` (V, 3)."""
+def _measure_planes(state: LevelState, vertices: np.ndarray, samples: np.ndarray) -> np.ndarray:
+    """Return the distances (N,) of `samples` (N,) from the planes of their triangles if the vertices are at `vertices` (V, 3)."""
     corners = vertices[state.mesh.triangles]
     _, normals = face_areas_and_normals(corners)
-    triangles = state.found.triangles
+    triangles = state.found.triangles[samples]
     offsets = np.einsum("ti,ti->t", normals, corners[:, 0])
-    return np.abs(np.einsum("ni,ni->n", normals[triangles], state.samples.positions) - offsets[triangles])
+    return np.abs(np.einsum("ni,ni->n", normals[triangles], state.samples.positions[samples]) - offsets[triangles])
