@@ -5,6 +5,7 @@ beyond concave boundaries, where the fine mesh has no texture coordinates. The m
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -12,7 +13,7 @@ from scipy.spatial import cKDTree
 from ...arrays import TINY, find_last_positions
 from ...geometry.distance import TriangleTree, closest_barycentric, squared_point_triangle_distances
 from ...geometry.edges import Edges
-from ...geometry.mesh import face_areas_and_normals, longest_side
+from ...geometry.mesh import longest_side
 from .fine_surface import FineSurface
 from .level_state import LevelState
 
@@ -46,6 +47,11 @@ class LevelDistances:
     missed: np.ndarray
     limit: float
 
+    @cached_property
+    def peaks(self) -> np.ndarray:
+        """(E,) largest distances of the points of edges."""
+        return np.maximum.reduce(np.ascontiguousarray(self.at_edges.T))
+
 
 def measure_distances(state: LevelState, surface: FineSurface, previous: LevelDistances | None = None) -> LevelDistances:
     """Measure a level from both sides.
@@ -53,7 +59,7 @@ def measure_distances(state: LevelState, surface: FineSurface, previous: LevelDi
     previous: of the level before vertices moved, edges flipped or vertices were appended. Where it shows that a point can be no outlier,
     the point is not measured again.
     """
-    edges = state.find_edges()
+    edges = state.edges
     points = gather_points(state.mesh.vertices, edges)
     if previous is None:
         distances, is_near, limit = _measure_coarsely(points, edges, surface, _find_min_limit(state))
@@ -117,7 +123,7 @@ def _bound_distances(vertices: np.ndarray, edges: Edges, previous: LevelDistance
 
 def _find_missed(state: LevelState, distance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the samples (M,) that are farther than `distance` from the level, and their nearest triangles and distances, (M,) each."""
-    _, normals = face_areas_and_normals(state.corners)
+    _, normals = state.areas_and_normals
     along = np.abs(np.einsum("ni,ni->n", state.residuals, normals[state.found.triangles]))
     squares = np.einsum("ni,ni->n", state.residuals, state.residuals)
     is_doubtful = (squares > distance**2) & ((along > NEAR_FRACTION * distance) | ~state.found.is_covered)
@@ -149,6 +155,14 @@ def gather_points(vertices: np.ndarray, edges: Edges) -> np.ndarray:
     return np.concatenate([vertices, points.reshape(-1, 3)])
 
 
+def gather_some_points(vertices: np.ndarray, edges: Edges, rows: np.ndarray) -> np.ndarray:
+    """Return the points `rows` (N,), ascending, of those of `gather_points`."""
+    count = np.searchsorted(rows, len(vertices))
+    edge, place = np.divmod(rows[count:] - len(vertices), len(EDGE_FRACTIONS))
+    first, second = (vertices.take(ends, axis=0) for ends in edges.ends[edge].T)
+    return np.concatenate([vertices[rows[:count]], first + EDGE_FRACTIONS[place, None] * (second - first)])
+
+
 def _locate(state: LevelState, edges: Edges, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the triangles (N,) and barycentric coordinates (N, 3) of the measured points `rows` (N,): vertices, then points of edges."""
     mesh = state.mesh
@@ -171,7 +185,7 @@ def _locate(state: LevelState, edges: Edges, rows: np.ndarray) -> tuple[np.ndarr
 
 def _find_min_limit(state: LevelState) -> float:
     """Return the least limit: a multiple of the root mean squared distance of the samples from the planes of their triangles, by area."""
-    _, normals = face_areas_and_normals(state.corners)
+    _, normals = state.areas_and_normals
     along = np.einsum("ni,ni->n", state.residuals, normals[state.found.triangles])
     rms = np.sqrt((along**2 * state.samples.weights).sum() / max(state.samples.weights.sum(), TINY))
     return max(LIMIT_FACTOR * float(rms), MIN_LIMIT * longest_side(state.mesh.vertices), TINY)

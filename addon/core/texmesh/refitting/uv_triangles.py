@@ -9,6 +9,7 @@ import numpy as np
 from ...arrays import concatenate_ranges
 from ...geometry.distance import TriangleTree, closest_barycentric
 from ...geometry.geometry_2d import signed_areas
+from ...geometry.proximity import counting_argsort
 from ...jobs.chunks import slices
 
 CHUNK_POINTS = 1 << 14
@@ -118,9 +119,9 @@ def _divide_into_cells(corner_uvs: np.ndarray) -> _Cells:
     row = concatenate_ranges(first[:, 1], rows)
     widths = (last[:, 0] - first[:, 0] + 1)[owners]
     cell = concatenate_ranges(row * size[0] + first[owners, 0], widths)
-    order = np.argsort(cell, kind="stable")
-    starts = np.searchsorted(cell[order], np.arange(size[0] * size[1] + 1))
-    return _Cells(low, extent, size, starts, np.repeat(owners, widths)[order])
+    cell_count = int(size[0] * size[1])
+    starts = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=cell_count))])
+    return _Cells(low, extent, size, starts, np.repeat(owners, widths)[counting_argsort(cell, cell_count)])
 
 
 def invert_uv_maps(corner_uvs: np.ndarray) -> np.ndarray:
