@@ -183,7 +183,8 @@ def _guess_crossing(same: int, ratio: float, seen: int, seen_ratio: float) -> in
 class SwitchCheck:
     """The physical check of levels that are to be dropped, for `major_scales.keep_visible_scales`.
 
-    images: of all levels, finest first. pixel_sizes: for each level the smallest size of a pixel at which it is shown, ascending.
+    images: of all levels, finest first. pixel_sizes: for each level the smallest size of a pixel at which it is shown, ascending, by
+    `find_switches`, which has compared each level with the one before it.
     """
 
     images: Sequence[LevelImages]
@@ -193,8 +194,10 @@ class SwitchCheck:
     def __call__(self, fine: int, coarse: int) -> bool:
         """Return whether level `coarse` looks like level `fine` from the distance from which `fine` is shown on."""
         side = self.images[fine].frame.side
-        nearest = side / self.settings.max_image
-        largest = max(int(side / max(self.pixel_sizes[fine], nearest)), MIN_IMAGE)
+        nearest = max(self.pixel_sizes[fine], side / self.settings.max_image)
+        if coarse == fine + 1:
+            return bool(self.pixel_sizes[coarse] <= nearest)
+        largest = max(int(side / nearest), MIN_IMAGE)
         comparison = LevelComparison(self.images[fine], self.images[coarse], self.settings, list(range(self.settings.views)))
         is_same = not any(comparison.examine(size).is_seen(self.settings) for size in _climb(largest))
         for level in self.images[1:]:
