@@ -143,8 +143,9 @@ def make_levels(
     chosen = _choose(candidates, pixel_sizes, impacts, images, settings)
     kept, images = [candidates[index] for index in chosen], [images[index] for index in chosen]
     if is_refit:
+        images = images[:1]  # refits need the memory of the others
         kept = yield from subprogress(_refit(mesh, kept), 0.8, 0.95)
-        images = open_images(_view(kept, mipmaps, settings.perception), settings.perception, images[:1])
+        images = open_images(_view(kept, mipmaps, settings.perception), settings.perception, images)
     if levels.choice in ("count", "ratio"):  # as many levels as were asked for
         switches = yield from subprogress(find_switches(images, settings.perception, gap=1), 0.95, 1.0)
     else:
