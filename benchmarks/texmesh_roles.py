@@ -34,7 +34,7 @@ from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 ROLES = ("base_color", "normal", "roughness")
 KINDS = ("planet", "mirrored")
 SIDE = 1024  # of normal and roughness maps; the base color has 2048
-RELIEF = 6.0  # gradient of a change of the height by 1 between two texels
+STEEPNESS = 6.0  # gradient of a change of the height by 1 between two texels
 PIXELS, VIEWS = 512, 6
 FACTORS = (1.0 / 64.0, 1.0 / 16.0, 0.25, 1.0, 4.0, 16.0)  # of the weights of a role
 PARTS = (0.1, 0.2, 0.4, 0.7)  # of all bytes
@@ -98,7 +98,7 @@ def reorder(built: BuiltTextures, order: np.ndarray) -> tuple[Increments, bytes]
 def paint_maps(generator: np.random.Generator) -> list[np.ndarray]:
     """Return a base color, a normal map and a roughness map, (H, W, 3) uint8, of patches of different materials."""
     height = _shrink(paint_patches(generator)).mean(axis=2) / 255.0
-    gradients = [0.5 * RELIEF * (np.roll(height, -1, axis) - np.roll(height, 1, axis)) for axis in (1, 0)]
+    gradients = [0.5 * STEEPNESS * (np.roll(height, -1, axis) - np.roll(height, 1, axis)) for axis in (1, 0)]
     normals = np.stack([-gradients[0], -gradients[1], np.ones_like(height)], axis=2)
     normals /= np.linalg.norm(normals, axis=2, keepdims=True)
     rough = 0.25 + 0.6 * _shrink(paint_patches(generator)).mean(axis=2) / 255.0
