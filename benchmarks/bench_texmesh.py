@@ -7,6 +7,7 @@ Parts (`--only`), each in a module `texmesh_PART.py` if no other one is named:
 - `glb`: the Khronos validator, with --validator
 - `switching` (texmesh_levels.py): FLIP between neighboring levels at their switch distance, in views that the search did not use
 - `renders`: FLIP of levels by Farfield and by other programs against the original
+- `rebakes`: FLIP and bytes of rebaked textures
 - `targets` (texmesh_levels.py): subset levels, bit for bit
 - `paper`: Figures 4, 10 and 11
 - `packages`: bytes until a model looks right
@@ -42,6 +43,7 @@ from texmesh_meshes import measure_meshes
 from texmesh_packages import measure_packages
 from texmesh_packaging import measure_packaging
 from texmesh_paper import measure_paper
+from texmesh_rebakes import measure_rebakes
 from texmesh_refits import measure_refits
 from texmesh_renders import measure_renders
 from texmesh_roles import measure_roles
@@ -91,6 +93,7 @@ PARTS = {
     "glb": measure_glb,
     "switching": measure_switching,
     "renders": measure_renders,
+    "rebakes": measure_rebakes,
     "targets": measure_targets,
     "paper": measure_paper,
     "packages": measure_packages,

@@ -58,6 +58,25 @@ def build_renders(models: dict[str, Any]) -> str:
     return _table(["model", "level", "triangles", "pixels", "Farfield", *PEERS.values(), "ratio to the best"], rows)
 
 
+def build_rebakes(models: dict[str, Any]) -> str:
+    """Return FLIP against the original without and with rebaked textures, and bytes of images."""
+    rows = []
+    for name, model in models.items():
+        original = model["original"]
+        rows.append([name, "L0", "", "", _join_sizes(original["sizes"]), original["png"], original["jpeg"], "", "", ""])
+        for number, level in enumerate(model["levels"], 1):
+            cells = [f"{level[at]['plain']:.3f}, {level[at]['rebaked']:.3f}" for at in ("switch", "nearer")]
+            step = f"{level['switch']['step']:.3f}, {level['switch']['step_rebaked']:.3f}"
+            images = [_join_sizes(level["sizes"]), level["png"], level["jpeg"]]
+            rows.append([name, f"L{number}", level["triangles"], level["pixels"], *images, *cells, step])
+    titles = ["model", "level", "triangles", "pixels", "image", "PNG", "JPEG", "FLIP at the switch", "3 times nearer", "to the finer level"]
+    return _table(titles, rows)
+
+
+def _join_sizes(sizes: list[list[int]]) -> str:
+    return ", ".join(f"{width} x {height}" for width, height in sizes)
+
+
 def build_targets(models: dict[str, Any]) -> str:
     """Return the triangles of subset levels."""
     rows = []
@@ -152,6 +171,7 @@ def _join(line: Sequence[Any]) -> str:
 TABLES = {
     "switching": build_switches,
     "renders": build_renders,
+    "rebakes": build_rebakes,
     "targets": build_targets,
     "paper": build_paper,
     "fragments": build_fragments,

@@ -19,6 +19,7 @@ from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.scale_space.analysis import analyze_scale_space
 from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
+from farfield.addon.core.texmesh.streaming.textures.avif_files import SPEED
 from farfield.addon.core.texmesh.streaming.textures.building import BuiltTextures, build_textures
 from farfield.addon.core.texmesh.streaming.textures.decoding import decode_textures
 from farfield.addon.core.texmesh.streaming.textures.fragments import (
@@ -30,14 +31,12 @@ from farfield.addon.core.texmesh.streaming.textures.fragments import (
     normalize_counts,
     quality_of_scale,
 )
-from farfield.addon.core.texmesh.streaming.textures.progressive_files import decode_tile, split_scans
 from farfield.addon.core.texmesh.streaming.textures.settings import TextureSettings
-from farfield.addon.core.texmesh.streaming.textures.texture_tiles import TextureSource, TileGrid, cut_tiles, join_tiles
+from farfield.addon.core.texmesh.streaming.textures.texture_tiles import TextureSource
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
 TARGETS = (0.15, 0.1, 0.07, 0.05, 0.035)  # mean FLIP errors
 POINTS = 10  # prefixes of a package that are measured
-PREFIX_QUALITY = 50
 PAPER_SCALES = (2, 6, 9, 12, 14, 16, 18, 20)
 WEBP_METHOD = 6
 QUALITIES = (2, 4, 7, 11, 17, 25, 37, 50, 65, 80, 92)
@@ -124,8 +123,8 @@ class ModelFiles:
         return self._files[key]
 
 
-def measure_uniform(files: ModelFiles, judge: Callable[[Images], float], file_format: str = "JPEG") -> Curve:
-    """Return the curve of whole textures as progressive JPEG or WebP files of one quality."""
+def measure_uniform(files: ModelFiles, judge: Callable[[Images], float], file_format: str) -> Curve:
+    """Return the curve of whole textures as AVIF or WebP files of one quality."""
     sizes, flips = [], []
     for quality in QUALITIES:
         coded = files.encode(quality, file_format)
@@ -149,33 +148,12 @@ def measure_fragments(files: ModelFiles, judge: Callable[[Images], float]) -> Cu
     return Curve(np.array(sizes), np.array(flips))
 
 
-def measure_prefixes(sources: Sequence[TextureSource], judge: Callable[[Images], float], count: int, quality: int, side: int) -> Curve:
-    """Return the curve of tiles coded by the library at one quality, of which all have the same number of scans."""
-    coded = []
-    for source in sources:
-        grid = TileGrid(source.image.shape[1], source.image.shape[0], side)
-        image = np.pad(
-            source.image[::-1], [(0, grid.padded_shape[axis] - source.image.shape[axis]) for axis in (0, 1)] + [(0, 0)], mode="edge"
-        )
-        coded.append((grid, [split_scans(encode_image(tile, quality)) for tile in cut_tiles(image, side)]))
-    sizes, flips = [], []
-    for scans in range(1, max(len(tile[1]) for _, tiles in coded for tile in tiles) + 1):
-        sizes.append(sum(sum(map(len, tile[1][:scans])) for _, tiles in coded for tile in tiles))
-        decoded = [
-            join_tiles(np.stack([decode_tile(header, parts[:scans])[::-1] for header, parts in tiles]), grid)[::-1] for grid, tiles in coded
-        ]
-        flips.append(judge(spread_images(sources, decoded, count)))
-    return Curve(np.array(sizes), np.array(flips))
-
-
-def encode_image(image: np.ndarray, quality: int, file_format: str = "JPEG") -> bytes:
-    """Return a progressive JPEG file, without subsampling of colors, or a WebP file of an image (H, W, 3) uint8."""
+def encode_image(image: np.ndarray, quality: int, file_format: str) -> bytes:
+    """Return an AVIF file, without subsampling of colors, or a WebP file of an image (H, W, 3) uint8."""
     file = io.BytesIO()
     picture = Image.fromarray(np.ascontiguousarray(image))
-    if file_format == "JPEG":
-        picture.save(file, "JPEG", quality=quality, progressive=True, subsampling=0)
-    else:
-        picture.save(file, file_format, quality=quality, method=WEBP_METHOD)
+    options = {"speed": SPEED, "subsampling": "4:4:4"} if file_format == "AVIF" else {"method": WEBP_METHOD}
+    picture.save(file, file_format, quality=quality, **options)
     return file.getvalue()
 
 
@@ -207,7 +185,7 @@ def measure_textures(given: Namespace) -> dict[str, Any]:
 def measure_model(
     model: texmesh_textured_models.TexturedModel, files: ModelFiles, pixels: int, generator: np.random.Generator
 ) -> dict[str, Any]:
-    """Return bytes at equal FLIP errors, relative to the better one of two ways of uniform quality, to the paper's fragments and to WebP;
+    """Return bytes at equal FLIP errors, relative to those of uniform quality, to the paper's fragments and to WebP;
     None where one of them does not reach the error."""
     judge = TextureJudge(model.mesh, model.images, random_directions(VIEWS[pixels], generator), pixels).measure_flip
     sources, count = files.sources, files.count
@@ -216,17 +194,14 @@ def measure_model(
     seconds = time.process_time() - started
     curves = {
         "package": measure_built(built, sources, judge, count, POINTS),
-        "quality": measure_uniform(files, judge),
-        "prefix": measure_prefixes(sources, judge, count, PREFIX_QUALITY, TextureSettings().tile_size),
+        "uniform": measure_uniform(files, judge, "AVIF"),
         "paper": measure_fragments(files, judge),
         "webp": measure_uniform(files, judge, "WEBP"),
     }
     rows = []
     for flip in TARGETS:
         counts = {name: curve.bytes_at(flip) for name, curve in curves.items()}
-        uniform = np.fmin(counts["quality"], counts["prefix"])
-        others = {"uniform": uniform, "paper": counts["paper"], "webp": counts["webp"]}
-        ratios = {name: counts["package"] / other for name, other in others.items()}
+        ratios = {name: counts["package"] / other for name, other in counts.items() if name != "package"}
         rows.append({"flip": flip} | {name: round(float(ratio), 3) if np.isfinite(ratio) else None for name, ratio in ratios.items()})
     return {
         "seconds": round(seconds, 1),

@@ -4,15 +4,15 @@ Paper, section I: coarse levels for static use need no subset of the fine vertic
 the fine mesh at equal texture coordinates; texture coordinates move by Gauss-Newton steps; edges flip where that lowers the cost.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from ...geometry.mesh import face_areas_and_normals
 from ...jobs.parallel_steps import run_in_parallel
 from ...jobs.progress import Progress, Steps, subprogress
 from ..simplification.islands import find_islands
-from ..simplification.levels import extract_level, simplify_by_cost
+from ..simplification.levels import SubsetLevel, extract_level, simplify_by_cost
 from ..simplification.settings import SimplificationSettings
 from ..textured_mesh import TexturedMesh
 from .border_curves import BorderCurves, Freedom, find_border_curves, find_freedom
@@ -58,15 +58,26 @@ def make_refit_levels(
     Raises:
         SettingsError: the targets do not descend or are not positive.
     """
+    starts = yield from subprogress(make_starts(fine, targets, settings, simplification), 0.0, SIMPLIFICATION_FRACTION)
+    return (yield from subprogress(refit_starts(fine, starts, targets, settings), SIMPLIFICATION_FRACTION, 1.0))
+
+
+def make_starts(
+    fine: TexturedMesh, targets: list[int], settings: RefitSettings, simplification: SimplificationSettings
+) -> Steps[tuple[SubsetLevel, ...]]:
+    """Return the subset levels from which refits start, see `make_refit_levels`."""
     cost = DeviationQuadrics(fine, settings.normal_weight)
-    starts = [max(round((1.0 - settings.split_fraction) * target), 1) for target in targets]
-    simplified = yield from subprogress(simplify_by_cost(fine, cost, starts, simplification), 0.0, SIMPLIFICATION_FRACTION)
+    counts = [max(round((1.0 - settings.split_fraction) * target), 1) for target in targets]
+    return (yield from simplify_by_cost(fine, cost, counts, simplification)).levels
+
+
+def refit_starts(
+    fine: TexturedMesh, starts: Sequence[SubsetLevel], targets: Sequence[int], settings: RefitSettings
+) -> Steps[list[TexturedMesh]]:
+    """Return the levels that `starts` of `make_starts`, or some of them, become, with their `targets`."""
     surface = FineSurface(fine, find_islands(fine))
-    tasks = [
-        refit(fine, extract_level(fine, subset), settings, target, surface)
-        for target, subset in zip(targets, simplified.levels, strict=True)
-    ]
-    return (yield from subprogress(run_in_parallel(tasks), SIMPLIFICATION_FRACTION, 1.0))
+    tasks = [refit(fine, extract_level(fine, start), settings, target, surface) for target, start in zip(targets, starts, strict=True)]
+    return (yield from run_in_parallel(tasks))
 
 
 def refit(
@@ -147,7 +158,7 @@ def _move(state: LevelState, curves: BorderCurves, uv_scale: float, damping: flo
 
 def emphasize_peaks(state: LevelState, areas: np.ndarray, peak_weight: float) -> LevelState:
     """Return the level with larger weights of samples that are far from the planes of its triangles. areas: (N,) of the samples."""
-    _, normals = face_areas_and_normals(state.corners)
+    _, normals = state.areas_and_normals
     squares = np.einsum("ni,ni->n", state.residuals, normals[state.found.triangles]) ** 2
     mean = max(float((squares * areas).sum() / areas.sum()), np.finfo(float).tiny)
     emphasis = 1.0 + np.minimum(peak_weight * squares / (PEAK_SCALE * mean), MAX_EMPHASIS)

@@ -30,7 +30,7 @@ STOPS = 7  # numbers of increments at which the error of the textures is measure
 MIN_BITS, MAX_BITS = 8, 16  # of positions and texture coordinates
 POSITION_BITS, UV_BITS = 4, 2  # below a pixel and a texel
 FIRST_STOP = 1.0 / 64.0  # of the bytes of all increments
-NO_TEXTURES = BuiltTextures((), Increments(*[np.zeros(0, np.int64)] * 5, np.zeros(0, np.float16)), b"", np.zeros(1))
+NO_TEXTURES = BuiltTextures((), Increments(*[np.zeros(0, np.int64)] * 4, np.zeros(0, np.float16)), b"", np.zeros(1))
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ import { decodeLevel, inflate } from "./mesh_decoding.js";
 import { crc32, DamageError, openRange, PartialFile, SimulatedLine } from "./network.js";
 import { readIncrements, ROW_BYTES, TileDecoder } from "./tiles.js";
 
-const FORMAT = "farfield-package", VERSION = 1;
+const FORMAT = "farfield-package", VERSION = 2;
 const MESH = "mesh.bin", TEXTURES = "textures.bin";
 const REFERENCES = ["parents", "wedges", "uvs", "corners"], SECTIONS = [...REFERENCES, "positions"];
 const TICK_SECONDS = 0.05;
@@ -50,9 +50,9 @@ function checkManifest(manifest) {
 
 /** One run of loading a package.
  *
- * events: {level(mesh, counts, index), tile(texture, tile, bitmap), problem(sentence)}, see `decodeLevel` and `TileDecoder`. options: {limit
+ * events: {level(mesh, counts, index), tile(texture, place, bitmap), problem(sentence)}, see `decodeLevel` and `TileDecoder`. options: {limit
  * (seconds), keepsRefining, rate (bytes per second that the line had before, or 0), simulatedRate (bytes per second, or 0),
- * tileSide(texture), start (performance.now() in ms)}. */
+ * start (performance.now() in ms)}. */
 export class Loader {
   constructor(base, manifest, options, events) {
     const urls = [base, ...manifest.mirrors].map((url) => new URL(url, base));
@@ -61,7 +61,7 @@ export class Loader {
     this.files = Object.fromEntries([MESH, TEXTURES].map((name) => [name, new PartialFile(name, manifest.files[name][0])]));
     this.line = new SimulatedLine(options.simulatedRate);
     this.requests = new Map(); // AbortControllers by id
-    this.decoder = new TileDecoder(manifest, events.tile, options.tileSide);
+    this.decoder = new TileDecoder(manifest, events.tile);
     this.meshes = [];
     this.work = Promise.resolve(); // sections are decoded one after the other
     this.job = buildJob(manifest);
@@ -188,8 +188,8 @@ export class Loader {
     const { table, manifest, files } = this, file = files[TEXTURES], end = file.endFrom(manifest.first_increment);
     while (this.passed < table.ends.length && table.ends[this.passed] <= end) {
       const i = this.passed++;
-      const scans = file.bytes.subarray(table.ends[i] - table.sizes[i], table.ends[i]);
-      this.decoder.add(table.textures[i], table.tiles[i], table.headers[i], scans);
+      const payload = file.bytes.subarray(table.ends[i] - table.sizes[i], table.ends[i]);
+      this.decoder.add(i, table.textures[i], table.tiles[i], table.headers[i], payload);
     }
   }
 
