@@ -34,7 +34,7 @@ from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 ROLES = ("base_color", "normal", "roughness")
 KINDS = ("planet", "mirrored")
 SIDE = 1024  # of normal and roughness maps; the base color has 2048
-RELIEF = 6.0  # slope of a change of the height by 1 between two texels
+STEEPNESS = 6.0  # gradient of a change of the height by 1 between two texels
 PIXELS, VIEWS = 512, 6
 FACTORS = (1.0 / 64.0, 1.0 / 16.0, 0.25, 1.0, 4.0, 16.0)  # of the weights of a role
 PARTS = (0.1, 0.2, 0.4, 0.7)  # of all bytes
@@ -44,7 +44,7 @@ MIN_ROUGHNESS = 0.05
 
 
 def measure_roles(given: Namespace) -> dict[str, Any]:
-    """Return shares of bytes and FLIP of lit renders for several weights of normal and roughness maps."""
+    """Return fractions of bytes and FLIP of lit renders for several weights of normal and roughness maps."""
     results = {}
     for name in given.models or [f"{kind}:{given.seed + index}" for index, kind in enumerate(KINDS)]:
         generator = np.random.default_rng([given.seed, 6])
@@ -71,9 +71,9 @@ def measure_weights(built: BuiltTextures, judge: "LitJudge") -> dict[str, Any]:
         row = []
         for part in PARTS:
             count = int(np.searchsorted(ends, part * ends[-1], side="right"))
-            shares = np.bincount(increments.textures[:count], increments.sizes[:count], len(ROLES)) / max(ends[count - 1], 1)
+            fractions = np.bincount(increments.textures[:count], increments.sizes[:count], len(ROLES)) / max(ends[count - 1], 1)
             flip = judge.measure_flip(decode_textures(built.textures, increments, content, count))
-            row.append({"part": part, "flip": round(flip, 4), "shares": np.round(shares, 3).tolist()})
+            row.append({"part": part, "flip": round(flip, 4), "fractions": np.round(fractions, 3).tolist()})
         rows[name] = row
     flip = judge.measure_flip(decode_textures(built.textures, built.increments, built.content))
     return {"bytes": totals.astype(int).tolist(), "gains": gains.round(1).tolist(), "complete": round(flip, 4), "weights": rows}
@@ -98,8 +98,8 @@ def reorder(built: BuiltTextures, order: np.ndarray) -> tuple[Increments, bytes]
 def paint_maps(generator: np.random.Generator) -> list[np.ndarray]:
     """Return a base color, a normal map and a roughness map, (H, W, 3) uint8, of patches of different materials."""
     height = _shrink(paint_patches(generator)).mean(axis=2) / 255.0
-    slopes = [0.5 * RELIEF * (np.roll(height, -1, axis) - np.roll(height, 1, axis)) for axis in (1, 0)]
-    normals = np.stack([-slopes[0], -slopes[1], np.ones_like(height)], axis=2)
+    gradients = [0.5 * STEEPNESS * (np.roll(height, -1, axis) - np.roll(height, 1, axis)) for axis in (1, 0)]
+    normals = np.stack([-gradients[0], -gradients[1], np.ones_like(height)], axis=2)
     normals /= np.linalg.norm(normals, axis=2, keepdims=True)
     rough = 0.25 + 0.6 * _shrink(paint_patches(generator)).mean(axis=2) / 255.0
     maps = [0.5 + 0.5 * normals, np.repeat(rough[..., None], 3, axis=2)]

@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -80,7 +81,8 @@ def build_sceaux(data: Path) -> TexturedModel:
     photographs = photos_inputs.load_photographs(data)
     textured = photos_methods.run_method("farfield", unwrapped.mesh, unwrapped.corner_uvs, photographs, SCEAUX_SIDE)
     image = np.rint(255.0 * np.clip(textured.colors[..., :3], 0.0, 1.0)).astype(np.uint8)
-    return TexturedModel(build_textured_mesh(unwrapped.mesh, unwrapped.corner_uvs, name="sceaux"), [image])
+    mesh = replace(unwrapped.mesh, materials=np.zeros(len(unwrapped.mesh.triangles), np.int32))  # the file has no material
+    return TexturedModel(build_textured_mesh(mesh, unwrapped.corner_uvs, name="sceaux"), [image])
 
 
 def paint_patches(generator: np.random.Generator) -> np.ndarray:

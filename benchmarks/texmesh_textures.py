@@ -6,6 +6,7 @@ import sys
 import time
 from argparse import Namespace
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ from farfield.addon.core.texmesh.streaming.textures.building import BuiltTexture
 from farfield.addon.core.texmesh.streaming.textures.decoding import decode_textures
 from farfield.addon.core.texmesh.streaming.textures.fragments import (
     CodedFragments,
+    FragmentMap,
     assign_qualities,
     count_features,
     make_fragment_grid,
@@ -89,37 +91,60 @@ def measure_built(
     return Curve(ends[counts] + fixed, np.array(flips))
 
 
-def measure_uniform(sources: Sequence[TextureSource], judge: Callable[[Images], float], count: int, file_format: str) -> Curve:
+class ModelFiles:
+    """The textures of a model, and files of them, which do not depend on the size of images: each is coded when it is needed first."""
+
+    def __init__(self, model: texmesh_textured_models.TexturedModel) -> None:
+        self.sources, self.count = list_sources(model.mesh, model.images), len(model.images)
+        self._files: dict[tuple[int, int, str], bytes] = {}
+
+    def encode(self, quality: int, file_format: str) -> list[bytes]:
+        """Return the files of all textures."""
+        return [self._encode(index, quality, file_format) for index in range(len(self.sources))]
+
+    @cached_property
+    def fragments(self) -> list[tuple[CodedFragments, FragmentMap]]:
+        """The fragments of the paper, and their features, of all textures."""
+        textures = [LINEAR_OF_BYTE[source.image] for source in self.sources]
+        scales = {}
+        for source in self.sources:
+            if id(source.mesh) not in scales:
+                scales[id(source.mesh)] = run_to_end(analyze_scale_space(source.mesh, textures, ScaleSpaceSettings())).last_scales
+        coded = []
+        for source in self.sources:
+            grid = make_fragment_grid(source.image.shape[1], source.image.shape[0])
+            coded.append((CodedFragments(source.image, grid), count_features(source.mesh, source.materials, scales[id(source.mesh)], grid)))
+        return coded
+
+    def _encode(self, index: int, quality: int, file_format: str) -> bytes:
+        key = index, quality, file_format
+        if key not in self._files:
+            self._files[key] = encode_image(self.sources[index].image[::-1], quality, file_format)
+        return self._files[key]
+
+
+def measure_uniform(files: ModelFiles, judge: Callable[[Images], float], file_format: str) -> Curve:
     """Return the curve of whole textures as AVIF or WebP files of one quality."""
     sizes, flips = [], []
     for quality in QUALITIES:
-        files = [encode_image(source.image[::-1], quality, file_format) for source in sources]
-        decoded = [np.asarray(Image.open(io.BytesIO(file)).convert("RGB"))[::-1] for file in files]
-        sizes.append(sum(map(len, files)))
-        flips.append(judge(spread_images(sources, decoded, count)))
+        coded = files.encode(quality, file_format)
+        decoded = [np.asarray(Image.open(io.BytesIO(file)).convert("RGB"))[::-1] for file in coded]
+        sizes.append(sum(map(len, coded)))
+        flips.append(judge(spread_images(files.sources, decoded, files.count)))
     return Curve(np.array(sizes), np.array(flips))
 
 
-def measure_fragments(sources: Sequence[TextureSource], judge: Callable[[Images], float], count: int) -> Curve:
+def measure_fragments(files: ModelFiles, judge: Callable[[Images], float]) -> Curve:
     """Return the curve of the fragments of the paper, with the default quality of some scales and the mean threshold."""
-    maps: dict[int, np.ndarray] = {}
-    coded = []
-    for source in sources:
-        if id(source.mesh) not in maps:
-            textures = [LINEAR_OF_BYTE[other.image] for other in sources]
-            maps[id(source.mesh)] = run_to_end(analyze_scale_space(source.mesh, textures, ScaleSpaceSettings())).last_scales
-        grid = make_fragment_grid(source.image.shape[1], source.image.shape[0])
-        features = count_features(source.mesh, source.materials, maps[id(source.mesh)], grid)
-        coded.append((CodedFragments(source.image, grid), features))
     sizes, flips = [], []
     for scale in PAPER_SCALES:
-        files = [
+        coded = [
             fragments.code(assign_qualities(normalize_counts(features.counts[scale]), quality_of_scale(scale)))
-            for fragments, features in coded
+            for fragments, features in files.fragments
         ]
-        decoded = [fragments.decode(items) for (fragments, _), items in zip(coded, files, strict=True)]
-        sizes.append(sum(len(file) for items in files for file in items))
-        flips.append(judge(spread_images(sources, decoded, count)))
+        decoded = [fragments.decode(items) for (fragments, _), items in zip(files.fragments, coded, strict=True)]
+        sizes.append(sum(len(file) for items in coded for file in items))
+        flips.append(judge(spread_images(files.sources, decoded, files.count)))
     return Curve(np.array(sizes), np.array(flips))
 
 
@@ -141,12 +166,13 @@ def measure_textures(given: Namespace) -> dict[str, Any]:
     """Return bytes at equal FLIP of packages and of other ways to send textures, for all models that judge and all sizes of images."""
     names = [*texmesh_textured_models.JUDGING, *(f"{kind}:{given.seed + index}" for index, kind in enumerate(texmesh_models.GENERATORS))]
     results: dict[str, Any] = {}
-    model, opened = None, ""
+    model, files, opened = None, None, ""
     for name, pixels in list_members(given, names):
         if name != opened:
             model, opened = texmesh_textured_models.open_textured(given.data, name, given.seed), name
+            files = ModelFiles(model)
         started = time.perf_counter()
-        result = measure_model(model, pixels, VIEWS[pixels], np.random.default_rng([given.seed, pixels]))
+        result = measure_model(model, files, pixels, np.random.default_rng([given.seed, pixels]))
         results[f"{name} at {pixels}"] = result | {"all_seconds": round(time.perf_counter() - started, 1)}
         print(name, pixels, json.dumps(results[f"{name} at {pixels}"]), file=sys.stderr)
     summary = {}
@@ -156,20 +182,21 @@ def measure_textures(given: Namespace) -> dict[str, Any]:
     return {"ratios": summary, "models": results, "left_out": list_left_out(given, names, results)}
 
 
-def measure_model(model: texmesh_textured_models.TexturedModel, pixels: int, views: int, generator: np.random.Generator) -> dict[str, Any]:
+def measure_model(
+    model: texmesh_textured_models.TexturedModel, files: ModelFiles, pixels: int, generator: np.random.Generator
+) -> dict[str, Any]:
     """Return bytes at equal FLIP errors, relative to those of uniform quality, to the paper's fragments and to WebP;
     None where one of them does not reach the error."""
-    directions = random_directions(views, generator)
-    judge = TextureJudge(model.mesh, model.images, directions, pixels).measure_flip
-    sources, count = list_sources(model.mesh, model.images), len(model.images)
+    judge = TextureJudge(model.mesh, model.images, random_directions(VIEWS[pixels], generator), pixels).measure_flip
+    sources, count = files.sources, files.count
     started = time.process_time()
     built = build(sources, TextureSettings(pixels=pixels))
     seconds = time.process_time() - started
     curves = {
         "package": measure_built(built, sources, judge, count, POINTS),
-        "uniform": measure_uniform(sources, judge, count, "AVIF"),
-        "paper": measure_fragments(sources, judge, count),
-        "webp": measure_uniform(sources, judge, count, "WEBP"),
+        "uniform": measure_uniform(files, judge, "AVIF"),
+        "paper": measure_fragments(files, judge),
+        "webp": measure_uniform(files, judge, "WEBP"),
     }
     rows = []
     for flip in TARGETS:

@@ -53,7 +53,7 @@ def test_base_color_is_srgb_encoded():
     assert np.abs(read_material(textured_material(image), PackageImages()).images["base_color"].astype(int) - [127, 255, 0]).max() <= 1
 
 
-def test_materials_that_share_an_image_share_its_array():
+def test_materials_with_the_same_image_have_one_array():
     ball, image = textured_ball(), checker_image()
     ball.data.materials.clear()
     for _ in range(2):

@@ -133,6 +133,6 @@ class LevelComparison:
 def prepare_images(levels: Sequence[LevelImages], views: Sequence[int], size: int) -> None:
     """Make the images of `levels` that are missing, several at once."""
     missing = [(level, view) for view in views for level in levels if (view, size) not in level.images]
-    if size >= MIN_THREADED_SIZE and len(missing) > 1:
-        for _ in map_ordered(lambda item: item[0].get(item[1], size), missing):
-            pass
+    is_threaded = size >= MIN_THREADED_SIZE and len(missing) > 1
+    for _ in (map_ordered if is_threaded else map)(lambda item: item[0].get(item[1], size), missing):
+        pass
