@@ -23,7 +23,7 @@ from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
 VIEWS = 8
 NEARER = 3  # times as near as the switch
-MAX_PIXELS = 1536  # of an image of a nearer level
+MAX_PIXELS = 1024  # of an image of a nearer level
 
 
 def measure_rebakes(given: Namespace) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from farfield.addon.core.texmesh.rebaking.uv_layout import repeats_texture, wrap
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 
 SIDE = 256
+PIXEL = image_sizes.TEXELS_PER_PIXEL / SIDE  # where a texture on a unit square is not too small
 
 
 def grid(cells: int, low: float = 0.0, high: float = 1.0, height=lambda x, y: 0.0 * (x + y)) -> TexturedMesh:
@@ -49,7 +50,7 @@ def test_a_level_equal_to_the_original_gives_back_its_texture(channels):
 @pytest.mark.parametrize("low", [0.0, 0.25, -0.3, 3.0])
 def test_a_smaller_texture_is_the_mean_of_its_texels_also_where_it_repeats(low):
     mesh, texture = grid(6, low, low + 1.0), noise()
-    (image,) = rebake(mesh, [texture], mesh, 2.0 / SIDE)
+    (image,) = rebake(mesh, [texture], mesh, 2.0 * PIXEL)
     means = texture.reshape(SIDE // 2, 2, SIDE // 2, 2, 3).mean(axis=(1, 3))
     assert image.shape == means.shape
     assert np.abs(image - means).max(axis=2).mean() < 1e-3, "but for texels that the border divides"
@@ -59,7 +60,7 @@ def test_a_texture_is_corrected_where_texture_coordinates_have_slid():
     fine = grid(16)
     texture = np.repeat(np.linspace(0.0, 1.0, SIDE, dtype=np.float32)[None, :, None], SIDE, axis=0).repeat(3, axis=2)
     level = replace(fine, uvs=fine.uvs + 0.03 * np.sin(np.pi * fine.uvs) * [1.0, 0.0])
-    (image,) = rebake(fine, [texture], level, 1.0 / SIDE)
+    (image,) = rebake(fine, [texture], level, PIXEL)
     u = (np.arange(SIDE) + 0.5) / SIDE
     x = np.interp(u, np.linspace(0.0, 1.0, 17) + 0.03 * np.sin(np.pi * np.linspace(0.0, 1.0, 17)), np.linspace(0.0, 1.0, 17))
     np.testing.assert_allclose(image[SIDE // 2, 1:-1, 0], x[1:-1], atol=0.01)
@@ -99,7 +100,7 @@ def test_islands_are_continued_without_the_background(seed, side, texels):
 
 def test_coarser_levels_have_smaller_textures_but_never_larger_ones_than_the_original():
     mesh, texture = grid(4), noise()
-    sizes = [len(rebake(mesh, [texture], mesh, size)[0]) for size in (1e-6, 1.0 / SIDE, 1.99 / SIDE, 2.0 / SIDE, 1.0)]
+    sizes = [len(rebake(mesh, [texture], mesh, size)[0]) for size in (1e-6, PIXEL, 1.99 * PIXEL, 2.0 * PIXEL, 1.0)]
     assert sizes == [SIDE, SIDE, SIDE, SIDE // 2, image_sizes.MIN_SIDE]
 
 

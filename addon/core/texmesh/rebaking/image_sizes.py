@@ -8,7 +8,7 @@ from ...geometry.geometry_2d import signed_areas
 from ...geometry.mesh import face_areas_and_normals
 from ..textured_mesh import TexturedMesh
 
-TEXELS_PER_PIXEL = 1.0  # along a side, at least, where texels are largest
+TEXELS_PER_PIXEL = 1.5  # along a side, at least, where texels are largest: with one, thin lines are blurred visibly
 MIN_SIDE = 128  # of the longer side of an image; in smaller ones, which save little, UV islands run together
 SHARP_FRACTION = 0.9  # of the area, the part with so many texels
 MAX_SUPERSAMPLES = 1 << 20  # of an image that is sampled more than twice as finely along each side
