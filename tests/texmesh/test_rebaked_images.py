@@ -50,7 +50,7 @@ def test_levels_have_smaller_images_of_their_own(ball, capsys):
     assert 'Textures of the levels of "Ball" have' in capsys.readouterr().out
 
 
-def test_without_the_setting_levels_share_the_image(ball):
+def test_without_the_setting_levels_have_the_same_image(ball):
     for values in ({"rebake": False}, {"product": "subset"}):
         assert len(set(images_of(make(**values)))) == 1
 
@@ -92,7 +92,7 @@ def test_undo_takes_images_back(ball):
     assert count_data()["images"] == before and not level_sets_in(bpy.context.scene)
 
 
-def test_materials_with_the_same_image_share_the_rebaked_one(ball):
+def test_materials_with_the_same_image_have_the_same_rebaked_one(ball):
     ball.data.materials.append(textured_material(ball.data.materials[0].node_tree.nodes["Image Texture"].image, "Second"))
     for polygon in ball.data.polygons:
         polygon.material_index = int(polygon.center.z > 0.0)

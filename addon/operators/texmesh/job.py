@@ -89,10 +89,10 @@ class LevelsJob:
         chains = []
         ranges = zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True)
         for source, textures, (start, stop) in zip(self.sources, self.rebake_textures, ranges, strict=True):
-            middle = stop if textures is None else stop - REBAKE_FRACTION * (stop - start)
-            chain = yield from subprogress(make_levels(source.mesh, source.textures, self.settings, source.name), start, middle)
+            baking = stop if textures is None else stop - REBAKE_FRACTION * (stop - start)
+            chain = yield from subprogress(make_levels(source.mesh, source.textures, self.settings, source.name), start, baking)
             steps = None if textures is None else rebake_chain(source, chain, textures)
-            chains.append((chain, None if steps is None else (yield from subprogress(steps, middle, stop))))
+            chains.append((chain, None if steps is None else (yield from subprogress(steps, baking, stop))))
         return chains
 
     def scene_steps(self, core_result: list[tuple[LevelChain, RebakedTextures | None]]) -> Steps[str]:

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ...errors import SettingsError
+from .switch_distances import MIN_SWITCH_RATIO
 
-MIN_SWITCH_RATIO = 1.25  # of the sizes of pixels of the two finest levels beside the original; closer ones are hardly shown
 RANGE_MARGIN = 2.0  # factor of pixel sizes beyond the smallest and the largest that count, when triangles are averaged over distances
 
 

@@ -33,8 +33,8 @@ def choose_halvings(level: TexturedMesh, triangles: np.ndarray, pixel_size: floa
         return most
     lengths = np.sqrt(areas[used] / (uv_areas[used] * size[0] * size[1]))  # of a texel on the surface
     order = np.argsort(lengths)
-    shares = np.cumsum(areas[used][order])
-    longest = float(lengths[order][np.searchsorted(shares, SHARP_FRACTION * shares[-1])])
+    cumulative = np.cumsum(areas[used][order])
+    longest = float(lengths[order][np.searchsorted(cumulative, SHARP_FRACTION * cumulative[-1])])
     return int(np.clip(math.floor(math.log2(max(pixel_size, longest * 1e-9) / (TEXELS_PER_PIXEL * longest)) + 1e-9), 0, most))
 
 

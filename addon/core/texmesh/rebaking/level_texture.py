@@ -66,14 +66,20 @@ def build_weighted_mipmaps(texture: np.ndarray, corner_uvs: np.ndarray) -> Mipma
 
 
 def rebake_texture(
-    original: OriginalSurface, group: int, mipmaps: Mipmaps, level: TexturedMesh, triangles: np.ndarray, halvings: int
+    original: OriginalSurface,
+    group: int,
+    mipmaps: Mipmaps,
+    level: TexturedMesh,
+    islands: np.ndarray,
+    triangles: np.ndarray,
+    halvings: int,
 ) -> Steps[np.ndarray]:
     """Return the texture (H, W, C) float32 of a level: the colors of the original surface, filtered by area. Texels around UV islands
     continue the colors of these.
 
     Args:
-        group: of the texture in `original`. mipmaps: of the texture, from `build_weighted_mipmaps`. triangles: (K,) of the level, those
-            with the texture. halvings: of the sides of the texture.
+        group: of the texture in `original`. mipmaps: of the texture, from `build_weighted_mipmaps`. islands: (T,) of the level, from
+            `OriginalSurface.match_islands`. triangles: (K,) of the level, those with the texture. halvings: of the sides of the texture.
     """
     full = tuple(mipmaps.sizes[0].tolist())
     size = halve_size(full, halvings)
@@ -81,7 +87,6 @@ def rebake_texture(
     footprint = 2.0**halvings / factor
     sums = np.zeros((size[0] * size[1], mipmaps.texels.shape[1] - 1), np.float32)
     counts = np.zeros(size[0] * size[1], np.float32)
-    islands = original.match_islands(level)
     yield Progress(0.0, "Rebaking textures")
     for fraction, owners, uvs, texels, barycentric in _find_samples(level, triangles, size, factor):
         found, coordinates = _find_original(original, level, islands, owners, uvs, barycentric)

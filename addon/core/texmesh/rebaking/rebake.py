@@ -47,6 +47,7 @@ def rebake_textures(
     repeated = [group for group, image in enumerate(images) if repeats_texture(fine.corner_uvs[groups == group], image.shape[1::-1])]
     original = OriginalSurface(fine, groups)
     used = [group for group in range(len(images)) if group not in repeated and (groups == group).any()]
+    islands = [original.match_islands(level) for level in levels] if used else []
     baked: dict[tuple[int, int], np.ndarray] = {}
     tasks = len(used) * len(levels)
     for group in used:
@@ -56,7 +57,7 @@ def rebake_textures(
             if not len(triangles):
                 continue
             halvings = choose_halvings(level, triangles, pixel_size, images[group].shape[1::-1])
-            steps = rebake_texture(original, group, mipmaps, level, triangles, halvings)
+            steps = rebake_texture(original, group, mipmaps, level, islands[index], triangles, halvings)
             done = used.index(group) * len(levels) + index
             baked[index, group] = yield from subprogress(steps, done / tasks, (done + 1) / tasks)
     by_material = material_groups[: len(textures)].tolist()

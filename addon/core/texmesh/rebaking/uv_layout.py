@@ -3,9 +3,10 @@
 import numpy as np
 
 from ...arrays import concatenate_ranges
+from ...geometry.geometry_2d import signed_areas
 from ...imaging.raster import rasterize
 
-MAX_TILES = 16  # repetitions of a texture along a side of a triangle
+MAX_TILES = 4  # repetitions of a texture along a side of a triangle; only narrow ones have as many without overlaps
 MAX_OVERLAP = 0.01  # of the covered texels, those that several triangles cover: seams of islands that touch
 MAX_CHECKED = 1024  # texels per side of the image in which overlaps are looked for
 INNER = 1e-3  # smallest barycentric coordinate of a texel that is not on an edge
@@ -27,7 +28,7 @@ def repeats_texture(corner_uvs: np.ndarray, size: tuple[int, int]) -> bool:
     or repetitions. Such parts have no color of their own."""
     if not len(corner_uvs):
         return False
-    if (_find_tiles(corner_uvs)[1] > MAX_TILES).any():
+    if (_find_tiles(corner_uvs)[1] > MAX_TILES).any() or np.abs(signed_areas(corner_uvs)).sum() > 1.0 + MAX_OVERLAP:
         return True
     halvings = max(int(np.ceil(np.log2(max(size) / MAX_CHECKED))), 0)
     width, height = (max(side >> halvings, 1) for side in size)
