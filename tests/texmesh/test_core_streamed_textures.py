@@ -236,3 +236,12 @@ def test_tiles_must_consist_of_blocks():
 def test_what_cannot_be_coded_is_refused():
     with pytest.raises(ImageError, match="role"):
         run_to_end(build_textures([make_source(role="height")], SETTINGS))
+
+
+def test_detail_that_no_image_shows_is_coded_once():
+    source = make_source((256, 256))
+    built = run_to_end(build_textures([source], replace(SETTINGS, pixels=16)))
+    pyramid = TilePyramid(256, 256, 32)
+    levels = [pyramid.locate(int(number))[0] for number in built.increments.tiles]
+    assert levels.count(0) == len({int(number) for number in built.increments.tiles if number < pyramid.starts[1]})
+    assert 1 not in levels and max(levels) >= 3

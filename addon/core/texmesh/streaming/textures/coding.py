@@ -35,8 +35,9 @@ class CodedTexture:
     """A texture with L levels of tiles at Q qualities.
 
     texture: with the headers. pyramid: of tiles, of which level 0 has R rows and C columns. used: (R, C) bool, which of those triangles
-    show. tiles: by level, quality and number; those that no triangle shows are missing. sizes: for each level (Q, R', C') bytes. errors:
-    (L, Q, R, C), of all tiles of level 0 if they are shown so: mean FLIP error of their pixels, times the fraction of all pixels of the
+    show. tiles: by level, quality and number; those that no triangle shows are missing, and those of too fine levels, whose errors are
+    infinite. sizes: for each level (Q, R', C') bytes. errors: (L, Q, R, C), of all tiles of level 0 if they are shown so: mean FLIP error
+    of their pixels, times the fraction of all pixels of the
     object that they are. missing_errors: (R, C), the same before anything has come.
     """
 
@@ -69,7 +70,7 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
     judge = TextureErrors(source.role, mipmaps, shown, settings.pixels_per_degree)
     qualities = [max(round(fraction * settings.quality), 1) for fraction in QUALITY_FRACTIONS]
     levels = len(pyramid.shapes)
-    errors = np.empty((levels, len(qualities), *pyramid.shapes[0]))
+    errors = np.full((levels, len(qualities), *pyramid.shapes[0]), np.inf)
     headers: dict[bytes, int] = {}
     tiles: dict[tuple[int, int, int], CodedTile] = {}
     sizes = []
@@ -83,6 +84,9 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
         cut = cut if has_colors else cut[..., 0]
         byte_counts = np.zeros((len(qualities), shape[0] * shape[1]), np.int64)
         for index, quality in enumerate(qualities):
+            is_complete = level == 0 and index == len(qualities) - 1
+            if level < judge.finest - 1 and not is_complete:
+                continue  # images do not show so much detail: coarser levels are better for fewer bytes
             decoded = np.full((len(cut), side, side, 3), MISSING, np.uint8)
             code = partial(_code_tile, cut, quality)
             for count, (number, header, payload, result) in enumerate(map_ordered(code, chosen.tolist())):

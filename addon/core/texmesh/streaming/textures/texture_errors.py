@@ -14,7 +14,7 @@ from .enlarging import enlarge
 from .visibility import BLOCK, level_footprints
 
 COLOR_ROLES = {"base_color", "emission"}
-DATA_WEIGHT = 0.3  # of errors of roughness and the like, which change images less than colors do
+DATA_WEIGHT = 0.08  # of errors of roughness and the like, which change images less than colors do
 LIGHTS = np.float32([[0.5, 0.5, 0.7071], [-0.5, 0.5, 0.7071]])  # in which errors of normals are seen
 MIN_FRACTION = 0.1  # of the pixels of the object: resolutions that fewer of them show count as the next one
 STRIP_ROWS = 512  # compared at once
@@ -47,6 +47,11 @@ class TextureErrors:
             resolution: [list(map_ordered(self._prepare, self._cut(display))) for display in self._display(mipmaps.level(resolution))]
             for resolution in self._weights
         }
+
+    @property
+    def finest(self) -> int:
+        """The finest resolution that counts: the texture halved so many times."""
+        return min(self._weights)
 
     def measure(self, image: np.ndarray, level: int) -> np.ndarray:
         """Return the error (H / 8, W / 8) of each block, times the fraction of the object's pixels that show it.
