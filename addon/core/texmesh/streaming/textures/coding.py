@@ -37,8 +37,8 @@ class CodedTexture:
     texture: with the headers. pyramid: of tiles, of which level 0 has R rows and C columns. used: (R, C) bool, which of those triangles
     show. tiles: by level, quality and number; those that no triangle shows are missing, and those of too fine levels, whose errors are
     infinite. sizes: for each level (Q, R', C') bytes. errors: (L, Q, R, C), of all tiles of level 0 if they are shown so: mean FLIP error
-    of their pixels, times the fraction of all pixels of the
-    object that they are. missing_errors: (R, C), the same before anything has come.
+    of their pixels, times the fraction of all pixels of the object that they are. missing_errors: (R, C), the same before anything has
+    come.
     """
 
     texture: PackageTexture
