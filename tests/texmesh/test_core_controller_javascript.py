@@ -23,7 +23,7 @@ const results = JSON.parse(readFileSync(process.argv[3])).map(({ job, settings, 
     const known = isKnown ? job : { ...job, ends: null };
     const [next, requests, aborted] = decide(known, state, event);
     state = next;
-    const counts = [receivedLevel(known, state), state.level, state.asked, receivedIncrements(known, state)];
+    const counts = [receivedLevel(known, state), state.mesh, state.asked, receivedIncrements(known, state)];
     const figures = [...counts, Number(isFinished(known, state))];
     const rates = state.servers.map((_, index) => estimateRate(state, index, 1.5));
     return [requests, aborted, figures, rates, state.servers.map((server) => server.delay), meanDifference(state), state.ended];
@@ -56,7 +56,7 @@ def replay(exchange: Exchange) -> list:
 
 
 def figures(job: Job, state: State) -> list:
-    counts = [controller.received_level(job, state), state.level, state.asked, controller.received_increments(job, state)]
+    counts = [controller.received_level(job, state), state.mesh, state.asked, controller.received_increments(job, state)]
     rates = [sending_servers.estimate_rate(state, index, 1.5) for index in range(len(state.servers))]
     delays = [server.delay for server in state.servers]
     return [[*counts, int(controller.is_finished(job, state))], rates, delays, controller.mean_difference(state), state.ended]

@@ -37,15 +37,16 @@ from bisect import bisect_right
 from dataclasses import replace
 
 from .manifest import MESH, TEXTURES
-from .sending_servers import is_paused, is_silent, look_ahead, measure, pause
+from .sending_path import find_path, measure_increments
+from .sending_servers import find_slow, is_paused, is_silent, look_ahead, measure, pause
 from .sending_state import Event, Flight, Job, Request, Server, Span, State
 
-FRACTION = 0.25  # of the remaining time for the next request
+FRACTION = 1.0 / 3.0  # of the remaining time for the next request
 MAX_REQUEST, FIRST_REQUEST = 1.0, 0.3  # seconds that a request may take, with a rate that was measured and one that was not
+SMALLEST = 10_000.0  # bytes of a request, as headers are a part of each, if its end need not be near the limit
 LEAD = 1.5  # delays before the line is free that the next request is sent
-EXCESS = 1.2  # of the time left, for all requests of a server, at which the newest is aborted; of the bytes, at which a level is given up
+EXCESS = 1.2  # of the time left, for all requests of a server, at which the newest is aborted
 MEASURED = 0.2  # seconds after which a rate counts as measured
-LEVEL_MARGIN = 0.9  # fraction of the bytes that are expected before the limit that a level may need
 
 
 def decide(job: Job, state: State, event: Event) -> tuple[State, list[Request], list[int]]:
@@ -65,7 +66,7 @@ def decide(job: Job, state: State, event: Event) -> tuple[State, list[Request], 
             _owe(state, flight)
             aborted.append(flight.id)
     requests: list[Request] = []
-    while _ask(job, state, requests):
+    while _ask(job, state, requests, aborted):
         pass
     return state, requests, aborted
 
@@ -76,7 +77,7 @@ def is_finished(job: Job, state: State) -> bool:
         return False
     is_over = state.time >= state.limit and not state.keeps_refining
     is_complete = job.ends is not None and state.asked == len(job.ends) and not state.pending
-    return is_over or (is_complete and state.level >= min(job.plan, key=lambda row: row[2])[0])
+    return is_over or (is_complete and _level_up_to(job, state.mesh) >= min(job.plan, key=lambda row: row[2])[0])
 
 
 def received_increments(job: Job, state: State) -> int:
@@ -89,15 +90,18 @@ def received_increments(job: Job, state: State) -> int:
 
 def received_level(job: Job, state: State) -> int:
     """Return the finest level that has come with all coarser ones, or -1."""
-    missing, level = _first_missing(state, MESH), state.level
-    while missing is not None and level >= 0 and job.levels[level].end > missing:
-        level -= 1
-    return level
+    missing = _first_missing(state, MESH)
+    return _level_up_to(job, state.mesh if missing is None else missing)
 
 
 def mean_difference(state: State) -> float:
     """Return Lambda (eq. 9 of the paper), seconds: the mean difference between planned and actual times of all requests but the last."""
     return (state.difference - state.latest) / max(state.responses - 1, 1)
+
+
+def _level_up_to(job: Job, offset: int) -> int:
+    """Return the finest level that ends at `offset` at most, or -1."""
+    return bisect_right(job.levels, offset, key=lambda span: span.end) - 1
 
 
 def _first_missing(state: State, file: str) -> int | None:
@@ -160,7 +164,7 @@ def _is_first(job: Job, span: Span) -> bool:
     return any(span.file == first.file and first.start <= span.start < first.end for first in job.first)
 
 
-def _ask(job: Job, state: State, requests: list[Request]) -> bool:
+def _ask(job: Job, state: State, requests: list[Request], aborted: list[int]) -> bool:
     """Send one more request, if there is something to ask for and a server whose line will be free soon."""
     lines = []
     owes_first = len(state.servers) == 1 and any(_is_first(job, span) for span in state.pending)
@@ -169,6 +173,10 @@ def _ask(job: Job, state: State, requests: list[Request]) -> bool:
         if not is_paused(state, index) and (owes_first or busy <= LEAD * server.delay):
             lines.append((max(busy, server.delay), index, rest, rate))
     for start, index, rest, rate in sorted(lines):
+        slow = find_slow(state, index, start, rate)
+        if slow is not None:
+            _owe(state, slow)
+            aborted.append(slow.id)
         span = _take(job, state, rest, rate, state.servers[index])
         if span is not None:
             due = state.time + start + (span.end - span.start) / rate
@@ -187,24 +195,46 @@ def _take(job: Job, state: State, rest: float, rate: float, server: Server) -> S
             return _cut(state, position, span.end if len(state.servers) == 1 else min(span.end, span.start + int(longest * rate)))
     if rest <= 0.0 or job.ends is None:
         return None
-    seconds = rest if rest <= server.delay else min(max(rest * FRACTION, server.delay), longest)
-    last = _begin(job, _follow_plan(job, state))
-    owed_mesh, budget = 0, _budget(state)
-    for position, span in enumerate([*state.pending, Span(TEXTURES, _begin(job, state.asked), last)]):
-        end = span.start
+    shortest = server.delay if state.patience or len(state.servers) > 1 else max(server.delay, SMALLEST / rate)
+    seconds = rest if rest <= shortest else max(min(rest * FRACTION, longest), shortest)
+    wanted = seconds * rate
+    span, position = _choose(job, state, wanted)
+    if span.file == TEXTURES:
+        end = _last_end(job, span.start, min(span.end, span.start + wanted), min(span.end, span.start + rest * rate))
+    else:
+        end = span.end if span.end - span.start <= 3.0 * wanted else span.start + int(2.0 * wanted)
+    if end == span.start:
+        return None
+    if position is not None:
+        return _cut(state, position, end)
+    if span.file == MESH:
+        state.mesh = end
+    else:
+        state.asked = bisect_right(job.ends, end)
+    return replace(span, end=end)
+
+
+def _choose(job: Job, state: State, wanted: float) -> tuple[Span, int | None]:
+    """Return what to ask for next, and its position if it is owed: increments that are owed, as others are behind them, or what the best
+    path goes to within `wanted` bytes."""
+    owed_mesh = owed_size = 0
+    position, offset = None, state.mesh
+    for index, span in enumerate(state.pending):
         if span.file == TEXTURES:
-            end = _last_end(job, span.start, min(span.end, span.start + seconds * rate), min(span.end, span.start + rest * rate))
-        else:
-            size = span.end - span.start
-            owed_mesh += size
-            if owed_mesh <= EXCESS * budget:
-                end = span.end if size <= 3.0 * seconds * rate else span.start + int(2.0 * seconds * rate)
-        if end > span.start:
-            if position < len(state.pending):
-                return _cut(state, position, end)
-            state.asked = bisect_right(job.ends, end)
-            return replace(span, end=end)
-    return None
+            return span, index
+        owed_size += span.end - span.start
+        if position is None:
+            position = index
+        offset = min(offset, span.start)
+    level = _level_up_to(job, offset)
+    if level + 1 < len(job.levels):
+        owed_mesh = owed_size + max(job.levels[level + 1].end - state.mesh, 0)
+    next_level, count = find_path(job, level, state.asked, owed_mesh, _budget(state), wanted)
+    if next_level == level or (not state.asked and count):  # something of the texture first
+        return Span(TEXTURES, _begin(job, state.asked), _begin(job, count)), None
+    if position is not None:
+        return state.pending[position], position
+    return Span(MESH, state.mesh, job.levels[next_level].end), None
 
 
 def _cut(state: State, position: int, end: int) -> Span:
@@ -212,27 +242,6 @@ def _cut(state: State, position: int, end: int) -> Span:
     span = state.pending[position]
     state.pending[position : position + 1] = [replace(span, start=end)] if end < span.end else []
     return replace(span, end=end)
-
-
-def _follow_plan(job: Job, state: State) -> int:
-    """Begin the levels that are next and will come before the limit, and return up to which increment may be asked for before others."""
-    while True:
-        position = next((position for position, row in enumerate(job.plan) if row[0] > state.level), None)
-        if position is None:
-            return len(job.ends)
-        level, least, _ = job.plan[position]
-        most = max([row[1] for row in job.plan[:position]], default=0)
-        size = job.levels[level].end - job.levels[state.level].end
-        for span in state.pending:
-            size += span.end - span.start if span.file == MESH else 0
-        rest = LEVEL_MARGIN * _budget(state) - size
-        if rest < 0.0:
-            return len(job.ends)
-        count = most if _begin(job, most) - _begin(job, state.asked) <= rest else min(least, most)
-        if state.asked < count:
-            return count
-        state.pending += job.levels[state.level + 1 : level + 1]
-        state.level = level
 
 
 def _budget(state: State) -> float:
@@ -247,7 +256,7 @@ def _budget(state: State) -> float:
 
 def _begin(job: Job, count: int) -> int:
     """Return where the increment behind the first `count` begins."""
-    return job.ends[count - 1] if count else job.begin
+    return job.begin + measure_increments(job, count)
 
 
 def _last_end(job: Job, start: int, wanted: float, possible: float) -> int:

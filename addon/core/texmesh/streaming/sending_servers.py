@@ -7,6 +7,8 @@ GRACE = 0.1  # seconds without a byte that mean nothing
 SILENCE = 0.5  # seconds after which a request is given up where there are other servers
 MIN_PAUSE, MAX_PAUSE = 0.25, 16.0  # seconds without a request for a server that failed: alone, and beside others
 MIN_RATE = 1000.0  # bytes per second
+LATE = 0.3  # seconds behind its plan after which a response may be taken over
+TWICE, MIN_SAVING = 2.0, 0.2  # times as long, and seconds, that it takes more than from the server that takes it over
 ENDLESS = 1e9  # seconds
 
 
@@ -41,6 +43,23 @@ def look_ahead(state: State, index: int) -> tuple[float, float, float]:
             begins = busy if flight.is_open else max(busy, flight.asked + delay - state.time)
             busy = begins + (flight.span.end - flight.span.start - flight.received) / rate
     return busy, left if is_refining else left - max(busy, delay), rate
+
+
+def find_slow(state: State, index: int, start: float, rate: float) -> Flight | None:
+    """Return the response of another server that server `index` would bring much sooner, if it began in `start` seconds at `rate`."""
+    slow, most = None, MIN_SAVING
+    if state.servers[index].measured:
+        for other in range(len(state.servers)):
+            busy, theirs = 0.0, look_ahead(state, other)[2]
+            for flight in state.flights:
+                if flight.server == other and other != index:
+                    left = flight.span.end - flight.span.start - flight.received
+                    begins = busy if flight.is_open else max(busy, flight.asked + state.servers[other].delay - state.time)
+                    busy = begins + left / theirs
+                    saving = busy - TWICE * (start + left / rate)
+                    if saving > most and state.time + busy > flight.due + LATE:
+                        slow, most = flight, saving
+    return slow
 
 
 def is_silent(state: State, flight: Flight) -> bool:

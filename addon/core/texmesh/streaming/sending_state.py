@@ -82,7 +82,7 @@ class State:
     flights: list[Flight] = field(default_factory=list)
     pending: list[Span] = field(default_factory=list)
     next_id: int = 0
-    level: int = 0
+    mesh: int = 0
     asked: int = 0
     ended: float = 0.0
     difference: float = 0.0
@@ -130,7 +130,7 @@ def begin(
     """
     bytes_ = (rate or DEFAULT_RATE) * PRIOR_SECONDS
     servers = [Server(bytes_, PRIOR_SECONDS, bytes_, PRIOR_SECONDS, DEFAULT_DELAY) for _ in range(server_count)]
-    return State(limit, patience, keeps_refining, servers, pending=list(job.first))
+    return State(limit, patience, keeps_refining, servers, pending=list(job.first), mesh=job.levels[0].end)
 
 
 def _span(*sections: Section) -> Span:

@@ -14,7 +14,11 @@ PAPER_FRAGMENTS = 24  # into which a client as in the paper divides the tiles
 class CompensatingClient:
     """The controller of the page."""
 
-    def __init__(self, job: Job, limit: float, rate: float | None, servers: int, patience: float, keeps_refining: bool) -> None:
+    def __init__(
+        self, job: Job, limit: float, rate: float | None, servers: int, patience: float, keeps_refining: bool, tiles: np.ndarray
+    ) -> None:
+        self._tiles = tiles
+        self._ends = np.array([job.begin, *(job.ends or ())])
         self._job, self._known = job, replace(job, ends=None if job.ends else ())
         self._state = begin(job, limit, rate, servers, patience, keeps_refining)
 
@@ -36,7 +40,18 @@ class CompensatingClient:
 
     def received(self) -> np.ndarray:
         """Return which increments have come, (N,) bool."""
-        return np.arange(len(self._job.ends or ())) < controller.received_increments(self._known, self._state)
+        state, ends = self._state, self._ends
+        count = len(ends) - 1
+        is_here = np.arange(count) < (state.asked if self._known.ends is not None else 0)
+        missing = list(state.pending) + [replace(flight.span, start=flight.span.start + flight.received) for flight in state.flights]
+        for span in missing:
+            if span.file == TEXTURES:
+                is_here &= (ends[1:] <= span.start) | (ends[:-1] >= span.end)
+        if is_here.all() or not (~is_here).any():
+            return is_here
+        first = np.full(self._tiles.max(initial=0) + 1, count)
+        np.minimum.at(first, self._tiles[~is_here], np.flatnonzero(~is_here))
+        return np.arange(count) < first[self._tiles]
 
     def mean_difference(self) -> float:
         """Return Lambda (eq. 9 of the paper), seconds."""

@@ -81,7 +81,7 @@ class SendingReport:
     finished: when it stopped, seconds. deviation: Pi, seconds after the limit (negative: before it). mean_difference: Lambda of eq. 9,
     seconds. is_complete: everything came. byte_count: carried by the lines, headers of responses included. useful_bytes: of the level and
     increments at the end. level, increments, error: at the limit or at the end if that is earlier. oracle_*: of a client that knows the
-    trace; its bytes are those that lines can carry less those of the manifest. first_seen: when level 0 was there; first_textured: when the
+    trace; its bytes are those that lines can carry after the manifest has come, which names the mirrors. first_seen: when level 0 was there; first_textured: when the
     first increment was there; infinite if never.
     """
 
@@ -189,14 +189,14 @@ def simulate(
         )
     job = package.job
     agent = {
-        "compensating": lambda: CompensatingClient(job, limit, rate, len(lines), patience, False),
+        "compensating": lambda: CompensatingClient(job, limit, rate, len(lines), patience, False, package.tiles),
         "fixed": lambda: FixedClient(job, limit, rate),
         "paper": lambda: PaperClient(job, limit, rate, package.tiles),
     }[client]()
     course = _Course(Network(lines, access, seed, limit + patience), agent)
     course.run(package.manifest_size, limit)
     level, received = course.at_limit
-    oracle_bytes = max(_possible_bytes(lines, access, limit) - package.manifest_size, 0.0)
+    oracle_bytes = _possible_bytes(lines, access, course.begin, limit)
     oracle = package.best(oracle_bytes)
     sizes = np.diff([job.begin, *job.ends])
     return SendingReport(
@@ -224,17 +224,18 @@ def simulate(
 
 
 class _Course:
-    """What happens to a client: see `SendingReport`. at_limit: the level and the increments that have come at the limit or at the end."""
+    """What happens to a client: see `SendingReport`. begin: when the manifest has come. at_limit: the level and the increments that have come at the limit or at the end."""
 
     def __init__(self, network: Network, agent: CompensatingClient | FixedClient | PaperClient) -> None:
         self.network, self.agent = network, agent
         self.at_limit = (-1, agent.received())
         self.requests = self.aborted = 0
-        self.finished, self.first_seen, self.first_textured = 0.0, math.inf, math.inf
+        self.begin, self.finished, self.first_seen, self.first_textured = 0.0, 0.0, math.inf, math.inf
 
     def run(self, manifest_size: int, limit: float) -> None:
         """Fetch the manifest and then what the client asks for, until it is finished."""
         event = Event(self.network.fetch(0, manifest_size))
+        self.begin = event.time
         while True:
             self._tell(event, limit)
             if self.agent.is_finished() or event.time > MAX_ROUNDS * limit:
@@ -258,12 +259,13 @@ class _Course:
         self.first_textured = min(self.first_textured, event.time if received.any() else math.inf)
 
 
-def _possible_bytes(lines: tuple[Line, ...], access: Trace | None, limit: float) -> float:
-    """Return the bytes that all lines can carry before the limit, after a delay for the manifest and one for the first response."""
-    total = 0.0
+def _possible_bytes(lines: tuple[Line, ...], access: Trace | None, begin: float, limit: float) -> float:
+    """Return the bytes that all lines can carry before the limit, after the manifest, which comes at `begin`, and a delay."""
+    total, opens = 0.0, limit
     for line in lines:
-        total += max(line.bytes_until(limit) - line.bytes_until(min(2.0 * line.delay, limit)), 0.0)
-    return total if access is None else min(total, access.bytes_until(limit))
+        opens = min(opens, begin + line.delay)
+        total += max(line.bytes_until(limit) - line.bytes_until(begin + line.delay), 0.0)
+    return total if access is None else min(total, access.bytes_until(limit) - access.bytes_until(opens))
 
 
 def _size(span: Span) -> int:

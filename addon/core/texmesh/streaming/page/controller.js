@@ -10,12 +10,13 @@
 // the last byte ends it), or {time, id, failed: true}. Send `requests`, [{id, server, file, start, end}, ...]: bytes [start, end) of a file
 // from server `server` (0: the page's folder, then the mirrors), and abort those whose ids are in `aborted`; keep what has come of them: only
 // the rest is asked for again. When the table of increments has come, go on with job = {...job, ends}: where increments end in textures.bin.
-// To read: state.level (asked for), state.ended - limit (deviation Pi), and the functions below.
+// To read: state.ended - limit (deviation Pi), and the functions below.
 
 const MESH = "mesh.bin", TEXTURES = "textures.bin";
 const DEFAULT_RATE = 250000, DEFAULT_DELAY = 0.1, PRIOR_SECONDS = 0.1;
-const FAST = 0.3, SLOW = 2, GRACE = 0.1, FRACTION = 0.25, MAX_REQUEST = 1, FIRST_REQUEST = 0.3, LEAD = 1.5, EXCESS = 1.2, MEASURED = 0.2;
-const LEVEL_MARGIN = 0.9, SILENCE = 0.5, MIN_PAUSE = 0.25, MAX_PAUSE = 16, MIN_RATE = 1000, ENDLESS = 1e9;
+const FAST = 0.3, SLOW = 2, GRACE = 0.1, FRACTION = 1 / 3, MAX_REQUEST = 1, FIRST_REQUEST = 0.3, LEAD = 1.5, EXCESS = 1.2, MEASURED = 0.2;
+const SMALLEST = 10000, LATE = 0.3, TWICE = 2, MIN_SAVING = 0.2, MIN_ERROR = 1e-6, SILENCE = 0.5, MIN_PAUSE = 0.25, MAX_PAUSE = 16, MIN_RATE = 1000, ENDLESS = 1e9;
+const STOPS = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1, 1.1, 1.2, 1.3, 1.4, 1.6, 2];
 const { abs, floor, max, min } = Math;
 
 /** What `manifest` has to send. */
@@ -41,7 +42,7 @@ export function begin(job, { limit, rate = 0, servers = 1, patience = 0, keepsRe
   Object.assign(server, { measured: 0, mark: 0, heard: 0, failures: 0, failed: 0, until: 0 });
   return {
     limit, patience, keepsRefining, servers: Array.from({ length: servers }, () => ({ ...server })), time: 0, flights: [],
-    pending: [...job.first], nextId: 0, level: 0, asked: 0, ended: 0, difference: 0, latest: 0, responses: 0,
+    pending: [...job.first], nextId: 0, mesh: job.levels[0].end, asked: 0, ended: 0, difference: 0, latest: 0, responses: 0,
   };
 }
 
@@ -63,7 +64,7 @@ export function decide(job, before, { time, id = -1, received = 0, failed = fals
     }
   }
   const requests = [];
-  while (ask(job, state, requests));
+  while (ask(job, state, requests, aborted));
   return [state, requests, aborted];
 }
 
@@ -71,8 +72,7 @@ export function decide(job, before, { time, id = -1, received = 0, failed = fals
 export function isFinished(job, state) {
   if (state.flights.length || state.pending.some((span) => isFirst(job, span))) return false;
   if (state.time >= state.limit && !state.keepsRefining) return true;
-  const best = job.plan.reduce((row, other) => (other[2] < row[2] ? other : row));
-  return job.ends !== null && state.asked === job.ends.length && !state.pending.length && state.level >= best[0];
+  return job.ends !== null && state.asked === job.ends.length && !state.pending.length && levelUpTo(job, state.mesh) >= bestLevel(job);
 }
 
 /** The number of increments that have come without a gap. */
@@ -83,10 +83,7 @@ export function receivedIncrements(job, state) {
 
 /** The finest level that has come with all coarser ones, or -1. */
 export function receivedLevel(job, state) {
-  const missing = firstMissing(state, MESH);
-  let { level } = state;
-  while (level >= 0 && job.levels[level].end > missing) level--;
-  return level;
+  return levelUpTo(job, min(firstMissing(state, MESH), state.mesh));
 }
 
 /** Lambda (eq. 9 of the paper), seconds. */
@@ -102,6 +99,15 @@ export function estimateRate(state, index, horizon) {
   const fast = server.bytes / (server.seconds + gap);
   const slow = server.slowBytes / (server.slowSeconds + gap);
   return (fast * FAST + slow * horizon) / (FAST + horizon);
+}
+
+/** The finest level that ends at `offset` at most, or -1. */
+function levelUpTo(job, offset) {
+  return countUpTo(job.levels.map(({ end }) => end), offset) - 1;
+}
+
+function bestLevel(job) {
+  return job.plan.reduce((row, other) => (other[2] < row[2] ? other : row))[0];
 }
 
 function firstMissing(state, file) {
@@ -125,7 +131,7 @@ function hear(state, flight, received, failed) {
     server.delay += (state.time - flight.asked - server.delay) * (server.measured ? 0.25 : 1);
   }
   if (!isBusy) [server.mark, fresh] = [state.time, 0]; // bytes that come with the headers took a time that nobody measured
-  measure(server, fresh, state.time - server.mark);
+  learn(server, fresh, state.time - server.mark);
   server.mark = flight.heard = server.heard = state.time;
   flight.received = received;
   if (received === size) {
@@ -138,7 +144,7 @@ function hear(state, flight, received, failed) {
   }
 }
 
-function measure(server, count, seconds) {
+function learn(server, count, seconds) {
   const fast = FAST / (FAST + seconds), slow = SLOW / (SLOW + seconds);
   server.bytes = server.bytes * fast + count;
   server.seconds = server.seconds * fast + seconds;
@@ -152,6 +158,24 @@ function isSilent(state, flight) {
   const since = max(flight.heard, min(server.heard, flight.due));
   const patience = max(SILENCE, 4 * server.delay) * (state.servers.length === 1 ? 2 << min(server.failures, 3) : 1);
   return state.time - since > (server.measured ? patience : 2 * patience); // connecting takes longer
+}
+
+function findSlow(state, index, start, rate) {
+  let slow = null, most = MIN_SAVING;
+  if (!state.servers[index].measured) return slow;
+  state.servers.forEach((server, other) => {
+    let busy = 0;
+    const theirs = line(state, other)[2];
+    for (const flight of state.flights) {
+      if (flight.server !== other || other === index) continue;
+      const left = flight.end - flight.start - flight.received;
+      const begins = flight.isOpen ? busy : max(busy, flight.asked + server.delay - state.time);
+      busy = begins + left / theirs;
+      const saving = busy - TWICE * (start + left / rate);
+      if (saving > most && state.time + busy > flight.due + LATE) [slow, most] = [flight, saving];
+    }
+  });
+  return slow;
 }
 
 function isExcess(state, flight) {
@@ -183,7 +207,7 @@ function isFirst(job, span) {
   return job.first.some((first) => span.file === first.file && first.start <= span.start && span.start < first.end);
 }
 
-function ask(job, state, requests) {
+function ask(job, state, requests, aborted) {
   const owesFirst = state.servers.length === 1 && state.pending.some((span) => isFirst(job, span));
   const lines = [];
   state.servers.forEach((server, index) => {
@@ -192,6 +216,11 @@ function ask(job, state, requests) {
   });
   lines.sort((a, b) => a[0] - b[0] || a[1] - b[1]);
   for (const [start, server, rest, rate] of lines) {
+    const slow = findSlow(state, server, start, rate);
+    if (slow) {
+      owe(state, slow);
+      aborted.push(slow.id);
+    }
     const span = take(job, state, rest, rate, state.servers[server]);
     if (!span) continue;
     const due = state.time + start + (span.end - span.start) / rate;
@@ -225,24 +254,30 @@ function take(job, state, rest, rate, server) {
     return cut(state, owedFirst, state.servers.length === 1 ? end : min(end, start + floor(longest * rate)));
   }
   if (rest <= 0 || job.ends === null) return null;
-  const seconds = rest <= server.delay ? rest : min(max(rest * FRACTION, server.delay), longest);
-  const last = beginOf(job, followPlan(job, state)), budget = budgetOf(state);
-  let owedMesh = 0;
-  for (const [position, span] of [...state.pending, { file: TEXTURES, start: beginOf(job, state.asked), end: last }].entries()) {
-    let end = span.start;
-    if (span.file === TEXTURES) {
-      end = lastEnd(job, span.start, min(span.end, span.start + seconds * rate), min(span.end, span.start + rest * rate));
-    } else {
-      const size = span.end - span.start;
-      owedMesh += size;
-      if (owedMesh <= EXCESS * budget) end = size <= 3 * seconds * rate ? span.end : span.start + floor(2 * seconds * rate);
-    }
-    if (end <= span.start) continue;
-    if (position < state.pending.length) return cut(state, position, end);
-    state.asked = countUpTo(job.ends, end);
-    return { ...span, end };
-  }
-  return null;
+  const shortest = state.patience || state.servers.length > 1 ? server.delay : max(server.delay, SMALLEST / rate);
+  const seconds = rest <= shortest ? rest : max(min(rest * FRACTION, longest), shortest), wanted = seconds * rate;
+  const [span, position] = choose(job, state, wanted), { file, start } = span;
+  let { end } = span;
+  if (file === TEXTURES) end = lastEnd(job, start, min(end, start + wanted), min(end, start + rest * rate));
+  else if (end - start > 3 * wanted) end = start + floor(2 * wanted);
+  if (end === start) return null;
+  if (position >= 0) return cut(state, position, end);
+  if (file === MESH) state.mesh = end;
+  else state.asked = countUpTo(job.ends, end);
+  return { file, start, end };
+}
+
+function choose(job, state, wanted) {
+  const texture = state.pending.findIndex((span) => span.file === TEXTURES);
+  if (texture >= 0) return [state.pending[texture], texture];
+  let owed = 0, offset = state.mesh;
+  for (const { start, end } of state.pending) [owed, offset] = [owed + end - start, min(offset, start)];
+  const level = levelUpTo(job, offset);
+  if (level + 1 < job.levels.length) owed += max(job.levels[level + 1].end - state.mesh, 0);
+  const [next, count] = findPath(job, level, state.asked, owed, budgetOf(state), wanted);
+  const isTexture = next === level || (!state.asked && count > 0); // something of the texture first
+  if (isTexture) return [{ file: TEXTURES, start: beginOf(job, state.asked), end: beginOf(job, count) }, -1];
+  return state.pending.length ? [state.pending[0], 0] : [{ file: MESH, start: state.mesh, end: job.levels[next].end }, -1];
 }
 
 function cut(state, position, end) {
@@ -251,20 +286,73 @@ function cut(state, position, end) {
   return { ...span, end };
 }
 
-function followPlan(job, state) {
-  for (;;) {
-    const position = job.plan.findIndex((row) => row[0] > state.level);
-    if (position < 0) return job.ends.length;
-    const [level, least] = job.plan[position];
-    const most = max(0, ...job.plan.slice(0, position).map((row) => row[1]));
-    let size = job.levels[level].end - job.levels[state.level].end;
-    for (const span of state.pending) size += span.file === MESH ? span.end - span.start : 0;
-    const rest = LEVEL_MARGIN * budgetOf(state) - size;
-    if (rest < 0) return job.ends.length;
-    const count = beginOf(job, most) - beginOf(job, state.asked) <= rest ? most : min(least, most);
-    if (state.asked < count) return count;
-    state.pending.push(...job.levels.slice(state.level + 1, level + 1));
-    state.level = level;
+function findPath(job, level, count, owed, budget, window) {
+  const rows = max(bestLevel(job) - level, 0), first = measure(count), meshes = [0];
+  const counts = [count, ...new Set([...job.plan.map((row) => row[1]), job.ends.length].filter((other) => other > count).sort((a, b) => a - b))];
+  const textures = counts.map((other) => measure(other) - first), last = counts.length - 1;
+  for (let other = level + 1; other <= level + rows; other++) meshes.push(job.levels[other].end - job.levels[level + 1].end + owed);
+  budget = min(budget, meshes[rows] + textures[last]);
+  const stops = STOPS.map((stop) => budget * stop), maximum = stops[stops.length - 1];
+  const weights = stops.map((stop) => 1 / planError(job.levels[level].end + first + stop));
+  const errors = levelErrors(level + rows).slice(level), takesLevel = meshes.map(() => counts.map(() => false));
+  let costs;
+  for (let row = rows; row >= 0; row--) {
+    const finer = costs;
+    costs = counts.map(() => 0);
+    for (let column = last; column >= 0; column--) {
+      const start = meshes[row] + textures[column], error = errors[row][column];
+      if (start > maximum) continue;
+      if (column < last) {
+        const step = textures[column + 1] - textures[column];
+        costs[column] = addCost(costs[column + 1], start, start + step, error, (errors[row][column + 1] - error) / step);
+      }
+      if (row < rows) {
+        const cost = addCost(finer[column], start, meshes[row + 1] + textures[column], error, 0);
+        takesLevel[row][column] = column === last || cost < costs[column];
+        if (takesLevel[row][column]) costs[column] = cost;
+      } else if (column === last) costs[column] = addCost(0, start, 2 * maximum + 1, error, 0);
+    }
+  }
+  let row = 0, column = 0;
+  while (meshes[row] + textures[column] < window) {
+    if (takesLevel[row][column]) {
+      if (row + column && meshes[row + 1] + textures[column] > window) break;
+      row++;
+    } else if (column < last) column++;
+    else break;
+  }
+  return [level + row, counts[column]];
+
+  function addCost(cost, start, end, error, slope) {
+    stops.forEach((stop, i) => {
+      if (start <= stop && stop < end) cost += weights[i] * (error + (stop - start) * slope);
+    });
+    return cost;
+  }
+
+  function measure(size) {
+    return beginOf(job, size) - job.begin;
+  }
+
+  function planError(size) {
+    const fitting = job.plan.filter((row) => job.levels[row[0]].end + measure(row[1]) <= size);
+    return max(min(1, ...fitting.map((row) => row[2])), MIN_ERROR);
+  }
+
+  function levelErrors(finest) {
+    let best = counts.map(() => 1);
+    return job.levels.slice(0, finest + 1).map((_, other) => {
+      const points = job.plan.filter((row) => row[0] === other).map((row) => [measure(row[1]), row[2]]);
+      if (!other) points.unshift([0, 1]);
+      best = counts.map((size, column) => {
+        const at = measure(size);
+        return points.reduce((least, [start, error], i) => {
+          const [end, next] = points[i + 1] ?? [at + 1, error];
+          return start <= at && at < end ? min(least, error + (next - error) * ((at - start) / (end - start))) : least;
+        }, best[column]);
+      });
+      return best;
+    });
   }
 }
 
