@@ -9,6 +9,7 @@ import pytest
 from farfield.addon.core.errors import SettingsError
 from farfield.addon.core.texmesh.streaming.increments import Increments
 from farfield.addon.core.texmesh.streaming.manifest import Manifest, MeshLevel, PackageMaterial, PackageTexture, PlanRow, Section
+from farfield.addon.core.texmesh.streaming.simulated_clients import select_usable
 from farfield.addon.core.texmesh.streaming.simulated_network import Line
 from farfield.addon.core.texmesh.streaming.simulation import CLIENTS, build_sent_package, simulate, simulate_package
 from farfield.addon.core.texmesh.streaming.traces import Trace, constant_trace, step_trace
@@ -85,6 +86,21 @@ def test_lost_responses_are_asked_for_again():
         report = simulate(make_package(), (Line(constant_trace(4e5), loss=0.1),) * 2, 15.0, seed=seed)
         assert report.increments == 1000
         assert report.level == 2
+
+
+def test_increments_behind_gaps_count_for_other_tiles():
+    tiles = np.array([0, 1, 2, 0, 1, 2, 1, 2])
+    is_here = np.array([1, 0, 1, 1, 1, 0, 1, 1], bool)
+    assert select_usable(is_here, tiles).tolist() == [True, False, True, True, False, False, False, False]
+    assert select_usable(~np.zeros(8, bool), tiles).all()
+    assert not select_usable(np.zeros(8, bool), tiles).any()
+
+
+def test_oracle_knows_mirrors_after_the_manifest_has_come():
+    package = make_package(4_000_000)
+    slow, fast = Line(constant_trace(1e3), jitter=0.0), Line(constant_trace(1e6), jitter=0.0)
+    report = simulate(package, (slow, fast), 4.0)
+    assert report.oracle_bytes == pytest.approx((4.0 - 2.0 - 2 * 0.06) * (1e6 + 1e3))
 
 
 def test_same_seed_gives_the_same_report():

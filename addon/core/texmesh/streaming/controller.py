@@ -5,11 +5,10 @@ paper).
 order (only + - * / and comparisons of doubles), so both decide alike bit for bit. The caller tells every event at once, ticks about 20
 times per second, and one at the limit.
 
-Order. Level 0 and the table of increments come first, so that something is on the screen; then the path of the plan: increments, up to the
-largest number that its rows have before they leave the present level, then the next level, increments again, and so on, as each needs what
-comes before it. When all of the plan is asked for, the rest of the increments follow. Estimates decide only near the limit: a level that
-will not come before it is not begun, and its time goes to increments; and one that would not come anymore behind increments that the row
-with it does not need goes before them.
+Order. Level 0 and the table of increments come first, so that something is on the screen. What follows is chosen for each request, from the
+bytes that are expected before the limit: the next levels or increments on the path that has the least expected error if more or fewer bytes
+come (`sending_path`). So a level that will probably not come before the limit is not begun, and one that must not be missed goes
+before increments that gain little. Levels and increments on the path within the length of the request are sorted by file, to save requests.
 
 Time compensation. The paper's algorithm gives each of the n - j remaining fragments an equal part of the time that remains after fragment
 j, so a deviation spreads evenly over them: with relative errors e_j of the estimated times, the last of n fragments ends
@@ -29,8 +28,10 @@ planned to take. `mean_difference` is Lambda of eq. 9. At the limit the client s
 use.
 
 Several servers: a request goes to the server whose line is free first, and is as long as its measured rate allows; so bytes spread by
-rates, the first ones, too. A server that fails or is silent gets nothing for a while, and what it owes is asked for first, elsewhere if
-possible. When requests will not end before the limit, the newest are taken back, so that older ones get the whole line.
+rates, the first ones, too. A response that is late and takes twice as long as from a server that is free is aborted, and its rest asked for
+there (`find_slow`). A server that fails or is silent gets nothing for a while, and what it owes is asked for first, elsewhere if possible.
+When requests will not end before the limit, the newest are taken back, so that older ones get the whole line. Tiles do not depend on each
+other, so increments behind a gap in the file are of use if theirs have all earlier ones.
 """
 
 from bisect import bisect_right

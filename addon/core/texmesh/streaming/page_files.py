@@ -5,14 +5,14 @@ from pathlib import Path
 
 PAGE_FOLDER = Path(__file__).resolve().parent / "page"
 INDEX, STYLE, SCRIPT = "index.html", "style.css", "main.js"
-COMMENT = re.compile(r"^[ \t]*(?://[^\n]*|/\*\*.*?\*/)\n", re.MULTILINE | re.DOTALL)
+COMMENT = re.compile(r"^[ \t]*(?://[^\n]*|/\*\*.*?\*/)\n|[ \t]+// [^\n]*", re.MULTILINE | re.DOTALL)
 IMPORT = re.compile(r'^import \{ ([^}]+) \} from "\./(\w+)\.js";$', re.MULTILINE)
 EXPORT = re.compile(r"^export ((?:async )?(?:function\*?|class|const) (\w+))", re.MULTILINE)
 
 
 def read_page() -> dict[str, bytes]:
-    """Return the files of the page by name. Modules are joined to one, so that a browser waits for fewer responses; comments that have
-    lines of their own, indentation and empty lines are left out."""
+    """Return the files of the page by name. Modules are joined to one, so that a browser waits for fewer responses; comments (` // ` begins
+    one anywhere), indentation and empty lines are left out."""
     index = re.sub(r'<link rel="modulepreload"[^\n]*\n', "", (PAGE_FOLDER / INDEX).read_text("utf-8"))
     script = COMMENT.sub("", join_modules({path.stem: path.read_text("utf-8") for path in sorted(PAGE_FOLDER.glob("*.js"))}))
     texts = {INDEX: index, STYLE: (PAGE_FOLDER / STYLE).read_text("utf-8"), SCRIPT: script}

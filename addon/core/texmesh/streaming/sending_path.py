@@ -17,8 +17,8 @@ def find_path(job: Job, level: int, count: int, owed: float, budget: float, wind
     first step or none.
 
     Args:
-        level: the finest one of which nothing is left to ask for. owed: bytes that are left of the next one. budget: bytes that are expected
-            before the limit.
+        level: the finest one of which nothing is left to ask for. owed: bytes that are left of the next one. budget: bytes that are
+            expected before the limit.
     """
     finest = max(level, min(job.plan, key=lambda row: row[2])[0])
     counts = [count, *sorted({row[1] for row in job.plan if row[1] > count} | ({len(job.ends)} - {count}))]
@@ -33,11 +33,11 @@ def find_path(job: Job, level: int, count: int, owed: float, budget: float, wind
     takes_level = [[False] * len(counts) for _ in meshes]
     costs: list[float] = []
 
-    def add_cost(cost: float, start: float, end: float, error: float, slope: float) -> float:
+    def add_cost(cost: float, start: float, end: float, error: float, rise: float) -> float:
         """Add the errors at the stops from `start` to `end`."""
         for stop, weight in zip(stops, weights, strict=True):
             if start <= stop < end:
-                cost += weight * (error + (stop - start) * slope)
+                cost += weight * (error + (stop - start) * rise)
         return cost
 
     for row in range(rows, -1, -1):

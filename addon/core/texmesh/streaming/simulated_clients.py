@@ -14,13 +14,10 @@ PAPER_FRAGMENTS = 24  # into which a client as in the paper divides the tiles
 class CompensatingClient:
     """The controller of the page."""
 
-    def __init__(
-        self, job: Job, limit: float, rate: float | None, servers: int, patience: float, keeps_refining: bool, tiles: np.ndarray
-    ) -> None:
-        self._tiles = tiles
-        self._ends = np.array([job.begin, *(job.ends or ())])
+    def __init__(self, job: Job, tiles: np.ndarray, limit: float, rate: float | None, servers: int, patience: float) -> None:
         self._job, self._known = job, replace(job, ends=None if job.ends else ())
-        self._state = begin(job, limit, rate, servers, patience, keeps_refining)
+        self._ends, self._tiles = np.array([job.begin, *(job.ends or ())]), tiles
+        self._state = begin(job, limit, rate, servers, patience)
 
     def hear(self, event: Event) -> tuple[list[Request], list[int]]:
         """Return the requests to send after `event`, and the ids of those to abort. The first event is a tick: sending may begin."""
@@ -39,23 +36,24 @@ class CompensatingClient:
         return controller.received_level(self._known, self._state)
 
     def received(self) -> np.ndarray:
-        """Return which increments have come, (N,) bool."""
-        state, ends = self._state, self._ends
-        count = len(ends) - 1
-        is_here = np.arange(count) < (state.asked if self._known.ends is not None else 0)
-        missing = list(state.pending) + [replace(flight.span, start=flight.span.start + flight.received) for flight in state.flights]
-        for span in missing:
+        """Return which increments have come with all earlier ones of their tiles, (N,) bool."""
+        state, count = self._state, len(self._ends) - 1
+        is_here = np.arange(count) < (0 if self._known.ends is None else state.asked)
+        for span in state.pending + [replace(flight.span, start=flight.span.start + flight.received) for flight in state.flights]:
             if span.file == TEXTURES:
-                is_here &= (ends[1:] <= span.start) | (ends[:-1] >= span.end)
-        if is_here.all() or not (~is_here).any():
-            return is_here
-        first = np.full(self._tiles.max(initial=0) + 1, count)
-        np.minimum.at(first, self._tiles[~is_here], np.flatnonzero(~is_here))
-        return np.arange(count) < first[self._tiles]
+                is_here &= (self._ends[1:] <= span.start) | (self._ends[:-1] >= span.end)
+        return select_usable(is_here, self._tiles)
 
     def mean_difference(self) -> float:
         """Return Lambda (eq. 9 of the paper), seconds."""
         return controller.mean_difference(self._state)
+
+
+def select_usable(is_here: np.ndarray, tiles: np.ndarray) -> np.ndarray:
+    """Return which increments have come with all earlier ones of their `tiles`, (N,) bool."""
+    first_missing = np.full(tiles.max(initial=0) + 1, len(tiles))
+    np.minimum.at(first_missing, tiles[~is_here], np.flatnonzero(~is_here))
+    return np.arange(len(tiles)) < first_missing[tiles]
 
 
 class _SequentialClient:

@@ -81,8 +81,8 @@ class SendingReport:
     finished: when it stopped, seconds. deviation: Pi, seconds after the limit (negative: before it). mean_difference: Lambda of eq. 9,
     seconds. is_complete: everything came. byte_count: carried by the lines, headers of responses included. useful_bytes: of the level and
     increments at the end. level, increments, error: at the limit or at the end if that is earlier. oracle_*: of a client that knows the
-    trace; its bytes are those that lines can carry after the manifest has come, which names the mirrors. first_seen: when level 0 was there; first_textured: when the
-    first increment was there; infinite if never.
+    trace; its bytes are those that lines can carry after the manifest has come, which names the mirrors. first_seen: when level 0 was
+    there; first_textured: when the first increment was there; infinite if never.
     """
 
     client: str
@@ -189,7 +189,7 @@ def simulate(
         )
     job = package.job
     agent = {
-        "compensating": lambda: CompensatingClient(job, limit, rate, len(lines), patience, False, package.tiles),
+        "compensating": lambda: CompensatingClient(job, package.tiles, limit, rate, len(lines), patience),
         "fixed": lambda: FixedClient(job, limit, rate),
         "paper": lambda: PaperClient(job, limit, rate, package.tiles),
     }[client]()
@@ -224,7 +224,8 @@ def simulate(
 
 
 class _Course:
-    """What happens to a client: see `SendingReport`. begin: when the manifest has come. at_limit: the level and the increments that have come at the limit or at the end."""
+    """What happens to a client: see `SendingReport`. begin: when the manifest has come. at_limit: the level and the increments that have
+    come at the limit or at the end."""
 
     def __init__(self, network: Network, agent: CompensatingClient | FixedClient | PaperClient) -> None:
         self.network, self.agent = network, agent

@@ -323,9 +323,9 @@ function findPath(job, level, count, owed, budget, window) {
   }
   return [level + row, counts[column]];
 
-  function addCost(cost, start, end, error, slope) {
+  function addCost(cost, start, end, error, rise) {
     stops.forEach((stop, i) => {
-      if (start <= stop && stop < end) cost += weights[i] * (error + (stop - start) * slope);
+      if (start <= stop && stop < end) cost += weights[i] * (error + (stop - start) * rise);
     });
     return cost;
   }

@@ -9,7 +9,6 @@ const FORMAT = "farfield-package", VERSION = 2;
 const MESH = "mesh.bin", TEXTURES = "textures.bin";
 const REFERENCES = ["parents", "wedges", "uvs", "corners"], SECTIONS = [...REFERENCES, "positions"];
 const TICK_SECONDS = 0.05;
-const PATIENCE = 0.25; // seconds after the limit for which responses are waited for
 const MANIFEST_TRIES = 3, MANIFEST_SECONDS = 15;
 const MAX_FILE_BYTES = 2 ** 31;
 
@@ -66,12 +65,14 @@ export class Loader {
     this.work = Promise.resolve(); // sections are decoded one after the other
     this.job = buildJob(manifest);
     const { limit, rate, keepsRefining } = options;
-    this.state = begin(this.job, { limit, rate, servers: urls.length, patience: PATIENCE, keepsRefining });
+    this.state = begin(this.job, { limit, rate, servers: urls.length, keepsRefining });
   }
 
   /** Begin to load. */
   start() {
     clearInterval(this.timer);
+    clearTimeout(this.alarm);
+    this.alarm = setTimeout(() => this.#decide({}), Math.max(this.options.limit - this.time, 0) * 1000);
     this.timer = setInterval(() => (this.isFinished ? clearInterval(this.timer) : this.#decide({})), TICK_SECONDS * 1000);
     this.#decide({});
   }
@@ -80,6 +81,7 @@ export class Loader {
   stop() {
     this.isStopped = true;
     clearInterval(this.timer);
+    clearTimeout(this.alarm);
     for (const request of this.requests.values()) request.abort();
   }
 
@@ -184,19 +186,24 @@ export class Loader {
     return names.every((name) => this.files[MESH].read(this.manifest.levels[level][name]));
   }
 
+  /** Pass on the increments that have come, also those behind gaps in the file: each shows its part of a texture by itself. */
   #passIncrements() {
-    const { table, manifest, files } = this, file = files[TEXTURES], end = file.endFrom(manifest.first_increment);
-    while (this.passed < table.ends.length && table.ends[this.passed] <= end) {
-      const i = this.passed++;
-      const payload = file.bytes.subarray(table.ends[i] - table.sizes[i], table.ends[i]);
+    const { table } = this, file = this.files[TEXTURES];
+    const end = Math.max(...file.intervals.map((interval) => interval[1]));
+    for (let i = this.passed; i < table.ends.length && table.ends[i] <= end; i++) {
+      const payload = table.isPassed[i] ? null : file.read([table.ends[i] - table.sizes[i], table.sizes[i]]);
+      if (!payload) continue;
       this.decoder.add(i, table.textures[i], table.tiles[i], table.headers[i], payload);
+      table.isPassed[i] = 1;
     }
+    while (table.isPassed[this.passed]) this.passed++;
   }
 
   async #readTable() {
     const content = await this.#check(this.files[TEXTURES], this.manifest.increments);
     const planes = await inflate(content, ROW_BYTES * this.manifest.increment_count);
     this.table = readIncrements(planes, this.manifest);
+    this.table.isPassed = new Uint8Array(this.table.ends.length);
     this.job = { ...this.job, ends: this.table.ends };
     this.#passIncrements();
     this.#decide({});
@@ -211,10 +218,10 @@ export class Loader {
         sections[name] = await this.#check(this.files[MESH], this.manifest.levels[level][name]);
       }
       this.meshes.push(await decodeLevel(this.manifest, level, sections, this.meshes[level - 1]));
+      if (this.isStopped) return;
+      this.shown = level;
+      this.events.level(this.meshes[level], this.manifest.levels[level].triangle_counts, level);
     }
-    if (this.isStopped) return;
-    this.shown = index;
-    this.events.level(this.meshes[index], this.manifest.levels[index].triangle_counts, index);
   }
 
   /** The bytes of a section, after asking for them again if they are damaged. */
