@@ -17,7 +17,7 @@ from farfield.addon.core.texmesh.streaming.increments import Increments, encode_
 from farfield.addon.core.texmesh.streaming.page_files import PAGE_FOLDER, join_modules, read_page
 from farfield.addon.core.texmesh.streaming.tile_pyramid import TilePyramid
 
-MAX_BYTES = 23_000  # of all files, each compressed
+MAX_BYTES = 23_500  # of all files, each compressed
 needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed, so modules of the page are not run")
 
 
