@@ -44,6 +44,7 @@ LATE_SPLITS = 2  # rounds of repair in which edges are split
 REPAIR_ROUNDS = 5  # of flips and moves of outliers
 PEAK_SCALE = 4.0  # squared distances count more if they are large compared with this multiple of their mean
 MAX_EMPHASIS = 3.0
+MAX_SAMPLE_FRACTION = 5e-3  # of the cost, which one sample counts: the point of a few may jump to another part of a level
 SIMPLIFICATION_FRACTION = 0.1  # of the progress, for the simplification
 
 
@@ -112,9 +113,8 @@ def refit(
         if index > 0 and settings.peak_weight > 0.0:
             state = emphasize_peaks(state, samples.weights, settings.peak_weight)
         state = flip_edges(state, FLIP_ROUNDS)
-        cost = state.costs.sum()
         moved = _move(state, curves, uv_scale, damping)
-        new_cost = moved.costs.sum()
+        cost, new_cost = sum_costs(state, moved)
         is_better = new_cost < cost
         damping = max(damping * DAMPING_DECREASE, MIN_DAMPING) if is_better else damping * DAMPING_INCREASE
         is_converged = is_better and new_cost > (1.0 - TOLERANCE) * cost and missing <= 0
@@ -122,8 +122,8 @@ def refit(
         if is_converged:
             break
     state = _repair(state, surface, curves, uv_scale, target)
-    is_better = replace(state, samples=samples).costs.sum() < start.costs.sum()
-    return state.mesh if is_better else start.mesh
+    cost, new_cost = sum_costs(start, replace(state, samples=samples))
+    return state.mesh if new_cost < cost else start.mesh
 
 
 def _repair(state: LevelState, surface: FineSurface, curves: BorderCurves, uv_scale: float, target: int) -> LevelState:
@@ -149,11 +149,26 @@ def _repair(state: LevelState, surface: FineSurface, curves: BorderCurves, uv_sc
 def _move(state: LevelState, curves: BorderCurves, uv_scale: float, damping: float) -> LevelState:
     """Return the level after a step of positions and texture coordinates, and another of positions."""
     freedom: Freedom = find_freedom(state, uv_scale)
-    step = Linearization(state, compute_moments(state), freedom.directions, damping).solve(uv_scale)
+    step = _linearize(state, freedom.directions, damping).solve(uv_scale)
     uvs, fractions = move_uvs(state.mesh, step[:, 3:], freedom, curves)
     moved = state.move(avoid_folds(state, state.mesh.vertices + fractions[:, None] * step[:, :3]), uvs)
-    step = Linearization(moved, compute_moments(moved), None, damping).solve(uv_scale)
+    step = _linearize(moved, None, damping).solve(uv_scale)
     return moved.move(avoid_folds(moved, moved.mesh.vertices + step))
+
+
+def _linearize(state: LevelState, directions: np.ndarray | None, damping: float) -> Linearization:
+    """Return the cost around a level, with smaller weights of samples that count more than MAX_SAMPLE_FRACTION."""
+    limit = MAX_SAMPLE_FRACTION * state.costs.sum()
+    if state.costs.max(initial=0.0) > limit:
+        weights = state.samples.weights * np.minimum(limit / np.maximum(state.costs, np.finfo(float).tiny), 1.0)
+        state = replace(state, samples=replace(state.samples, weights=weights))
+    return Linearization(state, compute_moments(state), directions, damping)
+
+
+def sum_costs(state: LevelState, other: LevelState) -> tuple[float, float]:
+    """Return the costs of two states with the same samples, each of which counts at most MAX_SAMPLE_FRACTION of the cost of the first."""
+    limit = MAX_SAMPLE_FRACTION * state.costs.sum()
+    return float(np.minimum(state.costs, limit).sum()), float(np.minimum(other.costs, limit).sum())
 
 
 def emphasize_peaks(state: LevelState, areas: np.ndarray, peak_weight: float) -> LevelState:
