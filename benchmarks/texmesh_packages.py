@@ -1,18 +1,22 @@
 """Part `packages` of bench_texmesh.py: bytes until a model looks right, against gltfpack with WebP textures; time and memory.
 
 Both are judged by the mean FLIP error of shaded renders, in random views, against the original mesh with the original textures. Farfield
-uses default settings; its bytes are those of the manifest (gzip), of the table of increments, and of the mesh and increments of a plan row.
+uses default settings for images of the size that is judged; its bytes are those of the manifest (gzip), of the table of increments, and of
+the mesh and increments of a row of the plan.
 For the other side every combination of a ratio of triangles, a scale and a quality of the textures is tried, and the smallest that reaches
 the error counts. Its geometry is measured before it is quantized.
 """
 
 import gzip
 import io
+import json
 import os
 import subprocess
+import sys
 import tempfile
 import time
 from argparse import Namespace
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,13 +24,14 @@ import numpy as np
 import texmesh_files
 from PIL import Image
 from texmesh_peers import GLTFPACK, simplify_with_gltfpack
-from texmesh_texture_views import TextureJudge, random_directions
-from texmesh_textured_models import TexturedModel, open_textured
+from texmesh_texture_views import VIEWS, TextureJudge, list_left_out, list_members, random_directions
+from texmesh_textured_models import JUDGING, TexturedModel, open_textured
+from texmesh_webp import encode_webp
 
 from farfield.addon.core.files.glb import Y_UP
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
-from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.jobs.progress import Progress, run_to_end
 from farfield.addon.core.texmesh.level_chain import AllSettings
 from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
 from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
@@ -44,12 +49,34 @@ from farfield.addon.core.texmesh.streaming.textures.decoding import decode_textu
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 from lib.command_line import peak_memory_mb
 
-MODELS = ("spot", "blub", "capsule", "fuze", "truck")
 MAX_FLIP = 0.05
-VIEWS = 12
 RATIOS = (1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1)
 SCALES = (1.0, 0.5, 0.25)
 QUALITIES = (5, 10, 15, 20, 30, 40, 50, 60, 70, 80, 90, 95)
+
+
+class WebpTextures:
+    """The textures of a model as WebP, coded when they are needed first: all meshes are tried with them."""
+
+    def __init__(self, images: Sequence[np.ndarray | None]) -> None:
+        self._images = images
+        self._files: dict[tuple[int, float, int], bytes] = {}
+
+    def encode(self, scale: float, quality: int) -> tuple[int, list[np.ndarray | None]]:
+        """Return the bytes of all textures, each counted once, and the decoded pixels of each material."""
+        distinct = {id(image): image for image in self._images if image is not None}
+        files = {key: self._encode(image, scale, quality) for key, image in distinct.items()}
+        pixels = {key: np.asarray(Image.open(io.BytesIO(file)).convert("RGB"))[::-1].copy() for key, file in files.items()}
+        return sum(map(len, files.values())), [None if image is None else pixels[id(image)] for image in self._images]
+
+    def _encode(self, image: np.ndarray, scale: float, quality: int) -> bytes:
+        key = id(image), scale, quality
+        if key not in self._files:
+            picture = Image.fromarray(image[::-1])
+            if scale != 1.0:
+                picture = picture.resize([max(1, round(side * scale)) for side in picture.size], Image.Resampling.LANCZOS)
+            self._files[key] = encode_webp(np.asarray(picture), quality)
+        return self._files[key]
 
 
 class Reached(NamedTuple):
@@ -67,20 +94,31 @@ class Reached(NamedTuple):
 
 def measure_packages(given: Namespace) -> dict[str, Any]:
     """Return for each model the bytes of both sides, and their ratio."""
-    generated = [f"planet:{given.seed}", f"ring:{given.seed + 1}"]
-    results = {}
-    for name in given.models or [*MODELS, *generated]:
-        results[name] = _measure_model(open_textured(given.data, name, given.seed), name, given.seed)
+    names = [*JUDGING, f"planet:{given.seed}", f"ring:{given.seed + 1}"]
+    results: dict[str, Any] = {}
+    model, opened = None, ""
+    for name, pixels in list_members(given, names):
+        if name != opened:
+            model, opened = open_textured(given.data, name, given.seed), name
+        started = time.perf_counter()
+        result = _measure_model(model, name, pixels, np.random.default_rng([given.seed, pixels, 77]))
+        results[f"{name} at {pixels}"] = result | {"all_seconds": round(time.perf_counter() - started, 1)}
+        print(name, pixels, json.dumps(results[f"{name} at {pixels}"]), file=sys.stderr)
     ratios = [item["ratio"] for item in results.values() if item["ratio"] is not None]
-    return {"models": results, "mean_ratio": float(np.mean(ratios)) if ratios else None, "worst_ratio": max(ratios, default=None)}
+    return {
+        "models": results,
+        "left_out": list_left_out(given, names, results),
+        "mean_ratio": float(np.mean(ratios)) if ratios else None,
+        "worst_ratio": max(ratios, default=None),
+    }
 
 
-def _measure_model(model: TexturedModel, name: str, seed: int) -> dict[str, Any]:
-    directions = random_directions(VIEWS, np.random.default_rng(seed + 77))
+def _measure_model(model: TexturedModel, name: str, pixels: int, generator: np.random.Generator) -> dict[str, Any]:
+    directions = random_directions(VIEWS[pixels], generator)
     started, started_cpu = time.perf_counter(), time.process_time()
-    package = build(model, name)
+    package = build(model, name, pixels)
     seconds, cpu = time.perf_counter() - started, time.process_time() - started_cpu
-    judge = TextureJudge(model.mesh, model.images, directions, PackageSettings().pixels)
+    judge = TextureJudge(model.mesh, model.images, directions, pixels)
     ours, table = _search_plan(package, judge)
     peer = _search_peer(model, judge)
     return {
@@ -99,8 +137,10 @@ def _measure_model(model: TexturedModel, name: str, seed: int) -> dict[str, Any]
     }
 
 
-def build(model: TexturedModel, name: str) -> Package:
-    """Return the package of a model with default settings."""
+def build(
+    model: TexturedModel, name: str, pixels: int = PackageSettings.pixels, on_progress: Callable[[Progress], None] | None = None
+) -> Package:
+    """Return the package of a model with default settings, for images of `pixels` pixels."""
     materials = [
         MaterialSource(f"m{index}", (1.0, 1.0, 1.0, 1.0), False, {} if image is None else {"base_color": image})
         for index, image in enumerate(model.images)
@@ -108,7 +148,7 @@ def build(model: TexturedModel, name: str) -> Package:
     linear = {id(image): LINEAR_OF_BYTE[image] for image in model.images if image is not None}
     textures = [None if image is None else linear[id(image)] for image in model.images]
     settings = AllSettings(LevelSettings(product="subset"), ScaleSpaceSettings(), SimplificationSettings(), PerceptionSettings())
-    return run_to_end(build_package(name, model.mesh, materials, textures, settings, PackageSettings()))
+    return run_to_end(build_package(name, model.mesh, materials, textures, settings, PackageSettings(pixels=pixels)), on_progress)
 
 
 def _stop_bytes(package: Package) -> np.ndarray:
@@ -167,7 +207,7 @@ def _decode_mesh(content: PackageContent, level: int) -> TexturedMesh:
 
 def _search_peer(model: TexturedModel, judge: TextureJudge) -> Reached | None:
     """Return the smallest gltfpack mesh with WebP textures that reaches MAX_FLIP."""
-    best = None
+    best, textures = None, WebpTextures(model.images)
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder) / "model.obj"
         texmesh_files.write_obj(source, model.mesh, {})
@@ -177,7 +217,7 @@ def _search_peer(model: TexturedModel, judge: TextureJudge) -> Reached | None:
             if level is None or judge.measure_flip(model.images, level) > MAX_FLIP:
                 break
             size = _packed_size(source, Path(folder), ratio)
-            found = _search_textures(model, level, judge, None if best is None else best.total - size)
+            found = _search_textures(textures, level, judge, None if best is None else best.total - size)
             if found is not None and (best is None or size + found.textures < best.total):
                 best = Reached(size, found.textures, found.flip, f"ratio {ratio:g}, {found.how}")
     return best
@@ -193,14 +233,14 @@ def _packed_size(source: Path, folder: Path, ratio: float) -> int:
     return min(len(content), len(gzip.compress(content, 9)))
 
 
-def _search_textures(model: TexturedModel, level: TexturedMesh, judge: TextureJudge, limit: int | None) -> Reached | None:
+def _search_textures(textures: WebpTextures, level: TexturedMesh, judge: TextureJudge, limit: int | None) -> Reached | None:
     """Return the smallest WebP textures, all of one scale and quality, that reach MAX_FLIP on `level` with at most `limit` bytes."""
     best = None
     for scale in SCALES:
         low, high = 0, len(QUALITIES)
         while low < high:
             center = (low + high) // 2
-            size, decoded = _encode_textures(model, scale, QUALITIES[center])
+            size, decoded = textures.encode(scale, QUALITIES[center])
             ceiling = min((item for item in (limit, None if best is None else best.textures) if item is not None), default=None)
             if ceiling is not None and size >= ceiling:
                 high = center
@@ -211,19 +251,3 @@ def _search_textures(model: TexturedModel, level: TexturedMesh, judge: TextureJu
             else:
                 low = center + 1
     return best
-
-
-def _encode_textures(model: TexturedModel, scale: float, quality: int) -> tuple[int, list[np.ndarray | None]]:
-    """Return the bytes of all textures as WebP, and their decoded pixels."""
-    coded: dict[int, tuple[int, np.ndarray]] = {}
-    for image in model.images:
-        if image is None or id(image) in coded:
-            continue
-        picture = Image.fromarray(image[::-1])
-        if scale != 1.0:
-            picture = picture.resize([max(1, round(side * scale)) for side in picture.size], Image.Resampling.LANCZOS)
-        buffer = io.BytesIO()
-        picture.save(buffer, "WEBP", quality=quality, method=6)
-        coded[id(image)] = len(buffer.getvalue()), np.asarray(Image.open(buffer).convert("RGB"))[::-1].copy()
-    decoded = [None if image is None else coded[id(image)][1] for image in model.images]
-    return sum(size for size, _ in coded.values()), decoded

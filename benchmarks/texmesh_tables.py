@@ -58,6 +58,25 @@ def build_renders(models: dict[str, Any]) -> str:
     return _table(["model", "level", "triangles", "pixels", "Farfield", *PEERS.values(), "ratio to the best"], rows)
 
 
+def build_rebakes(models: dict[str, Any]) -> str:
+    """Return FLIP against the original without and with rebaked textures, and bytes of images."""
+    rows = []
+    for name, model in models.items():
+        original = model["original"]
+        rows.append([name, "L0", "", "", _join_sizes(original["sizes"]), original["png"], original["jpeg"], "", "", ""])
+        for number, level in enumerate(model["levels"], 1):
+            cells = [f"{level[at]['plain']:.3f}, {level[at]['rebaked']:.3f}" for at in ("switch", "nearer")]
+            step = f"{level['switch']['step']:.3f}, {level['switch']['step_rebaked']:.3f}"
+            images = [_join_sizes(level["sizes"]), level["png"], level["jpeg"]]
+            rows.append([name, f"L{number}", level["triangles"], level["pixels"], *images, *cells, step])
+    titles = ["model", "level", "triangles", "pixels", "image", "PNG", "JPEG", "FLIP at the switch", "3 times nearer", "to the finer level"]
+    return _table(titles, rows)
+
+
+def _join_sizes(sizes: list[list[int]]) -> str:
+    return ", ".join(f"{width} x {height}" for width, height in sizes)
+
+
 def build_targets(models: dict[str, Any]) -> str:
     """Return the triangles of subset levels."""
     rows = []
@@ -85,6 +104,47 @@ def build_paper(figures: dict[str, Any]) -> str:
     return "\n\n".join([counts, ranges, convergence, _table(titles, rows)])
 
 
+def build_fragments(figures: dict[str, Any]) -> str:
+    """Return Figures 7 and 9, and the lookup table."""
+    rows = []
+    for name, measured in figures["figure_7"].items():
+        for row in measured:
+            sizes = [_kilobytes(row[key]) for key in ("non_fragmented", "fragmented", "abbreviated", "single")]
+            rows.append([name, f"{row['side']}²", row["quality"], *sizes, f"{row['abbreviated'] / row['non_fragmented']:.2f}"])
+    titles = [
+        "texture",
+        "pixels",
+        "quality",
+        "non-fragmented",
+        "sum of fragments",
+        "without tables",
+        "one file",
+        "without tables / non-fragmented",
+    ]
+    figure_9 = figures["figure_9"]
+    sizes = [[name, *(f"{size:,.0f}" for size in values)] for name, values in figure_9["bytes"].items()]
+    tables = [_table(titles, rows), _table(["bytes of a fragment at quality", *map(str, figure_9["qualities"])], sizes)]
+    lookup = figures["lookup"]
+    if lookup is not None:
+        rows = [
+            [scale, f"{quality:g}", *map(_kilobytes, byte_counts), _kilobytes(lookup["single"][scale])]
+            for scale, (quality, byte_counts) in enumerate(zip(lookup["qualities"], lookup["bytes"], strict=True))
+        ]
+        tables.append(_table(["scale", "Q", *(f"{threshold:g}" for threshold in lookup["thresholds"]), "one file"], rows))
+    return "\n\n".join(tables)
+
+
+def build_packaging(figures: dict[str, Any]) -> str:
+    """Return the stages of a package."""
+    stages = [[row["stage"] or "Start", row["seconds"], row["cpu_seconds"], row["peak_memory_mb"]] for row in figures["stages"]]
+    total = ["all", figures["seconds"], figures["cpu_seconds"], figures["peak_memory_mb"]]
+    return _table(["stage", "s", "CPU s", "peak memory so far, MB"], [*stages, total])
+
+
+def _kilobytes(count: int) -> str:
+    return f"{count / 1000.0:,.0f}"
+
+
 def _mark_zones(zones: list[list[int]]) -> list[str]:
     """Return per scale from 1 on whether the refinement from it to the next finer one is perceptible (red) or not (green)."""
     starts = {start for start, _ in zones}
@@ -108,7 +168,15 @@ def _join(line: Sequence[Any]) -> str:
     return f"|{'|'.join(cells)}|" if cells[0] == "---" else f"| {' | '.join(cells)} |"
 
 
-TABLES = {"switching": build_switches, "renders": build_renders, "targets": build_targets, "paper": build_paper}
+TABLES = {
+    "switching": build_switches,
+    "renders": build_renders,
+    "rebakes": build_rebakes,
+    "targets": build_targets,
+    "paper": build_paper,
+    "fragments": build_fragments,
+    "packaging": build_packaging,
+}
 
 
 if __name__ == "__main__":

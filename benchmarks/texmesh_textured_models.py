@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,7 +25,7 @@ TEXTURE_FILES = {
 }
 PAINTED_SIDE = 2048
 PAINTED_CELLS = 5  # per side of a painted texture, each with a texture of its own
-SCEAUX_SIDE = 4096
+SCEAUX_SIDE = 2048
 
 
 class TexturedModel(NamedTuple):
@@ -79,8 +80,9 @@ def build_sceaux(data: Path) -> TexturedModel:
     unwrapped = photos_inputs.unwrap_mesh(photos_inputs.read_mesh(data / "sceaux" / "mesh_15k.ply"))
     photographs = photos_inputs.load_photographs(data)
     textured = photos_methods.run_method("farfield", unwrapped.mesh, unwrapped.corner_uvs, photographs, SCEAUX_SIDE)
-    image = np.rint(255.0 * np.clip(textured.texture[..., :3], 0.0, 1.0)).astype(np.uint8)
-    return TexturedModel(build_textured_mesh(unwrapped.mesh, unwrapped.corner_uvs, name="sceaux"), [image])
+    image = np.rint(255.0 * np.clip(textured.colors[..., :3], 0.0, 1.0)).astype(np.uint8)
+    mesh = replace(unwrapped.mesh, materials=np.zeros(len(unwrapped.mesh.triangles), np.int32))  # the file has no material
+    return TexturedModel(build_textured_mesh(mesh, unwrapped.corner_uvs, name="sceaux"), [image])
 
 
 def paint_patches(generator: np.random.Generator) -> np.ndarray:

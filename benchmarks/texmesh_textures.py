@@ -6,37 +6,37 @@ import sys
 import time
 from argparse import Namespace
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 import texmesh_models
 import texmesh_textured_models
 from PIL import Image
-from texmesh_texture_views import TextureJudge, random_directions
+from texmesh_texture_views import VIEWS, TextureJudge, list_left_out, list_members, random_directions
 
 from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.scale_space.analysis import analyze_scale_space
 from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
+from farfield.addon.core.texmesh.streaming.textures.avif_files import SPEED
 from farfield.addon.core.texmesh.streaming.textures.building import BuiltTextures, build_textures
 from farfield.addon.core.texmesh.streaming.textures.decoding import decode_textures
 from farfield.addon.core.texmesh.streaming.textures.fragments import (
     CodedFragments,
+    FragmentMap,
     assign_qualities,
     count_features,
     make_fragment_grid,
     normalize_counts,
     quality_of_scale,
 )
-from farfield.addon.core.texmesh.streaming.textures.progressive_files import decode_tile, split_scans
 from farfield.addon.core.texmesh.streaming.textures.settings import TextureSettings
-from farfield.addon.core.texmesh.streaming.textures.texture_tiles import TextureSource, TileGrid, cut_tiles, join_tiles
+from farfield.addon.core.texmesh.streaming.textures.texture_tiles import TextureSource
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
-VIEWS = {256: 24, 512: 24}  # random views by the size of the image in pixels; others than those of the weights
 TARGETS = (0.15, 0.1, 0.07, 0.05, 0.035)  # mean FLIP errors
 POINTS = 10  # prefixes of a package that are measured
-PREFIX_QUALITY = 50
 PAPER_SCALES = (2, 6, 9, 12, 14, 16, 18, 20)
 WEBP_METHOD = 6
 QUALITIES = (2, 4, 7, 11, 17, 25, 37, 50, 65, 80, 92)
@@ -91,67 +91,69 @@ def measure_built(
     return Curve(ends[counts] + fixed, np.array(flips))
 
 
-def measure_uniform(sources: Sequence[TextureSource], judge: Callable[[Images], float], count: int, file_format: str = "JPEG") -> Curve:
-    """Return the curve of whole textures as progressive JPEG or WebP files of one quality."""
+class ModelFiles:
+    """The textures of a model, and files of them, which do not depend on the size of images: each is coded when it is needed first."""
+
+    def __init__(self, model: texmesh_textured_models.TexturedModel) -> None:
+        self.sources, self.count = list_sources(model.mesh, model.images), len(model.images)
+        self._files: dict[tuple[int, int, str], bytes] = {}
+
+    def encode(self, quality: int, file_format: str) -> list[bytes]:
+        """Return the files of all textures."""
+        return [self._encode(index, quality, file_format) for index in range(len(self.sources))]
+
+    @cached_property
+    def fragments(self) -> list[tuple[CodedFragments, FragmentMap]]:
+        """The fragments of the paper, and their features, of all textures."""
+        textures = [LINEAR_OF_BYTE[source.image] for source in self.sources]
+        scales = {}
+        for source in self.sources:
+            if id(source.mesh) not in scales:
+                scales[id(source.mesh)] = run_to_end(analyze_scale_space(source.mesh, textures, ScaleSpaceSettings())).last_scales
+        coded = []
+        for source in self.sources:
+            grid = make_fragment_grid(source.image.shape[1], source.image.shape[0])
+            coded.append((CodedFragments(source.image, grid), count_features(source.mesh, source.materials, scales[id(source.mesh)], grid)))
+        return coded
+
+    def _encode(self, index: int, quality: int, file_format: str) -> bytes:
+        key = index, quality, file_format
+        if key not in self._files:
+            self._files[key] = encode_image(self.sources[index].image[::-1], quality, file_format)
+        return self._files[key]
+
+
+def measure_uniform(files: ModelFiles, judge: Callable[[Images], float], file_format: str) -> Curve:
+    """Return the curve of whole textures as AVIF or WebP files of one quality."""
     sizes, flips = [], []
     for quality in QUALITIES:
-        files = [encode_image(source.image[::-1], quality, file_format) for source in sources]
-        decoded = [np.asarray(Image.open(io.BytesIO(file)).convert("RGB"))[::-1] for file in files]
-        sizes.append(sum(map(len, files)))
-        flips.append(judge(spread_images(sources, decoded, count)))
+        coded = files.encode(quality, file_format)
+        decoded = [np.asarray(Image.open(io.BytesIO(file)).convert("RGB"))[::-1] for file in coded]
+        sizes.append(sum(map(len, coded)))
+        flips.append(judge(spread_images(files.sources, decoded, files.count)))
     return Curve(np.array(sizes), np.array(flips))
 
 
-def measure_fragments(sources: Sequence[TextureSource], judge: Callable[[Images], float], count: int) -> Curve:
+def measure_fragments(files: ModelFiles, judge: Callable[[Images], float]) -> Curve:
     """Return the curve of the fragments of the paper, with the default quality of some scales and the mean threshold."""
-    maps: dict[int, np.ndarray] = {}
-    coded = []
-    for source in sources:
-        if id(source.mesh) not in maps:
-            textures = [LINEAR_OF_BYTE[other.image] for other in sources]
-            maps[id(source.mesh)] = run_to_end(analyze_scale_space(source.mesh, textures, ScaleSpaceSettings())).last_scales
-        grid = make_fragment_grid(source.image.shape[1], source.image.shape[0])
-        features = count_features(source.mesh, source.materials, maps[id(source.mesh)], grid)
-        coded.append((CodedFragments(source.image, grid), features))
     sizes, flips = [], []
     for scale in PAPER_SCALES:
-        files = [
+        coded = [
             fragments.code(assign_qualities(normalize_counts(features.counts[scale]), quality_of_scale(scale)))
-            for fragments, features in coded
+            for fragments, features in files.fragments
         ]
-        decoded = [fragments.decode(items) for (fragments, _), items in zip(coded, files, strict=True)]
-        sizes.append(sum(len(file) for items in files for file in items))
-        flips.append(judge(spread_images(sources, decoded, count)))
+        decoded = [fragments.decode(items) for (fragments, _), items in zip(files.fragments, coded, strict=True)]
+        sizes.append(sum(len(file) for items in coded for file in items))
+        flips.append(judge(spread_images(files.sources, decoded, files.count)))
     return Curve(np.array(sizes), np.array(flips))
 
 
-def measure_prefixes(sources: Sequence[TextureSource], judge: Callable[[Images], float], count: int, quality: int, side: int) -> Curve:
-    """Return the curve of tiles coded by the library at one quality, of which all have the same number of scans."""
-    coded = []
-    for source in sources:
-        grid = TileGrid(source.image.shape[1], source.image.shape[0], side)
-        image = np.pad(
-            source.image[::-1], [(0, grid.padded_shape[axis] - source.image.shape[axis]) for axis in (0, 1)] + [(0, 0)], mode="edge"
-        )
-        coded.append((grid, [split_scans(encode_image(tile, quality)) for tile in cut_tiles(image, side)]))
-    sizes, flips = [], []
-    for scans in range(1, max(len(tile[1]) for _, tiles in coded for tile in tiles) + 1):
-        sizes.append(sum(sum(map(len, tile[1][:scans])) for _, tiles in coded for tile in tiles))
-        decoded = [
-            join_tiles(np.stack([decode_tile(header, parts[:scans])[::-1] for header, parts in tiles]), grid)[::-1] for grid, tiles in coded
-        ]
-        flips.append(judge(spread_images(sources, decoded, count)))
-    return Curve(np.array(sizes), np.array(flips))
-
-
-def encode_image(image: np.ndarray, quality: int, file_format: str = "JPEG") -> bytes:
-    """Return a progressive JPEG file, without subsampling of colors, or a WebP file of an image (H, W, 3) uint8."""
+def encode_image(image: np.ndarray, quality: int, file_format: str) -> bytes:
+    """Return an AVIF file, without subsampling of colors, or a WebP file of an image (H, W, 3) uint8."""
     file = io.BytesIO()
     picture = Image.fromarray(np.ascontiguousarray(image))
-    if file_format == "JPEG":
-        picture.save(file, "JPEG", quality=quality, progressive=True, subsampling=0)
-    else:
-        picture.save(file, file_format, quality=quality, method=WEBP_METHOD)
+    options = {"speed": SPEED, "subsampling": "4:4:4"} if file_format == "AVIF" else {"method": WEBP_METHOD}
+    picture.save(file, file_format, quality=quality, **options)
     return file.getvalue()
 
 
@@ -162,42 +164,44 @@ def build(sources: Sequence[TextureSource], settings: TextureSettings) -> BuiltT
 
 def measure_textures(given: Namespace) -> dict[str, Any]:
     """Return bytes at equal FLIP of packages and of other ways to send textures, for all models that judge and all sizes of images."""
-    generated = [f"{kind}:{given.seed + index}" for index, kind in enumerate(texmesh_models.GENERATORS)]
+    names = [*texmesh_textured_models.JUDGING, *(f"{kind}:{given.seed + index}" for index, kind in enumerate(texmesh_models.GENERATORS))]
     results: dict[str, Any] = {}
-    for name in given.models or [*texmesh_textured_models.JUDGING, *generated]:
-        model = texmesh_textured_models.open_textured(given.data, name, given.seed)
-        for pixels, views in VIEWS.items():
-            results[f"{name} at {pixels}"] = measure_model(model, pixels, views, np.random.default_rng(given.seed))
-            print(name, pixels, json.dumps(results[f"{name} at {pixels}"]), file=sys.stderr)
+    model, files, opened = None, None, ""
+    for name, pixels in list_members(given, names):
+        if name != opened:
+            model, opened = texmesh_textured_models.open_textured(given.data, name, given.seed), name
+            files = ModelFiles(model)
+        started = time.perf_counter()
+        result = measure_model(model, files, pixels, np.random.default_rng([given.seed, pixels]))
+        results[f"{name} at {pixels}"] = result | {"all_seconds": round(time.perf_counter() - started, 1)}
+        print(name, pixels, json.dumps(results[f"{name} at {pixels}"]), file=sys.stderr)
     summary = {}
     for member in ("uniform", "paper", "webp"):
         ratios = [row[member] for result in results.values() for row in result["targets"] if row[member] is not None]
-        summary[member] = {"mean": round(float(np.mean(ratios)), 3), "worst": max(ratios)} if ratios else None
-    return {"ratios": summary, "models": results}
+        summary[member] = {"mean": round(float(np.mean(ratios)), 3), "worst": max(ratios), "count": len(ratios)} if ratios else None
+    return {"ratios": summary, "models": results, "left_out": list_left_out(given, names, results)}
 
 
-def measure_model(model: texmesh_textured_models.TexturedModel, pixels: int, views: int, generator: np.random.Generator) -> dict[str, Any]:
-    """Return bytes at equal FLIP errors, relative to the better one of two ways of uniform quality, to the paper's fragments and to WebP;
+def measure_model(
+    model: texmesh_textured_models.TexturedModel, files: ModelFiles, pixels: int, generator: np.random.Generator
+) -> dict[str, Any]:
+    """Return bytes at equal FLIP errors, relative to those of uniform quality, to the paper's fragments and to WebP;
     None where one of them does not reach the error."""
-    directions = random_directions(views, generator)
-    judge = TextureJudge(model.mesh, model.images, directions, pixels).measure_flip
-    sources, count = list_sources(model.mesh, model.images), len(model.images)
+    judge = TextureJudge(model.mesh, model.images, random_directions(VIEWS[pixels], generator), pixels).measure_flip
+    sources, count = files.sources, files.count
     started = time.process_time()
     built = build(sources, TextureSettings(pixels=pixels))
     seconds = time.process_time() - started
     curves = {
         "package": measure_built(built, sources, judge, count, POINTS),
-        "quality": measure_uniform(sources, judge, count),
-        "prefix": measure_prefixes(sources, judge, count, PREFIX_QUALITY, TextureSettings().tile_size),
-        "paper": measure_fragments(sources, judge, count),
-        "webp": measure_uniform(sources, judge, count, "WEBP"),
+        "uniform": measure_uniform(files, judge, "AVIF"),
+        "paper": measure_fragments(files, judge),
+        "webp": measure_uniform(files, judge, "WEBP"),
     }
     rows = []
     for flip in TARGETS:
         counts = {name: curve.bytes_at(flip) for name, curve in curves.items()}
-        uniform = np.fmin(counts["quality"], counts["prefix"])
-        others = {"uniform": uniform, "paper": counts["paper"], "webp": counts["webp"]}
-        ratios = {name: counts["package"] / other for name, other in others.items()}
+        ratios = {name: counts["package"] / other for name, other in counts.items() if name != "package"}
         rows.append({"flip": flip} | {name: round(float(ratio), 3) if np.isfinite(ratio) else None for name, ratio in ratios.items()})
     return {
         "seconds": round(seconds, 1),

@@ -36,7 +36,7 @@ def write_opaque_package(folder: Path, seed: int = 0, mesh_size: int = 5000, tex
     random = np.random.default_rng(seed)
     mesh, increment = random.bytes(mesh_size), random.bytes(textures_size)
     nothing = Section(0, 0, 0)
-    textures = encode_increments(Increments(*(np.zeros(0, np.int64) for _ in range(6)))) + increment
+    textures = encode_increments(Increments(*(np.zeros(0, np.int64) for _ in range(5)))) + increment
     start = len(textures) - textures_size
     manifest = Manifest(
         name="noise",
@@ -115,18 +115,18 @@ def decode_textures(folder: Path, manifest: Manifest) -> list[np.ndarray]:
     """Return the textures (H, W, 3) uint8 of a package, row 0 at the top, decoded by Pillow from all increments."""
     content = (folder / TEXTURES).read_bytes()
     increments = decode_increments(manifest.increments.read(content, TEXTURES), manifest)
-    files: dict[tuple[int, int], bytes] = {}
-    offset = manifest.first_increment
-    for texture, tile, header, size in zip(increments.textures, increments.tiles, increments.headers, increments.sizes, strict=True):
-        files.setdefault((texture, tile), manifest.textures[texture].headers[header])
-        files[texture, tile] += content[offset : offset + size]
-        offset += size
     images = [np.full((texture.height, texture.width, 3), 128, np.uint8) for texture in manifest.textures]
-    for (texture, tile), file in files.items():
-        side, columns = manifest.textures[texture].tile_size, manifest.textures[texture].columns
+    parts = increments.split(content[manifest.first_increment :])
+    for index, tile, header, part in zip(increments.textures, increments.tiles, increments.headers, parts, strict=True):
+        texture = manifest.textures[index]
+        side, columns = texture.tile_size, -(-texture.width // texture.tile_size)
+        if tile >= columns * -(-texture.height // side):
+            continue  # of a coarse level: all of level 0 come in the end
+        size = len(part)
+        file = b"".join([texture.headers[header], size.to_bytes(4, "big"), (size + 8).to_bytes(4, "big"), b"mdat", part])
         y, x = tile // columns * side, tile % columns * side
-        part = images[texture][y : y + side, x : x + side]
-        part[:] = np.asarray(Image.open(io.BytesIO(file + b"\xff\xd9")).convert("RGB"))[: part.shape[0], : part.shape[1]]
+        shown = images[index][y : y + side, x : x + side]
+        shown[:] = np.asarray(Image.open(io.BytesIO(file)).convert("RGB"))[: shown.shape[0], : shown.shape[1]]
     return images
 
 

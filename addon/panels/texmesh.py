@@ -45,6 +45,8 @@ class TexmeshSettingsPanel(SettingsSubPanel):
         """Return whether the setting `name` belongs to the chosen levels, order and analysis."""
         if name in BUDGETS.values():
             return BUDGETS.get(group.choice) == name
+        if name == "rebake":
+            return group.product == "refit"
         if name == "axis":
             return group.mode == "paper"
         if name in ("texture_weight", "noise", "spacing"):

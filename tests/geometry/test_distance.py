@@ -5,7 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from farfield.addon.core.geometry.distance import closest_barycentric, closest_on_mesh, one_sided_hausdorff, plane_barycentric
+from farfield.addon.core.geometry.distance import (
+    TriangleTree,
+    closest_barycentric,
+    closest_on_mesh,
+    one_sided_hausdorff,
+    plane_barycentric,
+    squared_point_triangle_distances,
+)
 
 TRIANGLE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
@@ -43,6 +50,19 @@ def test_distances_equal_brute_force(seed, count, unit, size_range):
     np.testing.assert_allclose(distances, brute_force_distances(points, corners), rtol=1e-9, atol=1e-12 * unit)
     to_nearest = [point_triangle_distance(point, corners[index]) for point, index in zip(points, nearest, strict=True)]
     np.testing.assert_allclose(distances, to_nearest, rtol=1e-9, atol=1e-12 * unit)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=20, deadline=None)
+def test_distances_are_exact_where_they_are_not_near_enough(seed):
+    generator = np.random.default_rng(seed)
+    corners, points = generator.normal(size=(60, 3, 3)), 2.0 * generator.normal(size=(50, 3))
+    enough = generator.uniform(0.0, 2.0, len(points))
+    exact, _ = closest_on_mesh(points, corners)
+    distances, triangles = TriangleTree(corners).find_closest(points, enough)
+    assert np.allclose(distances, np.sqrt(squared_point_triangle_distances(points, corners[triangles])))
+    assert ((distances > enough) == (exact > enough)).all()
+    assert np.allclose(distances[exact > enough], exact[exact > enough])
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from farfield.addon.core.errors import SettingsError
 from farfield.addon.core.geometry.directions import fibonacci_sphere
 from farfield.addon.core.imaging.mipmaps import build_mipmaps
+from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.perception import views
 from farfield.addon.core.texmesh.perception.level_choice import RANGE_MARGIN, LevelBudget, LevelOption, choose_levels
 from farfield.addon.core.texmesh.perception.level_images import LevelImages
@@ -22,7 +23,7 @@ from farfield.addon.core.texmesh.perception.major_scales import (
     keep_visible_scales,
 )
 from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
-from farfield.addon.core.texmesh.perception.switch_distances import SwitchCheck
+from farfield.addon.core.texmesh.perception.switch_distances import SwitchCheck, find_switches
 from textured_levels import checkered, textured_sphere
 
 #  scale                0    1    2    3    4    5    6    7
@@ -74,7 +75,8 @@ def test_flip_tells_which_scales_can_be_dropped():
     textures = [build_mipmaps(checkered())]
     surfaces = [views.prepare_surface(mesh, textures) for mesh in meshes]
     images = [LevelImages(surface, frame, fibonacci_sphere(2), settings.pixels_per_degree) for surface in surfaces]
-    check = SwitchCheck(images, [0.0, 0.1, 0.1], settings)
+    sizes = [switch.pixel_size for switch in run_to_end(find_switches(images, settings))]
+    check = SwitchCheck(images, [0.0, *sizes], settings)
     assert check(0, 1) and not check(0, 2) and not check(1, 2)
     assert keep_visible_scales(np.array([False, False]), check).tolist() == [False, True]
 

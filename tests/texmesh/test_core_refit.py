@@ -1,5 +1,7 @@
 """Refit levels: less deviation, seams that stay closed, and no flipped triangles."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,7 @@ from farfield.addon.core.texmesh.refitting.edge_flips import flip_edges
 from farfield.addon.core.texmesh.refitting.edge_splits import split_edges
 from farfield.addon.core.texmesh.refitting.least_squares import Linearization, compute_moments
 from farfield.addon.core.texmesh.refitting.level_state import LevelState, attach
-from farfield.addon.core.texmesh.refitting.refit import make_refit_levels, refit
+from farfield.addon.core.texmesh.refitting.refit import make_refit_levels, refit, sum_costs
 from farfield.addon.core.texmesh.refitting.sampling import sample_surface
 from farfield.addon.core.texmesh.refitting.settings import RefitSettings
 from farfield.addon.core.texmesh.simplification.islands import find_islands
@@ -165,3 +167,11 @@ def test_splits_add_two_triangles_each_and_change_no_surface(fine):
     assert split.costs.sum() == pytest.approx(state.costs.sum())
     assert find_edges(split.mesh.triangles).face_counts.max() == 2
     assert (signed_areas(split.mesh.corner_uvs) > 0.0).all()
+
+
+def test_a_sample_that_jumps_does_not_decide():
+    costs = np.random.default_rng(4).random(5000)
+    better = 0.9 * costs
+    better[7] = 1000.0 * costs.sum()
+    cost, new_cost = sum_costs(SimpleNamespace(costs=costs), SimpleNamespace(costs=better))
+    assert cost == pytest.approx(costs.sum()) and new_cost < 0.91 * cost

@@ -149,7 +149,7 @@ def test_package_is_simulated_from_its_manifest():
     zeros = np.zeros(count, np.int64)
     sizes = rng.integers(500, 5000, count)
     gains = np.linspace(5000.0, 100.0, count).astype(np.float16)
-    increments = Increments(zeros, np.arange(count) % 16, zeros, zeros + 1, sizes, gains)
+    increments = Increments(zeros, np.arange(count) % 16, zeros, sizes, gains)
     manifest = make_manifest(increments)
     package = build_sent_package(manifest, increments)
     assert [(span.file, span.start, span.end) for span in package.job.first] == [("mesh.bin", 0, 9200), ("textures.bin", 0, 1000)]

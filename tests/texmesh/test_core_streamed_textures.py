@@ -1,4 +1,4 @@
-"""Textures of packages: any number of the first increments of a tile is a JPEG file, and they are in the order of gain per byte."""
+"""Textures of packages: each increment is an AVIF file of a tile, and later ones replace earlier ones."""
 
 from dataclasses import replace
 
@@ -11,14 +11,21 @@ from farfield.addon.core.errors import ImageError, SettingsError
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.streaming.increments import decode_increments, encode_increments
 from farfield.addon.core.texmesh.streaming.manifest import Manifest, Section
+from farfield.addon.core.texmesh.streaming.textures.avif_files import decode_tile
 from farfield.addon.core.texmesh.streaming.textures.building import BuiltTextures, build_textures
-from farfield.addon.core.texmesh.streaming.textures.coding import choose_factors
+from farfield.addon.core.texmesh.streaming.textures.coding import CodedTexture, code_texture
 from farfield.addon.core.texmesh.streaming.textures.decoding import decode_textures
-from farfield.addon.core.texmesh.streaming.textures.progressive_files import check_increment, decode_tile
-from farfield.addon.core.texmesh.streaming.textures.queue import order_increments
+from farfield.addon.core.texmesh.streaming.textures.rungs import choose_state, order_tiles
 from farfield.addon.core.texmesh.streaming.textures.settings import TextureSettings
-from farfield.addon.core.texmesh.streaming.textures.texture_tiles import TextureSource, TileGrid, fill_unused, find_used_texels
+from farfield.addon.core.texmesh.streaming.textures.texture_tiles import (
+    TextureSource,
+    TileGrid,
+    check_source,
+    fill_unused,
+    find_used_texels,
+)
 from farfield.addon.core.texmesh.streaming.textures.visibility import measure_visibility
+from farfield.addon.core.texmesh.streaming.tile_pyramid import TilePyramid, sum_tiles
 from farfield.addon.core.texmesh.textured_mesh import build_textured_mesh
 from tests.shapes import sheet
 
@@ -48,36 +55,76 @@ def test_same_sources_give_same_bytes(built):
     assert again.content == built.content and again.textures == built.textures
 
 
-def test_every_prefix_of_a_tile_decodes(built):
-    ends = np.cumsum(built.increments.sizes)
-    seen: dict[tuple[int, int], list[bytes]] = {}
-    for index, end in enumerate(ends):
-        content = built.content[end - built.increments.sizes[index] : end]
-        check_increment(content, int(built.increments.scans[index]))
-        key = (int(built.increments.textures[index]), int(built.increments.tiles[index]))
-        parts = seen.setdefault(key, [])
-        parts.append(content)
-        texture = built.textures[key[0]]
-        assert decode_tile(texture.headers[built.increments.headers[index]], parts).shape == (32, 32, 3)
+@pytest.fixture(scope="module")
+def coded() -> CodedTexture:
+    source = make_source()
+    grid = check_source(source, 32)
+    visibility = run_to_end(measure_visibility([source], [grid], 4, 64))[0]
+    return run_to_end(code_texture(source, grid, visibility, SETTINGS))
 
 
-def test_increments_come_by_falling_gain_per_byte():
-    rng = np.random.default_rng(8)
-    sizes = rng.integers(1, 50, (20, 6))
-    errors = np.concatenate([np.ones((20, 1)), 1.0 - np.cumsum(rng.random((20, 6)) / 6.0, axis=1)], axis=1)
-    queued = order_increments(sizes, errors)
-    ends = np.concatenate([np.zeros((20, 1), int), np.cumsum(sizes, axis=1)], axis=1)
-    bytes_of = ends[queued.rows, queued.first_scans + queued.scan_counts] - ends[queued.rows, queued.first_scans]
-    assert (np.diff(queued.gains / bytes_of) <= 1e-12).all()
-    for row in range(20):
-        own = queued.rows == row
-        assert queued.scan_counts[own].sum() == 6 and (np.diff(queued.first_scans[own]) > 0).all()
-        assert queued.gains[own].sum() == pytest.approx(errors[row, 0] - errors[row, -1])
+def test_every_increment_is_a_tile_by_itself(built):
+    for index, part in enumerate(built.increments.split(built.content)):
+        texture = built.textures[built.increments.textures[index]]
+        pyramid = TilePyramid(texture.width, texture.height, texture.tile_size)
+        side = pyramid.side(pyramid.locate(int(built.increments.tiles[index]))[0])
+        assert decode_tile(texture.headers[built.increments.headers[index]], part, side).shape == (side, side, 3)
 
 
-def test_scans_without_gain_are_left_out():
-    queued = order_increments(np.array([[5, 5, 5, 0]]), np.array([[1.0, 0.5, 0.5, 0.6, 0.6]]))
-    assert queued.first_scans.tolist() == [0] and queued.scan_counts.tolist() == [1]
+def test_best_state_is_at_least_as_good_as_others(coded):
+    for price in (1e-9, 1e-6, 1e-4, 1.0):
+        cost = sum(state_cost(coded, choice, price) for choice in choose_state([coded], price))
+        for level in range(len(coded.sizes)):
+            for quality in range(len(coded.sizes[level])):
+                used = sum_tiles(coded.used.astype(int), level) > 0
+                errors = np.where(used, sum_tiles(coded.errors[level, quality], level), 0.0)
+                assert cost <= errors.sum() + price * coded.sizes[level][quality].sum() + 1e-12
+
+
+def test_states_show_every_used_tile_once(coded):
+    for price in (1e-9, 1e-5, 1.0):
+        times = np.zeros(coded.used.shape, int)
+        for choice in choose_state([coded], price):
+            times[coded.pyramid.covered(choice.level, choice.row, choice.column)] += 1
+        assert (times[coded.used] == 1).all() and (times <= 1).all()
+
+
+def state_cost(coded, choice, price):
+    covered = coded.pyramid.covered(choice.level, choice.row, choice.column)
+    size = coded.sizes[choice.level][choice.quality, choice.row, choice.column]
+    return coded.errors[choice.level, choice.quality][covered].sum() + price * size
+
+
+def test_order_begins_with_few_bytes_and_ends_with_all_of_the_texture(coded):
+    queued = order_tiles([coded])
+    assert queued.choices[0].level == len(coded.sizes) - 1
+    shown = np.zeros(coded.used.shape, bool)
+    for choice in queued.choices:
+        if choice.level == 0 and choice.quality == len(coded.sizes[0]) - 1:
+            shown[choice.row, choice.column] = True
+    np.testing.assert_array_equal(shown, coded.used)
+    left = coded.missing_errors.sum() - queued.gains.sum()
+    assert left == pytest.approx(coded.errors[0, -1].sum(), abs=1e-3)
+
+
+def test_finer_levels_and_higher_qualities_have_smaller_errors(coded):
+    sums = coded.errors.sum(axis=(2, 3))
+    assert (np.diff(sums[0]) < 0.0).all() and (np.diff(sums[:, -1]) > 0.0).all()
+    assert (sums < coded.missing_errors.sum()).all()
+
+
+@given(st.integers(1, 500), st.integers(1, 500), st.sampled_from([16, 32, 48, 64]))
+def test_tiles_of_a_level_cover_the_texture_once(width, height, side):
+    pyramid = TilePyramid(width, height, side)
+    assert pyramid.shapes[-1] == (1, 1) and pyramid.side(0) == side
+    for level in range(len(pyramid.shapes)):
+        times = np.zeros(pyramid.shapes[0], int)
+        for number in range(pyramid.starts[level], pyramid.starts[level + 1]):
+            found = pyramid.locate(number)
+            assert found[0] == level
+            times[pyramid.covered(*found)] += 1
+        assert (times == 1).all()
+        np.testing.assert_array_equal(sum_tiles(np.ones(pyramid.shapes[0]), level).sum(), times.size)
 
 
 def test_table_agrees_with_the_manifest(built):
@@ -122,20 +169,16 @@ def test_gray_textures_have_one_component():
     assert (np.ptp(decode_textures(built.textures, built.increments, built.content)[0].astype(int), axis=2) == 0).all()
 
 
-def test_tiles_take_as_few_bytes_as_the_error_allows():
-    errors = np.array([[0.1, 0.2, 0.9], [0.1, 0.8, 0.9]])
-    byte_counts = np.array([[100, 40, 30], [100, 90, 80]])
-    assert choose_factors(errors, byte_counts, 0.31).tolist() == [1, 0]
-    assert choose_factors(errors, byte_counts, 0.0).tolist() == [0, 0]
-    assert choose_factors(errors, byte_counts, 9.0).tolist() == [2, 2]
-
-
-def test_features_change_the_order():
+def test_tiles_with_features_gain_more():
     source = make_source()
-    scales = np.where(source.mesh.vertices[:, 0] > 0.0, 20, 0).astype(np.int8)
-    plain = run_to_end(build_textures([source], SETTINGS))
-    weighted = run_to_end(build_textures([replace(source, feature_scales=scales)], replace(SETTINGS, feature_weight=10.0)))
-    assert plain.increments.tiles.tolist() != weighted.increments.tiles.tolist()
+    x = source.mesh.vertices[:, 0]
+    scales = np.where(x > 0.7 * x.max(), 20, 0).astype(np.int8)  # in the second column of tiles, not in the first
+    fractions = []
+    for weight in (0.0, 10.0):
+        built = run_to_end(build_textures([replace(source, feature_scales=scales)], replace(SETTINGS, feature_weight=weight)))
+        tiles, gains = built.increments.tiles, built.increments.gains.astype(float)
+        fractions.append(gains[(tiles < 9) & (tiles % 3 == 1)].sum() / gains[tiles < 9].sum())
+    assert fractions[1] > fractions[0] + 0.05
 
 
 def test_visibility_counts_all_pixels():
@@ -193,3 +236,12 @@ def test_tiles_must_consist_of_blocks():
 def test_what_cannot_be_coded_is_refused():
     with pytest.raises(ImageError, match="role"):
         run_to_end(build_textures([make_source(role="height")], SETTINGS))
+
+
+def test_detail_that_no_image_shows_is_coded_once():
+    source = make_source((256, 256))
+    built = run_to_end(build_textures([source], replace(SETTINGS, pixels=16)))
+    pyramid = TilePyramid(256, 256, 32)
+    levels = [pyramid.locate(int(number))[0] for number in built.increments.tiles]
+    assert levels.count(0) == len({int(number) for number in built.increments.tiles if number < pyramid.starts[1]})
+    assert 1 not in levels and max(levels) >= 3

@@ -133,12 +133,14 @@ def test_levels_that_would_never_be_shown_are_left_out():
     assert [switch.pixels for switch in switches] == pytest.approx([switch.pixels for switch in again], rel=0.05, abs=1.0)
 
 
-def test_of_levels_that_switch_together_each_is_shown():
-    levels = surfaces(32, 8, 7, 6, 5)
+@pytest.mark.parametrize("segments", [(32, 8, 7, 6, 5), (32, 31, 30, 29, 28, 12, 11, 10, 5), (32, 5, 32, 31, 30), (24, 23, 22)])
+def test_sizes_of_images_at_switches_decrease_in_proportion(segments):
+    levels = surfaces(*segments)
     images = switch_distances.open_images(levels, SETTINGS)
-    _, switches = run_to_end(switch_distances.find_shown_levels(images, SETTINGS))
+    shown, switches = run_to_end(switch_distances.find_shown_levels(images, SETTINGS))
     pixels = [switch.pixels for switch in switches]
-    assert all(first > second for first, second in itertools.pairwise(pixels))
+    assert all(first >= switch_distances.MIN_SWITCH_RATIO * second for first, second in itertools.pairwise(pixels))
+    assert len(shown) == len(pixels) + 1 and not any(switch.difference > SETTINGS.max_difference for switch in switches)
 
 
 def test_a_comparison_ends_where_the_difference_is_seen():

@@ -4,8 +4,10 @@ import bpy
 import numpy as np
 import pytest
 
+from farfield.addon.bridge.texmesh.package_images import PackageImages
 from farfield.addon.bridge.texmesh.package_materials import read_material
 from farfield.addon.bridge.texmesh.package_sources import read_package_source
+from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
 from textured_scenes import checker_image, textured_ball, textured_material
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
@@ -38,7 +40,7 @@ def test_images_by_role():
     tree.links.new(separate.outputs["Blue"], shader.inputs["Metallic"])
     tree.links.new(normals.outputs["Color"], normal_map.inputs["Color"])
     tree.links.new(normal_map.outputs["Normal"], shader.inputs["Normal"])
-    source = read_material(material)
+    source = read_material(material, PackageImages())
     assert set(source.images) == {"base_color", "roughness", "metallic", "normal"}
     assert source.base_color == (1.0, 1.0, 1.0, 1.0)
     assert (source.images["roughness"] == 102).all() and (source.images["metallic"] == 153).all()
@@ -48,11 +50,24 @@ def test_images_by_role():
 def test_base_color_is_srgb_encoded():
     image = bpy.data.images.new("float", 2, 2, float_buffer=True)
     image.pixels.foreach_set(np.tile(np.float32([0.214, 1.0, 0.0, 1.0]), 4))
-    assert np.abs(read_material(textured_material(image)).images["base_color"].astype(int) - [127, 255, 0]).max() <= 1
+    assert np.abs(read_material(textured_material(image), PackageImages()).images["base_color"].astype(int) - [127, 255, 0]).max() <= 1
+
+
+def test_materials_with_the_same_image_have_one_array():
+    ball, image = textured_ball(), checker_image()
+    ball.data.materials.clear()
+    for _ in range(2):
+        ball.data.materials.append(textured_material(image))
+    for polygon in ball.data.polygons:
+        polygon.material_index = polygon.index % 2
+    source = read_package_source(ball, bpy.context.evaluated_depsgraph_get())
+    first, second = (material.images["base_color"] for material in source.materials)
+    assert first is second
+    np.testing.assert_array_equal(source.textures[0], LINEAR_OF_BYTE[first])
 
 
 def test_no_material_is_gray_and_without_images():
-    source = read_material(None)
+    source = read_material(None, PackageImages())
     assert source.images == {} and source.base_color == (0.8, 0.8, 0.8, 1.0)
 
 

@@ -212,7 +212,7 @@ def test_other_servers_and_packages(page, package, tmp_path):
     folder, manifest = package
     files = {name: (folder / name).read_bytes() for name in ("manifest.json", MESH, TEXTURES)}
     write_files(tmp_path / "whole", files | read_page())
-    write_files(tmp_path / "newer", {"manifest.json": re.sub(rb'"version":1\b', b'"version":2', files["manifest.json"])})
+    write_files(tmp_path / "newer", {"manifest.json": re.sub(rb'"version":2\b', b'"version":3', files["manifest.json"])})
     lie = files["manifest.json"].replace(b'"mesh.bin":[', b'"mesh.bin":[1')
     write_files(tmp_path / "lying", files | {"manifest.json": lie})
     write_files(tmp_path / "incomplete", {name: files[name] for name in ("manifest.json", MESH)})
@@ -221,7 +221,7 @@ def test_other_servers_and_packages(page, package, tmp_path):
         page.wait_for(FINISHED)
         assert "whole files only" in page.evaluate("document.getElementById('status')?.textContent")
         assert page.evaluate("[farfield.loader.shown, farfield.loader.passed]") == [len(manifest.levels) - 1, manifest.increment_count]
-        for name, message in (("newer", "version 2"), ("lying", "is damaged"), ("incomplete", "404"), ("missing", "cannot be loaded")):
+        for name, message in (("newer", "version 3"), ("lying", "is damaged"), ("incomplete", "404"), ("missing", "cannot be loaded")):
             page.open(f"{url}whole/?package=../{name}")
             page.wait_for(f"document.getElementById('status')?.textContent.includes('{message}')")
 

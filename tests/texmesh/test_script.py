@@ -95,6 +95,18 @@ def test_one_file_with_all_levels(ball):
     assert len(document["images"]) == len(document["materials"]) == 1
 
 
+@pytest.mark.parametrize("one_file", [False, True])
+def test_files_have_rebaked_textures(folder, one_file):
+    textured_ball().data.materials[0] = textured_material(checker_image("Large", 512))
+    path, flags = save(folder), ("--one-file",) if one_file else ()
+    summary, _ = make(path, "--ratio", "0.5,0.1", "--product", "refit", "--rebake", *flags, out="out.glb")
+    assert "Textures of the levels" in summary
+    names = ["out.glb"] if one_file else [f"out-L{number}.glb" for number in range(3)]
+    texmesh.scene_files.open_scene(path.with_name(names[-1]))
+    sizes = sorted(image.size[0] for image in bpy.data.images if image.size[0])
+    assert sizes == ([128, 256, 512] if one_file else [128])
+
+
 def parse_glb(path):
     data = path.read_bytes()
     return json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])

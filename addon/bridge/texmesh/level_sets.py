@@ -4,7 +4,7 @@ Level 0 is the source as it was evaluated. A level shows where a pixel is larger
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import bpy
@@ -17,9 +17,10 @@ from ..mesh_pool import is_local
 from ..render_properties import copy_render_properties
 from ..source_links import SourceIndex, find_sources, store_sources
 from ..world_matrices import world_matrix
+from .rebaked_images import KIND, find_rebaked_images, use_rebaked_image
 from .temporary_visibility import restore
 
-KIND, LEVEL = "farfield_kind", "texmesh_level"
+LEVEL = "texmesh_level"  # the KIND of the objects
 NUMBER, ERROR, TRIANGLES = "farfield_level", "farfield_error", "farfield_triangles"
 SWITCH_DISTANCE = "farfield_switch_distance"  # in units of the object, for the display that the levels were made for
 FIGURES = "farfield_texmesh_figures"  # of the collection: JSON about how the levels were made
@@ -27,11 +28,13 @@ FIGURES = "farfield_texmesh_figures"  # of the collection: JSON about how the le
 
 @dataclass(frozen=True)
 class NewLevel:
-    """A level to be added. error: object units, 0 for the finest. switch_distance: object units, 0 for the finest."""
+    """A level to be added. error: object units, 0 for the finest. switch_distance: object units, 0 for the finest. images: those that
+    replace the color images of materials, by material slot."""
 
     mesh: bpy.types.Mesh
     error: float
     switch_distance: float
+    images: Mapping[int, bpy.types.Image] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -118,15 +121,17 @@ def add_level_set(
 ) -> LevelSet:
     """Create a collection named `name` with an object per level, at the position of the source.
 
-    materials: of the slots of all levels. They are copied, so that a cross-fade leaves those of the source as they are.
+    materials: of the slots of all levels. They are copied, so that a cross-fade leaves those of the source as they are; for levels with
+    images of their own once more.
     """
     collection = bpy.data.collections.new(name)
     _parent_collection(source, scene).children.link(collection)
     copies = [None if material is None else _copy_material(material) for material in materials]
     objects = []
     for number, level in enumerate(levels):
-        for material in copies:
-            level.mesh.materials.append(material)
+        for slot, material in enumerate(copies):
+            image = level.images.get(slot)
+            level.mesh.materials.append(material if image is None else _copy_for_level(materials[slot], number, image))
         item = bpy.data.objects.new(f"{source.name} L{number}", level.mesh)
         item.matrix_world = source.matrix_world
         item[KIND], item[NUMBER], item[ERROR] = LEVEL, number, float(level.error)
@@ -160,13 +165,16 @@ def read_level_set(collection: bpy.types.Collection, index: SourceIndex | None =
 
 
 def remove_level_set(levels: LevelSet) -> None:
-    """Remove the objects, meshes and materials of levels that nothing else uses, and their collection if it is empty then."""
+    """Remove the objects, meshes, materials and rebaked images of levels that nothing else uses, and their collection if it is empty
+    then."""
     restore([levels.source])
     data = list(dict.fromkeys(level.data for level in levels.levels))
     materials = list(dict.fromkeys(material for mesh in data for material in mesh.materials if material is not None))
+    images = find_rebaked_images(materials)
     bpy.data.batch_remove(levels.levels)
     bpy.data.batch_remove([mesh for mesh in data if mesh.users == 0])
     bpy.data.batch_remove([material for material in materials if material.users == 0])
+    bpy.data.batch_remove([image for image in images if image.users == 0])
     if not levels.collection.objects and not levels.collection.children:
         bpy.data.collections.remove(levels.collection)
 
@@ -188,4 +196,11 @@ def _parent_collection(source: bpy.types.Object, scene: bpy.types.Scene) -> bpy.
 def _copy_material(material: bpy.types.Material) -> bpy.types.Material:
     copy = material.copy()
     copy.use_transparent_shadow = True
+    return copy
+
+
+def _copy_for_level(material: bpy.types.Material, number: int, image: bpy.types.Image) -> bpy.types.Material:
+    copy = _copy_material(material)
+    copy.name = f"{material.name} L{number}"
+    use_rebaked_image(copy, image)
     return copy

@@ -9,6 +9,7 @@ from ...core.texmesh.streaming.material_sources import MaterialSource
 from ...core.texmesh.textured_mesh import TexturedMesh
 from ..meshes import find_material
 from ..world_matrices import world_matrix
+from .package_images import PackageImages
 from .package_materials import read_material
 from .sources import read_textured_source
 
@@ -31,9 +32,10 @@ def read_package_source(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) 
     Raises:
         GeometryError: it has no faces or no area. FileError: an image is missing.
     """
-    source = read_textured_source(item, depsgraph, has_attributes=False)
+    images = PackageImages()
+    source = read_textured_source(item, depsgraph, has_attributes=False, read_image=images.read_analyzed)
     slots = source.evaluated.materials or (None,)
-    materials = tuple(read_material(None if key is None else find_material(key)) for key in slots)
+    materials = tuple(read_material(None if key is None else find_material(key), images) for key in slots)
     textures = source.textures or (None,)
     remarks = list(source.remarks)
     if any(_has_alpha(None if key is None else find_material(key)) for key in slots):

@@ -1,5 +1,6 @@
 """Objects with a texture as textured meshes, with everything that their levels carry."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import bpy
@@ -39,10 +40,15 @@ class TexturedSource:
 NORMALS = "custom_normal"  # the attribute with the normals of smooth faces
 
 
-def read_textured_source(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph, has_attributes: bool = True) -> TexturedSource:
+def read_textured_source(
+    item: bpy.types.Object,
+    depsgraph: bpy.types.Depsgraph,
+    has_attributes: bool = True,
+    read_image: Callable[[bpy.types.Image], tuple[np.ndarray, bool]] = read_color_image,
+) -> TexturedSource:
     """Read the evaluated mesh of an object, with modifiers and shape keys, in object space, and the images that color its materials.
 
-    has_attributes: whether normals and color attributes are read, too.
+    has_attributes: whether normals and color attributes are read, too. read_image: see `read_color_image`.
 
     Raises:
         GeometryError: it has no faces or no area.
@@ -51,7 +57,7 @@ def read_textured_source(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph,
     evaluated = next((instance.mesh for instance in read_instances([item], depsgraph) if instance.name == item.name), None)
     if evaluated is None:
         raise GeometryError(f'"{item.name}" has no faces; select a mesh with a UV map and a texture.')
-    uv_map, textures, remarks = _read_textures(item, evaluated)
+    uv_map, textures, remarks = _read_textures(item, evaluated, read_image)
     count = len(evaluated.triangles)
     corner_uvs = evaluated.at_corners(uv_map, np.arange(count)) if uv_map else np.zeros((count, 3, 2), np.float32)
     values, attributes = _read_corner_values(evaluated) if has_attributes else (None, ())
@@ -66,7 +72,9 @@ def read_textured_source(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph,
     return TexturedSource(item.name, item.session_uid, textured, evaluated, uv_map, attributes, textures, tuple(remarks))
 
 
-def _read_textures(item: bpy.types.Object, mesh: EvaluatedMesh) -> tuple[str, tuple[np.ndarray | None, ...], list[str]]:
+def _read_textures(
+    item: bpy.types.Object, mesh: EvaluatedMesh, read_image: Callable[[bpy.types.Image], tuple[np.ndarray, bool]]
+) -> tuple[str, tuple[np.ndarray | None, ...], list[str]]:
     """Return the UV map of the textures, the texture of each material, and remarks."""
     all_found = [find_color_images(None if key is None else find_material(key)) for key in mesh.materials]
     found = [images[0] if images else (None, "") for images in all_found]
@@ -83,7 +91,7 @@ def _read_textures(item: bpy.types.Object, mesh: EvaluatedMesh) -> tuple[str, tu
         if image.source == "TILED":
             remarks.append(f'Of the UDIM image "{image.name}" only the first tile counts.')
         if image.name not in read:
-            read[image.name], is_scaled = read_color_image(image)
+            read[image.name], is_scaled = read_image(image)
             if is_scaled:
                 height, width = read[image.name].shape[:2]
                 remarks.append(f'The image "{image.name}" is analyzed at {width} by {height} pixels.')

@@ -33,13 +33,39 @@ class TriangleTree:
         self._levels, self._order = _build_aabb_tree(corners)
         self._centroids = cKDTree(corners.mean(axis=1))
 
-    def find_closest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the distances (N,) of `points` (N, 3) and the indices (N,) of the nearest triangles, see `closest_on_mesh`."""
+    def find_closest(self, points: np.ndarray, enough: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """Return the distances (N,) of `points` (N, 3) and the indices (N,) of the nearest triangles, see `closest_on_mesh`.
+
+        enough: distances, one or (N,), up to which a triangle is near enough: it need not be the nearest one then.
+        """
         distances = np.empty(len(points))
         nearest = np.empty(len(points), np.int32)
+        limits = np.broadcast_to(enough, len(points)) ** 2
         for chunk in _chunks(len(points)):
-            distances[chunk], nearest[chunk] = _descend(points[chunk], self._corners, self._levels, self._order, self._centroids)
+            distances[chunk], nearest[chunk] = self._descend(points[chunk], limits[chunk])
         return distances, nearest
+
+    def _descend(self, points: np.ndarray, limits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return what `find_closest` does, for squared distances `limits` (N,) that are near enough."""
+        best, nearest = _upper_bounds(points, self._corners, self._centroids)
+        point = np.flatnonzero(best > limits)
+        node = np.zeros(len(point), np.int64)
+        for level, (low, high) in enumerate(self._levels):
+            if level > 0:
+                point = np.repeat(point, 2)
+                node = np.stack([2 * node, 2 * node + 1], axis=1).ravel()
+            is_candidate = _squared_box_distances(points[point], low[node], high[node]) < best[point]
+            point, node = point[is_candidate], node[is_candidate]
+        starts = _node_starts(len(self._corners), len(self._levels) - 1)
+        sizes = starts[node + 1] - starts[node]
+        point = np.repeat(point, sizes)
+        triangle = self._order[concatenate_ranges(starts[node], sizes)]
+        if len(point):
+            squared = squared_point_triangle_distances(points[point], self._corners[triangle])
+            first = segment_argmin(squared, np.flatnonzero(np.diff(point, prepend=-1)))
+            better = first[squared[first] < best[point[first]]]
+            best[point[better]], nearest[point[better]] = squared[better], triangle[better]
+        return np.sqrt(best), nearest.astype(np.int32)
 
 
 def squared_point_triangle_distances(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
@@ -206,28 +232,6 @@ def _build_aabb_tree(corners: np.ndarray) -> tuple[list[tuple[np.ndarray, np.nda
 def _node_starts(count: int, level: int) -> np.ndarray:
     """Return where the nodes of one level start in the order (2^level + 1,), the end included; the next level bisects them."""
     return (np.arange(2**level + 1, dtype=np.int64) * count) >> level
-
-
-def _descend(points, corners, levels, order, centroids) -> tuple[np.ndarray, np.ndarray]:
-    best, nearest = _upper_bounds(points, corners, centroids)
-    point = np.arange(len(points))
-    node = np.zeros(len(points), np.int64)
-    for level, (low, high) in enumerate(levels):
-        if level > 0:
-            point = np.repeat(point, 2)
-            node = np.stack([2 * node, 2 * node + 1], axis=1).ravel()
-        is_candidate = _squared_box_distances(points[point], low[node], high[node]) < best[point]
-        point, node = point[is_candidate], node[is_candidate]
-    starts = _node_starts(len(corners), len(levels) - 1)
-    sizes = starts[node + 1] - starts[node]
-    point = np.repeat(point, sizes)
-    triangle = order[concatenate_ranges(starts[node], sizes)]
-    if len(point):
-        squared = squared_point_triangle_distances(points[point], corners[triangle])
-        first = segment_argmin(squared, np.flatnonzero(np.diff(point, prepend=-1)))
-        better = first[squared[first] < best[point[first]]]
-        best[point[better]], nearest[point[better]] = squared[better], triangle[better]
-    return np.sqrt(best), nearest.astype(np.int32)
 
 
 def _upper_bounds(points, corners, centroids) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from .proximity import argsort_pairs, decode_pairs, encode_pairs
+from .proximity import argsort_pairs, counting_argsort, decode_pairs, encode_pairs
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Edges:
     @cached_property
     def interior_halfedges(self) -> np.ndarray:
         """(I, 2), the two halfedges of each of `interior`: halfedge 3 t + c is opposite to corner c of triangle t."""
-        order = np.argsort(self.face_edges.ravel(), kind="stable")
+        order = counting_argsort(self.face_edges.ravel(), len(self.ends))
         first = (np.cumsum(self.face_counts) - self.face_counts)[self.interior]
         return np.stack([order[first], order[first + 1]], axis=1)
 

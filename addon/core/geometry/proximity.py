@@ -68,12 +68,12 @@ def encode_pairs(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarra
 def argsort_pairs(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
     """Return the order (N,) int32 of the unordered pairs `first`, `second` (N,) of indices below `count` by their keys from `encode_pairs`,
     stable. Two counting sorts, several times as fast as sorting the keys."""
-    order = _counting_argsort(np.maximum(first, second), count)
-    return order[_counting_argsort(np.minimum(first, second)[order], count)]
+    order = counting_argsort(np.maximum(first, second), count)
+    return order[counting_argsort(np.minimum(first, second)[order], count)]
 
 
-def _counting_argsort(values: np.ndarray, count: int) -> np.ndarray:
-    """Return the stable order (N,) int32 of `values` (N,) below `count`."""
+def counting_argsort(values: np.ndarray, count: int) -> np.ndarray:
+    """Return the stable order (N,) int32 of the integers `values` (N,) from 0 to below `count`."""
     rows = np.arange(len(values) + 1, dtype=np.int32)
     return sparse.csr_array((rows[:-1], values.astype(np.int32), rows), shape=(len(values), count)).tocsc().data
 

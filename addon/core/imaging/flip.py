@@ -8,7 +8,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import correlate1d
 
 from ..errors import ImageError, SettingsError
 from .colors import decode_signed_srgb
@@ -22,6 +21,7 @@ FEATURE_EXPONENT = 0.5  # q_f
 ACHROMATIC, RED_GREEN = (1.0, 0.0047), (1.0, 0.0053)
 BLUE_YELLOW = ((34.1, 0.04), (13.5, 0.025))
 MAX_VARIANCE = 0.04  # the largest b
+FILTER_BLOCK = 64  # rows or columns filtered at once
 XYZ_OF_RGB = np.array(
     [
         [10135552 / 24577794, 8788810 / 24577794, 4435075 / 24577794],
@@ -128,8 +128,28 @@ def _gaussian(squares: np.ndarray, variance: float) -> np.ndarray:
 
 def _filter_separably(values: np.ndarray, across: np.ndarray, along: np.ndarray | None = None) -> np.ndarray:
     """Return `values` (H, W) filtered along x with `across` and along y with `along`, the same by default. Borders are repeated."""
-    filtered = correlate1d(values, across, axis=1, mode="nearest")
-    return correlate1d(filtered, across if along is None else along, axis=0, mode="nearest")
+    return _filter(_filter(values, across, axis=1), across if along is None else along, axis=0)
+
+
+def _filter(values: np.ndarray, weights: np.ndarray, axis: int) -> np.ndarray:
+    """Return the correlation (H, W) float32 of `values` with an odd number of `weights` along an axis.
+
+    Matrix products of blocks with a banded matrix take a third of the time of SciPy's filter, which is slow along columns.
+    """
+    radius, length = len(weights) // 2, values.shape[axis]
+    banded = np.zeros((FILTER_BLOCK, FILTER_BLOCK + 2 * radius), np.float32)
+    for row in range(FILTER_BLOCK):
+        banded[row, row : row + len(weights)] = weights
+    padded = np.pad(values, [(radius, radius) if index == axis else (0, 0) for index in (0, 1)], mode="edge")
+    filtered = np.empty(values.shape, np.float32)
+    for start in range(0, length, FILTER_BLOCK):
+        stop = min(start + FILTER_BLOCK, length)
+        block = banded[: stop - start, : stop - start + 2 * radius]
+        if axis == 0:
+            np.matmul(block, padded[start : stop + 2 * radius], out=filtered[start:stop])
+        else:
+            np.matmul(padded[:, start : stop + 2 * radius], block.T, out=filtered[:, start:stop])
+    return filtered
 
 
 def _detect_features(luminance: np.ndarray, pixels_per_degree: float) -> tuple[np.ndarray, np.ndarray]:

@@ -31,10 +31,12 @@ class Mipmaps:
         return self.texels[start : start + width * height].reshape(height, width, -1)
 
 
-def build_mipmaps(texture: np.ndarray) -> Mipmaps:
+def build_mipmaps(texture: np.ndarray, values: np.ndarray | None = None) -> Mipmaps:
     """Return the mipmaps of `texture` (H, W, C), linear values, row 0 at the bottom.
 
     Each texel is the mean of 2 x 2 texels; where a side is odd, the last texel is the mean of what there is.
+
+    values: (256,) float32, the linear value of each byte of a `texture` of uint8, None if it is linear already.
     """
     height, width, channels = texture.shape
     sizes = [(width, height)]
@@ -43,7 +45,12 @@ def build_mipmaps(texture: np.ndarray) -> Mipmaps:
     counts = np.array([side * other for side, other in sizes], np.int64)
     starts = np.cumsum(counts) - counts
     mipmaps = Mipmaps(np.empty((int(counts.sum()), channels), np.float32), starts, np.array(sizes, np.int64))
-    mipmaps.level(0)[:] = texture
+    if values is None:
+        mipmaps.level(0)[:] = texture
+    else:
+        for start in range(0, height, STRIP_ROWS):
+            rows = slice(start, start + STRIP_ROWS)
+            np.take(values, texture[rows], out=mipmaps.level(0)[rows], mode="clip")  # other modes need a buffer
     for index in range(1, len(sizes)):
         fine, coarse = mipmaps.level(index - 1), mipmaps.level(index)
         for start in range(0, len(fine), STRIP_ROWS):

@@ -12,8 +12,9 @@ import numpy as np
 from ..errors import GeometryError
 from ..geometry.geometry_2d import signed_areas
 from ..imaging.mipmaps import Mipmaps, build_mipmaps
+from ..jobs.parallel_steps import run_in_parallel
 from ..jobs.progress import Progress, Steps, subprogress
-from .perception.level_choice import LevelBudget, LevelOption, choose_levels
+from .perception.level_choice import LevelBudget, LevelOption, choose_levels, skip_finest
 from .perception.level_images import LevelImages
 from .perception.major_scales import find_red_refinements, find_zones, keep_visible_scales
 from .perception.settings import PerceptionSettings
@@ -21,7 +22,7 @@ from .perception.switch_distances import Switch, SwitchCheck, find_shown_levels,
 from .perception.views import ViewedSurface, prepare_surface
 from .perception.weber import Collapses, Impacts, measure_impacts
 from .ratios import parse_ratios, targets_of_ratios
-from .refitting.refit import make_refit_levels
+from .refitting.refit import make_starts, refit_starts
 from .refitting.settings import RefitSettings
 from .scale_costs import ScaleWeightedQuadrics
 from .scale_space.analysis import analyze_scale_space
@@ -95,9 +96,13 @@ class LevelChain:
 
 @dataclass(frozen=True)
 class _Candidate:
+    """A level that is tried. start, target: from what a refit level is made, and its triangles; None and 0 if it is not."""
+
     mesh: TexturedMesh
     scale: int
     subset: SubsetLevel | None
+    start: SubsetLevel | None = None
+    target: int = 0
 
 
 def make_levels(
@@ -121,26 +126,26 @@ def make_levels(
         scale_map = yield from subprogress(analyze_scale_space(mesh, textures, settings.analysis), 0.0, 0.35)
     mipmaps = [None if texture is None else build_mipmaps(texture) for texture in textures]
     targets, scales = targets_of_ratios(mesh, scale_map, ratios) if ratios else choose_targets(mesh, scale_map)
-    if levels.order == "scale":
-        steps = simplify_in_order(mesh, _priorities(scale_map), targets, settings.simplification)
-    else:
-        steps = simplify_by_cost(mesh, ScaleWeightedQuadrics(mesh, scale_map), targets, settings.simplification)
-    simplification = yield from subprogress(steps, 0.35, 0.6)
-    candidates = _gather_candidates(mesh, simplification, scales)
+    is_refit = levels.product == "refit" and _has_uv_area(mesh)
+    tasks: list[Steps] = [_simplify(mesh, scale_map, targets, settings)]
+    if is_refit:
+        tasks.append(make_starts(mesh, targets, RefitSettings(), settings.simplification))
+    simplification, *starts = yield from subprogress(run_in_parallel(tasks), 0.35, 0.6)
+    candidates = _gather_candidates(mesh, simplification, scales, targets, starts[0] if is_refit else [None] * len(targets))
     collapses = _divide_collapses(simplification, candidates)
     impacts = measure_impacts(mesh.vertices, mesh.triangles, collapses, len(candidates) - 1, settings.perception)
     images = open_images(_view(candidates, mipmaps, settings.perception), settings.perception)
     switches = yield from subprogress(find_switches(images, settings.perception), 0.6, 0.8)
     yield Progress(0.8, "Choosing levels")
-    is_refit = levels.product == "refit" and _has_uv_area(mesh)
     useful = len(candidates) if ratios else _count_useful(switches, is_refit)
     candidates, images = candidates[:useful], images[:useful]
     pixel_sizes = [0.0, *(switch.pixel_size for switch in switches[: useful - 1])]
     chosen = _choose(candidates, pixel_sizes, impacts, images, settings)
     kept, images = [candidates[index] for index in chosen], [images[index] for index in chosen]
     if is_refit:
-        kept = yield from subprogress(_refit(mesh, kept, settings.simplification), 0.8, 0.95)
-        images = open_images(_view(kept, mipmaps, settings.perception), settings.perception, images[:1])
+        images = images[:1]  # refits need the memory of the others
+        kept = yield from subprogress(_refit(mesh, kept), 0.8, 0.95)
+        images = open_images(_view(kept, mipmaps, settings.perception), settings.perception, images)
     if levels.choice in ("count", "ratio"):  # as many levels as were asked for
         switches = yield from subprogress(find_switches(images, settings.perception, gap=1), 0.95, 1.0)
     else:
@@ -202,12 +207,24 @@ def _divide_collapses(simplification: Simplification, candidates: Sequence[_Cand
     return Collapses(removed, kept, values, np.searchsorted(counts, np.arange(len(removed)), side="right"))
 
 
-def _gather_candidates(mesh: TexturedMesh, simplification: Simplification, scales: Sequence[int]) -> list[_Candidate]:
+def _simplify(mesh: TexturedMesh, scale_map: ScaleMap, targets: list[int], settings: AllSettings) -> Steps[Simplification]:
+    if settings.levels.order == "scale":
+        return (yield from simplify_in_order(mesh, _priorities(scale_map), targets, settings.simplification))
+    return (yield from simplify_by_cost(mesh, ScaleWeightedQuadrics(mesh, scale_map), targets, settings.simplification))
+
+
+def _gather_candidates(
+    mesh: TexturedMesh,
+    simplification: Simplification,
+    scales: Sequence[int],
+    targets: Sequence[int],
+    starts: Sequence[SubsetLevel | None],
+) -> list[_Candidate]:
     """Return the original and the levels that are coarser than the ones before them."""
     candidates = [_Candidate(mesh, 0, None)]
-    for level, scale in zip(simplification.levels, scales, strict=True):
+    for level, scale, target, start in zip(simplification.levels, scales, targets, starts, strict=True):
         if 0 < len(level.triangles) < len(candidates[-1].mesh.triangles):
-            candidates.append(_Candidate(extract_level(mesh, level), scale, level))
+            candidates.append(_Candidate(extract_level(mesh, level), scale, level, start, target))
     return candidates
 
 
@@ -230,7 +247,8 @@ def _choose(
         return list(range(len(candidates)))
     if levels.choice == "perceptual":
         ends = [end for _, end in find_zones(_find_red(pixel_sizes, impacts, images, settings.perception))]
-        return [0, *(end for end in ends if end)]
+        chosen = [0, *(end for end in ends if end)]
+        return skip_finest(chosen, pixel_sizes) if levels.product == "refit" else chosen
     options = [
         LevelOption(len(item.mesh.triangles), _to_level(item, None).byte_count, size)
         for item, size in zip(candidates, pixel_sizes, strict=True)
@@ -256,10 +274,10 @@ def _find_red(pixel_sizes: Sequence[float], impacts: Impacts, images: Sequence[L
     return keep_visible_scales(is_red, SwitchCheck(images, pixel_sizes, settings))
 
 
-def _refit(mesh: TexturedMesh, kept: Sequence[_Candidate], settings: SimplificationSettings) -> Steps[list[_Candidate]]:
+def _refit(mesh: TexturedMesh, kept: Sequence[_Candidate]) -> Steps[list[_Candidate]]:
     """Return levels with as many triangles whose positions and texture coordinates deviate least from `mesh`."""
-    targets = [len(item.mesh.triangles) for item in kept[1:]]
-    moved = yield from make_refit_levels(mesh, targets, RefitSettings(), settings)
+    starts, targets = [item.start for item in kept[1:]], [item.target for item in kept[1:]]
+    moved = yield from refit_starts(mesh, starts, targets, RefitSettings())
     return [kept[0], *(replace(item, mesh=level) for item, level in zip(kept[1:], moved, strict=True))]
 
 

@@ -36,6 +36,11 @@ class LevelSettings(Settings):
     """Which levels of detail are made."""
 
     product: str = setting("refit", "Whether vertices may be moved", label="Kind", choices=PRODUCTS)
+    rebake: bool = setting(
+        False,
+        "Give each level a texture of its own, as small as its distance allows, with the colors of the original. For refit levels",
+        label="Rebake Textures",
+    )
     order: str = setting("visibility", "In which order vertices are removed", label="Removal Order", panel_label="Order", choices=ORDERS)
     choice: str = setting("perceptual", "What determines the levels", label="Levels", choices=LEVEL_CHOICES)
     levels: int = setting(

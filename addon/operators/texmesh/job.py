@@ -11,17 +11,22 @@ from ...bridge.meshes import find_material
 from ...bridge.session_ids import find_by_uid
 from ...bridge.texmesh.level_meshes import create_level_mesh
 from ...bridge.texmesh.level_sets import FIGURES, LevelSet, NewLevel, add_level_set, find_level_set, remove_level_set
+from ...bridge.texmesh.rebaked_images import RebakeTextures
 from ...bridge.texmesh.scale_attributes import write_scale_map
 from ...bridge.texmesh.sources import TexturedSource
 from ...core.errors import GeometryError
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.texmesh.level_chain import AllSettings, LevelChain, make_levels
+from ...core.texmesh.rebaking.rebake import RebakedTextures
 from ...core.texmesh.scale_space.analysis import analyze_scale_space
 from ...core.texmesh.scale_space.scale_map import ScaleMap
 from ...core.texmesh.scale_space.settings import ScaleSpaceSettings
 from ...core.texmesh.settings import SceneSettings
 from ...core.text import format_count
+from .rebaking import create_images, read_textures, rebake_chain
 from .sources import read_sources
+
+REBAKE_FRACTION = 0.3  # of the progress of an object
 
 
 @dataclass
@@ -64,7 +69,8 @@ class AnalysisJob:
 
 @dataclass
 class LevelsJob:
-    """Makes levels of meshes and adds their objects. `chains` holds the levels by the name of their collection."""
+    """Makes levels of meshes and adds their objects. `chains` holds the levels by the name of their collection. rebake_textures: what
+    textures are rebaked from, per source, None to keep them."""
 
     core_fraction = 0.95
 
@@ -73,18 +79,23 @@ class LevelsJob:
     scene_settings: SceneSettings
     scene_uid: int
     skipped: list[str]
+    rebake_textures: list[RebakeTextures | None]
     chains: dict[str, LevelChain] = field(default_factory=dict)
 
-    def core_steps(self) -> Steps[list[LevelChain]]:
-        """Make the levels of every mesh."""
+    def core_steps(self) -> Steps[list[tuple[LevelChain, RebakedTextures | None]]]:
+        """Make the levels of every mesh, and their textures."""
         weights = np.array([len(source.mesh.triangles) for source in self.sources], float)
         starts = np.concatenate([[0.0], weights.cumsum() / weights.sum()])
         chains = []
-        for source, start, stop in zip(self.sources, starts[:-1].tolist(), starts[1:].tolist(), strict=True):
-            chains.append((yield from subprogress(make_levels(source.mesh, source.textures, self.settings, source.name), start, stop)))
+        ranges = zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True)
+        for source, textures, (start, stop) in zip(self.sources, self.rebake_textures, ranges, strict=True):
+            baking = stop if textures is None else stop - REBAKE_FRACTION * (stop - start)
+            chain = yield from subprogress(make_levels(source.mesh, source.textures, self.settings, source.name), start, baking)
+            steps = None if textures is None else rebake_chain(source, chain, textures)
+            chains.append((chain, None if steps is None else (yield from subprogress(steps, baking, stop))))
         return chains
 
-    def scene_steps(self, core_result: list[LevelChain]) -> Steps[str]:
+    def scene_steps(self, core_result: list[tuple[LevelChain, RebakedTextures | None]]) -> Steps[str]:
         """Create the objects.
 
         Raises:
@@ -99,27 +110,31 @@ class LevelsJob:
         if bpy.context.mode != "OBJECT":
             bpy.ops.object.mode_set(mode="OBJECT")
         sentences = []
-        for item, source, chain, slots in zip(objects, self.sources, core_result, materials, strict=True):
-            sentences += self._add(item, source, chain, slots, scene)
+        for index, (chain, rebaked) in enumerate(core_result):
+            sentences += self._add(objects[index], index, chain, rebaked, materials[index], scene)
         return " ".join([*sentences, *describe_skipped(self.skipped)])
 
     def _add(
         self,
         item: bpy.types.Object,
-        source: TexturedSource,
+        index: int,
         chain: LevelChain,
+        rebaked: RebakedTextures | None,
         materials: Sequence[bpy.types.Material | None],
         scene: bpy.types.Scene,
     ) -> list[str]:
-        """Add the levels of one object in place of those made before, and return sentences about them."""
+        """Add the levels of the object made from source `index` in place of those made before, and return sentences about them."""
+        source, textures = self.sources[index], self.rebake_textures[index]
         earlier = find_level_set(scene, item)
         if earlier is not None and earlier.is_editable:
             remove_level_set(earlier)
+        images = None if rebaked is None else create_images(item.name, materials, textures, rebaked)
         new = [
             NewLevel(
                 create_level_mesh(f"{item.name} L{number}", source, level.mesh, chain.scale_map),
                 level.pixel_size,
                 self._switch_distance(level.pixel_size),
+                {} if images is None else images.levels[number],
             )
             for number, level in enumerate(chain.levels)
         ]
@@ -130,7 +145,8 @@ class LevelsJob:
         counts = ", ".join(f"{len(level.mesh.triangles):,}" for level in chain.levels)
         sentences = [f'"{item.name}" has {format_count(len(chain.levels), "level")} with {counts} triangles.']
         details = dict.fromkeys(sentence for level in chain.levels for sentence in (level.constraint,) if sentence)
-        return [*sentences, *filter(None, [chain.scale_map.losses]), *source.remarks, *details]
+        of_images = [] if images is None else images.remarks
+        return [*sentences, *of_images, *filter(None, [chain.scale_map.losses]), *source.remarks, *details]
 
     def _switch_distance(self, pixel_size: float) -> float:
         """Return the distance, in units of the object, at which a pixel of the display has a size."""
@@ -171,7 +187,8 @@ def prepare_levels(
 ) -> LevelsJob:
     """Return the job that makes levels of `objects`. Raises FarfieldError if none can be read."""
     sources, skipped = read_sources(context, objects)
-    return LevelsJob(sources, settings, scene_settings, context.scene.session_uid, skipped)
+    textures = read_textures(sources, settings.levels)
+    return LevelsJob(sources, settings, scene_settings, context.scene.session_uid, skipped, textures)
 
 
 def _show(levels: LevelSet, scene: bpy.types.Scene, settings: SceneSettings) -> None:

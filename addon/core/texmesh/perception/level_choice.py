@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ...errors import SettingsError
+from .switch_distances import MIN_SWITCH_RATIO
 
 RANGE_MARGIN = 2.0  # factor of pixel sizes beyond the smallest and the largest that count, when triangles are averaged over distances
 
@@ -92,6 +93,16 @@ def choose_levels(options: Sequence[LevelOption], budget: LevelBudget) -> list[i
         return choice.cost + options[choice.indices[-1]].triangles * (farthest - logs[choice.indices[-1]]), len(choice.indices)
 
     return list(min(complete, key=total_cost).indices)
+
+
+def skip_finest(chosen: Sequence[int], pixel_sizes: Sequence[float]) -> list[int]:
+    """Return the `chosen` indices, 0 for the original first, without the next one if another follows so closely that it would be hardly
+    shown. Refitting it would take as long as all others, and after refits the coarser one is shown from nearer still.
+
+    pixel_sizes: of all levels, those from which they may be shown.
+    """
+    is_close = len(chosen) > 2 and pixel_sizes[chosen[2]] < MIN_SWITCH_RATIO * pixel_sizes[chosen[1]]
+    return [chosen[0], *chosen[2 if is_close else 1 :]]
 
 
 def _fits(choice: _Choice, budget: LevelBudget) -> bool:

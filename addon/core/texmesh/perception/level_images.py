@@ -1,7 +1,7 @@
 """Images of the levels of an object as FLIP compares them, rendered when they are needed first and shared by all comparisons."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from ...imaging.flip import FlipImage, compare, filter_radius, prepare_image
 from ...imaging.mipmaps import Mipmaps, build_mipmaps, resize_by_area
 from ...jobs.chunks import map_ordered
 from .settings import PerceptionSettings
-from .views import BACKGROUND, Frame, ViewedSurface, render
+from .views import BACKGROUND, Frame, PlacedSamples, Render, ViewedSurface, place_samples, render, shade
 
 # Renders for images up to a size: samples per side, and the divisor of the number of views. Differences are largest in the same views
 # at all sizes, so that larger images are compared only where smaller ones differ most.
@@ -38,12 +38,14 @@ class Difference:
 
 @dataclass(eq=False)
 class LevelImages:
-    """The images of one level. directions: (N, 3), towards the viewer of each view."""
+    """The images of one level. directions: (N, 3), towards the viewer of each view. placed: where the samples of renders are, by view and
+    samples per side, None not to keep it for other textures."""
 
     surface: ViewedSurface
     frame: Frame
     directions: np.ndarray
     pixels_per_degree: float
+    placed: dict[tuple[int, int], PlacedSamples] | None = None
     renders: dict[tuple[int, int], Mipmaps] = field(default_factory=dict)
     images: dict[tuple[int, int], tuple[FlipImage, np.ndarray]] = field(default_factory=dict)
 
@@ -53,7 +55,7 @@ class LevelImages:
         if (view, size) not in self.images:
             samples = next(samples for limit, samples, _ in TIERS if size <= limit)
             if (view, samples) not in self.renders:
-                full = render(self.surface, self.directions[view], self.frame, samples)
+                full = self._render(view, samples)
                 self.renders[view, samples] = build_mipmaps(np.concatenate([full.colors, full.coverage[..., None]], axis=2))
             mipmaps = self.renders[view, samples]
             level = int((mipmaps.sizes[:, 0] >= MIN_SAMPLES * size).sum()) - 1
@@ -65,6 +67,21 @@ class LevelImages:
             self.images[view, size] = prepare_image(colors, self.pixels_per_degree, is_linear=True), coverage
         return self.images[view, size]
 
+    def replace_textures(self, textures: Sequence[Mipmaps | None]) -> "LevelImages":
+        """Return images of the level with other textures of the same sizes. They share `placed`."""
+        return replace(self, surface=replace(self.surface, textures=textures), renders={}, images={})
+
+    def forget_textures(self) -> None:
+        """Release textures and renders. Images that are there stay; `replace_textures` makes others."""
+        self.surface, self.renders = replace(self.surface, textures=()), {}
+
+    def _render(self, view: int, samples: int) -> Render:
+        if self.placed is None:
+            return render(self.surface, self.directions[view], self.frame, samples)
+        if (view, samples) not in self.placed:
+            self.placed[view, samples] = place_samples(self.surface, self.directions[view], self.frame, samples)
+        return shade(self.placed[view, samples], self.surface.textures)
+
     def forget_larger(self, size: int) -> None:
         """Release renders and images that are larger than `size` pixels per side."""
         self.renders = {key: value for key, value in self.renders.items() if key[1] <= MIN_SAMPLES * size}
@@ -73,7 +90,7 @@ class LevelImages:
 
 def measure_difference(fine: LevelImages, coarse: LevelImages, size: int, views: Sequence[int]) -> Difference:
     """Return the difference of two levels in images with `size` pixels per side, in each of `views`."""
-    _prepare([fine, coarse], views, size)
+    prepare_images([fine, coarse], views, size)
     means, highs = [], []
     for view in views:
         (first, first_coverage), (second, second_coverage) = fine.get(view, size), coarse.get(view, size)
@@ -113,9 +130,9 @@ class LevelComparison:
         return result
 
 
-def _prepare(levels: Sequence[LevelImages], views: Sequence[int], size: int) -> None:
+def prepare_images(levels: Sequence[LevelImages], views: Sequence[int], size: int) -> None:
     """Make the images of `levels` that are missing, several at once."""
     missing = [(level, view) for view in views for level in levels if (view, size) not in level.images]
-    if size >= MIN_THREADED_SIZE and len(missing) > 1:
-        for _ in map_ordered(lambda item: item[0].get(item[1], size), missing):
-            pass
+    is_threaded = size >= MIN_THREADED_SIZE and len(missing) > 1
+    for _ in (map_ordered if is_threaded else map)(lambda item: item[0].get(item[1], size), missing):
+        pass

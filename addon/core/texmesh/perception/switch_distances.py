@@ -24,6 +24,7 @@ RELATIVE_PRECISION = 0.03  # of sizes
 CLOSE_RATIO = 0.97  # of the visible difference, from which on a size is not enlarged any more
 AIMED_RATIO = 0.985  # at the next size that is tried
 MIN_PART, MAX_PART = 0.15, 0.85  # of the interval between two sizes, within which the next one is
+MIN_SWITCH_RATIO = 1.25  # of the sizes at two switches in a row; a level between closer ones would hardly be shown
 
 
 @dataclass(frozen=True)
@@ -71,28 +72,34 @@ def find_switches(images: Sequence[LevelImages], settings: PerceptionSettings, g
 def find_shown_levels(images: Sequence[LevelImages], settings: PerceptionSettings) -> Steps[tuple[list[int], list[Switch]]]:
     """Return the indices of the levels that are shown from some distance, ascending from 0, and the switch of each but the first.
 
-    See `find_switches`. A level is left out if a coarser one can replace the level before it in images that are as large. If only the level
-    itself can be replaced in these, the coarser one waits for smaller images.
+    See `find_switches`. Sizes of images at switches decrease at least by MIN_SWITCH_RATIO. A level is left out if a coarser one can replace
+    the level before it in images that are nearly as large. If only the level itself can be replaced in these, the coarser one waits for
+    smaller images.
     """
     search, shown, switches = _PairSearch(images, settings), [0], []
     for index in range(1, len(images)):
         yield Progress((index - 1) / (len(images) - 1), f"Comparing level {index} of {len(images) - 1}")
         switch = search.run(shown[-1], index, switches[-1].pixels if switches else settings.max_image)
-        while switches and switch.pixels == switches[-1].pixels:
+        while switches and switch.pixels > (farthest := _next_pixels(switches[-1].pixels)):
             instead = search.run(shown[-2], index, switches[-2].pixels if len(switches) > 1 else settings.max_image)
-            if instead.pixels < switch.pixels:
-                switch = search.run(shown[-1], index, max(switch.pixels - 1, MIN_IMAGE))
+            if instead.pixels <= farthest:
+                switch = search.run(shown[-1], index, max(farthest, MIN_IMAGE))
                 break
             search.release(shown.pop())
             switches.pop()
             switch = instead
-        if switches and switch.pixels == switches[-1].pixels:  # that of the smallest image
+        if switches and switch.pixels > _next_pixels(switches[-1].pixels):  # that of the smallest image
             break
         search.release(shown[-1])
         shown.append(index)
         switches.append(switch)
     search.release(len(images) - 1)
     return shown, switches
+
+
+def _next_pixels(pixels: int) -> int:
+    """Return the largest size of images at the switch after one at `pixels`, 0 if there is none."""
+    return int(pixels / MIN_SWITCH_RATIO)
 
 
 def level_coverages(pixel_sizes: Sequence[float], bounds: np.ndarray) -> tuple[float, ...]:
@@ -176,7 +183,8 @@ def _guess_crossing(same: int, ratio: float, seen: int, seen_ratio: float) -> in
 class SwitchCheck:
     """The physical check of levels that are to be dropped, for `major_scales.keep_visible_scales`.
 
-    images: of all levels, finest first. pixel_sizes: for each level the smallest size of a pixel at which it is shown, ascending.
+    images: of all levels, finest first. pixel_sizes: for each level the smallest size of a pixel at which it is shown, ascending, by
+    `find_switches`, which has compared each level with the one before it.
     """
 
     images: Sequence[LevelImages]
@@ -186,8 +194,10 @@ class SwitchCheck:
     def __call__(self, fine: int, coarse: int) -> bool:
         """Return whether level `coarse` looks like level `fine` from the distance from which `fine` is shown on."""
         side = self.images[fine].frame.side
-        nearest = side / self.settings.max_image
-        largest = max(int(side / max(self.pixel_sizes[fine], nearest)), MIN_IMAGE)
+        nearest = max(self.pixel_sizes[fine], side / self.settings.max_image)
+        if coarse == fine + 1:
+            return bool(self.pixel_sizes[coarse] <= nearest)
+        largest = max(int(side / nearest), MIN_IMAGE)
         comparison = LevelComparison(self.images[fine], self.images[coarse], self.settings, list(range(self.settings.views)))
         is_same = not any(comparison.examine(size).is_seen(self.settings) for size in _climb(largest))
         for level in self.images[1:]:

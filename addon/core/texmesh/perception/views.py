@@ -4,7 +4,7 @@ Views are orthographic: from where levels switch, objects are small in the visua
 `resize_by_area` makes of it, so that silhouettes are antialiased at every size.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -100,6 +100,36 @@ def render(surface: ViewedSurface, direction: np.ndarray, frame: Frame, size: in
 
     Textures are sampled trilinearly by footprint. With normals, a headlight shines from the viewer on both sides of faces.
     """
+    return shade(place_samples(surface, direction, frame, size), surface.textures)
+
+
+@dataclass(frozen=True, eq=False)
+class TextureSamples:
+    """The covered samples of an image that show one texture.
+
+    material: its index. rows: (N,) among the covered samples, or all of them. uvs: (N, 2) float32. footprints: (N,) float64, in texels.
+    """
+
+    material: int
+    rows: np.ndarray | slice
+    uvs: np.ndarray
+    footprints: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedSamples:
+    """Where the samples of an image are on a surface: all that renders with different textures of the same sizes have in common.
+
+    coverage: (S, S) bool. parts: by texture. facing: (N,) float32 cosines of all covered samples to the viewer, None without light.
+    """
+
+    coverage: np.ndarray
+    parts: tuple[TextureSamples, ...]
+    facing: np.ndarray | None
+
+
+def place_samples(surface: ViewedSurface, direction: np.ndarray, frame: Frame, size: int) -> PlacedSamples:
+    """Return where the samples of an image are, see `render`."""
     axes = view_axes(direction)
     positions = (surface.vertices - frame.center) @ axes.T
     corners = ((positions[:, :2] / frame.side + 0.5) * size)[surface.triangles]
@@ -114,13 +144,24 @@ def render(surface: ViewedSurface, direction: np.ndarray, frame: Frame, size: in
     rows = np.empty(len(corners), np.int32)
     rows[shown] = np.arange(len(shown))
     located = _Samples(rows.take(triangles), _find_barycentric(corners[shown], rows.take(triangles), samples, size))
-    colors = _texture_colors(surface, corners[shown], shown, located)
+    parts = _divide_by_texture(surface, corners[shown], shown, located)
+    facing = None
     if surface.corner_normals is not None:
         facing = _measure_facing(surface.corner_normals[shown], axes[2].astype(np.float32), located)
-        colors *= (AMBIENT + (1.0 - AMBIENT) * facing)[:, None]
-    image = np.full((size * size, 3), BACKGROUND, np.float32)
+    return PlacedSamples(coverage, tuple(parts), facing)
+
+
+def shade(placed: PlacedSamples, textures: Sequence[Mipmaps | None]) -> Render:
+    """Return the image of placed samples with `textures`, which have the sizes of those that they were placed with."""
+    samples = np.flatnonzero(placed.coverage)
+    colors = np.full((len(samples), 3), PLAIN_COLOR, np.float32)
+    for part in placed.parts:
+        colors[part.rows] = sample_mipmaps(textures[part.material], part.uvs, part.footprints)
+    if placed.facing is not None:
+        colors *= (AMBIENT + (1.0 - AMBIENT) * placed.facing)[:, None]
+    image = np.full((placed.coverage.size, 3), BACKGROUND, np.float32)
     image[samples] = colors
-    return Render(image.reshape(size, size, 3), coverage)
+    return Render(image.reshape(*placed.coverage.shape, 3), placed.coverage)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,9 +210,8 @@ def _measure_facing(corner_normals: np.ndarray, direction: np.ndarray, located: 
     return np.abs(along) / np.sqrt(np.maximum(squares, MIN_LENGTH**2))
 
 
-def _texture_colors(surface: ViewedSurface, corners: np.ndarray, shown: np.ndarray, located: _Samples) -> np.ndarray:
-    """Return the colors (N, 3) float32 of samples without light. corners: (T, 3, 2) of the triangles `shown` (T,)."""
-    colors = np.full((len(located.rows), 3), PLAIN_COLOR, np.float32)
+def _divide_by_texture(surface: ViewedSurface, corners: np.ndarray, shown: np.ndarray, located: _Samples) -> Iterator[TextureSamples]:
+    """Yield the samples of each texture. corners: (T, 3, 2) of the triangles `shown` (T,)."""
     corner_uvs, materials = surface.corner_uvs[shown], surface.materials[shown]
     for material, texture in enumerate(surface.textures):
         if texture is None:
@@ -183,5 +223,4 @@ def _texture_colors(surface: ViewedSurface, corners: np.ndarray, shown: np.ndarr
             continue
         footprints = measure_footprints(corners, corner_uvs, tuple(texture.sizes[0]))
         uvs = np.stack([part.interpolate(corner_uvs[:, :, axis]) for axis in range(2)], axis=1)
-        colors[samples] = sample_mipmaps(texture, uvs, footprints.take(part.rows))
-    return colors
+        yield TextureSamples(material, samples, uvs, footprints.take(part.rows))

@@ -109,7 +109,7 @@ def find_freedom(state: LevelState, uv_scale: float) -> Freedom:
     same = is_simple & (np.minimum(first, last) == neighbors[0][mesh.wedge_vertices])
     same &= np.maximum(first, last) == neighbors[1][mesh.wedge_vertices]
     same_counts = np.bincount(mesh.wedge_vertices[same], minlength=vertex_count)
-    edges = state.find_edges()
+    edges = state.edges
     is_boundary = edges.boundary_vertices
     slides = on_border & (same_counts == wedge_counts) & (simple_counts == wedge_counts)
     slides &= np.where(is_boundary, wedge_counts == 1, wedge_counts == 2)

@@ -7,8 +7,9 @@ import numpy as np
 from ...arrays import TINY, concatenate_ranges
 from ...geometry.geometry_2d import cross, signed_areas
 from ...geometry.mesh import face_areas_and_normals
-from .correspondence import evaluate_uv_maps, invert_uv_maps
+from ...geometry.proximity import counting_argsort
 from .level_state import LevelState
+from .uv_triangles import evaluate_uv_maps, invert_uv_maps
 
 NEW_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])  # corners of a quad after the flip
 MIN_UV_FRACTION = 0.02  # area of a new triangle in UV space relative to its quadrilateral
@@ -48,14 +49,18 @@ class Quads:
     normals: np.ndarray
 
 
-def find_quads(state: LevelState) -> Quads:
-    """Return the pairs of triangles whose edge can be flipped: no seam, and without a fold in space or UV."""
-    mesh = state.mesh
-    edges = state.find_edges()
-    first, second = edges.interior_halfedges.T
-    seams = mesh.find_seams(edges)[edges.interior]
+def find_quads(state: LevelState, is_wanted: np.ndarray | None = None) -> Quads:
+    """Return the pairs of triangles whose edge can be flipped: no seam, and without a fold in space or UV.
+
+    is_wanted: (E,) bool, edges of which others are left out; None for all.
+    """
+    mesh, edges = state.mesh, state.edges
+    is_open = ~mesh.find_seams(edges)
+    if is_wanted is not None:
+        is_open &= is_wanted
+    first, second = edges.interior_halfedges[is_open[edges.interior]].T
     t, c, s, d = first // 3, first % 3, second // 3, second % 3
-    is_open = ~seams & (mesh.materials[t] == mesh.materials[s]) & (state.islands[t] == state.islands[s])
+    is_open = (mesh.materials[t] == mesh.materials[s]) & (state.islands[t] == state.islands[s])
     t, c, s, d = t[is_open], c[is_open], s[is_open], d[is_open]
     corners = np.stack([3 * t + c, 3 * t + (c + 1) % 3, 3 * s + d, 3 * t + (c + 2) % 3], axis=1)
     vertices, wedges = mesh.triangles.ravel()[corners], mesh.wedge_triangles.ravel()[corners]
@@ -66,7 +71,7 @@ def find_quads(state: LevelState) -> Quads:
     old = signed_areas(uvs[:, [[0, 1, 3], [2, 3, 1]]])
     sign = np.sign(old.sum(axis=1))
     is_valid &= (areas * sign[:, None] > MIN_UV_FRACTION * np.abs(old.sum(axis=1))[:, None]).all(axis=1)
-    _, normals = face_areas_and_normals(state.corners)
+    _, normals = state.areas_and_normals
     mean = normals[t] + normals[s]
     mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), TINY)
     for triangle in NEW_TRIANGLES:
@@ -112,7 +117,7 @@ def _compute_gains(state: LevelState, quads: Quads) -> tuple[np.ndarray, np.ndar
     uvs, points, normals = state.mesh.uvs[quads.wedges], state.mesh.vertices[quads.vertices], quads.normals
     count = len(state.islands)
     costs = np.bincount(state.found.triangles, state.costs, count)
-    order = np.argsort(state.found.triangles, kind="stable")
+    order = counting_argsort(state.found.triangles, count)
     sizes = np.bincount(state.found.triangles, minlength=count)
     starts = np.cumsum(sizes) - sizes
     new_triangles = uvs[:, NEW_TRIANGLES].reshape(-1, 3, 2)

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...geometry.edges import Edges
 from ...geometry.geometry_2d import signed_areas
-from ...geometry.mesh import face_areas_and_normals, scaled_normals
+from ...geometry.mesh import scaled_normals
 from .border_curves import BorderCurves
 from .edge_flips import select_largest
 from .fine_surface import FineSurface
@@ -47,7 +47,7 @@ def split_edges(state: LevelState, count: int) -> LevelState:
 
     Each adds two triangles. Seams and boundaries are not split. No two of the edges have a triangle in common.
     """
-    edges = state.find_edges()
+    edges = state.edges
     found = find_split_edges(state, edges)
     found = found.take(np.flatnonzero(~found.is_border))
     chosen = _choose(found, rate_edges(state, edges, found, find_peaks(state)), 2 * count, len(state.mesh.triangles))
@@ -77,7 +77,7 @@ def split_far_edges(state: LevelState, measured: LevelDistances, count: int, sur
     if len(rows):
         uvs[rows], others[rows], is_valid[rows] = _find_border_points(state, found.take(rows), curves)
     points = 0.5 * (_end_points(state, found.first, 1) + _end_points(state, found.first, 2))
-    scores = np.where(is_valid, measured.at_edges.max(axis=1)[found.edges], 0.0)
+    scores = np.where(is_valid, measured.peaks[found.edges], 0.0)
     rows, samples, distances = _find_missed_edges(state, measured, found)
     rows, samples, distances = (values[distances > scores[rows]] for values in (rows, samples, distances))
     scores[rows], points[rows] = distances, state.samples.positions[samples]
@@ -126,7 +126,7 @@ def rate_edges(state: LevelState, edges: Edges, found: SplitEdges, peaks: np.nda
     """Return for each of the edges `found` (K,) the larger of the `peaks` (T,) beside it, less where it is not the longest edge."""
     lengths = np.linalg.norm(np.diff(state.mesh.vertices[edges.ends], axis=1)[:, 0], axis=1)
     longest = lengths[edges.face_edges].max(axis=1)
-    areas, _ = face_areas_and_normals(state.corners)
+    areas, _ = state.areas_and_normals
     beside = found.triangles
     factors = np.where(lengths[found.edges][:, None] >= longest[beside], 1.0, SHORT_EDGE_FACTOR)
     return (factors * peaks[beside]).max(axis=1) * (areas[beside] > 0.0).all(axis=1)
@@ -134,7 +134,7 @@ def rate_edges(state: LevelState, edges: Edges, found: SplitEdges, peaks: np.nda
 
 def find_peaks(state: LevelState) -> np.ndarray:
     """Return the largest distance (T,) of the samples of each triangle from its plane."""
-    _, normals = face_areas_and_normals(state.corners)
+    _, normals = state.areas_and_normals
     triangles = state.found.triangles
     along = np.abs(np.einsum("ni,ni->n", state.residuals, normals[triangles]))
     peaks = np.zeros(len(state.islands))

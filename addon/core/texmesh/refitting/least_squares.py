@@ -11,7 +11,6 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...geometry.mesh import face_areas_and_normals
 from ...jobs.chunks import slices
 from .block_factors import factorize_blocks
 from .level_state import LevelState, sum_by
@@ -71,7 +70,7 @@ class Linearization:
     @cached_property
     def _normals(self) -> np.ndarray:
         """(3, T) normals; residuals along them count more."""
-        return np.ascontiguousarray(face_areas_and_normals(self.state.corners)[1].T)
+        return np.ascontiguousarray(self.state.areas_and_normals[1].T)
 
     @cached_property
     def _products(self) -> np.ndarray:
@@ -195,7 +194,7 @@ class Linearization:
     def solve(self, uv_scale: float) -> np.ndarray:
         """Return the step (V, 5) to the minimum, damped. uv_scale: length of a unit of UV space on the surface."""
         blocks = self.diagonal_blocks()
-        areas, _ = face_areas_and_normals(self.state.corners)
+        areas, _ = self.state.areas_and_normals
         vertices = self.state.mesh.triangles.ravel()
         weight = np.bincount(vertices, np.repeat(areas / 6.0, 3), blocks.shape[2])  # what `blocks` are if samples are dense
         scale = np.array([DAMPING] * 3 + [self.damping * uv_scale**2] * 2)[: len(blocks)]

@@ -28,10 +28,20 @@ class LevelState:
     found: Correspondence
     normal_weight: float
 
-    @property
+    @cached_property
     def corners(self) -> np.ndarray:
         """(T, 3, 3) float64 positions of the corners."""
         return self.mesh.vertices[self.mesh.triangles]
+
+    @cached_property
+    def areas_and_normals(self) -> tuple[np.ndarray, np.ndarray]:
+        """(T,) areas and (T, 3) unit normals of the triangles."""
+        return face_areas_and_normals(self.corners)
+
+    @cached_property
+    def edges(self) -> Edges:
+        """The edges of the level."""
+        return find_edges(self.mesh.triangles, len(self.mesh.vertices))
 
     @cached_property
     def residuals(self) -> np.ndarray:
@@ -46,16 +56,12 @@ class LevelState:
     @cached_property
     def costs(self) -> np.ndarray:
         """(N,) cost of each sample: weighted squared distance times area."""
-        _, normals = face_areas_and_normals(self.corners)
+        _, normals = self.areas_and_normals
         squares, along = np.zeros(len(self.samples.weights)), np.zeros(len(self.samples.weights))
         for values, column in zip(self.residuals.T, normals.T.copy(), strict=True):
             squares += values * values
             along += values * column.take(self.found.triangles)
         return self.samples.weights * (squares + (self.normal_weight - 1.0) * along**2)
-
-    def find_edges(self) -> Edges:
-        """Return the edges of the level."""
-        return find_edges(self.mesh.triangles, len(self.mesh.vertices))
 
     def move(self, vertices: np.ndarray, uvs: np.ndarray | None = None) -> "LevelState":
         """Return the level with other `vertices` (V, 3) and, if given, other `uvs` (W, 2), whose corresponding points are found again."""

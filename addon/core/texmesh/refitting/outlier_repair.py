@@ -10,7 +10,7 @@ from .fine_surface import FineSurface
 from .folds import unfold
 from .least_squares import Linearization, compute_moments
 from .level_state import LevelState
-from .outliers import EDGE_FRACTIONS, LevelDistances, gather_points
+from .outliers import EDGE_FRACTIONS, LevelDistances, gather_some_points
 from .sampling import SurfaceSamples
 
 ATTRACTION = 0.5  # weight of an outlier at the limit, relative to all samples of a triangle; it grows with the fourth power of the distance
@@ -25,16 +25,15 @@ PEAK_RINGS = 2
 
 def flip_outliers(state: LevelState, surface: FineSurface, measured: LevelDistances) -> LevelState:
     """Return the level with outlying edges flipped where the flipped edge is much nearer to the fine mesh."""
-    quads = find_quads(state)
+    peaks = measured.peaks
+    quads = find_quads(state, peaks > measured.limit)
     if not len(quads.triangles):
         return state
-    peaks = measured.at_edges.max(axis=1)[measured.edges.between(quads.vertices[:, 1], quads.vertices[:, 3])]
-    far = np.flatnonzero(peaks > measured.limit)
-    first, second = (state.mesh.vertices[quads.vertices[far, corner]] for corner in (0, 2))
+    peaks = peaks[measured.edges.between(quads.vertices[:, 1], quads.vertices[:, 3])]
+    first, second = (state.mesh.vertices[quads.vertices[:, corner]] for corner in (0, 2))
     points = first[:, None] + EDGE_FRACTIONS[:, None] * (second - first)[:, None]
     after = surface.measure_distances(points.reshape(-1, 3)).reshape(-1, len(EDGE_FRACTIONS)).max(axis=1)
-    gains = np.zeros(len(peaks))
-    gains[far] = np.where(after < MAX_FLIPPED_FRACTION * peaks[far], peaks[far] - after, 0.0)
+    gains = np.where(after < MAX_FLIPPED_FRACTION * peaks, peaks - after, 0.0)
     return flip_quads(state, quads, select_flips(state, quads, gains))
 
 
@@ -73,7 +72,7 @@ def pull_back(state: LevelState, surface: FineSurface, measured: LevelDistances)
 def _attract(state: LevelState, measured: LevelDistances) -> LevelState:
     """Return the level with samples added that attract the outliers."""
     count = len(measured.distances)
-    areas, _ = face_areas_and_normals(state.corners)
+    areas, _ = state.areas_and_normals
     size = np.maximum(areas[measured.triangles], areas.mean())
     weights = size * np.minimum(ATTRACTION * (measured.distances / measured.limit) ** 4, MAX_ATTRACTION)
     samples, found = state.samples, state.found
@@ -102,17 +101,21 @@ def _withdraw(state: LevelState, vertices: np.ndarray, surface: FineSurface, mea
     peaks = _find_peaks_around(measured)
     around = np.concatenate([peaks, np.repeat(peaks[ends].min(axis=1), len(EDGE_FRACTIONS))])
     allowed = np.maximum(np.maximum(before, measured.limit), ACCEPTED_FRACTION * around)
-    planes = _measure_planes(state, state.mesh.vertices)
+    has_changed = np.ones(len(vertices), bool)
+    _, planes = _measure_planes(state, state.mesh.vertices, has_changed)
     corner_peaks = peaks[state.mesh.triangles].min(axis=1)[state.found.triangles]
     allowed_planes = np.maximum(np.maximum(planes, measured.limit), ACCEPTED_FRACTION * corner_peaks)
     for attempt in range(MAX_WITHDRAWALS):
         moves = np.linalg.norm(result - state.mesh.vertices, axis=1)
         bounds = before + np.concatenate([moves, np.repeat(moves[ends].max(axis=1), len(EDGE_FRACTIONS))])
-        rows = np.flatnonzero((bounds > allowed) & (bounds > before))
-        points = gather_points(result, measured.edges)[rows]
-        worse = rows[surface.measure_distances(points) > allowed[rows]]
+        is_open = np.concatenate([has_changed, np.repeat(has_changed[ends].any(axis=1), len(EDGE_FRACTIONS))])
+        rows = np.flatnonzero((bounds > allowed) & (bounds > before) & is_open)
+        points = gather_some_points(result, measured.edges, rows)
+        worse = rows[surface.measure_distances(points, allowed[rows]) > allowed[rows]]
         is_vertex = worse < len(vertices)
-        missing = np.unique(state.found.triangles[_measure_planes(state, result) > allowed_planes])
+        samples, distances = _measure_planes(state, result, has_changed)
+        missed = samples[distances > allowed_planes[samples]]
+        missing = np.unique(state.found.triangles[missed])
         at_edges = ends[(worse[~is_vertex] - len(vertices)) // len(EDGE_FRACTIONS)]
         stays = np.unique(np.concatenate([worse[is_vertex], at_edges.ravel(), state.mesh.triangles[missing].ravel()]))
         stays = stays[moves[stays] > 0.0]
@@ -120,6 +123,8 @@ def _withdraw(state: LevelState, vertices: np.ndarray, surface: FineSurface, mea
             break
         fraction = WITHDRAWN_FRACTION if attempt < HALVINGS else 0.0
         result[stays] = state.mesh.vertices[stays] + fraction * (result[stays] - state.mesh.vertices[stays])
+        has_changed[:] = False
+        has_changed[stays] = True
     return result
 
 
@@ -127,15 +132,22 @@ def _find_peaks_around(measured: LevelDistances) -> np.ndarray:
     """Return the largest distances (V,) around the vertices."""
     ends, peaks = measured.edges.ends, measured.at_vertices.copy()
     for _ in range(PEAK_RINGS):
-        highest = np.maximum(measured.at_edges.max(axis=1), peaks[ends].max(axis=1))
+        highest = np.maximum(measured.peaks, peaks[ends].max(axis=1))
         np.maximum.at(peaks, ends.ravel(), np.repeat(highest, 2))
     return peaks
 
 
-def _measure_planes(state: LevelState, vertices: np.ndarray) -> np.ndarray:
-    """Return the distances (N,) of the samples from the planes of their triangles if the vertices are at `vertices` (V, 3)."""
-    corners = vertices[state.mesh.triangles]
+def _measure_planes(state: LevelState, vertices: np.ndarray, is_used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the samples (N,) of triangles with vertices that `is_used` (V,) bool, and their distances (N,) from the planes of these
+    triangles if the vertices are at `vertices` (V, 3)."""
+    first, second, third = state.mesh.triangles.T
+    used = np.flatnonzero(is_used[first] | is_used[second] | is_used[third])
+    rows = np.full(len(state.islands), -1)
+    rows[used] = np.arange(len(used))
+    rows = rows[state.found.triangles]
+    samples = np.flatnonzero(rows >= 0)
+    rows = rows[samples]
+    corners = vertices[state.mesh.triangles[used]]
     _, normals = face_areas_and_normals(corners)
-    triangles = state.found.triangles
     offsets = np.einsum("ti,ti->t", normals, corners[:, 0])
-    return np.abs(np.einsum("ni,ni->n", normals[triangles], state.samples.positions) - offsets[triangles])
+    return samples, np.abs(np.einsum("ni,ni->n", normals[rows], state.samples.positions[samples]) - offsets[rows])

@@ -5,13 +5,15 @@ beyond concave boundaries, where the fine mesh has no texture coordinates. The m
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ...arrays import TINY, find_last_positions
-from ...geometry.distance import TriangleTree, closest_barycentric
+from ...geometry.distance import TriangleTree, closest_barycentric, squared_point_triangle_distances
 from ...geometry.edges import Edges
-from ...geometry.mesh import face_areas_and_normals, longest_side
+from ...geometry.mesh import longest_side
 from .fine_surface import FineSurface
 from .level_state import LevelState
 
@@ -45,6 +47,11 @@ class LevelDistances:
     missed: np.ndarray
     limit: float
 
+    @cached_property
+    def peaks(self) -> np.ndarray:
+        """(E,) largest distances of the points of edges."""
+        return np.maximum.reduce(np.ascontiguousarray(self.at_edges.T))
+
 
 def measure_distances(state: LevelState, surface: FineSurface, previous: LevelDistances | None = None) -> LevelDistances:
     """Measure a level from both sides.
@@ -52,7 +59,7 @@ def measure_distances(state: LevelState, surface: FineSurface, previous: LevelDi
     previous: of the level before vertices moved, edges flipped or vertices were appended. Where it shows that a point can be no outlier,
     the point is not measured again.
     """
-    edges = state.find_edges()
+    edges = state.edges
     points = gather_points(state.mesh.vertices, edges)
     if previous is None:
         distances, is_near, limit = _measure_coarsely(points, edges, surface, _find_min_limit(state))
@@ -63,11 +70,11 @@ def measure_distances(state: LevelState, surface: FineSurface, previous: LevelDi
         distances = _bound_distances(state.mesh.vertices, edges, previous)
         is_near = distances <= lowest
     rows = np.flatnonzero(~is_near)
-    distances[rows], nearest = surface.find_closest(points[rows])
+    distances[rows], nearest = surface.find_closest(points[rows], lowest)
     is_far = distances[rows] > lowest
     far, nearest = rows[is_far], nearest[is_far]
     triangles, barycentric = _locate(state, edges, far)
-    fine_corners = surface.mesh.vertices[surface.mesh.triangles[nearest]]
+    fine_corners = surface.corners[nearest]
     targets = np.einsum("ni,nic->nc", closest_barycentric(points[far], fine_corners), fine_corners)
     missed, missed_triangles, missed_distances = _find_missed(state, lowest)
     missed_points = state.samples.positions[missed]
@@ -93,7 +100,7 @@ def _measure_coarsely(points: np.ndarray, edges: Edges, surface: FineSurface, mi
     midpoints = count + len(EDGE_FRACTIONS) * np.arange(len(edges.ends)) + len(EDGE_FRACTIONS) // 2
     measured = np.concatenate([np.arange(count), midpoints])
     distances = np.empty(len(points))
-    distances[measured] = surface.measure_distances(points[measured])
+    distances[measured] = surface.measure_distances(points[measured], NEAR_FRACTION * min_limit)
     limit = max(min_limit, float(np.quantile(distances[measured], 1.0 - MAX_OUTLIER_FRACTION)))
     highest = np.maximum(distances[midpoints], distances[edges.ends].max(axis=1))
     distances[count:] = np.repeat(highest, len(EDGE_FRACTIONS))
@@ -116,14 +123,29 @@ def _bound_distances(vertices: np.ndarray, edges: Edges, previous: LevelDistance
 
 def _find_missed(state: LevelState, distance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the samples (M,) that are farther than `distance` from the level, and their nearest triangles and distances, (M,) each."""
-    _, normals = face_areas_and_normals(state.corners)
+    _, normals = state.areas_and_normals
     along = np.abs(np.einsum("ni,ni->n", state.residuals, normals[state.found.triangles]))
     squares = np.einsum("ni,ni->n", state.residuals, state.residuals)
     is_doubtful = (squares > distance**2) & ((along > NEAR_FRACTION * distance) | ~state.found.is_covered)
     rows = np.flatnonzero(is_doubtful)
-    distances, nearest = TriangleTree(state.corners).find_closest(state.samples.positions[rows])
+    own = state.corners[state.found.triangles[rows]]
+    bounds = np.sqrt(squared_point_triangle_distances(state.samples.positions[rows], own))
+    rows, bounds = rows[bounds > distance], bounds[bounds > distance]
+    near = _find_triangles_near(state, state.samples.positions[rows], bounds.max(initial=0.0))
+    if not len(rows):
+        return rows, near, bounds
+    distances, nearest = TriangleTree(state.corners[near]).find_closest(state.samples.positions[rows])
     is_far = distances > distance
-    return rows[is_far], nearest[is_far], distances[is_far]
+    return rows[is_far], near[nearest[is_far]], distances[is_far]
+
+
+def _find_triangles_near(state: LevelState, points: np.ndarray, distance: float) -> np.ndarray:
+    """Return all triangles (K,) with a part within `distance` of any of `points` (N, 3), and others whose centroids are near."""
+    if not len(points):
+        return np.zeros(0, np.int64)
+    centroids = state.corners.mean(axis=1)
+    radii = np.sqrt(((state.corners - centroids[:, None]) ** 2).sum(axis=2).max(axis=1))
+    return np.flatnonzero(cKDTree(points).query(centroids)[0] <= distance + radii)
 
 
 def gather_points(vertices: np.ndarray, edges: Edges) -> np.ndarray:
@@ -131,6 +153,14 @@ def gather_points(vertices: np.ndarray, edges: Edges) -> np.ndarray:
     first, second = vertices[edges.ends[:, 0]], vertices[edges.ends[:, 1]]
     points = first[:, None] + EDGE_FRACTIONS[:, None] * (second - first)[:, None]
     return np.concatenate([vertices, points.reshape(-1, 3)])
+
+
+def gather_some_points(vertices: np.ndarray, edges: Edges, rows: np.ndarray) -> np.ndarray:
+    """Return the points `rows` (N,), ascending, of those of `gather_points`."""
+    count = np.searchsorted(rows, len(vertices))
+    edge, place = np.divmod(rows[count:] - len(vertices), len(EDGE_FRACTIONS))
+    first, second = (vertices.take(ends, axis=0) for ends in edges.ends[edge].T)
+    return np.concatenate([vertices[rows[:count]], first + EDGE_FRACTIONS[place, None] * (second - first)])
 
 
 def _locate(state: LevelState, edges: Edges, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -155,7 +185,7 @@ def _locate(state: LevelState, edges: Edges, rows: np.ndarray) -> tuple[np.ndarr
 
 def _find_min_limit(state: LevelState) -> float:
     """Return the least limit: a multiple of the root mean squared distance of the samples from the planes of their triangles, by area."""
-    _, normals = face_areas_and_normals(state.corners)
+    _, normals = state.areas_and_normals
     along = np.einsum("ni,ni->n", state.residuals, normals[state.found.triangles])
     rms = np.sqrt((along**2 * state.samples.weights).sum() / max(state.samples.weights.sum(), TINY))
     return max(LIMIT_FACTOR * float(rms), MIN_LIMIT * longest_side(state.mesh.vertices), TINY)

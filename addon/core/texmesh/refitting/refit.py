@@ -4,15 +4,15 @@ Paper, section I: coarse levels for static use need no subset of the fine vertic
 the fine mesh at equal texture coordinates; texture coordinates move by Gauss-Newton steps; edges flip where that lowers the cost.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from ...geometry.mesh import face_areas_and_normals
 from ...jobs.parallel_steps import run_in_parallel
 from ...jobs.progress import Progress, Steps, subprogress
 from ..simplification.islands import find_islands
-from ..simplification.levels import extract_level, simplify_by_cost
+from ..simplification.levels import SubsetLevel, extract_level, simplify_by_cost
 from ..simplification.settings import SimplificationSettings
 from ..textured_mesh import TexturedMesh
 from .border_curves import BorderCurves, Freedom, find_border_curves, find_freedom
@@ -44,6 +44,7 @@ LATE_SPLITS = 2  # rounds of repair in which edges are split
 REPAIR_ROUNDS = 5  # of flips and moves of outliers
 PEAK_SCALE = 4.0  # squared distances count more if they are large compared with this multiple of their mean
 MAX_EMPHASIS = 3.0
+MAX_SAMPLE_FRACTION = 5e-3  # of the cost, which one sample counts: the point of a few may jump to another part of a level
 SIMPLIFICATION_FRACTION = 0.1  # of the progress, for the simplification
 
 
@@ -58,15 +59,26 @@ def make_refit_levels(
     Raises:
         SettingsError: the targets do not descend or are not positive.
     """
+    starts = yield from subprogress(make_starts(fine, targets, settings, simplification), 0.0, SIMPLIFICATION_FRACTION)
+    return (yield from subprogress(refit_starts(fine, starts, targets, settings), SIMPLIFICATION_FRACTION, 1.0))
+
+
+def make_starts(
+    fine: TexturedMesh, targets: list[int], settings: RefitSettings, simplification: SimplificationSettings
+) -> Steps[tuple[SubsetLevel, ...]]:
+    """Return the subset levels from which refits start, see `make_refit_levels`."""
     cost = DeviationQuadrics(fine, settings.normal_weight)
-    starts = [max(round((1.0 - settings.split_fraction) * target), 1) for target in targets]
-    simplified = yield from subprogress(simplify_by_cost(fine, cost, starts, simplification), 0.0, SIMPLIFICATION_FRACTION)
+    counts = [max(round((1.0 - settings.split_fraction) * target), 1) for target in targets]
+    return (yield from simplify_by_cost(fine, cost, counts, simplification)).levels
+
+
+def refit_starts(
+    fine: TexturedMesh, starts: Sequence[SubsetLevel], targets: Sequence[int], settings: RefitSettings
+) -> Steps[list[TexturedMesh]]:
+    """Return the levels that `starts` of `make_starts`, or some of them, become, with their `targets`."""
     surface = FineSurface(fine, find_islands(fine))
-    tasks = [
-        refit(fine, extract_level(fine, subset), settings, target, surface)
-        for target, subset in zip(targets, simplified.levels, strict=True)
-    ]
-    return (yield from subprogress(run_in_parallel(tasks), SIMPLIFICATION_FRACTION, 1.0))
+    tasks = [refit(fine, extract_level(fine, start), settings, target, surface) for target, start in zip(targets, starts, strict=True)]
+    return (yield from run_in_parallel(tasks))
 
 
 def refit(
@@ -101,9 +113,8 @@ def refit(
         if index > 0 and settings.peak_weight > 0.0:
             state = emphasize_peaks(state, samples.weights, settings.peak_weight)
         state = flip_edges(state, FLIP_ROUNDS)
-        cost = state.costs.sum()
         moved = _move(state, curves, uv_scale, damping)
-        new_cost = moved.costs.sum()
+        cost, new_cost = sum_costs(state, moved)
         is_better = new_cost < cost
         damping = max(damping * DAMPING_DECREASE, MIN_DAMPING) if is_better else damping * DAMPING_INCREASE
         is_converged = is_better and new_cost > (1.0 - TOLERANCE) * cost and missing <= 0
@@ -111,8 +122,8 @@ def refit(
         if is_converged:
             break
     state = _repair(state, surface, curves, uv_scale, target)
-    is_better = replace(state, samples=samples).costs.sum() < start.costs.sum()
-    return state.mesh if is_better else start.mesh
+    cost, new_cost = sum_costs(start, replace(state, samples=samples))
+    return state.mesh if new_cost < cost else start.mesh
 
 
 def _repair(state: LevelState, surface: FineSurface, curves: BorderCurves, uv_scale: float, target: int) -> LevelState:
@@ -138,16 +149,31 @@ def _repair(state: LevelState, surface: FineSurface, curves: BorderCurves, uv_sc
 def _move(state: LevelState, curves: BorderCurves, uv_scale: float, damping: float) -> LevelState:
     """Return the level after a step of positions and texture coordinates, and another of positions."""
     freedom: Freedom = find_freedom(state, uv_scale)
-    step = Linearization(state, compute_moments(state), freedom.directions, damping).solve(uv_scale)
+    step = _linearize(state, freedom.directions, damping).solve(uv_scale)
     uvs, fractions = move_uvs(state.mesh, step[:, 3:], freedom, curves)
     moved = state.move(avoid_folds(state, state.mesh.vertices + fractions[:, None] * step[:, :3]), uvs)
-    step = Linearization(moved, compute_moments(moved), None, damping).solve(uv_scale)
+    step = _linearize(moved, None, damping).solve(uv_scale)
     return moved.move(avoid_folds(moved, moved.mesh.vertices + step))
+
+
+def _linearize(state: LevelState, directions: np.ndarray | None, damping: float) -> Linearization:
+    """Return the cost around a level, with smaller weights of samples that count more than MAX_SAMPLE_FRACTION."""
+    limit = MAX_SAMPLE_FRACTION * state.costs.sum()
+    if state.costs.max(initial=0.0) > limit:
+        weights = state.samples.weights * np.minimum(limit / np.maximum(state.costs, np.finfo(float).tiny), 1.0)
+        state = replace(state, samples=replace(state.samples, weights=weights))
+    return Linearization(state, compute_moments(state), directions, damping)
+
+
+def sum_costs(state: LevelState, other: LevelState) -> tuple[float, float]:
+    """Return the costs of two states with the same samples, each of which counts at most MAX_SAMPLE_FRACTION of the cost of the first."""
+    limit = MAX_SAMPLE_FRACTION * state.costs.sum()
+    return float(np.minimum(state.costs, limit).sum()), float(np.minimum(other.costs, limit).sum())
 
 
 def emphasize_peaks(state: LevelState, areas: np.ndarray, peak_weight: float) -> LevelState:
     """Return the level with larger weights of samples that are far from the planes of its triangles. areas: (N,) of the samples."""
-    _, normals = face_areas_and_normals(state.corners)
+    _, normals = state.areas_and_normals
     squares = np.einsum("ni,ni->n", state.residuals, normals[state.found.triangles]) ** 2
     mean = max(float((squares * areas).sum() / areas.sum()), np.finfo(float).tiny)
     emphasis = 1.0 + np.minimum(peak_weight * squares / (PEAK_SCALE * mean), MAX_EMPHASIS)

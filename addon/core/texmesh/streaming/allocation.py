@@ -13,7 +13,7 @@ from scipy.optimize import minimize_scalar
 from ...geometry.directions import fibonacci_sphere
 from ...imaging.mipmaps import Mipmaps
 from ...jobs.progress import Progress, Steps
-from ..perception.level_images import LevelImages, measure_difference
+from ..perception.level_images import LevelImages, measure_difference, prepare_images
 from ..perception.views import frame_around, prepare_surface
 from ..textured_mesh import TexturedMesh
 from .manifest import PlanRow
@@ -70,29 +70,37 @@ def measure_errors(
         levels: coarsest first. original: by material, linear. counts: ascending numbers of increments. decode: returns the textures with
             the first so many increments. pixels: size of the object in the image.
     """
-    size = min(pixels, MAX_IMAGE)
-    frame, directions = frame_around(levels[-1].vertices), fibonacci_sphere(VIEWS)
+    size, frame, directions = min(pixels, MAX_IMAGE), frame_around(levels[-1].vertices), fibonacci_sphere(VIEWS)
 
-    def images(level: int, textures: Textures) -> LevelImages:
-        return LevelImages(prepare_surface(levels[level], textures, is_lit=True), frame, directions, pixels_per_degree)
+    def open_level(level: int, textures: Textures) -> LevelImages:
+        return LevelImages(prepare_surface(levels[level], textures, is_lit=True), frame, directions, pixels_per_degree, {})
 
-    def error(reference: LevelImages, other: LevelImages) -> float:
-        return float(measure_difference(reference, other, size, range(VIEWS)).means.mean())
+    def error(images: LevelImages) -> float:
+        return float(measure_difference(reference, images, size, range(VIEWS)).means.mean())
 
-    reference = images(-1, original)
     total = len(levels) + len(counts)
+    yield Progress(0.0, "Comparing levels")
+    reference = open_level(-1, original)
+    prepare_images([reference], range(VIEWS), size)
     level_errors = np.zeros(len(levels))
     for index in range(len(levels) - 1):
         yield Progress(index / total, f"Comparing level {index + 1} of {len(levels)}")
-        level_errors[index] = error(reference, images(index, original))
+        level_errors[index] = error(open_level(index, original))
+    reference.forget_textures()
+    del original  # before others are decoded: textures are most of the memory
     texture_errors, samples = np.zeros(len(counts)), []
+    partner: tuple[int, LevelImages] | None = None  # the last level that was combined with textures
     for index, count in enumerate(counts):
         yield Progress((len(levels) + index) / total, f"Comparing textures {index + 1} of {len(counts)}")
         textures = decode(count)
-        texture_errors[index] = error(reference, images(-1, textures))
+        texture_errors[index] = error(reference.replace_textures(textures))
         level = _nearest(level_errors[:-1], texture_errors[index])
         if level is not None:
-            samples.append((level_errors[level], texture_errors[index], error(reference, images(level, textures))))
+            if partner is None or partner[0] != level:
+                partner = level, open_level(level, textures)
+            samples.append((level_errors[level], texture_errors[index], error(partner[1].replace_textures(textures))))
+            partner[1].forget_textures()
+        del textures
     level_errors, texture_errors = (np.minimum.accumulate(errors) for errors in (level_errors, texture_errors))
     exponent, residual = _fit_exponent(np.array(samples).reshape(-1, 3))
     return ErrorTable(level_errors, np.asarray(counts, np.int64), texture_errors, exponent, residual)

@@ -1,8 +1,8 @@
 """The table of increments of a package's textures.
 
-An increment is one or more scans of the progressive JPEG file of a tile. With the header of its tile, the scans before it and an EOI marker
-it is a JPEG file that every decoder reads. Increments stand in textures.bin one after the other, in the order in which they improve the
-image most per byte; so a longer prefix of the file is a better texture, and a tile's scans are in their order.
+An increment is a tile of the pyramid of a texture: the payload of an AVIF file, whose header tiles share, see `textures.avif_files`. It
+shows its part of the texture by itself, and replaces earlier increments there. Increments stand in textures.bin one after the other, in the
+order in which they improve the image most per byte; so a longer prefix of the file is a better texture.
 
 The table is raw DEFLATE of byte planes: for each of FIELDS the lowest byte of all increments, then the next one. Gains are 16-bit floats.
 The checksums are the CRC-32 of each increment, uint32 little-endian, not compressed.
@@ -16,22 +16,23 @@ import numpy as np
 from ...errors import FileError
 from .manifest import TEXTURES, Manifest
 
-FIELDS = {"textures": 1, "tiles": 2, "headers": 1, "scans": 1, "sizes": 4, "gains": 2}  # bytes of each, in the order of the file
+FIELDS = {"textures": 1, "tiles": 2, "headers": 1, "sizes": 4, "gains": 2}  # bytes of each, in the order of the file
 ROW_BYTES = sum(FIELDS.values())
+GAIN_UNIT, MAX_GAIN = 2.0**-16, 65504.0  # errors are at most 1; the largest 16-bit float
 
 
 @dataclass(frozen=True, eq=False)
 class Increments:
     """N increments in the order of the file.
 
-    textures, tiles: (N,) int64. headers: (N,) int64, the header of the tile, of those of its texture. scans: (N,) int64, how many scans
-    are added. sizes: (N,) int64, bytes. gains: (N,) float16, by how much the predicted mean FLIP error falls, times 1e6.
+    textures: (N,) int64. tiles: (N,) int64, numbers in the pyramid of the texture, see `TilePyramid`. headers: (N,) int64, the header of
+    the tile, of those of its texture. sizes: (N,) int64, bytes. gains: (N,) float16, by how much the predicted mean FLIP error falls, in
+    GAIN_UNIT.
     """
 
     textures: np.ndarray
     tiles: np.ndarray
     headers: np.ndarray
-    scans: np.ndarray
     sizes: np.ndarray
     gains: np.ndarray
 
@@ -89,7 +90,7 @@ def _check(increments: Increments, manifest: Manifest) -> None:
         raise _damage()
     if (increments.tiles >= tile_counts[increments.textures]).any() or (increments.headers >= header_counts[increments.textures]).any():
         raise _damage()
-    if not np.isfinite(increments.gains).all() or (increments.scans < 1).any() or (increments.sizes < 1).any():
+    if not np.isfinite(increments.gains).all() or (increments.sizes < 1).any():
         raise _damage()
     if manifest.first_increment + int(increments.sizes.sum()) != manifest.files[TEXTURES][0]:
         raise _damage()

@@ -15,8 +15,9 @@ import zlib
 from dataclasses import dataclass
 
 from ...errors import FileError
+from .tile_pyramid import TilePyramid
 
-FORMAT, VERSION = "farfield-package", 1
+FORMAT, VERSION = "farfield-package", 2
 MANIFEST, MESH, TEXTURES = "manifest.json", "mesh.bin", "textures.bin"
 MAX_TEXTURE_SIDE = 65536
 MAX_STEPS = 65535  # of positions and texture coordinates, which are 16-bit numbers
@@ -77,8 +78,8 @@ class MeshLevel:
 
 @dataclass(frozen=True)
 class PackageTexture:
-    """A texture. Tiles are squares of `tile_size` pixels, row by row from the top left corner; those at the right and lower border are
-    padded. headers: beginnings of JPEG files up to the first scan; each tile uses one of them."""
+    """A texture. Tiles are squares of `tile_size` pixels, see `TilePyramid`; those at the right and lower border are padded. headers:
+    beginnings of AVIF files, see `textures.avif_files`; each tile uses one of them."""
 
     role: str
     width: int
@@ -87,12 +88,9 @@ class PackageTexture:
     headers: tuple[bytes, ...]
 
     @property
-    def columns(self) -> int:
-        return -(-self.width // self.tile_size)
-
-    @property
     def tile_count(self) -> int:
-        return self.columns * -(-self.height // self.tile_size)
+        """Tiles of all levels."""
+        return TilePyramid(self.width, self.height, self.tile_size).tile_count
 
 
 @dataclass(frozen=True)

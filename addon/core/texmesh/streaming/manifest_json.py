@@ -1,4 +1,4 @@
-"""Manifests of packages as JSON: byte ranges are [offset, size, CRC-32 of the bytes], headers of JPEG files are hexadecimal."""
+"""Manifests of packages as JSON: byte ranges are [offset, size, CRC-32 of the bytes], headers of AVIF files are hexadecimal."""
 
 import json
 import math

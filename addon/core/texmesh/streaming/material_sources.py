@@ -7,6 +7,8 @@ import numpy as np
 from ...imaging.colors import LINEAR_OF_BYTE
 from ...imaging.mipmaps import Mipmaps, build_mipmaps
 
+WHITE = (1.0, 1.0, 1.0)
+
 
 @dataclass(frozen=True, eq=False)
 class MaterialSource:
@@ -23,5 +25,10 @@ class MaterialSource:
 
 
 def build_color_mipmaps(image: np.ndarray | None, base_color: tuple[float, float, float, float]) -> Mipmaps | None:
-    """Return the mipmaps of the colors that a base color image gives a surface, None without an image."""
-    return None if image is None else build_mipmaps(LINEAR_OF_BYTE[image] * np.float32(base_color[:3]))
+    """Return the mipmaps of the colors that a base color image (H, W, 3) uint8 gives a surface, None without an image."""
+    if image is None:
+        return None
+    mipmaps = build_mipmaps(image, LINEAR_OF_BYTE)
+    if base_color[:3] != WHITE:
+        np.multiply(mipmaps.texels, np.float32(base_color[:3]), out=mipmaps.texels)
+    return mipmaps

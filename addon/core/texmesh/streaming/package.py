@@ -30,7 +30,7 @@ STOPS = 7  # numbers of increments at which the error of the textures is measure
 MIN_BITS, MAX_BITS = 8, 16  # of positions and texture coordinates
 POSITION_BITS, UV_BITS = 4, 2  # below a pixel and a texel
 FIRST_STOP = 1.0 / 64.0  # of the bytes of all increments
-NO_TEXTURES = BuiltTextures((), Increments(*[np.zeros(0, np.int64)] * 5, np.zeros(0, np.float16)), b"", np.zeros(1))
+NO_TEXTURES = BuiltTextures((), Increments(*[np.zeros(0, np.int64)] * 4, np.zeros(0, np.float16)), b"", np.zeros(1))
 
 
 @dataclass(frozen=True)
@@ -146,11 +146,15 @@ def _measure(
         images = decode_textures(built.textures, built.increments, built.content, count)
         return mipmaps([None if index is None else images[index] for index in colors])
 
-    original = mipmaps([material.images.get("base_color") for material in materials])
-    levels = [level.mesh for level in reversed(chain.levels)]
-    pixels_per_degree = settings.perception.pixels_per_degree
     return (
-        yield from measure_errors(levels, original, _choose_stops(built.increments), decode, package_settings.pixels, pixels_per_degree)
+        yield from measure_errors(
+            [level.mesh for level in reversed(chain.levels)],
+            mipmaps([material.images.get("base_color") for material in materials]),
+            _choose_stops(built.increments),
+            decode,
+            package_settings.pixels,
+            settings.perception.pixels_per_degree,
+        )
     )
 
 

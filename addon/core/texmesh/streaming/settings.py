@@ -6,9 +6,10 @@ from urllib.parse import urlsplit
 from ...errors import SettingsError
 from ...settings import Settings, Unit, setting
 from .textures.settings import TextureSettings
+from .textures.texture_tiles import TILE_UNIT
 
 PACKAGE = "Package"
-BLOCK = 16  # pixels of a side of the largest blocks of JPEG
+
 SCHEMES = ("http", "https")
 
 
@@ -33,7 +34,7 @@ class PackageSettings(Settings):
         group=PACKAGE,
     )
     quality: int = setting(
-        TextureSettings.quality, "JPEG quality of complete textures", minimum=1, maximum=98, unit=Unit.COUNT, group=PACKAGE
+        TextureSettings.quality, "AVIF quality of complete textures", minimum=1, maximum=100, unit=Unit.COUNT, group=PACKAGE
     )
     tile_size: int = setting(
         TextureSettings.tile_size,
@@ -50,10 +51,10 @@ class PackageSettings(Settings):
         """Return the settings of the textures.
 
         Raises:
-            SettingsError: the size of tiles is no multiple of the blocks of JPEG.
+            SettingsError: the size of tiles is no multiple of 16.
         """
-        if self.tile_size % BLOCK:
-            raise SettingsError(f"Tile Size is {self.tile_size}; it must be a multiple of {BLOCK}.", ("tile_size",))
+        if self.tile_size % TILE_UNIT:
+            raise SettingsError(f"Tile Size is {self.tile_size}; it must be a multiple of {TILE_UNIT}.", ("tile_size",))
         return TextureSettings(tile_size=self.tile_size, quality=self.quality, pixels=self.pixels, pixels_per_degree=pixels_per_degree)
 
     def mirror_urls(self) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from ...errors import SettingsError
-from .increments import Increments
+from .increments import GAIN_UNIT, Increments
 from .manifest import Manifest
 from .manifest_json import encode_manifest
 from .sending_state import Event, Job, Span, build_job
@@ -136,7 +136,7 @@ def build_sent_package(manifest: Manifest, increments: Increments) -> SentPackag
     first_tiles = np.concatenate([[0], np.cumsum([texture.tile_count for texture in manifest.textures])]).astype(np.int64)
     job = replace(build_job(manifest), ends=tuple(ends.tolist()))
     tiles = first_tiles[increments.textures] + increments.tiles
-    return SentPackage(job, increments.gains.astype(np.float64) * 1e-6, tiles, len(encode_manifest(manifest)))
+    return SentPackage(job, increments.gains.astype(np.float64) * GAIN_UNIT, tiles, len(encode_manifest(manifest)))
 
 
 def simulate_package(

@@ -5,7 +5,7 @@ import { decodeLevel, inflate } from "./mesh_decoding.js";
 import { crc32, DamageError, openRange, PartialFile, SimulatedLine } from "./network.js";
 import { readIncrements, ROW_BYTES, TileDecoder } from "./tiles.js";
 
-const FORMAT = "farfield-package", VERSION = 1;
+const FORMAT = "farfield-package", VERSION = 2;
 const MESH = "mesh.bin", TEXTURES = "textures.bin";
 const REFERENCES = ["parents", "wedges", "uvs", "corners"], SECTIONS = [...REFERENCES, "positions"];
 const TICK_SECONDS = 0.05;
@@ -49,9 +49,9 @@ function checkManifest(manifest) {
 
 /** One run of loading a package.
  *
- * events: {level(mesh, counts, index), tile(texture, tile, bitmap), problem(sentence)}, see `decodeLevel` and `TileDecoder`. options: {limit
+ * events: {level(mesh, counts, index), tile(texture, place, bitmap), problem(sentence)}, see `decodeLevel` and `TileDecoder`. options: {limit
  * (seconds), keepsRefining, rate (bytes per second that the line had before, or 0), simulatedRate (bytes per second, or 0),
- * tileSide(texture), start (performance.now() in ms)}. */
+ * start (performance.now() in ms)}. */
 export class Loader {
   constructor(base, manifest, options, events) {
     const urls = [base, ...manifest.mirrors].map((url) => new URL(url, base));
@@ -60,7 +60,7 @@ export class Loader {
     this.files = Object.fromEntries([MESH, TEXTURES].map((name) => [name, new PartialFile(name, manifest.files[name][0])]));
     this.line = new SimulatedLine(options.simulatedRate);
     this.requests = new Map(); // AbortControllers by id
-    this.decoder = new TileDecoder(manifest, events.tile, options.tileSide);
+    this.decoder = new TileDecoder(manifest, events.tile);
     this.meshes = [];
     this.work = Promise.resolve(); // sections are decoded one after the other
     this.job = buildJob(manifest);
@@ -186,18 +186,15 @@ export class Loader {
     return names.every((name) => this.files[MESH].read(this.manifest.levels[level][name]));
   }
 
-  /** Pass on the increments that have come, also those behind gaps in the file if all before them of the same tile are there. */
+  /** Pass on the increments that have come, also those behind gaps in the file: each shows its part of a texture by itself. */
   #passIncrements() {
-    const { table } = this, file = this.files[TEXTURES], blocked = new Set();
+    const { table } = this, file = this.files[TEXTURES];
     const end = Math.max(...file.intervals.map((interval) => interval[1]));
     for (let i = this.passed; i < table.ends.length && table.ends[i] <= end; i++) {
-      if (table.isPassed[i]) continue;
-      const tile = table.textures[i] * 65536 + table.tiles[i];
-      const scans = blocked.has(tile) ? null : file.read([table.ends[i] - table.sizes[i], table.sizes[i]]);
-      if (scans) {
-        this.decoder.add(table.textures[i], table.tiles[i], table.headers[i], scans);
-        table.isPassed[i] = 1;
-      } else blocked.add(tile);
+      const payload = table.isPassed[i] ? null : file.read([table.ends[i] - table.sizes[i], table.sizes[i]]);
+      if (!payload) continue;
+      this.decoder.add(i, table.textures[i], table.tiles[i], table.headers[i], payload);
+      table.isPassed[i] = 1;
     }
     while (table.isPassed[this.passed]) this.passed++;
   }

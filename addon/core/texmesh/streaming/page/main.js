@@ -63,7 +63,7 @@ async function load(coming = fetchManifest(base), start = performance.now()) {
   fillChoices(manifest);
   const options = {
     limit: Number(element("limit").value), keepsRefining: element("refine").checked, rate: readHistory(),
-    simulatedRate: Number(element("bandwidth").value), tileSide: (index) => renderer.tileSide(index), start,
+    simulatedRate: Number(element("bandwidth").value), start,
   };
   loader = new Loader(base, manifest, options, {
     level(mesh, counts, index) {
@@ -71,8 +71,8 @@ async function load(coming = fetchManifest(base), start = performance.now()) {
       element("levels").options[index + 1].disabled = false;
       showLevel();
     },
-    tile(texture, tile, bitmap) {
-      renderer.setTile(texture, tile, bitmap);
+    tile(texture, place, bitmap) {
+      renderer.setTile(texture, place, bitmap);
       bitmap.close();
       requestDraw();
     },

@@ -129,22 +129,30 @@ export class Renderer {
     this.mesh = { array, buffers, counts };
   }
 
-  /** Show `bitmap` as a tile of a texture from now on. */
-  setTile(index, tile, bitmap) {
-    const { gl } = this, { texture, shift, width, height, description } = this.textures[index];
-    const side = description.tile_size, columns = Math.ceil(description.width / side);
-    const [x, y] = [(tile % columns) * side, Math.floor(tile / columns) * side];
-    const [left, top] = [x >> shift, y >> shift];
-    const size = [Math.min(bitmap.width, width - left), Math.min(bitmap.height, height - top)]; // without the padding
-    gl.bindTexture(gl.TEXTURE_2D, texture);
-    if (size[0] > 0 && size[1] > 0) gl.texSubImage2D(gl.TEXTURE_2D, 0, left, top, ...size, gl.RGBA, gl.UNSIGNED_BYTE, bitmap);
+  /** Show `bitmap` as the part of a texture at a place, see `locateTile`, from now on. */
+  setTile(index, { left, top, side }, bitmap) {
+    const { gl } = this, { texture, format, shift, width, height } = this.textures[index];
+    if (side === bitmap.width && !shift) {
+      const size = [Math.min(side, width - left), Math.min(side, height - top)]; // without the padding
+      gl.bindTexture(gl.TEXTURE_2D, texture);
+      gl.texSubImage2D(gl.TEXTURE_2D, 0, left, top, ...size, gl.RGBA, gl.UNSIGNED_BYTE, bitmap);
+    } else {
+      const coarse = gl.createTexture();
+      gl.bindTexture(gl.TEXTURE_2D, coarse);
+      gl.texImage2D(gl.TEXTURE_2D, 0, format, gl.RGBA, gl.UNSIGNED_BYTE, bitmap);
+      const frames = [[gl.READ_FRAMEBUFFER, coarse], [gl.DRAW_FRAMEBUFFER, texture]].map(([target, attached]) => {
+        const frame = gl.createFramebuffer();
+        gl.bindFramebuffer(target, frame);
+        gl.framebufferTexture2D(target, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, attached, 0);
+        return frame;
+      });
+      const [x, y, right, bottom] = [left, top, left + side, top + side].map((position) => position >> shift);
+      gl.blitFramebuffer(0, 0, bitmap.width, bitmap.height, x, y, right, bottom, gl.COLOR_BUFFER_BIT, gl.LINEAR);
+      gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+      frames.forEach((frame) => gl.deleteFramebuffer(frame));
+      gl.deleteTexture(coarse);
+    }
     this.outdated.add(texture);
-  }
-
-  /** The side in pixels that bitmaps of tiles of a texture must have, 0 for that of the tile. */
-  tileSide(index) {
-    const { shift, description } = this.textures[index];
-    return shift && Math.max(description.tile_size >> shift, 1);
   }
 
   /** Whether the graphics processor has not finished the last image: more images or tiles would only wait for it. */
@@ -228,7 +236,7 @@ export class Renderer {
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.deleteFramebuffer(frame);
     this.outdated.add(texture);
-    return { texture, width, height, shift, description };
+    return { texture, format, width, height, shift };
   }
 }
 

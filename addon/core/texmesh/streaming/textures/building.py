@@ -6,15 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ....jobs.progress import Steps, subprogress
-from ..increments import Increments
+from ..increments import GAIN_UNIT, MAX_GAIN, Increments
 from ..manifest import PackageTexture
 from .coding import CodedTexture, code_texture
-from .queue import MAX_GAIN, order_increments
+from .rungs import order_tiles
 from .settings import TextureSettings
 from .texture_tiles import TextureSource, check_source
 from .visibility import measure_visibility
-
-GAIN_UNIT = 1e-6  # of Increments.gains
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +30,7 @@ class BuiltTextures:
 
 
 def build_textures(sources: Sequence[TextureSource], settings: TextureSettings) -> Steps[BuiltTextures]:
-    """Code textures as tiles, and order their scans. The same sources give the same bytes.
+    """Code textures as tiles, and order them. The same sources give the same bytes.
 
     Raises:
         ImageError: a source cannot be coded, see `check_source`.
@@ -47,32 +45,21 @@ def build_textures(sources: Sequence[TextureSource], settings: TextureSettings) 
 
 
 def _assemble(coded: Sequence[CodedTexture]) -> BuiltTextures:
-    """Order the scans of all tiles of all textures."""
-    count = max(item.sizes.shape[1] for item in coded)
-    sizes = np.concatenate([np.pad(item.sizes, ((0, 0), (0, count - item.sizes.shape[1]))) for item in coded])
-    errors = np.concatenate([np.pad(item.errors, ((0, 0), (0, count + 1 - item.errors.shape[1])), mode="edge") for item in coded])
-    contents = [scans for item in coded for scans in item.contents]
-    owners = np.repeat(np.arange(len(coded)), [len(item.tiles) for item in coded])
-    queued = order_increments(sizes, errors)
-    scan_counts = np.array(
-        [
-            np.count_nonzero(sizes[row, first : first + number])
-            for row, first, number in zip(queued.rows, queued.first_scans, queued.scan_counts, strict=True)
-        ],
-        np.int64,
-    )
-    parts = [
-        b"".join(contents[row][first : first + number])
-        for row, first, number in zip(queued.rows.tolist(), queued.first_scans.tolist(), queued.scan_counts.tolist(), strict=True)
-    ]
-    gains = np.minimum(queued.gains / GAIN_UNIT, MAX_GAIN).astype(np.float16)
+    """Join the tiles of all textures in their order."""
+    queued = order_tiles(coded)
+    tiles, numbers = [], []
+    for choice in queued.choices:
+        pyramid = coded[choice.texture].pyramid
+        number = choice.row * pyramid.shapes[choice.level][1] + choice.column
+        numbers.append(int(pyramid.starts[choice.level]) + number)
+        tiles.append(coded[choice.texture].tiles[choice.level, choice.quality, number])
     increments = Increments(
-        owners[queued.rows],
-        np.concatenate([item.tiles for item in coded])[queued.rows],
-        np.concatenate([item.headers for item in coded])[queued.rows],
-        scan_counts,
-        np.array([len(part) for part in parts], np.int64),
-        gains,
+        np.array([choice.texture for choice in queued.choices], np.int64),
+        np.array(numbers, np.int64),
+        np.array([tile.header for tile in tiles], np.int64),
+        np.array([len(tile.payload) for tile in tiles], np.int64),
+        np.minimum(queued.gains / GAIN_UNIT, MAX_GAIN).astype(np.float16),
     )
-    flips = errors[:, 0].sum() - np.concatenate([[0.0], np.cumsum(queued.gains)])
-    return BuiltTextures(tuple(item.texture for item in coded), increments, b"".join(parts), flips)
+    missing = sum(float(item.missing_errors.sum()) for item in coded)
+    flips = np.maximum(missing - np.concatenate([[0.0], np.cumsum(queued.gains)]), 0.0)
+    return BuiltTextures(tuple(item.texture for item in coded), increments, b"".join(tile.payload for tile in tiles), flips)

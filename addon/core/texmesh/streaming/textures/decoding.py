@@ -1,4 +1,4 @@
-"""Textures of packages as pixels again, from any number of increments."""
+"""Textures of packages as pixels again, from any number of tiles."""
 
 from collections.abc import Sequence
 
@@ -6,10 +6,11 @@ import numpy as np
 
 from ..increments import Increments
 from ..manifest import PackageTexture
-from .progressive_files import decode_tile
+from ..tile_pyramid import TilePyramid
+from .avif_files import decode_tile
+from .coding import MISSING
+from .enlarging import enlarge
 from .texture_tiles import TileGrid, join_tiles
-
-MISSING = 128  # of all channels of tiles without increments, as a JPEG file without coefficients
 
 
 def decode_textures(
@@ -22,19 +23,24 @@ def decode_textures(
     Raises:
         FileError: a tile is damaged.
     """
-    parts: dict[tuple[int, int], list[memoryview]] = {}
-    headers: dict[tuple[int, int], bytes] = {}
-    for index, part in enumerate(increments.split(content)[:count]):
-        texture = int(increments.textures[index])
-        key = texture, int(increments.tiles[index])
-        parts.setdefault(key, []).append(part)
-        headers[key] = textures[texture].headers[int(increments.headers[index])]
+    parts = increments.split(content)[:count]
     images = []
-    for number, texture in enumerate(textures):
-        side = texture.tile_size
-        tiles = np.full((texture.tile_count, side, side, 3), MISSING, np.uint8)
-        for key in parts:
-            if key[0] == number:
-                tiles[key[1]] = decode_tile(headers[key], parts[key])[::-1]
-        images.append(join_tiles(tiles, TileGrid(texture.width, texture.height, side))[::-1])
+    for index, texture in enumerate(textures):
+        side, pyramid = texture.tile_size, TilePyramid(texture.width, texture.height, texture.tile_size)
+        rows, columns = pyramid.shapes[0]
+        tiles = np.full((rows, columns, side, side, 3), MISSING, np.uint8)
+        is_known = np.zeros((rows, columns), bool)
+        for number in reversed(np.flatnonzero(increments.textures[: len(parts)] == index).tolist()):  # later tiles replace earlier ones
+            level, row, column = pyramid.locate(int(increments.tiles[number]))
+            covered = pyramid.covered(level, row, column)
+            if is_known[covered].all():
+                continue
+            coded = decode_tile(texture.headers[int(increments.headers[number])], parts[number], pyramid.side(level))
+            enlarged = enlarge(coded, level)
+            count = len(enlarged) // side
+            found = enlarged.reshape(count, side, count, side, 3).swapaxes(1, 2)
+            is_new = ~is_known[covered]
+            tiles[covered][is_new] = found[: is_new.shape[0], : is_new.shape[1]][is_new]
+            is_known[covered] = True
+        images.append(join_tiles(tiles.reshape(-1, side, side, 3), TileGrid(texture.width, texture.height, side))[::-1])
     return images

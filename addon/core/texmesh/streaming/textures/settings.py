@@ -9,14 +9,8 @@ from ....settings import Settings, Unit, setting
 class TextureSettings(Settings):
     """How textures are coded, and for which images."""
 
-    tile_size: int = setting(128, "Side of the tiles of textures in pixels, a multiple of 16", minimum=16, maximum=1024, unit=Unit.COUNT)
-    quality: int = setting(85, "Highest JPEG quality of complete textures", minimum=1, maximum=98, unit=Unit.COUNT)
-    error: float = setting(
-        0.02,
-        "Predicted mean FLIP error of complete textures in images of the object; 0 for the quality alone",
-        minimum=0.0,
-        maximum=0.5,
-    )
+    tile_size: int = setting(256, "Side of the tiles of textures in pixels, a multiple of 16", minimum=16, maximum=1024, unit=Unit.COUNT)
+    quality: int = setting(80, "AVIF quality of complete textures", minimum=1, maximum=100, unit=Unit.COUNT)
     pixels: int = setting(
         512,
         "Size of the object in images, in pixels, for which the order of textures is best",
