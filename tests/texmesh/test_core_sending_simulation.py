@@ -8,8 +8,9 @@ import pytest
 
 from farfield.addon.core.errors import SettingsError
 from farfield.addon.core.texmesh.streaming.increments import Increments
-from farfield.addon.core.texmesh.streaming.manifest import Manifest, MeshLevel, PackageMaterial, PackageTexture, PlanRow, Section
-from farfield.addon.core.texmesh.streaming.simulated_clients import select_usable
+from farfield.addon.core.texmesh.streaming.manifest import TEXTURES, Manifest, MeshLevel, PackageMaterial, PackageTexture, PlanRow, Section
+from farfield.addon.core.texmesh.streaming.sending_state import Event
+from farfield.addon.core.texmesh.streaming.simulated_clients import CompensatingClient
 from farfield.addon.core.texmesh.streaming.simulated_network import Line
 from farfield.addon.core.texmesh.streaming.simulation import CLIENTS, build_sent_package, simulate, simulate_package
 from farfield.addon.core.texmesh.streaming.traces import Trace, constant_trace, step_trace
@@ -88,12 +89,26 @@ def test_lost_responses_are_asked_for_again():
         assert report.level == 2
 
 
-def test_increments_behind_gaps_count_for_other_tiles():
-    tiles = np.array([0, 1, 2, 0, 1, 2, 1, 2])
-    is_here = np.array([1, 0, 1, 1, 1, 0, 1, 1], bool)
-    assert select_usable(is_here, tiles).tolist() == [True, False, True, True, False, False, False, False]
-    assert select_usable(~np.zeros(8, bool), tiles).all()
-    assert not select_usable(np.zeros(8, bool), tiles).any()
+def test_increments_behind_gaps_are_of_use():
+    job = make_package().job
+    client = CompensatingClient(job, 5.0, 4e5, 2, 0.0)
+    requests, _ = client.hear(Event(0.0))
+    assert {request.server for request in requests} == {0, 1}
+    for _ in range(20):  # until the first increments have been asked for from both servers
+        waiting = [request for request in requests if request.span.file == TEXTURES and request.span.start >= job.begin]
+        if len({request.server for request in waiting}) == 2:
+            break
+        known, requests = [request for request in requests if request not in waiting], waiting
+        for request in known:
+            requests += client.hear(Event(0.1, request.id, request.span.end - request.span.start))[0]
+        requests += client.hear(Event(0.1))[0]  # the table may have come
+    early, late = sorted(waiting, key=lambda request: request.span.start)[:2]
+    assert not client.received().any()
+    client.hear(Event(0.2, late.id, late.span.end - late.span.start))
+    ends = np.array(job.ends)
+    assert np.array_equal(client.received(), (ends > late.span.start) & (ends <= late.span.end))
+    client.hear(Event(0.3, early.id, early.span.end - early.span.start))
+    assert client.received().sum() == ((ends > early.span.start) & (ends <= late.span.end)).sum()
 
 
 def test_oracle_knows_mirrors_after_the_manifest_has_come():

@@ -30,8 +30,8 @@ use.
 Several servers: a request goes to the server whose line is free first, and is as long as its measured rate allows; so bytes spread by
 rates, the first ones, too. A response that is late and takes twice as long as from a server that is free is aborted, and its rest asked for
 there (`find_slow`). A server that fails or is silent gets nothing for a while, and what it owes is asked for first, elsewhere if possible.
-When requests will not end before the limit, the newest are taken back, so that older ones get the whole line. Tiles do not depend on each
-other, so increments behind a gap in the file are of use if theirs have all earlier ones.
+When requests will not end before the limit, the newest are taken back, so that older ones get the whole line. Increments do not depend on
+each other, so those behind a gap in the file are of use.
 """
 
 from bisect import bisect_right

@@ -14,9 +14,9 @@ PAPER_FRAGMENTS = 24  # into which a client as in the paper divides the tiles
 class CompensatingClient:
     """The controller of the page."""
 
-    def __init__(self, job: Job, tiles: np.ndarray, limit: float, rate: float | None, servers: int, patience: float) -> None:
+    def __init__(self, job: Job, limit: float, rate: float | None, servers: int, patience: float) -> None:
         self._job, self._known = job, replace(job, ends=None if job.ends else ())
-        self._ends, self._tiles = np.array([job.begin, *(job.ends or ())]), tiles
+        self._ends = np.array([job.begin, *(job.ends or ())])
         self._state = begin(job, limit, rate, servers, patience)
 
     def hear(self, event: Event) -> tuple[list[Request], list[int]]:
@@ -36,24 +36,17 @@ class CompensatingClient:
         return controller.received_level(self._known, self._state)
 
     def received(self) -> np.ndarray:
-        """Return which increments have come with all earlier ones of their tiles, (N,) bool."""
+        """Return which increments have come, (N,) bool."""
         state, count = self._state, len(self._ends) - 1
         is_here = np.arange(count) < (0 if self._known.ends is None else state.asked)
         for span in state.pending + [replace(flight.span, start=flight.span.start + flight.received) for flight in state.flights]:
             if span.file == TEXTURES:
                 is_here &= (self._ends[1:] <= span.start) | (self._ends[:-1] >= span.end)
-        return select_usable(is_here, self._tiles)
+        return is_here
 
     def mean_difference(self) -> float:
         """Return Lambda (eq. 9 of the paper), seconds."""
         return controller.mean_difference(self._state)
-
-
-def select_usable(is_here: np.ndarray, tiles: np.ndarray) -> np.ndarray:
-    """Return which increments have come with all earlier ones of their `tiles`, (N,) bool."""
-    first_missing = np.full(tiles.max(initial=0) + 1, len(tiles))
-    np.minimum.at(first_missing, tiles[~is_here], np.flatnonzero(~is_here))
-    return np.arange(len(tiles)) < first_missing[tiles]
 
 
 class _SequentialClient:

@@ -189,7 +189,7 @@ def simulate(
         )
     job = package.job
     agent = {
-        "compensating": lambda: CompensatingClient(job, package.tiles, limit, rate, len(lines), patience),
+        "compensating": lambda: CompensatingClient(job, limit, rate, len(lines), patience),
         "fixed": lambda: FixedClient(job, limit, rate),
         "paper": lambda: PaperClient(job, limit, rate, package.tiles),
     }[client]()
