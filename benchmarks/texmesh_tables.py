@@ -5,7 +5,7 @@ Reports are those of `bench_texmesh.py --report`. Models of later reports replac
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,8 @@ PEERS = {  # columns by the names of texmesh_peers; gltfpack by its flags
     "gltfpack -si -sp -sv": "-si -sp -sv",
     "pymeshlab": "pymeshlab",
 }
+NAMED_PEERS = ("blender", "gltfpack -si", "gltfpack -si -sp", "pymeshlab")  # those of the bound
+SIDES = ("from_fine", "from_level")
 LAST_SCALE = 20
 
 
@@ -75,6 +77,34 @@ def build_rebakes(models: dict[str, Any]) -> str:
 
 def _join_sizes(sizes: list[list[int]]) -> str:
     return ", ".join(f"{width} x {height}" for width, height in sizes)
+
+
+def build_refits(models: dict[str, Any]) -> str:
+    """Return the deviations of refit levels beside those of other programs."""
+    rows = []
+    for name, model in models.items():
+        for part in [key for key in model if key.endswith("%")]:
+            level = model[part]
+            left_out = level["ratios"]["not_reached"]
+            reached = [peer for peer in PEERS if peer not in left_out]
+            own = level["farfield"]
+            named = [peer for peer in reached if peer in NAMED_PEERS]
+            texture = [_divide(level, peers, lambda item: item["texture"]["from_fine"]["mean"]) for peers in (named, reached)]
+            sides = [
+                " / ".join(_divide(level, reached, lambda item, key=(side, kind): item["geometry"][key[0]][key[1]]) for side in SIDES)
+                for kind in ("mean", "max")
+            ]
+            both = _divide(level, reached, lambda item: max(item["geometry"][side]["max"] for side in SIDES))
+            count = f"{own['triangles']:,} of {level['target']:,}"
+            mean = f"{1e4 * own['texture']['from_fine']['mean']:.2f}"
+            rows.append([name, part, count, mean, *texture, *sides, both, ", ".join(left_out) or "none", model["cpu_seconds"]])
+    titles = ["model", "part", "triangles", "texture mean, 1e-4", "ratio, named peers", "ratio, all peers", "geometric mean ratios"]
+    return _table([*titles, "geometric maximum ratios", "maximum, both sides", "peers beside the target", "CPU s"], rows)
+
+
+def _divide(level: dict[str, Any], peers: Sequence[str], measure: Callable[[dict[str, Any]], float]) -> str:
+    """Return the ratio of Farfield's figure to the smallest one of `peers`."""
+    return f"{measure(level['farfield']) / min(measure(level[peer]) for peer in peers):.2f}" if peers else "none"
 
 
 def build_targets(models: dict[str, Any]) -> str:
@@ -172,6 +202,7 @@ TABLES = {
     "switching": build_switches,
     "renders": build_renders,
     "rebakes": build_rebakes,
+    "refits": build_refits,
     "targets": build_targets,
     "paper": build_paper,
     "fragments": build_fragments,
