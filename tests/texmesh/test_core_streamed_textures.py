@@ -15,7 +15,6 @@ from farfield.addon.core.texmesh.streaming.textures.avif_files import decode_til
 from farfield.addon.core.texmesh.streaming.textures.building import BuiltTextures, build_textures
 from farfield.addon.core.texmesh.streaming.textures.coding import CodedTexture, code_texture
 from farfield.addon.core.texmesh.streaming.textures.decoding import decode_textures
-from farfield.addon.core.texmesh.streaming.textures.rungs import choose_state, order_tiles
 from farfield.addon.core.texmesh.streaming.textures.settings import TextureSettings
 from farfield.addon.core.texmesh.streaming.textures.texture_tiles import (
     TextureSource,
@@ -24,6 +23,7 @@ from farfield.addon.core.texmesh.streaming.textures.texture_tiles import (
     fill_unused,
     find_used_texels,
 )
+from farfield.addon.core.texmesh.streaming.textures.tile_order import choose_state, order_tiles
 from farfield.addon.core.texmesh.streaming.textures.visibility import measure_visibility
 from farfield.addon.core.texmesh.streaming.tile_pyramid import TilePyramid, sum_tiles
 from farfield.addon.core.texmesh.textured_mesh import build_textured_mesh

@@ -9,9 +9,9 @@ from ....jobs.progress import Steps, subprogress
 from ..increments import GAIN_UNIT, MAX_GAIN, Increments
 from ..manifest import PackageTexture
 from .coding import CodedTexture, code_texture
-from .rungs import order_tiles
 from .settings import TextureSettings
 from .texture_tiles import TextureSource, check_source
+from .tile_order import order_tiles
 from .visibility import measure_visibility
 
 
