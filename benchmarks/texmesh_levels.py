@@ -2,13 +2,13 @@
 
 import json
 import sys
-import time
 from argparse import Namespace
 from typing import Any
 
 import numpy as np
 import texmesh_models
 from texmesh_chains import TexturedModel, default_settings, make_chain, model_names, open_textured, paint
+from texmesh_costs import measure_cost
 from texmesh_texture_views import random_directions
 
 from farfield.addon.core.geometry.mesh import TriangleMesh
@@ -20,7 +20,6 @@ from farfield.addon.core.texmesh.perception.views import frame_around, prepare_s
 from farfield.addon.core.texmesh.simplification.levels import Simplification, extract_level, simplify_by_cost
 from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
-from lib import command_line
 
 MAX_SECONDS, MAX_MEMORY_MB = 40.0, 2000.0
 SPEED_RINGS, SPEED_SIDE = 224, 4096  # 4 x 224 x 223 = 199,808 triangles
@@ -35,19 +34,8 @@ def measure_speed(given: Namespace) -> dict[str, Any]:
     measure this part alone."""
     generator = np.random.default_rng(given.seed)
     mesh, texture = make_ball(SPEED_RINGS, generator), paint(SPEED_SIDE, generator)
-    before = command_line.peak_memory_mb()
-    started, cpu_started = time.perf_counter(), time.process_time()
-    chain = run_to_end(make_levels(mesh, [texture], default_settings()))
-    return {
-        "triangles": len(mesh.triangles),
-        "seconds": round(time.perf_counter() - started, 1),
-        "cpu_seconds": round(time.process_time() - cpu_started, 1),
-        "max_seconds": MAX_SECONDS,
-        "peak_memory_mb": round(command_line.peak_memory_mb()),
-        "peak_memory_before_mb": round(before),
-        "max_memory_mb": MAX_MEMORY_MB,
-        "levels": [len(level.mesh.triangles) for level in chain.levels],
-    }
+    chain, cost = measure_cost(lambda: run_to_end(make_levels(mesh, [texture], default_settings())), MAX_SECONDS, MAX_MEMORY_MB)
+    return {"triangles": len(mesh.triangles), **cost, "levels": [len(level.mesh.triangles) for level in chain.levels]}
 
 
 def measure_switching(given: Namespace) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from texmesh_chains import paint
+from texmesh_costs import measure_cost
 from texmesh_levels import SPEED_RINGS, SPEED_SIDE, make_ball
 from texmesh_packages import build
 from texmesh_textured_models import TexturedModel
@@ -50,19 +51,12 @@ def measure_packaging(given: Namespace) -> dict[str, Any]:
     mesh = make_ball(SPEED_RINGS, generator)
     model = TexturedModel(mesh, [paint_bytes(SPEED_SIDE, generator)])
     reset_peak_memory()
-    before = command_line.peak_memory_mb()
     meter = StageMeter()
-    started, started_cpu = time.perf_counter(), time.process_time()
-    package = build(model, "ball", on_progress=meter.note)
+    package, cost = measure_cost(lambda: build(model, "ball", on_progress=meter.note), MAX_SECONDS, MAX_MEMORY_MB)
     meter.finish()
     return {
         "triangles": len(mesh.triangles),
-        "seconds": round(time.perf_counter() - started, 1),
-        "cpu_seconds": round(time.process_time() - started_cpu, 1),
-        "max_seconds": MAX_SECONDS,
-        "peak_memory_mb": round(command_line.peak_memory_mb()),
-        "peak_memory_before_mb": round(before),
-        "max_memory_mb": MAX_MEMORY_MB,
+        **cost,
         "levels": package.report.levels,
         "mesh_bytes": package.report.mesh_bytes,
         "texture_bytes": package.report.texture_bytes,

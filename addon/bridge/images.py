@@ -14,6 +14,8 @@ from .blender_errors import error_sentence
 from .meshes import Source
 from .node_groups import nodes_in
 
+INDEPENDENT_ALPHA = {"CHANNEL_PACKED", "NONE"}  # modes in which colors are not weighted by alpha
+
 
 def create_image(name: str, pixels: np.ndarray, is_data: bool, half_floats: bool = False) -> bpy.types.Image:
     """Create a packed image of `pixels` (H, W, 4), row 0 at the bottom, with 8 bits per channel or half floats.
@@ -32,6 +34,13 @@ def create_image(name: str, pixels: np.ndarray, is_data: bool, half_floats: bool
     image.update()
     image.pack()
     return image
+
+
+def lossless_alpha_mode(alpha_mode: str, is_float: bool) -> str:
+    """Return the alpha mode with which Blender loads exactly the values that it stored, for an image that is shown with `alpha_mode`."""
+    if alpha_mode in INDEPENDENT_ALPHA:
+        return alpha_mode
+    return "PREMUL" if is_float else "STRAIGHT"
 
 
 def read_pixels(image: bpy.types.Image) -> np.ndarray:

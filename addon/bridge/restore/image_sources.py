@@ -13,7 +13,7 @@ from ...core.errors import FileError, ImageError
 from ...core.files.file_access import check_readable, convert_os_errors
 from ..blender_errors import error_sentence
 from ..color_spaces import find_scene_linear_space
-from ..images import find_path, read_pixels, tile_paths
+from ..images import find_path, lossless_alpha_mode, read_pixels, tile_paths
 from ..tiled_images import EXTENSIONS, FILE_FORMATS, load_image
 
 NUMBERED_FILE = re.compile(r"(.*?)(\d+)(\D*)$", re.DOTALL)  # the last number of a name, as Blender reads image sequences
@@ -151,10 +151,3 @@ def default_color_space(image: bpy.types.Image) -> str:
     if not image.is_float or image.colorspace_settings.is_data:
         return image.colorspace_settings.name
     return find_scene_linear_space()
-
-
-def lossless_alpha_mode(alpha_mode: str, is_float: bool) -> str:
-    """Return the alpha mode with which Blender loads exactly the values that it stored, for an image that is shown with `alpha_mode`."""
-    if alpha_mode in {"CHANNEL_PACKED", "NONE"}:
-        return alpha_mode
-    return "PREMUL" if is_float else "STRAIGHT"

@@ -6,8 +6,9 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from ..images import lossless_alpha_mode
 from ..tiled_images import EXTENSIONS, load_image, open_tiles, pack_tiles, save_pixels
-from .image_sources import default_color_space, lossless_alpha_mode
+from .image_sources import default_color_space
 
 SUFFIX = " restored"
 COPIED_PROPERTIES = ("use_half_precision", "use_view_as_render", "use_deinterlace", "seam_margin")

@@ -9,11 +9,11 @@ import numpy as np
 from ...core.imaging.colors import encode_signed_srgb
 from ...core.imaging.images import unpremultiply
 from ..color_spaces import SRGB, find_scene_linear_space, read_linear_pixels
+from ..images import INDEPENDENT_ALPHA, lossless_alpha_mode
 from ..meshes import find_material
 from .color_images import MAX_SIDE, find_color_image, scaled_copy
 from .sources import TexturedSource
 
-INDEPENDENT_ALPHA = ("CHANNEL_PACKED", "NONE")  # modes in which colors are not weighted by alpha
 KIND, TEXTURE = "farfield_kind", "texmesh_texture"
 MAX_LINKS = 8  # reroutes between an image and its coordinates
 
@@ -58,7 +58,7 @@ def create_rebaked_image(name: str, pixels: np.ndarray, source: bpy.types.Image)
     image.colorspace_settings.name = source.colorspace_settings.name if is_data else find_scene_linear_space() if is_float else SRGB
     if has_alpha:
         is_independent = source.alpha_mode in INDEPENDENT_ALPHA
-        image.alpha_mode = source.alpha_mode if is_independent else "PREMUL" if is_float else "STRAIGHT"
+        image.alpha_mode = lossless_alpha_mode(source.alpha_mode, is_float)
         pixels = pixels if is_independent or is_float else unpremultiply(pixels)
     colors = pixels[..., :3] if is_float or is_data else encode_signed_srgb(np.clip(pixels[..., :3], 0.0, 1.0))
     alpha = pixels[..., 3:] if has_alpha else np.ones((height, width, 1), np.float32)

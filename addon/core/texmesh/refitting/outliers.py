@@ -131,9 +131,9 @@ def _find_missed(state: LevelState, distance: float) -> tuple[np.ndarray, np.nda
     own = state.corners[state.found.triangles[rows]]
     bounds = np.sqrt(squared_point_triangle_distances(state.samples.positions[rows], own))
     rows, bounds = rows[bounds > distance], bounds[bounds > distance]
-    near = _find_triangles_near(state, state.samples.positions[rows], bounds.max(initial=0.0))
     if not len(rows):
-        return rows, near, bounds
+        return rows, np.zeros(0, np.int64), bounds
+    near = _find_triangles_near(state, state.samples.positions[rows], bounds.max())
     distances, nearest = TriangleTree(state.corners[near]).find_closest(state.samples.positions[rows])
     is_far = distances > distance
     return rows[is_far], near[nearest[is_far]], distances[is_far]
@@ -141,8 +141,6 @@ def _find_missed(state: LevelState, distance: float) -> tuple[np.ndarray, np.nda
 
 def _find_triangles_near(state: LevelState, points: np.ndarray, distance: float) -> np.ndarray:
     """Return all triangles (K,) with a part within `distance` of any of `points` (N, 3), and others whose centroids are near."""
-    if not len(points):
-        return np.zeros(0, np.int64)
     centroids = state.corners.mean(axis=1)
     radii = np.sqrt(((state.corners - centroids[:, None]) ** 2).sum(axis=2).max(axis=1))
     return np.flatnonzero(cKDTree(points).query(centroids)[0] <= distance + radii)

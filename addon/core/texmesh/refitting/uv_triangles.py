@@ -1,4 +1,4 @@
-"""Triangles in UV space, for searches of what contains or is nearest to texture coordinates."""
+"""Triangles in UV space, for searches of those that contain or are nearest to texture coordinates."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -88,7 +88,7 @@ class _Cells:
     owners: np.ndarray
 
     def find(self, uvs: np.ndarray) -> np.ndarray:
-        """Return the columns and rows (N, 2) of the cells of `uvs` (N, 2), those on the border for what is outside."""
+        """Return the columns and rows (N, 2) of the cells of `uvs` (N, 2), those on the border for points outside."""
         return np.clip(np.floor((uvs - self.low) / self.extent * self.size), 0, self.size - 1).astype(np.int64)
 
     def find_candidates(self, uvs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -9,7 +9,6 @@ from .textures.settings import TextureSettings
 from .textures.texture_tiles import TILE_UNIT
 
 PACKAGE = "Package"
-
 SCHEMES = ("http", "https")
 
 

@@ -14,7 +14,7 @@ from ..tile_pyramid import TilePyramid, sum_tiles
 from .avif_files import decode_tile, encode_tile
 from .fragments import count_features
 from .settings import TextureSettings
-from .texture_errors import TextureErrors, to_bytes, to_values
+from .texture_errors import TextureErrors, to_bytes, values_of_bytes
 from .texture_tiles import TextureSource, TileGrid, cut_tiles, fill_unused, find_used_texels, join_tiles
 from .visibility import BLOCK
 
@@ -66,7 +66,7 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
         shown *= importance.repeat(blocks, axis=0).repeat(blocks, axis=1)[..., None]
     used_tiles = cut_tiles(used, grid.tile_size).any(axis=(1, 2)).reshape(pyramid.shapes[0])
     del used
-    mipmaps = build_mipmaps(to_values(source.role, image))
+    mipmaps = build_mipmaps(image, values_of_bytes(source.role))
     judge = TextureErrors(source.role, mipmaps, shown, settings.pixels_per_degree)
     qualities = [max(round(fraction * settings.quality), 1) for fraction in QUALITY_FRACTIONS]
     levels = len(pyramid.shapes)

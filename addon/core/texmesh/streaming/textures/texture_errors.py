@@ -21,9 +21,14 @@ STRIP_ROWS = 512  # compared at once
 Strip = tuple[np.ndarray, slice]
 
 
+def values_of_bytes(role: str) -> np.ndarray:
+    """Return the value (256,) float32 of each byte of an image that is averaged when it is minified: linear colors, or data."""
+    return LINEAR_OF_BYTE if role in COLOR_ROLES else np.arange(256, dtype=np.float32) / np.float32(255.0)
+
+
 def to_values(role: str, image: np.ndarray) -> np.ndarray:
-    """Return the values (H, W, 3) float32 of an image (H, W, 3) uint8 that are averaged when it is minified: linear colors, or data."""
-    return LINEAR_OF_BYTE[image] if role in COLOR_ROLES else image / np.float32(255.0)
+    """Return the values (H, W, 3) float32 of an image (H, W, 3) uint8, see `values_of_bytes`."""
+    return values_of_bytes(role)[image]
 
 
 def to_bytes(role: str, values: np.ndarray) -> np.ndarray:
@@ -58,7 +63,7 @@ class TextureErrors:
 
         image: (ceil(H / 2^level), ceil(W / 2^level), 3) uint8.
         """
-        mipmaps = build_mipmaps(to_values(self._role, image))
+        mipmaps = build_mipmaps(image, values_of_bytes(self._role))
         errors = np.zeros(self._shape)
         for resolution, weights in self._weights.items():
             if resolution >= level:

@@ -12,7 +12,7 @@ from ....jobs.progress import Progress, Steps
 from ...perception.views import frame_around, view_axes
 from .texture_tiles import TextureSource, TileGrid
 
-BLOCK = 8  # texels of a side of a block, those of JPEG
+BLOCK = 8  # texels of a side of a block
 MIN_SAMPLES = 512  # of a side of an image: smaller ones would miss texels
 FOOTPRINT_STEP = 0.5  # of the binary logarithm of texels per pixel
 MIN_LOG_FOOTPRINT, MAX_LOG_FOOTPRINT = -2.0, 6.0
