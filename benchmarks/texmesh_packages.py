@@ -2,7 +2,7 @@
 
 Both are judged by the mean FLIP error of shaded renders, in random views, against the original mesh with the original textures. Farfield
 uses default settings for images of the size that is judged; its bytes are those of the manifest (gzip), of the table of increments, and of
-the mesh and increments of a row of the plan.
+the mesh and a state of the textures of a row of the plan.
 For the other side every combination of a ratio of triangles, a scale and a quality of the textures is tried, and the smallest that reaches
 the error counts. Its geometry is measured before it is quantized.
 """
@@ -37,8 +37,9 @@ from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
 from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
 from farfield.addon.core.texmesh.settings import LevelSettings
 from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
+from farfield.addon.core.texmesh.streaming.allocation import PlanRow
 from farfield.addon.core.texmesh.streaming.increments import decode_increments
-from farfield.addon.core.texmesh.streaming.manifest import MESH, TEXTURES, PlanRow
+from farfield.addon.core.texmesh.streaming.manifest import MESH, TEXTURES
 from farfield.addon.core.texmesh.streaming.manifest_json import encode_manifest
 from farfield.addon.core.texmesh.streaming.material_sources import MaterialSource
 from farfield.addon.core.texmesh.streaming.mesh_coding import decode_level, dequantize
@@ -128,8 +129,9 @@ def _measure_model(model: TexturedModel, name: str, pixels: int, generator: np.r
         "rows": table,
         "levels": package.report.levels,
         "errors_of_levels": package.report.table.level_errors.tolist(),
-        "errors_of_textures": package.report.table.texture_errors.tolist(),
-        "texture_bytes": [int(package_bytes) for package_bytes in _stop_bytes(package)],
+        "states": package.report.table.states.tolist(),
+        "errors_of_states": package.report.table.texture_errors.tolist(),
+        "state_bytes": _open(package).increments.measure_states(package.manifest.state_count),
         "mesh_bytes": [package.manifest.mesh_size(level) for level in range(len(package.manifest.levels))],
         "seconds": round(seconds, 2),
         "cpu_seconds": round(cpu, 2),
@@ -151,11 +153,6 @@ def build(
     return run_to_end(build_package(name, model.mesh, materials, textures, settings, PackageSettings(pixels=pixels)), on_progress)
 
 
-def _stop_bytes(package: Package) -> np.ndarray:
-    content = _open(package)
-    return np.concatenate([[0], np.cumsum(content.increments.sizes)])[package.report.table.counts]
-
-
 def _open(package: Package) -> PackageContent:
     manifest, textures = package.manifest, package.contents[TEXTURES]
     increments = decode_increments(manifest.increments.read(textures, TEXTURES), manifest)
@@ -165,7 +162,7 @@ def _open(package: Package) -> PackageContent:
 def _search_plan(package: Package, judge: TextureJudge) -> tuple[Reached | None, list[dict[str, Any]]]:
     """Return the first row of the plan that reaches MAX_FLIP, by bisection, and the predicted and measured errors of the rows tried."""
     content = _open(package)
-    plan, tried = content.manifest.plan, {}
+    plan, tried = package.report.plan, {}
     extra = len(gzip.compress(encode_manifest(content.manifest), 9)) + content.manifest.increments.size
 
     def measure(row: PlanRow) -> float:
@@ -173,7 +170,7 @@ def _search_plan(package: Package, judge: TextureJudge) -> tuple[Reached | None,
             content.manifest.textures,
             content.increments,
             memoryview(content.textures)[content.manifest.first_increment :],
-            row.increment_count,
+            row.state,
         )
         by_material = [
             images[item.textures["base_color"]] if "base_color" in item.textures else None for item in content.manifest.materials
@@ -189,12 +186,12 @@ def _search_plan(package: Package, judge: TextureJudge) -> tuple[Reached | None,
         low, high = (low, center) if measure(plan[center]) <= MAX_FLIP else (center + 1, high)
     row = plan[high]
     mesh = content.manifest.mesh_size(row.level)
-    return Reached(mesh, row.byte_count - mesh + extra, tried[row], f"level {row.level}"), _list_rows(tried)
+    return Reached(mesh, row.byte_count - mesh + extra, tried[row], f"level {row.level}, state {row.state}"), _list_rows(tried)
 
 
 def _list_rows(tried: dict[PlanRow, float]) -> list[dict[str, Any]]:
     rows = sorted(tried, key=lambda row: row.byte_count)
-    return [{"bytes": row.byte_count, "level": row.level, "predicted": row.flip, "measured": tried[row]} for row in rows]
+    return [{"bytes": row.byte_count, "level": row.level, "state": row.state, "predicted": row.error, "measured": tried[row]} for row in rows]
 
 
 def _decode_mesh(content: PackageContent, level: int) -> TexturedMesh:

@@ -1,7 +1,7 @@
 """Part `sending` of bench_texmesh.py: packages over 200 replayed traces, by clients with and without time compensation.
 
-Every other package is a real one, built once into the folder for temporary files; the others are synthetic, with plans that are made like
-those of real ones: sizes of tiles are lognormal, a texture of 4096 x 4096 has 1 to 4 MB, a mesh 100 to 600 KB.
+Every other package is a real one, built once into the folder for temporary files; the others are synthetic, with states of textures like
+those of real ones: each replaces 20 to 60 % of the tiles of the one before, the last one has 1 to 4 MB, a mesh 100 to 600 KB.
 """
 
 import tempfile
@@ -16,10 +16,11 @@ import numpy as np
 from texmesh_packages import build
 from texmesh_textured_models import open_textured
 
-from farfield.addon.core.texmesh.streaming.allocation import ErrorTable, make_plan
-from farfield.addon.core.texmesh.streaming.manifest import MESH, TEXTURES
+from farfield.addon.core.texmesh.streaming.allocation import ErrorTable, round_errors
+from farfield.addon.core.texmesh.streaming.increments import Increments
+from farfield.addon.core.texmesh.streaming.manifest import MESH, TEXTURES, VERSION
 from farfield.addon.core.texmesh.streaming.package_files import read_package, write_package
-from farfield.addon.core.texmesh.streaming.sending_state import Job, Span
+from farfield.addon.core.texmesh.streaming.sending_state import Job, Span, add_table
 from farfield.addon.core.texmesh.streaming.simulated_network import Line
 from farfield.addon.core.texmesh.streaming.simulation import CLIENTS, SendingReport, SentPackage, build_sent_package, simulate
 from farfield.addon.core.texmesh.streaming.traces import MEGABIT, Trace, burst_trace, cellular_trace, ramp_trace, step_trace
@@ -39,7 +40,7 @@ def open_packages(data: Path) -> list[SentPackage]:
     """Return the packages of REAL_MODELS; those that are missing in the folder for temporary files are built."""
     packages = []
     for name in REAL_MODELS:
-        folder = Path(tempfile.gettempdir()) / "farfield-benchmark-packages" / name.replace(":", "-")
+        folder = Path(tempfile.gettempdir()) / f"farfield-benchmark-packages-{VERSION}" / name.replace(":", "-")
         if not folder.is_dir():
             folder.parent.mkdir(exist_ok=True)
             package = build(open_textured(data, name, MODEL_SEED), name)
@@ -54,21 +55,31 @@ def make_package(rng: np.random.Generator) -> SentPackage:
     level_count = int(rng.integers(4, 9))
     growth = rng.uniform(1.5, 2.5) ** np.arange(level_count) * rng.uniform(0.8, 1.2, level_count)
     mesh_ends = np.cumsum((rng.uniform(1e5, 6e5) * growth / growth.sum()).astype(int)).tolist()
-    count, tiles = 256 * 7, np.tile(np.arange(256), 7)
-    sizes = rng.lognormal(0.0, 0.8, 256)[tiles] * np.repeat([1.0, 0.7, 0.8, 1.0, 1.4, 2.0, 3.0], 256) * rng.lognormal(0.0, 0.3, count)
-    order = np.argsort(-np.repeat(0.4 ** np.arange(7), 256) * rng.lognormal(0.0, 0.6, count), kind="stable")
-    sizes = np.maximum(sizes[order] * rng.uniform(1e6, 4e6) / sizes.sum(), 20.0).astype(int)
-    ends = np.cumsum(sizes)
-    counts = np.unique(np.searchsorted(ends, np.geomspace(0.02 * ends[-1], ends[-1], 12)) + 1).clip(max=count)
+    total, state_count = rng.uniform(1e6, 4e6), int(rng.integers(18, 27))
+    state_sizes = total * 1.45 ** np.arange(1.0 - state_count, 1.0)
+    sizes, firsts, lasts = [], [], []
+    alive = np.zeros(0, np.int64)  # increments of the present state
+    for state, wanted in enumerate(state_sizes):
+        replaced = rng.random(len(alive)) < rng.uniform(0.2, 0.6)  # by four or one
+        for index in alive[replaced]:
+            lasts[index] = state - 1
+        kept = alive[~replaced] if state else alive
+        rest = max(wanted - sum(sizes[index] for index in kept), 0.1 * wanted)
+        added = max(min(int(rest / rng.uniform(1500.0, 6000.0)), 250), 1)
+        parts = np.maximum(rng.dirichlet(np.full(added, 2.0)) * rest, 20.0).astype(int).tolist()
+        alive = np.concatenate([kept, np.arange(len(sizes), len(sizes) + added)])
+        sizes += parts
+        firsts += [state] * added
+        lasts += [state_count - 1] * added
+    texture_errors = np.geomspace(rng.uniform(0.4, 0.7), rng.uniform(0.007, 0.04), state_count)
     level_errors = np.append(rng.uniform(0.1, 0.3) * rng.uniform(0.4, 0.6) ** np.arange(level_count - 1), 0.0)
-    texture_errors = np.geomspace(rng.uniform(0.4, 0.7), rng.uniform(0.007, 0.04), len(counts))
-    table = ErrorTable(level_errors, counts, texture_errors, float(rng.uniform(1.0, 4.0)), 0.0)
-    gains = -np.diff(np.interp(np.log(np.arange(1, count + 2)), np.log(counts), texture_errors))
-    plan = tuple((row.level, row.increment_count, row.flip) for row in make_plan(table, mesh_ends, sizes))
+    table = ErrorTable(level_errors, np.arange(state_count), texture_errors, float(rng.uniform(1.0, 4.0)), 0.0)
     levels = tuple(Span(MESH, start, end) for start, end in pairwise([0, *mesh_ends]))
-    begin = TABLE_BYTES * count + 4 * count
-    job = Job((levels[0], Span(TEXTURES, 0, TABLE_BYTES * count)), levels, plan, begin, tuple((begin + ends).tolist()))
-    return SentPackage(job, gains, tiles[order], 8000)
+    table_size = TABLE_BYTES * len(sizes)
+    job = Job((levels[0], Span(TEXTURES, 0, table_size)), levels, round_errors(table.predict(texture_errors)), table_size + 4 * len(sizes))
+    zeros = np.zeros(len(sizes), np.int64)
+    increments = Increments(zeros, np.arange(len(sizes)), zeros, np.array(sizes), np.array(firsts), np.array(lasts))
+    return SentPackage(add_table(job, sizes, firsts, lasts), increments, 8000)
 
 
 def make_trace(rng: np.random.Generator, kind: str, limit: float, rate: float) -> Trace:
@@ -91,7 +102,7 @@ def run_clients(rng: np.random.Generator, kind: str, package: SentPackage) -> di
 
 def draw_line(rng: np.random.Generator, kind: str, package: SentPackage) -> tuple[float, float, float]:
     """Return a limit (s), a mean rate (bytes/s) that brings 20 to 150 % of `package` before it, and a delay (s)."""
-    wanted = float(rng.uniform(0.2, 1.5)) * (package.manifest_size + package.job.levels[-1].end + package.job.ends[-1])
+    wanted = float(rng.uniform(0.2, 1.5)) * (package.manifest_size + package.job.levels[-1].end + package.job.first[-1].end + package.job.sizes[-1])
     fastest = {"3G": 3.0, "4G": 30.0}.get(kind, 100.0) * MEGABIT
     limit = max(float(rng.uniform(3.0, 10.0)), wanted / fastest)
     return limit, wanted / limit, float(rng.uniform(0.06, 0.12) if kind == "3G" else rng.uniform(0.02, 0.06))
@@ -122,7 +133,7 @@ def measure_sending(given: Namespace) -> dict[str, Any]:
     for kind in KINDS:
         runs = [run_clients(rng, kind, package) for package in packages]
         figures[kind] = {name: summarize([run[name] for run in runs], BOUNDS[kind]) for name in runs[0]}
-    packages = [package for package in packages if package.job.ends[-1] >= MIN_MIRRORED]
+    packages = [package for package in packages if package.job.sizes[-1] >= MIN_MIRRORED]
     for case in MIRROR_CASES:
         figures[f"mirrors {case}"] = {"compensating": summarize([run_mirrors(rng, case, package) for package in packages], 0.01)}
     ours = [figures[kind][name] for kind in KINDS for name in ("compensating", "waiting")]

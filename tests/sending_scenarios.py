@@ -1,21 +1,23 @@
 """Random packages, events and lines for controllers of clients."""
 
-import dataclasses
 import random
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
 from farfield.addon.core.texmesh.streaming import controller
-from farfield.addon.core.texmesh.streaming.allocation import ErrorTable, make_plan
+from farfield.addon.core.texmesh.streaming.increments import Increments
 from farfield.addon.core.texmesh.streaming.manifest import MESH, TEXTURES
-from farfield.addon.core.texmesh.streaming.sending_state import Event, Job, Request, Span, State, begin
+from farfield.addon.core.texmesh.streaming.sending_state import Event, Job, Request, Span, State, add_table, begin
 from farfield.addon.core.texmesh.streaming.simulation import SentPackage
 from farfield.addon.core.texmesh.streaming.traces import Trace
 
 
 def random_job(rng: random.Random, increment_count: int | None = None) -> Job:
-    """A package with 1 to 5 levels, whose plan goes from the first level to the last one."""
+    """A package with 1 to 5 levels, and 1 to 12 states of its textures, if it has increments."""
     levels = rng.randint(1, 5)
     count = rng.randint(0, 300) if increment_count is None else increment_count
     spans, offset = [], 0
@@ -23,17 +25,25 @@ def random_job(rng: random.Random, increment_count: int | None = None) -> Job:
         spans.append(Span(MESH, offset, offset + int(rng.lognormvariate(8.5 + level, 0.7)) + 1))
         offset = spans[-1].end
     table = rng.randint(10, 20000)
-    first = table + rng.randint(0, 5000)
-    ends, end = [], first
-    for _ in range(count):
-        end += int(rng.lognormvariate(6.5, 1.0)) + 1
-        ends.append(end)
-    rows, error = [], 0.5
-    cuts = sorted(rng.sample(range(20), levels - 1)) if levels > 1 else []
-    for row in range(20):
-        error *= rng.uniform(0.7, 0.95)
-        rows.append((sum(cut <= row for cut in cuts), count * (row + 1) // 20, error))
-    return Job((spans[0], Span(TEXTURES, 0, table)), tuple(spans), tuple(rows), first, tuple(ends))
+    states = rng.randint(1, min(count, 12)) if count else 1
+    sizes = [int(rng.lognormvariate(6.5, 1.0)) + 1 for _ in range(count)]
+    cuts = sorted(rng.sample(range(1, count), states - 1)) if count else []
+    firsts = [bisect_right(cuts, index) for index in range(count)]
+    lasts = [min(first + int(rng.expovariate(0.5)), states - 1) for first in firsts]
+    errors = make_errors([0.3 * rng.uniform(0.3, 0.6) ** level for level in range(levels)], [rng.uniform(0.6, 0.9) ** k for k in range(states)])
+    first = (spans[0], Span(TEXTURES, 0, table)) if count else (spans[0],)
+    return add_table(Job(first, tuple(spans), errors, table + rng.randint(0, 5000)), sizes, firsts, lasts)
+
+
+def make_errors(level_errors: Sequence[float], texture_errors: Sequence[float]) -> tuple[tuple[float, ...], ...]:
+    """Errors of all levels with all states of the textures, which never rise."""
+    errors = np.hypot.outer(np.minimum.accumulate(level_errors), np.minimum.accumulate(texture_errors))
+    return tuple(tuple(row) for row in np.minimum(errors, 1.0).tolist())
+
+
+def hide_table(job: Job) -> Job:
+    """The job before the table of increments has come."""
+    return replace(job, ends=None, states=(), sizes=(), steps=()) if job.ends else job
 
 
 class Exchange:
@@ -55,7 +65,7 @@ class Exchange:
 
     def tell(self, event: Event) -> None:
         """Decide after `event`. The table of increments has come when no flight or pending span reads it."""
-        job = self.job if self.has_table else dataclasses.replace(self.job, ends=None)
+        job = self.job if self.has_table else hide_table(self.job)
         self.events.append((self.has_table, event))
         self.state, requests, aborted = controller.decide(job, self.state, event)
         self.decisions.append((requests, aborted))
@@ -90,17 +100,20 @@ def random_exchange(seed: int, steps: int = 80) -> Exchange:
 def make_package(
     texture_size: int = 1_000_000, increment_count: int = 1000, level_sizes: tuple[int, ...] = (20_000, 40_000, 80_000)
 ) -> SentPackage:
-    """A package whose increments have equal sizes and falling gains, and whose plan is made like those of real ones."""
+    """A package whose increments have equal sizes, half of which each state replaces, and whose states grow by equal factors."""
     sizes = np.full(increment_count, texture_size // increment_count)
-    gains = np.linspace(2.0, 0.0, increment_count) * 0.3 / increment_count
-    counts = np.unique(np.geomspace(increment_count / 100, increment_count, 12).astype(int))
-    level_errors = np.array([0.2 * 0.3**level for level in range(len(level_sizes) - 1)] + [0.0])
-    table = ErrorTable(level_errors, counts, 0.31 - np.cumsum(gains)[counts - 1], 2.0, 0.0)
-    plan = tuple((row.level, row.increment_count, row.flip) for row in make_plan(table, np.cumsum(level_sizes).tolist(), sizes))
+    counts = np.unique(np.geomspace(increment_count / 100, increment_count / 2, 12).astype(int))
+    firsts = np.searchsorted(np.cumsum(counts) * (increment_count / counts.sum()), np.arange(increment_count), side="right").clip(max=11)
+    positions = np.arange(increment_count) - np.searchsorted(firsts, firsts)
+    lasts = np.where(positions < np.bincount(firsts)[firsts] / 2, firsts + 2, firsts).clip(max=firsts.max())
+    texture_errors = 0.31 - 0.3 * (np.arange(len(counts)) + 1.0) / len(counts)
+    errors = make_errors([0.2 * 0.3**level for level in range(len(level_sizes) - 1)] + [0.0], texture_errors.tolist())
     offsets = [0, *np.cumsum(level_sizes).tolist()]
     spans = tuple(Span(MESH, start, end) for start, end in pairwise(offsets))
-    job = Job((spans[0], Span(TEXTURES, 0, 6000)), spans, plan, 8000, tuple((8000 + np.cumsum(sizes)).tolist()))
-    return SentPackage(job, gains, np.arange(increment_count) % 64, 2000)
+    job = Job((spans[0], Span(TEXTURES, 0, 6000)), spans, errors, 8000)
+    zeros = np.zeros(increment_count, np.int64)
+    increments = Increments(zeros, np.arange(increment_count) % 64, zeros, sizes, firsts, lasts)
+    return SentPackage(add_table(job, sizes.tolist(), firsts.tolist(), lasts.tolist()), increments, 2000)
 
 
 def wavering_trace(rng: random.Random, rate: float, variation: float) -> Trace:

@@ -19,7 +19,6 @@ from farfield.addon.core.texmesh.streaming.manifest import (
     Manifest,
     MeshLevel,
     PackageMaterial,
-    PlanRow,
     Section,
 )
 from farfield.addon.core.texmesh.streaming.manifest_json import encode_manifest
@@ -36,7 +35,7 @@ def write_opaque_package(folder: Path, seed: int = 0, mesh_size: int = 5000, tex
     random = np.random.default_rng(seed)
     mesh, increment = random.bytes(mesh_size), random.bytes(textures_size)
     nothing = Section(0, 0, 0)
-    textures = encode_increments(Increments(*(np.zeros(0, np.int64) for _ in range(5)))) + increment
+    textures = encode_increments(Increments(*(np.zeros(0, np.int64) for _ in range(6)))) + increment
     start = len(textures) - textures_size
     manifest = Manifest(
         name="noise",
@@ -52,7 +51,7 @@ def write_opaque_package(folder: Path, seed: int = 0, mesh_size: int = 5000, tex
         increments=Section(0, start, zlib.crc32(textures[:start])),
         checksums=nothing,
         first_increment=start,
-        plan=(PlanRow(mesh_size, 0, 0, 0.1),),
+        errors=((0.1,),),
         time_limit=5.0,
         pixels=512.0,
     )
@@ -103,7 +102,7 @@ def write_textured_package(
         increments=Section(0, len(table), zlib.crc32(table)),
         checksums=Section(len(table), len(checksums), zlib.crc32(checksums)),
         first_increment=len(table) + len(checksums),
-        plan=_plan(levels, ends),
+        errors=_errors(levels, built.flips),
         time_limit=time_limit,
         pixels=512.0,
     )
@@ -143,14 +142,7 @@ def _describe(content: bytes) -> tuple[int, str]:
     return len(content), hashlib.sha256(content).hexdigest()
 
 
-def _plan(levels: tuple[MeshLevel, ...], ends: np.ndarray) -> tuple[PlanRow, ...]:
-    """A plan that uses each level for the same number of increments."""
-    rows, mesh_size, steps = [], 0, 10
-    for index, level in enumerate(levels):
-        mesh_size += level.size
-        for step in range(steps + (index == len(levels) - 1)):
-            done = (index * steps + step) / (len(levels) * steps)
-            count = int(done * len(ends))
-            byte_count = mesh_size + int(ends[count - 1] if count else 0)
-            rows.append(PlanRow(byte_count, index, count, 0.4 * (1.0 - done)))
-    return tuple(sorted(rows, key=lambda row: row.byte_count))
+def _errors(levels: tuple[MeshLevel, ...], flips: np.ndarray) -> tuple[tuple[float, ...], ...]:
+    """Errors of levels with states of the textures: coarser levels are worse."""
+    table = np.minimum.accumulate(flips)[None] + 0.1 * np.arange(len(levels))[::-1, None]
+    return tuple(tuple(row) for row in np.minimum(table, 1.0).round(4).tolist())

@@ -111,10 +111,11 @@ def _describe(report: PackageReport) -> dict[str, Any]:
         "mesh_bytes": report.mesh_bytes,
         "texture_bytes": report.texture_bytes,
         "errors_of_levels": [float(error) for error in table.level_errors[::-1]],
-        "increments": [int(count) for count in table.counts],
-        "errors_of_textures": [float(error) for error in table.texture_errors],
+        "states": [int(state) for state in table.states],
+        "errors_of_states": [float(error) for error in table.texture_errors],
         "exponent": table.exponent,
         "largest_residual": table.residual,
+        "plan": [row._asdict() for row in report.plan],
     }
 
 

@@ -3,19 +3,21 @@
 import dataclasses
 import math
 import random
+from itertools import pairwise
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from farfield.addon.core.texmesh.streaming import controller, sending_servers
+from farfield.addon.core.texmesh.streaming.byte_intervals import insert, measure, subtract
 from farfield.addon.core.texmesh.streaming.manifest import MESH, TEXTURES
-from farfield.addon.core.texmesh.streaming.sending_path import find_path
-from farfield.addon.core.texmesh.streaming.sending_state import Event, Job, Request, Span, begin
+from farfield.addon.core.texmesh.streaming.sending_path import describe_textures, estimate_errors, find_path, inspect_textures
+from farfield.addon.core.texmesh.streaming.sending_state import Event, Job, Request, Span, add_table, begin
 from farfield.addon.core.texmesh.streaming.simulated_network import REPORT_INTERVAL, Line
 from farfield.addon.core.texmesh.streaming.simulation import simulate
 from farfield.addon.core.texmesh.streaming.traces import constant_trace
-from sending_scenarios import Exchange, make_package, random_exchange, random_job, wavering_trace
+from sending_scenarios import Exchange, hide_table, make_package, random_exchange, random_job, wavering_trace
 
 WAITING = 1e9  # seconds of patience
 
@@ -27,7 +29,7 @@ def test_requests_never_overlap_what_has_come_or_is_running(seed):
     state = exchange.initial
     received = []  # spans
     for (is_known, event), decision in zip(exchange.events, exchange.decisions, strict=True):
-        job = exchange.job if is_known else dataclasses.replace(exchange.job, ends=None)
+        job = exchange.job if is_known else hide_table(exchange.job)
         before = {flight.id: flight for flight in state.flights}
         state, requests, aborted = controller.decide(job, state, event)
         assert (requests, aborted) == decision
@@ -63,7 +65,7 @@ def test_time_never_goes_back_and_nothing_is_asked_for_after_the_limit(seed):
     exchange = random_exchange(seed)
     state = exchange.initial
     for is_known, event in exchange.events:
-        job = exchange.job if is_known else dataclasses.replace(exchange.job, ends=None)
+        job = exchange.job if is_known else hide_table(exchange.job)
         late = dataclasses.replace(event, time=event.time - 0.3)  # a clock that went back
         after, _, _ = controller.decide(job, state, late)
         assert after.time >= state.time
@@ -86,14 +88,14 @@ def test_states_are_not_changed():
 @given(st.integers(0, 10**6), st.booleans())
 @settings(max_examples=30, deadline=None)
 def test_everything_comes_once_if_there_is_time(seed, keeps_refining):
-    """All increments and levels, and never a byte twice."""
+    """All levels and the last state of the textures, and never a byte twice."""
     rng = random.Random(seed)
     job = random_job(rng)
     limit = 0.1 if keeps_refining else 1e4
     exchange = Exchange(rng, job, begin(job, limit, 1e5, rng.randint(1, 3), keeps_refining=keeps_refining))
     exchange.tell(Event(0.0))
     for _ in range(3000):
-        known = job if exchange.has_table else dataclasses.replace(job, ends=None)
+        known = job if exchange.has_table else hide_table(job)
         if controller.is_finished(known, exchange.state):
             break
         exchange.time += 0.02
@@ -101,18 +103,18 @@ def test_everything_comes_once_if_there_is_time(seed, keeps_refining):
         exchange.tell(Event(exchange.time, flights[0].id, flights[0].span.end - flights[0].span.start) if flights else Event(exchange.time))
     state = exchange.state
     assert controller.is_finished(job, state)
-    assert controller.received_increments(job, state) == len(job.ends)
-    level = job.plan[-1][0]
-    assert controller.received_level(job, state) == level
-    assert state.mesh == job.levels[level].end
+    assert not subtract(job.states[-1], controller.list_received(state))
+    assert controller.received_level(job, state) == len(job.levels) - 1
+    assert state.mesh == job.levels[-1].end
     sent = [request.span for requests, _ in exchange.decisions for request in requests]
     sizes = {file: sum(span.end - span.start for span in sent if span.file == file) for file in (MESH, TEXTURES)}
-    assert sizes[MESH] == job.levels[level].end
-    assert sizes[TEXTURES] == (job.ends[-1] if job.ends else job.begin) - job.begin + job.first[-1].end
+    assert sizes[MESH] == job.levels[-1].end
+    table = sum(span.end - span.start for span in job.first if span.file == TEXTURES)
+    assert job.sizes[-1] + table <= sizes[TEXTURES] == measure(state.asked) + table <= sum(job.sizes) + 300 * len(sent) + table
 
 
 def test_first_requests_are_level_0_and_the_table():
-    job = dataclasses.replace(make_package().job, ends=None)
+    job = hide_table(make_package().job)
     _, requests, _ = controller.decide(job, begin(job, 5.0), Event(0.0))
     assert [request.span for request in requests] == list(job.first)
 
@@ -175,51 +177,98 @@ def ask_all(job: Job, limit: float, rate: float) -> list[Span]:
     return sent
 
 
+def nested_job(mesh_ends: tuple[int, ...], state_sizes: tuple[int, ...], errors: tuple[tuple[float, ...], ...]) -> Job:
+    """A job with increments of 100 bytes, whose states add to those before and replace nothing."""
+    levels = tuple(Span(MESH, start, end) for start, end in pairwise((0, *mesh_ends)))
+    job = Job((levels[0], Span(TEXTURES, 0, 800)), levels, errors, 1000)
+    firsts = [state for state, (start, end) in enumerate(pairwise((0, *state_sizes))) for _ in range(start, end, 100)]
+    return add_table(job, [100] * len(firsts), firsts, [len(state_sizes) - 1] * len(firsts))
+
+
+def replaced_job(state_sizes: tuple[int, ...], texture_errors: tuple[float, ...]) -> Job:
+    """A job with one level, of whose textures each state replaces all of those before."""
+    job = Job((Span(MESH, 0, 1000), Span(TEXTURES, 0, 800)), (Span(MESH, 0, 1000),), (texture_errors,), 1000)
+    firsts = [state for state, size in enumerate(state_sizes) for _ in range(0, size, 100)]
+    return add_table(job, [100] * len(firsts), firsts, firsts)
+
+
 def test_texture_begins_before_finer_levels_and_all_comes_in_order():
-    levels = (Span(MESH, 0, 1000), Span(MESH, 1000, 3000), Span(MESH, 3000, 6000), Span(MESH, 6000, 9000))
-    plan = ((0, 3, 0.6), (0, 5, 0.5), (1, 4, 0.4), (1, 9, 0.3), (3, 7, 0.2), (3, 12, 0.1))
-    ends = tuple(range(1500, 1000 + 500 * 21, 500))
-    job = Job((levels[0], Span(TEXTURES, 0, 800)), levels, plan, 1000, ends)
+    errors = ((0.6, 0.5, 0.45), (0.5, 0.3, 0.25), (0.45, 0.25, 0.2), (0.4, 0.2, 0.1))
+    job = nested_job((1000, 3000, 6000, 9000), (1500, 4000, 10_000), errors)
     sent = ask_all(job, 60.0, 1e4)
     assert sent[2].file == TEXTURES
     for file, begin_ in ((MESH, 1000), (TEXTURES, 1000)):
         spans = [span for span in sent[2:] if span.file == file]
         assert [begin_, *(span.end for span in spans)] == [*(span.start for span in spans), max(span.end for span in spans)]
     assert sum(span.end - span.start for span in sent if span.file == MESH) == 9000
-    assert sum(span.end - span.start for span in sent if span.file == TEXTURES) == 800 + 500 * len(ends)
+    assert sum(span.end - span.start for span in sent if span.file == TEXTURES) == 800 + 10_000
 
 
 def walk(job: Job, budget: float) -> list[tuple[int, int]]:
-    """The levels and numbers of increments on the best path from level 0 without increments for `budget` bytes, step by step."""
-    visited = [(0, 0)]
+    """The levels and states on the best path from level 0 without textures for `budget` bytes, step by step."""
+    asked, visited = [], [(0, -1)]
     while True:
-        level, count = visited[-1]
-        rest = budget - job.levels[level].end + job.levels[0].end - (job.ends[count - 1] - job.begin if count else 0)
+        level, state = visited[-1]
+        rest = budget - job.levels[level].end + job.levels[0].end - measure(asked)
         size = job.levels[level + 1].end - job.levels[level].end if level + 1 < len(job.levels) else 0
-        step = find_path(job, level, count, size, max(rest, 0.0), 1.0)
-        if step == visited[-1]:
+        textures = inspect_textures(job, asked)
+        step = find_path(job, level, textures, measure(asked), size, max(rest, 0.0), 1.0)
+        if step[0] == level and step[1] == state:
             return visited
-        assert (step[0] > level) != (step[1] > count)
-        visited.append(step)
+        if step[0] > level:
+            visited.append((step[0], state))
+        else:
+            asked = union(asked, job.states[step[1]])
+            visited.append((level, step[1]))
 
 
-def test_path_is_that_of_the_plan_where_bytes_are_certain_to_come():
-    levels = (Span(MESH, 0, 1000), Span(MESH, 1000, 11_000))
-    ends = tuple(range(1100, 1000 + 100 * 101, 100))
-    plan = ((0, 20, 0.5), (0, 40, 0.4), (1, 40, 0.2), (1, 100, 0.1))
-    job = Job((levels[0], Span(TEXTURES, 0, 800)), levels, plan, 1000, ends)
-    assert walk(job, 1e6) == [(0, 0), (0, 20), (0, 40), (1, 40), (1, 100)]
-    assert (1, 0) not in walk(job, 3000.0)
+def union(intervals, others):
+    for start, end in others:
+        intervals = insert(intervals, start, end)
+    return intervals
+
+
+def test_path_is_the_best_one_where_bytes_are_certain_to_come():
+    job = nested_job((1000, 11_000), (2000, 4000, 10_000), ((0.5, 0.4, 0.38), (0.35, 0.2, 0.1)))
+    path = walk(job, 1e6)
+    assert path[0] == (0, -1) and path[-1] == (1, 2)
+    assert (1, -1) not in walk(job, 3000.0)
+
+
+def test_states_that_would_be_replaced_are_left_out():
+    """Each state that comes costs all its bytes again."""
+    job = replaced_job((400, 800, 1600, 3200, 6400, 12_800), (0.3, 0.2, 0.14, 0.1, 0.07, 0.05))
+    for budget, last in ((2000.0, 2), (3800.0, 3), (7200.0, 4), (20_000.0, 5)):
+        path = walk(job, budget)
+        states = [state for _, state in path]
+        assert last in states
+        assert sum(job.sizes[state] for state in states[1 : states.index(last) + 1]) <= 1.6 * job.sizes[last]
+
+
+def test_error_of_a_part_is_between_those_of_states():
+    job = replaced_job((400, 1600, 6400), (0.3, 0.2, 0.1))
+    for level_error, left in ((1.0, [400, 1600, 6400]), (0.3, [0, 1600, 6400]), (0.25, [0, 800, 6400]), (0.2, [0, 0, 6400]), (0.15, [0, 0, 3200])):
+        assert estimate_errors(job, describe_textures(left)) == pytest.approx([level_error])
+    assert estimate_errors(job, describe_textures([0, 0, 0])) == [0.1]
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=60, deadline=None)
+def test_states_and_their_steps_are_the_increments_of_the_table(seed):
+    rng = random.Random(seed)
+    job = random_job(rng, rng.randint(1, 60))
+    for state, intervals in enumerate(job.states):
+        assert measure(intervals) == job.sizes[state]
+        assert all(first[1] < second[0] for first, second in pairwise(intervals))
+        for earlier in range(state):
+            assert measure(subtract(intervals, job.states[earlier])) == job.steps[earlier][state]
 
 
 def test_large_level_is_begun_early_if_it_will_come_and_late_increments_gain_little():
-    """Without level 1 the error hardly falls behind 20 increments, so that it is the level that must not be missed."""
-    levels = (Span(MESH, 0, 1000), Span(MESH, 1000, 11_000))
-    ends = tuple(range(1100, 1000 + 100 * 101, 100))
-    plan = ((0, 20, 0.07), (0, 80, 0.065), (1, 20, 0.03), (1, 100, 0.01))
-    job = Job((levels[0], Span(TEXTURES, 0, 800)), levels, plan, 1000, ends)
+    """Without level 1 the error hardly falls behind the first state, so that it is the level that must not be missed."""
+    job = nested_job((1000, 11_000), (2000, 8000, 10_000), ((0.07, 0.068, 0.065), (0.03, 0.012, 0.01)))
     for budget in (12_000.0, 14_000.0, 20_000.0):
-        assert walk(job, budget)[:3] == [(0, 0), (0, 20), (1, 20)]
+        assert walk(job, budget)[:3] == [(0, -1), (0, 0), (1, 0)]
 
 
 @given(st.integers(0, 10**6), st.floats(0.0, 1e6), st.floats(1.0, 1e6))
@@ -227,30 +276,45 @@ def test_large_level_is_begun_early_if_it_will_come_and_late_increments_gain_lit
 def test_path_goes_forward_within_the_package(seed, budget, window):
     rng = random.Random(seed)
     job = random_job(rng)
-    level, count = rng.randrange(len(job.levels)), rng.randint(0, len(job.ends))
+    level = rng.randrange(len(job.levels))
+    asked = []
+    for start, end in zip((job.begin, *job.ends), job.ends, strict=False):
+        if rng.random() < 0.7:
+            asked = insert(asked, start, end)
     owed = job.levels[level + 1].end - job.levels[level].end if level + 1 < len(job.levels) else 0
-    found = find_path(job, level, count, owed, budget, window)
+    textures = inspect_textures(job, asked)
+    found = find_path(job, level, textures, measure(asked), owed, budget, window)
     assert level <= found[0] < len(job.levels)
-    assert count <= found[1] <= len(job.ends)
+    assert textures.state < found[1] < len(job.sizes) or textures.state == found[1] == len(job.sizes) - 1
 
 
 def test_level_that_cannot_come_is_not_begun():
-    levels = (Span(MESH, 0, 1000), Span(MESH, 1000, 60_000))
-    ends = tuple(range(1500, 1000 + 500 * 201, 500))
-    job = Job((levels[0], Span(TEXTURES, 0, 800)), levels, ((0, 5, 0.5), (1, 200, 0.1)), 1000, ends)
+    job = nested_job((1000, 60_000), (2500, 10_000, 30_000, 100_000), ((0.5, 0.4, 0.35, 0.3), (0.4, 0.3, 0.2, 0.1)))
     sent = ask_all(job, 2.0, 1e4)
-    assert [span for span in sent if span.file == MESH] == [levels[0]]
-    assert sum(span.end - span.start for span in sent if span.file == TEXTURES) > 0.8 * 2e4  # and not only the five before level 1
-    assert any(span.file == MESH and span.start == 1000 for span in ask_all(job, 10.0, 1e4))
+    assert [span for span in sent if span.file == MESH] == [job.levels[0]]
+    assert sum(span.end - span.start for span in sent if span.file == TEXTURES) > 0.8 * 2e4
+    assert any(span.file == MESH and span.start == 1000 for span in ask_all(job, 20.0, 1e4))
 
 
 def test_level_goes_before_increments_that_would_cost_it():
-    levels = (Span(MESH, 0, 1000), Span(MESH, 1000, 21_000))
-    ends = tuple(range(1500, 1000 + 500 * 41, 500))
-    job = Job((levels[0], Span(TEXTURES, 0, 800)), levels, ((0, 5, 0.5), (0, 40, 0.4), (1, 10, 0.2), (1, 40, 0.1)), 1000, ends)
-    sent = ask_all(job, 3.7, 1e4)  # 37 kB: not enough for 40 increments and level 1
+    job = nested_job((1000, 21_000), (2500, 5000, 20_000), ((0.5, 0.45, 0.4), (0.3, 0.2, 0.1)))
+    sent = ask_all(job, 3.7, 1e4)  # 37 kB: not enough for all increments and level 1
     assert sum(span.end - span.start for span in sent if span.file == MESH) == 21_000
-    assert sum(span.end - span.start for span in sent if span.file == TEXTURES) < 800 + 40 * 500
+    assert sum(span.end - span.start for span in sent if span.file == TEXTURES) < 800 + 20_000
+
+
+@given(st.lists(st.tuples(st.integers(0, 60), st.integers(1, 9)), max_size=12), st.lists(st.tuples(st.integers(0, 60), st.integers(1, 9))))
+def test_intervals_are_sets_of_bytes(first, second):
+    def build(items):
+        intervals = []
+        for start, size in items:
+            intervals = insert(intervals, start, start + size)
+        return intervals, {byte for start, size in items for byte in range(start, start + size)}
+
+    (ours, our_bytes), (theirs, their_bytes) = build(first), build(second)
+    assert [byte for start, end in ours for byte in range(start, end)] == sorted(our_bytes)
+    assert [byte for start, end in subtract(ours, theirs) for byte in range(start, end)] == sorted(our_bytes - their_bytes)
+    assert measure(ours) == len(our_bytes)
 
 
 def test_received_level_has_all_coarser_ones():

@@ -11,19 +11,20 @@ import pytest
 from farfield.addon.core.texmesh.streaming import controller, sending_servers
 from farfield.addon.core.texmesh.streaming.sending_state import Job, State
 from lib import environment
-from sending_scenarios import Exchange, random_exchange
+from sending_scenarios import Exchange, hide_table, random_exchange
 
 PAGE = environment.ROOT / "addon" / "core" / "texmesh" / "streaming" / "page" / "controller.js"
 RUNNER = """
 import { readFileSync } from "node:fs";
-const { begin, decide, estimateRate, isFinished, meanDifference, receivedIncrements, receivedLevel } = await import(process.argv[2]);
-const results = JSON.parse(readFileSync(process.argv[3])).map(({ job, settings, events }) => {
+const { addTable, begin, decide, estimateRate, isFinished, meanDifference, receivedLevel } = await import(process.argv[2]);
+const results = JSON.parse(readFileSync(process.argv[3])).map(({ job, table, settings, events }) => {
+  const complete = addTable(job, table);
   let state = begin(job, settings);
   return events.map(([isKnown, event]) => {
-    const known = isKnown ? job : { ...job, ends: null };
+    const known = isKnown ? complete : job;
     const [next, requests, aborted] = decide(known, state, event);
     state = next;
-    const counts = [receivedLevel(known, state), state.mesh, state.asked, receivedIncrements(known, state)];
+    const counts = [receivedLevel(known, state), state.mesh, state.asked.flat()];
     const figures = [...counts, Number(isFinished(known, state))];
     const rates = state.servers.map((_, index) => estimateRate(state, index, 1.5));
     return [requests, aborted, figures, rates, state.servers.map((server) => server.delay), meanDifference(state), state.ended];
@@ -41,14 +42,23 @@ def encode_vector(seed: int) -> tuple[dict, list]:
     settings = {"limit": first.limit, "rate": exchange.rate or 0, "servers": len(first.servers)}
     settings |= {"patience": first.patience, "keepsRefining": first.keeps_refining}
     events = [[has_table, dataclasses.asdict(event)] for has_table, event in exchange.events]
-    return {"job": dataclasses.asdict(exchange.job), "settings": settings, "events": events}, replay(exchange)
+    job = dataclasses.asdict(hide_table(exchange.job))
+    return {"job": job, "table": list_increments(exchange.job), "settings": settings, "events": events}, replay(exchange)
+
+
+def list_increments(job: Job) -> dict[str, list[int]]:
+    """The table of increments of a job."""
+    starts = (job.begin, *job.ends)[:-1] if job.ends else ()
+    found = [[index for index, state in enumerate(job.states) if any(a <= start < b for a, b in state)] for start in starts]
+    sizes = [end - start for start, end in zip(starts, job.ends, strict=True)]
+    return {"sizes": sizes, "firsts": [states[0] for states in found], "lasts": [states[-1] for states in found]}
 
 
 def replay(exchange: Exchange) -> list:
     """Decisions and figures after each event, as JSON has them."""
     state, results = exchange.initial, []
     for has_table, event in exchange.events:
-        job = exchange.job if has_table else dataclasses.replace(exchange.job, ends=None)
+        job = exchange.job if has_table else hide_table(exchange.job)
         state, requests, aborted = controller.decide(job, state, event)
         sent = [{"id": request.id, "server": request.server, **dataclasses.asdict(request.span)} for request in requests]
         results.append([sent, aborted, *figures(job, state)])
@@ -56,7 +66,7 @@ def replay(exchange: Exchange) -> list:
 
 
 def figures(job: Job, state: State) -> list:
-    counts = [controller.received_level(job, state), state.mesh, state.asked, controller.received_increments(job, state)]
+    counts = [controller.received_level(job, state), state.mesh, [offset for interval in state.asked for offset in interval]]
     rates = [sending_servers.estimate_rate(state, index, 1.5) for index in range(len(state.servers))]
     delays = [server.delay for server in state.servers]
     return [[*counts, int(controller.is_finished(job, state))], rates, delays, controller.mean_difference(state), state.ended]
@@ -69,6 +79,7 @@ def test_page_decides_like_python(tmp_path: Path):
     (tmp_path / "runner.mjs").write_text(RUNNER)
     command = ["node", str(tmp_path / "runner.mjs"), PAGE.as_uri(), str(tmp_path / "vectors.json")]
     found = json.loads(subprocess.run(command, capture_output=True, check=True, text=True).stdout)
+    assert len({len(vector["job"]["errors"][0]) for vector in vectors}) > 5, "few numbers of states"
     for seed, ours, theirs in zip(SEEDS, expected, found, strict=True):
         for index, (one, other) in enumerate(zip(ours, theirs, strict=True)):
             assert json.loads(json.dumps(one)) == other, f"seed {seed}, event {index}"

@@ -1,11 +1,13 @@
 """How the bytes of a package are divided between mesh and texture, by the predicted FLIP error of renders (section V).
 
-The error of a coarse mesh with the whole texture, and that of the finest mesh with a part of the texture, are measured in renders. Together
-they are predicted as (m^p + t^p)^(1/p); p is fitted to renders with both. Thus a few dozen renders give the table of all combinations.
+The error of a coarse mesh with the whole texture, and that of the finest mesh with a state of the textures, are measured in renders.
+Together they are predicted as (m^p + t^p)^(1/p); p is fitted to renders with both. Thus a few dozen renders give the table of all
+combinations.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -16,14 +18,12 @@ from ...jobs.progress import Progress, Steps
 from ..perception.level_images import LevelImages, measure_difference, prepare_images
 from ..perception.views import frame_around, prepare_surface
 from ..textured_mesh import TexturedMesh
-from .manifest import PlanRow
 
 MAX_IMAGE = 512  # pixels of the renders: larger objects are seen in parts, and their errors change little
 VIEWS = 3
 MIN_EXPONENT, MAX_EXPONENT = 1.0, 8.0
-COUNTS = 96  # numbers of increments that are tried for the plan, and those that were measured
-MAX_ROWS = 64  # of the plan
-MIN_GAIN = 0.98  # error of a row of the plan relative to the row before, at most
+MIN_ERROR = 1e-3  # that matters in ratios of errors
+DECIMALS = 4  # of predicted errors
 Textures = Sequence[Mipmaps | None]
 
 
@@ -31,23 +31,34 @@ Textures = Sequence[Mipmaps | None]
 class ErrorTable:
     """Mean FLIP errors over the pixels of the object.
 
-    level_errors: (K,) of levels with the whole texture, coarsest first. counts: (P,) ascending numbers of increments. texture_errors: (P,)
-    of the finest level with them. exponent: p. residual: largest difference between predicted and measured errors of combinations.
+    level_errors: (K,) of levels with the whole texture, coarsest first. states: (P,) ascending, of the textures. texture_errors: (P,) of
+    the finest level with them. exponent: p. residual: largest difference between predicted and measured errors of combinations.
     """
 
     level_errors: np.ndarray
-    counts: np.ndarray
+    states: np.ndarray
     texture_errors: np.ndarray
     exponent: float
     residual: float
 
-    def predict(self, level: np.ndarray | int, byte_counts: np.ndarray, at_counts: np.ndarray) -> np.ndarray:
-        """Return the error with a level and textures of `byte_counts` bytes, where those of `counts` are `at_counts`.
+    def predict(self, predicted: np.ndarray) -> np.ndarray:
+        """Return the errors (K, S) of all levels with all S states. They never rise.
 
-        Errors are linear in the logarithm of the bytes between measured ones.
+        predicted: (S,) sums of the errors of tiles; the ratios of measured errors to them are interpolated between measured states.
         """
-        texture = np.interp(np.log(np.maximum(byte_counts, 1)), np.log(np.maximum(at_counts, 1)), self.texture_errors)
-        return combine_errors(self.level_errors[level], texture, self.exponent)
+        ratios = (self.texture_errors + MIN_ERROR) / (predicted[self.states] + MIN_ERROR)
+        textures = (predicted + MIN_ERROR) * np.interp(np.arange(len(predicted)), self.states, ratios) - MIN_ERROR
+        errors = combine_errors(self.level_errors[:, None], np.maximum(textures, 0.0)[None], self.exponent)
+        return np.minimum.accumulate(np.minimum.accumulate(np.clip(errors, 0.0, 1.0), axis=0), axis=1)
+
+
+class PlanRow(NamedTuple):
+    """The best use of a number of bytes: a level, coarsest is 0, a state of the textures, and the predicted error."""
+
+    byte_count: int
+    level: int
+    state: int
+    error: float
 
 
 def combine_errors(first: np.ndarray | float, second: np.ndarray | float, exponent: float) -> np.ndarray:
@@ -59,16 +70,16 @@ def combine_errors(first: np.ndarray | float, second: np.ndarray | float, expone
 def measure_errors(
     levels: Sequence[TexturedMesh],
     original: Textures,
-    counts: Sequence[int],
+    states: Sequence[int],
     decode: Callable[[int], Textures],
     pixels: int,
     pixels_per_degree: float,
 ) -> Steps[ErrorTable]:
-    """Measure the errors of levels and of parts of their textures against the finest level with the original textures.
+    """Measure the errors of levels and of states of their textures against the finest level with the original textures.
 
     Args:
-        levels: coarsest first. original: by material, linear. counts: ascending numbers of increments. decode: returns the textures with
-            the first so many increments. pixels: size of the object in the image.
+        levels: coarsest first. original: by material, linear. states: ascending. decode: returns the textures in a state. pixels: size of
+            the object in the image.
     """
     size, frame, directions = min(pixels, MAX_IMAGE), frame_around(levels[-1].vertices), fibonacci_sphere(VIEWS)
 
@@ -78,7 +89,7 @@ def measure_errors(
     def error(images: LevelImages) -> float:
         return float(measure_difference(reference, images, size, range(VIEWS)).means.mean())
 
-    total = len(levels) + len(counts)
+    total = len(levels) + len(states)
     yield Progress(0.0, "Comparing levels")
     reference = open_level(-1, original)
     prepare_images([reference], range(VIEWS), size)
@@ -88,11 +99,11 @@ def measure_errors(
         level_errors[index] = error(open_level(index, original))
     reference.forget_textures()
     del original  # before others are decoded: textures are most of the memory
-    texture_errors, samples = np.zeros(len(counts)), []
+    texture_errors, samples = np.zeros(len(states)), []
     partner: tuple[int, LevelImages] | None = None  # the last level that was combined with textures
-    for index, count in enumerate(counts):
-        yield Progress((len(levels) + index) / total, f"Comparing textures {index + 1} of {len(counts)}")
-        textures = decode(count)
+    for index, state in enumerate(states):
+        yield Progress((len(levels) + index) / total, f"Comparing textures {index + 1} of {len(states)}")
+        textures = decode(state)
         texture_errors[index] = error(reference.replace_textures(textures))
         level = _nearest(level_errors[:-1], texture_errors[index])
         if level is not None:
@@ -103,30 +114,30 @@ def measure_errors(
         del textures
     level_errors, texture_errors = (np.minimum.accumulate(errors) for errors in (level_errors, texture_errors))
     exponent, residual = _fit_exponent(np.array(samples).reshape(-1, 3))
-    return ErrorTable(level_errors, np.asarray(counts, np.int64), texture_errors, exponent, residual)
+    return ErrorTable(level_errors, np.asarray(states, np.int64), texture_errors, exponent, residual)
 
 
-def make_plan(table: ErrorTable, mesh_sizes: Sequence[int], increment_sizes: np.ndarray) -> tuple[PlanRow, ...]:
-    """Return the best uses of growing numbers of bytes.
+def round_errors(errors: np.ndarray) -> tuple[tuple[float, ...], ...]:
+    """Return a table (K, S) of errors as numbers that are short as text."""
+    return tuple(tuple(row) for row in np.round(errors, DECIMALS).tolist())
+
+
+def make_plan(errors: Sequence[Sequence[float]], mesh_sizes: Sequence[int], state_sizes: Sequence[int]) -> tuple[PlanRow, ...]:
+    """Return the best uses of growing numbers of bytes: of all levels and states those that no other is better than for as few bytes.
 
     Args:
-        mesh_sizes: bytes of each level, coarsest first. increment_sizes: (N,).
+        errors: (K, S). mesh_sizes: (K,), bytes of each level with all coarser ones. state_sizes: (S,).
     """
-    ends = np.concatenate([[0], np.cumsum(increment_sizes)]).astype(np.int64)
-    at_counts = ends[table.counts]
-    first, last = int(table.counts[0]), int(table.counts[-1])
-    wanted = np.geomspace(max(ends[first], 1), max(ends[last], 1), COUNTS)
-    counts = np.unique(np.concatenate([table.counts, np.clip(np.searchsorted(ends, wanted), first, last)]))
-    levels = np.repeat(np.arange(len(mesh_sizes)), len(counts))
-    counts = np.tile(counts, len(mesh_sizes))
-    byte_counts = np.asarray(mesh_sizes, np.int64)[levels] + ends[counts]
-    errors = table.predict(levels, ends[counts], at_counts)
-    order = np.lexsort((errors, byte_counts))
-    rows: list[PlanRow] = []
-    for index in order.tolist():
-        if not rows or errors[index] < rows[-1].flip:
-            rows.append(PlanRow(int(byte_counts[index]), int(levels[index]), int(counts[index]), round(float(errors[index]), 6)))
-    return _thin_rows(rows)
+    rows = [
+        PlanRow(int(mesh_sizes[level]) + int(state_sizes[state]), level, state, float(error))
+        for level, row in enumerate(errors)
+        for state, error in enumerate(row)
+    ]
+    plan: list[PlanRow] = []
+    for row in sorted(rows, key=lambda row: (row.byte_count, row.error)):
+        if not plan or row.error < plan[-1].error:
+            plan.append(row)
+    return tuple(plan)
 
 
 def _nearest(errors: np.ndarray, error: float) -> int | None:
@@ -146,17 +157,3 @@ def _fit_exponent(samples: np.ndarray) -> tuple[float, float]:
 
     found = minimize_scalar(lambda exponent: (differences(exponent) ** 2).sum(), bounds=(MIN_EXPONENT, MAX_EXPONENT), method="bounded")
     return float(found.x), float(np.abs(differences(found.x)).max())
-
-
-def _thin_rows(rows: list[PlanRow]) -> tuple[PlanRow, ...]:
-    """Return at most MAX_ROWS rows: those whose error is clearly smaller than that of the row before, and the last."""
-    gain = MIN_GAIN
-    while True:
-        kept = [rows[0]]
-        for row in rows[1:-1]:
-            if row.flip <= gain * kept[-1].flip:
-                kept.append(row)
-        kept += rows[-1:] if len(rows) > 1 else []
-        if len(kept) <= MAX_ROWS:
-            return tuple(kept)
-        gain *= MIN_GAIN

@@ -6,9 +6,10 @@ order (only + - * / and comparisons of doubles), so both decide alike bit for bi
 times per second, and one at the limit.
 
 Order. Level 0 and the table of increments come first, so that something is on the screen. What follows is chosen for each request, from the
-bytes that are expected before the limit: the next levels or increments on the path that has the least expected error if more or fewer bytes
-come (`sending_path`). So a level that will probably not come before the limit is not begun, and one that must not be missed goes
-before increments that gain little. Levels and increments on the path within the length of the request are sorted by file, to save requests.
+bytes that are expected before the limit: the next levels, or increments of the next state of the textures, on the path that has the least
+expected error if more or fewer bytes come (`sending_path`). So a level that will probably not come before the limit is not begun, one that
+must not be missed goes before increments that gain little, and tiles that would be replaced before the limit are left out. Levels on the
+path within the length of the request come first, to save requests.
 
 Time compensation. The paper's algorithm gives each of the n - j remaining fragments an equal part of the time that remains after fragment
 j, so a deviation spreads evenly over them: with relative errors e_j of the estimated times, the last of n fragments ends
@@ -37,9 +38,10 @@ each other, so those behind a gap in the file are of use.
 from bisect import bisect_right
 from dataclasses import replace
 
+from .byte_intervals import Interval, insert, measure, subtract
 from .manifest import MESH, TEXTURES
-from .sending_path import find_path, measure_increments
-from .sending_servers import find_slow, is_paused, is_silent, look_ahead, measure, pause
+from .sending_path import find_path, inspect_textures
+from .sending_servers import find_slow, is_paused, is_silent, look_ahead, measure_line, pause
 from .sending_state import Event, Flight, Job, Request, Server, Span, State
 
 FRACTION = 1.0 / 3.0  # of the remaining time for the next request
@@ -48,6 +50,7 @@ SMALLEST = 15_000.0  # bytes of a request, as headers are a part of each, if its
 LEAD = 1.5  # delays before the line is free that the next request is sent
 EXCESS = 1.2  # of the time left, for all requests of a server, at which the newest is aborted
 MEASURED = 0.2  # seconds after which a rate counts as measured
+MAX_GAP = 300  # bytes between increments that are asked for with them: another request would cost more
 
 
 def decide(job: Job, state: State, event: Event) -> tuple[State, list[Request], list[int]]:
@@ -77,22 +80,21 @@ def is_finished(job: Job, state: State) -> bool:
     if state.flights or any(_is_first(job, span) for span in state.pending):
         return False
     is_over = state.time >= state.limit and not state.keeps_refining
-    is_complete = job.ends is not None and state.asked == len(job.ends) and not state.pending
-    return is_over or (is_complete and _level_up_to(job, state.mesh) >= min(job.plan, key=lambda row: row[2])[0])
+    has_textures = job.ends is not None and not subtract(job.states[-1], state.asked)
+    return is_over or (has_textures and not state.pending and state.mesh == job.levels[-1].end)
 
 
-def received_increments(job: Job, state: State) -> int:
-    """Return the number of increments that have come without a gap."""
-    if job.ends is None:
-        return 0
-    missing = _first_missing(state, TEXTURES)
-    return state.asked if missing is None else min(bisect_right(job.ends, missing), state.asked)
+def list_received(state: State) -> list[Interval]:
+    """Return the bytes of increments that have come."""
+    spans = [replace(flight.span, start=flight.span.start + flight.received) for flight in state.flights] + state.pending
+    return subtract(state.asked, [(span.start, span.end) for span in sorted(spans, key=lambda span: span.start) if span.file == TEXTURES])
 
 
 def received_level(job: Job, state: State) -> int:
     """Return the finest level that has come with all coarser ones, or -1."""
-    missing = _first_missing(state, MESH)
-    return _level_up_to(job, state.mesh if missing is None else missing)
+    starts = [flight.span.start + flight.received for flight in state.flights if flight.span.file == MESH]
+    starts += [span.start for span in state.pending if span.file == MESH]
+    return _level_up_to(job, min([state.mesh, *starts]))
 
 
 def mean_difference(state: State) -> float:
@@ -105,18 +107,13 @@ def _level_up_to(job: Job, offset: int) -> int:
     return bisect_right(job.levels, offset, key=lambda span: span.end) - 1
 
 
-def _first_missing(state: State, file: str) -> int | None:
-    """Return the offset of the first byte that was asked for and has not come, or None."""
-    starts = [flight.span.start + flight.received for flight in state.flights if flight.span.file == file]
-    return min(starts + [span.start for span in state.pending if span.file == file], default=None)
-
-
 def _copy(state: State) -> State:
     return replace(
         state,
         servers=[replace(server) for server in state.servers],
         flights=[replace(flight) for flight in state.flights],
         pending=list(state.pending),
+        asked=list(state.asked),
     )
 
 
@@ -135,7 +132,7 @@ def _hear(state: State, flight: Flight, event: Event) -> None:
         server.delay += (state.time - flight.asked - server.delay) * (0.25 if server.measured else 1.0)
     if not is_busy:
         server.mark, fresh = state.time, 0  # bytes that come with the headers took a time that nobody measured
-    measure(server, fresh, state.time - server.mark)
+    measure_line(server, fresh, state.time - server.mark)
     server.mark = flight.heard = server.heard = state.time
     flight.received = received
     if received == size:
@@ -211,7 +208,7 @@ def _take(job: Job, state: State, rest: float, rate: float, server: Server) -> S
     if span.file == MESH:
         state.mesh = end
     else:
-        state.asked = bisect_right(job.ends, end)
+        state.asked = insert(state.asked, span.start, end)
     return replace(span, end=end)
 
 
@@ -230,9 +227,10 @@ def _choose(job: Job, state: State, wanted: float) -> tuple[Span, int | None]:
     level = _level_up_to(job, offset)
     if level + 1 < len(job.levels):
         owed_mesh = owed_size + max(job.levels[level + 1].end - state.mesh, 0)
-    next_level, count = find_path(job, level, state.asked, owed_mesh, _budget(state), wanted)
-    if next_level == level or (not state.asked and count):  # something of the texture first
-        return Span(TEXTURES, _begin(job, state.asked), _begin(job, count)), None
+    textures, spent = inspect_textures(job, state.asked), measure(state.asked)
+    next_level, target = find_path(job, level, textures, spent, owed_mesh, _budget(state), wanted)
+    if next_level == level or (not state.asked and textures.state < 0):  # something of the textures first
+        return _missing_span(job, state, target, wanted), None
     if position is not None:
         return state.pending[position], position
     return Span(MESH, state.mesh, job.levels[next_level].end), None
@@ -255,16 +253,24 @@ def _budget(state: State) -> float:
     return budget
 
 
-def _begin(job: Job, count: int) -> int:
-    """Return where the increment behind the first `count` begins."""
-    return job.begin + measure_increments(job, count)
+def _missing_span(job: Job, state: State, target: int, wanted: float) -> Span:
+    """Return the first increments that a state of the textures lacks, with short gaps between them, up to about `wanted` bytes."""
+    missing = subtract(job.states[target], state.asked)
+    if not missing:
+        return Span(TEXTURES, job.begin, job.begin)
+    (start, end), *others = missing
+    for begin, stop in others:
+        gap = [(end, begin)]
+        if begin - end > MAX_GAP or measure(subtract(gap, state.asked)) < begin - end or end - start >= wanted:
+            break
+        end = stop
+    return Span(TEXTURES, start, end)
 
 
 def _last_end(job: Job, start: int, wanted: float, possible: float) -> int:
     """Return the last end of an increment up to `wanted`, or the first behind `start` if it is `possible`, or `start`."""
     count = bisect_right(job.ends, wanted)
-    end = _begin(job, count)
-    if end > start:
-        return end
+    if count and job.ends[count - 1] > start:
+        return job.ends[count - 1]
     after = bisect_right(job.ends, start)
     return job.ends[after] if after < len(job.ends) and job.ends[after] <= possible else start

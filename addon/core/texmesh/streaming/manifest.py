@@ -6,7 +6,7 @@ A package is a folder of static files:
 |---|---|
 | manifest.json | `Manifest`, see `manifest_json` |
 | mesh.bin | sections of the levels, coarsest first, see `MeshLevel` |
-| textures.bin | the tables of increments and of their checksums, and the increments in the order in which they improve the image most |
+| textures.bin | the tables of increments and of their checksums, and the increments |
 
 Everything that is compressed is raw DEFLATE (RFC 1951), which browsers decode.
 """
@@ -17,11 +17,12 @@ from dataclasses import dataclass
 from ...errors import FileError
 from .tile_pyramid import TilePyramid
 
-FORMAT, VERSION = "farfield-package", 2
+FORMAT, VERSION = "farfield-package", 3
 MANIFEST, MESH, TEXTURES = "manifest.json", "mesh.bin", "textures.bin"
 MAX_TEXTURE_SIDE = 65536
 MAX_STEPS = 65535  # of positions and texture coordinates, which are 16-bit numbers
 MAX_TILES = 65536  # of one texture: tile indices are 16 bits
+MAX_STATES = 64  # of textures: the controller of a page compares all
 ROLES = ("base_color", "normal", "roughness", "metallic", "occlusion", "emission")
 
 
@@ -104,24 +105,15 @@ class PackageMaterial:
 
 
 @dataclass(frozen=True)
-class PlanRow:
-    """The best use of a number of bytes: a level, coarsest is 0, and the first increments. flip: predicted mean FLIP error."""
-
-    byte_count: int
-    level: int
-    increment_count: int
-    flip: float
-
-
-@dataclass(frozen=True)
 class Manifest:
     """What a package contains.
 
     name: of the object. files: size and SHA-256 (hexadecimal) by name. mirrors: URLs of folders with copies, ending in "/". bounds: (2, 3)
     lowest and highest position. uv_bounds: (2, 2) lowest and highest texture coordinate, v downwards as in glTF. steps: numbers of steps
     between them, at most MAX_STEPS. levels: coarsest first. increment_count, increments, checksums: see `increments`. first_increment:
-    offset of the first increment in textures.bin. plan: ascending by bytes. time_limit: seconds. pixels: size of the object in the image
-    that the plan is for.
+    offset of the first increment in textures.bin. errors: for each level, coarsest first, the predicted mean FLIP error with each state of
+    the textures, of which there is one if there are no increments; they never rise. time_limit: seconds. pixels: size of the object in the
+    image that the errors are for.
     """
 
     name: str
@@ -137,9 +129,14 @@ class Manifest:
     increments: Section
     checksums: Section
     first_increment: int
-    plan: tuple[PlanRow, ...]
+    errors: tuple[tuple[float, ...], ...]
     time_limit: float
     pixels: float
+
+    @property
+    def state_count(self) -> int:
+        """The number of states of the textures, 1 without increments."""
+        return len(self.errors[0])
 
     def mesh_size(self, level: int) -> int:
         """Return the bytes of mesh.bin that show `level`: those of this level and of all coarser ones."""

@@ -2,9 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterable
 from dataclasses import asdict
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +12,7 @@ from ...errors import FileError
 from .manifest import (
     FORMAT,
     MANIFEST,
+    MAX_STATES,
     MAX_STEPS,
     MAX_TEXTURE_SIDE,
     MAX_TILES,
@@ -25,7 +24,6 @@ from .manifest import (
     MeshLevel,
     PackageMaterial,
     PackageTexture,
-    PlanRow,
     Section,
 )
 
@@ -41,7 +39,6 @@ def encode_manifest(manifest: Manifest) -> bytes:
     for texture in content["textures"]:
         texture["headers"] = [header.hex() for header in texture["headers"]]
     content |= {key: list(content[key].values()) for key in ("increments", "checksums")}
-    content["plan"] = [list(row.values()) for row in content["plan"]]
     return json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
 
 
@@ -111,7 +108,7 @@ def _to_manifest(values: dict[str, Any]) -> Manifest:
         increments=_to_section(values["increments"]),
         checksums=_to_section(values["checksums"]),
         first_increment=_integer(values["first_increment"]),
-        plan=tuple(PlanRow(*(_integer(number) for number in row[:3]), *_finite(row[3:], 1)) for row in values["plan"]),
+        errors=tuple(_finite(row, len(row)) for row in values["errors"]),
         time_limit=_finite([values["time_limit"]], 1)[0],
         pixels=_finite([values["pixels"]], 1)[0],
     )
@@ -176,23 +173,14 @@ def _check(manifest: Manifest) -> None:
     tables = (manifest.increments, manifest.checksums)
     if any(table.end > manifest.first_increment for table in tables) or manifest.first_increment > textures_size:
         raise _contradiction("the table of increments ends behind the first one")
-    if (
-        not manifest.plan
-        or any(_is_outside(row, manifest) for row in manifest.plan)
-        or not _ascends(row.byte_count for row in manifest.plan)
-    ):
-        raise _contradiction("its plan does not ascend, or names levels or increments that do not exist")
+    has_shape = len(manifest.errors) == len(manifest.levels) and all(len(row) == manifest.state_count for row in manifest.errors)
+    if not has_shape or not 1 <= manifest.state_count <= MAX_STATES:
+        raise _contradiction("its table of errors does not fit to its levels")
+    errors = np.array(manifest.errors)
+    if (errors < 0.0).any() or (np.diff(errors, axis=0) > 0.0).any() or (np.diff(errors, axis=1) > 0.0).any():
+        raise _contradiction("its errors rise")
     if manifest.time_limit <= 0.0 or manifest.pixels <= 0.0 or not np.all(np.less_equal(*manifest.bounds)):
         raise _contradiction("its time limit, size in pixels or bounds are not possible")
-
-
-def _is_outside(row: PlanRow, manifest: Manifest) -> bool:
-    return row.level >= len(manifest.levels) or row.increment_count > manifest.increment_count
-
-
-def _ascends(values: Iterable[int]) -> bool:
-    numbers = list(values)
-    return all(first <= second for first, second in pairwise(numbers))
 
 
 def _contradiction(what: str) -> FileError:

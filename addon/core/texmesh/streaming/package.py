@@ -13,7 +13,7 @@ from ...jobs.progress import Progress, Steps, subprogress
 from ...text import format_count
 from ..level_chain import AllSettings, LevelChain, make_levels
 from ..textured_mesh import TexturedMesh
-from .allocation import ErrorTable, make_plan, measure_errors
+from .allocation import ErrorTable, PlanRow, make_plan, measure_errors, round_errors
 from .increments import Increments, encode_increments
 from .levels_glb import encode_levels
 from .manifest import MESH, TEXTURES, Manifest, MeshLevel, PackageMaterial, Section
@@ -26,22 +26,22 @@ from .textures.building import BuiltTextures, build_textures
 from .textures.decoding import decode_textures
 from .textures.texture_tiles import TextureSource
 
-STOPS = 7  # numbers of increments at which the error of the textures is measured
+STATES = 7  # of the textures, whose errors are measured
 MIN_BITS, MAX_BITS = 8, 16  # of positions and texture coordinates
 POSITION_BITS, UV_BITS = 4, 2  # below a pixel and a texel
-FIRST_STOP = 1.0 / 64.0  # of the bytes of all increments
-NO_TEXTURES = BuiltTextures((), Increments(*[np.zeros(0, np.int64)] * 4, np.zeros(0, np.float16)), b"", np.zeros(1))
+NO_TEXTURES = BuiltTextures((), Increments(*[np.zeros(0, np.int64)] * 6), b"", np.zeros(1))
 
 
 @dataclass(frozen=True)
 class PackageReport:
-    """Figures about a package."""
+    """Figures about a package. levels: triangles, finest first. plan: the best uses of growing numbers of bytes."""
 
     name: str
     levels: tuple[int, ...]
     mesh_bytes: int
     texture_bytes: int
     table: ErrorTable
+    plan: tuple[PlanRow, ...]
 
     def describe(self) -> str:
         """Return one sentence for the user."""
@@ -142,15 +142,15 @@ def _measure(
         built = {key: build_color_mipmaps(image, key[1]) for key, image in sources.items()}
         return [built[key] for key in keys]
 
-    def decode(count: int) -> list[Mipmaps | None]:
-        images = decode_textures(built.textures, built.increments, built.content, count)
+    def decode(state: int) -> list[Mipmaps | None]:
+        images = decode_textures(built.textures, built.increments, built.content, state)
         return mipmaps([None if index is None else images[index] for index in colors])
 
     return (
         yield from measure_errors(
             [level.mesh for level in reversed(chain.levels)],
             mipmaps([material.images.get("base_color") for material in materials]),
-            _choose_stops(built.increments),
+            _choose_states(len(built.flips)),
             decode,
             package_settings.pixels,
             settings.perception.pixels_per_degree,
@@ -158,13 +158,9 @@ def _measure(
     )
 
 
-def _choose_stops(increments: Increments) -> list[int]:
-    """Return numbers of increments, ascending, whose bytes grow by equal factors up to all."""
-    if not len(increments.sizes):
-        return [0]
-    ends = np.cumsum(increments.sizes)
-    wanted = np.geomspace(ends[-1] * FIRST_STOP, ends[-1], STOPS)
-    return np.unique(np.searchsorted(ends, wanted) + 1).clip(max=len(ends)).tolist()
+def _choose_states(count: int) -> list[int]:
+    """Return up to STATES of `count` states, ascending and evenly spaced, the first and the last one among them."""
+    return np.unique(np.linspace(0, count - 1, STATES).round().astype(np.int64)).tolist()
 
 
 def _assemble(
@@ -179,12 +175,10 @@ def _assemble(
     settings: PackageSettings,
 ) -> Package:
     """Return the files of the package and its manifest."""
-    sizes = np.asarray(built.increments.sizes, np.int64)
     encoded = encode_increments(built.increments)
     checksums = built.increments.compute_checksums(built.content).tobytes()
     mesh_content, levels, bounds, uv_bounds = coded
     contents = {MESH: mesh_content, TEXTURES: b"".join([encoded, checksums, built.content])}
-    mesh_sizes = np.cumsum([level.size for level in levels]).tolist()
     manifest = Manifest(
         name=name,
         files={file: describe_file(content) for file, content in contents.items()},
@@ -198,16 +192,18 @@ def _assemble(
             for material, reference in zip(materials, references, strict=True)
         ),
         textures=built.textures,
-        increment_count=len(sizes),
+        increment_count=len(built.increments.sizes),
         increments=Section(0, len(encoded), zlib.crc32(encoded)),
         checksums=Section(len(encoded), len(checksums), zlib.crc32(checksums)),
         first_increment=len(encoded) + len(checksums),
-        plan=make_plan(table, mesh_sizes, sizes),
+        errors=round_errors(table.predict(built.flips)),
         time_limit=settings.time_limit,
         pixels=float(settings.pixels),
     )
     if settings.with_glb:
         contents[LEVELS_GLB] = encode_levels(name, chain, materials)
     counts = tuple(sum(level.triangle_counts) for level in reversed(levels))
-    report = PackageReport(name, counts, len(contents[MESH]), len(contents[TEXTURES]), table)
+    mesh_sizes = [manifest.mesh_size(level) for level in range(len(levels))]
+    plan = make_plan(manifest.errors, mesh_sizes, built.increments.measure_states(manifest.state_count))
+    report = PackageReport(name, counts, len(contents[MESH]), len(contents[TEXTURES]), table, plan)
     return Package(manifest, contents, report)

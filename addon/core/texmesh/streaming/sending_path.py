@@ -1,36 +1,102 @@
-"""The best order of levels and increments for an uncertain number of bytes. See `controller`."""
+"""The best order of levels and states of the textures for an uncertain number of bytes. See `controller`."""
 
+from typing import NamedTuple
+
+from .byte_intervals import Interval, measure, subtract
 from .sending_state import Job
 
 # Bytes after which the client may have to stop, relative to the expected number, equally likely: small ones since lines fade, and because
 # what comes is seen at once.
 STOPS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.4, 1.6, 2.0)
 MIN_ERROR = 1e-6
+STRIDE = 4.0  # by which the bytes of states grow from one to the next on a path, behind the first
 
 
-def find_path(job: Job, level: int, count: int, owed: float, budget: float, window: float) -> tuple[int, int]:
-    """Return the level and the number of increments that the best path has asked for after about `window` bytes.
+class Textures(NamedTuple):
+    """What has been asked for of the textures. state: the last one that is complete, or -1. left: bytes that each state lacks."""
 
-    A path goes from `level` and `count` increments to the best level of the plan and all increments. Each step is the next level, of which
-    parts are of no use, or the increments up to the next number in the plan. The best path has the smallest sum, over STOPS, of errors
-    relative to those that the plan has for as many bytes; it is found from its end backwards. A level that is longer than `window` is the
-    first step or none.
+    state: int
+    left: list[int]
+
+
+def inspect_textures(job: Job, asked: list[Interval]) -> Textures:
+    """Return what has been asked for of the textures. asked: bytes of textures.bin."""
+    return describe_textures([measure(subtract(state, asked)) for state in job.states])
+
+
+def describe_textures(left: list[int]) -> Textures:
+    """Return the textures of which each state lacks so many bytes."""
+    complete = [state for state, count in enumerate(left) if not count]
+    return Textures(complete[-1] if complete else -1, left)
+
+
+def estimate_errors(job: Job, textures: Textures) -> list[float]:
+    """Return the error of each level with these textures: between those of the complete state and of a later one, by the bytes of the
+    latter that have been asked for."""
+    found = []
+    for row in job.errors:
+        start = row[textures.state] if textures.state >= 0 else 1.0
+        best = start
+        for state in range(textures.state + 1, len(row)):
+            step = job.steps[textures.state][state] if textures.state >= 0 else job.sizes[state]
+            best = min(best, start + (row[state] - start) * (1.0 - textures.left[state] / step))
+        found.append(best)
+    return found
+
+
+def find_path(job: Job, level: int, textures: Textures, spent: int, owed: int, budget: float, window: float) -> tuple[int, int]:
+    """Return the level that the best path has asked for after about `window` bytes, and the state of the textures that it goes to next.
+
+    A path goes from `level` and `textures` to the best level and the last state. It goes to a state that differs between paths, and from
+    there over states whose bytes grow by STRIDE; the tiles that only the states between have are left out. Each step is the next level, of
+    which parts are of no use, or the next state on the path. The best path has the smallest sum, over STOPS, of errors relative to the best
+    ones with as many bytes; it is found from its end backwards. A level that is longer than `window` is the first step or none.
 
     Args:
-        level: the finest one of which nothing is left to ask for. owed: bytes that are left of the next one. budget: bytes that are
-            expected before the limit.
+        level: the finest one of which nothing is left to ask for. spent: bytes of increments that have been asked for. owed: bytes that are
+            left of the next level. budget: bytes that are expected before the limit.
     """
-    finest = max(level, min(job.plan, key=lambda row: row[2])[0])
-    counts = [count, *sorted({row[1] for row in job.plan if row[1] > count} | ({len(job.ends)} - {count}))]
-    begin = measure_increments(job, count)
-    textures = [measure_increments(job, other) - begin for other in counts]
+    finest, last = len(job.levels) - 1, len(job.errors[0]) - 1
     meshes = [0] + [job.levels[other].end - job.levels[level + 1].end + owed for other in range(level + 1, finest + 1)]
-    budget = min(budget, meshes[-1] + textures[-1])
+    present = estimate_errors(job, textures)
+    budget = min(budget, meshes[-1] + textures.left[last])
     stops = [budget * stop for stop in STOPS]
-    weights = [1.0 / _plan_error(job, job.levels[level].end + begin + stop) for stop in stops]
-    errors = _level_errors(job, finest, counts)[level:]
-    last, rows = len(counts) - 1, finest - level
-    takes_level = [[False] * len(counts) for _ in meshes]
+    weights = [1.0 / _least_error(job, job.levels[level].end + spent + stop) for stop in stops]
+    best, found = -1.0, (level, last)
+    for state in range(textures.state + 1, last + 1) if textures.state < last else [last]:
+        states = list_states(job, textures, state)
+        sizes = [0]
+        for index, other in enumerate(states):
+            sizes.append(sizes[-1] + (textures.left[other] if index == 0 else job.steps[states[index - 1]][other]))
+        errors = [[error, *(min(error, job.errors[row][other]) for other in states)] for row, error in enumerate(present[level:], level)]
+        cost, takes_level = _find_costs(meshes, sizes, errors, stops, weights)
+        if best < 0.0 or cost < best:
+            best, found = cost, (level + _walk(meshes, sizes, takes_level, window), states[0] if states else last)
+        if textures.left[state] > stops[-1]:
+            break  # later states will not come either
+    return found
+
+
+def list_states(job: Job, textures: Textures, state: int) -> list[int]:
+    """Return the states on a path to `state` and then to the last one: first of all comes state 0, so that something is seen soon."""
+    last = len(job.errors[0]) - 1
+    states = [0] if state > 0 and textures.state < 0 and job.sizes[0] * STRIDE <= job.sizes[state] else []
+    if textures.state < state:
+        states.append(state)
+    while states and states[-1] < last:
+        states.append(next((other for other in range(states[-1] + 1, last) if job.sizes[other] >= STRIDE * job.sizes[states[-1]]), last))
+    return states
+
+
+def _find_costs(
+    meshes: list[int], sizes: list[int], errors: list[list[float]], stops: list[float], weights: list[float]
+) -> tuple[float, list[list[bool]]]:
+    """Return the cost of the best way through levels and states, and at which of them the next level is its next step.
+
+    meshes, sizes: bytes of levels and of states from the beginning on. errors: of each level with each state.
+    """
+    rows, last = len(meshes) - 1, len(sizes) - 1
+    takes_level = [[False] * len(sizes) for _ in meshes]
     costs: list[float] = []
 
     def add_cost(cost: float, start: float, end: float, error: float, rise: float) -> float:
@@ -41,58 +107,44 @@ def find_path(job: Job, level: int, count: int, owed: float, budget: float, wind
         return cost
 
     for row in range(rows, -1, -1):
-        finer, costs = costs, [0.0] * len(counts)
+        finer, costs = costs, [0.0] * len(sizes)
         for column in range(last, -1, -1):
-            start, error = meshes[row] + textures[column], errors[row][column]
+            start, error = meshes[row] + sizes[column], errors[row][column]
             if start > stops[-1]:
                 continue
             if column < last:
-                step = textures[column + 1] - textures[column]
+                step = sizes[column + 1] - sizes[column]
                 costs[column] = add_cost(costs[column + 1], start, start + step, error, (errors[row][column + 1] - error) / step)
             if row < rows:
-                cost = add_cost(finer[column], start, meshes[row + 1] + textures[column], error, 0.0)
+                cost = add_cost(finer[column], start, meshes[row + 1] + sizes[column], error, 0.0)
                 takes_level[row][column] = column == last or cost < costs[column]
                 if takes_level[row][column]:
                     costs[column] = cost
             elif column == last:
                 costs[column] = add_cost(0.0, start, 2.0 * stops[-1] + 1.0, error, 0.0)
+    return costs[0], takes_level
+
+
+def _walk(meshes: list[int], sizes: list[int], takes_level: list[list[bool]], window: float) -> int:
+    """Return by how many levels a way gets finer within `window` bytes."""
     row = column = 0
-    while meshes[row] + textures[column] < window:
+    while meshes[row] + sizes[column] < window:
         if takes_level[row][column]:
-            if row + column and meshes[row + 1] + textures[column] > window:
+            if row + column and meshes[row + 1] + sizes[column] > window:
                 break
             row += 1
-        elif column < last:
+        elif column < len(sizes) - 1:
             column += 1
         else:
             break
-    return level + row, counts[column]
+    return row
 
 
-def measure_increments(job: Job, count: int) -> int:
-    """Return the bytes of the first `count` increments."""
-    return job.ends[count - 1] - job.begin if count else 0
-
-
-def _plan_error(job: Job, byte_count: float) -> float:
-    """Return the error that the plan has with `byte_count` bytes of levels and increments."""
-    fitting = [error for level, count, error in job.plan if job.levels[level].end + measure_increments(job, count) <= byte_count]
-    return max(min(fitting + [1.0]), MIN_ERROR)
-
-
-def _level_errors(job: Job, finest: int, counts: list[int]) -> list[list[float]]:
-    """Return the error of each level up to `finest` with each of `counts` increments: linear between rows of the plan, that of the last row
-    behind it, and that of a coarser level before the first one and where that is smaller."""
-    best, errors = [1.0] * len(counts), []
-    for level in range(finest + 1):
-        rows = [(measure_increments(job, row[1]), row[2]) for row in job.plan if row[0] == level]
-        if not level:
-            rows = [(0, 1.0), *rows]
-        for column, count in enumerate(counts):
-            at = measure_increments(job, count)
-            for index, (start, error) in enumerate(rows):
-                end, other = rows[index + 1] if index + 1 < len(rows) else (at + 1, error)
-                if start <= at < end:
-                    best[column] = min(best[column], error + (other - error) * ((at - start) / (end - start)))
-        errors.append(list(best))
-    return errors
+def _least_error(job: Job, byte_count: float) -> float:
+    """Return the least error with `byte_count` bytes of levels and increments."""
+    least = 1.0
+    for span, row in zip(job.levels, job.errors, strict=True):
+        for size, error in zip(job.sizes, row, strict=True):
+            if span.end + size <= byte_count:
+                least = min(least, error)
+    return max(least, MIN_ERROR)

@@ -22,7 +22,7 @@ def estimate_rate(state: State, index: int, horizon: float) -> float:
     return (fast * FAST + slow * horizon) / (FAST + horizon)
 
 
-def measure(server: Server, count: int, seconds: float) -> None:
+def measure_line(server: Server, count: int, seconds: float) -> None:
     """Learn that `count` bytes came in `seconds` on a line that was never idle."""
     fast, slow = FAST / (FAST + seconds), SLOW / (SLOW + seconds)
     server.bytes = server.bytes * fast + count

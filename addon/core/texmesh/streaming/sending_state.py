@@ -1,7 +1,9 @@
 """What the controller of a client works with: what there is to send, its state, events and requests."""
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
+from .byte_intervals import Interval
 from .manifest import MESH, TEXTURES, Manifest, Section
 
 DEFAULT_RATE = 250000.0  # bytes per second, if there is no history: 2 Mbit/s
@@ -23,15 +25,20 @@ class Job:
     """What there is to send.
 
     first: spans without which nothing is shown: level 0 and the table of increments. levels: the sections of each, one behind the other;
-    a level needs those of all coarser ones. plan: (level, number of increments, predicted error) ascending by bytes. begin: offset of the
-    first increment. ends: offsets of the ends of the increments in textures.bin; None until the table has come.
+    a level needs those of all coarser ones. errors: of each level with each state of the textures. begin: offset of the first increment.
+    The others come from the table of increments, see `add_table`; until then, `ends` is None. ends: offsets of the ends of the increments
+    in textures.bin. states: bytes of textures.bin that each state of the textures consists of. sizes: how many these are. steps: for each
+    state and each later one, the bytes that only the later one has.
     """
 
     first: tuple[Span, ...]
     levels: tuple[Span, ...]
-    plan: tuple[tuple[int, int, float], ...]
+    errors: tuple[tuple[float, ...], ...]
     begin: int
     ends: tuple[int, ...] | None = None
+    states: tuple[tuple[Interval, ...], ...] = ()
+    sizes: tuple[int, ...] = ()
+    steps: tuple[tuple[int, ...], ...] = ()
 
 
 @dataclass
@@ -70,8 +77,8 @@ class Flight:
 class State:
     """The state of a client. Times are seconds since the user's wish; read it, but only `decide` changes it.
 
-    level, asked: the level and the number of increments asked for. ended: when the last response ended. difference: sum of the absolute
-    differences between planned and actual times of `responses` requests, `latest` is that of the last one.
+    mesh: end of the levels that were asked for. asked: bytes of increments that were asked for. ended: when the last response ended.
+    difference: sum of the absolute differences between planned and actual times of `responses` requests, `latest` is that of the last one.
     """
 
     limit: float
@@ -83,7 +90,7 @@ class State:
     pending: list[Span] = field(default_factory=list)
     next_id: int = 0
     mesh: int = 0
-    asked: int = 0
+    asked: list[Interval] = field(default_factory=list)
     ended: float = 0.0
     difference: float = 0.0
     latest: float = 0.0
@@ -111,13 +118,32 @@ class Request:
 
 
 def build_job(manifest: Manifest) -> Job:
-    """Return what `manifest` has to send. `ends` is None: add them when the table of increments has come."""
+    """Return what `manifest` has to send, without the table of increments: add it when it has come."""
     levels = tuple(_span(level.positions, level.parents, level.wedges, level.uvs, level.corners) for level in manifest.levels)
     table = Span(TEXTURES, manifest.increments.offset, manifest.increments.end)
-    plan = tuple((row.level, row.increment_count, row.flip) for row in manifest.plan)
     if not manifest.increment_count:
-        return Job(levels[:1], levels, plan, manifest.first_increment, ())
-    return Job((levels[0], table), levels, plan, manifest.first_increment)
+        return add_table(Job(levels[:1], levels, manifest.errors, manifest.first_increment), (), (), ())
+    return Job((levels[0], table), levels, manifest.errors, manifest.first_increment)
+
+
+def add_table(job: Job, sizes: Sequence[int], firsts: Sequence[int], lasts: Sequence[int]) -> Job:
+    """Return `job` with its increments: their bytes, and the first and the last state that has each."""
+    count = len(job.errors[0])
+    ends: list[int] = []
+    states: list[list[Interval]] = [[] for _ in range(count)]
+    totals, steps = [0] * count, [[0] * count for _ in range(count)]
+    end = job.begin
+    for size, first, last in zip(sizes, firsts, lasts, strict=True):
+        start, end = end, end + size
+        ends.append(end)
+        for state in range(first, last + 1):
+            begin = states[state].pop()[0] if states[state] and states[state][-1][1] == start else start
+            states[state].append((begin, end))
+            totals[state] += size
+            for earlier in range(first):
+                steps[earlier][state] += size
+    rows = tuple(tuple(row) for row in steps)
+    return replace(job, ends=tuple(ends), states=tuple(tuple(state) for state in states), sizes=tuple(totals), steps=rows)
 
 
 def begin(

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from . import controller
+from .increments import Increments
 from .manifest import MESH, TEXTURES
 from .sending_state import DEFAULT_DELAY, DEFAULT_RATE, Event, Job, Request, Span, begin
 
@@ -37,11 +38,10 @@ class CompensatingClient:
 
     def received(self) -> np.ndarray:
         """Return which increments have come, (N,) bool."""
-        state, count = self._state, len(self._ends) - 1
-        is_here = np.arange(count) < (0 if self._known.ends is None else state.asked)
-        for span in state.pending + [replace(flight.span, start=flight.span.start + flight.received) for flight in state.flights]:
-            if span.file == TEXTURES:
-                is_here &= (self._ends[1:] <= span.start) | (self._ends[:-1] >= span.end)
+        starts, ends = self._ends[:-1], self._ends[1:]
+        is_here = np.zeros(len(ends), bool)
+        for start, end in controller.list_received(self._state):
+            is_here |= (start <= starts) & (ends <= end)
         return is_here
 
     def mean_difference(self) -> float:
@@ -52,11 +52,11 @@ class CompensatingClient:
 class _SequentialClient:
     """Asks for the first spans, then for those of a level, then for parts of the texture, one request after the other."""
 
-    def __init__(self, job: Job, limit: float, rate: float | None) -> None:
-        self.job, self.limit, self.rate = job, limit, rate or DEFAULT_RATE
+    def __init__(self, job: Job, increments: Increments, limit: float, rate: float | None) -> None:
+        self.job, self.increments, self.limit, self.rate = job, increments, limit, rate or DEFAULT_RATE
         self.delay = DEFAULT_DELAY
-        self.mask = np.zeros(len(job.ends or ()), bool)
-        self.sizes = np.diff([job.begin, *(job.ends or ())])
+        self.mask = np.zeros(len(increments.sizes), bool)
+        self.sizes = increments.sizes
         self.row: tuple[int, int] | None = None
         self.shown, self.next_id = -1, 0
         self.asked, self.opened, self.planned = 0.0, 0.0, 0.0
@@ -121,13 +121,11 @@ class _SequentialClient:
         """Learn from a response of `size` bytes that has ended."""
 
     def choose_row(self, time: float) -> tuple[int, int]:
-        """Return the level and number of increments of the best row of the plan that fits into the rest of the time at the present rate."""
-        budget = self.rate * (self.limit - time - 2.0 * self.delay)
-        fitting = [row for row in self.job.plan if self._cost(row[0], row[1]) <= budget] or [(0, 0, 1.0)]
-        return min(fitting, key=lambda row: row[2])[:2]
-
-    def _cost(self, level: int, count: int) -> int:
-        return self.job.levels[level].end - self.job.levels[0].end + int(self.sizes[:count].sum())
+        """Return the level and the state of the textures that are best and fit into the rest of the time at the present rate."""
+        budget = self.rate * (self.limit - time - 2.0 * self.delay) + self.job.levels[0].end
+        options = [(error, level, state) for level, row in enumerate(self.job.errors) for state, error in enumerate(row)]
+        fitting = [item for item in options if self.job.levels[item[1]].end + self.job.sizes[item[2]] <= budget]
+        return min(fitting)[1:] if fitting else (0, 0)
 
     def next_parts(self, time: float) -> np.ndarray | None:
         """Return which increments to ask for next, (N,) bool, or None at the end."""
@@ -138,21 +136,17 @@ class FixedClient(_SequentialClient):
     """Decides once, by the initial rate: no time compensation."""
 
     def next_parts(self, time: float) -> np.ndarray | None:
-        """Return the increments of the row of the plan, once."""
-        count = self.row[1]
-        return np.arange(len(self.mask)) < count if count and self.parts is None else None
+        """Return the increments of the state, once."""
+        return self.increments.are_in(self.row[1]) if self.parts is None and len(self.mask) else None
 
 
 class PaperClient(_SequentialClient):
-    """One fragment after the other, as in the paper: tiles in PAPER_FRAGMENTS groups in their order, each with the quality of the set that
-    the lookup table (here: a number of increments of the whole texture) has for the rest of the time at the rate of the fragments
-    before."""
+    """One fragment after the other, as in the paper. A fragment is one of PAPER_FRAGMENTS parts of the increments, with the quality of the
+    set that the lookup table (here: a state of the textures) has for the rest of the time at the rate of the fragments before."""
 
-    def __init__(self, job: Job, limit: float, rate: float | None, tiles: np.ndarray) -> None:
-        super().__init__(job, limit, rate)
-        order = np.unique(tiles, return_inverse=True)[1]
-        self.fragments = order * PAPER_FRAGMENTS // (order.max(initial=0) + 1)
-        self.fragment = 0
+    def __init__(self, job: Job, increments: Increments, limit: float, rate: float | None) -> None:
+        super().__init__(job, increments, limit, rate)
+        self.left = PAPER_FRAGMENTS
 
     def measure(self, size: int, time: float) -> None:
         """Learn the rate and the delay of the response that has ended."""
@@ -161,13 +155,15 @@ class PaperClient(_SequentialClient):
             self.rate = 0.5 * self.rate + 0.5 * size / (time - self.opened)
 
     def next_parts(self, time: float) -> np.ndarray | None:
-        """Return the increments of the next fragment."""
-        while self.fragment < PAPER_FRAGMENTS and len(self.mask):
-            budget = self.rate * (self.limit - time - (PAPER_FRAGMENTS - self.fragment) * self.delay)
-            sums = np.cumsum(np.where(self.fragments >= self.fragment, self.sizes, 0))
-            count = int(np.searchsorted(sums, max(budget, 0.0), side="right"))
-            parts = (self.fragments == self.fragment) & (np.arange(len(self.mask)) < count)
-            self.fragment += 1
-            if parts.any():
-                return parts
-        return None
+        """Return the increments of the next fragment: an equal part of the bytes that the set lacks."""
+        if not self.left:
+            return None
+        budget = self.rate * (self.limit - time - self.left * self.delay)
+        missing = [self.increments.are_in(state) & ~self.mask for state in range(self.increments.state_count)]
+        fitting = [wanted for wanted in missing if self.sizes[wanted].sum() <= budget]
+        wanted = np.flatnonzero(fitting[-1] if fitting else missing[0])
+        starts = np.cumsum(self.sizes[wanted]) - self.sizes[wanted]
+        parts = np.zeros(len(self.mask), bool)
+        parts[wanted[starts * self.left < self.sizes[wanted].sum()]] = True
+        self.left -= 1
+        return parts if parts.any() else None

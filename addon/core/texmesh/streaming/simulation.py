@@ -2,16 +2,16 @@
 
 import json
 import math
-from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from ...errors import SettingsError
-from .increments import GAIN_UNIT, Increments
+from .increments import Increments
 from .manifest import Manifest
 from .manifest_json import encode_manifest
-from .sending_state import Event, Job, Span, build_job
+from .sending_path import describe_textures, estimate_errors
+from .sending_state import Event, Job, Span, add_table, build_job
 from .simulated_clients import CompensatingClient, FixedClient, PaperClient
 from .simulated_network import Line, Network
 from .traces import Trace
@@ -22,55 +22,43 @@ MAX_ROUNDS = 20.0  # limits after which a simulation ends
 
 @dataclass(frozen=True, eq=False)
 class SentPackage:
-    """What a simulation needs of a package. job: with `ends`. gains: (N,) float64, by how much the predicted error falls. tiles: (N,)
-    int64, numbers of tiles over all textures. manifest_size: bytes."""
+    """What a simulation needs of a package. job: with the table of increments. manifest_size: bytes."""
 
     job: Job
-    gains: np.ndarray
-    tiles: np.ndarray
+    increments: Increments
     manifest_size: int
 
-    def error(self, level: int, received: np.ndarray | int) -> float:
-        """Return the error that the plan predicts with `level` (-1: nothing is shown, error 1) and the received increments ((N,) bool or a
-        number).
+    def error(self, level: int, received: np.ndarray) -> float:
+        """Return the predicted error with `level` (-1: nothing is shown, error 1) and the received increments, (N,) bool."""
+        return 1.0 if level < 0 else estimate_errors(self.job, describe_textures(self._missing_bytes(received)))[level]
 
-        Errors of a level are linear in the logarithm of the bytes between rows of the plan, and those of the last row behind it; a finer
-        level is as good as a coarser one at least. Increments with gaps count as the first ones with as large a gain.
-        """
-        if level < 0:
-            return 1.0
-        if isinstance(received, np.ndarray):
-            count = int(received.sum())
-            if not received[:count].all():
-                count = int(np.searchsorted(np.cumsum(self.gains), self.gains[received].sum(), side="right"))
-        else:
-            count = received
-        return min(np.interp(self._position(count), *points) for points in self._courses[: level + 1])
+    def is_complete(self, level: int, received: np.ndarray) -> bool:
+        """Return whether the finest level and the last state of the textures are there."""
+        return level == len(self.job.levels) - 1 and self._missing_bytes(received)[-1] == 0
 
-    @cached_property
-    def _courses(self) -> tuple[tuple[list[float], list[float]], ...]:
-        """Positions of increments, and errors with them, of each level. Without any row, a level has error 1."""
-        courses = []
-        for level in range(len(self.job.levels)):
-            rows = sorted((count, error) for row_level, count, error in self.job.plan if row_level == level)
-            courses.append(([0.0, *(self._position(count) for count, _ in rows)], [1.0, *(error for _, error in rows)]))
-        return tuple(courses)
-
-    def _position(self, count: int) -> float:
-        """Return the logarithm of the bytes of the first `count` increments."""
-        return math.log(max((self.job.ends[count - 1] if count else self.job.begin) - self.job.begin, 1))
+    def _missing_bytes(self, received: np.ndarray) -> list[int]:
+        sizes = np.where(received, 0, self.increments.sizes)
+        return [int(sizes[self.increments.are_in(state)].sum()) for state in range(len(self.job.sizes))]
 
     def best(self, byte_count: float) -> tuple[int, int, float]:
-        """Return the level, number of increments and error of the best use of `byte_count` bytes."""
-        ends = np.array([self.job.begin, *self.job.ends]) - self.job.begin
+        """Return the level, the last complete state of the textures and the error of the best use of `byte_count` bytes. What is left of
+        them is used for a part of a later state."""
         table = sum(_size(span) for span in self.job.first[1:])
-        best = (-1, 0, 1.0)
+        best = (-1, -1, 1.0)
+        sizes = np.array([0, *self.job.sizes])
+        steps = np.array([self.job.sizes, *self.job.steps])  # from nothing, and from each state
         for level, span in enumerate(self.job.levels):
             rest = byte_count - table - span.end
-            if rest >= 0.0:
-                count = int(np.searchsorted(ends, rest, side="right")) - 1
-                error = self.error(level, count)
-                best = (level, count, error) if best[0] < 0 or error < best[2] else best
+            if rest < 0.0:
+                break
+            errors = np.array([1.0, *self.job.errors[level]])
+            fractions = np.clip((rest - sizes[:, None]) / np.maximum(steps, 1), 0.0, 1.0)
+            found = errors[:, None] + (errors[1:] - errors[:, None]) * fractions
+            found[(sizes > rest)[:, None] | (steps <= 0)] = np.inf
+            states = [state for state, size in enumerate(sizes.tolist()) if size <= rest]
+            state = int(min(states, key=lambda index: errors[index])) - 1
+            error = min(float(found.min()), float(errors[state + 1]))
+            best = (level, state, error) if best[0] < 0 or error < best[2] else best
         return best
 
 
@@ -101,7 +89,7 @@ class SendingReport:
     error: float
     oracle_bytes: float
     oracle_level: int
-    oracle_increments: int
+    oracle_state: int
     oracle_error: float
     first_seen: float
     first_textured: float
@@ -125,18 +113,15 @@ class SendingReport:
             f"{self.requests} requests, {self.aborted} aborted, {self.byte_count / 1e6:.3f} MB carried, "
             f"{self.useful_bytes / 1e6:.3f} MB used\n"
             f"level {self.level} and {self.increments} increments: predicted error {self.error:.4f}; with the trace known before: level "
-            f"{self.oracle_level}, {self.oracle_increments} increments, {self.oracle_error:.4f}\n"
+            f"{self.oracle_level}, state {self.oracle_state} of the textures, {self.oracle_error:.4f}\n"
             f"shown after {self.first_seen:.2f} s, with texture after {self.first_textured:.2f} s"
         )
 
 
 def build_sent_package(manifest: Manifest, increments: Increments) -> SentPackage:
     """Return what simulations need of a package."""
-    ends = manifest.first_increment + np.cumsum(increments.sizes)
-    first_tiles = np.concatenate([[0], np.cumsum([texture.tile_count for texture in manifest.textures])]).astype(np.int64)
-    job = replace(build_job(manifest), ends=tuple(ends.tolist()))
-    tiles = first_tiles[increments.textures] + increments.tiles
-    return SentPackage(job, increments.gains.astype(np.float64) * GAIN_UNIT, tiles, len(encode_manifest(manifest)))
+    job = add_table(build_job(manifest), *(values.tolist() for values in (increments.sizes, increments.firsts, increments.lasts)))
+    return SentPackage(job, increments, len(encode_manifest(manifest)))
 
 
 def simulate_package(
@@ -190,8 +175,8 @@ def simulate(
     job = package.job
     agent = {
         "compensating": lambda: CompensatingClient(job, limit, rate, len(lines), patience),
-        "fixed": lambda: FixedClient(job, limit, rate),
-        "paper": lambda: PaperClient(job, limit, rate, package.tiles),
+        "fixed": lambda: FixedClient(package.job, package.increments, limit, rate),
+        "paper": lambda: PaperClient(package.job, package.increments, limit, rate),
     }[client]()
     course = _Course(Network(lines, access, seed, limit + patience), agent)
     course.run(package.manifest_size, limit)
@@ -206,7 +191,7 @@ def simulate(
         finished=course.finished,
         deviation=course.finished - limit,
         mean_difference=agent.mean_difference(),
-        is_complete=bool(received.all()) and level == package.best(math.inf)[0],
+        is_complete=package.is_complete(level, received),
         requests=course.requests,
         aborted=course.aborted,
         byte_count=course.network.bytes,
@@ -216,7 +201,7 @@ def simulate(
         error=package.error(level, received),
         oracle_bytes=oracle_bytes,
         oracle_level=oracle[0],
-        oracle_increments=oracle[1],
+        oracle_state=oracle[1],
         oracle_error=oracle[2],
         first_seen=course.first_seen,
         first_textured=course.first_textured,

@@ -9,14 +9,16 @@
 // `id` with {time, id, received: 0} when its headers come, {time, id, received} when bytes come (received: bytes of this response altogether;
 // the last byte ends it), or {time, id, failed: true}. Send `requests`, [{id, server, file, start, end}, ...]: bytes [start, end) of a file
 // from server `server` (0: the page's folder, then the mirrors), and abort those whose ids are in `aborted`; keep what has come of them: only
-// the rest is asked for again. When the table of increments has come, go on with job = {...job, ends}: where increments end in textures.bin.
+// the rest is asked for again. When the table of increments has come, go on with job = addTable(job, table).
 // To read: state.ended - limit (deviation Pi), and the functions below.
+
+import { insert, measure, subtract } from "./byte_intervals.js";
+import { findPath, inspectTextures } from "./sending_path.js";
 
 const MESH = "mesh.bin", TEXTURES = "textures.bin";
 const DEFAULT_RATE = 250000, DEFAULT_DELAY = 0.1, PRIOR_SECONDS = 0.1;
-const FAST = 0.3, SLOW = 2, GRACE = 0.1, FRACTION = 1 / 3, MAX_REQUEST = 1, FIRST_REQUEST = 0.3, LEAD = 1.5, EXCESS = 1.2, MEASURED = 0.2;
-const SMALLEST = 15000, LATE = 0.3, TWICE = 2, MIN_SAVING = 0.2, MIN_ERROR = 1e-6, SILENCE = 0.5, MIN_PAUSE = 0.25, MAX_PAUSE = 16, MIN_RATE = 1000, ENDLESS = 1e9;
-const STOPS = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1, 1.1, 1.2, 1.3, 1.4, 1.6, 2];
+const FAST = 0.3, SLOW = 2, GRACE = 0.1, FRACTION = 1 / 3, MAX_REQUEST = 1, FIRST_REQUEST = 0.3, LEAD = 1.5, EXCESS = 1.2, MEASURED = 0.2, MAX_GAP = 300;
+const SMALLEST = 15000, LATE = 0.3, TWICE = 2, MIN_SAVING = 0.2, SILENCE = 0.5, MIN_PAUSE = 0.25, MAX_PAUSE = 16, MIN_RATE = 1000, ENDLESS = 1e9;
 const { abs, floor, max, min } = Math;
 
 /** What `manifest` has to send. */
@@ -26,13 +28,27 @@ export function buildJob(manifest) {
     return { file: MESH, start: min(...sections.map(([start]) => start)), end: max(...sections.map(([start, size]) => start + size)) };
   });
   const [start, size] = manifest.increments, isTextured = manifest.increment_count > 0;
-  return {
-    first: [levels[0], ...(isTextured ? [{ file: TEXTURES, start, end: start + size }] : [])],
-    levels,
-    plan: manifest.plan.map(([, level, count, error]) => [level, count, error]),
-    begin: manifest.first_increment,
-    ends: isTextured ? null : [],
-  };
+  const first = [levels[0], ...(isTextured ? [{ file: TEXTURES, start, end: start + size }] : [])];
+  const job = { first, levels, errors: manifest.errors, begin: manifest.first_increment, ends: null };
+  return isTextured ? job : addTable(job, { sizes: [], firsts: [], lasts: [] });
+}
+
+/** `job` with its increments: arrays of their bytes, and of the first and the last state that has each. */
+export function addTable(job, { sizes, firsts, lasts }) {
+  const empty = job.errors[0].map(() => 0), states = empty.map(() => []), totals = [...empty], steps = empty.map(() => [...empty]), ends = [];
+  let end = job.begin;
+  sizes.forEach((size, i) => {
+    const start = end;
+    ends.push((end += size));
+    for (let state = firsts[i]; state <= lasts[i]; state++) {
+      const last = states[state].at(-1);
+      if (last?.[1] === start) last[1] = end;
+      else states[state].push([start, end]);
+      totals[state] += size;
+      for (let earlier = 0; earlier < firsts[i]; earlier++) steps[earlier][state] += size;
+    }
+  });
+  return { ...job, ends, states, sizes: totals, steps };
 }
 
 /** The state before the first request. limit, patience: seconds; rate: bytes per second that the user's line had before, or 0. */
@@ -42,7 +58,7 @@ export function begin(job, { limit, rate = 0, servers = 1, patience = 0, keepsRe
   Object.assign(server, { measured: 0, mark: 0, heard: 0, failures: 0, failed: 0, until: 0 });
   return {
     limit, patience, keepsRefining, servers: Array.from({ length: servers }, () => ({ ...server })), time: 0, flights: [],
-    pending: [...job.first], nextId: 0, mesh: job.levels[0].end, asked: 0, ended: 0, difference: 0, latest: 0, responses: 0,
+    pending: [...job.first], nextId: 0, mesh: job.levels[0].end, asked: [], ended: 0, difference: 0, latest: 0, responses: 0,
   };
 }
 
@@ -72,18 +88,13 @@ export function decide(job, before, { time, id = -1, received = 0, failed = fals
 export function isFinished(job, state) {
   if (state.flights.length || state.pending.some((span) => isFirst(job, span))) return false;
   if (state.time >= state.limit && !state.keepsRefining) return true;
-  return job.ends !== null && state.asked === job.ends.length && !state.pending.length && levelUpTo(job, state.mesh) >= bestLevel(job);
-}
-
-/** The number of increments that have come without a gap. */
-export function receivedIncrements(job, state) {
-  if (!job.ends) return 0;
-  return min(countUpTo(job.ends, firstMissing(state, TEXTURES)), state.asked);
+  return job.ends !== null && !subtract(job.states.at(-1), state.asked).length && !state.pending.length && state.mesh === job.levels.at(-1).end;
 }
 
 /** The finest level that has come with all coarser ones, or -1. */
 export function receivedLevel(job, state) {
-  return levelUpTo(job, min(firstMissing(state, MESH), state.mesh));
+  const missing = [...state.pending, ...state.flights].filter((span) => span.file === MESH);
+  return levelUpTo(job, min(state.mesh, ...missing.map(({ start, received = 0 }) => start + received)));
 }
 
 /** Lambda (eq. 9 of the paper), seconds. */
@@ -104,15 +115,6 @@ export function estimateRate(state, index, horizon) {
 /** The finest level that ends at `offset` at most, or -1. */
 function levelUpTo(job, offset) {
   return countUpTo(job.levels.map(({ end }) => end), offset) - 1;
-}
-
-function bestLevel(job) {
-  return job.plan.reduce((row, other) => (other[2] < row[2] ? other : row))[0];
-}
-
-function firstMissing(state, file) {
-  const spans = [...state.pending, ...state.flights].filter((span) => span.file === file);
-  return min(...spans.map(({ start, received = 0 }) => start + received)); // infinite if nothing is missing
 }
 
 function hear(state, flight, received, failed) {
@@ -263,7 +265,7 @@ function take(job, state, rest, rate, server) {
   if (end === start) return null;
   if (position >= 0) return cut(state, position, end);
   if (file === MESH) state.mesh = end;
-  else state.asked = countUpTo(job.ends, end);
+  else state.asked = insert(state.asked, start, end);
   return { file, start, end };
 }
 
@@ -274,9 +276,10 @@ function choose(job, state, wanted) {
   for (const { start, end } of state.pending) [owed, offset] = [owed + end - start, min(offset, start)];
   const level = levelUpTo(job, offset);
   if (level + 1 < job.levels.length) owed += max(job.levels[level + 1].end - state.mesh, 0);
-  const [next, count] = findPath(job, level, state.asked, owed, budgetOf(state), wanted);
-  const isTexture = next === level || (!state.asked && count > 0); // something of the texture first
-  if (isTexture) return [{ file: TEXTURES, start: beginOf(job, state.asked), end: beginOf(job, count) }, -1];
+  const textures = inspectTextures(job, state.asked);
+  const [next, target] = findPath(job, level, textures, measure(state.asked), owed, budgetOf(state), wanted);
+  const isTexture = next === level || (!state.asked.length && textures.state < 0); // something of the textures first
+  if (isTexture) return [missingSpan(job, state, target, wanted), -1];
   return state.pending.length ? [state.pending[0], 0] : [{ file: MESH, start: state.mesh, end: job.levels[next].end }, -1];
 }
 
@@ -286,74 +289,13 @@ function cut(state, position, end) {
   return { ...span, end };
 }
 
-function findPath(job, level, count, owed, budget, window) {
-  const rows = max(bestLevel(job) - level, 0), first = measure(count), meshes = [0];
-  const counts = [count, ...new Set([...job.plan.map((row) => row[1]), job.ends.length].filter((other) => other > count).sort((a, b) => a - b))];
-  const textures = counts.map((other) => measure(other) - first), last = counts.length - 1;
-  for (let other = level + 1; other <= level + rows; other++) meshes.push(job.levels[other].end - job.levels[level + 1].end + owed);
-  budget = min(budget, meshes[rows] + textures[last]);
-  const stops = STOPS.map((stop) => budget * stop), maximum = stops[stops.length - 1];
-  const weights = stops.map((stop) => 1 / planError(job.levels[level].end + first + stop));
-  const errors = levelErrors(level + rows).slice(level), takesLevel = meshes.map(() => counts.map(() => false));
-  let costs;
-  for (let row = rows; row >= 0; row--) {
-    const finer = costs;
-    costs = counts.map(() => 0);
-    for (let column = last; column >= 0; column--) {
-      const start = meshes[row] + textures[column], error = errors[row][column];
-      if (start > maximum) continue;
-      if (column < last) {
-        const step = textures[column + 1] - textures[column];
-        costs[column] = addCost(costs[column + 1], start, start + step, error, (errors[row][column + 1] - error) / step);
-      }
-      if (row < rows) {
-        const cost = addCost(finer[column], start, meshes[row + 1] + textures[column], error, 0);
-        takesLevel[row][column] = column === last || cost < costs[column];
-        if (takesLevel[row][column]) costs[column] = cost;
-      } else if (column === last) costs[column] = addCost(0, start, 2 * maximum + 1, error, 0);
-    }
+function missingSpan(job, state, target, wanted) {
+  const [[start, end] = [job.begin, job.begin], ...others] = subtract(job.states[target], state.asked), span = { file: TEXTURES, start, end };
+  for (const [begin, stop] of others) {
+    if (begin - span.end > MAX_GAP || measure(subtract([[span.end, begin]], state.asked)) < begin - span.end || span.end - start >= wanted) break;
+    span.end = stop;
   }
-  let row = 0, column = 0;
-  while (meshes[row] + textures[column] < window) {
-    if (takesLevel[row][column]) {
-      if (row + column && meshes[row + 1] + textures[column] > window) break;
-      row++;
-    } else if (column < last) column++;
-    else break;
-  }
-  return [level + row, counts[column]];
-
-  function addCost(cost, start, end, error, rise) {
-    stops.forEach((stop, i) => {
-      if (start <= stop && stop < end) cost += weights[i] * (error + (stop - start) * rise);
-    });
-    return cost;
-  }
-
-  function measure(size) {
-    return beginOf(job, size) - job.begin;
-  }
-
-  function planError(size) {
-    const fitting = job.plan.filter((row) => job.levels[row[0]].end + measure(row[1]) <= size);
-    return max(min(1, ...fitting.map((row) => row[2])), MIN_ERROR);
-  }
-
-  function levelErrors(finest) {
-    let best = counts.map(() => 1);
-    return job.levels.slice(0, finest + 1).map((_, other) => {
-      const points = job.plan.filter((row) => row[0] === other).map((row) => [measure(row[1]), row[2]]);
-      if (!other) points.unshift([0, 1]);
-      best = counts.map((size, column) => {
-        const at = measure(size);
-        return points.reduce((least, [start, error], i) => {
-          const [end, next] = points[i + 1] ?? [at + 1, error];
-          return start <= at && at < end ? min(least, error + (next - error) * ((at - start) / (end - start))) : least;
-        }, best[column]);
-      });
-      return best;
-    });
-  }
+  return span;
 }
 
 function budgetOf(state) {
@@ -365,13 +307,9 @@ function budgetOf(state) {
   return budget;
 }
 
-function beginOf(job, count) {
-  return count ? job.ends[count - 1] : job.begin;
-}
-
 function lastEnd(job, start, wanted, possible) {
-  const end = beginOf(job, countUpTo(job.ends, wanted));
-  if (end > start) return end;
+  const count = countUpTo(job.ends, wanted);
+  if (count && job.ends[count - 1] > start) return job.ends[count - 1];
   const after = job.ends[countUpTo(job.ends, start)];
   return after !== undefined && after <= possible ? after : start;
 }
@@ -380,9 +318,9 @@ function lastEnd(job, start, wanted, possible) {
 function countUpTo(ends, offset) {
   let [low, high] = [0, ends.length];
   while (low < high) {
-    const middle = (low + high) >> 1;
-    if (ends[middle] <= offset) low = middle + 1;
-    else high = middle;
+    const center = (low + high) >> 1;
+    if (ends[center] <= offset) low = center + 1;
+    else high = center;
   }
   return low;
 }

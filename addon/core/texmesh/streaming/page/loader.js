@@ -1,11 +1,12 @@
 // Loads a package within a time limit: asks for what the controller decides, checks it, and passes on levels and tiles as they come.
 
-import { begin, buildJob, decide, estimateRate, isFinished, meanDifference } from "./controller.js";
+import { measure, subtract } from "./byte_intervals.js";
+import { addTable, begin, buildJob, decide, estimateRate, isFinished, meanDifference } from "./controller.js";
 import { decodeLevel, inflate } from "./mesh_decoding.js";
 import { crc32, DamageError, openRange, PartialFile, SimulatedLine } from "./network.js";
 import { readIncrements, ROW_BYTES, TileDecoder } from "./tiles.js";
 
-const FORMAT = "farfield-package", VERSION = 2;
+const FORMAT = "farfield-package", VERSION = 3;
 const MESH = "mesh.bin", TEXTURES = "textures.bin";
 const REFERENCES = ["parents", "wedges", "uvs", "corners"], SECTIONS = [...REFERENCES, "positions"];
 const TICK_SECONDS = 0.05;
@@ -38,7 +39,7 @@ function checkManifest(manifest) {
     const sizes = [MESH, TEXTURES].map((name) => manifest.files[name][0]);
     const sections = manifest.levels.flatMap((level) => SECTIONS.map((name) => level[name]));
     const fits = ([offset, size], end) => offset >= 0 && size >= 0 && offset + size <= end;
-    const isFine = sizes.every((size) => Number.isInteger(size) && size >= 0 && size <= MAX_FILE_BYTES) && manifest.plan.length &&
+    const isFine = sizes.every((size) => Number.isInteger(size) && size >= 0 && size <= MAX_FILE_BYTES) && manifest.errors.length === manifest.levels.length &&
       sections.every((section) => fits(section, sizes[0])) && fits(manifest.increments, manifest.first_increment) &&
       manifest.first_increment <= sizes[1] && manifest.levels.length && manifest.materials.length && manifest.time_limit > 0;
     if (!isFine) throw new RangeError();
@@ -96,15 +97,15 @@ export class Loader {
     return isHere && !this.tasks && this.decoder.isIdle;
   }
 
-  /** Numbers to show: received bytes, those of all increments and levels, bytes per second, seconds until the last response, deviation from
+  /** Numbers to show: received bytes, those when the package is complete, bytes per second, seconds until the last response, deviation from
    * the limit, Lambda of the paper. */
   get measures() {
-    const files = Object.values(this.files);
-    const bytes = files.reduce((sum, file) => sum + file.intervals.reduce((part, [start, end]) => part + end - start, 0), 0);
+    const [mesh, textures] = [MESH, TEXTURES].map((name) => this.files[name]), received = measure(textures.intervals);
+    const bytes = measure(mesh.intervals) + received;
+    const left = this.job.ends ? measure(subtract(this.job.states.at(-1), textures.intervals)) : textures.size - received;
     const ended = this.isWhole ? this.ended || this.time : this.state.ended;
     const rate = this.isWhole ? bytes / ended : this.rate;
-    const total = files.reduce((sum, file) => sum + file.size, 0) - this.manifest.checksums[1];
-    return { bytes, total, rate, ended, deviation: ended - this.options.limit, difference: meanDifference(this.state) };
+    return { bytes, total: mesh.size + received + left, rate, ended, deviation: ended - this.options.limit, difference: meanDifference(this.state) };
   }
 
   /** Go on after the limit, or not. */
@@ -204,7 +205,7 @@ export class Loader {
     const planes = await inflate(content, ROW_BYTES * this.manifest.increment_count);
     this.table = readIncrements(planes, this.manifest);
     this.table.isPassed = new Uint8Array(this.table.ends.length);
-    this.job = { ...this.job, ends: this.table.ends };
+    this.job = addTable(this.job, this.table);
     this.#passIncrements();
     this.#decide({});
   }

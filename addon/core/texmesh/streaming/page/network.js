@@ -1,5 +1,7 @@
 // Requests for byte ranges, and which bytes of the package's files have come.
 
+import { insert } from "./byte_intervals.js";
+
 const STEP_SECONDS = 0.02; // in which a simulated line delivers bytes
 
 /** What has come of a file: its bytes, and the intervals [start, end) of them in ascending order that are there. */
@@ -12,13 +14,7 @@ export class PartialFile {
   put(offset, part) {
     this.bytes ??= new Uint8Array(this.size); // once a server has confirmed the size
     this.bytes.set(part, offset);
-    const merged = [];
-    let [start, end] = [offset, offset + part.length];
-    for (const interval of this.intervals) {
-      if (interval[1] < start || interval[0] > end) merged.push(interval);
-      else [start, end] = [Math.min(start, interval[0]), Math.max(end, interval[1])];
-    }
-    this.intervals = [...merged, [start, end]].sort((a, b) => a[0] - b[0]);
+    this.intervals = insert(this.intervals, offset, offset + part.length);
   }
 
   /** The end of the bytes that have come without a gap from `offset` on. */

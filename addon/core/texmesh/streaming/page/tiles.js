@@ -2,7 +2,7 @@
 
 const MAX_DECODERS = 4; // at once
 const PAUSE = 8, MAX_PAUSE = 50; // after a tile, relative to the time that it took to be shown, and in milliseconds
-const FIELDS = [["textures", 1], ["tiles", 2], ["headers", 1], ["sizes", 4], ["gains", 2]]; // bytes, as in increments.py
+const FIELDS = [["textures", 1], ["tiles", 2], ["headers", 1], ["sizes", 4], ["firsts", 1], ["lasts", 1]]; // bytes, as in increments.py
 const MIN_SIDE = 32; // as in tile_pyramid.py
 export const ROW_BYTES = 10;
 

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ....jobs.progress import Steps, subprogress
-from ..increments import GAIN_UNIT, MAX_GAIN, Increments
+from ..increments import Increments
 from ..manifest import PackageTexture
 from .coding import CodedTexture, code_texture
 from .settings import TextureSettings
 from .texture_tiles import TextureSource, check_source
-from .tile_order import order_tiles
+from .tile_states import choose_states, measure_state, order_tiles
 from .visibility import measure_visibility
 
 
@@ -20,7 +20,7 @@ class BuiltTextures:
     """The textures of a package.
 
     textures: in the order of the sources. increments: in their order. content: the bytes of all increments, one after the other.
-    flips: (N + 1,) float64, the predicted mean FLIP error of the object's pixels due to the textures, with the first 0 to N increments.
+    flips: (K,) float64, the predicted mean FLIP error of the object's pixels due to the textures in each state.
     """
 
     textures: tuple[PackageTexture, ...]
@@ -46,20 +46,21 @@ def build_textures(sources: Sequence[TextureSource], settings: TextureSettings) 
 
 def _assemble(coded: Sequence[CodedTexture]) -> BuiltTextures:
     """Join the tiles of all textures in their order."""
-    queued = order_tiles(coded)
+    states = choose_states(coded)
+    ordered = order_tiles(states)
     tiles, numbers = [], []
-    for choice in queued.choices:
+    for choice in ordered.choices:
         pyramid = coded[choice.texture].pyramid
         number = choice.row * pyramid.shapes[choice.level][1] + choice.column
         numbers.append(int(pyramid.starts[choice.level]) + number)
         tiles.append(coded[choice.texture].tiles[choice.level, choice.quality, number])
     increments = Increments(
-        np.array([choice.texture for choice in queued.choices], np.int64),
+        np.array([choice.texture for choice in ordered.choices], np.int64),
         np.array(numbers, np.int64),
         np.array([tile.header for tile in tiles], np.int64),
         np.array([len(tile.payload) for tile in tiles], np.int64),
-        np.minimum(queued.gains / GAIN_UNIT, MAX_GAIN).astype(np.float16),
+        ordered.firsts,
+        ordered.lasts,
     )
-    missing = sum(float(item.missing_errors.sum()) for item in coded)
-    flips = np.maximum(missing - np.concatenate([[0.0], np.cumsum(queued.gains)]), 0.0)
+    flips = np.array([measure_state(coded, state) for state in states])
     return BuiltTextures(tuple(item.texture for item in coded), increments, b"".join(tile.payload for tile in tiles), flips)
