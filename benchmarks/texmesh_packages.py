@@ -191,7 +191,9 @@ def _search_plan(package: Package, judge: TextureJudge) -> tuple[Reached | None,
 
 def _list_rows(tried: dict[PlanRow, float]) -> list[dict[str, Any]]:
     rows = sorted(tried, key=lambda row: row.byte_count)
-    return [{"bytes": row.byte_count, "level": row.level, "state": row.state, "predicted": row.error, "measured": tried[row]} for row in rows]
+    return [
+        {"bytes": row.byte_count, "level": row.level, "state": row.state, "predicted": row.error, "measured": tried[row]} for row in rows
+    ]
 
 
 def _decode_mesh(content: PackageContent, level: int) -> TexturedMesh:

@@ -102,7 +102,9 @@ def run_clients(rng: np.random.Generator, kind: str, package: SentPackage) -> di
 
 def draw_line(rng: np.random.Generator, kind: str, package: SentPackage) -> tuple[float, float, float]:
     """Return a limit (s), a mean rate (bytes/s) that brings 20 to 150 % of `package` before it, and a delay (s)."""
-    wanted = float(rng.uniform(0.2, 1.5)) * (package.manifest_size + package.job.levels[-1].end + package.job.first[-1].end + package.job.sizes[-1])
+    wanted = float(rng.uniform(0.2, 1.5)) * (
+        package.manifest_size + package.job.levels[-1].end + package.job.first[-1].end + package.job.sizes[-1]
+    )
     fastest = {"3G": 3.0, "4G": 30.0}.get(kind, 100.0) * MEGABIT
     limit = max(float(rng.uniform(3.0, 10.0)), wanted / fastest)
     return limit, wanted / limit, float(rng.uniform(0.06, 0.12) if kind == "3G" else rng.uniform(0.02, 0.06))

@@ -30,7 +30,9 @@ def random_job(rng: random.Random, increment_count: int | None = None) -> Job:
     cuts = sorted(rng.sample(range(1, count), states - 1)) if count else []
     firsts = [bisect_right(cuts, index) for index in range(count)]
     lasts = [min(first + int(rng.expovariate(0.5)), states - 1) for first in firsts]
-    errors = make_errors([0.3 * rng.uniform(0.3, 0.6) ** level for level in range(levels)], [rng.uniform(0.6, 0.9) ** k for k in range(states)])
+    errors = make_errors(
+        [0.3 * rng.uniform(0.3, 0.6) ** level for level in range(levels)], [rng.uniform(0.6, 0.9) ** k for k in range(states)]
+    )
     first = (spans[0], Span(TEXTURES, 0, table)) if count else (spans[0],)
     return add_table(Job(first, tuple(spans), errors, table + rng.randint(0, 5000)), sizes, firsts, lasts)
 
@@ -106,7 +108,7 @@ def make_package(
     firsts = np.searchsorted(np.cumsum(counts) * (increment_count / counts.sum()), np.arange(increment_count), side="right").clip(max=11)
     positions = np.arange(increment_count) - np.searchsorted(firsts, firsts)
     lasts = np.where(positions < np.bincount(firsts)[firsts] / 2, firsts + 2, firsts).clip(max=firsts.max())
-    texture_errors = 0.31 - 0.3 * (np.arange(len(counts)) + 1.0) / len(counts)
+    texture_errors = np.geomspace(0.3, 0.01, len(counts))
     errors = make_errors([0.2 * 0.3**level for level in range(len(level_sizes) - 1)] + [0.0], texture_errors.tolist())
     offsets = [0, *np.cumsum(level_sizes).tolist()]
     spans = tuple(Span(MESH, start, end) for start, end in pairwise(offsets))

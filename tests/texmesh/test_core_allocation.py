@@ -22,29 +22,39 @@ def test_combined_error_is_between_largest_and_sum(first, second, exponent):
     assert max(first, second) - 1e-9 <= combined <= first + second + 1e-9
 
 
-def make_table(levels: int = 3, stops: int = 4) -> ErrorTable:
-    counts = np.linspace(2, 40, stops).astype(np.int64)
-    return ErrorTable(np.linspace(0.3, 0.0, levels), counts, np.linspace(0.4, 0.01, stops), 2.0, 0.0)
-
-
-@given(st.integers(1, 5), st.integers(2, 6), st.integers(0, 2**32 - 1))
-def test_plan_is_a_front(levels, stops, seed):
+@given(st.integers(1, 5), st.integers(1, 9), st.integers(0, 2**32 - 1))
+def test_plan_is_a_front(levels, states, seed):
     generator = np.random.default_rng(seed)
-    table, sizes = make_table(levels, stops), generator.integers(1, 9000, 40)
-    mesh_sizes = np.sort(generator.integers(1, 50_000, levels)).tolist()
-    plan = make_plan(table, mesh_sizes, sizes)
-    assert all(first.byte_count < second.byte_count and first.flip > second.flip for first, second in pairwise(plan))
-    assert plan[0].byte_count == mesh_sizes[0] + sizes[:2].sum()
-    assert plan[-1].flip == pytest.approx(float(table.predict(levels - 1, sizes.sum(), np.cumsum(sizes)[table.counts - 1])), abs=1e-6)
+    table = -np.sort(-generator.random((levels, states)), axis=None).reshape(levels, states)
+    mesh_sizes, state_sizes = (np.sort(generator.integers(1, 50_000, count)).tolist() for count in (levels, states))
+    plan = make_plan(table.tolist(), mesh_sizes, state_sizes)
+    assert all(first.byte_count < second.byte_count and first.error > second.error for first, second in pairwise(plan))
     for row in plan:
-        assert row.byte_count == mesh_sizes[row.level] + sizes[: row.increment_count].sum()
+        assert row.byte_count == mesh_sizes[row.level] + state_sizes[row.state]
+        assert row.error == table[row.level, row.state]
+    totals = np.add.outer(mesh_sizes, state_sizes)
+    for byte_count in totals.ravel():
+        best = min(row.error for row in plan if row.byte_count <= byte_count)
+        assert best == table[totals <= byte_count].min()
+
+
+@given(st.integers(1, 5), st.integers(1, 12), st.integers(0, 2**32 - 1))
+def test_predicted_errors_never_rise_and_are_the_measured_ones(levels, states, seed):
+    generator = np.random.default_rng(seed)
+    predicted = -np.sort(-generator.random(states))
+    measured = np.unique(np.linspace(0, states - 1, 4).astype(int))
+    level_errors = np.append(-np.sort(-generator.random(levels - 1)), 0.0)
+    errors = ErrorTable(level_errors, measured, 0.8 * predicted[measured], 2.0, 0.0).predict(predicted)
+    assert errors.shape == (levels, states)
+    assert (np.diff(errors, axis=0) <= 0.0).all() and (np.diff(errors, axis=1) <= 0.0).all()
+    assert errors[-1, measured] == pytest.approx(0.8 * predicted[measured], abs=1e-9)
+    assert (0.8 * predicted - 1e-3 <= errors[-1]).all() and (errors[-1] <= predicted + 1e-3).all()
+    assert (errors >= 0.0).all() and (errors <= 1.0).all()
 
 
 def test_best_use_of_few_bytes_is_the_texture_when_the_mesh_hardly_matters():
-    table = ErrorTable(np.array([0.02, 0.0]), np.array([1, 10]), np.array([0.5, 0.0]), 2.0, 0.0)
-    plan = make_plan(table, [10, 100_000], np.full(10, 1000))
-    assert [row.level for row in plan[:-1]] == [0] * (len(plan) - 1)
-    assert plan[-1].level == 1
+    plan = make_plan([[0.5, 0.2, 0.02], [0.5, 0.19, 0.0]], [10, 100_000], [1000, 5000, 10_000])
+    assert [(row.level, row.state) for row in plan] == [(0, 0), (0, 1), (0, 2), (1, 2)]
 
 
 def make_sphere(rings: int) -> TexturedMesh:
@@ -59,13 +69,13 @@ def make_sphere(rings: int) -> TexturedMesh:
     return build_textured_mesh(mesh, uvs[triangles].astype(np.float32), np.zeros((len(triangles), 3, 0), np.float32), "sphere")
 
 
-def test_measured_errors_fall_with_levels_and_increments():
+def test_measured_errors_fall_with_levels_and_states():
     levels = [make_sphere(rings) for rings in (4, 8, 24)]
     noise = np.random.default_rng(5).random((64, 64, 3)).astype(np.float32)
     original = [build_mipmaps(noise)]
 
-    def decode(count: int):
-        return [build_mipmaps(noise * (count / 8.0) + 0.5 * (1.0 - count / 8.0))]
+    def decode(state: int):
+        return [build_mipmaps(noise * (state / 8.0) + 0.5 * (1.0 - state / 8.0))]
 
     table = run_to_end(measure_errors(levels, original, [1, 4, 8], decode, 96, 67.0))
     assert table.level_errors[0] > table.level_errors[1] > table.level_errors[2] == 0.0

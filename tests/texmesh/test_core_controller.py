@@ -13,7 +13,7 @@ from farfield.addon.core.texmesh.streaming import controller, sending_servers
 from farfield.addon.core.texmesh.streaming.byte_intervals import insert, measure, subtract
 from farfield.addon.core.texmesh.streaming.manifest import MESH, TEXTURES
 from farfield.addon.core.texmesh.streaming.sending_path import describe_textures, estimate_errors, find_path, inspect_textures
-from farfield.addon.core.texmesh.streaming.sending_state import Event, Job, Request, Span, add_table, begin
+from farfield.addon.core.texmesh.streaming.sending_state import Event, Job, Span, add_table, begin
 from farfield.addon.core.texmesh.streaming.simulated_network import REPORT_INTERVAL, Line
 from farfield.addon.core.texmesh.streaming.simulation import simulate
 from farfield.addon.core.texmesh.streaming.traces import constant_trace
@@ -247,7 +247,13 @@ def test_states_that_would_be_replaced_are_left_out():
 
 def test_error_of_a_part_is_between_those_of_states():
     job = replaced_job((400, 1600, 6400), (0.3, 0.2, 0.1))
-    for level_error, left in ((1.0, [400, 1600, 6400]), (0.3, [0, 1600, 6400]), (0.25, [0, 800, 6400]), (0.2, [0, 0, 6400]), (0.15, [0, 0, 3200])):
+    for level_error, left in (
+        (1.0, [400, 1600, 6400]),
+        (0.3, [0, 1600, 6400]),
+        (0.25, [0, 800, 6400]),
+        (0.2, [0, 0, 6400]),
+        (0.15, [0, 0, 3200]),
+    ):
         assert estimate_errors(job, describe_textures(left)) == pytest.approx([level_error])
     assert estimate_errors(job, describe_textures([0, 0, 0])) == [0.1]
 
@@ -332,15 +338,17 @@ def test_what_is_silent_is_asked_for_again_from_another_server():
     others = [request for request in requests if request.id != silent.id]
     state, _, _ = controller.decide(job, state, Event(0.1, silent.id))
     state, _, _ = controller.decide(job, state, Event(0.2, silent.id, 5000))
-    rest = Span(MESH, silent.span.start + 5000, silent.span.end)
+    rest, was_aborted = Span(MESH, silent.span.start + 5000, silent.span.end), False
     for tick in range(3, 40):
         events = [Event(0.1 * tick, other.id, other.span.end - other.span.start) for other in others] + [Event(0.1 * tick)]
         others = []
         for event in events:
             state, new, aborted = controller.decide(job, state, event)
             others += [request for request in new if request.server == 1]
-            if silent.id in aborted:
-                assert Request(new[0].id, 1, rest) in new
+            was_aborted = was_aborted or silent.id in aborted
+            if rest in [request.span for request in new]:
+                assert was_aborted
+                assert next(request.server for request in new if request.span == rest) == 1
                 return
     raise AssertionError("it was waited for too long")
 

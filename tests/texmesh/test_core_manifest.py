@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.texmesh.streaming.increments import Increments, decode_increments, encode_increments
-from farfield.addon.core.texmesh.streaming.manifest import Manifest, MeshLevel, PackageMaterial, PackageTexture, PlanRow, Section
+from farfield.addon.core.texmesh.streaming.manifest import Manifest, MeshLevel, PackageMaterial, PackageTexture, Section
 from farfield.addon.core.texmesh.streaming.manifest_json import decode_manifest, encode_manifest
 
 
@@ -31,7 +31,7 @@ def make_manifest() -> Manifest:
         increments=Section(0, 20, 7),
         checksums=Section(20, 12, 8),
         first_increment=32,
-        plan=(PlanRow(100, 0, 1, 0.3), PlanRow(400, 1, 3, 0.05)),
+        errors=((0.3, 0.25), (0.2, 0.05)),
         time_limit=5.0,
         pixels=512.0,
     )
@@ -59,10 +59,14 @@ def test_mesh_size_is_that_of_a_level_and_all_coarser_ones():
         {"levels": ()},
         {"steps": (0, 4095)},
         {"steps": (8191, 65536)},
-        {"plan": ()},
-        {"plan": (PlanRow(100, 2, 1, 0.3),)},
-        {"plan": (PlanRow(100, 0, 4, 0.3),)},
-        {"plan": (PlanRow(100, 0, 1, 0.3), PlanRow(99, 1, 3, 0.05))},
+        {"errors": ()},
+        {"errors": ((), ())},
+        {"errors": ((0.3, 0.2),)},
+        {"errors": ((0.3, 0.2), (0.2,))},
+        {"errors": ((0.3, 0.2), (0.2, 0.25))},
+        {"errors": ((0.3, 0.2), (0.31, 0.1))},
+        {"errors": ((0.3, 0.2), (0.1, -0.1))},
+        {"errors": ((0.1,) * 65,) * 2},
         {"time_limit": 0.0},
         {"materials": (PackageMaterial("skin", (1.0, 1.0, 1.0, 1.0), {"base_color": 1}, False),)},
         {"textures": (PackageTexture("base_color", 3000, 200, 1, (b"\xff",)),)},
@@ -78,7 +82,7 @@ def test_contradictions_are_refused(change):
 def test_newer_version_is_refused():
     content = json.loads(encode_manifest(make_manifest()))
     with pytest.raises(FileError, match="update Farfield"):
-        decode_manifest(json.dumps(content | {"version": 3}).encode())
+        decode_manifest(json.dumps(content | {"version": 4}).encode())
 
 
 @given(st.data())
@@ -91,7 +95,7 @@ def test_damaged_json_is_refused_or_still_a_manifest(data):
 
 @given(st.recursive(st.none() | st.booleans() | st.floats() | st.text(), lambda item: st.lists(item) | st.dictionaries(st.text(), item)))
 def test_other_json_is_refused(value):
-    for content in (value, {"format": "farfield-package", "version": 2, "levels": value}):
+    for content in (value, {"format": "farfield-package", "version": 3, "levels": value}):
         with pytest.raises(FileError):
             decode_manifest(json.dumps(content).encode())
 
@@ -102,7 +106,8 @@ def make_increments() -> Increments:
         np.array([5, 2, 5]),
         np.array([1, 0, 1]),
         np.array([300, 70, 98]),
-        np.array([3.5, 1.25, 0.0], np.float16),
+        np.array([0, 0, 1]),
+        np.array([1, 0, 1]),
     )
 
 
@@ -112,7 +117,26 @@ def test_increments_survive():
         np.testing.assert_array_equal(getattr(found, name), values)
 
 
-@pytest.mark.parametrize("change", [{"tiles": np.array([11, 2, 5])}, {"headers": np.array([2, 0, 1])}, {"sizes": np.array([300, 70, 99])}])
+def test_states_are_what_their_increments_say():
+    increments = make_increments()
+    assert increments.state_count == 2
+    assert increments.are_in(0).tolist() == [True, True, False]
+    assert increments.are_in(1).tolist() == [True, False, True]
+    assert increments.measure_states(2) == [370, 398]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"tiles": np.array([11, 2, 5])},
+        {"headers": np.array([2, 0, 1])},
+        {"sizes": np.array([300, 70, 99])},
+        {"firsts": np.array([0, 1, 0])},
+        {"firsts": np.array([0, 0, 0])},
+        {"lasts": np.array([1, 0, 0])},
+        {"lasts": np.array([1, 0, 2])},
+    ],
+)
 def test_impossible_increments_are_refused(change):
     with pytest.raises(FileError):
         decode_increments(encode_increments(replace(make_increments(), **change)), make_manifest())

@@ -1,6 +1,7 @@
-"""Textures of packages: each increment is an AVIF file of a tile, and later ones replace earlier ones."""
+"""Textures of packages: each increment is an AVIF file of a tile, and states consist of some of them."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from farfield.addon.core.texmesh.streaming.textures.texture_tiles import (
     fill_unused,
     find_used_texels,
 )
-from farfield.addon.core.texmesh.streaming.textures.tile_order import choose_state, order_tiles
+from farfield.addon.core.texmesh.streaming.textures.tile_states import Choice, choose_state, choose_states, measure_state, order_tiles
 from farfield.addon.core.texmesh.streaming.textures.visibility import measure_visibility
 from farfield.addon.core.texmesh.streaming.tile_pyramid import TilePyramid, sum_tiles
 from farfield.addon.core.texmesh.textured_mesh import build_textured_mesh
@@ -46,8 +47,9 @@ def built() -> BuiltTextures:
 
 def test_bytes_add_up(built):
     assert built.increments.sizes.sum() == len(built.content)
-    assert len(built.flips) == len(built.increments.sizes) + 1
+    assert len(built.flips) == built.increments.state_count
     assert (np.diff(built.flips) <= 0.0).all()
+    assert (np.diff(built.increments.measure_states(len(built.flips))) > 0).all()
 
 
 def test_same_sources_give_same_bytes(built):
@@ -91,20 +93,43 @@ def test_states_show_every_used_tile_once(coded):
 
 def state_cost(coded, choice, price):
     covered = coded.pyramid.covered(choice.level, choice.row, choice.column)
-    size = coded.sizes[choice.level][choice.quality, choice.row, choice.column]
-    return coded.errors[choice.level, choice.quality][covered].sum() + price * size
+    return coded.errors[choice.level, choice.quality][covered].sum() + price * state_size(coded, choice)
 
 
-def test_order_begins_with_few_bytes_and_ends_with_all_of_the_texture(coded):
-    queued = order_tiles([coded])
-    assert queued.choices[0].level == len(coded.sizes) - 1
+def state_size(coded, choice):
+    return coded.sizes[choice.level][choice.quality, choice.row, choice.column]
+
+
+def test_states_go_from_few_bytes_to_all_of_the_texture(coded):
+    states = choose_states([coded])
+    assert {choice.level for choice in states[0]} == {len(coded.sizes) - 1}
     shown = np.zeros(coded.used.shape, bool)
-    for choice in queued.choices:
-        if choice.level == 0 and choice.quality == len(coded.sizes[0]) - 1:
-            shown[choice.row, choice.column] = True
+    for choice in states[-1]:
+        assert choice.level == 0 and choice.quality == len(coded.sizes[0]) - 1
+        shown[choice.row, choice.column] = True
     np.testing.assert_array_equal(shown, coded.used)
-    left = coded.missing_errors.sum() - queued.gains.sum()
-    assert left == pytest.approx(coded.errors[0, -1].sum(), abs=1e-3)
+    assert measure_state([coded], states[-1]) == pytest.approx(coded.errors[0, -1][coded.used].sum())
+    sizes = [sum(state_size(coded, choice) for choice in state) for state in states]
+    assert all(first < second for first, second in pairwise(sizes)) and len(states) > 4
+    assert all(last >= 1.4 * first for first, last in zip(sizes, sizes[2:], strict=False))
+
+
+def test_tiles_in_their_order_give_all_states(coded):
+    states = choose_states([coded])
+    ordered = order_tiles(states)
+    for index, state in enumerate(states):
+        is_in = (ordered.firsts <= index) & (index <= ordered.lasts)
+        assert sorted(choice for choice, is_here in zip(ordered.choices, is_in, strict=True) if is_here) == sorted(state)
+    assert len(set(ordered.choices)) == len(ordered.choices)
+    keys = list(zip(ordered.firsts.tolist(), (-ordered.lasts).tolist(), strict=True))
+    assert keys == sorted(keys)
+
+
+def test_tiles_that_come_again_are_sent_again():
+    first, second = Choice(0, 1, 0, 0, 0), Choice(0, 0, 0, 0, 0)
+    ordered = order_tiles([[first], [second], [first]])
+    assert ordered.choices == [first, second, first]
+    assert ordered.firsts.tolist() == ordered.lasts.tolist() == [0, 1, 2]
 
 
 def test_finer_levels_and_higher_qualities_have_smaller_errors(coded):
@@ -143,7 +168,7 @@ def test_table_agrees_with_the_manifest(built):
         increments=Section(0, len(table), 0),
         checksums=Section(0, 0, 0),
         first_increment=len(table),
-        plan=(),
+        errors=((0.1,) * len(built.flips),),
         time_limit=1.0,
         pixels=64.0,
     )
@@ -151,13 +176,13 @@ def test_table_agrees_with_the_manifest(built):
     np.testing.assert_array_equal(found.sizes, built.increments.sizes)
 
 
-def test_all_increments_give_the_texture(built):
+def test_last_state_is_the_texture(built):
     source = make_source()
     found = decode_textures(built.textures, built.increments, built.content)[0]
     used = find_used_texels(source, TileGrid(90, 70, 32))[::-1][-70:, :90]
     difference = np.abs(found.astype(float) - source.image)[used]
     assert found.shape == source.image.shape and difference.mean() < 12.0
-    first = decode_textures(built.textures, built.increments, built.content, 1)[0]
+    first = decode_textures(built.textures, built.increments, built.content, 0)[0]
     assert np.abs(first.astype(float) - source.image)[used].mean() > difference.mean()
 
 
@@ -169,16 +194,17 @@ def test_gray_textures_have_one_component():
     assert (np.ptp(decode_textures(built.textures, built.increments, built.content)[0].astype(int), axis=2) == 0).all()
 
 
-def test_tiles_with_features_gain_more():
+def test_tiles_with_features_come_earlier():
     source = make_source()
     x = source.mesh.vertices[:, 0]
     scales = np.where(x > 0.7 * x.max(), 20, 0).astype(np.int8)  # in the second column of tiles, not in the first
-    fractions = []
+    ranks = []
     for weight in (0.0, 10.0):
         built = run_to_end(build_textures([replace(source, feature_scales=scales)], replace(SETTINGS, feature_weight=weight)))
-        tiles, gains = built.increments.tiles, built.increments.gains.astype(float)
-        fractions.append(gains[(tiles < 9) & (tiles % 3 == 1)].sum() / gains[tiles < 9].sum())
-    assert fractions[1] > fractions[0] + 0.05
+        firsts = built.increments.firsts[built.increments.tiles < 9]
+        is_featured = built.increments.tiles[built.increments.tiles < 9] % 3 == 1
+        ranks.append(firsts[is_featured].mean() - firsts[~is_featured].mean())
+    assert ranks[1] < ranks[0]
 
 
 def test_visibility_counts_all_pixels():

@@ -57,15 +57,13 @@ def test_a_package_of_an_object(folder):
     positions = dequantize(finest.positions, manifest.bounds, manifest.steps[0])
     np.testing.assert_allclose(np.linalg.norm(positions, axis=1), 2.0, atol=2e-3)
     assert len(finest.triangles) == 960
-    (image,) = decode_textures(
-        manifest.textures, content.increments, memoryview(content.textures)[manifest.first_increment :], manifest.increment_count
-    )
+    (image,) = decode_textures(manifest.textures, content.increments, memoryview(content.textures)[manifest.first_increment :])
     assert image.shape == (32, 32, 3)
     rows, columns = np.mgrid[:32, :32]
     is_dark = ((rows // 4 + columns // 4) % 2).astype(bool)
     assert np.abs(image[is_dark].astype(int) - 51).mean() < 6.0
-    assert [row.level for row in manifest.plan][-1] == 2 and manifest.plan[-1].increment_count == manifest.increment_count
-    assert manifest.plan[-1].flip < 0.1 < manifest.plan[0].flip
+    assert len(manifest.errors) == 3 and manifest.state_count == content.increments.state_count
+    assert manifest.errors[2][-1] < 0.1 < manifest.errors[0][0]
 
 
 def test_axes_are_those_of_gltf(folder):

@@ -17,7 +17,7 @@ from farfield.addon.core.texmesh.streaming.increments import Increments, encode_
 from farfield.addon.core.texmesh.streaming.page_files import PAGE_FOLDER, join_modules, read_page
 from farfield.addon.core.texmesh.streaming.tile_pyramid import TilePyramid
 
-MAX_BYTES = 23_500  # of all files, each compressed
+MAX_BYTES = 24_000  # of all files, each compressed
 needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed, so modules of the page are not run")
 
 
@@ -124,17 +124,20 @@ def test_shortened_modules_are_valid(tmp_path):
 def test_page_reads_table_of_increments(tmp_path):
     random = np.random.default_rng(3)
     count = 500
+    firsts = np.sort(np.arange(count) % 20)
     table = Increments(
         textures=random.integers(0, 2, count),
         tiles=random.integers(0, 300, count),
         headers=random.integers(0, 3, count),
         sizes=random.integers(1, 70000, count),
-        gains=random.random(count).astype(np.float16),
+        firsts=firsts,
+        lasts=np.minimum(firsts + random.integers(0, 9, count), 19),
     )
     planes = zlib.decompress(encode_increments(table), -15)
     textures = [{"width": 2500, "height": 2000, "tile_size": 128, "headers": ["", "", ""]}] * 2
     total = 1000 + int(table.sizes.sum())
     manifest = {"increment_count": count, "first_increment": 1000, "textures": textures, "files": {"textures.bin": [total, ""]}}
+    manifest["errors"] = [[0.5] * 20] * 3
     code = """
       const { readIncrements } = await import(page + "tiles.js");
       const plain = (table) => Object.fromEntries(Object.entries(table).map(([name, values]) => [name, [...values]]));
@@ -145,8 +148,9 @@ def test_page_reads_table_of_increments(tmp_path):
     """
     damages = [{"increment_count": count - 1}, {"first_increment": 999}, {"textures": textures[:1]}]
     damages.append({"textures": [texture | {"height": 900} for texture in textures]})
+    damages += [{"errors": [[0.5] * states]} for states in (19, 21)]
     found, refused = run_module(tmp_path, code, {"planes": list(planes), "manifest": manifest, "damages": damages})
-    for name in ("textures", "tiles", "headers", "sizes"):
+    for name in ("textures", "tiles", "headers", "sizes", "firsts", "lasts"):
         assert found[name] == getattr(table, name).tolist()
     assert found["ends"] == (1000 + np.cumsum(table.sizes)).tolist()
     assert refused == [True] * len(damages)

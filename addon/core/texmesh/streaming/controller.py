@@ -30,7 +30,8 @@ use.
 
 Several servers: a request goes to the server whose line is free first, and is as long as its measured rate allows; so bytes spread by
 rates, the first ones, too. A response that is late and takes twice as long as from a server that is free is aborted, and its rest asked for
-there (`find_slow`). A server that fails or is silent gets nothing for a while, and what it owes is asked for first, elsewhere if possible.
+there (`find_slow`). A server that fails or is silent gets nothing for a while, and what it owes is asked for first, elsewhere if possible;
+what it owes of increments is chosen again, as there may be less time for them.
 When requests will not end before the limit, the newest are taken back, so that older ones get the whole line. Increments do not depend on
 each other, so those behind a gap in the file are of use.
 """
@@ -59,7 +60,7 @@ def decide(job: Job, state: State, event: Event) -> tuple[State, list[Request], 
     state.time = max(state.time, event.time)
     for flight in state.flights:
         if flight.id == event.id:
-            _hear(state, flight, event)
+            _hear(job, state, flight, event)
     is_over = state.time >= state.limit + state.patience and not state.keeps_refining
     aborted = []
     for flight in state.flights[::-1]:  # the newest first
@@ -67,7 +68,7 @@ def decide(job: Job, state: State, event: Event) -> tuple[State, list[Request], 
         if was_silent:
             pause(state, flight)
         if was_silent or (not _is_first(job, flight.span) and (is_over or _is_excess(state, flight))):
-            _owe(state, flight)
+            _owe(job, state, flight)
             aborted.append(flight.id)
     requests: list[Request] = []
     while _ask(job, state, requests, aborted):
@@ -86,8 +87,8 @@ def is_finished(job: Job, state: State) -> bool:
 
 def list_received(state: State) -> list[Interval]:
     """Return the bytes of increments that have come."""
-    spans = [replace(flight.span, start=flight.span.start + flight.received) for flight in state.flights] + state.pending
-    return subtract(state.asked, [(span.start, span.end) for span in sorted(spans, key=lambda span: span.start) if span.file == TEXTURES])
+    waits = [(flight.span.start + flight.received, flight.span.end) for flight in state.flights if flight.span.file == TEXTURES]
+    return subtract(state.asked, sorted(waits))
 
 
 def received_level(job: Job, state: State) -> int:
@@ -117,11 +118,11 @@ def _copy(state: State) -> State:
     )
 
 
-def _hear(state: State, flight: Flight, event: Event) -> None:
+def _hear(job: Job, state: State, flight: Flight, event: Event) -> None:
     server = state.servers[flight.server]
     if event.failed:
         pause(state, flight)
-        _owe(state, flight)
+        _owe(job, state, flight)
         return
     is_busy = any(other.is_open and other.server == flight.server for other in state.flights)
     size = flight.span.end - flight.span.start
@@ -152,10 +153,14 @@ def _is_excess(state: State, flight: Flight) -> bool:
     return look_ahead(state, flight.server)[0] > EXCESS * max(state.limit - state.time, 0.0)
 
 
-def _owe(state: State, flight: Flight) -> None:
-    """Put the rest of a request back, to be asked for first."""
+def _owe(job: Job, state: State, flight: Flight) -> None:
+    """Put the rest of a request back: to be asked for first, or chosen again if it is of increments."""
     state.flights = [other for other in state.flights if other.id != flight.id]
-    state.pending.insert(0, replace(flight.span, start=flight.span.start + flight.received))
+    rest = replace(flight.span, start=flight.span.start + flight.received)
+    if rest.file == TEXTURES and not _is_first(job, rest):
+        state.asked = subtract(state.asked, [(rest.start, rest.end)])
+    else:
+        state.pending.insert(0, rest)
 
 
 def _is_first(job: Job, span: Span) -> bool:
@@ -173,7 +178,7 @@ def _ask(job: Job, state: State, requests: list[Request], aborted: list[int]) ->
     for start, index, rest, rate in sorted(lines):
         slow = find_slow(state, index, start, rate)
         if slow is not None:
-            _owe(state, slow)
+            _owe(job, state, slow)
             aborted.append(slow.id)
         span = _take(job, state, rest, rate, state.servers[index])
         if span is not None:
@@ -213,26 +218,17 @@ def _take(job: Job, state: State, rest: float, rate: float, server: Server) -> S
 
 
 def _choose(job: Job, state: State, wanted: float) -> tuple[Span, int | None]:
-    """Return what to ask for next, and its position if it is owed: increments that are owed, as others are behind them, or what the best
-    path goes to within `wanted` bytes."""
-    owed_mesh = owed_size = 0
-    position, offset = None, state.mesh
-    for index, span in enumerate(state.pending):
-        if span.file == TEXTURES:
-            return span, index
-        owed_size += span.end - span.start
-        if position is None:
-            position = index
-        offset = min(offset, span.start)
-    level = _level_up_to(job, offset)
+    """Return what the best path goes to within `wanted` bytes, and its position if it is owed."""
+    owed = sum(span.end - span.start for span in state.pending)
+    level = _level_up_to(job, min([state.mesh, *(span.start for span in state.pending)]))
     if level + 1 < len(job.levels):
-        owed_mesh = owed_size + max(job.levels[level + 1].end - state.mesh, 0)
+        owed += max(job.levels[level + 1].end - state.mesh, 0)
     textures, spent = inspect_textures(job, state.asked), measure(state.asked)
-    next_level, target = find_path(job, level, textures, spent, owed_mesh, _budget(state), wanted)
+    next_level, target = find_path(job, level, textures, spent, owed, _budget(state), wanted)
     if next_level == level or (not state.asked and textures.state < 0):  # something of the textures first
         return _missing_span(job, state, target, wanted), None
-    if position is not None:
-        return state.pending[position], position
+    if state.pending:
+        return state.pending[0], 0
     return Span(MESH, state.mesh, job.levels[next_level].end), None
 
 

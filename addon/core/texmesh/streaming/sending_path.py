@@ -6,10 +6,10 @@ from .byte_intervals import Interval, measure, subtract
 from .sending_state import Job
 
 # Bytes after which the client may have to stop, relative to the expected number, equally likely: small ones since lines fade, and because
-# what comes is seen at once.
-STOPS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.4, 1.6, 2.0)
+# what comes is seen at once; most are near the expected number, since a state that does not become complete is of little use.
+STOPS = (0.2, 0.4, 0.6, 0.7, 0.75, 0.8, 0.85, 0.9, 0.92, 0.94, 0.96, 0.98, 1.0, 1.1, 1.3)
 MIN_ERROR = 1e-6
-STRIDE = 4.0  # by which the bytes of states grow from one to the next on a path, behind the first
+STRIDE = 6.0  # by which the bytes of states grow from one to the next on a path, behind the first
 
 
 class Textures(NamedTuple):

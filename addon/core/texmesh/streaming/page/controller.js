@@ -68,14 +68,14 @@ export function decide(job, before, { time, id = -1, received = 0, failed = fals
   const state = { ...before, servers: copy(before.servers), flights: copy(before.flights), pending: [...before.pending] };
   state.time = max(state.time, time);
   const heard = state.flights.find((flight) => flight.id === id);
-  if (heard) hear(state, heard, received, failed);
+  if (heard) hear(job, state, heard, received, failed);
   const isOver = state.time >= state.limit + state.patience && !state.keepsRefining;
   const aborted = [];
   for (const flight of [...state.flights].reverse()) { // the newest first
     const silent = isSilent(state, flight);
     if (silent) pause(state, flight);
     if (silent || (!isFirst(job, flight) && (isOver || isExcess(state, flight)))) {
-      owe(state, flight);
+      owe(job, state, flight);
       aborted.push(flight.id);
     }
   }
@@ -117,10 +117,10 @@ function levelUpTo(job, offset) {
   return countUpTo(job.levels.map(({ end }) => end), offset) - 1;
 }
 
-function hear(state, flight, received, failed) {
+function hear(job, state, flight, received, failed) {
   if (failed) {
     pause(state, flight);
-    owe(state, flight);
+    owe(job, state, flight);
     return;
   }
   const server = state.servers[flight.server];
@@ -200,9 +200,11 @@ function isPaused(state, index) {
   return state.time < server.until && !(isNeeded && state.time >= server.failed + MIN_PAUSE);
 }
 
-function owe(state, flight) {
+function owe(job, state, flight) {
   state.flights = state.flights.filter((other) => other !== flight);
-  state.pending.unshift({ file: flight.file, start: flight.start + flight.received, end: flight.end });
+  const { file, end } = flight, rest = { file, start: flight.start + flight.received, end };
+  if (file === TEXTURES && !isFirst(job, rest)) state.asked = subtract(state.asked, [[rest.start, end]]);
+  else state.pending.unshift(rest);
 }
 
 function isFirst(job, span) {
@@ -220,7 +222,7 @@ function ask(job, state, requests, aborted) {
   for (const [start, server, rest, rate] of lines) {
     const slow = findSlow(state, server, start, rate);
     if (slow) {
-      owe(state, slow);
+      owe(job, state, slow);
       aborted.push(slow.id);
     }
     const span = take(job, state, rest, rate, state.servers[server]);
@@ -270,8 +272,6 @@ function take(job, state, rest, rate, server) {
 }
 
 function choose(job, state, wanted) {
-  const texture = state.pending.findIndex((span) => span.file === TEXTURES);
-  if (texture >= 0) return [state.pending[texture], texture];
   let owed = 0, offset = state.mesh;
   for (const { start, end } of state.pending) [owed, offset] = [owed + end - start, min(offset, start)];
   const level = levelUpTo(job, offset);

@@ -3,8 +3,8 @@
 
 import { measure, subtract } from "./byte_intervals.js";
 
-const MIN_ERROR = 1e-6, STRIDE = 4;
-const STOPS = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1, 1.1, 1.2, 1.3, 1.4, 1.6, 2];
+const MIN_ERROR = 1e-6, STRIDE = 6;
+const STOPS = [0.2, 0.4, 0.6, 0.7, 0.75, 0.8, 0.85, 0.9, 0.92, 0.94, 0.96, 0.98, 1, 1.1, 1.3];
 const { max, min } = Math;
 
 /** What has been asked for of the textures: the last complete state, or -1, and the bytes that each state lacks. */

@@ -19,13 +19,18 @@ export function readIncrements(planes, manifest) {
     }
   }
   const tileCounts = manifest.textures.map((texture) => listLevels(texture).reduce((sum, [rows, columns]) => sum + rows * columns, 0));
+  const stateCount = manifest.errors[0].length;
+  let state = -1; // each adds increments
   table.ends = new Array(count);
   let end = manifest.first_increment;
   for (let i = 0; i < count; i++) {
     const texture = table.textures[i];
     if (!(table.tiles[i] < tileCounts[texture]) || table.headers[i] >= manifest.textures[texture].headers.length) throw new RangeError("tile");
+    if (table.firsts[i] - state > 1 || table.firsts[i] < state || !(table.firsts[i] <= table.lasts[i] && table.lasts[i] < stateCount)) throw new RangeError("state");
+    state = table.firsts[i];
     table.ends[i] = end += table.sizes[i];
   }
+  if (count && state !== stateCount - 1) throw new RangeError("state");
   if (end !== manifest.files["textures.bin"][0]) throw new RangeError("size of textures.bin");
   return table;
 }
