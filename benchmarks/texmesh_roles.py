@@ -1,13 +1,13 @@
 """Part `roles` of bench_texmesh.py: how the bytes of a package are divided between base color, normal and roughness maps.
 
-Increments of the roles are merged again with other weights of their gains, each texture in its own order. FLIP of renders with two lights,
-diffuse and glossy (GGX), tells which weights are best at equal bytes.
+States of the textures are chosen with other weights of the errors of roles. FLIP of renders with two lights, diffuse and glossy (GGX),
+tells which weights are best at equal bytes.
 """
 
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +15,6 @@ import texmesh_models
 from PIL import Image
 from texmesh_texture_views import PIXELS_PER_DEGREE, random_directions
 from texmesh_textured_models import paint_patches
-from texmesh_textures import build
 
 from farfield.addon.core.geometry.mesh import vertex_normals
 from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
@@ -23,9 +22,10 @@ from farfield.addon.core.imaging.flip import FlipImage, compare, prepare_image
 from farfield.addon.core.imaging.mipmaps import Mipmaps, build_mipmaps, measure_footprints, sample_mipmaps
 from farfield.addon.core.imaging.raster import draw_ids
 from farfield.addon.core.imaging.texture_renders import PixelLocations, locate_positions
+from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.perception.views import BACKGROUND, frame_around, view_axes
-from farfield.addon.core.texmesh.streaming.increments import Increments
-from farfield.addon.core.texmesh.streaming.textures.building import BuiltTextures
+from farfield.addon.core.texmesh.streaming.textures.building import assemble_textures, code_textures
+from farfield.addon.core.texmesh.streaming.textures.coding import CodedTexture
 from farfield.addon.core.texmesh.streaming.textures.decoding import decode_textures
 from farfield.addon.core.texmesh.streaming.textures.settings import TextureSettings
 from farfield.addon.core.texmesh.streaming.textures.texture_tiles import TextureSource
@@ -51,48 +51,31 @@ def measure_roles(given: Namespace) -> dict[str, Any]:
         mesh, images = texmesh_models.open_model(given.data, name), paint_maps(generator)
         judge = LitJudge(mesh, images, random_directions(VIEWS, generator))
         sources = [TextureSource(role, image, mesh, (0,)) for role, image in zip(ROLES, images, strict=True)]
-        results[name] = measure_weights(build(sources, TextureSettings(pixels=PIXELS)), judge)
+        results[name] = measure_weights(run_to_end(code_textures(sources, TextureSettings(pixels=PIXELS))), judge)
         print(name, results[name], file=sys.stderr)
     return results
 
 
-def measure_weights(built: BuiltTextures, judge: "LitJudge") -> dict[str, Any]:
+def measure_weights(coded: Sequence[CodedTexture], judge: "LitJudge") -> dict[str, Any]:
     """Return a row per choice of weights."""
-    gains = np.bincount(built.increments.textures, built.increments.gains.astype(float), len(ROLES))
-    totals = np.bincount(built.increments.textures, built.increments.sizes, len(ROLES))
     choices = {f"normal x {factor:g}": (1.0, factor, 1.0) for factor in FACTORS}
     choices |= {f"roughness x {factor:g}": (1.0, 1.0, factor) for factor in FACTORS if factor != 1.0}
-    choices["equal gains"] = tuple(gains[0] / np.maximum(gains, 1e-9))
     rows = {}
     for name, weights in choices.items():
-        order = merge(built.increments, weights)
-        increments, content = reorder(built, order)
-        ends = np.cumsum(increments.sizes)
+        built = assemble_textures([replace(item, errors=weight * item.errors) for item, weight in zip(coded, weights, strict=True)])
+        sizes = np.array(built.increments.measure_states(built.increments.state_count))
         row = []
         for part in PARTS:
-            count = int(np.searchsorted(ends, part * ends[-1], side="right"))
-            fractions = np.bincount(increments.textures[:count], increments.sizes[:count], len(ROLES)) / max(ends[count - 1], 1)
-            flip = judge.measure_flip(decode_textures(built.textures, increments, content, count))
-            row.append({"part": part, "flip": round(flip, 4), "fractions": np.round(fractions, 3).tolist()})
+            state = int(np.abs(np.log(sizes / (part * sizes[-1]))).argmin())
+            is_in = built.increments.are_in(state)
+            fractions = np.bincount(built.increments.textures[is_in], built.increments.sizes[is_in], len(ROLES)) / sizes[state]
+            flip = judge.measure_flip(decode_textures(built.textures, built.increments, built.content, state))
+            row.append({"part": round(sizes[state] / sizes[-1], 3), "flip": round(flip, 4), "fractions": np.round(fractions, 3).tolist()})
         rows[name] = row
+    is_last = built.increments.are_in(built.increments.state_count - 1)
+    totals = np.bincount(built.increments.textures[is_last], built.increments.sizes[is_last], len(ROLES))
     flip = judge.measure_flip(decode_textures(built.textures, built.increments, built.content))
-    return {"bytes": totals.astype(int).tolist(), "gains": gains.round(1).tolist(), "complete": round(flip, 4), "weights": rows}
-
-
-def merge(increments: Increments, weights: Sequence[float]) -> np.ndarray:
-    """Return the order of increments by weighted gain per byte in which those of each texture keep theirs."""
-    rates = increments.gains.astype(float) * np.asarray(weights)[increments.textures] / increments.sizes
-    for texture in range(len(weights)):
-        rows = np.flatnonzero(increments.textures == texture)
-        rates[rows] = np.minimum.accumulate(rates[rows])
-    return np.argsort(-rates, kind="stable")
-
-
-def reorder(built: BuiltTextures, order: np.ndarray) -> tuple[Increments, bytes]:
-    """Return the increments in another order, and their bytes."""
-    parts = built.increments.split(built.content)
-    columns = {field.name: getattr(built.increments, field.name)[order] for field in fields(Increments)}
-    return replace(built.increments, **columns), b"".join(parts[index] for index in order.tolist())
+    return {"bytes": totals.astype(int).tolist(), "complete": round(flip, 4), "weights": rows}
 
 
 def paint_maps(generator: np.random.Generator) -> list[np.ndarray]:

@@ -36,7 +36,6 @@ from farfield.addon.core.texmesh.streaming.textures.texture_tiles import Texture
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
 TARGETS = (0.15, 0.1, 0.07, 0.05, 0.035)  # mean FLIP errors
-POINTS = 10  # prefixes of a package that are measured
 PAPER_SCALES = (2, 6, 9, 12, 14, 16, 18, 20)
 WEBP_METHOD = 6
 QUALITIES = (2, 4, 7, 11, 17, 25, 37, 50, 65, 80, 92)
@@ -76,19 +75,15 @@ def spread_images(sources: Sequence[TextureSource], decoded: Sequence[np.ndarray
     return images
 
 
-def measure_built(
-    built: BuiltTextures, sources: Sequence[TextureSource], judge: Callable[[Images], float], count: int, points: int
-) -> Curve:
-    """Return the curve of prefixes of the increments, at numbers of bytes in a geometric series."""
-    ends = np.concatenate([[0], np.cumsum(built.increments.sizes)])
+def measure_built(built: BuiltTextures, sources: Sequence[TextureSource], judge: Callable[[Images], float], count: int) -> Curve:
+    """Return the curve of the states of the textures of a package."""
     fixed = sum(sum(map(len, texture.headers)) for texture in built.textures)
-    targets = ends[-1] * np.geomspace(0.03, 1.0, points)
-    counts = np.unique(np.searchsorted(ends, targets, side="right") - 1)
+    sizes = built.increments.measure_states(built.increments.state_count)
     flips = [
-        judge(spread_images(sources, decode_textures(built.textures, built.increments, built.content, int(number)), count))
-        for number in counts
+        judge(spread_images(sources, decode_textures(built.textures, built.increments, built.content, state), count))
+        for state in range(len(sizes))
     ]
-    return Curve(ends[counts] + fixed, np.array(flips))
+    return Curve(np.array(sizes) + fixed, np.array(flips))
 
 
 class ModelFiles:
@@ -193,7 +188,7 @@ def measure_model(
     built = build(sources, TextureSettings(pixels=pixels))
     seconds = time.process_time() - started
     curves = {
-        "package": measure_built(built, sources, judge, count, POINTS),
+        "package": measure_built(built, sources, judge, count),
         "uniform": measure_uniform(files, judge, "AVIF"),
         "paper": measure_fragments(files, judge),
         "webp": measure_uniform(files, judge, "WEBP"),

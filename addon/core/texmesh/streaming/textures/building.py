@@ -35,17 +35,26 @@ def build_textures(sources: Sequence[TextureSource], settings: TextureSettings) 
     Raises:
         ImageError: a source cannot be coded, see `check_source`.
     """
+    return assemble_textures((yield from code_textures(sources, settings)))
+
+
+def code_textures(sources: Sequence[TextureSource], settings: TextureSettings) -> Steps[list[CodedTexture]]:
+    """Code textures as tiles.
+
+    Raises:
+        ImageError: see `build_textures`.
+    """
     grids = [check_source(source, settings.tile_size) for source in sources]
     visibility = yield from subprogress(measure_visibility(sources, grids, settings.views, settings.pixels), 0.0, 0.3)
     coded = []
     for index, (source, grid) in enumerate(zip(sources, grids, strict=True)):
         start, stop = (0.3 + 0.7 * (index + step) / len(sources) for step in (0, 1))
         coded.append((yield from subprogress(code_texture(source, grid, visibility[index], settings), start, stop)))
-    return _assemble(coded)
+    return coded
 
 
-def _assemble(coded: Sequence[CodedTexture]) -> BuiltTextures:
-    """Join the tiles of all textures in their order."""
+def assemble_textures(coded: Sequence[CodedTexture]) -> BuiltTextures:
+    """Choose states of textures, and join their tiles in the order of the file."""
     states = choose_states(coded)
     ordered = order_tiles(states)
     tiles, numbers = [], []

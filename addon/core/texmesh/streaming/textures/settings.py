@@ -9,7 +9,7 @@ from ....settings import Settings, Unit, setting
 class TextureSettings(Settings):
     """How textures are coded, and for which images."""
 
-    tile_size: int = setting(256, "Side of the tiles of textures in pixels, a multiple of 16", minimum=16, maximum=1024, unit=Unit.COUNT)
+    tile_size: int = setting(512, "Side of the tiles of textures in pixels, a multiple of 16", minimum=16, maximum=1024, unit=Unit.COUNT)
     quality: int = setting(80, "AVIF quality of complete textures", minimum=1, maximum=100, unit=Unit.COUNT)
     pixels: int = setting(
         512,
