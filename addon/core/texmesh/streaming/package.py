@@ -13,6 +13,7 @@ from ...jobs.parallel_steps import run_in_parallel
 from ...jobs.progress import Progress, Steps, subprogress
 from ...text import format_count
 from ..level_chain import AllSettings, LevelChain, leave_out_inserted, make_levels
+from ..scale_space.analysis import analyze_scale_space
 from ..textured_mesh import TexturedMesh
 from .allocation import ErrorTable, make_plan, measure_errors
 from .increments import Increments, encode_increments
@@ -88,13 +89,15 @@ def build_package(
         return encode_mesh(ordered, _level_pixels(chain), len(materials), steps)
 
     sources, references = _list_sources(mesh, materials)
-    tasks: list[Steps] = [_build_mesh(mesh, textures, settings, name, encode)]
+    tasks: list[Steps] = [analyze_scale_space(mesh, textures, settings.analysis)]
     if sources:
         tasks.append(build_textures(sources, texture_settings))
-    (chain, coded), *other = yield from subprogress(run_in_parallel(tasks), 0.0, 0.75)
+    scale_map, *other = yield from subprogress(run_in_parallel(tasks), 0.0, 0.4)
     built = other[0] if other else NO_TEXTURES
-    table = yield from subprogress(_measure(chain, materials, built, references, settings, package_settings), 0.75, 0.95)
-    yield Progress(0.95, "Writing")
+    chain = yield from subprogress(make_levels(mesh, textures, settings, name, scale_map, INSERTED_FRACTION), 0.4, 0.75)
+    tasks = [_measure(chain, materials, built, references, settings, package_settings), _encode_in_steps(encode, chain)]
+    table, coded = yield from subprogress(run_in_parallel(tasks), 0.75, 0.98)
+    yield Progress(0.98, "Writing")
     has_inserted = any(level.is_inserted for level in chain.levels)
     if has_inserted and not is_worthwhile(coded[1], table, np.asarray(built.increments.sizes, np.int64)):
         chain = leave_out_inserted(chain)
@@ -102,17 +105,9 @@ def build_package(
     return _assemble(name, materials, references, chain, coded, steps, built, table, package_settings)
 
 
-def _build_mesh(
-    mesh: TexturedMesh,
-    textures: Sequence[np.ndarray | None],
-    settings: AllSettings,
-    name: str,
-    encode: Callable[[LevelChain], EncodedMesh],
-) -> Steps[tuple[LevelChain, EncodedMesh]]:
-    """Make the levels of `mesh`, and encode them."""
-    chain = yield from subprogress(make_levels(mesh, textures, settings, name, inserted=INSERTED_FRACTION), 0.0, 0.9)
-    yield Progress(0.9, "Coding meshes")
-    return chain, encode(chain)
+def _encode_in_steps(encode: Callable[[LevelChain], EncodedMesh], chain: LevelChain) -> Steps[EncodedMesh]:
+    yield Progress(0.0, "Coding meshes")
+    return encode(chain)
 
 
 def choose_steps(pixels: int, materials: Sequence[MaterialSource]) -> tuple[int, int]:
