@@ -55,9 +55,9 @@ class AllSettings:
 
 @dataclass(frozen=True)
 class Level:
-    """One level. scale: the last scale whose features it has; 0 for the original. pixel_size: see `perception.switch_distances.Switch`, 0
-    for the original. switch, subset: None for the original. With the product "refit", `subset` is the level before its vertices moved.
-    is_inserted: see `make_levels`."""
+    """One level. scale: the last scale whose features it has; 0 for the original and an inserted one. pixel_size: see
+    `perception.switch_distances.Switch`, 0 for the original. switch, subset: None for the original. With the product "refit", `subset` is
+    the level before its vertices moved. is_inserted: see `make_levels`."""
 
     mesh: TexturedMesh
     scale: int
@@ -115,15 +115,15 @@ def make_levels(
     settings: AllSettings,
     name: str = "mesh",
     scale_map: ScaleMap | None = None,
-    inserted: float | None = None,
+    inserted: float = 0.0,
 ) -> Steps[LevelChain]:
     """Make levels of `mesh`.
 
     Args:
         textures: per material an image (H, W, 3) float32, scene-linear, row 0 at the bottom, or None. name: for messages. scale_map: of an
-            analysis of the same mesh with the same settings, None to analyze it. inserted: fraction of the triangles of a level that is
-            inserted between the original and the next one, if that has clearly fewer; None for none. Only subset levels that are
-            chosen as perceptible have one.
+            analysis of the same mesh with the same settings, None to analyze it. inserted: fraction of the triangles, at most, of a level
+            that is inserted between the original and the next one, if that has clearly fewer; 0 for none. Only subset levels that are
+            chosen as perceptible have one. The other levels do not depend on it.
 
     Raises:
         GeometryError: there is nothing to simplify.
@@ -138,14 +138,12 @@ def make_levels(
     mipmaps = [None if texture is None else build_mipmaps(texture) for texture in textures]
     targets, scales = targets_of_ratios(mesh, scale_map, ratios) if ratios else choose_targets(mesh, scale_map)
     is_refit = levels.product == "refit" and _has_uv_area(mesh)
-    has_gap = inserted is not None and not is_refit and levels.choice == "perceptual" and max(targets) < inserted * len(mesh.triangles)
-    between, between_scales = targets_of_ratios(mesh, scale_map, [inserted]) if has_gap else ([], [])
-    tasks: list[Steps] = [_simplify(mesh, scale_map, between + targets, settings)]
+    waypoint = 0 if is_refit or levels.choice != "perceptual" else int(inserted * len(mesh.triangles))
+    tasks: list[Steps] = [_simplify(mesh, scale_map, targets, settings, waypoint)]
     if is_refit:
         tasks.append(make_starts(mesh, targets, RefitSettings(), settings.simplification))
     simplification, *starts = yield from subprogress(run_in_parallel(tasks), 0.35, 0.6)
-    subsets = simplification.levels[len(between) :]
-    candidates = _gather_candidates(mesh, subsets, scales, targets, starts[0] if is_refit else [None] * len(targets))
+    candidates = _gather_candidates(mesh, simplification, scales, targets, starts[0] if is_refit else [None] * len(targets))
     collapses = _divide_collapses(simplification, candidates)
     impacts = measure_impacts(mesh.vertices, mesh.triangles, collapses, len(candidates) - 1, settings.perception)
     images = open_images(_view(candidates, mipmaps, settings.perception), settings.perception)
@@ -168,8 +166,8 @@ def make_levels(
         shown, switches = shown[: 1 + large], switches[:large]
         kept = [kept[index] for index in shown]
     made = [_to_level(item, switch) for item, switch in zip(kept, [None, *switches], strict=True)]
-    if between:
-        item = _Candidate(extract_level(mesh, simplification.levels[0]), between_scales[0], simplification.levels[0])
+    if simplification.passed is not None:
+        item = _Candidate(extract_level(mesh, simplification.passed), 0, simplification.passed)
         made = yield from _insert_level(made, item, images[0], mipmaps, settings)
     tried = tuple((len(item.mesh.triangles), size) for item, size in zip(candidates, pixel_sizes, strict=True))
     return LevelChain(tuple(made), scale_map, impacts, simplification, tried, images[0].frame.side)
@@ -229,22 +227,22 @@ def _divide_collapses(simplification: Simplification, candidates: Sequence[_Cand
     return Collapses(removed, kept, values, np.searchsorted(counts, np.arange(len(removed)), side="right"))
 
 
-def _simplify(mesh: TexturedMesh, scale_map: ScaleMap, targets: list[int], settings: AllSettings) -> Steps[Simplification]:
+def _simplify(mesh: TexturedMesh, scale_map: ScaleMap, targets: list[int], settings: AllSettings, waypoint: int) -> Steps[Simplification]:
     if settings.levels.order == "scale":
-        return (yield from simplify_in_order(mesh, _priorities(scale_map), targets, settings.simplification))
-    return (yield from simplify_by_cost(mesh, ScaleWeightedQuadrics(mesh, scale_map), targets, settings.simplification))
+        return (yield from simplify_in_order(mesh, _priorities(scale_map), targets, settings.simplification, waypoint))
+    return (yield from simplify_by_cost(mesh, ScaleWeightedQuadrics(mesh, scale_map), targets, settings.simplification, waypoint))
 
 
 def _gather_candidates(
     mesh: TexturedMesh,
-    levels: Sequence[SubsetLevel],
+    simplification: Simplification,
     scales: Sequence[int],
     targets: Sequence[int],
     starts: Sequence[SubsetLevel | None],
 ) -> list[_Candidate]:
     """Return the original and the levels that are coarser than the ones before them."""
     candidates = [_Candidate(mesh, 0, None)]
-    for level, scale, target, start in zip(levels, scales, targets, starts, strict=True):
+    for level, scale, target, start in zip(simplification.levels, scales, targets, starts, strict=True):
         if 0 < len(level.triangles) < len(candidates[-1].mesh.triangles):
             candidates.append(_Candidate(extract_level(mesh, level), scale, level, start, target))
     return candidates

@@ -8,7 +8,7 @@ import numpy as np
 from .allocation import ErrorTable, make_plan
 from .manifest import MeshLevel, PlanRow
 
-INSERTED_FRACTION = 0.65  # of the triangles of the finest level
+INSERTED_FRACTION = 0.65  # of the triangles of the finest level, at most
 MIN_GAIN = 0.005  # of the error, on the average over the logarithm of the bytes
 MIN_ERROR = 1e-3  # smaller errors count as this
 
