@@ -82,3 +82,20 @@ def test_measured_errors_fall_with_levels_and_states():
     assert table.texture_errors[0] > table.texture_errors[1] > table.texture_errors[2] == 0.0
     assert 1.0 <= table.exponent <= 8.0
     assert table.residual < 0.1
+
+
+def test_the_exponent_predicts_small_errors_as_well_as_large_ones():
+    levels = [make_sphere(rings) for rings in (4, 8, 24, 48)]
+    noise = np.random.default_rng(5).random((64, 64, 3)).astype(np.float32)
+
+    def decode(count: int):
+        return [build_mipmaps(noise * (count / 64.0) + 0.5 * (1.0 - count / 64.0))]
+
+    table = run_to_end(measure_errors(levels, [build_mipmaps(noise)], [1, 32, 56, 62, 64], decode, 96, 67.0))
+    reference, rough = decode(64), decode(62)
+    partner = int(np.abs(np.log(table.level_errors[:-1] / table.texture_errors[3])).argmin())
+    both = run_to_end(measure_errors([levels[partner], levels[-1]], reference, [62], lambda _: rough, 96, 67.0))
+    assert both.level_errors[0] == pytest.approx(table.level_errors[partner])
+    predicted = float(combine_errors(table.level_errors[partner], table.texture_errors[3], table.exponent))
+    measured = float(combine_errors(both.level_errors[0], both.texture_errors[0], both.exponent))
+    assert predicted == pytest.approx(measured, rel=0.15)

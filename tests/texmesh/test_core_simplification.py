@@ -176,3 +176,16 @@ def test_priorities_must_be_finite_and_one_per_vertex():
     for priorities in (np.zeros(3), np.full(len(mesh.vertices), np.nan)):
         with pytest.raises(SettingsError, match="16 finite priorities"):
             run_to_end(simplify_in_order(mesh, priorities, [4], STRICT))
+
+
+def test_a_level_on_the_way_changes_no_other():
+    mesh = torus()
+    targets = [round(0.4 * len(mesh.triangles)), round(0.1 * len(mesh.triangles))]
+    waypoint = round(0.7 * len(mesh.triangles))
+    passing, plain = (run_to_end(simplify_by_cost(mesh, None, targets, SimplificationSettings(), count)) for count in (waypoint, 0))
+    assert plain.passed is None and targets[0] < len(passing.passed.triangles) <= waypoint
+    check_subset(mesh, passing.passed)
+    assert passing.passed.collapse_count < passing.levels[0].collapse_count and not passing.passed.constraint
+    np.testing.assert_array_equal(passing.removed, plain.removed)
+    for first, second in zip(passing.levels, plain.levels, strict=True):
+        np.testing.assert_array_equal(first.wedge_triangles, second.wedge_triangles)

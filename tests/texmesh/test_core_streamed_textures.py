@@ -25,7 +25,7 @@ from farfield.addon.core.texmesh.streaming.textures.texture_tiles import (
     find_used_texels,
 )
 from farfield.addon.core.texmesh.streaming.textures.tile_states import Choice, choose_state, choose_states, measure_state, order_tiles
-from farfield.addon.core.texmesh.streaming.textures.visibility import measure_visibility
+from farfield.addon.core.texmesh.streaming.textures.visibility import FOOTPRINT_LEVELS, level_footprints, measure_visibility
 from farfield.addon.core.texmesh.streaming.tile_pyramid import TilePyramid, sum_tiles
 from farfield.addon.core.texmesh.textured_mesh import build_textured_mesh
 from tests.shapes import sheet
@@ -271,3 +271,23 @@ def test_detail_that_no_image_shows_is_coded_once():
     levels = [pyramid.locate(int(number))[0] for number in built.increments.tiles]
     assert levels.count(0) == len({int(number) for number in built.increments.tiles if number < pyramid.starts[1]})
     assert 1 not in levels and max(levels) >= 3
+
+
+def test_detail_finer_than_images_show_has_the_highest_quality_only():
+    source = make_source((256, 256))
+    grid = check_source(source, 32)
+    visibility = np.zeros((32, 32, FOOTPRINT_LEVELS), np.float32)
+    visibility[..., np.flatnonzero(level_footprints() == 4.0)] = 1.0 / 32**2  # the texture halved twice
+    coded = run_to_end(code_texture(source, grid, visibility, SETTINGS))
+    qualities = {level: {quality for found, quality, _ in coded.tiles if found == level} for level in range(4)}
+    assert qualities == {0: {2}, 1: {2}, 2: {0, 1, 2}, 3: {0, 1, 2}}
+    assert sum(level == 0 for level, _, _ in coded.tiles) == coded.used.sum()
+
+
+def test_visibility_of_sources_of_one_mesh_is_divided_by_material():
+    mesh = make_source().mesh
+    halves = replace(mesh, materials=(np.arange(len(mesh.triangles)) % 2).astype(np.int32))
+    sources = [replace(make_source(), mesh=halves, materials=materials) for materials in ((0,), (1,), (0, 1))]
+    first, second, both = run_to_end(measure_visibility(sources, [check_source(source, 32) for source in sources], 4, 64))
+    np.testing.assert_allclose(first + second, both, atol=1e-7)
+    assert 0.2 < first.sum() < 0.8 and both.sum() == pytest.approx(1.0)

@@ -45,6 +45,7 @@ class Simplification:
 
     removed, kept: (N,) int32, the vertices V_R and V_C. removed_wedges: (N,) int32, a wedge of each removed vertex, whose texture
     coordinates are its texel. perceptual_values: (N,) float64. Where several surfaces touch at an edge, a vertex is removed once from each.
+    passed: the level that was taken on the way, None if there is none.
     """
 
     levels: tuple[SubsetLevel, ...]
@@ -52,10 +53,11 @@ class Simplification:
     kept: np.ndarray
     removed_wedges: np.ndarray
     perceptual_values: np.ndarray
+    passed: SubsetLevel | None = None
 
 
 def simplify_in_order(
-    mesh: TexturedMesh, priorities: np.ndarray, targets: list[int], settings: SimplificationSettings
+    mesh: TexturedMesh, priorities: np.ndarray, targets: list[int], settings: SimplificationSettings, waypoint: int = 0
 ) -> Steps[Simplification]:
     """Simplify `mesh` by removing vertices with low `priorities` (V,) first, ties by perceptual value, each onto its nearest neighbor.
 
@@ -63,7 +65,8 @@ def simplify_in_order(
     whose collapses the constraints refuse stay until their neighborhood has changed.
 
     Args:
-        targets: triangle counts, descending.
+        targets: triangle counts, descending. waypoint: number of triangles down to which the first rounds lead; the state is taken as a
+            level more, `Simplification.passed`, and changes no other; 0 for none.
 
     Raises:
         SettingsError: `targets` do not descend or are not positive, or `priorities` have another length than the vertices.
@@ -74,16 +77,16 @@ def simplify_in_order(
         )
     engine = CollapseEngine(mesh)
     order = GivenOrder(engine.surface.positions, priorities[engine.fine_vertices].astype(np.float64), settings.protected_fraction)
-    return (yield from _make_levels(engine, order, targets, settings))
+    return (yield from _make_levels(engine, order, targets, settings, waypoint))
 
 
 def simplify_by_cost(
-    mesh: TexturedMesh, cost: CollapseCost | None, targets: list[int], settings: SimplificationSettings
+    mesh: TexturedMesh, cost: CollapseCost | None, targets: list[int], settings: SimplificationSettings, waypoint: int = 0
 ) -> Steps[Simplification]:
     """Simplify `mesh` by the collapses with the smallest `cost`, by default `TextureQuadrics`. See `simplify_in_order`."""
     engine = CollapseEngine(mesh)
     order = CheapestOrder(TextureQuadrics(mesh) if cost is None else cost, engine.fine_vertices)
-    return (yield from _make_levels(engine, order, targets, settings))
+    return (yield from _make_levels(engine, order, targets, settings, waypoint))
 
 
 def extract_level(mesh: TexturedMesh, level: SubsetLevel) -> TexturedMesh:
@@ -107,14 +110,14 @@ def extract_level(mesh: TexturedMesh, level: SubsetLevel) -> TexturedMesh:
 
 
 def _make_levels(
-    engine: CollapseEngine, order: RemovalOrder, targets: list[int], settings: SimplificationSettings
+    engine: CollapseEngine, order: RemovalOrder, targets: list[int], settings: SimplificationSettings, waypoint: int
 ) -> Steps[Simplification]:
     if any(target < 1 for target in targets) or any(first < second for first, second in pairwise(targets)):
         raise SettingsError(f"Triangle counts of levels must be positive and descend, not {', '.join(map(str, targets))}.")
     drastic = DrasticSteps(engine, settings)
     initial_count = engine.triangle_count
     last_target = min(targets, default=initial_count)
-    levels = []
+    levels, passed = [], None
     for target in targets:
         if engine.triangle_count > target:
             drastic.prepare(target)
@@ -123,23 +126,29 @@ def _make_levels(
             fraction = (initial_count - engine.triangle_count) / max(initial_count - last_target, 1)
             yield Progress(min(max(fraction, 0.0), 1.0), "Simplifying")
             is_exhausted = not _advance(engine, order, drastic, target)
-        is_reached = engine.triangle_count <= (1.0 + TOLERANCE) * target
-        levels.append(
-            SubsetLevel(
-                triangles=engine.fine_vertices[engine.triangles.T],
-                wedge_triangles=np.ascontiguousarray(engine.wedges.T),
-                materials=engine.materials.copy(),
-                collapse_count=sum(map(len, engine.removed)),
-                constraint="" if is_reached else name_constraint(engine, target),
-                drastic_steps=tuple(drastic.sentences),
-            )
-        )
+            if passed is None and target < engine.triangle_count <= waypoint:
+                passed = _take_level(engine, drastic, waypoint)
+        levels.append(_take_level(engine, drastic, target))
     return Simplification(
         levels=tuple(levels),
         removed=engine.fine_vertices[_join(engine.removed, np.int32)],
         kept=engine.fine_vertices[_join(engine.kept, np.int32)],
         removed_wedges=_join(engine.texels, np.int32),
         perceptual_values=_join(engine.values, np.float64),
+        passed=passed,
+    )
+
+
+def _take_level(engine: CollapseEngine, drastic: DrasticSteps, target: int) -> SubsetLevel:
+    """Return the current triangles as a level."""
+    is_reached = engine.triangle_count <= (1.0 + TOLERANCE) * target
+    return SubsetLevel(
+        triangles=engine.fine_vertices[engine.triangles.T],
+        wedge_triangles=np.ascontiguousarray(engine.wedges.T),
+        materials=engine.materials.copy(),
+        collapse_count=sum(map(len, engine.removed)),
+        constraint="" if is_reached else name_constraint(engine, target),
+        drastic_steps=tuple(drastic.sentences),
     )
 
 

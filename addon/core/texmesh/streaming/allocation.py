@@ -22,7 +22,8 @@ from ..textured_mesh import TexturedMesh
 MAX_IMAGE = 512  # pixels of the renders: larger objects are seen in parts, and their errors change little
 VIEWS = 3
 MIN_EXPONENT, MAX_EXPONENT = 1.0, 8.0
-MIN_ERROR = 1e-3  # that matters in ratios of errors
+MIN_ERROR = 1e-6  # smaller measured errors count as this, relative to others
+MIN_PREDICTED = 1e-3  # that matters in ratios of errors
 DECIMALS = 4  # of predicted errors
 Textures = Sequence[Mipmaps | None]
 
@@ -46,8 +47,8 @@ class ErrorTable:
 
         predicted: (S,) sums of the errors of tiles; the ratios of measured errors to them are interpolated between measured states.
         """
-        ratios = (self.texture_errors + MIN_ERROR) / (predicted[self.states] + MIN_ERROR)
-        textures = (predicted + MIN_ERROR) * np.interp(np.arange(len(predicted)), self.states, ratios) - MIN_ERROR
+        ratios = (self.texture_errors + MIN_PREDICTED) / (predicted[self.states] + MIN_PREDICTED)
+        textures = (predicted + MIN_PREDICTED) * np.interp(np.arange(len(predicted)), self.states, ratios) - MIN_PREDICTED
         errors = combine_errors(self.level_errors[:, None], np.maximum(textures, 0.0)[None], self.exponent)
         return np.minimum.accumulate(np.minimum.accumulate(np.clip(errors, 0.0, 1.0), axis=0), axis=1)
 
@@ -144,16 +145,20 @@ def _nearest(errors: np.ndarray, error: float) -> int | None:
     """Return the level whose error is nearest to that of a texture, where the way they combine matters most; None if there is none."""
     if not len(errors) or error <= 0.0:
         return None
-    return int(np.abs(np.log(np.maximum(errors, 1e-6) / error)).argmin())
+    return int(np.abs(np.log(np.maximum(errors, MIN_ERROR) / error)).argmin())
 
 
 def _fit_exponent(samples: np.ndarray) -> tuple[float, float]:
-    """Return the exponent that predicts the third column from the first two best, and the largest difference; 2 without samples."""
+    """Return the exponent that predicts the third column from the first two best, relative to it, and the largest difference; 2 without
+    samples. Small errors add nearly up, and large ones do not: absolute differences would fit the large ones only."""
     if not len(samples):
         return 2.0, 0.0
 
-    def differences(exponent: float) -> np.ndarray:
-        return combine_errors(samples[:, 0], samples[:, 1], exponent) - samples[:, 2]
+    def predict(exponent: float) -> np.ndarray:
+        return combine_errors(samples[:, 0], samples[:, 1], exponent)
 
-    found = minimize_scalar(lambda exponent: (differences(exponent) ** 2).sum(), bounds=(MIN_EXPONENT, MAX_EXPONENT), method="bounded")
-    return float(found.x), float(np.abs(differences(found.x)).max())
+    def loss(exponent: float) -> float:
+        return float((np.log(predict(exponent) / np.maximum(samples[:, 2], MIN_ERROR)) ** 2).sum())
+
+    found = minimize_scalar(loss, bounds=(MIN_EXPONENT, MAX_EXPONENT), method="bounded")
+    return float(found.x), float(np.abs(predict(found.x) - samples[:, 2]).max())

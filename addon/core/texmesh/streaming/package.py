@@ -2,19 +2,22 @@
 
 import math
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...files.glb import Y_UP
 from ...imaging.mipmaps import Mipmaps
+from ...jobs.parallel_steps import run_in_parallel
 from ...jobs.progress import Progress, Steps, subprogress
 from ...text import format_count
-from ..level_chain import AllSettings, LevelChain, make_levels
+from ..level_chain import AllSettings, LevelChain, leave_out_inserted, make_levels
+from ..scale_space.analysis import analyze_scale_space
 from ..textured_mesh import TexturedMesh
 from .allocation import ErrorTable, PlanRow, make_plan, measure_errors, round_errors
 from .increments import Increments, encode_increments
+from .inserted_levels import INSERTED_FRACTION, is_worthwhile, leave_out_error
 from .levels_glb import encode_levels
 from .manifest import MESH, TEXTURES, Manifest, MeshLevel, PackageMaterial, Section
 from .material_sources import MaterialSource, build_color_mipmaps
@@ -29,6 +32,7 @@ from .textures.texture_tiles import TextureSource
 STATES = 7  # of the textures, whose errors are measured
 MIN_BITS, MAX_BITS = 8, 16  # of positions and texture coordinates
 POSITION_BITS, UV_BITS = 4, 2  # below a pixel and a texel
+EncodedMesh = tuple[bytes, tuple[MeshLevel, ...], Bounds, Bounds]
 NO_TEXTURES = BuiltTextures((), Increments(*[np.zeros(0, np.int64)] * 6), b"", np.zeros(1))
 
 
@@ -77,19 +81,33 @@ def build_package(
         GeometryError, SettingsError: see `make_levels`, or a setting of the package cannot be used. ImageError: a texture cannot be coded.
     """
     texture_settings = package_settings.texture_settings(settings.perception.pixels_per_degree)
-    chain = yield from subprogress(make_levels(mesh, textures, settings, name), 0.0, 0.55)
-    yield Progress(0.55, "Coding meshes")
     turned = replace(mesh, vertices=mesh.vertices @ Y_UP.T)
-    ordered = order_mesh(turned, [level.subset for level in chain.levels[1:]], chain.simplification)
     steps = choose_steps(package_settings.pixels, materials)
-    coded = encode_mesh(ordered, _level_pixels(chain), len(materials), steps)
-    sources, references = _list_sources(mesh, materials, chain)
-    built = NO_TEXTURES
+
+    def encode(chain: LevelChain) -> EncodedMesh:
+        ordered = order_mesh(turned, [level.subset for level in chain.levels[1:]], chain.simplification)
+        return encode_mesh(ordered, _level_pixels(chain), len(materials), steps)
+
+    sources, references = _list_sources(mesh, materials)
+    tasks: list[Steps] = [analyze_scale_space(mesh, textures, settings.analysis)]
     if sources:
-        built = yield from subprogress(build_textures(sources, texture_settings), 0.6, 0.8)
-    table = yield from subprogress(_measure(chain, materials, built, references, settings, package_settings), 0.8, 0.98)
+        tasks.append(build_textures(sources, texture_settings))
+    scale_map, *other = yield from subprogress(run_in_parallel(tasks), 0.0, 0.4)
+    built = other[0] if other else NO_TEXTURES
+    chain = yield from subprogress(make_levels(mesh, textures, settings, name, scale_map, INSERTED_FRACTION), 0.4, 0.75)
+    tasks = [_measure(chain, materials, built, references, settings, package_settings), _encode_in_steps(encode, chain)]
+    table, coded = yield from subprogress(run_in_parallel(tasks), 0.75, 0.98)
     yield Progress(0.98, "Writing")
+    has_inserted = any(level.is_inserted for level in chain.levels)
+    if has_inserted and not is_worthwhile(coded[1], table, built):
+        chain = leave_out_inserted(chain)
+        coded, table = encode(chain), leave_out_error(table)
     return _assemble(name, materials, references, chain, coded, steps, built, table, package_settings)
+
+
+def _encode_in_steps(encode: Callable[[LevelChain], EncodedMesh], chain: LevelChain) -> Steps[EncodedMesh]:
+    yield Progress(0.0, "Coding meshes")
+    return encode(chain)
 
 
 def choose_steps(pixels: int, materials: Sequence[MaterialSource]) -> tuple[int, int]:
@@ -105,9 +123,7 @@ def _level_pixels(chain: LevelChain) -> tuple[float, ...]:
     return (*(float(level.switch.pixels) for level in reversed(chain.levels[1:])), 0.0)
 
 
-def _list_sources(
-    mesh: TexturedMesh, materials: Sequence[MaterialSource], chain: LevelChain
-) -> tuple[list[TextureSource], list[dict[str, int]]]:
+def _list_sources(mesh: TexturedMesh, materials: Sequence[MaterialSource]) -> tuple[list[TextureSource], list[dict[str, int]]]:
     """Return the images that triangles show, each once, and for each material their indices by role."""
     used = set(np.unique(mesh.materials).tolist())
     users: dict[tuple[str, int], list[int]] = {}
@@ -119,7 +135,7 @@ def _list_sources(
     for (role, _), numbers in users.items():
         image = materials[numbers[0]].images[role]
         title = f"{role} of {materials[numbers[0]].name}"
-        sources.append(TextureSource(role, image, mesh, tuple(numbers), chain.scale_map.last_scales, title))
+        sources.append(TextureSource(role, image, mesh, tuple(numbers), name=title))
         for number in numbers:
             references[number][role] = len(sources) - 1
     return sources, references
@@ -168,7 +184,7 @@ def _assemble(
     materials: Sequence[MaterialSource],
     references: Sequence[dict[str, int]],
     chain: LevelChain,
-    coded: tuple[bytes, tuple[MeshLevel, ...], Bounds, Bounds],
+    coded: EncodedMesh,
     steps: tuple[int, int],
     built: BuiltTextures,
     table: ErrorTable,

@@ -84,8 +84,8 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
         cut = cut if has_colors else cut[..., 0]
         byte_counts = np.zeros((len(qualities), shape[0] * shape[1]), np.int64)
         for index, quality in enumerate(qualities):
-            is_complete = level == 0 and index == len(qualities) - 1
-            if level < judge.finest - 1 and not is_complete:
+            is_best = index == len(qualities) - 1
+            if level < judge.finest and not (is_best and level in (0, judge.finest - 1)):
                 continue  # images do not show so much detail: coarser levels are better for fewer bytes
             decoded = np.full((len(cut), side, side, 3), MISSING, np.uint8)
             code = partial(_code_tile, cut, quality)

@@ -113,10 +113,10 @@ def texel_corners(source: TextureSource, grid: TileGrid) -> np.ndarray:
 
 def fill_unused(source: TextureSource, grid: TileGrid, used: np.ndarray) -> np.ndarray:
     """Return the padded texture (H', W', 3) uint8, row 0 at the top, whose texels that are not `used` (H', W') continue the others."""
+    if used.all():
+        return np.ascontiguousarray(source.image[::-1])
     image = np.zeros((*grid.padded_shape, 3), np.float32)
     image[: grid.height, : grid.width] = source.image[::-1]
-    if used.all():
-        return image.astype(np.uint8)
     image[~used] = 0.0
     dilate_in_place(image, used, MARGIN)
     np.rint(image, out=image)

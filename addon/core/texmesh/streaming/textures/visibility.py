@@ -1,6 +1,7 @@
 """Which blocks of textures images from all around show, how large, and with how many texels per pixel."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,7 +10,8 @@ from ....imaging.mipmaps import measure_footprints
 from ....imaging.raster import draw_ids
 from ....imaging.texture_renders import locate_positions
 from ....jobs.progress import Progress, Steps
-from ...perception.views import frame_around, view_axes
+from ...perception.views import Frame, frame_around, view_axes
+from ...textured_mesh import TexturedMesh
 from .texture_tiles import TextureSource, TileGrid
 
 BLOCK = 8  # texels of a side of a block
@@ -39,36 +41,71 @@ def measure_visibility(
     covered = [0] * len(sources)
     samples = max(pixels, MIN_SAMPLES)
     directions = fibonacci_sphere(view_count)
-    meshes = {id(source.mesh): source.mesh for source in sources}
+    surfaces = {id(source.mesh): _Surface(source.mesh, source.mesh.corner_uvs, frame_around(source.mesh.vertices)) for source in sources}
     for number, direction in enumerate(directions):
         yield Progress(number / view_count, "Measuring visibility")
-        for key, mesh in meshes.items():
-            frame, axes = frame_around(mesh.vertices), view_axes(direction)
-            positions = (mesh.vertices - frame.center) @ axes.T
-            corners = ((positions[:, :2] / frame.side + 0.5) * samples)[mesh.triangles]
-            owners, _ = draw_ids(corners, -positions[:, 2][mesh.triangles], (samples, samples))
-            shown = np.flatnonzero(owners.ravel() >= 0)
-            triangles = owners.ravel()[shown]
-            centers = np.stack([shown % samples, shown // samples], axis=1) + 0.5
-            barycentric = locate_positions(corners[triangles], np.ones((len(triangles), 3)), centers)
-            uvs = np.einsum("ni,nic->nc", barycentric, mesh.corner_uvs[triangles])
+        for key, surface in surfaces.items():
+            seen = surface.look(direction, samples)
+            materials = surface.mesh.materials[seen.triangles].take(seen.rows)
             for index, (source, grid) in enumerate(zip(sources, grids, strict=True)):
                 if id(source.mesh) != key:
                     continue
-                covered[index] += len(shown)
-                footprints = measure_footprints(corners * (pixels / samples), mesh.corner_uvs, (grid.width, grid.height))
-                rows = np.isin(mesh.materials[triangles], source.materials)
-                _count(results[index], uvs[rows], footprints[triangles[rows]], grid)
+                covered[index] += len(seen.rows)
+                corner_uvs = surface.corner_uvs[seen.triangles]
+                footprints = measure_footprints(seen.corners * (pixels / samples), corner_uvs, (grid.width, grid.height))
+                used = np.isin(materials, source.materials)
+                _count(results[index], seen.uvs[used], _round_footprints(footprints)[seen.rows[used]], grid)
     return [
         (counts / max(total, 1)).reshape(grid.padded_shape[0] // BLOCK, grid.padded_shape[1] // BLOCK, FOOTPRINT_LEVELS).astype(np.float32)
         for counts, total, grid in zip(results, covered, grids, strict=True)
     ]
 
 
-def _count(counts: np.ndarray, uvs: np.ndarray, footprints: np.ndarray, grid: TileGrid) -> None:
+class _Seen(NamedTuple):
+    """The samples of a view that show a surface: the T triangles that are seen, their corners (T, 3, 2) in samples, and for each of N
+    samples the row of its triangle, and its texture coordinates (N, 2)."""
+
+    triangles: np.ndarray
+    corners: np.ndarray
+    rows: np.ndarray
+    uvs: np.ndarray
+
+
+class _Surface(NamedTuple):
+    """A mesh, its texture coordinates (T, 3, 2), and the frame of its views."""
+
+    mesh: TexturedMesh
+    corner_uvs: np.ndarray
+    frame: Frame
+
+    def look(self, direction: np.ndarray, samples: int) -> _Seen:
+        """Return what is seen from `direction` (3,) with so many samples along each side."""
+        positions = (self.mesh.vertices - self.frame.center) @ view_axes(direction).T
+        corners = (positions[:, :2] / self.frame.side + 0.5).take(self.mesh.triangles, axis=0) * samples
+        owners, _ = draw_ids(corners, -positions[:, 2].take(self.mesh.triangles), (samples, samples))
+        shown = np.flatnonzero(owners.ravel() >= 0)
+        owners = owners.ravel()[shown]
+        is_seen = np.zeros(len(corners), bool)
+        is_seen[owners] = True
+        triangles = np.flatnonzero(is_seen)
+        numbers = np.empty(len(corners), np.int32)
+        numbers[triangles] = np.arange(len(triangles))
+        rows = numbers[owners]
+        centers = np.stack([shown % samples, shown // samples], axis=1) + 0.5
+        barycentric = locate_positions(corners.take(owners, axis=0), np.ones((len(rows), 3)), centers)
+        uvs = np.einsum("ni,nic->nc", barycentric, self.corner_uvs.take(owners, axis=0))
+        return _Seen(triangles, corners[triangles], rows, uvs)
+
+
+def _round_footprints(footprints: np.ndarray) -> np.ndarray:
+    """Return the levels (T,) that `footprints` (T,) are rounded to."""
+    return np.clip(np.rint((np.log2(footprints) - MIN_LOG_FOOTPRINT) / FOOTPRINT_STEP), 0, FOOTPRINT_LEVELS - 1).astype(np.int64)
+
+
+def _count(counts: np.ndarray, uvs: np.ndarray, levels: np.ndarray, grid: TileGrid) -> None:
     """Add one for each sample to `counts` (blocks, FOOTPRINT_LEVELS)."""
     texels = (uvs * [1.0, -1.0] + [0.0, 1.0]) % 1.0 * [grid.width, grid.height]
     blocks = np.minimum(texels.astype(np.int64), [grid.width - 1, grid.height - 1]) // BLOCK
-    levels = np.clip(np.rint((np.log2(footprints) - MIN_LOG_FOOTPRINT) / FOOTPRINT_STEP), 0, FOOTPRINT_LEVELS - 1).astype(np.int64)
     indices = (blocks[:, 1] * (grid.padded_shape[1] // BLOCK) + blocks[:, 0]) * FOOTPRINT_LEVELS + levels
-    counts += np.bincount(indices, minlength=counts.size).reshape(counts.shape)
+    values, added = np.unique(indices, return_counts=True)
+    counts.reshape(-1)[values] += added
