@@ -16,7 +16,7 @@ import numpy as np
 from texmesh_packages import build
 from texmesh_textured_models import open_textured
 
-from farfield.addon.core.texmesh.streaming.allocation import ErrorTable, round_errors
+from farfield.addon.core.texmesh.streaming.allocation import ErrorTable
 from farfield.addon.core.texmesh.streaming.increments import Increments
 from farfield.addon.core.texmesh.streaming.manifest import MESH, TEXTURES, VERSION
 from farfield.addon.core.texmesh.streaming.package_files import read_package, write_package
@@ -76,7 +76,7 @@ def make_package(rng: np.random.Generator) -> SentPackage:
     table = ErrorTable(level_errors, np.arange(state_count), texture_errors, float(rng.uniform(1.0, 4.0)), 0.0)
     levels = tuple(Span(MESH, start, end) for start, end in pairwise([0, *mesh_ends]))
     table_size = TABLE_BYTES * len(sizes)
-    job = Job((levels[0], Span(TEXTURES, 0, table_size)), levels, round_errors(table.predict(texture_errors)), table_size + 4 * len(sizes))
+    job = Job((levels[0], Span(TEXTURES, 0, table_size)), levels, table.predict(texture_errors).tabulate(), table_size + 4 * len(sizes))
     zeros = np.zeros(len(sizes), np.int64)
     increments = Increments(zeros, np.arange(len(sizes)), zeros, np.array(sizes), np.array(firsts), np.array(lasts))
     return SentPackage(add_table(job, sizes, firsts, lasts), increments, 8000)

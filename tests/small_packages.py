@@ -11,6 +11,7 @@ from PIL import Image
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.simplification.levels import simplify_by_cost
 from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
+from farfield.addon.core.texmesh.streaming.error_model import ErrorModel
 from farfield.addon.core.texmesh.streaming.increments import Increments, decode_increments, encode_increments
 from farfield.addon.core.texmesh.streaming.manifest import (
     MANIFEST,
@@ -51,7 +52,7 @@ def write_opaque_package(folder: Path, seed: int = 0, mesh_size: int = 5000, tex
         increments=Section(0, start, zlib.crc32(textures[:start])),
         checksums=nothing,
         first_increment=start,
-        errors=((0.1,),),
+        errors=ErrorModel((0.1,), (0.1,), 2.0),
         time_limit=5.0,
         pixels=512.0,
     )
@@ -102,7 +103,7 @@ def write_textured_package(
         increments=Section(0, len(table), zlib.crc32(table)),
         checksums=Section(len(table), len(checksums), zlib.crc32(checksums)),
         first_increment=len(table) + len(checksums),
-        errors=_errors(levels, built.flips),
+        errors=_model_errors(len(levels), built.flips),
         time_limit=time_limit,
         pixels=512.0,
     )
@@ -142,7 +143,8 @@ def _describe(content: bytes) -> tuple[int, str]:
     return len(content), hashlib.sha256(content).hexdigest()
 
 
-def _errors(levels: tuple[MeshLevel, ...], flips: np.ndarray) -> tuple[tuple[float, ...], ...]:
-    """Errors of levels with states of the textures: coarser levels are worse."""
-    table = np.minimum.accumulate(flips)[None] + 0.1 * np.arange(len(levels))[::-1, None]
-    return tuple(tuple(row) for row in np.minimum(table, 1.0).round(4).tolist())
+def _model_errors(levels: int, flips: np.ndarray) -> ErrorModel:
+    """Errors of levels and states of the textures: coarser levels are worse."""
+    return ErrorModel(
+        tuple(0.1 * level for level in reversed(range(levels))), tuple(np.minimum.accumulate(flips).clip(0.0, 1.0).tolist()), 1.0
+    )

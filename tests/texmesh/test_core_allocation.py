@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.imaging.mipmaps import build_mipmaps
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.texmesh.streaming.allocation import ErrorTable, combine_errors, make_plan, measure_errors
+from farfield.addon.core.texmesh.streaming.allocation import ErrorTable, make_plan, measure_errors
+from farfield.addon.core.texmesh.streaming.error_model import combine_errors
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 
 errors = st.floats(0.0, 1.0)
@@ -44,10 +45,10 @@ def test_predicted_errors_never_rise_and_are_the_measured_ones(levels, states, s
     predicted = -np.sort(-generator.random(states))
     measured = np.unique(np.linspace(0, states - 1, 4).astype(int))
     level_errors = np.append(-np.sort(-generator.random(levels - 1)), 0.0)
-    errors = ErrorTable(level_errors, measured, 0.8 * predicted[measured], 2.0, 0.0).predict(predicted)
+    errors = np.array(ErrorTable(level_errors, measured, 0.8 * predicted[measured], 2.0, 0.0).predict(predicted).tabulate())
     assert errors.shape == (levels, states)
     assert (np.diff(errors, axis=0) <= 0.0).all() and (np.diff(errors, axis=1) <= 0.0).all()
-    assert errors[-1, measured] == pytest.approx(0.8 * predicted[measured], abs=1e-9)
+    assert errors[-1, measured] == pytest.approx(0.8 * predicted[measured], abs=1e-4)
     assert (0.8 * predicted - 1e-3 <= errors[-1]).all() and (errors[-1] <= predicted + 1e-3).all()
     assert (errors >= 0.0).all() and (errors <= 1.0).all()
 

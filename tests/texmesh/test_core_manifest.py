@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from farfield.addon.core.errors import FileError
+from farfield.addon.core.texmesh.streaming.error_model import ErrorModel
 from farfield.addon.core.texmesh.streaming.increments import Increments, decode_increments, encode_increments
 from farfield.addon.core.texmesh.streaming.manifest import Manifest, MeshLevel, PackageMaterial, PackageTexture, Section
 from farfield.addon.core.texmesh.streaming.manifest_json import decode_manifest, encode_manifest
@@ -31,7 +32,7 @@ def make_manifest() -> Manifest:
         increments=Section(0, 20, 7),
         checksums=Section(20, 12, 8),
         first_increment=32,
-        errors=((0.3, 0.25), (0.2, 0.05)),
+        errors=ErrorModel((0.3, 0.0), (0.25, 0.05), 2.0),
         time_limit=5.0,
         pixels=512.0,
     )
@@ -59,14 +60,15 @@ def test_mesh_size_is_that_of_a_level_and_all_coarser_ones():
         {"levels": ()},
         {"steps": (0, 4095)},
         {"steps": (8191, 65536)},
-        {"errors": ()},
-        {"errors": ((), ())},
-        {"errors": ((0.3, 0.2),)},
-        {"errors": ((0.3, 0.2), (0.2,))},
-        {"errors": ((0.3, 0.2), (0.2, 0.25))},
-        {"errors": ((0.3, 0.2), (0.31, 0.1))},
-        {"errors": ((0.3, 0.2), (0.1, -0.1))},
-        {"errors": ((0.1,) * 65,) * 2},
+        {"errors": ErrorModel((), (0.2,), 2.0)},
+        {"errors": ErrorModel((0.3, 0.0), (), 2.0)},
+        {"errors": ErrorModel((0.3,), (0.2, 0.1), 2.0)},
+        {"errors": ErrorModel((0.3, 0.31), (0.2, 0.1), 2.0)},
+        {"errors": ErrorModel((0.3, 0.2), (0.1, 0.2), 2.0)},
+        {"errors": ErrorModel((0.3, -0.1), (0.2, 0.1), 2.0)},
+        {"errors": ErrorModel((1.3, 0.1), (0.2, 0.1), 2.0)},
+        {"errors": ErrorModel((0.3, 0.1), (0.2, 0.1), 0.5)},
+        {"errors": ErrorModel((0.3, 0.1), (0.1,) * 65, 2.0)},
         {"time_limit": 0.0},
         {"materials": (PackageMaterial("skin", (1.0, 1.0, 1.0, 1.0), {"base_color": 1}, False),)},
         {"textures": (PackageTexture("base_color", 3000, 200, 1, (b"\xff",)),)},

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from farfield.addon.core.errors import SettingsError
+from farfield.addon.core.texmesh.streaming.error_model import ErrorModel
 from farfield.addon.core.texmesh.streaming.increments import Increments
 from farfield.addon.core.texmesh.streaming.manifest import TEXTURES, Manifest, MeshLevel, PackageMaterial, PackageTexture, Section
 from farfield.addon.core.texmesh.streaming.sending_state import Event
@@ -166,7 +167,7 @@ def make_manifest(increments: Increments) -> Manifest:
         increments=Section(0, 1000, 0),
         checksums=Section(1000, 4 * len(increments.sizes), 0),
         first_increment=3000,
-        errors=((0.3, 0.25, 0.2), (0.25, 0.2, 0.02)),
+        errors=ErrorModel((0.2, 0.0), (0.25, 0.2, 0.02), 2.0),
         time_limit=5.0,
         pixels=512.0,
     )

@@ -62,8 +62,8 @@ def test_a_package_of_an_object(folder):
     rows, columns = np.mgrid[:32, :32]
     is_dark = ((rows // 4 + columns // 4) % 2).astype(bool)
     assert np.abs(image[is_dark].astype(int) - 51).mean() < 6.0
-    assert len(manifest.errors) == 3 and manifest.state_count == content.increments.state_count
-    assert manifest.errors[2][-1] < 0.1 < manifest.errors[0][0]
+    assert len(manifest.errors.levels) == 3 and manifest.state_count == content.increments.state_count
+    assert manifest.errors.tabulate()[2][-1] < 0.1 < manifest.errors.tabulate()[0][0]
 
 
 def test_axes_are_those_of_gltf(folder):

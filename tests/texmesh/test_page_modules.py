@@ -137,7 +137,7 @@ def test_page_reads_table_of_increments(tmp_path):
     textures = [{"width": 2500, "height": 2000, "tile_size": 128, "headers": ["", "", ""]}] * 2
     total = 1000 + int(table.sizes.sum())
     manifest = {"increment_count": count, "first_increment": 1000, "textures": textures, "files": {"textures.bin": [total, ""]}}
-    manifest["errors"] = [[0.5] * 20] * 3
+    manifest["errors"] = {"states": [0.5] * 20}
     code = """
       const { readIncrements } = await import(page + "tiles.js");
       const plain = (table) => Object.fromEntries(Object.entries(table).map(([name, values]) => [name, [...values]]));
@@ -148,7 +148,7 @@ def test_page_reads_table_of_increments(tmp_path):
     """
     damages = [{"increment_count": count - 1}, {"first_increment": 999}, {"textures": textures[:1]}]
     damages.append({"textures": [texture | {"height": 900} for texture in textures]})
-    damages += [{"errors": [[0.5] * states]} for states in (19, 21)]
+    damages += [{"errors": {"states": [0.5] * states}} for states in (19, 21)]
     found, refused = run_module(tmp_path, code, {"planes": list(planes), "manifest": manifest, "damages": damages})
     for name in ("textures", "tiles", "headers", "sizes", "firsts", "lasts"):
         assert found[name] == getattr(table, name).tolist()

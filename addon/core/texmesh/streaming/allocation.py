@@ -18,10 +18,10 @@ from ...jobs.progress import Progress, Steps
 from ..perception.level_images import LevelImages, measure_difference, prepare_images
 from ..perception.views import frame_around, prepare_surface
 from ..textured_mesh import TexturedMesh
+from .error_model import MAX_EXPONENT, MIN_EXPONENT, ErrorModel, combine_errors
 
 MAX_IMAGE = 512  # pixels of the renders: larger objects are seen in parts, and their errors change little
 VIEWS = 3
-MIN_EXPONENT, MAX_EXPONENT = 1.0, 8.0
 MIN_ERROR = 1e-6  # smaller measured errors count as this, relative to others
 MIN_PREDICTED = 1e-3  # that matters in ratios of errors
 DECIMALS = 4  # of predicted errors
@@ -42,15 +42,15 @@ class ErrorTable:
     exponent: float
     residual: float
 
-    def predict(self, predicted: np.ndarray) -> np.ndarray:
-        """Return the errors (K, S) of all levels with all S states. They never rise.
+    def predict(self, predicted: np.ndarray) -> ErrorModel:
+        """Return the errors of all levels and of all S states.
 
         predicted: (S,) sums of the errors of tiles; the ratios of measured errors to them are interpolated between measured states.
         """
         ratios = (self.texture_errors + MIN_PREDICTED) / (predicted[self.states] + MIN_PREDICTED)
         textures = (predicted + MIN_PREDICTED) * np.interp(np.arange(len(predicted)), self.states, ratios) - MIN_PREDICTED
-        errors = combine_errors(self.level_errors[:, None], np.maximum(textures, 0.0)[None], self.exponent)
-        return np.minimum.accumulate(np.minimum.accumulate(np.clip(errors, 0.0, 1.0), axis=0), axis=1)
+        levels, textures = (np.minimum.accumulate(np.clip(errors, 0.0, 1.0)) for errors in (self.level_errors, textures))
+        return ErrorModel(*(tuple(np.round(errors, DECIMALS).tolist()) for errors in (levels, textures)), round(self.exponent, DECIMALS))
 
 
 class PlanRow(NamedTuple):
@@ -60,12 +60,6 @@ class PlanRow(NamedTuple):
     level: int
     state: int
     error: float
-
-
-def combine_errors(first: np.ndarray | float, second: np.ndarray | float, exponent: float) -> np.ndarray:
-    """Return the error of two independent causes: the sum with `exponent` 1, the larger one with a large exponent."""
-    largest = np.maximum(np.maximum(first, second), 1e-12)
-    return largest * ((first / largest) ** exponent + (second / largest) ** exponent) ** (1.0 / exponent)
 
 
 def measure_errors(
@@ -116,11 +110,6 @@ def measure_errors(
     level_errors, texture_errors = (np.minimum.accumulate(errors) for errors in (level_errors, texture_errors))
     exponent, residual = _fit_exponent(np.array(samples).reshape(-1, 3))
     return ErrorTable(level_errors, np.asarray(states, np.int64), texture_errors, exponent, residual)
-
-
-def round_errors(errors: np.ndarray) -> tuple[tuple[float, ...], ...]:
-    """Return a table (K, S) of errors as numbers that are short as text."""
-    return tuple(tuple(row) for row in np.round(errors, DECIMALS).tolist())
 
 
 def make_plan(errors: Sequence[Sequence[float]], mesh_sizes: Sequence[int], state_sizes: Sequence[int]) -> tuple[PlanRow, ...]:

@@ -31,8 +31,8 @@ def is_worthwhile(levels: Sequence[MeshLevel], table: ErrorTable, built: BuiltTe
     inserted = levels[-2]
     finest = sizes[-1] - inserted.corners.size - inserted.wedges.size - inserted.parents.size
     states = built.increments.measure_states(len(built.flips))
-    with_it = make_plan(table.predict(built.flips), sizes, states)
-    without = make_plan(leave_out_error(table).predict(built.flips), [*sizes[:-2], finest], states)
+    with_it = make_plan(table.predict(built.flips).tabulate(), sizes, states)
+    without = make_plan(leave_out_error(table).predict(built.flips).tabulate(), [*sizes[:-2], finest], states)
     end = without[-1].byte_count
     return average_log_error(with_it, end) <= average_log_error(without, end) + np.log1p(-MIN_GAIN)
 

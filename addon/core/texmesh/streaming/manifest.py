@@ -15,6 +15,7 @@ import zlib
 from dataclasses import dataclass
 
 from ...errors import FileError
+from .error_model import ErrorModel
 from .tile_pyramid import TilePyramid
 
 FORMAT, VERSION = "farfield-package", 3
@@ -111,8 +112,8 @@ class Manifest:
     name: of the object. files: size and SHA-256 (hexadecimal) by name. mirrors: URLs of folders with copies, ending in "/". bounds: (2, 3)
     lowest and highest position. uv_bounds: (2, 2) lowest and highest texture coordinate, v downwards as in glTF. steps: numbers of steps
     between them, at most MAX_STEPS. levels: coarsest first. increment_count, increments, checksums: see `increments`. first_increment:
-    offset of the first increment in textures.bin. errors: for each level, coarsest first, the predicted mean FLIP error with each state of
-    the textures, of which there is one if there are no increments; they never rise. time_limit: seconds. pixels: size of the object in the
+    offset of the first increment in textures.bin. errors: of levels and states of the textures, of
+    which there is one if there are no increments. time_limit: seconds. pixels: size of the object in the
     image that the errors are for.
     """
 
@@ -129,14 +130,14 @@ class Manifest:
     increments: Section
     checksums: Section
     first_increment: int
-    errors: tuple[tuple[float, ...], ...]
+    errors: ErrorModel
     time_limit: float
     pixels: float
 
     @property
     def state_count(self) -> int:
         """The number of states of the textures, 1 without increments."""
-        return len(self.errors[0])
+        return len(self.errors.states)
 
     def mesh_size(self, level: int) -> int:
         """Return the bytes of mesh.bin that show `level`: those of this level and of all coarser ones."""

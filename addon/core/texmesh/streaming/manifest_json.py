@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import FileError
+from .error_model import MAX_EXPONENT, MIN_EXPONENT, ErrorModel
 from .manifest import (
     FORMAT,
     MANIFEST,
@@ -108,10 +109,15 @@ def _to_manifest(values: dict[str, Any]) -> Manifest:
         increments=_to_section(values["increments"]),
         checksums=_to_section(values["checksums"]),
         first_increment=_integer(values["first_increment"]),
-        errors=tuple(_finite(row, len(row)) for row in values["errors"]),
+        errors=_to_errors(values["errors"]),
         time_limit=_finite([values["time_limit"]], 1)[0],
         pixels=_finite([values["pixels"]], 1)[0],
     )
+
+
+def _to_errors(values: dict[str, Any]) -> ErrorModel:
+    levels, states = (_finite(values[key], len(values[key])) for key in ("levels", "states"))
+    return ErrorModel(levels, states, _finite([values["exponent"]], 1)[0])
 
 
 def _to_level(values: dict[str, Any]) -> MeshLevel:
@@ -173,14 +179,17 @@ def _check(manifest: Manifest) -> None:
     tables = (manifest.increments, manifest.checksums)
     if any(table.end > manifest.first_increment for table in tables) or manifest.first_increment > textures_size:
         raise _contradiction("the table of increments ends behind the first one")
-    has_shape = len(manifest.errors) == len(manifest.levels) and all(len(row) == manifest.state_count for row in manifest.errors)
-    if not has_shape or not 1 <= manifest.state_count <= MAX_STATES:
-        raise _contradiction("its table of errors does not fit to its levels")
-    errors = np.array(manifest.errors)
-    if (errors < 0.0).any() or (np.diff(errors, axis=0) > 0.0).any() or (np.diff(errors, axis=1) > 0.0).any():
-        raise _contradiction("its errors rise")
+    errors = manifest.errors
+    if len(errors.levels) != len(manifest.levels) or not 1 <= manifest.state_count <= MAX_STATES:
+        raise _contradiction("its errors do not fit to its levels")
+    if not all(_falls(values) for values in (errors.levels, errors.states)) or not MIN_EXPONENT <= errors.exponent <= MAX_EXPONENT:
+        raise _contradiction("its errors rise, or are not possible")
     if manifest.time_limit <= 0.0 or manifest.pixels <= 0.0 or not np.all(np.less_equal(*manifest.bounds)):
         raise _contradiction("its time limit, size in pixels or bounds are not possible")
+
+
+def _falls(errors: tuple[float, ...]) -> bool:
+    return all(0.0 <= last <= first <= 1.0 for first, last in zip(errors, (*errors[1:], errors[-1]), strict=True))
 
 
 def _contradiction(what: str) -> FileError:

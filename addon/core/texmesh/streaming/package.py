@@ -15,7 +15,7 @@ from ...text import format_count
 from ..level_chain import AllSettings, LevelChain, leave_out_inserted, make_levels
 from ..scale_space.analysis import analyze_scale_space
 from ..textured_mesh import TexturedMesh
-from .allocation import ErrorTable, PlanRow, make_plan, measure_errors, round_errors
+from .allocation import ErrorTable, PlanRow, make_plan, measure_errors
 from .increments import Increments, encode_increments
 from .inserted_levels import INSERTED_FRACTION, is_worthwhile, leave_out_error
 from .levels_glb import encode_levels
@@ -212,7 +212,7 @@ def _assemble(
         increments=Section(0, len(encoded), zlib.crc32(encoded)),
         checksums=Section(len(encoded), len(checksums), zlib.crc32(checksums)),
         first_increment=len(encoded) + len(checksums),
-        errors=round_errors(table.predict(built.flips)),
+        errors=table.predict(built.flips),
         time_limit=settings.time_limit,
         pixels=float(settings.pixels),
     )
@@ -220,6 +220,6 @@ def _assemble(
         contents[LEVELS_GLB] = encode_levels(name, chain, materials)
     counts = tuple(sum(level.triangle_counts) for level in reversed(levels))
     mesh_sizes = [manifest.mesh_size(level) for level in range(len(levels))]
-    plan = make_plan(manifest.errors, mesh_sizes, built.increments.measure_states(manifest.state_count))
+    plan = make_plan(manifest.errors.tabulate(), mesh_sizes, built.increments.measure_states(manifest.state_count))
     report = PackageReport(name, counts, len(contents[MESH]), len(contents[TEXTURES]), table, plan)
     return Package(manifest, contents, report)

@@ -122,8 +122,8 @@ def build_job(manifest: Manifest) -> Job:
     levels = tuple(_span(level.positions, level.parents, level.wedges, level.uvs, level.corners) for level in manifest.levels)
     table = Span(TEXTURES, manifest.increments.offset, manifest.increments.end)
     if not manifest.increment_count:
-        return add_table(Job(levels[:1], levels, manifest.errors, manifest.first_increment), (), (), ())
-    return Job((levels[0], table), levels, manifest.errors, manifest.first_increment)
+        return add_table(Job(levels[:1], levels, manifest.errors.tabulate(), manifest.first_increment), (), (), ())
+    return Job((levels[0], table), levels, manifest.errors.tabulate(), manifest.first_increment)
 
 
 def add_table(job: Job, sizes: Sequence[int], firsts: Sequence[int], lasts: Sequence[int]) -> Job:

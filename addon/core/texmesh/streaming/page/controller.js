@@ -29,8 +29,13 @@ export function buildJob(manifest) {
   });
   const [start, size] = manifest.increments, isTextured = manifest.increment_count > 0;
   const first = [levels[0], ...(isTextured ? [{ file: TEXTURES, start, end: start + size }] : [])];
-  const job = { first, levels, errors: manifest.errors, begin: manifest.first_increment, ends: null };
+  const job = { first, levels, errors: tabulateErrors(manifest.errors), begin: manifest.first_increment, ends: null };
   return isTextured ? job : addTable(job, { sizes: [], firsts: [], lasts: [] });
+}
+
+function tabulateErrors({ levels, states, exponent }) {
+  const combine = (level, state) => (level ** exponent + state ** exponent) ** (1 / exponent);
+  return levels.map((level) => states.map((state) => min(combine(level, state), 1)));
 }
 
 /** `job` with its increments: arrays of their bytes, and of the first and the last state that has each. */

@@ -39,8 +39,7 @@ function checkManifest(manifest) {
     const sizes = [MESH, TEXTURES].map((name) => manifest.files[name][0]);
     const sections = manifest.levels.flatMap((level) => SECTIONS.map((name) => level[name]));
     const fits = ([offset, size], end) => offset >= 0 && size >= 0 && offset + size <= end;
-    const isFine = sizes.every((size) => Number.isInteger(size) && size >= 0 && size <= MAX_FILE_BYTES) && manifest.errors.length === manifest.levels.length &&
-      manifest.errors.every((row) => row.length && row.length === manifest.errors[0].length) &&
+    const isFine = sizes.every((size) => Number.isInteger(size) && size >= 0 && size <= MAX_FILE_BYTES) && manifest.errors.levels.length === manifest.levels.length && manifest.errors.states.length &&
       sections.every((section) => fits(section, sizes[0])) && fits(manifest.increments, manifest.first_increment) &&
       manifest.first_increment <= sizes[1] && manifest.levels.length && manifest.materials.length && manifest.time_limit > 0;
     if (!isFine) throw new RangeError();

@@ -19,7 +19,7 @@ export function readIncrements(planes, manifest) {
     }
   }
   const tileCounts = manifest.textures.map((texture) => listLevels(texture).reduce((sum, [rows, columns]) => sum + rows * columns, 0));
-  const stateCount = manifest.errors[0].length;
+  const stateCount = manifest.errors.states.length;
   let state = -1; // each adds increments
   table.ends = new Array(count);
   let end = manifest.first_increment;

@@ -18,7 +18,7 @@ from ..manifest import MAX_STATES
 from ..tile_pyramid import sum_tiles
 from .coding import CodedTexture
 
-BYTE_FACTOR = 1.4  # between neighboring states, at least; 1.35 and 1.5 need about as many bytes, 2 needs up to 1.5 times as many
+BYTE_FACTOR = 1.2  # between neighboring states, at most where there are so many; tiles are in several of them
 PRICES = np.geomspace(1.0, 1e-12, 241)  # of a byte, in error
 
 
