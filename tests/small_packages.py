@@ -145,6 +145,5 @@ def _describe(content: bytes) -> tuple[int, str]:
 
 def _model_errors(levels: int, flips: np.ndarray) -> ErrorModel:
     """Errors of levels and states of the textures: coarser levels are worse."""
-    return ErrorModel(
-        tuple(0.1 * level for level in reversed(range(levels))), tuple(np.minimum.accumulate(flips).clip(0.0, 1.0).tolist()), 1.0
-    )
+    states = np.minimum.accumulate(flips).clip(0.0, 1.0).tolist()
+    return ErrorModel(tuple(0.1 * level for level in reversed(range(levels))), tuple(states), 1.0)

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from farfield.addon.core.texmesh.streaming import controller, sending_servers
+from farfield.addon.core.texmesh.streaming.error_model import ErrorModel
 from farfield.addon.core.texmesh.streaming.sending_state import Job, State
 from lib import environment
 from sending_scenarios import Exchange, hide_table, random_exchange
@@ -87,3 +88,26 @@ def test_page_decides_like_python(tmp_path: Path):
     assert {0, 1, 2} <= kinds
     assert any(decision[1] for decisions in expected for decision in decisions), "no request was aborted"
     assert any(decision[2][1] > 1 for decisions in expected for decision in decisions), "no level was chosen"
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed, so the page's job is not compared")
+def test_page_predicts_errors_like_python(tmp_path: Path):
+    model = ErrorModel((0.31, 0.12, 0.0), (0.55, 0.2, 0.04, 0.0), 2.7)
+    level = dict.fromkeys(("positions", "parents", "wedges", "uvs", "corners"), [0, 9, 0])
+    manifest = {
+        "levels": [level] * 3,
+        "increments": [0, 9, 0],
+        "increment_count": 4,
+        "errors": dataclasses.asdict(model),
+        "first_increment": 9,
+    }
+    (tmp_path / "manifest.json").write_text(json.dumps(manifest))
+    (tmp_path / "runner.mjs").write_text("""
+import { readFileSync } from "node:fs";
+const { buildJob } = await import(process.argv[2]);
+process.stdout.write(JSON.stringify(buildJob(JSON.parse(readFileSync(process.argv[3]))).errors));
+""")
+    command = ["node", str(tmp_path / "runner.mjs"), PAGE.as_uri(), str(tmp_path / "manifest.json")]
+    found = json.loads(subprocess.run(command, capture_output=True, check=True, text=True).stdout)
+    for ours, theirs in zip(model.tabulate(), found, strict=True):
+        assert theirs == pytest.approx(ours, rel=1e-12)
