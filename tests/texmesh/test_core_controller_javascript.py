@@ -93,7 +93,7 @@ def test_page_decides_like_python(tmp_path: Path):
 @pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed, so the page's job is not compared")
 def test_page_predicts_errors_like_python(tmp_path: Path):
     model = ErrorModel((0.31, 0.12, 0.0), (0.55, 0.2, 0.04, 0.0), 2.7)
-    level = dict.fromkeys(("positions", "parents", "wedges", "uvs", "corners"), [0, 9, 0])
+    level = {key: [0, 9, 0] for key in ("positions", "parents", "wedges", "uvs", "corners")}
     manifest = {
         "levels": [level] * 3,
         "increments": [0, 9, 0],
