@@ -8,7 +8,7 @@ import numpy as np
 from .allocation import ErrorTable, make_plan
 from .manifest import MeshLevel, PlanRow
 
-INSERTED_FRACTION = 0.65  # of the triangles of the finest level, at most
+INSERTED_FRACTION = 0.7  # of the triangles of the finest level, at most
 ERRORS = np.geomspace(0.07, 0.04, 16)  # around which models begin to look right: what plans are compared at
 MIN_GAIN = 0.01  # of the bytes with which plans have these errors, on the average of their logarithms
 
