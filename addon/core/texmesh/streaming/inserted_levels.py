@@ -9,9 +9,9 @@ from .allocation import ErrorTable, PlanRow, make_plan
 from .manifest import MeshLevel
 from .textures.building import BuiltTextures
 
-INSERTED_FRACTION = 0.65  # of the triangles of the finest level, at most
-MIN_GAIN = 0.005  # of the error, on the average over the logarithm of the bytes
-MIN_ERROR = 1e-3  # smaller errors count as this
+INSERTED_FRACTION = 0.7  # of the triangles of the finest level, at most
+ERRORS = np.geomspace(0.07, 0.04, 16)  # around which models begin to look right: what plans are compared at
+MIN_GAIN = 0.01  # of the bytes with which plans have these errors, on the average of their logarithms
 
 
 def leave_out_error(table: ErrorTable) -> ErrorTable:
@@ -20,7 +20,7 @@ def leave_out_error(table: ErrorTable) -> ErrorTable:
 
 
 def is_worthwhile(levels: Sequence[MeshLevel], table: ErrorTable, built: BuiltTextures) -> bool:
-    """Return whether plans with the last level but one predict clearly smaller errors than plans without it.
+    """Return whether plans with the last level but one need clearly fewer bytes for ERRORS than plans without it.
 
     Without it, the finest level would need its positions and texture coordinates, but neither its triangles nor its parents.
 
@@ -33,14 +33,14 @@ def is_worthwhile(levels: Sequence[MeshLevel], table: ErrorTable, built: BuiltTe
     states = built.increments.measure_states(len(built.flips))
     with_it = make_plan(table.predict(built.flips).tabulate(), sizes, states)
     without = make_plan(leave_out_error(table).predict(built.flips).tabulate(), [*sizes[:-2], finest], states)
-    end = without[-1].byte_count
-    return average_log_error(with_it, end) <= average_log_error(without, end) + np.log1p(-MIN_GAIN)
+    errors = ERRORS[(without[0].error > ERRORS) & (without[-1].error <= ERRORS)]
+    if not len(errors):
+        return False
+    return bool(np.log(find_bytes(with_it, errors) / find_bytes(without, errors)).mean() <= np.log1p(-MIN_GAIN))
 
 
-def average_log_error(plan: Sequence[PlanRow], end: int) -> float:
-    """Return the logarithm of the error of the best row for each number of bytes, averaged over the logarithm of the bytes from the first
-    row to `end`."""
-    rows = [row for row in plan if row.byte_count < end] or list(plan[:1])
-    widths = np.diff(np.log([max(count, 1) for count in (*(row.byte_count for row in rows), end)]))
-    errors = np.log([max(row.error, MIN_ERROR) for row in rows])
-    return float(np.average(errors, weights=widths)) if widths.sum() > 0.0 else float(errors[-1])
+def find_bytes(plan: Sequence[PlanRow], errors: np.ndarray) -> np.ndarray:
+    """Return the bytes (N,) of the first rows of `plan` whose errors are at most `errors` (N,), which the last row reaches."""
+    found = np.array([row.error for row in plan])
+    counts = np.array([row.byte_count for row in plan], np.float64)
+    return counts[np.searchsorted(-found, -errors)]
