@@ -135,6 +135,9 @@ def test_tiles_that_come_again_are_sent_again():
 
 def test_finer_levels_and_higher_qualities_have_smaller_errors(coded):
     sums = coded.errors.sum(axis=(2, 3))
+    assert np.isfinite(sums[2]).all() and np.isinf(np.delete(sums, 2, axis=0)[:, 1::2]).all()  # level 2 is one tile of full size
+    assert (np.diff(sums[2]) < 0.0).all()
+    sums = sums[:, ::2]
     assert (np.diff(sums[0]) < 0.0).all() and (np.diff(sums[:, -1]) > 0.0).all()
     assert (sums < coded.missing_errors.sum()).all()
 
@@ -281,7 +284,7 @@ def test_detail_finer_than_images_show_has_the_highest_quality_only():
     visibility[..., np.flatnonzero(level_footprints() == 4.0)] = 1.0 / 32**2  # the texture halved twice
     coded = run_to_end(code_texture(source, grid, visibility, SETTINGS))
     qualities = {level: {quality for found, quality, _ in coded.tiles if found == level} for level in range(4)}
-    assert qualities == {0: {2}, 1: {2}, 2: {0, 1, 2}, 3: {0, 1, 2}}
+    assert qualities == {0: {4}, 1: {4}, 2: {0, 2, 4}, 3: {0, 1, 2, 3, 4}}
     assert sum(level == 0 for level, _, _ in coded.tiles) == coded.used.sum()
 
 

@@ -19,7 +19,8 @@ from .texture_tiles import TextureSource, TileGrid, cut_tiles, fill_unused, find
 from .visibility import BLOCK
 
 MISSING = 128  # of all channels of tiles that have not come
-QUALITY_FRACTIONS = (0.4, 0.7, 1.0)  # of the quality of complete textures, of which tiles have one
+QUALITY_FRACTIONS = (0.4, 0.55, 0.7, 0.85, 1.0)  # of the quality of complete textures, of which tiles have one
+FEW_TILES = 2  # of levels whose tiles have all qualities, since one tile is much there; others have every other quality
 MIN_VISIBILITY = 1e-3  # of blocks that no view shows, relative to the mean of the used ones
 
 
@@ -83,12 +84,9 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
         chosen = np.flatnonzero(sum_tiles(used_tiles.astype(np.int64), level))
         cut = cut if has_colors else cut[..., 0]
         byte_counts = np.zeros((len(qualities), shape[0] * shape[1]), np.int64)
-        for index, quality in enumerate(qualities):
-            is_best = index == len(qualities) - 1
-            if level < judge.finest and not (is_best and level in (0, judge.finest - 1)):
-                continue  # images do not show so much detail: coarser levels are better for fewer bytes
+        for index in _choose_qualities(level, judge.finest, len(chosen), side == grid.tile_size):
             decoded = np.full((len(cut), side, side, 3), MISSING, np.uint8)
-            code = partial(_code_tile, cut, quality)
+            code = partial(_code_tile, cut, qualities[index])
             for count, (number, header, payload, result) in enumerate(map_ordered(code, chosen.tolist())):
                 done = (index + count / len(chosen)) / len(qualities)
                 yield Progress(1.0 - 0.25**level * (1.0 - 0.75 * done), "Coding textures")
@@ -101,6 +99,15 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
     gray = np.full_like(image, MISSING)
     texture = PackageTexture(source.role, grid.width, grid.height, grid.tile_size, tuple(headers))
     return CodedTexture(texture, pyramid, used_tiles, tiles, sizes, errors, _sum_blocks(judge.measure(gray, 0), blocks))
+
+
+def _choose_qualities(level: int, finest: int, tiles: int, is_whole: bool) -> range:
+    """Return the indices of the qualities that a level is coded at, which has so many used tiles, of full size (`is_whole`) or halved.
+    finest: the finest level that counts in images; for fewer bytes than finer ones at the highest quality need, coarser ones are better."""
+    last = len(QUALITY_FRACTIONS) - 1
+    if level < finest:
+        return range(last, last + 1) if level in (0, finest - 1) else range(0)
+    return range(0, last + 1, 1 if tiles <= FEW_TILES and is_whole else 2)
 
 
 def cut_blocks(used: np.ndarray) -> np.ndarray:
