@@ -1,5 +1,6 @@
 """Measures how many bytes textures of packages need for the same FLIP error as uniform quality, for `bench_texmesh.py`."""
 
+import gzip
 import io
 import json
 import sys
@@ -19,6 +20,7 @@ from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.scale_space.analysis import analyze_scale_space
 from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
+from farfield.addon.core.texmesh.streaming.increments import encode_increments
 from farfield.addon.core.texmesh.streaming.textures.avif_files import SPEED
 from farfield.addon.core.texmesh.streaming.textures.building import BuiltTextures, build_textures
 from farfield.addon.core.texmesh.streaming.textures.decoding import decode_textures
@@ -76,8 +78,9 @@ def spread_images(sources: Sequence[TextureSource], decoded: Sequence[np.ndarray
 
 
 def measure_built(built: BuiltTextures, sources: Sequence[TextureSource], judge: Callable[[Images], float], count: int) -> Curve:
-    """Return the curve of the states of the textures of a package."""
-    fixed = sum(sum(map(len, texture.headers)) for texture in built.textures)
+    """Return the curve of the states of the textures of a package, with the headers of tiles as servers compress manifests."""
+    headers = json.dumps([[header.hex() for header in texture.headers] for texture in built.textures])
+    fixed = len(gzip.compress(headers.encode(), 9)) + len(encode_increments(built.increments))
     sizes = built.increments.measure_states(built.increments.state_count)
     flips = [
         judge(spread_images(sources, decode_textures(built.textures, built.increments, built.content, state), count))

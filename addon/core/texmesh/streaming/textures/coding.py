@@ -12,6 +12,7 @@ from ....jobs.progress import Progress, Steps
 from ..manifest import PackageTexture
 from ..tile_pyramid import TilePyramid, sum_tiles
 from .avif_files import decode_tile, encode_tile
+from .enlarging import sharpen_for_enlarging
 from .fragments import count_features
 from .settings import TextureSettings
 from .texture_errors import TextureErrors, to_bytes, values_of_bytes
@@ -81,6 +82,7 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
         side = pyramid.side(level)
         padding = [(0, shape[0] * side - height), (0, shape[1] * side - width), (0, 0)]
         cut = cut_tiles(np.pad(pixels, padding, mode="edge"), side)
+        cut = sharpen_for_enlarging(cut) if level else cut
         chosen = np.flatnonzero(sum_tiles(used_tiles.astype(np.int64), level))
         cut = cut if has_colors else cut[..., 0]
         byte_counts = np.zeros((len(qualities), shape[0] * shape[1]), np.int64)

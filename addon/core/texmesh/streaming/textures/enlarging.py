@@ -1,6 +1,13 @@
-"""Tiles of coarse levels enlarged to the resolution of the texture."""
+"""Tiles of coarse levels enlarged to the resolution of the texture.
+
+Enlarged bilinearly and minified again by averaging, an image is blurred: along each axis, a pixel becomes 1/8, 3/4 and 1/8 of three, which
+are the values of a quadratic B-spline. So tiles are coded as the coefficients of the spline that has their pixels.
+"""
 
 import numpy as np
+from scipy import ndimage
+
+BLUR = (1.0 / 8.0, 3.0 / 4.0, 1.0 / 8.0)
 
 
 def enlarge(image: np.ndarray, levels: int) -> np.ndarray:
@@ -12,3 +19,19 @@ def enlarge(image: np.ndarray, levels: int) -> np.ndarray:
     height, width = image.shape[:2]
     picture = Image.fromarray(np.ascontiguousarray(image))
     return np.asarray(picture.resize((width << levels, height << levels), Image.Resampling.BILINEAR))
+
+
+def blur_as_enlarged(image: np.ndarray) -> np.ndarray:
+    """Return what an image (H, W, 3) uint8 is after it was enlarged and minified to its size again."""
+    blurred = image.astype(np.float32)
+    for axis in (0, 1):
+        blurred = ndimage.correlate1d(blurred, BLUR, axis, mode="reflect")
+    return np.rint(blurred).astype(np.uint8)
+
+
+def sharpen_for_enlarging(tiles: np.ndarray) -> np.ndarray:
+    """Return tiles (N, S, S) or (N, S, S, 3) uint8 that are `tiles` after they were enlarged and minified again, up to clipping."""
+    sharpened = tiles.astype(np.float32)
+    for axis in (1, 2):
+        sharpened = ndimage.spline_filter1d(sharpened, 2, axis, np.float32, mode="reflect")
+    return np.rint(np.clip(sharpened, 0.0, 255.0)).astype(np.uint8)

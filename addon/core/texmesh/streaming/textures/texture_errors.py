@@ -10,7 +10,7 @@ from ....imaging.flip import FlipImage, compare, filter_radius, prepare_image
 from ....imaging.images import decode_normals
 from ....imaging.mipmaps import Mipmaps, build_mipmaps
 from ....jobs.chunks import map_ordered
-from .enlarging import enlarge
+from .enlarging import blur_as_enlarged, enlarge
 from .visibility import BLOCK, level_footprints
 
 COLOR_ROLES = {"base_color", "emission"}
@@ -61,9 +61,9 @@ class TextureErrors:
     def measure(self, image: np.ndarray, level: int) -> np.ndarray:
         """Return the error (H / 8, W / 8) of each block, times the fraction of the object's pixels that show it.
 
-        image: (ceil(H / 2^level), ceil(W / 2^level), 3) uint8.
+        image: (ceil(H / 2^level), ceil(W / 2^level), 3) uint8. It is shown enlarged to the size of the texture.
         """
-        mipmaps = build_mipmaps(image, values_of_bytes(self._role))
+        mipmaps = build_mipmaps(blur_as_enlarged(image) if level else image, values_of_bytes(self._role))
         errors = np.zeros(self._shape)
         for resolution, weights in self._weights.items():
             if resolution >= level:
