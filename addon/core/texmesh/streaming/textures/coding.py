@@ -103,13 +103,13 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
     return CodedTexture(texture, pyramid, used_tiles, tiles, sizes, errors, _sum_blocks(judge.measure(gray, 0), blocks))
 
 
-def _choose_qualities(level: int, finest: int, tiles: int, is_whole: bool) -> range:
-    """Return the indices of the qualities that a level is coded at, which has so many used tiles, of full size (`is_whole`) or halved.
+def _choose_qualities(level: int, finest: int, tiles: int, is_full_size: bool) -> range:
+    """Return the indices of the qualities that a level is coded at, which has so many used tiles, of full size (`is_full_size`) or halved.
     finest: the finest level that counts in images; for fewer bytes than finer ones at the highest quality need, coarser ones are better."""
     last = len(QUALITY_FRACTIONS) - 1
     if level < finest:
         return range(last, last + 1) if level in (0, finest - 1) else range(0)
-    return range(0, last + 1, 1 if tiles <= FEW_TILES and is_whole else 2)
+    return range(0, last + 1, 1 if tiles <= FEW_TILES and is_full_size else 2)
 
 
 def cut_blocks(used: np.ndarray) -> np.ndarray:
