@@ -22,7 +22,6 @@ from .visibility import BLOCK
 MISSING = 128  # of all channels of tiles that have not come
 QUALITY_FRACTIONS = (0.4, 0.55, 0.7, 0.85, 1.0)  # of the quality of complete textures, of which tiles have one
 FEW_TILES = 2  # of levels whose tiles have all qualities, since one tile is much there; others have every other quality
-MANY_TILES = 8  # of a level that is a little finer than images show
 MIN_VISIBILITY = 1e-3  # of blocks that no view shows, relative to the mean of the used ones
 
 
@@ -106,10 +105,9 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
 
 def _choose_qualities(level: int, finest: int, tiles: int, is_full_size: bool) -> range:
     """Return the indices of the qualities that a level is coded at, which has so many used tiles, of full size (`is_full_size`) or halved.
-    finest: the finest level that counts in images; for fewer bytes than finer ones at the highest quality need, coarser ones are mostly
-    better, so that many tiles of the level before it are not worth the time."""
+    finest: the finest level that counts in images; for fewer bytes than finer ones at the highest quality need, coarser ones are better."""
     last = len(QUALITY_FRACTIONS) - 1
-    if level < finest and not (level == finest - 1 and tiles <= MANY_TILES):
+    if level < finest:
         return range(last, last + 1) if level in (0, finest - 1) else range(0)
     return range(0, last + 1, 1 if tiles <= FEW_TILES and is_full_size else 2)
 

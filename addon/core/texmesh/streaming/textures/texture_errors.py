@@ -11,7 +11,7 @@ from ....imaging.images import decode_normals
 from ....imaging.mipmaps import Mipmaps, build_mipmaps
 from ....jobs.chunks import map_ordered
 from .enlarging import blur_as_enlarged, enlarge
-from .visibility import BLOCK, FOOTPRINT_STEP, level_footprints
+from .visibility import BLOCK, level_footprints
 
 COLOR_ROLES = {"base_color", "emission"}
 DATA_WEIGHT = 0.08  # of errors of roughness and the like, which change images less than colors do
@@ -105,18 +105,16 @@ class TextureErrors:
 def merge_resolutions(visibility: np.ndarray, count: int) -> dict[int, np.ndarray]:
     """Return the fraction (H / 8, W / 8) of pixels that show each block at a resolution of the texture, halved 0 to `count` - 1 times.
 
-    Pixels mix the two resolutions next to their footprints. Resolutions that less than MIN_FRACTION of all show are counted as the next
-    finer one that is left, or the finest of those.
+    Resolutions that less than MIN_FRACTION of all show are counted as the next finer one that is left, or the finest of those.
 
     visibility: see `TextureErrors`.
     """
-    within = np.linspace(-0.5, 0.5, 9) * FOOTPRINT_STEP
-    halvings = np.clip(np.log2(level_footprints())[:, None] + within, 0.0, count - 1.0)
-    mixed = np.maximum(1.0 - np.abs(halvings - np.arange(count)[:, None, None]), 0.0).mean(axis=2)  # (resolutions, levels of footprints)
-    fractions = mixed @ visibility.sum(axis=(0, 1), dtype=np.float64)
-    kept = np.flatnonzero(fractions >= MIN_FRACTION * fractions.sum()) if fractions.any() else np.array([0])
-    owners = kept[np.maximum(np.searchsorted(kept, np.arange(count), side="right") - 1, 0)]
-    return {resolution: visibility @ mixed[owners == resolution].sum(axis=0) for resolution in kept.tolist()}
+    halvings = np.clip(np.rint(np.log2(level_footprints())), 0, count - 1).astype(np.int64)
+    fractions = np.bincount(halvings, visibility.sum(axis=(0, 1)), count)
+    kept = np.flatnonzero(fractions >= MIN_FRACTION * fractions.sum())
+    kept = kept if fractions.any() else np.array([0])
+    owners = kept[np.maximum(np.searchsorted(kept, halvings, side="right") - 1, 0)]
+    return {resolution: visibility[..., owners == resolution].sum(axis=2, dtype=np.float64) for resolution in kept.tolist()}
 
 
 def average_blocks(values: np.ndarray, resolution: int, shape: tuple[int, int]) -> np.ndarray:
