@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from farfield.addon.core.imaging.raster import depth_buffer, fill_triangles, rasterize
+from farfield.addon.core.imaging.raster import depth_buffer, fill_triangles, list_drawn, rasterize
 
 SIZE = (8, 6)
 FULL = np.array([[[0, 0], [8, 0], [8, 6]], [[0, 0], [8, 6], [0, 6]]], float)
@@ -46,3 +46,11 @@ def test_triangles_are_filled_with_their_colors():
     assert image.shape == (6, 8, 3)
     assert image[0, 7].tolist() == [1, 0, 0] and image[5, 0].tolist() == [0, 1, 0]
     assert (fill_triangles(FULL[:0], np.zeros((0, 3)), SIZE, 0.5) == 0.5).all()
+
+
+def test_drawn_triangles_are_listed_once_and_pixels_have_their_rows():
+    owners = np.array([7, 2, 2, 9, 7], np.int32)
+    drawn, rows = list_drawn(owners, 12)
+    assert drawn.tolist() == [2, 7, 9] and rows.tolist() == [1, 0, 0, 2, 1]
+    drawn, rows = list_drawn(owners[:0], 12)
+    assert not len(drawn) and not len(rows)

@@ -112,6 +112,19 @@ def draw_ids(corners: np.ndarray, depths: np.ndarray, size: tuple[int, int]) -> 
     return owners.reshape(size[1], size[0]), buffer.reshape(size[1], size[0])
 
 
+def list_drawn(owners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return which of `count` triangles are drawn, (T,) int64 ascending, and the row among these of each of `owners`, (N,) int32.
+
+    owners: (N,) triangles of covered pixels, see `draw_ids`.
+    """
+    is_drawn = np.zeros(count, bool)
+    is_drawn[owners] = True
+    drawn = np.flatnonzero(is_drawn)
+    rows = np.empty(count, np.int32)
+    rows[drawn] = np.arange(len(drawn))
+    return drawn, rows.take(owners)
+
+
 def _find_depths(corners: np.ndarray, depths: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the depths (R,) of triangles `corners` (R, 3, 2) with `depths` (R, 3) at the pixels `x`, `y` (R,), and by how much they grow
     from one pixel to the next (R,)."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...geometry.mesh import face_areas_and_normals, vertex_normals
 from ...imaging.mipmaps import Mipmaps, measure_footprints, sample_mipmaps
-from ...imaging.raster import draw_ids
+from ...imaging.raster import draw_ids, list_drawn
 from ..textured_mesh import TexturedMesh
 
 PLAIN_COLOR = 0.6  # linear, of materials without a texture
@@ -137,13 +137,8 @@ def place_samples(surface: ViewedSurface, direction: np.ndarray, frame: Frame, s
     owners, _ = draw_ids(corners, depths[surface.triangles], (size, size))
     coverage = owners >= 0
     samples = np.flatnonzero(coverage)
-    triangles = owners.ravel()[samples]
-    is_shown = np.zeros(len(corners), bool)
-    is_shown[triangles] = True
-    shown = np.flatnonzero(is_shown)
-    rows = np.empty(len(corners), np.int32)
-    rows[shown] = np.arange(len(shown))
-    located = _Samples(rows.take(triangles), _find_barycentric(corners[shown], rows.take(triangles), samples, size))
+    shown, rows = list_drawn(owners.ravel()[samples], len(corners))
+    located = _Samples(rows, _find_barycentric(corners[shown], rows, samples, size))
     parts = _divide_by_texture(surface, corners[shown], shown, located)
     facing = None
     if surface.corner_normals is not None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from ....geometry.directions import fibonacci_sphere
 from ....imaging.mipmaps import measure_footprints
-from ....imaging.raster import draw_ids
+from ....imaging.raster import draw_ids, list_drawn
 from ....imaging.texture_renders import locate_positions
 from ....jobs.progress import Progress, Steps
 from ...perception.views import Frame, frame_around, view_axes
@@ -79,18 +79,13 @@ class _Surface(NamedTuple):
     frame: Frame
 
     def look(self, direction: np.ndarray, samples: int) -> _Seen:
-        """Return what is seen from `direction` (3,) with so many samples along each side."""
+        """Return the samples of a view from `direction` (3,) with so many along each side."""
         positions = (self.mesh.vertices - self.frame.center) @ view_axes(direction).T
         corners = (positions[:, :2] / self.frame.side + 0.5).take(self.mesh.triangles, axis=0) * samples
         owners, _ = draw_ids(corners, -positions[:, 2].take(self.mesh.triangles), (samples, samples))
         shown = np.flatnonzero(owners.ravel() >= 0)
         owners = owners.ravel()[shown]
-        is_seen = np.zeros(len(corners), bool)
-        is_seen[owners] = True
-        triangles = np.flatnonzero(is_seen)
-        numbers = np.empty(len(corners), np.int32)
-        numbers[triangles] = np.arange(len(triangles))
-        rows = numbers[owners]
+        triangles, rows = list_drawn(owners, len(corners))
         centers = np.stack([shown % samples, shown // samples], axis=1) + 0.5
         barycentric = locate_positions(corners.take(owners, axis=0), np.ones((len(rows), 3)), centers)
         uvs = np.einsum("ni,nic->nc", barycentric, self.corner_uvs.take(owners, axis=0))
