@@ -64,7 +64,7 @@ def find_path(job: Job, level: int, textures: Textures, spent: int, owed: int, b
     weights = [1.0 / _least_error(job, job.levels[level].end + spent + stop) for stop in stops]
     best, found = -1.0, (level, last)
     for state in range(textures.state + 1, last + 1) if textures.state < last else [last]:
-        states = list_states(job, textures, state)
+        states = _list_states(job, textures, state)
         sizes = [0]
         for index, other in enumerate(states):
             sizes.append(sizes[-1] + (textures.left[other] if index == 0 else job.steps[states[index - 1]][other]))
@@ -77,7 +77,7 @@ def find_path(job: Job, level: int, textures: Textures, spent: int, owed: int, b
     return found
 
 
-def list_states(job: Job, textures: Textures, state: int) -> list[int]:
+def _list_states(job: Job, textures: Textures, state: int) -> list[int]:
     """Return the states on a path to `state` and then to the last one: first of all comes state 0, so that something is seen soon."""
     last = len(job.errors[0]) - 1
     states = [0] if state > 0 and textures.state < 0 and job.sizes[0] * STRIDE <= job.sizes[state] else []

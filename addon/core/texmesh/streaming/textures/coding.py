@@ -78,15 +78,17 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
     sizes = []
     for level, shape in enumerate(pyramid.shapes):
         width, height = (int(size) for size in mipmaps.sizes[level])
-        pixels = image if level == 0 else to_bytes(source.role, mipmaps.level(level))
         side = pyramid.side(level)
-        padding = [(0, shape[0] * side - height), (0, shape[1] * side - width), (0, 0)]
-        cut = cut_tiles(np.pad(pixels, padding, mode="edge"), side)
-        cut = sharpen_for_enlarging(cut) if level else cut
         chosen = np.flatnonzero(sum_tiles(used_tiles.astype(np.int64), level))
-        cut = cut if has_colors else cut[..., 0]
+        indices = _choose_qualities(level, judge.finest, len(chosen), side == grid.tile_size)
+        if indices:
+            pixels = image if level == 0 else to_bytes(source.role, mipmaps.level(level))
+            padding = [(0, shape[0] * side - height), (0, shape[1] * side - width), (0, 0)]
+            cut = cut_tiles(np.pad(pixels if has_colors else pixels[..., :1], padding, mode="edge"), side)
+            cut = sharpen_for_enlarging(cut) if level else cut
+            cut = cut if has_colors else cut[..., 0]
         byte_counts = np.zeros((len(qualities), shape[0] * shape[1]), np.int64)
-        for index in _choose_qualities(level, judge.finest, len(chosen), side == grid.tile_size):
+        for index in indices:
             decoded = np.full((len(cut), side, side, 3), MISSING, np.uint8)
             code = partial(_code_tile, cut, qualities[index])
             for count, (number, header, payload, result) in enumerate(map_ordered(code, chosen.tolist())):

@@ -30,7 +30,7 @@ def blur_as_enlarged(image: np.ndarray) -> np.ndarray:
 
 
 def sharpen_for_enlarging(tiles: np.ndarray) -> np.ndarray:
-    """Return tiles (N, S, S) or (N, S, S, 3) uint8 that are `tiles` after they were enlarged and minified again, up to clipping."""
+    """Return tiles (N, S, S, C) uint8 that are `tiles` after they were enlarged and minified again, up to clipping."""
     sharpened = tiles.astype(np.float32)
     for axis in (1, 2):
         sharpened = ndimage.spline_filter1d(sharpened, 2, axis, np.float32, mode="reflect")
