@@ -14,8 +14,9 @@ from farfield.addon.core.texmesh.streaming.error_model import ErrorModel
 from farfield.addon.core.texmesh.streaming.increments import decode_increments, encode_increments
 from farfield.addon.core.texmesh.streaming.manifest import Manifest, Section
 from farfield.addon.core.texmesh.streaming.textures.avif_files import decode_tile
+from farfield.addon.core.texmesh.streaming.textures.best_state import Choice, choose_state, measure_error
 from farfield.addon.core.texmesh.streaming.textures.building import BuiltTextures, build_textures
-from farfield.addon.core.texmesh.streaming.textures.coding import CodedTexture, code_texture
+from farfield.addon.core.texmesh.streaming.textures.coding import COMPLETE, VARIANTS, CodedTexture, code_texture
 from farfield.addon.core.texmesh.streaming.textures.decoding import decode_textures
 from farfield.addon.core.texmesh.streaming.textures.settings import TextureSettings
 from farfield.addon.core.texmesh.streaming.textures.texture_tiles import (
@@ -25,7 +26,7 @@ from farfield.addon.core.texmesh.streaming.textures.texture_tiles import (
     fill_unused,
     find_used_texels,
 )
-from farfield.addon.core.texmesh.streaming.textures.tile_states import Choice, choose_state, choose_states, measure_state, order_tiles
+from farfield.addon.core.texmesh.streaming.textures.tile_states import choose_states, order_tiles
 from farfield.addon.core.texmesh.streaming.textures.visibility import FOOTPRINT_LEVELS, level_footprints, measure_visibility
 from farfield.addon.core.texmesh.streaming.tile_pyramid import TilePyramid, sum_tiles
 from farfield.addon.core.texmesh.textured_mesh import build_textured_mesh
@@ -78,10 +79,10 @@ def test_best_state_is_at_least_as_good_as_others(coded):
     for price in (1e-9, 1e-6, 1e-4, 1.0):
         cost = sum(state_cost(coded, choice, price) for choice in choose_state([coded], price))
         for level in range(len(coded.sizes)):
-            for quality in range(len(coded.sizes[level])):
+            for variant in range(len(coded.sizes[level])):
                 used = sum_tiles(coded.used.astype(int), level) > 0
-                errors = np.where(used, sum_tiles(coded.errors[level, quality], level), 0.0)
-                assert cost <= errors.sum() + price * coded.sizes[level][quality].sum() + 1e-12
+                errors = np.where(used, sum_tiles(coded.errors[level, variant], level), 0.0)
+                assert cost <= errors.sum() + price * coded.sizes[level][variant].sum() + 1e-12
 
 
 def test_states_show_every_used_tile_once(coded):
@@ -94,11 +95,11 @@ def test_states_show_every_used_tile_once(coded):
 
 def state_cost(coded, choice, price):
     covered = coded.pyramid.covered(choice.level, choice.row, choice.column)
-    return coded.errors[choice.level, choice.quality][covered].sum() + price * state_size(coded, choice)
+    return coded.errors[choice.level, choice.variant][covered].sum() + price * state_size(coded, choice)
 
 
 def state_size(coded, choice):
-    return coded.sizes[choice.level][choice.quality, choice.row, choice.column]
+    return coded.sizes[choice.level][choice.variant, choice.row, choice.column]
 
 
 def test_states_go_from_few_bytes_to_all_of_the_texture(coded):
@@ -106,10 +107,10 @@ def test_states_go_from_few_bytes_to_all_of_the_texture(coded):
     assert {choice.level for choice in states[0]} == {len(coded.sizes) - 1}
     shown = np.zeros(coded.used.shape, bool)
     for choice in states[-1]:
-        assert choice.level == 0 and choice.quality == len(coded.sizes[0]) - 1
+        assert choice.level == 0 and choice.variant == COMPLETE
         shown[choice.row, choice.column] = True
     np.testing.assert_array_equal(shown, coded.used)
-    assert measure_state([coded], states[-1]) == pytest.approx(coded.errors[0, -1][coded.used].sum())
+    assert measure_error([coded], states[-1]) == pytest.approx(coded.errors[0, COMPLETE][coded.used].sum())
     sizes = [sum(state_size(coded, choice) for choice in state) for state in states]
     assert all(first < second for first, second in pairwise(sizes)) and len(states) > 4
     assert all(last >= 1.2 * first for first, last in zip(sizes, sizes[2:], strict=False))
@@ -135,13 +136,35 @@ def test_tiles_that_come_again_are_sent_again():
 
 def test_finer_levels_and_higher_qualities_have_smaller_errors(coded):
     sums = coded.errors.sum(axis=(2, 3))
-    has_all = np.isfinite(sums).all(axis=1)  # of levels 1 and 2, one or two tiles of full size are used
-    assert has_all.tolist() == [False, True, True, *[False] * (len(sums) - 3)]
-    assert (np.diff(sums[has_all]) < 0.0).all()
-    assert np.isinf(sums[~has_all, 1::2]).all()
-    sums = sums[:, ::2]
-    assert (np.diff(sums[0]) < 0.0).all() and (np.diff(sums[:, -1]) > 0.0).all()
-    assert (sums < coded.missing_errors.sum()).all()
+    is_coded = np.isfinite(sums)
+    assert is_coded[0].tolist() == [True, False, False, True, True, True, False]  # level 0 is not sharpened
+    assert is_coded[1:3].all()  # one or two tiles of full size are used
+    assert (is_coded[3:] == [True, True, True, True, False, False, False]).all()
+    for is_sharpened in (False, True):
+        of_kind = [index for index, variant in enumerate(VARIANTS) if variant.is_sharpened == is_sharpened]
+        of_kind.sort(key=lambda index: VARIANTS[index].fraction)
+        assert (np.diff(sums[1:3, of_kind]) < 0.0).all()
+    assert sums[0, 0] > sums[0, 4] > sums[0, 5] > sums[0, COMPLETE]
+    assert (np.diff(sums[:, [0, COMPLETE]], axis=0) > 0.0).all()
+    assert (sums[is_coded] < coded.missing_errors.sum()).all()
+
+
+def test_sharpened_tiles_are_better_and_smaller_where_details_are_everywhere():
+    noise = np.random.default_rng(2).normal(0.0, 30.0, (128, 128, 1))
+    wave = 60.0 * np.sin(np.arange(128) / 10.0)[None, :, None] * np.ones((128, 1, 1))  # too long to be blurred by enlarging
+    is_better = []
+    for details in (noise, wave):
+        image = np.clip(128.0 + details + np.zeros(3), 0, 255).astype(np.uint8).repeat(2, axis=0).repeat(2, axis=1)
+        source = replace(make_source((256, 256)), image=image)
+        grid = check_source(source, 256)
+        visibility = np.zeros((32, 32, FOOTPRINT_LEVELS), np.float32)
+        visibility[..., np.flatnonzero(level_footprints() == 2.0)] = 1.0 / 32**2
+        coded = run_to_end(code_texture(source, grid, visibility, SETTINGS))
+        errors, sizes = coded.errors[1].sum(axis=(1, 2)), coded.sizes[1].sum(axis=(1, 2))
+        is_better.append(
+            any(VARIANTS[index].is_sharpened for index in np.flatnonzero(errors < errors[COMPLETE]) if sizes[index] < sizes[COMPLETE])
+        )
+    assert is_better == [True, False]
 
 
 @given(st.integers(1, 500), st.integers(1, 500), st.sampled_from([16, 32, 48, 64]))
@@ -279,14 +302,15 @@ def test_detail_that_no_image_shows_is_coded_once():
     assert 1 not in levels and max(levels) >= 3
 
 
-def test_detail_finer_than_images_show_has_the_highest_quality_only():
-    source = make_source((256, 256))
-    grid = check_source(source, 32)
-    visibility = np.zeros((32, 32, FOOTPRINT_LEVELS), np.float32)
-    visibility[..., np.flatnonzero(level_footprints() == 4.0)] = 1.0 / 32**2  # the texture halved twice
-    coded = run_to_end(code_texture(source, grid, visibility, SETTINGS))
-    qualities = {level: {quality for found, quality, _ in coded.tiles if found == level} for level in range(4)}
-    assert qualities == {0: {4}, 1: {4}, 2: {0, 2, 4}, 3: {0, 1, 2, 3, 4}}
+@pytest.mark.parametrize(("tile_size", "finer"), [(32, {COMPLETE}), (64, {0, 1, 2, COMPLETE})])
+def test_detail_finer_than_images_show_has_the_highest_quality_only_where_tiles_are_many(tile_size, finer):
+    source = make_source((512, 512))
+    grid = check_source(source, tile_size)
+    visibility = np.zeros((64, 64, FOOTPRINT_LEVELS), np.float32)
+    visibility[..., np.flatnonzero(level_footprints() == 4.0)] = 1.0 / 64**2  # the texture halved twice
+    coded = run_to_end(code_texture(source, grid, visibility, replace(SETTINGS, tile_size=tile_size)))
+    variants = {level: {variant for found, variant, _ in coded.tiles if found == level} for level in range(3)}
+    assert variants[0] == {COMPLETE} and variants[1] == finer and {0, 1, 2, COMPLETE} <= variants[2]
     assert sum(level == 0 for level, _, _ in coded.tiles) == coded.used.sum()
 
 

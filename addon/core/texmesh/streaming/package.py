@@ -27,6 +27,7 @@ from .package_files import LEVELS_GLB, describe_file
 from .settings import PackageSettings
 from .textures.building import BuiltTextures, build_textures
 from .textures.decoding import decode_textures
+from .textures.settings import TextureSettings
 from .textures.texture_tiles import TextureSource
 
 STATES = 6  # of the textures, whose errors are measured
@@ -89,11 +90,13 @@ def build_package(
         return encode_mesh(ordered, _level_pixels(chain), len(materials), steps)
 
     sources, references = _list_sources(mesh, materials)
-    tasks: list[Steps] = [analyze_scale_space(mesh, textures, settings.analysis)]
-    if sources:
-        tasks.append(build_textures(sources, texture_settings))
-    scale_map, *other = yield from subprogress(run_in_parallel(tasks), 0.0, 0.4)
-    built = other[0] if other else NO_TEXTURES
+    analysis = analyze_scale_space(mesh, textures, settings.analysis)
+    if texture_settings.feature_weight > 0.0:
+        scale_map = yield from subprogress(analysis, 0.0, 0.2)
+        weighted = [replace(source, feature_scales=scale_map.last_scales) for source in sources]
+        built = yield from subprogress(_build_textures(weighted, texture_settings), 0.2, 0.4)
+    else:
+        scale_map, built = yield from subprogress(run_in_parallel([analysis, _build_textures(sources, texture_settings)]), 0.0, 0.4)
     chain = yield from subprogress(make_levels(mesh, textures, settings, name, scale_map, INSERTED_FRACTION), 0.4, 0.75)
     tasks = [_measure(chain, materials, built, references, settings, package_settings), _encode_in_steps(encode, chain)]
     table, coded = yield from subprogress(run_in_parallel(tasks), 0.75, 0.98)
@@ -103,6 +106,10 @@ def build_package(
         chain = leave_out_inserted(chain)
         coded, table = encode(chain), leave_out_error(table)
     return _assemble(name, materials, references, chain, coded, steps, built, table, package_settings)
+
+
+def _build_textures(sources: Sequence[TextureSource], settings: TextureSettings) -> Steps[BuiltTextures]:
+    return (yield from build_textures(sources, settings)) if sources else NO_TEXTURES
 
 
 def _encode_in_steps(encode: Callable[[LevelChain], EncodedMesh], chain: LevelChain) -> Steps[EncodedMesh]:

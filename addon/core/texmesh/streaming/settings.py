@@ -43,6 +43,13 @@ class PackageSettings(Settings):
         unit=Unit.COUNT,
         group=PACKAGE,
     )
+    feature_weight: float = setting(
+        TextureSettings.feature_weight,
+        "Weight of features of the surface for the order in which parts of textures are sent; 0 for images alone",
+        minimum=0.0,
+        maximum=10.0,
+        group=PACKAGE,
+    )
     mirrors: str = setting("", "URLs of folders with copies of the package, separated by commas", group=PACKAGE)
     with_glb: bool = setting(True, "Also write a .glb file with all levels, for other programs", label="glTF File", group=PACKAGE)
 
@@ -54,7 +61,13 @@ class PackageSettings(Settings):
         """
         if self.tile_size % TILE_UNIT:
             raise SettingsError(f"Tile Size is {self.tile_size}; it must be a multiple of {TILE_UNIT}.", ("tile_size",))
-        return TextureSettings(tile_size=self.tile_size, quality=self.quality, pixels=self.pixels, pixels_per_degree=pixels_per_degree)
+        return TextureSettings(
+            tile_size=self.tile_size,
+            quality=self.quality,
+            pixels=self.pixels,
+            pixels_per_degree=pixels_per_degree,
+            feature_weight=self.feature_weight,
+        )
 
     def mirror_urls(self) -> tuple[str, ...]:
         """Return the URLs of the mirrors, each ending in "/".

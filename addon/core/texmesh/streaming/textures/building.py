@@ -8,10 +8,11 @@ import numpy as np
 from ....jobs.progress import Steps, subprogress
 from ..increments import Increments
 from ..manifest import PackageTexture
+from .best_state import measure_error
 from .coding import CodedTexture, code_texture
 from .settings import TextureSettings
 from .texture_tiles import TextureSource, check_source
-from .tile_states import choose_states, measure_state, order_tiles
+from .tile_states import choose_states, order_tiles
 from .visibility import measure_visibility
 
 
@@ -62,7 +63,7 @@ def assemble_textures(coded: Sequence[CodedTexture]) -> BuiltTextures:
         pyramid = coded[choice.texture].pyramid
         number = choice.row * pyramid.shapes[choice.level][1] + choice.column
         numbers.append(int(pyramid.starts[choice.level]) + number)
-        tiles.append(coded[choice.texture].tiles[choice.level, choice.quality, number])
+        tiles.append(coded[choice.texture].tiles[choice.level, choice.variant, number])
     increments = Increments(
         np.array([choice.texture for choice in ordered.choices], np.int64),
         np.array(numbers, np.int64),
@@ -71,5 +72,5 @@ def assemble_textures(coded: Sequence[CodedTexture]) -> BuiltTextures:
         ordered.firsts,
         ordered.lasts,
     )
-    flips = np.array([measure_state(coded, state) for state in states])
+    flips = np.array([measure_error(coded, state) for state in states])
     return BuiltTextures(tuple(item.texture for item in coded), increments, b"".join(tile.payload for tile in tiles), flips)

@@ -1,4 +1,4 @@
-"""One texture, coded: all tiles of its pyramid at several qualities, with their bytes and what viewers notice of their errors."""
+"""One texture, coded: variants of all tiles of its pyramid, with their bytes and what viewers notice of their errors."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -20,9 +20,22 @@ from .texture_tiles import TextureSource, TileGrid, cut_tiles, fill_unused, find
 from .visibility import BLOCK
 
 MISSING = 128  # of all channels of tiles that have not come
-QUALITY_FRACTIONS = (0.4, 0.55, 0.7, 0.85, 1.0)  # of the quality of complete textures, of which tiles have one
-FEW_TILES = 2  # of levels whose tiles have all qualities, since one tile is much there; others have every other quality
+FEW_TILES = 2  # of levels whose tiles have all variants, since one tile is much there; others have the COMMON ones
+MAX_FINER_TILES = 16  # of a level one step finer than images show, so that its tiles have several variants
 MIN_VISIBILITY = 1e-3  # of blocks that no view shows, relative to the mean of the used ones
+
+
+class Variant(NamedTuple):
+    """How a tile can be coded. fraction: of the quality of complete textures. is_sharpened: by `sharpen_for_enlarging`, for more bytes,
+    which are worth it where details are everywhere; level 0 is not enlarged."""
+
+    fraction: float
+    is_sharpened: bool
+
+
+COMMON = (Variant(0.4, False), Variant(0.4, True), Variant(0.7, True), Variant(1.0, False))  # of all levels
+VARIANTS = (*COMMON, Variant(0.55, False), Variant(0.7, False), Variant(1.0, True))
+COMPLETE = 3  # index of the variant of complete textures
 
 
 class CodedTile(NamedTuple):
@@ -34,13 +47,13 @@ class CodedTile(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CodedTexture:
-    """A texture with L levels of tiles at Q qualities.
+    """A texture with L levels of tiles in V = len(VARIANTS) variants.
 
     texture: with the headers. pyramid: of tiles, of which level 0 has R rows and C columns. used: (R, C) bool, which of those triangles
-    show. tiles: by level, quality and number; those that no triangle shows are missing, and those of too fine levels, whose errors are
-    infinite. sizes: for each level (Q, R', C') bytes. errors: (L, Q, R, C), of all tiles of level 0 if they are shown so: mean FLIP error
-    of their pixels, times the fraction of all pixels of the object that they are. missing_errors: (R, C), the same before anything has
-    come.
+    show. tiles: by level, variant and number, of those that triangles show and variants that a level has. sizes: for each level (V, R', C')
+    bytes. errors: (L, V, R, C), of all tiles of level 0 if they are shown so: mean FLIP error of their pixels, times the fraction of all
+    pixels of the object that they are; infinite where a level does not have the variant. missing_errors: (R, C), the same before anything
+    has come.
     """
 
     texture: PackageTexture
@@ -70,9 +83,8 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
     del used
     mipmaps = build_mipmaps(image, values_of_bytes(source.role))
     judge = TextureErrors(source.role, mipmaps, shown, settings.pixels_per_degree)
-    qualities = [max(round(fraction * settings.quality), 1) for fraction in QUALITY_FRACTIONS]
     levels = len(pyramid.shapes)
-    errors = np.full((levels, len(qualities), *pyramid.shapes[0]), np.inf)
+    errors = np.full((levels, len(VARIANTS), *pyramid.shapes[0]), np.inf)
     headers: dict[bytes, int] = {}
     tiles: dict[tuple[int, int, int], CodedTile] = {}
     sizes = []
@@ -80,38 +92,42 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
         width, height = (int(size) for size in mipmaps.sizes[level])
         side = pyramid.side(level)
         chosen = np.flatnonzero(sum_tiles(used_tiles.astype(np.int64), level))
-        indices = _choose_qualities(level, judge.finest, len(chosen), side == grid.tile_size)
+        indices = _choose_variants(level, judge.finest, len(chosen), side == grid.tile_size)
+        byte_counts = np.zeros((len(VARIANTS), shape[0] * shape[1]), np.int64)
         if indices:
             pixels = image if level == 0 else to_bytes(source.role, mipmaps.level(level))
             padding = [(0, shape[0] * side - height), (0, shape[1] * side - width), (0, 0)]
-            cut = cut_tiles(np.pad(pixels if has_colors else pixels[..., :1], padding, mode="edge"), side)
-            cut = sharpen_for_enlarging(cut) if level else cut
-            cut = cut if has_colors else cut[..., 0]
-        byte_counts = np.zeros((len(qualities), shape[0] * shape[1]), np.int64)
+            plain = cut_tiles(np.pad(pixels if has_colors else pixels[..., :1], padding, mode="edge"), side)
+            sharpened = sharpen_for_enlarging(plain) if level and any(VARIANTS[index].is_sharpened for index in indices) else plain
         for index in indices:
+            variant = VARIANTS[index]
+            cut = sharpened if variant.is_sharpened else plain
+            code = partial(_code_tile, cut if has_colors else cut[..., 0], max(round(variant.fraction * settings.quality), 1))
             decoded = np.full((len(cut), side, side, 3), MISSING, np.uint8)
-            code = partial(_code_tile, cut, qualities[index])
             for count, (number, header, payload, result) in enumerate(map_ordered(code, chosen.tolist())):
-                done = (index + count / len(chosen)) / len(qualities)
+                done = (index + count / len(chosen)) / len(VARIANTS)
                 yield Progress(1.0 - 0.25**level * (1.0 - 0.75 * done), "Coding textures")
                 tiles[level, index, number] = CodedTile(headers.setdefault(header, len(headers)), payload)
                 byte_counts[index, number] = len(payload)
                 decoded[number] = result
             coarse = join_tiles(decoded, TileGrid(width, height, side))
             errors[level, index] = _sum_blocks(judge.measure(coarse, level), blocks)
-        sizes.append(byte_counts.reshape(len(qualities), *shape))
+        sizes.append(byte_counts.reshape(len(VARIANTS), *shape))
     gray = np.full_like(image, MISSING)
     texture = PackageTexture(source.role, grid.width, grid.height, grid.tile_size, tuple(headers))
     return CodedTexture(texture, pyramid, used_tiles, tiles, sizes, errors, _sum_blocks(judge.measure(gray, 0), blocks))
 
 
-def _choose_qualities(level: int, finest: int, tiles: int, is_full_size: bool) -> range:
-    """Return the indices of the qualities that a level is coded at, which has so many used tiles, of full size (`is_full_size`) or halved.
-    finest: the finest level that counts in images; for fewer bytes than finer ones at the highest quality need, coarser ones are better."""
-    last = len(QUALITY_FRACTIONS) - 1
-    if level < finest:
-        return range(last, last + 1) if level in (0, finest - 1) else range(0)
-    return range(0, last + 1, 1 if tiles <= FEW_TILES and is_full_size else 2)
+def _choose_variants(level: int, finest: int, tiles: int, is_full_size: bool) -> list[int]:
+    """Return the indices of the variants of a level, which has so many used tiles, of full size (`is_full_size`) or halved.
+    finest: the finest level that counts in images. For fewer bytes than finer levels have at the highest quality, coarser ones are better;
+    but where tiles are few, there are others of lower quality between them."""
+    if level < finest - 1 or (level < finest and tiles > MAX_FINER_TILES):
+        return [COMPLETE] if level in (0, finest - 1) else []
+    if level == 0:  # is not sharpened
+        plain = {variant.fraction for variant in VARIANTS if not variant.is_sharpened}
+        return [index for index, variant in enumerate(VARIANTS) if not variant.is_sharpened or variant.fraction not in plain]
+    return list(range(len(VARIANTS) if tiles <= FEW_TILES and is_full_size else len(COMMON)))
 
 
 def cut_blocks(used: np.ndarray) -> np.ndarray:

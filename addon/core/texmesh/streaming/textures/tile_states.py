@@ -1,35 +1,31 @@
 """States of all textures, from a coarse and cheap one to complete ones, and the order of their tiles in the file.
 
-A state shows every part of a texture by one tile of its pyramid at one quality. For a price per byte, the best state is found from the
+A state shows every part of a texture by one tile of its pyramid in one variant. For a price per byte, the best state is found from the
 finest level up: a tile is better than its four children if its error and the price of its bytes are less than theirs. As the price falls,
-a tile is in a few states one after the other, and is then replaced by finer ones.
+a tile is in a few states one after the other, and is then replaced by finer ones. Such states lie on the convex hull of errors over bytes.
+Where neighbors on the hull differ much in size, others are added between them (`state_gaps`).
 
 In the file, a tile stands where the first state that has it adds it; of the tiles that a state adds, those that later states keep longest
 come first. So the tiles that a state needs beyond an earlier one are few contiguous ranges of the file, and a client can leave out those
 that would be replaced before the state that it has the time for.
 """
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from ..manifest import MAX_STATES
-from ..tile_pyramid import sum_tiles
-from .coding import CodedTexture
+from .best_state import Choice, choose_state, measure_size
+from .coding import COMPLETE, CodedTexture
+from .state_gaps import fill_gap
 
 BYTE_FACTOR = 1.2  # between neighboring states, at most where there are so many; tiles are in several of them
 PRICES = np.geomspace(1.0, 1e-12, 241)  # of a byte, in error
-
-
-class Choice(NamedTuple):
-    """A tile of a state: texture, level, quality index, and row and column in the level."""
-
-    texture: int
-    level: int
-    quality: int
-    row: int
-    column: int
+MIN_PRICE_FACTOR = 1.0001  # between prices whose states differ much, so that others are looked for between
+FACTOR_STEP = 1.05  # by which states grow faster if there are too many
 
 
 class OrderedTiles(NamedTuple):
@@ -41,23 +37,48 @@ class OrderedTiles(NamedTuple):
 
 
 def choose_states(textures: Sequence[CodedTexture]) -> list[list[Choice]]:
-    """Return states with growing numbers of bytes; the last one has the whole textures at the highest quality."""
-    last = [
-        Choice(index, 0, len(texture.sizes[0]) - 1, row, column)
+    """Return states with growing numbers of bytes; the last one has the complete textures."""
+    complete = [
+        Choice(index, 0, COMPLETE, row, column)
         for index, texture in enumerate(textures)
         for row, column in np.argwhere(texture.used).tolist()
     ]
-    candidates = [choose_state(textures, price) for price in PRICES]
-    sizes = [sum(_size(textures, choice) for choice in state) for state in candidates]
-    total = sum(_size(textures, choice) for choice in last)
-    factor = max(BYTE_FACTOR, (total / sizes[0]) ** (1.0 / (MAX_STATES - 2))) if sizes[0] else BYTE_FACTOR
+    candidates, factor = _list_best_states(textures), BYTE_FACTOR
+    while len(states := _select_states(textures, candidates, complete, factor)) > MAX_STATES:
+        factor *= FACTOR_STEP
+    return states
+
+
+def _list_best_states(textures: Sequence[CodedTexture]) -> list[list[Choice]]:
+    """Return the best states for falling prices, all of them where neighbors differ in size by more than BYTE_FACTOR."""
+    found = [choose_state(textures, price) for price in PRICES]
+    states = found[:1]
+    for (high, first), (low, last) in pairwise(zip(PRICES.tolist(), found, strict=True)):
+        states += [*_find_between(textures, high, low, first, last), last]
+    return states
+
+
+def _find_between(textures: Sequence[CodedTexture], high: float, low: float, first: list[Choice], last: list[Choice]) -> list[list[Choice]]:
+    """Return the best states for prices between `high`, whose state is `first`, and `low` with `last`, if these differ much in size."""
+    is_near = measure_size(textures, last) <= BYTE_FACTOR * measure_size(textures, first)
+    if is_near or high < MIN_PRICE_FACTOR * low:
+        return []
+    price = math.sqrt(high * low)
+    state = choose_state(textures, price)
+    return [*_find_between(textures, high, price, first, state), state, *_find_between(textures, price, low, state, last)]
+
+
+def _select_states(
+    textures: Sequence[CodedTexture], candidates: Sequence[list[Choice]], complete: list[Choice], factor: float
+) -> list[list[Choice]]:
+    """Return those of the `candidates`, and others in gaps, whose bytes grow by about `factor`, and the `complete` state."""
+    sizes = [*(measure_size(textures, state) for state in candidates), measure_size(textures, complete)]
     states, size = [candidates[0]], sizes[0]
-    for index, state in enumerate(candidates[1:], 1):
-        next_size = sizes[index + 1] if index + 1 < len(sizes) else total
-        if size < sizes[index] < total and next_size > factor * size:  # the largest one that is not too large, or the next one
-            states.append(state)
-            size = sizes[index]
-    return [*states, last] if set(last) != set(states[-1]) else states
+    for state, own_size, next_size in zip(candidates[1:], sizes[1:-1], sizes[2:], strict=True):
+        if size < own_size < sizes[-1] and next_size > factor * size:  # the largest one that is not too large, or the next one
+            states += [*fill_gap(textures, states[-1], state, factor), state]
+            size = own_size
+    return [*states, *fill_gap(textures, states[-1], complete, factor), complete] if set(complete) != set(states[-1]) else states
 
 
 def order_tiles(states: Sequence[Sequence[Choice]]) -> OrderedTiles:
@@ -73,45 +94,3 @@ def order_tiles(states: Sequence[Sequence[Choice]]) -> OrderedTiles:
     spans.sort(key=lambda span: (span[0], -span[1], span[2]))
     firsts, lasts = (np.array([span[column] for span in spans], np.int64) for column in (0, 1))
     return OrderedTiles([span[2] for span in spans], firsts, lasts)
-
-
-def measure_state(textures: Sequence[CodedTexture], state: Sequence[Choice]) -> float:
-    """Return the predicted mean FLIP error of the object's pixels due to the textures in a state."""
-    error = 0.0
-    for choice in state:
-        covered = textures[choice.texture].pyramid.covered(choice.level, choice.row, choice.column)
-        error += float(textures[choice.texture].errors[(choice.level, choice.quality, *covered)].sum())
-    return error
-
-
-def choose_state(textures: Sequence[CodedTexture], price: float) -> list[Choice]:
-    """Return the state with the least sum of errors and bytes times `price`."""
-    choices = []
-    for index, texture in enumerate(textures):
-        best, qualities, splits = [], [], []
-        for level, sizes in enumerate(texture.sizes):
-            costs = sum_tiles(texture.errors[level], level) + price * sizes
-            qualities.append(costs.argmin(axis=0))
-            own = costs.min(axis=0)
-            children = sum_tiles(best[-1], 1) if best else np.full(own.shape, np.inf)
-            splits.append(children < own)
-            best.append(np.minimum(own, children))
-        choices += [Choice(index, *found) for found in _descend(texture, qualities, splits)]
-    return choices
-
-
-def _descend(texture: CodedTexture, qualities: list[np.ndarray], splits: list[np.ndarray]) -> Iterator[tuple[int, int, int, int]]:
-    """Yield level, quality, row and column of the tiles in which the pyramid ends, from the coarsest down."""
-    is_reached = np.ones(texture.pyramid.shapes[-1], bool)
-    for level in reversed(range(len(qualities))):
-        is_used = sum_tiles(texture.used.astype(np.int64), level) > 0
-        ends = is_reached & is_used & ~splits[level]
-        for row, column in np.argwhere(ends).tolist():
-            yield level, int(qualities[level][row, column]), row, column
-        if level:
-            rows, columns = texture.pyramid.shapes[level - 1]
-            is_reached = (is_reached & splits[level]).repeat(2, axis=0).repeat(2, axis=1)[:rows, :columns]
-
-
-def _size(textures: Sequence[CodedTexture], choice: Choice) -> int:
-    return int(textures[choice.texture].sizes[choice.level][choice.quality, choice.row, choice.column])

@@ -1,0 +1,81 @@
+"""States of textures, and the best one for a price per byte.
+
+A state shows every part of a texture by one tile of its pyramid in one variant.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..tile_pyramid import sum_tiles
+from .coding import CodedTexture
+
+
+class Choice(NamedTuple):
+    """A tile of a state: texture, level, index of the variant, and row and column in the level."""
+
+    texture: int
+    level: int
+    variant: int
+    row: int
+    column: int
+
+
+class Decisions(NamedTuple):
+    """What is best for each tile of each level: `variants`, (R', C') int64, and `splits`, (R', C') bool, whether finer tiles are better."""
+
+    variants: list[np.ndarray]
+    splits: list[np.ndarray]
+
+
+def choose_state(textures: Sequence[CodedTexture], price: float) -> list[Choice]:
+    """Return the state with the least sum of errors and bytes times `price`."""
+    choices = []
+    for index, texture in enumerate(textures):
+        decisions = decide(texture, price)
+        coarsest = np.ones(texture.pyramid.shapes[-1], bool)
+        choices += list_choices(texture, index, decisions, len(texture.sizes) - 1, coarsest)
+    return choices
+
+
+def decide(texture: CodedTexture, price: float) -> Decisions:
+    """Find the tiles that have the least sum of errors and bytes times `price`, from the finest level up."""
+    decisions, best = Decisions([], []), np.empty(0)
+    for level, sizes in enumerate(texture.sizes):
+        costs = sum_tiles(texture.errors[level], level) + price * sizes
+        own = costs.min(axis=0)
+        children = sum_tiles(best, 1) if level else np.full(own.shape, np.inf)
+        decisions.variants.append(costs.argmin(axis=0))
+        decisions.splits.append(children < own)
+        best = np.minimum(own, children)
+    return decisions
+
+
+def list_choices(texture: CodedTexture, index: int, decisions: Decisions, level: int, is_reached: np.ndarray) -> Iterator[Choice]:
+    """Yield the tiles in which a part of the pyramid ends, from the coarsest down.
+
+    index: of the texture. level: where the part begins, at the tiles `is_reached` (R', C') bool.
+    """
+    for finer in reversed(range(level + 1)):
+        is_used = sum_tiles(texture.used.astype(np.int64), finer) > 0
+        splits = decisions.splits[finer]
+        for row, column in np.argwhere(is_reached & is_used & ~splits).tolist():
+            yield Choice(index, finer, int(decisions.variants[finer][row, column]), row, column)
+        if finer:
+            rows, columns = texture.pyramid.shapes[finer - 1]
+            is_reached = (is_reached & splits).repeat(2, axis=0).repeat(2, axis=1)[:rows, :columns]
+
+
+def measure_size(textures: Sequence[CodedTexture], state: Sequence[Choice]) -> int:
+    """Return the bytes of the tiles of a state, or of a part of one."""
+    return sum(int(textures[choice.texture].sizes[choice.level][choice.variant, choice.row, choice.column]) for choice in state)
+
+
+def measure_error(textures: Sequence[CodedTexture], state: Sequence[Choice]) -> float:
+    """Return the predicted mean FLIP error of the object's pixels due to the textures in a state, or to those tiles of a part of one."""
+    error = 0.0
+    for choice in state:
+        covered = textures[choice.texture].pyramid.covered(choice.level, choice.row, choice.column)
+        error += float(textures[choice.texture].errors[(choice.level, choice.variant, *covered)].sum())
+    return error
