@@ -21,7 +21,7 @@ from .visibility import BLOCK
 
 MISSING = 128  # of all channels of tiles that have not come
 FEW_TILES = 2  # of levels whose tiles have all variants, since one tile is much there; others have the COMMON ones
-MAX_FINER_TILES = 16  # of a level one step finer than images show, so that its tiles have several variants
+MAX_FINER_TILES = 16  # of a level finer than images show, so that its tiles have several variants
 MIN_VISIBILITY = 1e-3  # of blocks that no view shows, relative to the mean of the used ones
 
 
@@ -122,7 +122,7 @@ def _choose_variants(level: int, finest: int, tiles: int, is_full_size: bool) ->
     """Return the indices of the variants of a level, which has so many used tiles, of full size (`is_full_size`) or halved.
     finest: the finest level that counts in images. For fewer bytes than finer levels have at the highest quality, coarser ones are better;
     but where tiles are few, there are others of lower quality between them."""
-    if level < finest - 1 or (level < finest and tiles > MAX_FINER_TILES):
+    if level < finest and tiles > MAX_FINER_TILES:
         return [COMPLETE] if level in (0, finest - 1) else []
     if level == 0:  # is not sharpened
         plain = {variant.fraction for variant in VARIANTS if not variant.is_sharpened}
