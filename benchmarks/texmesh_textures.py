@@ -37,7 +37,7 @@ from farfield.addon.core.texmesh.streaming.textures.settings import TextureSetti
 from farfield.addon.core.texmesh.streaming.textures.texture_tiles import TextureSource
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
-TARGETS = (0.15, 0.1, 0.07, 0.05, 0.035)  # mean FLIP errors
+TARGETS = (0.15, 0.1, 0.07, 0.05, 0.035, 0.025, 0.018)  # mean FLIP errors
 PAPER_SCALES = (2, 6, 9, 12, 14, 16, 18, 20)
 WEBP_METHOD = 6
 QUALITIES = (2, 4, 7, 11, 17, 25, 37, 50, 65, 80, 92)
