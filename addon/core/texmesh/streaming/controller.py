@@ -8,8 +8,8 @@ times per second, and one at the limit.
 Order. Level 0 and the table of increments come first, so that something is on the screen. What follows is chosen for each request, from the
 bytes that are expected before the limit: the next levels, or increments of the next state of the textures, on the path that has the least
 expected error if more or fewer bytes come (`sending_path`). So a level that will probably not come before the limit is not begun, one that
-must not be missed goes before increments that gain little, and tiles that would be replaced before the limit are left out. Levels on the
-path within the length of the request come first, to save requests.
+must not be missed goes before increments that gain little, and tiles that would be replaced before the limit are left out, and so is a
+state with an increment that cannot come before it. Levels on the path within the length of the request come first, to save requests.
 
 Time compensation. The paper's algorithm gives each of the n - j remaining fragments an equal part of the time that remains after fragment
 j, so a deviation spreads evenly over them: with relative errors e_j of the estimated times, the last of n fragments ends
@@ -24,14 +24,15 @@ longer than its request should be. So the last request is sent W seconds before 
 
     -(g + W) <= Pi <= e W,    W = (1 + LEAD) delay + g / (1 - FRACTION)
 
-after it. Parts of a level, which are of no use alone, are up to three times as long: if one is the last request, W is the time that it was
-planned to take. `mean_difference` is Lambda of eq. 9. At the limit the client stops: whole increments of a response that is running are of
-use.
+after it. Parts of a level, which are of no use alone, are up to MAX_PARTS times as long: if one is the last request, W is the time that it
+was planned to take. `mean_difference` is Lambda of eq. 9. At the limit the client stops: whole increments of a response that is running are
+of use.
 
 Several servers: a request goes to the server whose line is free first, and is as long as its measured rate allows; so bytes spread by
-rates, the first ones, too. A response that is late and takes twice as long as from a server that is free is aborted, and its rest asked for
-there (`find_slow`). A server that fails or is silent gets nothing for a while, and what it owes is asked for first, elsewhere if possible;
-what it owes of increments is chosen again, as there may be less time for them.
+rates, the first ones, too. Increments that would take long are divided between servers, as levels are: a large tile must not depend on one
+line. A response that is late and takes twice as long as from a server that is free is aborted, and its rest asked for there (`find_slow`).
+A server that fails or is silent gets nothing for a while, and what it owes is asked for first, elsewhere if possible; what it owes of
+increments is chosen again, as there may be less time for them.
 When requests will not end before the limit, the newest are taken back, so that older ones get the whole line. Increments do not depend on
 each other, so those behind a gap in the file are of use.
 """
@@ -41,7 +42,7 @@ from dataclasses import replace
 
 from .byte_intervals import Interval, insert, measure, subtract
 from .manifest import MESH, TEXTURES
-from .sending_path import find_path, inspect_textures
+from .sending_path import find_path, inspect_textures, list_increments
 from .sending_servers import find_slow, is_paused, is_silent, look_ahead, measure_line, pause
 from .sending_state import Event, Flight, Job, Request, Server, Span, State
 
@@ -51,6 +52,7 @@ SMALLEST = 15_000.0  # bytes of a request, as headers are a part of each, if its
 LEAD = 1.5  # delays before the line is free that the next request is sent
 EXCESS = 1.2  # of the time left, for all requests of a server, at which the newest is aborted
 MEASURED = 0.2  # seconds after which a rate counts as measured
+MAX_PARTS, PARTS = 3.0, 2.0  # lengths of a request: what is longer than the first is divided, into parts of the second
 MAX_GAP = 300  # bytes between increments that are asked for with them: another request would cost more
 
 
@@ -200,12 +202,11 @@ def _take(job: Job, state: State, rest: float, rate: float, server: Server) -> S
         return None
     shortest = server.delay if state.patience or len(state.servers) > 1 else max(server.delay, SMALLEST / rate)
     seconds = rest if rest <= shortest else max(min(rest * FRACTION, longest), shortest)
-    wanted = seconds * rate
+    wanted, possible = seconds * rate, rest * rate
     span, position = _choose(job, state, wanted)
-    if span.file == TEXTURES:
-        end = _last_end(job, span.start, min(span.end, span.start + wanted), min(span.end, span.start + rest * rate))
-    else:
-        end = span.end if span.end - span.start <= 3.0 * wanted else span.start + int(2.0 * wanted)
+    end = span.end
+    if (span.file == MESH or len(state.servers) > 1) and end - span.start > min(MAX_PARTS * wanted, possible):
+        end = span.start + int(min(PARTS * wanted, possible))
     if end == span.start:
         return None
     if position is not None:
@@ -224,9 +225,10 @@ def _choose(job: Job, state: State, wanted: float) -> tuple[Span, int | None]:
     if level + 1 < len(job.levels):
         owed += max(job.levels[level + 1].end - state.mesh, 0)
     textures, spent = inspect_textures(job, state.asked), measure(state.asked)
-    next_level, target = find_path(job, level, textures, spent, owed, _budget(state), wanted)
+    budget = _budget(state)
+    next_level, target = find_path(job, level, textures, spent, owed, budget, wanted)
     if next_level == level or (not state.asked and textures.state < 0):  # something of the textures first
-        return _missing_span(job, state, target, wanted), None
+        return _missing_span(job, state, textures.missing[target], wanted, budget), None
     if state.pending:
         return state.pending[0], 0
     return Span(MESH, state.mesh, job.levels[next_level].end), None
@@ -249,24 +251,15 @@ def _budget(state: State) -> float:
     return budget
 
 
-def _missing_span(job: Job, state: State, target: int, wanted: float) -> Span:
-    """Return the first increments that a state of the textures lacks, with short gaps between them, up to about `wanted` bytes."""
-    missing = subtract(job.states[target], state.asked)
-    if not missing:
-        return Span(TEXTURES, job.begin, job.begin)
-    (start, end), *others = missing
-    for begin, stop in others:
-        gap = [(end, begin)]
-        if begin - end > MAX_GAP or measure(subtract(gap, state.asked)) < begin - end or end - start >= wanted:
+def _missing_span(job: Job, state: State, missing: list[Interval], wanted: float, possible: float) -> Span:
+    """Return the first of the missing increments, with short gaps between them: up to `wanted` bytes, or one of up to `possible` bytes."""
+    first = last = job.begin
+    for start, end in list_increments(job, missing):
+        if first == last:
+            if end - start <= possible:
+                first, last = start, end
+        elif end - first > wanted or start - last > MAX_GAP or any(begin < start and stop > last for begin, stop in state.asked):
             break
-        end = stop
-    return Span(TEXTURES, start, end)
-
-
-def _last_end(job: Job, start: int, wanted: float, possible: float) -> int:
-    """Return the last end of an increment up to `wanted`, or the first behind `start` if it is `possible`, or `start`."""
-    count = bisect_right(job.ends, wanted)
-    if count and job.ends[count - 1] > start:
-        return job.ends[count - 1]
-    after = bisect_right(job.ends, start)
-    return job.ends[after] if after < len(job.ends) and job.ends[after] <= possible else start
+        else:
+            last = end
+    return Span(TEXTURES, first, last)

@@ -1,5 +1,7 @@
 """The best order of levels and states of the textures for an uncertain number of bytes. See `controller`."""
 
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from .byte_intervals import Interval, measure, subtract
@@ -7,27 +9,41 @@ from .sending_state import Job
 
 # Bytes after which the client may have to stop, relative to the expected number, equally likely: small ones since lines fade, and because
 # what comes is seen at once; most are near the expected number, since a state that does not become complete is of little use.
-STOPS = (0.2, 0.4, 0.6, 0.7, 0.75, 0.8, 0.85, 0.9, 0.92, 0.94, 0.96, 0.98, 1.0, 1.1, 1.3)
+STOPS = (0.3, 0.5, 0.6, 0.7, 0.77, 0.84, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2, 1.3, 1.5)
+HEADERS = 400  # bytes of those of a response
 MIN_ERROR = 1e-6
 STRIDE = 6.0  # by which the bytes of states grow from one to the next on a path, behind the first
 
 
 class Textures(NamedTuple):
-    """What has been asked for of the textures. state: the last one that is complete, or -1. left: bytes that each state lacks."""
+    """What has been asked for of the textures. state: the last one that is complete, or -1. left: how many bytes each state lacks.
+    missing: which these are."""
 
     state: int
     left: list[int]
+    missing: list[list[Interval]]
 
 
 def inspect_textures(job: Job, asked: list[Interval]) -> Textures:
     """Return what has been asked for of the textures. asked: bytes of textures.bin."""
-    return describe_textures([measure(subtract(state, asked)) for state in job.states])
+    missing = [subtract(state, asked) for state in job.states]
+    return describe_textures([measure(intervals) for intervals in missing], missing)
 
 
-def describe_textures(left: list[int]) -> Textures:
-    """Return the textures of which each state lacks so many bytes."""
+def describe_textures(left: list[int], missing: Sequence[list[Interval]] = ()) -> Textures:
+    """Return the textures of which each state lacks so many bytes, and which."""
     complete = [state for state, count in enumerate(left) if not count]
-    return Textures(complete[-1] if complete else -1, left)
+    return Textures(complete[-1] if complete else -1, left, list(missing))
+
+
+def list_increments(job: Job, intervals: list[Interval]) -> Iterator[Interval]:
+    """Yield the increments, or parts of some, that lie in intervals of textures.bin."""
+    for start, end in intervals:
+        begin, index = start, bisect_right(job.ends, start)
+        while begin < end:
+            stop = min(job.ends[index], end)
+            yield begin, stop
+            begin, index = stop, index + 1
 
 
 def estimate_errors(job: Job, textures: Textures) -> list[float]:
@@ -49,25 +65,29 @@ def find_path(job: Job, level: int, textures: Textures, spent: int, owed: int, b
 
     A path goes from `level` and `textures` to the best level and the last state. It goes to a state that differs between paths, and from
     there over states whose bytes grow by STRIDE; the tiles that only the states between have are left out. Each step is the next level, of
-    which parts are of no use, or the next state on the path. The best path has the smallest sum, over STOPS, of errors relative to the best
-    ones with as many bytes; it is found from its end backwards. A level that is longer than `window` is the first step or none.
+    which parts are of no use, or the next state on the path; each step to a state has HEADERS of its own, the levels have them once. No
+    path but that to the last state goes to one with an increment of more than `budget` bytes, of which a part is of no use. The best path
+    has the smallest sum, over STOPS, of errors relative to the best ones with as many bytes; it is found from its end backwards. A level
+    that is longer than `window` is the first step or none.
 
     Args:
         level: the finest one of which nothing is left to ask for. spent: bytes of increments that have been asked for. owed: bytes that are
             left of the next level. budget: bytes that are expected before the limit.
     """
     finest, last = len(job.levels) - 1, len(job.errors[0]) - 1
-    meshes = [0] + [job.levels[other].end - job.levels[level + 1].end + owed for other in range(level + 1, finest + 1)]
+    meshes = [0] + [job.levels[other].end - job.levels[level + 1].end + owed + HEADERS for other in range(level + 1, finest + 1)]
     present = estimate_errors(job, textures)
     budget = min(budget, meshes[-1] + textures.left[last])
     stops = [budget * stop for stop in STOPS]
     weights = [1.0 / _least_error(job, job.levels[level].end + spent + stop) for stop in stops]
     best, found = -1.0, (level, last)
-    for state in range(textures.state + 1, last + 1) if textures.state < last else [last]:
+    for state in range(min(textures.state + 1, last), last + 1):
+        if state < last and textures.left[state] > budget and _has_longer(job, textures.missing[state], budget):
+            continue
         states = _list_states(job, textures, state)
         sizes = [0]
         for index, other in enumerate(states):
-            sizes.append(sizes[-1] + (textures.left[other] if index == 0 else job.steps[states[index - 1]][other]))
+            sizes.append(sizes[-1] + HEADERS + (textures.left[other] if index == 0 else job.steps[states[index - 1]][other]))
         errors = [[error, *(min(error, job.errors[row][other]) for other in states)] for row, error in enumerate(present[level:], level)]
         cost, takes_level = _find_costs(meshes, sizes, errors, stops, weights)
         if best < 0.0 or cost < best:
@@ -75,6 +95,11 @@ def find_path(job: Job, level: int, textures: Textures, spent: int, owed: int, b
         if textures.left[state] > stops[-1]:
             break  # later states will not come either
     return found
+
+
+def _has_longer(job: Job, intervals: list[Interval], size: float) -> bool:
+    """Return whether an increment, or a part of one, in intervals of textures.bin has more than `size` bytes."""
+    return any(end - start > size for start, end in list_increments(job, intervals))
 
 
 def _list_states(job: Job, textures: Textures, state: int) -> list[int]:

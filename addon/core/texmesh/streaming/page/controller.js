@@ -13,11 +13,11 @@
 // To read: state.ended - limit (deviation Pi), and the functions below.
 
 import { insert, measure, subtract } from "./byte_intervals.js";
-import { findPath, inspectTextures } from "./sending_path.js";
+import { findPath, inspectTextures, listIncrements } from "./sending_path.js";
 
 const MESH = "mesh.bin", TEXTURES = "textures.bin";
 const DEFAULT_RATE = 250000, DEFAULT_DELAY = 0.1, PRIOR_SECONDS = 0.1;
-const FAST = 0.3, SLOW = 2, GRACE = 0.1, FRACTION = 1 / 3, MAX_REQUEST = 1, FIRST_REQUEST = 0.3, LEAD = 1.5, EXCESS = 1.2, MEASURED = 0.2, MAX_GAP = 300;
+const FAST = 0.3, SLOW = 2, GRACE = 0.1, FRACTION = 1 / 3, MAX_REQUEST = 1, FIRST_REQUEST = 0.3, LEAD = 1.5, EXCESS = 1.2, MEASURED = 0.2, MAX_PARTS = 3, PARTS = 2, MAX_GAP = 300;
 const SMALLEST = 15000, LATE = 0.3, TWICE = 2, MIN_SAVING = 0.2, SILENCE = 0.5, MIN_PAUSE = 0.25, MAX_PAUSE = 16, MIN_RATE = 1000, ENDLESS = 1e9;
 const { abs, floor, max, min } = Math;
 
@@ -119,7 +119,7 @@ export function estimateRate(state, index, horizon) {
 
 /** The finest level that ends at `offset` at most, or -1. */
 function levelUpTo(job, offset) {
-  return countUpTo(job.levels.map(({ end }) => end), offset) - 1;
+  return job.levels.filter(({ end }) => end <= offset).length - 1;
 }
 
 function hear(job, state, flight, received, failed) {
@@ -256,19 +256,18 @@ function line(state, index) {
 }
 
 function take(job, state, rest, rate, server) {
-  const longest = server.measured >= MEASURED ? MAX_REQUEST : FIRST_REQUEST;
+  const longest = server.measured >= MEASURED ? MAX_REQUEST : FIRST_REQUEST, isAlone = state.servers.length === 1;
   const owedFirst = state.pending.findIndex((span) => isFirst(job, span));
   if (owedFirst >= 0) {
     const { start, end } = state.pending[owedFirst];
-    return cut(state, owedFirst, state.servers.length === 1 ? end : min(end, start + floor(longest * rate)));
+    return cut(state, owedFirst, isAlone ? end : min(end, start + floor(longest * rate)));
   }
   if (rest <= 0 || job.ends === null) return null;
-  const shortest = state.patience || state.servers.length > 1 ? server.delay : max(server.delay, SMALLEST / rate);
-  const seconds = rest <= shortest ? rest : max(min(rest * FRACTION, longest), shortest), wanted = seconds * rate;
+  const shortest = state.patience || !isAlone ? server.delay : max(server.delay, SMALLEST / rate), possible = rest * rate;
+  const wanted = rest <= shortest ? possible : max(min(rest * FRACTION, longest), shortest) * rate;
   const [span, position] = choose(job, state, wanted), { file, start } = span;
   let { end } = span;
-  if (file === TEXTURES) end = lastEnd(job, start, min(end, start + wanted), min(end, start + rest * rate));
-  else if (end - start > 3 * wanted) end = start + floor(2 * wanted);
+  if ((file === MESH || !isAlone) && end - start > min(MAX_PARTS * wanted, possible)) end = start + floor(min(PARTS * wanted, possible));
   if (end === start) return null;
   if (position >= 0) return cut(state, position, end);
   if (file === MESH) state.mesh = end;
@@ -281,10 +280,11 @@ function choose(job, state, wanted) {
   for (const { start, end } of state.pending) [owed, offset] = [owed + end - start, min(offset, start)];
   const level = levelUpTo(job, offset);
   if (level + 1 < job.levels.length) owed += max(job.levels[level + 1].end - state.mesh, 0);
-  const textures = inspectTextures(job, state.asked);
-  const [next, target] = findPath(job, level, textures, measure(state.asked), owed, budgetOf(state), wanted);
-  const isTexture = next === level || (!state.asked.length && textures.state < 0); // something of the textures first
-  if (isTexture) return [missingSpan(job, state, target, wanted), -1];
+  const textures = inspectTextures(job, state.asked), budget = budgetOf(state);
+  const [next, target] = findPath(job, level, textures, measure(state.asked), owed, budget, wanted);
+  if (next === level || (!state.asked.length && textures.state < 0)) { // something of the textures first
+    return [missingSpan(job, state, textures.missing[target], wanted, budget), -1];
+  }
   return state.pending.length ? [state.pending[0], 0] : [{ file: MESH, start: state.mesh, end: job.levels[next].end }, -1];
 }
 
@@ -294,38 +294,20 @@ function cut(state, position, end) {
   return { ...span, end };
 }
 
-function missingSpan(job, state, target, wanted) {
-  const [[start, end] = [job.begin, job.begin], ...others] = subtract(job.states[target], state.asked), span = { file: TEXTURES, start, end };
-  for (const [begin, stop] of others) {
-    if (begin - span.end > MAX_GAP || measure(subtract([[span.end, begin]], state.asked)) < begin - span.end || span.end - start >= wanted) break;
-    span.end = stop;
+function missingSpan(job, state, missing, wanted, possible) {
+  let first = job.begin, last = first;
+  for (const [start, end] of listIncrements(job, missing)) {
+    if (first === last) {
+      if (end - start <= possible) [first, last] = [start, end];
+    } else if (end - first > wanted || start - last > MAX_GAP || state.asked.some((item) => item[0] < start && item[1] > last)) break;
+    else last = end;
   }
-  return span;
+  return { file: TEXTURES, start: first, end: last };
 }
 
 function budgetOf(state) {
-  let budget = 0;
-  state.servers.forEach((server, index) => {
+  return state.servers.reduce((sum, _, index) => {
     const [, rest, rate] = line(state, index);
-    if (!isPaused(state, index)) budget += max(rest, 0) * rate;
-  });
-  return budget;
-}
-
-function lastEnd(job, start, wanted, possible) {
-  const count = countUpTo(job.ends, wanted);
-  if (count && job.ends[count - 1] > start) return job.ends[count - 1];
-  const after = job.ends[countUpTo(job.ends, start)];
-  return after !== undefined && after <= possible ? after : start;
-}
-
-/** How many of ascending `ends` are at most `offset`. */
-function countUpTo(ends, offset) {
-  let [low, high] = [0, ends.length];
-  while (low < high) {
-    const center = (low + high) >> 1;
-    if (ends[center] <= offset) low = center + 1;
-    else high = center;
-  }
-  return low;
+    return isPaused(state, index) ? sum : sum + max(rest, 0) * rate;
+  }, 0);
 }

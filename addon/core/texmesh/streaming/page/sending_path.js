@@ -3,14 +3,27 @@
 
 import { measure, subtract } from "./byte_intervals.js";
 
-const MIN_ERROR = 1e-6, STRIDE = 6;
-const STOPS = [0.2, 0.4, 0.6, 0.7, 0.75, 0.8, 0.85, 0.9, 0.92, 0.94, 0.96, 0.98, 1, 1.1, 1.3];
+const MIN_ERROR = 1e-6, STRIDE = 6, HEADERS = 400;
+const STOPS = [0.3, 0.5, 0.6, 0.7, 0.77, 0.84, 0.9, 0.95, 1, 1.05, 1.1, 1.15, 1.2, 1.3, 1.5];
 const { max, min } = Math;
 
-/** What has been asked for of the textures: the last complete state, or -1, and the bytes that each state lacks. */
+/** What has been asked for of the textures: the last complete state, or -1, how many bytes each state lacks, and which. */
 export function inspectTextures(job, asked) {
-  const left = job.states.map((state) => measure(subtract(state, asked)));
-  return { state: left.lastIndexOf(0), left };
+  const missing = job.states.map((state) => subtract(state, asked)), left = missing.map(measure);
+  return { state: left.lastIndexOf(0), left, missing };
+}
+
+/** The increments, or parts of some, that lie in intervals of textures.bin. */
+export function listIncrements(job, intervals) {
+  const found = [];
+  let i = 0;
+  for (let [start, end] of intervals) {
+    while (start < end) {
+      while (job.ends[i] <= start) i++;
+      found.push([start, (start = min(job.ends[i], end))]);
+    }
+  }
+  return found;
 }
 
 function estimateErrors(job, { state, left }) {
@@ -25,14 +38,15 @@ function estimateErrors(job, { state, left }) {
 /** The level that the best path has asked for after `window` bytes, and the state of the textures that it goes to next. */
 export function findPath(job, level, textures, spent, owed, budget, window) {
   const last = job.errors[0].length - 1, present = estimateErrors(job, textures);
-  const meshes = [0, ...job.levels.slice(level + 1).map(({ end }) => end - job.levels[level + 1].end + owed)];
+  const meshes = [0, ...job.levels.slice(level + 1).map(({ end }) => end - job.levels[level + 1].end + owed + HEADERS)];
   budget = min(budget, meshes.at(-1) + textures.left[last]);
   const stops = STOPS.map((stop) => budget * stop);
   const weights = stops.map((stop) => 1 / leastError(job, job.levels[level].end + spent + stop));
   let best = -1, found = [level, last];
   for (let state = min(textures.state + 1, last); state <= last; state++) {
+    if (state < last && textures.left[state] > budget && listIncrements(job, textures.missing[state]).some(([start, end]) => end - start > budget)) continue;
     const states = listStates(job, textures, state), sizes = [0];
-    states.forEach((other, i) => sizes.push(sizes[i] + (i ? job.steps[states[i - 1]][other] : textures.left[other])));
+    states.forEach((other, i) => sizes.push(sizes[i] + HEADERS + (i ? job.steps[states[i - 1]][other] : textures.left[other])));
     const errors = present.slice(level).map((error, row) => [error, ...states.map((other) => min(error, job.errors[level + row][other]))]);
     const [cost, takesLevel] = findCosts(meshes, sizes, errors, stops, weights);
     if (best < 0 || cost < best) [best, found] = [cost, [level + walk(meshes, sizes, takesLevel, window), states[0] ?? last]];
