@@ -113,9 +113,9 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
             coarse = join_tiles(decoded, TileGrid(width, height, side))
             errors[level, index] = _sum_blocks(judge.measure(coarse, level), blocks)
         sizes.append(byte_counts.reshape(len(VARIANTS), *shape))
-    gray = np.full_like(image, MISSING)
     texture = PackageTexture(source.role, grid.width, grid.height, grid.tile_size, tuple(headers))
-    return CodedTexture(texture, pyramid, used_tiles, tiles, sizes, errors, _sum_blocks(judge.measure(gray, 0), blocks))
+    gray = np.full((height, width, 3), MISSING, np.uint8)  # in the coarsest level, which takes least time
+    return CodedTexture(texture, pyramid, used_tiles, tiles, sizes, errors, _sum_blocks(judge.measure(gray, levels - 1), blocks))
 
 
 def _choose_variants(level: int, finest: int, tiles: int, is_full_size: bool) -> list[int]:

@@ -1,9 +1,11 @@
 """Textures of packages as pixels again, in any state."""
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
+from ....jobs.chunks import map_ordered
 from ..increments import Increments
 from ..manifest import PackageTexture
 from ..tile_pyramid import TilePyramid
@@ -28,16 +30,23 @@ def decode_textures(
     images = []
     for index, texture in enumerate(textures):
         side, pyramid = texture.tile_size, TilePyramid(texture.width, texture.height, texture.tile_size)
-        rows, columns = pyramid.shapes[0]
-        tiles = np.full((rows, columns, side, side, 3), MISSING, np.uint8)
-        for number in np.flatnonzero((increments.textures == index) & is_shown).tolist():
-            level, row, column = pyramid.locate(int(increments.tiles[number]))
-            covered = pyramid.covered(level, row, column)
-            coded = decode_tile(texture.headers[int(increments.headers[number])], parts[number], pyramid.side(level))
-            enlarged = enlarge(coded, level)
-            count = len(enlarged) // side
-            found = enlarged.reshape(count, side, count, side, 3).swapaxes(1, 2)
-            shown = tiles[covered]
-            shown[:] = found[: shown.shape[0], : shown.shape[1]]
+        tiles = np.full((*pyramid.shapes[0], side, side, 3), MISSING, np.uint8)
+        show = partial(_show_increment, tiles, texture, pyramid, increments, parts)
+        for _ in map_ordered(show, np.flatnonzero((increments.textures == index) & is_shown).tolist()):
+            pass
         images.append(join_tiles(tiles.reshape(-1, side, side, 3), TileGrid(texture.width, texture.height, side))[::-1])
     return images
+
+
+def _show_increment(
+    tiles: np.ndarray, texture: PackageTexture, pyramid: TilePyramid, increments: Increments, parts: Sequence[memoryview], number: int
+) -> None:
+    """Write the pixels of an increment to `tiles` (R, C, S, S, 3) uint8."""
+    level, row, column = pyramid.locate(int(increments.tiles[number]))
+    coded = decode_tile(texture.headers[int(increments.headers[number])], parts[number], pyramid.side(level))
+    enlarged = enlarge(coded, level)
+    side = texture.tile_size
+    count = len(enlarged) // side
+    found = enlarged.reshape(count, side, count, side, 3).swapaxes(1, 2)
+    shown = tiles[pyramid.covered(level, row, column)]
+    shown[:] = found[: shown.shape[0], : shown.shape[1]]
