@@ -137,14 +137,14 @@ def test_tiles_that_come_again_are_sent_again():
 def test_finer_levels_and_higher_qualities_have_smaller_errors(coded):
     sums = coded.errors.sum(axis=(2, 3))
     is_coded = np.isfinite(sums)
-    assert is_coded[0].tolist() == [True, False, False, True, True, True, False]  # level 0 is not sharpened
+    assert is_coded[0].tolist() == [True, False, False, True, False, True, False]  # level 0 is not sharpened
     assert is_coded[1:3].all()  # one or two tiles of full size are used
     assert (is_coded[3:] == [True, True, True, True, False, False, False]).all()
     for is_sharpened in (False, True):
         of_kind = [index for index, variant in enumerate(VARIANTS) if variant.is_sharpened == is_sharpened]
         of_kind.sort(key=lambda index: VARIANTS[index].fraction)
         assert (np.diff(sums[1:3, of_kind]) < 0.0).all()
-    assert sums[0, 0] > sums[0, 4] > sums[0, 5] > sums[0, COMPLETE]
+    assert sums[0, 0] > sums[0, 5] > sums[0, COMPLETE]
     assert (np.diff(sums[:, [0, COMPLETE]], axis=0) > 0.0).all()
     assert (sums[is_coded] < coded.missing_errors.sum()).all()
 
@@ -294,24 +294,27 @@ def test_what_cannot_be_coded_is_refused():
 
 
 def test_detail_that_no_image_shows_is_coded_once():
-    source = make_source((256, 256))
+    source = make_source((512, 512))
     built = run_to_end(build_textures([source], replace(SETTINGS, pixels=16)))
-    pyramid = TilePyramid(256, 256, 32)
+    pyramid = TilePyramid(512, 512, 32)
     levels = [pyramid.locate(int(number))[0] for number in built.increments.tiles]
     assert levels.count(0) == len({int(number) for number in built.increments.tiles if number < pyramid.starts[1]})
     assert 1 not in levels and max(levels) >= 3
 
 
-@pytest.mark.parametrize(("tile_size", "finer"), [(32, {COMPLETE}), (64, {0, 1, 2, COMPLETE})])
-def test_detail_finer_than_images_show_has_the_highest_quality_only_where_tiles_are_many(tile_size, finer):
+@pytest.mark.parametrize(
+    ("tile_size", "finest", "finer"),
+    [(32, {COMPLETE}, {COMPLETE}), (64, {COMPLETE}, {5, COMPLETE}), (128, {5, COMPLETE}, {0, 5, COMPLETE})],
+)
+def test_detail_finer_than_images_show_has_the_highest_quality_only_where_tiles_are_many(tile_size, finest, finer):
     source = make_source((512, 512))
     grid = check_source(source, tile_size)
     visibility = np.zeros((64, 64, FOOTPRINT_LEVELS), np.float32)
     visibility[..., np.flatnonzero(level_footprints() == 4.0)] = 1.0 / 64**2  # the texture halved twice
     coded = run_to_end(code_texture(source, grid, visibility, replace(SETTINGS, tile_size=tile_size)))
     variants = {level: {variant for found, variant, _ in coded.tiles if found == level} for level in range(3)}
-    assert variants[0] == {COMPLETE} and variants[1] == finer and {0, 1, 2, COMPLETE} <= variants[2]
-    assert sum(level == 0 for level, _, _ in coded.tiles) == coded.used.sum()
+    assert variants[0] == finest and variants[1] == finer and {0, 1, 2, COMPLETE} <= variants[2]
+    assert sum((level, variant) == (0, COMPLETE) for level, variant, _ in coded.tiles) == coded.used.sum()
 
 
 def test_visibility_of_sources_of_one_mesh_is_divided_by_material():

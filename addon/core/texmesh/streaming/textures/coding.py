@@ -1,5 +1,6 @@
 """One texture, coded: variants of all tiles of its pyramid, with their bytes and what viewers notice of their errors."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -21,7 +22,7 @@ from .visibility import BLOCK
 
 MISSING = 128  # of all channels of tiles that have not come
 FEW_TILES = 2  # of levels whose tiles have all variants, since one tile is much there; others have the COMMON ones
-MAX_FINER_TILES = 16  # of a level finer than images show, so that its tiles have several variants
+FINER_TILES = (8, 16)  # of a level finer than images show, up to which it has three and two variants; there, details matter little
 MIN_VISIBILITY = 1e-3  # of blocks that no view shows, relative to the mean of the used ones
 
 
@@ -36,6 +37,7 @@ class Variant(NamedTuple):
 COMMON = (Variant(0.4, False), Variant(0.4, True), Variant(0.7, True), Variant(1.0, False))  # of all levels
 VARIANTS = (*COMMON, Variant(0.55, False), Variant(0.7, False), Variant(1.0, True))
 COMPLETE = 3  # index of the variant of complete textures
+UNSHARPENED = (0, 5, COMPLETE)  # indices of variants of levels that images do not show enlarged
 
 
 class CodedTile(NamedTuple):
@@ -118,16 +120,16 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
     return CodedTexture(texture, pyramid, used_tiles, tiles, sizes, errors, _sum_blocks(judge.measure(gray, levels - 1), blocks))
 
 
-def _choose_variants(level: int, finest: int, tiles: int, is_full_size: bool) -> list[int]:
+def _choose_variants(level: int, finest: int, tiles: int, is_full_size: bool) -> Sequence[int]:
     """Return the indices of the variants of a level, which has so many used tiles, of full size (`is_full_size`) or halved.
     finest: the finest level that counts in images. For fewer bytes than finer levels have at the highest quality, coarser ones are better;
     but where tiles are few, there are others of lower quality between them."""
-    if level < finest and tiles > MAX_FINER_TILES:
-        return [COMPLETE] if level in (0, finest - 1) else []
-    if level == 0:  # is not sharpened
-        plain = {variant.fraction for variant in VARIANTS if not variant.is_sharpened}
-        return [index for index, variant in enumerate(VARIANTS) if not variant.is_sharpened or variant.fraction not in plain]
-    return list(range(len(VARIANTS) if tiles <= FEW_TILES and is_full_size else len(COMMON)))
+    if level < finest:
+        count = 3 - sum(tiles > most for most in FINER_TILES)
+        return UNSHARPENED[-count:] if count > 1 or level in (0, finest - 1) else ()
+    if level == 0:
+        return UNSHARPENED
+    return range(len(VARIANTS) if tiles <= FEW_TILES and is_full_size else len(COMMON))
 
 
 def cut_blocks(used: np.ndarray) -> np.ndarray:
