@@ -317,6 +317,16 @@ def test_detail_finer_than_images_show_has_the_highest_quality_only_where_tiles_
     assert sum((level, variant) == (0, COMPLETE) for level, variant, _ in coded.tiles) == coded.used.sum()
 
 
+@pytest.mark.parametrize("footprint", [1.0, 4.0])
+def test_progress_of_coding_never_falls(footprint):
+    source = make_source((256, 256))
+    grid = check_source(source, 64)
+    visibility = np.zeros((32, 32, FOOTPRINT_LEVELS), np.float32)
+    visibility[..., np.flatnonzero(level_footprints() == footprint)] = 1.0 / 32**2
+    fractions = [progress.fraction for progress in code_texture(source, grid, visibility, SETTINGS)]
+    assert fractions == sorted(fractions) and fractions[0] >= 0.0 and 0.9 < fractions[-1] <= 1.0
+
+
 def test_visibility_of_sources_of_one_mesh_is_divided_by_material():
     mesh = make_source().mesh
     halves = replace(mesh, materials=(np.arange(len(mesh.triangles)) % 2).astype(np.int32))

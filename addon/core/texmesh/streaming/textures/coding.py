@@ -101,13 +101,13 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
             padding = [(0, shape[0] * side - height), (0, shape[1] * side - width), (0, 0)]
             plain = cut_tiles(np.pad(pixels if has_colors else pixels[..., :1], padding, mode="edge"), side)
             sharpened = sharpen_for_enlarging(plain) if level and any(VARIANTS[index].is_sharpened for index in indices) else plain
-        for index in indices:
+        for position, index in enumerate(indices):
             variant = VARIANTS[index]
             cut = sharpened if variant.is_sharpened else plain
             code = partial(_code_tile, cut if has_colors else cut[..., 0], max(round(variant.fraction * settings.quality), 1))
             decoded = np.full((len(cut), side, side, 3), MISSING, np.uint8)
             for count, (number, header, payload, result) in enumerate(map_ordered(code, chosen.tolist())):
-                done = (index + count / len(chosen)) / len(VARIANTS)
+                done = (position + count / len(chosen)) / len(indices)
                 yield Progress(1.0 - 0.25**level * (1.0 - 0.75 * done), "Coding textures")
                 tiles[level, index, number] = CodedTile(headers.setdefault(header, len(headers)), payload)
                 byte_counts[index, number] = len(payload)
