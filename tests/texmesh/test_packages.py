@@ -177,14 +177,14 @@ def test_the_same_source_gives_the_same_bytes():
 
 
 def test_parts_of_textures_with_features_of_the_surface_can_come_earlier():
-    source = read_package_source(textured_ball(12), bpy.context.evaluated_depsgraph_get())
+    source = read_package_source(textured_ball(8), bpy.context.evaluated_depsgraph_get())
     mesh, images = source.mesh, source.materials[0].images
     images["base_color"] = images["base_color"].repeat(4, axis=0).repeat(4, axis=1)
     scales = run_to_end(analyze_scale_space(mesh, source.textures, ScaleSpaceSettings())).last_scales
     counts = count_features(mesh, (0,), scales, TileGrid(128, 128, 32)).counts[1:].sum(axis=0).ravel()
     ranks = []
     for weight in (0.0, 10.0):
-        package = build(source, feature_weight=weight, tile_size=32, pixels=384)
+        package = build(source, feature_weight=weight, tile_size=32, pixels=128)
         content, manifest = package.contents[TEXTURES], package.manifest
         increments = decode_increments(content[: manifest.increments.size], manifest)
         is_finest = increments.tiles < 16
