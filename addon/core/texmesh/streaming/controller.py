@@ -52,7 +52,7 @@ SMALLEST = 15_000.0  # bytes of a request, as headers are a part of each, if its
 LEAD = 1.5  # delays before the line is free that the next request is sent
 EXCESS = 1.2  # of the time left, for all requests of a server, at which the newest is aborted
 MEASURED = 0.2  # seconds after which a rate counts as measured
-MAX_PARTS, PARTS = 3.0, 2.0  # lengths of a request: what is longer than the first is divided, into parts of the second
+MAX_PARTS, PARTS = 3.0, 2.0  # lengths of a request: a span longer than the first is divided into parts of the second
 MAX_GAP = 300  # bytes between increments that are asked for with them: another request would cost more
 
 
