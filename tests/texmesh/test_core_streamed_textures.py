@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from farfield.addon.core.errors import ImageError, SettingsError
+from farfield.addon.core.imaging.mipmaps import build_mipmaps
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.streaming.error_model import ErrorModel
 from farfield.addon.core.texmesh.streaming.increments import decode_increments, encode_increments
@@ -16,9 +17,10 @@ from farfield.addon.core.texmesh.streaming.manifest import Manifest, Section
 from farfield.addon.core.texmesh.streaming.textures.avif_files import decode_tile
 from farfield.addon.core.texmesh.streaming.textures.best_state import Choice, choose_state, measure_error
 from farfield.addon.core.texmesh.streaming.textures.building import BuiltTextures, build_textures
-from farfield.addon.core.texmesh.streaming.textures.coding import COMPLETE, VARIANTS, CodedTexture, code_texture
+from farfield.addon.core.texmesh.streaming.textures.coding import COMPLETE, MISSING, VARIANTS, CodedTexture, code_texture
 from farfield.addon.core.texmesh.streaming.textures.decoding import decode_textures
 from farfield.addon.core.texmesh.streaming.textures.settings import TextureSettings
+from farfield.addon.core.texmesh.streaming.textures.texture_errors import TextureErrors, values_of_bytes
 from farfield.addon.core.texmesh.streaming.textures.texture_tiles import (
     TextureSource,
     TileGrid,
@@ -146,7 +148,12 @@ def test_finer_levels_and_higher_qualities_have_smaller_errors(coded):
         assert (np.diff(sums[1:3, of_kind]) < 0.0).all()
     assert sums[0, 0] > sums[0, 5] > sums[0, COMPLETE]
     assert (np.diff(sums[:, [0, COMPLETE]], axis=0) > 0.0).all()
-    assert (sums[is_coded] < coded.missing_errors.sum()).all()
+    source = make_source()
+    grid = check_source(source, 32)
+    image = fill_unused(source, grid, find_used_texels(source, grid))
+    visibility = run_to_end(measure_visibility([source], [grid], 4, 64))[0]
+    judge = TextureErrors(source.role, build_mipmaps(image, values_of_bytes(source.role)), visibility, SETTINGS.pixels_per_degree)
+    assert (sums[is_coded] < judge.measure(np.full_like(image, MISSING), 0).sum()).all()  # before anything has come
 
 
 def test_sharpened_tiles_are_better_and_smaller_where_details_are_everywhere():

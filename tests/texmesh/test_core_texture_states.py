@@ -29,7 +29,6 @@ def make_coded(shapes, sizes, errors):
         {},
         [np.broadcast_to(row[:, None, None], (len(row), *shape)) for row, shape in zip(all_sizes, pyramid.shapes, strict=True)],
         np.broadcast_to(all_errors[..., None, None] / (grid[0] * grid[1]), (*all_errors.shape, *grid)),
-        np.full(grid, 1.0 / (grid[0] * grid[1])),
     )
 
 

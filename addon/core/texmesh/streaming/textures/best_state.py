@@ -42,8 +42,8 @@ def choose_state(textures: Sequence[CodedTexture], price: float) -> list[Choice]
 def decide(texture: CodedTexture, price: float) -> Decisions:
     """Find the tiles that have the least sum of errors and bytes times `price`, from the finest level up."""
     decisions, best = Decisions([], []), np.empty(0)
-    for level, sizes in enumerate(texture.sizes):
-        costs = sum_tiles(texture.errors[level], level) + price * sizes
+    for level, (errors, sizes) in enumerate(zip(texture.tile_errors, texture.sizes, strict=True)):
+        costs = errors + price * sizes
         own = costs.min(axis=0)
         children = sum_tiles(best, 1) if level else np.full(own.shape, np.inf)
         decisions.variants.append(costs.argmin(axis=0))
@@ -58,9 +58,8 @@ def list_choices(texture: CodedTexture, index: int, decisions: Decisions, level:
     index: of the texture. level: where the part begins, at the tiles `is_reached` (R', C') bool.
     """
     for finer in reversed(range(level + 1)):
-        is_used = sum_tiles(texture.used.astype(np.int64), finer) > 0
         splits = decisions.splits[finer]
-        for row, column in np.argwhere(is_reached & is_used & ~splits).tolist():
+        for row, column in np.argwhere(is_reached & texture.used_tiles[finer] & ~splits).tolist():
             yield Choice(index, finer, int(decisions.variants[finer][row, column]), row, column)
         if finer:
             rows, columns = texture.pyramid.shapes[finer - 1]

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -54,8 +54,7 @@ class CodedTexture:
     texture: with the headers. pyramid: of tiles, of which level 0 has R rows and C columns. used: (R, C) bool, which of those triangles
     show. tiles: by level, variant and number, of those that triangles show and variants that a level has. sizes: for each level (V, R', C')
     bytes. errors: (L, V, R, C), of all tiles of level 0 if they are shown so: mean FLIP error of their pixels, times the fraction of all
-    pixels of the object that they are; infinite where a level does not have the variant. missing_errors: (R, C), the same before anything
-    has come.
+    pixels of the object that they are; infinite where a level does not have the variant.
     """
 
     texture: PackageTexture
@@ -64,7 +63,16 @@ class CodedTexture:
     tiles: dict[tuple[int, int, int], CodedTile]
     sizes: list[np.ndarray]
     errors: np.ndarray
-    missing_errors: np.ndarray
+
+    @cached_property
+    def tile_errors(self) -> list[np.ndarray]:
+        """For each level the errors (V, R', C') of its tiles."""
+        return [sum_tiles(errors, level) for level, errors in enumerate(self.errors)]
+
+    @cached_property
+    def used_tiles(self) -> list[np.ndarray]:
+        """For each level which tiles (R', C') bool triangles show."""
+        return [sum_tiles(self.used.astype(np.int64), level) > 0 for level in range(len(self.sizes))]
 
 
 def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, settings: TextureSettings) -> Steps[CodedTexture]:
@@ -85,8 +93,7 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
     del used
     mipmaps = build_mipmaps(image, values_of_bytes(source.role))
     judge = TextureErrors(source.role, mipmaps, shown, settings.pixels_per_degree)
-    levels = len(pyramid.shapes)
-    errors = np.full((levels, len(VARIANTS), *pyramid.shapes[0]), np.inf)
+    errors = np.full((len(pyramid.shapes), len(VARIANTS), *pyramid.shapes[0]), np.inf)
     headers: dict[bytes, int] = {}
     tiles: dict[tuple[int, int, int], CodedTile] = {}
     sizes = []
@@ -116,8 +123,7 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
             errors[level, index] = _sum_blocks(judge.measure(coarse, level), blocks)
         sizes.append(byte_counts.reshape(len(VARIANTS), *shape))
     texture = PackageTexture(source.role, grid.width, grid.height, grid.tile_size, tuple(headers))
-    gray = np.full((height, width, 3), MISSING, np.uint8)  # in the coarsest level, which takes least time
-    return CodedTexture(texture, pyramid, used_tiles, tiles, sizes, errors, _sum_blocks(judge.measure(gray, levels - 1), blocks))
+    return CodedTexture(texture, pyramid, used_tiles, tiles, sizes, errors)
 
 
 def _choose_variants(level: int, finest: int, tiles: int, is_full_size: bool) -> Sequence[int]:
