@@ -13,9 +13,9 @@ from bdam_stores import Workplace, build_fractal
 from bdam_terrains import FractalTerrain
 from bdam_views import FIELD_OF_VIEW, SIZE, fly_over
 
-from farfield.addon.bridge.cycles_renders import prepare_cycles
-from farfield.addon.bridge.mesh_pool import fill_mesh
-from farfield.addon.bridge.render_scene import RenderScene, render_scene
+from farfield.addon.bridge.geometry.mesh_pool import fill_mesh
+from farfield.addon.bridge.rendering.cycles_renders import prepare_cycles
+from farfield.addon.bridge.rendering.render_scene import RenderScene, render_scene
 from farfield.addon.core.bdam.cut_meshes import PatchCache, build_cut_mesh
 from farfield.addon.core.bdam.extraction import CutSettings, extract_cut
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore

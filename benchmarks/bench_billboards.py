@@ -26,7 +26,7 @@ import numpy as np
 from greedy_clustering import merge_one_at_a_time, texture_waste
 
 import billboards
-from farfield.addon.bridge.meshes import read_source
+from farfield.addon.bridge.geometry.meshes import read_source
 from farfield.addon.core.billboards.build import build_cloud
 from farfield.addon.core.billboards.cloud import Cloud
 from farfield.addon.core.billboards.clustering.hierarchy import ClusterBounds, merge_in_rounds

@@ -23,7 +23,7 @@ import benchmark_cli
 import bpy
 import numpy as np
 
-from farfield.addon.bridge.mesh_arrays import read_uvs
+from farfield.addon.bridge.geometry.mesh_arrays import read_uvs
 from farfield.addon.bridge.unwrap import uv_maps
 from farfield.addon.core.geometry.mesh import TriangleMesh, face_areas_and_normals
 from farfield.addon.core.jobs.progress import run_to_end

@@ -18,7 +18,7 @@ environment.import_farfield()
 import bpy
 
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
-from farfield.addon.bridge.visibility import temporarily_visible
+from farfield.addon.bridge.objects import temporarily_visible
 from farfield.addon.core.errors import FarfieldError
 from farfield.addon.core.geometry.directions import held_out_views
 from farfield.addon.core.jobs.progress import run_to_end

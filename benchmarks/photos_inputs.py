@@ -7,7 +7,7 @@ import bpy
 import numpy as np
 from photos_models import make_knot, make_rock
 
-from farfield.addon.bridge.meshes import concatenate_in_world_space, read_instances
+from farfield.addon.bridge.geometry.meshes import concatenate_in_world_space, read_instances
 from farfield.addon.bridge.photos.photo_files import read_photograph
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.geometry.mesh import TriangleMesh

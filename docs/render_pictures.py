@@ -33,7 +33,7 @@ from figures.unwrap_comparison import unwrap_copies
 
 import billboards
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
-from farfield.addon.bridge.images import read_pixels
+from farfield.addon.bridge.imaging.images import read_pixels
 from farfield.addon.core.billboards.settings import BillboardSettings, BuildOptions
 from farfield.addon.core.errors import FarfieldError
 from farfield.addon.core.imaging import metrics

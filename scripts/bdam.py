@@ -22,7 +22,7 @@ environment.import_farfield()
 import bpy
 import numpy as np
 
-from farfield.addon.bridge.height_images import read_gray_image
+from farfield.addon.bridge.imaging.height_images import read_gray_image
 from farfield.addon.core.bdam.build.disk_space import folder_bytes
 from farfield.addon.core.bdam.build.terrain_build import build_terrain
 from farfield.addon.core.bdam.cut_files import ExtractedMesh, extract_mesh

@@ -22,7 +22,7 @@ environment.import_farfield()
 import bpy
 import numpy as np
 
-from farfield.addon.bridge.meshes import read_instances
+from farfield.addon.bridge.geometry.meshes import read_instances
 from farfield.addon.bridge.photos.mask_files import apply_mask_file, check_mask_folder
 from farfield.addon.bridge.photos.material_groups import MaterialGroups, assign_to_materials, read_material_groups
 from farfield.addon.bridge.photos.page_images import create_textures
@@ -34,6 +34,7 @@ from farfield.addon.core.files.scratch import Scratch
 from farfield.addon.core.geometry.lenses import PhotoCamera
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import StageClock, run_to_end, subprogress
+from farfield.addon.core.messages import format_count
 from farfield.addon.core.photos.importers import read_cameras
 from farfield.addon.core.photos.merging import merge
 from farfield.addon.core.photos.overlays import draw_overlay
@@ -43,7 +44,6 @@ from farfield.addon.core.photos.photographs import Photograph
 from farfield.addon.core.photos.refinement import refine
 from farfield.addon.core.photos.settings import PhotosSettings
 from farfield.addon.core.settings import add_flags, from_flags
-from farfield.addon.core.text import format_count
 from farfield.addon.core.unwrap.settings import UnwrapSettings
 from farfield.addon.operators.job_run import run_job
 from farfield.addon.operators.unwrap import job as unwrap_job

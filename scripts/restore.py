@@ -19,14 +19,14 @@ from lib import environment
 environment.ensure()
 environment.import_farfield()
 
-from farfield.addon.bridge.image_files import EXTENSIONS
+from farfield.addon.bridge.imaging.image_files import EXTENSIONS
 from farfield.addon.core.errors import FileError, SettingsError
 from farfield.addon.core.files.file_access import convert_os_errors, resolve_links
 from farfield.addon.core.files.temporary_folders import temporary_folder
 from farfield.addon.core.jobs.progress import StageClock, Steps, run_to_end, subprogress
+from farfield.addon.core.messages import format_count
 from farfield.addon.core.restore.settings import RestoreSettings
 from farfield.addon.core.settings import add_flags, from_flags
-from farfield.addon.core.text import format_count
 from lib import command_line
 from lib.atomic_output import check_writable
 from lib.restore_jobs import ImageJob, list_jobs, publish, restore_image

@@ -24,7 +24,7 @@ environment.import_farfield()
 
 import bpy
 
-from farfield.addon.bridge.line_chart import draw_line_chart
+from farfield.addon.bridge.overlays.line_chart import draw_line_chart
 from farfield.addon.bridge.texmesh.glb_levels import write_levels
 from farfield.addon.bridge.texmesh.level_sets import read_level_set
 from farfield.addon.core.errors import FileError

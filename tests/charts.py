@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from farfield.addon.core.geometry.geometry_2d import signed_areas
 from farfield.addon.core.geometry.mesh import TriangleMesh
+from farfield.addon.core.geometry.transforms import signed_areas
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.unwrap.cutting.boundaries import boundary_edges
 from farfield.addon.core.unwrap.cutting.chart import Chart

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from farfield.addon.bridge.blender_modules import import_blender_module
+from farfield.addon.bridge.blender import import_blender_module
 
 CURVE = b"curv" + bytes(4) + struct.pack(">IHH", 1, 0x0233, 0)  # gamma 2.2
 

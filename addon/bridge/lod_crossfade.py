@@ -11,9 +11,9 @@ from collections.abc import Sequence
 import bpy
 
 from ..compat import enable_nodes
-from .drivers import add_scene_driver
-from .node_builder import NodeBuilder, SocketOrValue
-from .node_groups import ensure_shared_group
+from .objects import add_scene_driver
+from .shading.node_builder import NodeBuilder, SocketOrValue
+from .shading.node_groups import ensure_shared_group
 
 GROUP_NAME, GROUP_VERSION = "Farfield Cross-Fade", 1
 # Custom properties of a cross-fading object. Lengths are in the object's units.

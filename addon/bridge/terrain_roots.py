@@ -14,7 +14,7 @@ import numpy as np
 
 from ..core.errors import SettingsError
 from ..core.geometry.viewers import Viewer
-from .mesh_pool import is_local
+from .geometry.mesh_pool import is_local
 
 Settings = TypeVar("Settings")
 

@@ -1,14 +1,8 @@
 """Errors that Farfield raises on purpose.
 
 The message of each is one sentence: the problem, the input that has it, and how to fix it. Operators show it as a report; scripts print it
-to stderr and exit with code 2. Messages quote names of files and data-blocks, which may contain anything; `single_line` makes them fit to
-be shown.
+to stderr and exit with code 2.
 """
-
-import re
-
-NOT_PRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # control characters and separators of lines
-NOT_UNICODE = re.compile("[\ud800-\udfff]")  # how Python decodes bytes that are not UTF-8
 
 
 class FarfieldError(Exception):
@@ -41,8 +35,3 @@ class FileError(FarfieldError):
 
 class Cancelled(FarfieldError):
     """The user cancelled the job; the scene is unchanged."""
-
-
-def single_line(message: object) -> str:
-    """Return the text of `message` on one line that can be encoded: control characters become spaces, bytes that are no text U+FFFD."""
-    return NOT_UNICODE.sub("\ufffd", NOT_PRINTABLE.sub(" ", str(message)))

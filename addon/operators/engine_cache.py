@@ -2,7 +2,7 @@
 
 import bpy
 
-from ..bridge.session_ids import find_by_uid
+from ..bridge.objects import find_by_uid
 from ..bridge.terrain_roots import TerrainRoot
 from . import follow_tools
 from .follow_tools import Engine

@@ -6,8 +6,9 @@ from collections.abc import Callable
 import bpy
 
 from ..compat import blender_version
-from ..core.errors import Cancelled, FarfieldError, single_line
+from ..core.errors import Cancelled, FarfieldError
 from ..core.files.defect_log import defect_message, write_defect_log
+from ..core.messages import single_line
 
 
 def describe_error(error: Exception, title: str) -> str:

@@ -2,17 +2,16 @@
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import bpy
 
 from ..bridge import viewers
-from ..bridge.mesh_pool import spare_meshes
+from ..bridge.geometry.mesh_pool import spare_meshes
 from ..bridge.terrain_roots import TerrainRoot
 from . import follow_tools, following, view_following
-from .app_handlers import add_handlers, remove_handlers
 from .engine_cache import cache
 from .error_reports import describe_error
 from .follow_tools import FollowTool
@@ -200,3 +199,20 @@ def unregister() -> None:
     """Close all followings and unregister the handlers."""
     _before_load()
     remove_handlers(HANDLERS)
+
+
+Handlers = Iterable[tuple[str, Callable[..., Any]]]  # names of lists of handlers, and functions to be called
+
+
+def add_handlers(handlers: Handlers) -> None:
+    """Let Blender call `handlers`."""
+    for name, handler in handlers:
+        getattr(bpy.app.handlers, name).append(handler)
+
+
+def remove_handlers(handlers: Handlers) -> None:
+    """Undo `add_handlers`."""
+    for name, handler in handlers:
+        registered = getattr(bpy.app.handlers, name)
+        if handler in registered:  # another add-on may have cleared the list
+            registered.remove(handler)

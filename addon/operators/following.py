@@ -6,11 +6,13 @@ from contextlib import suppress
 from queue import Empty
 from typing import Any
 
+import bpy
+
 from ..bridge.terrain_roots import TerrainRoot
 from ..core.errors import Cancelled, GeometryError
 from ..core.jobs.background_thread import BackgroundThread
 from ..core.jobs.progress import Steps, run_to_end
-from . import follow_tools
+from . import follow_tools, long_work
 from .engine_cache import cache, discard_finished_blocks
 from .follow_tools import Engine, PrefetchingEngine
 
@@ -202,3 +204,13 @@ def _run(steps: Iterable[None]) -> None:
 def _check_editable(terrain: TerrainRoot) -> None:
     if terrain.read_only_reason:
         raise GeometryError(f"{terrain.read_only_reason}.")
+
+
+def disabled_reason(context: bpy.types.Context) -> str:
+    """Return why no terrain can be created or changed now, or an empty string."""
+    if context.mode != "OBJECT":
+        return "Switch to Object Mode"
+    if not context.scene.is_editable:
+        return "The scene is linked from another file"
+    is_following = bool(running())
+    return long_work.running_job_message() or ("A terrain is following the view; press Stop Following first" if is_following else "")

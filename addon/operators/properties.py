@@ -5,10 +5,12 @@ Properties hold the units of the interface: fractions as percentages. Angles sta
 
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import bpy
 
+from ..core.errors import FileError
 from ..core.settings import Description, Settings, Unit, describe
 
 NUMBER_SUBTYPES = {Unit.FRACTION: "PERCENTAGE", Unit.ANGLE: "ANGLE", Unit.LENGTH: "DISTANCE", Unit.SECONDS: "TIME_ABSOLUTE"}
@@ -106,3 +108,15 @@ def fill_unset(settings_type: type[Settings], operator: bpy.types.Operator, grou
 
 def _round(value: float) -> float:
     return float(f"{value:.6g}")
+
+
+BLEND_PREFIX = "//"  # of paths relative to the .blend file
+
+
+def absolute_path(path: str) -> Path:
+    """Return an absolute path. Raises FileError if it is relative to a .blend file that was never saved."""
+    if path.startswith(BLEND_PREFIX):
+        if not bpy.data.filepath:
+            raise FileError(f'The path "{path}" is relative to a file that was never saved; save the file or choose the path again.')
+        path = bpy.path.abspath(path)
+    return Path(path).absolute()

@@ -7,8 +7,8 @@ import bpy
 
 from ..bridge.terrain_roots import TerrainRoot
 from ..bridge.viewers import build_viewer, viewer_matrix, viewer_projection
-from ..core.errors import single_line
 from ..core.geometry.viewers import Viewer
+from ..core.messages import single_line
 from . import follow_tools, following, long_work
 from .error_reports import describe_error, reports_errors
 from .following import MAX_TICK_SECONDS, Following

@@ -15,7 +15,7 @@ from ..operators.bdam.operators import (
     FARFIELD_OT_bdam_remove,
     FARFIELD_OT_bdam_update,
 )
-from ..operators.terrain_polls import disabled_reason
+from ..operators.following import disabled_reason
 from .sidebar import SettingsSubPanel, SidebarPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, draw_table, format_megabytes
 
 PANEL = "FARFIELD_PT_bdam"

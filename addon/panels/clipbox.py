@@ -12,7 +12,7 @@ from ..operators.clipbox.operators import (
     FARFIELD_OT_clipbox_follow_view,
     FARFIELD_OT_clipbox_update,
 )
-from ..operators.terrain_polls import disabled_reason
+from ..operators.following import disabled_reason
 from .sidebar import SettingsSubPanel, SidebarPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, draw_setting, settings_column
 
 SETTINGS = describe(ClipboxSettings)

@@ -8,10 +8,10 @@ from ..bridge.photos.pair_markers import ARROW_SCALE
 from ..bridge.photos.photo_images import is_missing
 from ..bridge.photos.point_pairs import PROPERTY, read_pairs
 from ..bridge.photos.scene_cameras import find_background
+from ..core.messages import format_count
 from ..core.photos.registration import MIN_PAIRS, MIN_PAIRS_WITH_LENS
 from ..core.photos.settings import PhotosSettings
 from ..core.settings import describe
-from ..core.text import format_count
 from ..operators import image_editors
 from ..operators.photos.coverage import FARFIELD_OT_photos_show_coverage
 from ..operators.photos.import_cameras import FARFIELD_OT_photos_import_cameras

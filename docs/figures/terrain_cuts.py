@@ -16,7 +16,7 @@ import bpy
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from farfield.addon.bridge.mesh_pool import fill_mesh
+from farfield.addon.bridge.geometry.mesh_pool import fill_mesh
 from farfield.addon.core.bdam.build.height_grid import HeightGrid, encode_heights
 from farfield.addon.core.bdam.build.terrain_build import build_terrain
 from farfield.addon.core.bdam.build.vertical_errors import measure_triangles

@@ -9,7 +9,7 @@ from lib import environment
 
 environment.import_farfield()
 
-from farfield.addon.bridge.mesh_arrays import read_uvs, write_uvs
+from farfield.addon.bridge.geometry.mesh_arrays import read_uvs, write_uvs
 from farfield.addon.bridge.unwrap import uv_maps
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.unwrap.distortion import DistortionMetrics, compute_stretches, measure_distortion

@@ -17,8 +17,8 @@ environment.import_farfield()
 
 from farfield.addon.bridge.btf.octahedral.capture import capture_atlas, has_varying_surface
 from farfield.addon.bridge.btf.octahedral.objects import Impostor, build_impostor
-from farfield.addon.bridge.mesh_arrays import read_positions, read_values, write_attribute
-from farfield.addon.bridge.meshes import read_source, visible_meshes
+from farfield.addon.bridge.geometry.mesh_arrays import read_positions, read_values, write_attribute
+from farfield.addon.bridge.geometry.meshes import read_source, visible_meshes
 from farfield.addon.core.btf.octahedral import FrameGrid, compute_frame_resolution
 from farfield.addon.core.errors import GeometryError, SettingsError
 from farfield.addon.core.geometry.mesh import longest_side

@@ -25,10 +25,11 @@ from lib import environment
 farfield = environment.import_farfield()
 
 from farfield.addon.compat import blender_version
-from farfield.addon.core.errors import FarfieldError, FileError, SettingsError, single_line
+from farfield.addon.core.errors import FarfieldError, FileError, SettingsError
 from farfield.addon.core.files.defect_log import defect_message, write_defect_log
 from farfield.addon.core.files.file_access import convert_os_errors, error_reason, is_stream, is_unicode
 from farfield.addon.core.jobs.progress import Progress, time_left
+from farfield.addon.core.messages import single_line
 from farfield.addon.core.settings import flag_of, with_flags
 from farfield.addon.operators.job_run import format_duration
 from lib.atomic_output import atomic_file

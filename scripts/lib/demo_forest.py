@@ -22,7 +22,7 @@ from farfield.addon.bridge.billboards.level_objects import pbr_material
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud
 from farfield.addon.bridge.btf.clouds import link_suns, needs_linked_suns
 from farfield.addon.bridge.btf.materials import AMBIENT
-from farfield.addon.bridge.images import read_pixels
+from farfield.addon.bridge.imaging.images import read_pixels
 from farfield.addon.compat import enable_nodes, set_file_format
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.files.temporary_folders import temporary_folder

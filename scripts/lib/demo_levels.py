@@ -10,8 +10,8 @@ from lib import environment
 
 environment.import_farfield()
 
-from farfield.addon.bridge.images import create_image
-from farfield.addon.bridge.mesh_arrays import write_attribute, write_triangles
+from farfield.addon.bridge.geometry.mesh_arrays import write_attribute, write_triangles
+from farfield.addon.bridge.imaging.images import create_image
 from farfield.addon.core.imaging.colors import encode_signed_srgb
 from farfield.addon.core.imaging.mipmaps import build_mipmaps, resize_by_area
 from farfield.addon.core.jobs.progress import Progress, StageClock, Steps, subprogress

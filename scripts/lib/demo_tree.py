@@ -16,7 +16,7 @@ from lib.demo_materials import SPRIGS_PER_SIDE, create_bark_material, create_lea
 
 environment.import_farfield()
 
-from farfield.addon.bridge.mesh_arrays import write_attribute, write_geometry, write_uvs
+from farfield.addon.bridge.geometry.mesh_arrays import write_attribute, write_geometry, write_uvs
 
 TRUNK_HEIGHT = 1.9
 CROWN_CENTER = np.array([0.0, 0.0, 4.7])

@@ -12,8 +12,8 @@ from lib import environment
 
 environment.import_farfield()
 
-from farfield.addon.bridge.image_files import read_image_file, write_image_file
-from farfield.addon.bridge.image_storage import ImageFile
+from farfield.addon.bridge.imaging.image_files import read_image_file, write_image_file
+from farfield.addon.bridge.imaging.image_storage import ImageFile
 from farfield.addon.core.errors import FileError, ImageError
 from farfield.addon.core.files.file_access import check_readable, is_same_file
 from farfield.addon.core.jobs.progress import StageClock, Steps

@@ -9,8 +9,8 @@ from lib import environment
 
 environment.import_farfield()
 
-from farfield.addon.bridge.image_files import read_image_file
-from farfield.addon.bridge.image_storage import ImageFile
+from farfield.addon.bridge.imaging.image_files import read_image_file
+from farfield.addon.bridge.imaging.image_storage import ImageFile
 from farfield.addon.core.errors import ImageError
 from farfield.addon.core.imaging.colors import LUMINANCE
 

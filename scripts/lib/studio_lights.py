@@ -10,8 +10,8 @@ from lib import environment
 environment.import_farfield()
 
 from farfield.addon.bridge.cameras import light_matrix
-from farfield.addon.bridge.node_builder import NodeBuilder
-from farfield.addon.bridge.render_scene import RenderScene
+from farfield.addon.bridge.rendering.render_scene import RenderScene
+from farfield.addon.bridge.shading.node_builder import NodeBuilder
 from farfield.addon.compat import enable_nodes
 from lib.studio import SUN_STRENGTH, Studio, set_uniform_sky
 

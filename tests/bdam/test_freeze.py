@@ -10,7 +10,7 @@ import pytest
 from farfield.addon.bridge.bdam.freezing import PROPERTY_PREFIX
 from farfield.addon.bridge.bdam.objects import SceneTerrain
 from farfield.addon.bridge.bdam.textures import TEXTURE_KEY
-from farfield.addon.bridge.mesh_arrays import read_loop_vertices, read_positions
+from farfield.addon.bridge.geometry.mesh_arrays import read_loop_vertices, read_positions
 from farfield.addon.bridge.viewers import camera_viewer
 from farfield.addon.core.bdam.extraction import CutSettings, extract_union_cut
 from farfield.addon.core.bdam.settings import FreezeSettings

@@ -10,7 +10,7 @@ import pytest
 
 from farfield.addon.bridge.bdam.ground import find_base
 from farfield.addon.bridge.bdam.objects import STORE_KEY, SceneTerrain
-from farfield.addon.bridge.mesh_arrays import read_positions
+from farfield.addon.bridge.geometry.mesh_arrays import read_positions
 from farfield.addon.core.bdam.heights import height_at
 from farfield.addon.core.bdam.store.blocks import HEADER_SIZE, BlockReader
 from farfield.addon.core.bdam.store.terrain_store import GEOMETRY_FILE, GEOMETRY_KIND, TerrainStore

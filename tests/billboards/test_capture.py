@@ -12,7 +12,7 @@ import bpy
 from bridge import blender_scenes, pbr_clouds
 from farfield.addon.bridge.billboards.atlas_placement import compute_placement
 from farfield.addon.bridge.billboards.capture import capture_textures
-from farfield.addon.bridge.images import check_images
+from farfield.addon.bridge.imaging.images import check_images
 from farfield.addon.core.billboards.settings import BillboardSettings
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.jobs.progress import run_to_end

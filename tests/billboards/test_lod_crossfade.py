@@ -8,7 +8,7 @@ from bridge import blender_scenes
 from farfield.addon.bridge import lod_crossfade
 from farfield.addon.bridge.billboards import source_proxies
 from farfield.addon.bridge.billboards.scene_clouds import clouds_in
-from farfield.addon.bridge.images import read_pixels
+from farfield.addon.bridge.imaging.images import read_pixels
 from farfield.addon.compat import enable_nodes, set_file_format
 from farfield.addon.core.geometry.cameras import Camera
 

@@ -13,9 +13,9 @@ from bridge import blender_scenes, pbr_clouds
 from farfield.addon.bridge.billboards.capture import capture_textures
 from farfield.addon.bridge.billboards.clouds import create_cloud
 from farfield.addon.bridge.cameras import read_scene_camera
-from farfield.addon.bridge.images import create_image
-from farfield.addon.bridge.render_scene import render_scene
-from farfield.addon.bridge.transparent_bounces import estimate_transparent_bounces
+from farfield.addon.bridge.imaging.images import create_image
+from farfield.addon.bridge.rendering.render_scene import render_scene
+from farfield.addon.bridge.rendering.transparent_bounces import estimate_transparent_bounces
 from farfield.addon.core.billboards.settings import BillboardSettings
 from farfield.addon.core.jobs.progress import run_to_end
 

@@ -3,7 +3,7 @@
 import bpy
 import numpy as np
 
-from farfield.addon.bridge.meshes import Source, read_source
+from farfield.addon.bridge.geometry.meshes import Source, read_source
 from farfield.addon.compat import enable_nodes
 
 DATA_COLLECTIONS = ("cameras", "images", "materials", "meshes", "node_groups", "objects", "scenes")

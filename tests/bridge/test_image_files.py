@@ -11,10 +11,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import strategies
-from farfield.addon.bridge import image_files
-from farfield.addon.bridge.blender_modules import bundled_folders, import_blender_module
-from farfield.addon.bridge.image_files import read_image_file, write_image_file
-from farfield.addon.bridge.image_storage import Storage, from_pixels, to_pixels
+from farfield.addon.bridge.blender import bundled_folders, import_blender_module
+from farfield.addon.bridge.imaging import image_files
+from farfield.addon.bridge.imaging.image_files import read_image_file, write_image_file
+from farfield.addon.bridge.imaging.image_storage import Storage, from_pixels, to_pixels
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.imaging.colors import decode_signed_srgb, encode_signed_srgb
 from image_data import icc_profile, jpeg_bytes, open_image_io, png_bytes, png_chunk, read_image, write_image

@@ -8,7 +8,7 @@ pytest.importorskip("bpy")
 import bpy
 
 from bridge import blender_scenes
-from farfield.addon.bridge import mesh_arrays
+from farfield.addon.bridge.geometry import mesh_arrays
 
 POSITIONS = np.random.default_rng(0).random((5, 3))
 LOOP_VERTICES, POLYGON_STARTS = np.array([0, 1, 2, 2, 1, 3, 4]), np.array([0, 3])

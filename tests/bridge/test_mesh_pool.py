@@ -4,8 +4,8 @@ import bpy
 import numpy as np
 import pytest
 
-from farfield.addon.bridge import mesh_arrays, mesh_pool
-from farfield.addon.bridge.mesh_pool import SPARE_KEY, PendingMeshes, fill_mesh
+from farfield.addon.bridge.geometry import mesh_arrays, mesh_pool
+from farfield.addon.bridge.geometry.mesh_pool import SPARE_KEY, PendingMeshes, fill_mesh
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 VERTICES = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.5], [0.0, 1.0, 0.0]])

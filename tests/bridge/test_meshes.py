@@ -8,7 +8,7 @@ pytest.importorskip("bpy")
 import bpy
 
 from bridge import blender_scenes
-from farfield.addon.bridge.meshes import read_point_cloud, read_source
+from farfield.addon.bridge.geometry.meshes import read_point_cloud, read_source
 from farfield.addon.core.errors import GeometryError
 from farfield.addon.core.geometry.mesh import face_areas_and_normals
 

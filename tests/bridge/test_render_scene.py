@@ -8,8 +8,8 @@ import bpy
 import numpy as np
 import pytest
 
-from farfield.addon.bridge import render_scene
-from farfield.addon.bridge.images import read_pixels
+from farfield.addon.bridge.imaging.images import read_pixels
+from farfield.addon.bridge.rendering import render_scene
 from farfield.addon.compat import enable_nodes
 from farfield.addon.core.errors import FileError
 

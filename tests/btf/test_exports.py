@@ -20,8 +20,8 @@ from farfield.addon.bridge.billboards.scene_clouds import clouds_in
 from farfield.addon.bridge.btf import image_export
 from farfield.addon.bridge.btf.clouds import assign_relightable_material
 from farfield.addon.bridge.btf.decode import read_relightable_texture
-from farfield.addon.bridge.images import read_pixels
-from farfield.addon.bridge.render_scene import render_scene
+from farfield.addon.bridge.imaging.images import read_pixels
+from farfield.addon.bridge.rendering.render_scene import render_scene
 from farfield.addon.core.btf.compression import CompressedTextures
 from farfield.addon.core.btf.factorization.factors import Factors
 from farfield.addon.core.btf.settings import BtfSettings, ExportSettings

@@ -13,7 +13,7 @@ from bridge import blender_scenes
 from farfield.addon.bridge.btf.octahedral.capture import capture_atlas, has_varying_surface
 from farfield.addon.bridge.btf.octahedral.exports import write_octahedral_atlas
 from farfield.addon.bridge.btf.octahedral.objects import build_impostor
-from farfield.addon.bridge.images import read_pixels
+from farfield.addon.bridge.imaging.images import read_pixels
 from farfield.addon.core.btf.octahedral import FrameGrid, sample_rays
 from farfield.addon.core.errors import FileError, GeometryError, SettingsError
 from farfield.addon.core.geometry.cameras import OrthographicView

@@ -16,9 +16,9 @@ from farfield.addon.bridge.billboards.level_objects import read_level_texels
 from farfield.addon.bridge.btf.clouds import assign_relightable_material, read_texel_surface, restore_pbr_material
 from farfield.addon.bridge.btf.decode import read_relightable_texture
 from farfield.addon.bridge.btf.materials import AMBIENT, sun_color_property, sun_direction_property
-from farfield.addon.bridge.images import create_image
+from farfield.addon.bridge.imaging.images import create_image
 from farfield.addon.bridge.lod_crossfade import GROUP_NAME, add_crossfade, remove_crossfade
-from farfield.addon.bridge.render_scene import render_scene
+from farfield.addon.bridge.rendering.render_scene import render_scene
 from farfield.addon.core.btf.compression import CompressedTextures
 from farfield.addon.core.btf.factorization.factors import Factors
 from farfield.addon.core.btf.reflectance.lobes import GrazingFresnel, Lobes, TexelSurface, specular_lobe

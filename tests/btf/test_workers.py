@@ -32,7 +32,7 @@ from bridge.bakes import (
 )
 from farfield.addon.bridge.btf import snapshot as btf_snapshot
 from farfield.addon.bridge.btf import worker as btf_worker
-from farfield.addon.bridge.images import read_pixels
+from farfield.addon.bridge.imaging.images import read_pixels
 from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.errors import FarfieldError, FileError, GeometryError
 from farfield.addon.core.jobs.progress import run_to_end

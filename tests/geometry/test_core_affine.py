@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from farfield.addon.core.geometry.affine import inverse_transform_points, transform_points
+from farfield.addon.core.geometry.transforms import inverse_transform_points, transform_points
 
 
 def test_a_known_transform():

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from farfield.addon.core.geometry.origins import choose_origin
+from farfield.addon.core.geometry.transforms import choose_origin
 
 COORDINATES = st.lists(st.floats(-1e9, 1e9), min_size=3, max_size=3).map(np.array)
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from farfield.addon.core.geometry.directions import fibonacci_sphere
-from farfield.addon.core.geometry.frames import frame_from_normal, frames_from_normals
+from farfield.addon.core.geometry.transforms import frame_from_normal, frames_from_normals
 
 NORMALS = np.concatenate([fibonacci_sphere(100), np.eye(3), -np.eye(3)])
 

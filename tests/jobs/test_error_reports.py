@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from farfield.addon.core.errors import Cancelled, GeometryError, single_line
+from farfield.addon.core.errors import Cancelled, GeometryError
+from farfield.addon.core.messages import single_line
 from farfield.addon.operators.error_reports import report_message, reports_errors
 
 

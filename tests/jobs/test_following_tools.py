@@ -11,7 +11,7 @@ import mathutils
 import numpy as np
 import pytest
 
-from farfield.addon.bridge import mesh_pool
+from farfield.addon.bridge.geometry import mesh_pool
 from farfield.addon.bridge.terrain_roots import TerrainRoot
 from farfield.addon.core.errors import GeometryError
 from farfield.addon.core.geometry.viewers import Viewer

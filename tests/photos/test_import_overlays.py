@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 import pytest
 
-from farfield.addon.bridge.images import read_pixels
+from farfield.addon.bridge.imaging.images import read_pixels
 from image_data import write_image
 from photo_scenes import grid
 

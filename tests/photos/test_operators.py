@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
-from farfield.addon.bridge.images import read_pixels
+from farfield.addon.bridge.imaging.images import read_pixels
 from farfield.addon.bridge.photos.camera_objects import create_cameras
 from farfield.addon.bridge.photos.scene_cameras import LENS_PROPERTY, read_lens
-from farfield.addon.core.geometry.geometry_2d import signed_areas
+from farfield.addon.core.geometry.transforms import signed_areas
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.photos.merging import merge
 from farfield.addon.core.photos.overlays import draw_overlay

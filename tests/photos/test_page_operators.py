@@ -4,7 +4,7 @@ import bpy
 import numpy as np
 import pytest
 
-from farfield.addon.bridge.images import read_pixels
+from farfield.addon.bridge.imaging.images import read_pixels
 from farfield.addon.bridge.photos.camera_objects import create_cameras
 from farfield.addon.bridge.restore.image_sources import read_tiles
 from farfield.addon.compat import enable_nodes

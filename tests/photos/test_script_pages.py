@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import photos
-from farfield.addon.bridge.images import read_pixels
-from farfield.addon.bridge.mesh_arrays import read_uvs
+from farfield.addon.bridge.geometry.mesh_arrays import read_uvs
+from farfield.addon.bridge.imaging.images import read_pixels
 from farfield.addon.core.errors import FileError
 from image_data import read_image, write_image
 from lib import command_line

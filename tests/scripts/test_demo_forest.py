@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from bridge import bakes, blender_scenes
 from farfield.addon.bridge.btf.materials import AMBIENT, SUNS, sun_color_property, sun_direction_property, sun_node_labels
-from farfield.addon.bridge.render_scene import render_scene
+from farfield.addon.bridge.rendering.render_scene import render_scene
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.operators.job_run import run_job

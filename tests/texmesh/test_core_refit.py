@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from farfield.addon.core.geometry.edges import find_edges, halfedge_ends
-from farfield.addon.core.geometry.geometry_2d import signed_areas
 from farfield.addon.core.geometry.mesh import concatenate
+from farfield.addon.core.geometry.transforms import signed_areas
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.refitting.border_curves import find_border_curves, find_border_halfedges
 from farfield.addon.core.texmesh.refitting.deviation import measure_geometric_deviation, measure_texture_deviation

@@ -4,8 +4,8 @@ import bpy
 import numpy as np
 import pytest
 
-from farfield.addon.bridge.face_overlay import spread_colors
-from farfield.addon.bridge.images import read_pixels
+from farfield.addon.bridge.imaging.images import read_pixels
+from farfield.addon.bridge.overlays.face_overlay import spread_colors
 from farfield.addon.bridge.texmesh.level_sets import FIGURES, level_sets_in
 from farfield.addon.bridge.texmesh.scale_attributes import SCALE_ATTRIBUTE, read_scales
 from farfield.addon.operators.texmesh.overlays import overlay

@@ -4,7 +4,7 @@ import bpy
 import numpy as np
 import pytest
 
-from farfield.addon.bridge.images import read_pixels
+from farfield.addon.bridge.imaging.images import read_pixels
 from farfield.addon.bridge.texmesh.color_images import find_color_image
 from farfield.addon.bridge.texmesh.level_sets import level_sets_in
 from farfield.addon.bridge.texmesh.rebaked_images import create_rebaked_image

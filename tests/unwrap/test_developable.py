@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from charts import chart_of, dome
 from farfield.addon.core.geometry.edges import find_edges
-from farfield.addon.core.geometry.geometry_2d import signed_areas
 from farfield.addon.core.geometry.mesh import TriangleMesh, face_areas_and_normals
+from farfield.addon.core.geometry.transforms import signed_areas
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.unwrap.cutting.chart import Chart
 from farfield.addon.core.unwrap.parameterization.developable import FRONTS_PER_YIELD, unfold_developable

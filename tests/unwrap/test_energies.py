@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from farfield.addon.core.geometry.geometry_2d import signed_areas
+from farfield.addon.core.geometry.transforms import signed_areas
 from farfield.addon.core.unwrap.energies.boundary_barrier import BoundaryBarrier, self_intersects
 from farfield.addon.core.unwrap.energies.rest_shapes import compute_rest_shapes
 from farfield.addon.core.unwrap.energies.shape_barrier import ShapeBarrier, min_height_to_base

@@ -6,10 +6,10 @@ import bpy
 import numpy as np
 import pytest
 
-from farfield.addon.bridge.mesh_arrays import read_loop_triangles, read_uvs
+from farfield.addon.bridge.geometry.mesh_arrays import read_loop_triangles, read_uvs
 from farfield.addon.bridge.unwrap import uv_maps
 from farfield.addon.bridge.unwrap.stretch_images import save_stretch_image
-from farfield.addon.core.geometry.geometry_2d import signed_areas
+from farfield.addon.core.geometry.transforms import signed_areas
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.unwrap.overlaps import count_overlaps
 

@@ -6,8 +6,8 @@ import pytest
 from charts import chart_of, dome, parameterize_and_check, sphere_with_holes
 from farfield.addon.core.errors import GeometryError
 from farfield.addon.core.geometry.edges import find_edges
-from farfield.addon.core.geometry.geometry_2d import signed_areas
 from farfield.addon.core.geometry.mesh import face_areas_and_normals
+from farfield.addon.core.geometry.transforms import signed_areas
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.unwrap.cutting.boundaries import boundary_loops
 from farfield.addon.core.unwrap.cutting.chart import Chart

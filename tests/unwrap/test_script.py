@@ -10,7 +10,7 @@ import pytest
 
 import unwrap
 from charts import dome
-from farfield.addon.bridge.mesh_arrays import read_uvs
+from farfield.addon.bridge.geometry.mesh_arrays import read_uvs
 from farfield.addon.core.errors import FileError, GeometryError, SettingsError
 from lib import command_line, environment
 from shapes import sphere

@@ -7,8 +7,8 @@ import mathutils
 import numpy as np
 
 from ...core.bdam.freezing import FrozenMesh
-from ..mesh_arrays import read_attribute, read_loop_vertices, read_positions, read_uvs
-from ..mesh_pool import fill_mesh
+from ..geometry.mesh_arrays import read_attribute, read_loop_vertices, read_positions, read_uvs
+from ..geometry.mesh_pool import fill_mesh
 from ..terrain_roots import soften_terminator
 from .materials import LEVEL_ATTRIBUTE
 from .objects import SceneTerrain

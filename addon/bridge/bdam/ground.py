@@ -9,9 +9,9 @@ import bpy
 import mathutils
 import numpy as np
 
-from ...core.geometry.affine import inverse_transform_points, transform_points
-from ..mesh_arrays import read_attribute
-from ..mesh_pool import is_local
+from ...core.geometry.transforms import inverse_transform_points, transform_points
+from ..geometry.mesh_arrays import read_attribute
+from ..geometry.mesh_pool import is_local
 from .objects import SceneTerrain
 
 POINT_TYPES = ("MESH", "POINTCLOUD")

@@ -3,8 +3,8 @@
 import bpy
 
 from ...compat import enable_nodes
-from ..node_builder import NodeBuilder
-from ..node_groups import ensure_shared_group
+from ..shading.node_builder import NodeBuilder
+from ..shading.node_groups import ensure_shared_group
 
 GROUND_GROUP, GROUND_VERSION = "Farfield Terrain Ground", 1
 LEVEL_ATTRIBUTE = "terrain_level"  # of faces: the level of the patch

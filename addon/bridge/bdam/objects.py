@@ -19,8 +19,8 @@ from ...core.bdam.engine import BdamEngine, Figures, TileBlock, Update
 from ...core.bdam.settings import ViewSettings
 from ...core.bdam.tiles import TileKey, TileMesh
 from ...core.errors import FileError
-from ..mesh_arrays import write_attribute, write_triangles
-from ..mesh_pool import PendingMeshes, claim, mark_spare
+from ..geometry.mesh_arrays import write_attribute, write_triangles
+from ..geometry.mesh_pool import PendingMeshes, claim, mark_spare
 from ..terrain_roots import TerrainRoot, remove_terrain
 from .materials import LEVEL_ATTRIBUTE, MATERIAL_KEY, create_material
 from .textures import TextureMaterials, mark_used, remove_unused

@@ -8,11 +8,11 @@ import numpy as np
 from ...core.arrays import TINY
 from ...core.billboards.cloud import Level
 from ...core.geometry.mesh import connected_components
-from ..evaluated_mesh import EvaluatedMesh
-from ..material_channels import CELL_COORDINATES
-from ..mesh_arrays import write_attribute, write_triangles
-from ..meshes import Source
-from ..scene_space_nodes import GENERATED, ISLAND, LOCATION, OBJECT, OBJECT_AXES, POSITION, QUAD_AXES, RANDOM
+from ..geometry.evaluated_mesh import EvaluatedMesh
+from ..geometry.mesh_arrays import write_attribute, write_triangles
+from ..geometry.meshes import Source
+from ..shading.material_channels import CELL_COORDINATES
+from ..shading.scene_space_nodes import GENERATED, ISLAND, LOCATION, OBJECT, OBJECT_AXES, POSITION, QUAD_AXES, RANDOM
 from .atlas_placement import AtlasPlacement
 
 

@@ -13,13 +13,13 @@ import numpy as np
 from ...core.billboards.cloud import Cloud, Level
 from ...core.billboards.settings import BillboardSettings
 from ...core.jobs.progress import Progress, Steps
-from ..cycles_renders import prepare_channel_render
-from ..evaluated_mesh import MaterialKey
-from ..images import check_images
-from ..material_channels import CHANNELS, CaptureMaterial, build_capture_material
-from ..meshes import Source, find_material
-from ..render_scene import RenderScene, render_scene
-from ..scene_space_nodes import required_attributes
+from ..geometry.evaluated_mesh import MaterialKey
+from ..geometry.meshes import Source, find_material
+from ..imaging.images import check_images
+from ..rendering.cycles_renders import prepare_channel_render
+from ..rendering.render_scene import RenderScene, render_scene
+from ..shading.material_channels import CHANNELS, CaptureMaterial, build_capture_material
+from ..shading.scene_space_nodes import required_attributes
 from .atlas_meshes import compute_atlas_positions, compute_cell_coordinates, create_atlas_mesh, find_drawn_triangles
 from .atlas_placement import compute_placement
 from .level_maps import LevelTextures, compute_maps

@@ -8,9 +8,9 @@ import numpy as np
 from ...core.billboards.cloud import Cloud, Level
 from ...core.geometry.cameras import Camera
 from ..cameras import read_scene_camera
-from ..images import packed_bytes
-from ..mesh_arrays import read_positions, write_attribute, write_geometry
-from ..meshes import Source
+from ..geometry.mesh_arrays import read_positions, write_attribute, write_geometry
+from ..geometry.meshes import Source
+from ..imaging.images import packed_bytes
 from .atlas_placement import compute_placement, compute_uvs
 from .cloud_materials import JOINED_ATTRIBUTE, SOLID_ATTRIBUTE, create_gray_material
 from .level_maps import LevelTextures, PbrMaps

@@ -8,10 +8,10 @@ import numpy as np
 
 from ...compat import enable_nodes
 from ...core.files.filenames import safe_filename, unique_filenames
-from ...core.geometry.affine import transform_points
+from ...core.geometry.transforms import transform_points
 from ...core.imaging.images import dilate
-from ..images import create_image, read_pixels
-from ..mesh_arrays import read_positions, read_uvs, read_values
+from ..geometry.mesh_arrays import read_positions, read_uvs, read_values
+from ..imaging.images import create_image, read_pixels
 from .cloud_materials import FRONT_COLOR, FRONT_NORMAL
 from .clouds import CORNER_NORMALS
 from .level_objects import labeled_image, pbr_image, read_level_texels

@@ -5,9 +5,9 @@ import idprop
 import numpy as np
 
 from ...core.billboards.texels import QuadPolygons, Texels, texels_under_quads
-from ..images import read_pixels
-from ..mesh_arrays import read_attribute, read_positions
-from ..world_matrices import world_matrix
+from ..geometry.mesh_arrays import read_attribute, read_positions
+from ..imaging.images import read_pixels
+from ..objects import world_matrix
 from .cloud_materials import FRONT_COLOR
 
 CENTER = "farfield_center"  # custom property of a level object: the mean of its vertices in world space when the cloud was built

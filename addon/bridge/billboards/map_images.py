@@ -6,7 +6,7 @@ import numpy as np
 from ...core.billboards.cloud import Level
 from ...core.imaging.images import MIN_ALPHA, dilate, unpremultiply
 from ...core.imaging.metrics import encode_srgb
-from ..images import create_image
+from ..imaging.images import create_image
 from .cloud_materials import COLOR, NORMAL, ROUGHNESS_METALLIC_DEPTH, create_cloud_material
 from .level_maps import LevelTextures, PbrMaps
 

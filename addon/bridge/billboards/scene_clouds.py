@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 import bpy
 import numpy as np
 
-from ...core.geometry.affine import transform_points
 from ...core.geometry.cameras import Camera, choose_level, distance_to_box
-from .. import lod_crossfade, meshes, transparent_bounces
+from ...core.geometry.transforms import transform_points
+from .. import lod_crossfade
+from ..geometry import meshes
+from ..objects import temporarily_visible, world_matrix
+from ..rendering import transparent_bounces
 from ..source_links import SourceIndex, find_sources
-from ..visibility import temporarily_visible
-from ..world_matrices import world_matrix
 from . import clouds, source_proxies
 from .level_objects import pbr_material
 

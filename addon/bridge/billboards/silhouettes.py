@@ -9,7 +9,7 @@ from mathutils.bvhtree import BVHTree
 
 from ...core.billboards.cloud import Level
 from ...core.imaging.images import MIN_ALPHA, max_of_neighbors
-from ..meshes import Source
+from ..geometry.meshes import Source
 from .atlas_placement import compute_placement
 
 MAX_HEIGHT = 2.0  # errors above and below the plane of a quad in which its surface is searched

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import bpy
 
 from ...core.errors import FarfieldError, GeometryError
-from .. import meshes
-from ..visibility import temporarily_visible
+from ..geometry import meshes
+from ..objects import temporarily_visible
 
 
 def read_source_objects(context: bpy.types.Context, sources: Sequence[bpy.types.Object]) -> meshes.Source:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import bpy
 
-from ..meshes import visible_meshes
-from ..render_properties import copy_render_properties
+from ..geometry.meshes import visible_meshes
+from ..rendering.render_properties import copy_render_properties
 from .cloud_materials import create_gray_material
 from .clouds import KIND
 

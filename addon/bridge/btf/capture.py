@@ -13,10 +13,10 @@ from ...core.btf.settings import BtfSettings
 from ...core.geometry.cameras import OrthographicView
 from ...core.geometry.direction_grids import DirectionGrid
 from ..cameras import light_matrix, set_camera_view
-from ..cycles_renders import prepare_cycles
-from ..emission import has_emission
-from ..meshes import Source
-from ..render_scene import RenderScene, render_scene
+from ..geometry.meshes import Source
+from ..rendering.cycles_renders import prepare_cycles
+from ..rendering.render_scene import RenderScene, render_scene
+from ..shading.emission import has_emission
 from .face_id_pass import add_face_id_proxies, decode_face_ids
 
 MAX_TRANSPARENT_BOUNCES = 256

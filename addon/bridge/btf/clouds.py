@@ -18,10 +18,10 @@ from ...core.btf.tables import LookupTables, build_tables
 from ...core.imaging.images import decode_normals, dilate, nearest_known
 from ..billboards.cloud_materials import FRONT_COLOR, FRONT_NORMAL, FRONT_ROUGHNESS_METALLIC_DEPTH
 from ..billboards.level_objects import PBR_MATERIAL, pbr_image
-from ..drivers import add_object_driver
-from ..images import read_pixels
+from ..imaging.images import read_pixels
 from ..lod_crossfade import apply_to_materials
-from ..transparent_bounces import ensure_transparent_bounces
+from ..objects import add_object_driver
+from ..rendering.transparent_bounces import ensure_transparent_bounces
 from .level_checks import PBR_LABELS
 from .materials import (
     AMBIENT,

@@ -19,8 +19,8 @@ from ...core.errors import GeometryError
 from ...core.geometry.direction_grids import DirectionGrid
 from ...core.imaging.images import decode_normals
 from ..billboards.level_objects import read_level_texels
-from ..images import read_pixels
-from ..node_groups import nodes_in
+from ..imaging.images import read_pixels
+from ..shading.node_groups import nodes_in
 from .clouds import build_parallax_map
 from .level_checks import check_quads
 from .materials import (

@@ -3,11 +3,11 @@
 import bpy
 import numpy as np
 
-from ..material_channels import build_capture_material
-from ..mesh_arrays import write_attribute
-from ..meshes import Source
-from ..node_builder import NodeBuilder
-from ..render_scene import RenderScene
+from ..geometry.mesh_arrays import write_attribute
+from ..geometry.meshes import Source
+from ..rendering.render_scene import RenderScene
+from ..shading.material_channels import build_capture_material
+from ..shading.node_builder import NodeBuilder
 from .proxies import add_proxies, single_placement
 
 FACE_ID = "farfield_face_id"  # face attribute (id // BASE, id % BASE, 1): single precision holds each component exactly

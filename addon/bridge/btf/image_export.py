@@ -16,7 +16,7 @@ from ...core.btf.formats.bonn_filenames import direction_names, format_direction
 from ...core.btf.formats.complete_exr import is_complete_exr
 from ...core.errors import FileError
 from ...core.jobs.progress import Progress, Steps
-from ..render_scene import RenderScene, render_scene
+from ..rendering.render_scene import RenderScene, render_scene
 
 MAX_HALF_FLOAT = float(np.finfo(np.float16).max)
 

@@ -7,9 +7,9 @@ import numpy as np
 
 from ..billboards.atlas_meshes import DrawnTriangles, compute_atlas_positions, create_atlas_mesh, find_drawn_triangles
 from ..billboards.atlas_placement import AtlasPlacement
-from ..meshes import Source
-from ..render_scene import RenderScene
-from ..scene_space_nodes import required_attributes
+from ..geometry.meshes import Source
+from ..rendering.render_scene import RenderScene
+from ..shading.scene_space_nodes import required_attributes
 
 
 def single_placement(center: np.ndarray, scale: float = 1.0) -> AtlasPlacement:

@@ -17,8 +17,8 @@ from ...core.errors import FileError, GeometryError
 from ...core.files.complete_files import is_complete_blend
 from ...core.files.file_access import error_reason
 from ..billboards.source_objects import read_source_objects
-from ..images import find_images, read_pixels
-from ..meshes import Source
+from ..geometry.meshes import Source
+from ..imaging.images import find_images, read_pixels
 
 BLEND_FILE, METADATA_FILE = "snapshot.blend", "snapshot.json"
 SCENE_PROPERTIES = ("frame_subframe", "use_gravity")

@@ -10,10 +10,10 @@ from ...core.btf.capture.observations import ID_BUFFER_SCALE, ViewRender
 from ...core.btf.settings import BtfSettings
 from ...core.geometry.cameras import OrthographicView
 from ..cameras import set_camera_view
-from ..cycles_renders import prepare_channel_render
-from ..material_channels import CaptureMaterial, build_capture_material
-from ..meshes import Source
-from ..render_scene import RenderScene, render_scene
+from ..geometry.meshes import Source
+from ..rendering.cycles_renders import prepare_channel_render
+from ..rendering.render_scene import RenderScene, render_scene
+from ..shading.material_channels import CaptureMaterial, build_capture_material
 from .capture import compute_heights
 from .proxies import add_proxies, single_placement
 

@@ -24,8 +24,8 @@ from ..billboards.cloud_materials import (
     sample_map,
     set_two_sided,
 )
-from ..node_builder import NodeBuilder, SocketOrValue
-from ..node_groups import create_group
+from ..shading.node_builder import NodeBuilder, SocketOrValue
+from ..shading.node_groups import create_group
 from .materials import ALPHA_BASIS, ALPHA_WEIGHTS, EMISSION
 from .nodes.parallax_nodes import depth_uv
 from .nodes.table_nodes import map_uv, sample_image, sample_weights, weighted_scalar_sum

@@ -19,8 +19,8 @@ from ...core.errors import FarfieldError
 from ...core.geometry.cameras import OrthographicView
 from ...core.jobs.heartbeat import exit_when_run_ends
 from ...core.jobs.worker_errors import EXIT_ERROR, encode_error
-from ..emission import has_emission
-from ..meshes import Source
+from ..geometry.meshes import Source
+from ..shading.emission import has_emission
 from ..worker_processes import worker_command
 from . import capture
 from .snapshot import Snapshot, open_snapshot, store_folder

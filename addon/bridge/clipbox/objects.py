@@ -14,8 +14,8 @@ from ...core.clipbox.engine import BlockKey, Update
 from ...core.clipbox.settings import ClipboxSettings
 from ...core.clipbox.to_mesh import ConvertedMesh
 from ...core.jobs.progress import Progress, Steps
-from ..mesh_arrays import write_uvs
-from ..mesh_pool import PendingMeshes, claim, fill_mesh, mark_spare
+from ..geometry.mesh_arrays import write_uvs
+from ..geometry.mesh_pool import PendingMeshes, claim, fill_mesh, mark_spare
 from ..terrain_roots import TerrainRoot, remove_terrain
 
 # custom properties of the root and of blocks

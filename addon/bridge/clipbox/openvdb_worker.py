@@ -11,7 +11,7 @@ import numpy as np
 from ...core.clipbox.files.file_data import Voxels
 from ...core.errors import FileError
 from ...core.files.height_maps import MAX_BYTES, check_size
-from ..blender_modules import import_blender_module
+from ..blender import import_blender_module
 
 try:
     import resource

@@ -7,7 +7,7 @@ import bpy
 from ...core.clipbox.files import readers
 from ...core.clipbox.files.file_data import HeightMap
 from ...core.clipbox.files.readers import BLEND_PREFIX, Readers
-from ..height_images import read_gray_image
+from ..imaging.height_images import read_gray_image
 from .openvdb_files import read_vdb
 
 IMAGE_EXTENSIONS = (".png", ".jpg", ".jpeg", ".exr", ".hdr", ".webp", ".bmp")

@@ -5,8 +5,8 @@ import numpy as np
 
 from ...core.geometry.mesh import TriangleMesh, vertex_normals
 from ...core.photos.stages import CLASS_COLORS
-from ..face_overlay import FaceColors, FaceOverlay, offset_from_faces
-from ..meshes import SourceInstance
+from ..geometry.meshes import SourceInstance
+from ..overlays.face_overlay import FaceColors, FaceOverlay, offset_from_faces
 
 
 class CoverageOverlay(FaceOverlay):

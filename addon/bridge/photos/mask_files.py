@@ -7,7 +7,7 @@ import numpy as np
 
 from ...core.errors import FileError, ImageError
 from ...core.photos.photographs import Photograph
-from ..image_files import read_image_file
+from ..imaging.image_files import read_image_file
 
 MIN_USABLE = 0.5  # of the gray level
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from ...compat import uses_nodes
 from ...core.errors import GeometryError
-from ..evaluated_mesh import MaterialKey
-from ..meshes import SourceInstance, find_material
-from ..node_builder import NodeBuilder
+from ..geometry.evaluated_mesh import MaterialKey
+from ..geometry.meshes import SourceInstance, find_material
+from ..shading.node_builder import NodeBuilder
 from .results import IMAGE_NODE_OFFSET, TEXTURE_PROPERTY, create_material, keep_unused
 
 SUFFIX = " Photo Texture"

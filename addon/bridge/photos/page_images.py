@@ -9,8 +9,8 @@ import numpy as np
 
 from ...core.photos.pages import FIRST_TILE, PageLayout
 from ...core.photos.photo_texture import PhotoTexture
-from ..images import create_image
-from ..tiled_images import EXTENSIONS, open_tiles, pack_tiles, save_pixels
+from ..imaging.images import create_image
+from ..imaging.tiled_images import EXTENSIONS, open_tiles, pack_tiles, save_pixels
 from .results import map_pixels, texture_pixels
 
 MAPS = ("Confidence", "Source", "Holes")

@@ -9,7 +9,7 @@ import numpy as np
 from bpy_extras.view3d_utils import location_3d_to_region_2d
 from gpu_extras.batch import batch_for_shader
 
-from ..redraws import redraw_areas
+from ..blender import redraw_areas
 from .point_pairs import PROPERTY
 
 ARROW_SCALE = 10.0  # arrows are longer than the residuals

@@ -8,7 +8,7 @@ import numpy as np
 from ...core.errors import FileError, ImageError
 from ...core.geometry.lenses import PhotoCamera
 from ...core.photos.photographs import Photograph
-from ..image_files import EXTENSIONS, read_image_file, read_image_size
+from ..imaging.image_files import EXTENSIONS, read_image_file, read_image_size
 
 
 def read_photograph(camera: PhotoCamera, folder: Path) -> Photograph:

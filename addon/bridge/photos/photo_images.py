@@ -13,10 +13,10 @@ from ...core.files.file_access import check_readable
 from ...core.geometry.lenses import PhotoCamera
 from ...core.imaging.colors import encode_signed_srgb
 from ...core.photos.photographs import Photograph
-from ..blender_modules import import_blender_module
-from ..color_spaces import convert_to_linear
-from ..image_files import EXTENSIONS
-from ..images import find_path, read_pixels
+from ..blender import import_blender_module
+from ..imaging.color_spaces import convert_to_linear
+from ..imaging.image_files import EXTENSIONS
+from ..imaging.images import find_path, read_pixels
 from ..restore.image_pixels import read_format, to_display
 from ..restore.image_sources import check_image
 from .photo_files import read_photograph_file

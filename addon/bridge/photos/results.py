@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 
 from ...compat import enable_nodes
-from ..images import create_image
+from ..imaging.images import create_image
 
 IMAGE_NODE_OFFSET = (-330, 0)  # from the shader
 OVERLAY_PROPERTY = "farfield_photo_overlay"  # custom property of images that `create_overlay_image` made

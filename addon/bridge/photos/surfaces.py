@@ -12,8 +12,8 @@ from ...core.geometry.lenses import PhotoCamera
 from ...core.geometry.mesh import TriangleMesh
 from ...core.photos.pages import PageLayout
 from ...core.photos.texels import TexelMap
-from ..mesh_arrays import read_loop_vertices, read_values
-from ..meshes import SourceInstance, concatenate_in_world_space
+from ..geometry.mesh_arrays import read_loop_vertices, read_values
+from ..geometry.meshes import SourceInstance, concatenate_in_world_space
 
 OVERLAP_SIZE = 256  # texels per side in which the UV maps of objects are compared
 MAX_OVERLAP = 0.02  # of the texels of one of the objects; islands may touch

@@ -11,10 +11,10 @@ import numpy as np
 
 from ...core.errors import FileError, ImageError
 from ...core.files.file_access import check_readable, convert_os_errors
-from ..blender_errors import error_sentence
-from ..color_spaces import find_scene_linear_space
-from ..images import find_path, lossless_alpha_mode, read_pixels, tile_paths
-from ..tiled_images import EXTENSIONS, FILE_FORMATS, load_image
+from ..blender import error_sentence
+from ..imaging.color_spaces import find_scene_linear_space
+from ..imaging.images import find_path, lossless_alpha_mode, read_pixels, tile_paths
+from ..imaging.tiled_images import EXTENSIONS, FILE_FORMATS, load_image
 
 NUMBERED_FILE = re.compile(r"(.*?)(\d+)(\D*)$", re.DOTALL)  # the last number of a name, as Blender reads image sequences
 

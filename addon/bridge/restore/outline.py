@@ -14,8 +14,8 @@ import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
 
-from ..redraws import redraw_areas
-from ..session_ids import find_by_uid
+from ..blender import redraw_areas
+from ..objects import find_by_uid
 from .image_users import MASKED_PROPERTY, read_image_property
 from .outline_segments import find_segments
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from ...compat import uses_nodes
 from ...core.errors import FileError
-from ..color_spaces import read_linear_pixels
-from ..images import find_path
+from ..imaging.color_spaces import read_linear_pixels
+from ..imaging.images import find_path
 
 MAX_SIDE = 4096  # pixels; larger images are halved until they fit
 COLOR_INPUTS = ("Base Color", "Color", "Emission Color")  # the first one that is linked counts

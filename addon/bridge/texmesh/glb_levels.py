@@ -10,9 +10,9 @@ from ...core.errors import GeometryError
 from ...core.files.atomic_write import atomic_folder
 from ...core.files.glb import Y_UP, GlbMesh, GlbNode, GlbPrimitive, GlbScene, encode_glb
 from ...core.texmesh.perception.switch_distances import level_coverages
-from ..evaluated_mesh import read_evaluated_mesh
-from ..meshes import find_material
-from ..world_matrices import world_matrix
+from ..geometry.evaluated_mesh import read_evaluated_mesh
+from ..geometry.meshes import find_material
+from ..objects import world_matrix
 from .glb_materials import GlbMaterials
 from .level_sets import LevelSet
 

@@ -11,8 +11,8 @@ from ...core.files.file_access import convert_os_errors
 from ...core.files.glb import IMAGE_TYPES, GlbMaterial
 from ...core.imaging.coded_images import encode
 from ...core.imaging.colors import encode_signed_srgb
-from ..color_spaces import SRGB, read_linear_pixels
-from ..images import find_path, read_pixels
+from ..imaging.color_spaces import SRGB, read_linear_pixels
+from ..imaging.images import find_path, read_pixels
 from .color_images import COLOR_INPUTS, check_pixels, find_color_image
 
 WHITE = (1.0, 1.0, 1.0, 1.0)

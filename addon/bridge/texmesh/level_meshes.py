@@ -6,8 +6,8 @@ import numpy as np
 from ...core.geometry.mesh import scaled_normals
 from ...core.texmesh.scale_space.scale_map import ScaleMap
 from ...core.texmesh.textured_mesh import TexturedMesh
-from ..evaluated_mesh import EvaluatedMesh, MeshAttribute
-from ..mesh_arrays import write_attribute, write_triangles
+from ..geometry.evaluated_mesh import EvaluatedMesh, MeshAttribute
+from ..geometry.mesh_arrays import write_attribute, write_triangles
 from .scale_attributes import SCALE_ATTRIBUTE, find_vertex_scales
 from .sources import NORMALS, TexturedSource
 

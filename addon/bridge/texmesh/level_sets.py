@@ -10,13 +10,14 @@ from dataclasses import dataclass, field
 import bpy
 import numpy as np
 
-from ...core.geometry.affine import transform_points
 from ...core.geometry.cameras import Camera, distance_to_box
-from .. import lod_crossfade, transparent_bounces
-from ..mesh_pool import is_local
-from ..render_properties import copy_render_properties
+from ...core.geometry.transforms import transform_points
+from .. import lod_crossfade
+from ..geometry.mesh_pool import is_local
+from ..objects import world_matrix
+from ..rendering import transparent_bounces
+from ..rendering.render_properties import copy_render_properties
 from ..source_links import SourceIndex, find_sources, store_sources
-from ..world_matrices import world_matrix
 from .rebaked_images import KIND, find_rebaked_images, use_rebaked_image
 from .temporary_visibility import restore
 

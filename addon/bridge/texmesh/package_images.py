@@ -6,8 +6,8 @@ import bpy
 import numpy as np
 
 from ...core.imaging.colors import LINEAR_OF_BYTE, encode_signed_srgb
-from ..color_spaces import SRGB, read_linear_pixels
-from ..images import read_pixels
+from ..imaging.color_spaces import SRGB, read_linear_pixels
+from ..imaging.images import read_pixels
 from .color_images import MAX_SIDE as MAX_ANALYZED_SIDE
 from .color_images import check_pixels, read_color_image, scaled_copy
 

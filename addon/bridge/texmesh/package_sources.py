@@ -7,8 +7,8 @@ import numpy as np
 
 from ...core.texmesh.streaming.material_sources import MaterialSource
 from ...core.texmesh.textured_mesh import TexturedMesh
-from ..meshes import find_material
-from ..world_matrices import world_matrix
+from ..geometry.meshes import find_material
+from ..objects import world_matrix
 from .package_images import PackageImages
 from .package_materials import read_material
 from .sources import read_textured_source

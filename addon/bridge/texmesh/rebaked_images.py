@@ -8,9 +8,9 @@ import numpy as np
 
 from ...core.imaging.colors import encode_signed_srgb
 from ...core.imaging.images import unpremultiply
-from ..color_spaces import SRGB, find_scene_linear_space, read_linear_pixels
-from ..images import INDEPENDENT_ALPHA, lossless_alpha_mode
-from ..meshes import find_material
+from ..geometry.meshes import find_material
+from ..imaging.color_spaces import SRGB, find_scene_linear_space, read_linear_pixels
+from ..imaging.images import INDEPENDENT_ALPHA, lossless_alpha_mode
 from .color_images import MAX_SIDE, find_color_image, scaled_copy
 from .sources import TexturedSource
 

@@ -5,8 +5,8 @@ from collections.abc import Callable, Hashable
 import bpy
 
 from ...core.texmesh.scale_colors import color_scales
-from ..face_overlay import FaceColors, FaceOverlay, offset_from_faces
-from ..mesh_arrays import read_loop_triangles, read_loop_vertices, read_positions, read_values
+from ..geometry.mesh_arrays import read_loop_triangles, read_loop_vertices, read_positions, read_values
+from ..overlays.face_overlay import FaceColors, FaceOverlay, offset_from_faces
 from .scale_attributes import SCALE_ATTRIBUTE, read_scales
 
 

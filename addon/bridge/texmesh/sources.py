@@ -8,12 +8,12 @@ import numpy as np
 
 from ...core.errors import GeometryError
 from ...core.geometry.edges import find_edges
-from ...core.geometry.geometry_2d import signed_areas
 from ...core.geometry.mesh import TriangleMesh, face_areas_and_normals
+from ...core.geometry.transforms import signed_areas
+from ...core.messages import format_count
 from ...core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
-from ...core.text import format_count
-from ..evaluated_mesh import EvaluatedMesh
-from ..meshes import find_material, read_instances
+from ..geometry.evaluated_mesh import EvaluatedMesh
+from ..geometry.meshes import find_material, read_instances
 from .color_images import find_color_images, read_color_image
 
 

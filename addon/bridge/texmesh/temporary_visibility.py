@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 
 import bpy
 
+from ..geometry.mesh_pool import is_local
 from ..lod_crossfade import CROSSFADE, MAX_PIXEL
-from ..mesh_pool import is_local
 
 STATE = "farfield_texmesh_shown"  # whether the object was hidden in viewports, followed by its cross-fade if it has one
 ALWAYS = (-1.0, MAX_PIXEL)  # pixel sizes of a cross-fade that always shows; 0 as start would need an active camera

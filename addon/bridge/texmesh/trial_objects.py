@@ -7,7 +7,7 @@ import mathutils
 import numpy as np
 
 from ..lod_crossfade import CAMERA_POSITION, CROSSFADE, MAX_PIXEL, MIN_RANGE, PIXEL_SIZE
-from ..session_ids import find_by_uid
+from ..objects import find_by_uid
 
 MARK = "farfield_texmesh_calibration"  # custom property of the temporary collection
 NAME = "Farfield Calibration"

@@ -8,7 +8,7 @@ import numpy as np
 from ...core.errors import GeometryError
 from ...core.files.file_access import check_writable
 from ...core.unwrap.stretch_colors import draw_stretch_image
-from ..images import create_image, save_image
+from ..imaging.images import create_image, save_image
 from .uv_maps import read_uv_stretch
 
 

@@ -7,11 +7,11 @@ import idprop
 import numpy as np
 
 from ...core.errors import GeometryError
-from ...core.geometry.affine import transform_points
 from ...core.geometry.mesh import TriangleMesh
-from ..mesh_arrays import read_attribute, read_loop_triangles, read_loop_vertices, read_positions, read_uvs, read_values, write_uvs
-from ..meshes import describe_type, is_in_view_layer
-from ..session_ids import find_by_uid
+from ...core.geometry.transforms import transform_points
+from ..geometry.mesh_arrays import read_attribute, read_loop_triangles, read_loop_vertices, read_positions, read_uvs, read_values, write_uvs
+from ..geometry.meshes import describe_type, is_in_view_layer
+from ..objects import find_by_uid
 
 STRETCH_ATTRIBUTE = "farfield_stretch"  # face attribute: maximum stretch of the triangles of a polygon
 PIN_PREFIX = ".pn."  # of the attribute with the pinned corners of a UV map, before its name

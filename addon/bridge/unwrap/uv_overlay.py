@@ -3,8 +3,8 @@
 import bpy
 
 from ...core.unwrap.stretch_colors import stretch_colors
-from ..face_overlay import FaceColors, FaceOverlay, offset_from_faces
-from ..mesh_arrays import read_loop_vertices, read_positions, read_values
+from ..geometry.mesh_arrays import read_loop_vertices, read_positions, read_values
+from ..overlays.face_overlay import FaceColors, FaceOverlay, offset_from_faces
 from .uv_maps import read_uv_stretch
 
 

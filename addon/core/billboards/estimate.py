@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..geometry.frames import frame_from_normal
 from ..geometry.mesh import PointCloud, TriangleMesh, drop_degenerate, face_areas_and_normals, longest_side
+from ..geometry.transforms import frame_from_normal
 from ..settings import describe
 from .primitives import Primitives, drop_incomplete_points
 from .settings import BillboardSettings

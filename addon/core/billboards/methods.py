@@ -9,8 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..geometry.frames import frames_from_normals
 from ..geometry.proximity import nearest_pairs
+from ..geometry.transforms import frames_from_normals
 from ..jobs.progress import Progress, StageClock, Steps, subprogress
 from .clustering.cover import CoverSettings, cover_with_rectangles
 from .clustering.hierarchy import ClusterBounds, merge_in_rounds

@@ -6,9 +6,9 @@ from functools import cached_property
 import numpy as np
 
 from ..errors import GeometryError
-from ..geometry.frames import frames_from_normals
 from ..geometry.mesh import PointCloud, TriangleMesh, check_points, face_areas_and_normals
 from ..geometry.proximity import neighbor_pairs
+from ..geometry.transforms import frames_from_normals
 
 MAX_NORMAL_LENGTH_ERROR = 1e-3  # of a point's normal; others count as missing
 NEIGHBOR_COUNT = 50  # n of section 4.3.1

@@ -10,7 +10,7 @@ from itertools import product
 
 import numpy as np
 
-from ..geometry.origins import choose_origin
+from ..geometry.transforms import choose_origin
 from .settings import ClipboxSettings
 
 ALIGNMENT = 4  # voxels

@@ -8,7 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ..errors import FileError, single_line
+from ..errors import FileError
+from ..messages import single_line
 from .temporary_folders import remove_abandoned_folders
 
 ADVICE = {

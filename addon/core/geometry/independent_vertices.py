@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..gathering import gather, gather_columns
+from ..arrays import gather, gather_columns
 
 SELECTION_PASSES = 4
 NO_RANK = np.iinfo(np.uint32).max

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from ..gathering import gather
+from ..arrays import gather
 
 MAX_DEGREE = 12  # vertices with more incident triangles are not removed
 ALIGNMENT = 16  # vertices of a group, so that rows of float32 begin at multiples of 64 bytes

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from ..arrays import concatenate_ranges
-from ..geometry.geometry_2d import cross
+from ..geometry.transforms import cross
 
 STRIP_ROWS = 512  # of a texture, halved at once; even
 CHUNK_SAMPLES = 1 << 16  # at once, so that intermediate arrays stay in the cache

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..geometry.geometry_2d import cross
+from ..geometry.transforms import cross
 from .images import sample_bilinear
 from .raster import draw_ids
 

@@ -12,8 +12,8 @@ from scipy.sparse import coo_matrix, csgraph
 
 from ..errors import FarfieldError, GeometryError
 from ..geometry.edges import Edges
-from ..geometry.geometry_2d import signed_areas
 from ..geometry.mesh import TriangleMesh, drop_degenerate, face_areas_and_normals
+from ..geometry.transforms import signed_areas
 from ..imaging.images import dilate_in_place, sample_bilinear
 from ..jobs.progress import Progress, Steps
 from ..restore.restoration import restore

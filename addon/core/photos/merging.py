@@ -12,8 +12,8 @@ import numpy as np
 from ..errors import GeometryError, ImageError
 from ..files.scratch import Scratch
 from ..geometry.edges import Edges, find_edges
-from ..geometry.geometry_2d import signed_areas
 from ..geometry.mesh import TriangleMesh, check_points, face_areas_and_normals, vertex_normals
+from ..geometry.transforms import signed_areas
 from ..imaging.images import dilate_in_place, sample_bilinear
 from ..jobs.chunks import map_ordered
 from ..jobs.progress import Progress, StageClock, Steps, subprogress

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import GeometryError
-from ..geometry.geometry_2d import signed_areas
+from ..geometry.transforms import signed_areas
 
 FIRST_TILE = 1001
 TILE_COLUMNS, TILE_ROWS = 10, 100  # tiles 1001 to 2000, as in Blender

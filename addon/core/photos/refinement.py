@@ -16,7 +16,7 @@ from ..files.scratch import Scratch
 from ..geometry.lenses import Lens, PhotoCamera
 from ..geometry.mesh import TriangleMesh, check_points, face_areas_and_normals, vertex_normals
 from ..jobs.progress import Progress, Steps
-from ..text import format_count
+from ..messages import format_count
 from .exposure import estimate_gains
 from .matching import GrayPhotograph, Matches, Surface, make_gray, match_photograph
 from .observations import observe, sample_surface

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..errors import GeometryError
-from ..geometry.geometry_2d import signed_areas
+from ..geometry.transforms import signed_areas
 from ..imaging.mipmaps import Mipmaps, build_mipmaps
 from ..jobs.parallel_steps import run_in_parallel
 from ..jobs.progress import Progress, Steps, subprogress

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..geometry.geometry_2d import signed_areas
 from ..geometry.mesh import TriangleMesh, face_areas_and_normals
+from ..geometry.transforms import signed_areas
 from ..jobs.progress import Progress, Steps
 from .energies.rest_shapes import compute_rest_shapes
 from .energies.shape_barrier import min_height_to_base

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..arrays import concatenate_ranges
-from ..geometry.geometry_2d import cross, signed_areas
+from ..geometry.transforms import cross, signed_areas
 from ..jobs.chunks import slices
 from ..jobs.progress import Progress, Steps
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import GeometryError
-from ..geometry.geometry_2d import signed_areas
 from ..geometry.mesh import TriangleMesh, check_points, face_areas_and_normals, has_area
+from ..geometry.transforms import signed_areas
 from ..jobs.progress import Progress, Steps, subprogress
 from .cutting.atlas_seams import find_atlas_seams
 from .cutting.chart import Chart

@@ -7,8 +7,8 @@ from scipy.ndimage import maximum_filter
 
 from ..arrays import TINY
 from ..geometry.cameras import CameraProjection
-from ..geometry.geometry_2d import signed_areas
 from ..geometry.mesh import TriangleMesh
+from ..geometry.transforms import signed_areas
 from ..imaging.raster import depth_buffer
 
 BARYCENTRIC_SAMPLES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])

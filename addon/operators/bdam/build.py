@@ -7,7 +7,7 @@ from typing import Any
 
 import bpy
 
-from ...bridge.height_images import read_gray_image
+from ...bridge.imaging.height_images import read_gray_image
 from ...core.bdam.build.build_report import BuildReport
 from ...core.bdam.build.terrain_build import build_terrain
 from ...core.bdam.fields.height_sources import OPENERS
@@ -18,7 +18,7 @@ from ...core.files.scratch import Scratch
 from ...core.jobs.progress import Progress, Steps
 from .. import long_work, properties, start_job
 from ..error_reports import reports_errors
-from ..paths import BLEND_PREFIX, absolute_path
+from ..properties import BLEND_PREFIX, absolute_path
 
 MAX_KEPT_BYTES = 64 << 20  # of images of heights that stay in memory
 KINDS = [

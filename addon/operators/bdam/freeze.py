@@ -17,10 +17,10 @@ from ...core.bdam.settings import FreezePathSettings, FreezeSettings, ViewSettin
 from ...core.errors import FarfieldError, GeometryError, SettingsError
 from ...core.geometry.viewers import Viewer
 from ...core.jobs.progress import Progress, Steps, subprogress
-from ...core.text import format_count
+from ...core.messages import format_count
 from .. import follow_handlers, properties, start_job
 from ..engine_cache import cache
-from ..terrain_polls import disabled_reason
+from ..following import disabled_reason
 from . import operators
 
 VIEWERS_FRACTION, CUT_FRACTION, MESHES_FRACTION = 0.4, 0.5, 0.8  # of the progress bar, where each part ends

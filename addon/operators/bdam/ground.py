@@ -15,9 +15,9 @@ from ...core.bdam.settings import GroundSettings
 from ...core.bdam.store.terrain_store import TerrainStore
 from ...core.errors import FileError, GeometryError
 from ...core.jobs.progress import Progress, Steps
-from ...core.text import format_count
+from ...core.messages import format_count
 from .. import properties, start_job
-from ..terrain_polls import disabled_reason
+from ..following import disabled_reason
 
 OUTSIDE = "outside of the terrain or over holes"
 LOCKED = "kept in place by constraints or animation"

@@ -12,8 +12,8 @@ from ...core.errors import FileError
 from .. import follow_handlers, properties, start_job
 from ..engine_cache import cache
 from ..error_reports import report_message, reports_errors
+from ..following import disabled_reason
 from ..long_work import poll_with_reason
-from ..terrain_polls import disabled_reason
 from ..view_following import FollowViewOperator, context_viewport, view_of_area
 from .follow_tool import TOOL
 from .job import ShowJob, prepare_update

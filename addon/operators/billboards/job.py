@@ -6,10 +6,12 @@ from dataclasses import dataclass, field
 
 import bpy
 
-from ...bridge import images, meshes, transparent_bounces
 from ...bridge.billboards import capture, clouds
 from ...bridge.billboards.scene_clouds import SceneCloud, clouds_of_levels, read_cloud
-from ...bridge.session_ids import find_by_uid
+from ...bridge.geometry import meshes
+from ...bridge.imaging import images
+from ...bridge.objects import find_by_uid
+from ...bridge.rendering import transparent_bounces
 from ...bridge.source_links import store_sources
 from ...core.billboards.build import build_cloud
 from ...core.billboards.cloud import Cloud

@@ -4,11 +4,11 @@ from collections.abc import Iterable, Sequence
 
 import bpy
 
-from ...bridge import meshes
 from ...bridge.billboards import clouds
 from ...bridge.billboards.scene_clouds import SceneCloud, clouds_of_levels
 from ...bridge.billboards.source_objects import read_source_objects
-from ...bridge.visibility import temporarily_visible
+from ...bridge.geometry import meshes
+from ...bridge.objects import temporarily_visible
 from ...core.errors import GeometryError
 from .messages import missing_original_message
 

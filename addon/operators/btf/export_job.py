@@ -12,7 +12,7 @@ from ...bridge.billboards.scene_clouds import find_cloud
 from ...bridge.btf.decode import is_upper_hemisphere, read_relightable_texture
 from ...bridge.btf.image_export import write_images
 from ...bridge.btf.octahedral.exports import write_octahedral_atlas
-from ...bridge.session_ids import find_by_uid
+from ...bridge.objects import find_by_uid
 from ...core.btf.decoding import RelightableTexture
 from ...core.btf.formats.fmf import write_fmf
 from ...core.btf.settings import ExportSettings

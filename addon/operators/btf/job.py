@@ -12,7 +12,6 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ...bridge import images, meshes
 from ...bridge.billboards import clouds
 from ...bridge.billboards.level_objects import built_center, read_level_quads, read_level_texels, read_pbr_alpha
 from ...bridge.billboards.scene_clouds import SceneCloud, read_cloud
@@ -26,7 +25,9 @@ from ...bridge.btf.level_checks import check_editable, check_level, is_unchanged
 from ...bridge.btf.light_calibration import calibrate_light_coverage, has_loose_quads
 from ...bridge.btf.shared_parameters import Value, read_shared_parameters
 from ...bridge.btf.surface_clouds import assign_surface_material, check_maps, read_two_sided_texels
-from ...bridge.session_ids import find_by_uid
+from ...bridge.geometry import meshes
+from ...bridge.imaging import images
+from ...bridge.objects import find_by_uid
 from ...core.billboards.texels import QuadPolygons, Texels
 from ...core.btf.capture.capture_run import CaptureRun
 from ...core.btf.capture.capture_spec import LevelCaptureSpec

@@ -6,7 +6,7 @@ import numpy as np
 from ...bridge.clipbox.objects import SceneTerrain, terrain_of_object
 from ...core.clipbox.settings import ClipboxSettings
 from .. import follow_handlers, properties, start_job
-from ..terrain_polls import disabled_reason
+from ..following import disabled_reason
 from ..view_following import FollowViewOperator, context_viewport, view_of_area
 from .follow_tool import TOOL
 from .job import TerrainJob, prepare

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ...bridge.meshes import SourceInstance, concatenate_in_world_space, read_instances
+from ...bridge.geometry.meshes import SourceInstance, concatenate_in_world_space, read_instances
 from ...bridge.photos.coverage_overlay import overlay
 from ...bridge.photos.photo_images import PhotoSource
 from ...core.errors import GeometryError

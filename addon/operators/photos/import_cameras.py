@@ -12,8 +12,8 @@ from ...bridge.photos.scene_cameras import find_background
 from ...core.errors import FarfieldError, FileError
 from ...core.files.file_access import check_unicode
 from ...core.jobs.progress import run_to_end
+from ...core.messages import format_count
 from ...core.photos.importers import read_cameras
-from ...core.text import format_count
 from .. import long_work
 from ..error_reports import report_message, reports_errors
 from ..job_run import run_job

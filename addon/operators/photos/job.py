@@ -6,25 +6,25 @@ from dataclasses import dataclass, replace
 import bpy
 import numpy as np
 
-from ...bridge.meshes import SourceInstance, concatenate_in_world_space, read_instances
+from ...bridge.geometry.meshes import SourceInstance, concatenate_in_world_space, read_instances
+from ...bridge.objects import find_by_uid
 from ...bridge.photos.material_groups import SUFFIX, MaterialGroups, assign_to_materials, read_material_groups
 from ...bridge.photos.page_images import create_maps, create_textures
 from ...bridge.photos.photo_images import PhotoSource
 from ...bridge.photos.results import assign_texture
 from ...bridge.photos.surfaces import check_separate_uvs, read_surface, select_faces, split_layout, to_projection
-from ...bridge.session_ids import find_by_uid
 from ...core.errors import GeometryError
 from ...core.files.scratch import Scratch
 from ...core.geometry.cameras import CameraProjection
-from ...core.geometry.geometry_2d import signed_areas
 from ...core.geometry.mesh import face_areas_and_normals
+from ...core.geometry.transforms import signed_areas
 from ...core.jobs.progress import Progress, Steps, subprogress
+from ...core.messages import format_count
 from ...core.photos.merging import merge
 from ...core.photos.overlaps import describe_overlaps, find_overlapping
 from ...core.photos.pages import PageLayout, lay_out_pages
 from ...core.photos.photo_texture import PhotoTexture
 from ...core.photos.settings import PhotosSettings
-from ...core.text import format_count
 from ...core.unwrap.packing import pack_charts
 from ...core.unwrap.settings import UnwrapSettings
 from ...core.unwrap.unwrapping import UnwrapResult

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ...bridge.meshes import SourceInstance, concatenate_in_world_space, read_instances
+from ...bridge.geometry.meshes import SourceInstance, concatenate_in_world_space, read_instances
 from ...bridge.photos.photo_images import PhotoSource
 from ...bridge.photos.results import create_overlay_image
 from ...core.errors import GeometryError
 from ...core.jobs.progress import Progress, Steps
+from ...core.messages import format_count
 from ...core.photos.overlays import draw_overlay
-from ...core.text import format_count
 from .. import long_work, start_job
 from .sources import disabled_reason, divide_targets, open_photographs
 

@@ -5,16 +5,16 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ...bridge.meshes import SourceInstance, concatenate_in_world_space, read_instances
+from ...bridge.geometry.meshes import SourceInstance, concatenate_in_world_space, read_instances
+from ...bridge.objects import find_by_uid
 from ...bridge.photos.camera_moves import check_movable, has_own_lens, move_camera
 from ...bridge.photos.photo_images import PhotoSource
 from ...bridge.photos.scene_cameras import find_background, has_photograph
-from ...bridge.session_ids import find_by_uid
 from ...core.errors import GeometryError, SettingsError
 from ...core.files.scratch import Scratch
 from ...core.jobs.progress import Progress, Steps, subprogress
+from ...core.messages import format_count
 from ...core.photos.refinement import Refinement, refine
-from ...core.text import format_count
 from .. import long_work, start_job
 from .registration import IMAGE_PROPERTY
 from .sources import NO_CAMERAS, find_cameras, open_photographs, selected_meshes

@@ -11,7 +11,7 @@ from ...bridge.photos.point_pairs import PROPERTY
 from ...bridge.photos.scene_cameras import has_photograph, read_photo_camera
 from ...core.errors import SettingsError
 from ...core.geometry.lenses import Lens
-from ...core.text import format_count
+from ...core.messages import format_count
 from .. import image_editors
 from ..error_reports import report_message, reports_errors
 

@@ -2,7 +2,7 @@
 
 import bpy
 
-from ...bridge.meshes import describe_type
+from ...bridge.geometry.meshes import describe_type
 from ...bridge.photos.photo_images import PhotoSource, open_background
 from ...bridge.photos.scene_cameras import find_background, has_photograph, read_photo_camera
 from ...core.errors import GeometryError, SettingsError

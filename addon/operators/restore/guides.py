@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ...bridge.images import read_pixels
+from ...bridge.imaging.images import read_pixels
+from ...bridge.objects import find_by_uid
 from ...bridge.restore.image_pixels import has_color, is_bright, read_format, to_display
 from ...bridge.restore.image_sources import check_image, find_image, list_frames, load_frame, read_tiles
-from ...bridge.session_ids import find_by_uid
 from ...core.errors import FarfieldError, ImageError
 from ...core.restore.settings import MaskSettings
 

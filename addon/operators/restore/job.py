@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
+from ...bridge.objects import find_by_uid
 from ...bridge.restore import image_users, results
 from ...bridge.restore.image_pixels import PixelFormat, to_display, to_stored
-from ...bridge.session_ids import find_by_uid
 from ...core.errors import ImageError
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.restore.restoration import restore

@@ -5,7 +5,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ...bridge.redraws import redraw_areas
+from ...bridge.blender import redraw_areas
 from ...bridge.restore import image_users
 from ...bridge.restore.mask_images import WHITE, create_mask, set_brush_color
 from ...bridge.restore.outline import outline

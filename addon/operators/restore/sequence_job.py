@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from ...bridge.images import read_pixels
+from ...bridge.imaging.images import read_pixels
 from ...bridge.restore import results
 from ...bridge.restore.image_pixels import read_format
 from ...bridge.restore.image_sources import load_frame

@@ -10,13 +10,13 @@ from ...bridge.texmesh.level_sets import find_level_set
 from ...bridge.texmesh.trial_objects import remove_trial_objects
 from ...bridge.viewers import viewport_camera
 from ...core.errors import GeometryError, SettingsError
+from ...core.messages import format_count
 from ...core.settings import describe
 from ...core.texmesh.perception.recorded_answers import estimate_recorded
 from ...core.texmesh.perception.settings import PerceptionSettings
-from ...core.text import format_count
 from .. import long_work
-from ..app_handlers import add_handlers, remove_handlers
 from ..error_reports import report_message, reports_errors
+from ..follow_handlers import add_handlers, remove_handlers
 from .calibration_run import ANSWERS, CalibrationRun, clear_answers, stored_answers
 from .preview import NO_LEVELS
 from .preview import current as preview

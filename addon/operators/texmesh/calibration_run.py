@@ -8,7 +8,7 @@ import bpy
 import mathutils
 import numpy as np
 
-from ...bridge.session_ids import find_by_uid
+from ...bridge.objects import find_by_uid
 from ...bridge.texmesh.level_sets import ERROR, FIGURES, LevelSet, read_level_set
 from ...bridge.texmesh.trial_objects import create_trial_objects, remove_trial_objects
 from ...core.errors import GeometryError, SettingsError

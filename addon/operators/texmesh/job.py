@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import bpy
 import numpy as np
 
-from ...bridge.meshes import find_material
-from ...bridge.session_ids import find_by_uid
+from ...bridge.geometry.meshes import find_material
+from ...bridge.objects import find_by_uid
 from ...bridge.texmesh.level_meshes import create_level_mesh
 from ...bridge.texmesh.level_sets import FIGURES, LevelSet, NewLevel, add_level_set, find_level_set, remove_level_set
 from ...bridge.texmesh.rebaked_images import RebakeTextures
@@ -16,13 +16,13 @@ from ...bridge.texmesh.scale_attributes import write_scale_map
 from ...bridge.texmesh.sources import TexturedSource
 from ...core.errors import GeometryError
 from ...core.jobs.progress import Progress, Steps, subprogress
+from ...core.messages import format_count
 from ...core.texmesh.level_chain import AllSettings, LevelChain, make_levels
 from ...core.texmesh.rebaking.rebake import RebakedTextures
 from ...core.texmesh.scale_space.analysis import analyze_scale_space
 from ...core.texmesh.scale_space.scale_map import ScaleMap
 from ...core.texmesh.scale_space.settings import ScaleSpaceSettings
 from ...core.texmesh.settings import SceneSettings
-from ...core.text import format_count
 from .rebaking import create_images, read_textures, rebake_chain
 from .sources import read_sources
 

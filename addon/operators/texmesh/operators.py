@@ -4,12 +4,12 @@ import bpy
 
 from ...bridge import cameras
 from ...bridge.texmesh.level_sets import LevelSet, level_sets_in, remove_level_set, set_hidden
+from ...core.messages import format_count
 from ...core.texmesh.level_chain import AllSettings
 from ...core.texmesh.perception.settings import PerceptionSettings
 from ...core.texmesh.scale_space.settings import ScaleSpaceSettings
 from ...core.texmesh.settings import LevelSettings, SceneSettings
 from ...core.texmesh.simplification.settings import SimplificationSettings
-from ...core.text import format_count
 from .. import long_work, properties, start_job
 from ..error_reports import report_message, reports_errors
 from .job import AnalysisJob, LevelsJob, prepare_analysis, prepare_levels

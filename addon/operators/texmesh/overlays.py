@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 import bpy
 import numpy as np
 
-from ...bridge.images import create_image
-from ...bridge.line_chart import draw_line_chart
+from ...bridge.imaging.images import create_image
+from ...bridge.overlays.line_chart import draw_line_chart
 from ...bridge.texmesh.level_sets import ERROR, FIGURES, SWITCH_DISTANCE, LevelSet, find_level_set
 from ...bridge.texmesh.scale_attributes import SCALE_ATTRIBUTE, read_scales
 from ...bridge.texmesh.scale_overlay import ScaleOverlay

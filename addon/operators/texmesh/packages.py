@@ -15,7 +15,7 @@ from ...core.texmesh.streaming.package import PackageReport, build_package
 from ...core.texmesh.streaming.package_files import write_package
 from ...core.texmesh.streaming.settings import PackageSettings
 from .. import properties, start_job
-from ..paths import absolute_path
+from ..properties import absolute_path
 from .job import describe_skipped
 from .operators import CORE_SETTINGS, disabled_reason
 from .sources import read_sources, source_objects

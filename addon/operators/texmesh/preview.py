@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy
 
-from ...bridge.redraws import redraw_areas
+from ...bridge.blender import redraw_areas
 from ...bridge.texmesh.level_sets import LevelSet, find_level_set, level_sets_in
 from ...bridge.texmesh.ring_overlay import overlay as rings
 from ...bridge.texmesh.temporary_visibility import STATE, restore, resume_crossfades, show_temporarily
@@ -14,8 +14,8 @@ from ...bridge.viewers import viewport_camera
 from ...core.geometry.cameras import Camera
 from ...core.texmesh.settings import InspectionSettings
 from .. import long_work, properties
-from ..app_handlers import add_handlers, remove_handlers
 from ..error_reports import reports_errors
+from ..follow_handlers import add_handlers, remove_handlers
 from ..view_following import context_viewport, find_viewport, is_job_running, is_transforming
 
 TICK = 0.1  # seconds between two calls of the timer

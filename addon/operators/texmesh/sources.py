@@ -5,10 +5,10 @@ from typing import TypeVar
 
 import bpy
 
-from ...bridge.meshes import SURFACE_TYPES, describe_type, is_in_view_layer
+from ...bridge.geometry.meshes import SURFACE_TYPES, describe_type, is_in_view_layer
+from ...bridge.objects import temporarily_visible
 from ...bridge.texmesh.level_sets import find_level_set
 from ...bridge.texmesh.sources import read_textured_source
-from ...bridge.visibility import temporarily_visible
 from ...core.errors import FarfieldError, GeometryError
 
 Source = TypeVar("Source")

@@ -7,13 +7,13 @@ import bpy
 import numpy as np
 
 from ...bridge.cameras import read_camera_projection
-from ...bridge.meshes import SourceInstance, concatenate_in_world_space, read_instances
+from ...bridge.geometry.meshes import SourceInstance, concatenate_in_world_space, read_instances
 from ...bridge.unwrap import uv_maps
 from ...core.errors import GeometryError, SettingsError
 from ...core.geometry.cameras import CameraProjection
 from ...core.geometry.mesh import TriangleMesh, face_areas_and_normals
 from ...core.jobs.progress import Progress, Steps, subprogress
-from ...core.text import format_count
+from ...core.messages import format_count
 from ...core.unwrap import importance
 from ...core.unwrap.settings import UnwrapSettings
 from ...core.unwrap.unwrapping import UnwrapResult, check_surface, unwrap

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from farfield.addon.core.billboards.clustering.planes import PlaneBounds, fit_planes, mean_normals
 from farfield.addon.core.billboards.primitives import Primitives, from_mesh
 from farfield.addon.core.geometry.directions import fibonacci_sphere
-from farfield.addon.core.geometry.frames import frames_from_normals
 from farfield.addon.core.geometry.mesh import TriangleMesh
+from farfield.addon.core.geometry.transforms import frames_from_normals
 from shapes import box, random_rotation, sheet, soup, sphere
 
 seeds = st.integers(0, 2**32 - 1)

@@ -7,7 +7,7 @@ pytest.importorskip("bpy")
 
 import bpy
 
-from farfield.addon.bridge.images import create_image
+from farfield.addon.bridge.imaging.images import create_image
 from farfield.addon.compat import set_file_format
 from farfield.addon.core.btf.formats.complete_exr import is_complete_exr
 

@@ -2,7 +2,7 @@
 
 import bpy
 
-from ...node_builder import NodeBuilder, SocketOrValue
+from ...shading.node_builder import NodeBuilder, SocketOrValue
 
 
 def to_octahedral(builder: NodeBuilder, direction: SocketOrValue, upper: bool) -> bpy.types.NodeSocket:

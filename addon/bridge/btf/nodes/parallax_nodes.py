@@ -6,8 +6,8 @@ import bpy
 import numpy as np
 
 from ....core.btf.reflectance.parallax import MAX_OFFSET, MIN_COSINE
-from ...mesh_arrays import write_attribute
-from ...node_builder import NodeBuilder, SocketOrValue
+from ...geometry.mesh_arrays import write_attribute
+from ...shading.node_builder import NodeBuilder, SocketOrValue
 from .table_nodes import sample_image
 
 TEXEL_AXES = ("farfield_texel_x", "farfield_texel_y")  # face attributes of a level

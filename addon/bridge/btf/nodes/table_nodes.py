@@ -3,8 +3,8 @@
 import bpy
 
 from ....core.btf.tables import ViewTable
-from ...node_builder import NodeBuilder, SocketOrValue
-from ...node_groups import ensure_shared_group
+from ...shading.node_builder import NodeBuilder, SocketOrValue
+from ...shading.node_groups import ensure_shared_group
 from .octahedral_nodes import to_octahedral
 
 OCTAHEDRAL_VERSION = 1

@@ -17,12 +17,12 @@ from ....core.geometry.cameras import OrthographicView
 from ....core.imaging.images import MIN_ALPHA, mean_over_coverage
 from ....core.jobs.progress import Progress, Steps
 from ...cameras import set_camera_view
-from ...cycles_renders import prepare_channel_render
-from ...images import check_images
-from ...material_channels import CHANNELS, CaptureMaterial, build_capture_material
-from ...meshes import Source
-from ...node_builder import NodeBuilder
-from ...render_scene import RenderScene, render_scene
+from ...geometry.meshes import Source
+from ...imaging.images import check_images
+from ...rendering.cycles_renders import prepare_channel_render
+from ...rendering.render_scene import RenderScene, render_scene
+from ...shading.material_channels import CHANNELS, CaptureMaterial, build_capture_material
+from ...shading.node_builder import NodeBuilder
 from ..proxies import add_proxies, single_placement
 
 MIN_UNSCALED_LENGTH, MAX_UNSCALED_LENGTH = 1e-3, 1e3  # half sides that single precision and camera clipping handle without scaling

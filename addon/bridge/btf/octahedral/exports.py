@@ -11,8 +11,8 @@ from ....core.btf.octahedral import FrameGrid, OctahedralAtlas
 from ....core.errors import FileError
 from ....core.files.atomic_write import atomic_folder
 from ....core.jobs.progress import Steps
-from ...meshes import read_source
-from ...visibility import temporarily_visible
+from ...geometry.meshes import read_source
+from ...objects import temporarily_visible
 from .capture import capture_atlas
 from .objects import create_atlas_images
 

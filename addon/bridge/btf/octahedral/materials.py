@@ -12,7 +12,7 @@ import numpy as np
 
 from ....compat import enable_nodes
 from ...billboards.cloud_materials import set_two_sided
-from ...node_builder import NodeBuilder, SocketOrValue
+from ...shading.node_builder import NodeBuilder, SocketOrValue
 from .ray_groups import RaySockets, sample_ray
 
 FACING = "farfield_facing"  # attribute of all vertices: unit direction to the viewer, object space

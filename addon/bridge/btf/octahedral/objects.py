@@ -16,8 +16,8 @@ import mathutils
 import numpy as np
 
 from ....core.btf.octahedral import OctahedralAtlas
-from ...images import create_image
-from ...mesh_arrays import write_positions
+from ...geometry.mesh_arrays import write_positions
+from ...imaging.images import create_image
 from .materials import FACING, QUAD_NORMAL, QUAD_NORMALS, RIGHT, SHELL_RADIUS, quad_material, shell_material
 from .ray_groups import FrameImages, build_ray_groups
 

@@ -6,8 +6,8 @@ import bpy
 
 from ....core.btf.octahedral import MIN_COSINE, PARALLAX_STEPS, FrameGrid, OctahedralAtlas
 from ....core.imaging.images import MIN_ALPHA
-from ...node_builder import NodeBuilder, SocketOrValue
-from ...node_groups import create_group
+from ...shading.node_builder import NodeBuilder, SocketOrValue
+from ...shading.node_groups import create_group
 from ..nodes.octahedral_nodes import from_octahedral, to_octahedral
 
 # Filtered images have smaller mipmaps in EEVEE where UVs are discontinuous, as behind heights, so frames would blend into each other.

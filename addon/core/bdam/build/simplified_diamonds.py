@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from ...arrays import concatenate_ranges
-from ...gathering import gather
+from ...arrays import concatenate_ranges, gather
 from ..simplification.decimation import MeshBatch, simplify
 from ..simplification.removed_samples import RemovedSamples
 from ..tree import Tree

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...gathering import gather, gather_columns
+from ...arrays import gather, gather_columns
 from ...geometry.independent_vertices import find_cutoffs, order_by_cost, select_cheapest, select_independent
 from ...geometry.vertex_rings import VertexRings, build_rings, to_triangles
 from .collapse_costs import LOCKED, GridPoints, find_targets

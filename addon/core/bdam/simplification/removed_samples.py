@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...gathering import gather
+from ...arrays import gather
 from ...geometry.vertex_rings import to_triangles
 from .collapse_costs import GridPoints
 from .collapsed_fans import CollapsedFans

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...arrays import TINY
 from ...geometry.directions import fibonacci_sphere
-from ...geometry.frames import frames_from_normals
+from ...geometry.transforms import frames_from_normals
 from ..primitives import Primitives
 
 SUPPORT_COUNT = 64  # extreme points of a set that the fit uses

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...geometry.frames import frames_from_normals
+from ...geometry.transforms import frames_from_normals
 from ..primitives import Primitives
 from .patches import Patch
 from .planes import Planes

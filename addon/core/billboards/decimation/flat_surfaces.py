@@ -7,7 +7,7 @@ depend on it. A flat surface needs no simplification, because all triangles of o
 
 import numpy as np
 
-from ...geometry.frames import frames_from_normals
+from ...geometry.transforms import frames_from_normals
 from ..clustering.patches import Covering, Patch, group_by_label
 from ..clustering.planes import PlaneBounds, fit_planes
 from ..clustering.rectangles import compute_bounds, enclosing_rectangle, min_area_axes, rectangle_area

@@ -5,8 +5,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from ...geometry.edges import find_edges
-from ...geometry.frames import frames_from_normals
 from ...geometry.mesh import face_areas_and_normals
+from ...geometry.transforms import frames_from_normals
 from ..clustering.patches import Covering, Patch, group_by_label
 from ..clustering.planes import PlaneBounds
 from ..clustering.rectangles import compute_bounds, enclosing_rectangle, min_area_axes, rectangle_area

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...geometry.directions import golden_spiral
-from ...geometry.frames import frame_from_normal
+from ...geometry.transforms import frame_from_normal
 from ...jobs.progress import Progress, Steps
 from ..clustering.planes import PlaneBounds
 from .regions import split_into_regions

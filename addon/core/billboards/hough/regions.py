@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.ndimage import label
 
-from ...geometry.frames import frame_from_normal
+from ...geometry.transforms import frame_from_normal
 
 MAX_GRID_CELLS = 384  # along the longer side of a plane
 MAX_COMPONENTS = 192  # bounds the time of joining them, which is quadratic

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...errors import SettingsError
-from ...text import format_count
+from ...messages import format_count
 
 MAX_LENGTH = 2000  # characters; longer formulas could nest deeper than Python's stack allows
 Value = np.ndarray | float

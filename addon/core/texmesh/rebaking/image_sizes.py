@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from ...geometry.geometry_2d import signed_areas
 from ...geometry.mesh import face_areas_and_normals
+from ...geometry.transforms import signed_areas
 from ..textured_mesh import TexturedMesh
 
 TEXELS_PER_PIXEL = 1.5  # along a side, at least, where texels are largest: with one, thin lines are blurred visibly

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ...arrays import concatenate_ranges
-from ...geometry.geometry_2d import signed_areas
+from ...geometry.transforms import signed_areas
 from ...imaging.raster import rasterize
 
 MAX_TILES = 4  # repetitions of a texture along a side of a triangle; only narrow ones have as many without overlaps

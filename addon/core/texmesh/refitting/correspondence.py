@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ...geometry.distance import segment_argmin
-from ...geometry.geometry_2d import signed_areas
 from ...geometry.mesh import face_areas_and_normals
+from ...geometry.transforms import signed_areas
 from ..textured_mesh import TexturedMesh
 from .sampling import SurfaceSamples
 from .uv_triangles import UvTriangles

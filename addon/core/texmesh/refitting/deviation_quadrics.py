@@ -9,8 +9,8 @@ slides along the surface and its texture coordinates do not.
 
 import numpy as np
 
-from ...geometry.geometry_2d import signed_areas
 from ...geometry.mesh import face_areas_and_normals
+from ...geometry.transforms import signed_areas
 from ..simplification.collapse_fans import CollapseFans
 from ..simplification.texture_quadrics import evaluate_quadrics
 from ..simplification.topology import Collapses

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...arrays import TINY, concatenate_ranges
-from ...geometry.geometry_2d import cross, signed_areas
 from ...geometry.mesh import face_areas_and_normals
 from ...geometry.proximity import counting_argsort
+from ...geometry.transforms import cross, signed_areas
 from .level_state import LevelState
 from .uv_triangles import evaluate_uv_maps, invert_uv_maps
 

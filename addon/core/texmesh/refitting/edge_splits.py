@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...geometry.edges import Edges
-from ...geometry.geometry_2d import signed_areas
 from ...geometry.mesh import scaled_normals
+from ...geometry.transforms import signed_areas
 from .border_curves import BorderCurves
 from .edge_flips import select_largest
 from .fine_surface import FineSurface

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...geometry.geometry_2d import signed_areas
+from ...geometry.transforms import signed_areas
 from ..textured_mesh import TexturedMesh
 from .border_curves import BorderCurves, Freedom
 

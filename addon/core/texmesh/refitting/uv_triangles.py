@@ -8,8 +8,8 @@ import numpy as np
 
 from ...arrays import concatenate_ranges
 from ...geometry.distance import TriangleTree, closest_barycentric
-from ...geometry.geometry_2d import signed_areas
 from ...geometry.proximity import counting_argsort
+from ...geometry.transforms import signed_areas
 from ...jobs.chunks import slices
 
 CHUNK_POINTS = 1 << 14

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...geometry.geometry_2d import signed_areas
+from ...geometry.transforms import signed_areas
 from ...imaging.colors import LUMINANCE
 from ...imaging.mipmaps import build_mipmaps, sample_mipmaps
 from ..textured_mesh import TexturedMesh

@@ -8,8 +8,8 @@ add the squared distance from their edges within the triangle's plane in (x, y, 
 import numpy as np
 
 from ...arrays import TINY
-from ...geometry.geometry_2d import signed_areas
 from ...geometry.mesh import longest_side, scaled_normals
+from ...geometry.transforms import signed_areas
 from ...jobs.chunks import slices
 from ..textured_mesh import TexturedMesh
 from .collapse_fans import CollapseFans

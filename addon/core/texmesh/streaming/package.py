@@ -11,7 +11,7 @@ from ...files.glb import Y_UP
 from ...imaging.mipmaps import Mipmaps
 from ...jobs.parallel_steps import run_in_parallel
 from ...jobs.progress import Progress, Steps, subprogress
-from ...text import format_count
+from ...messages import format_count
 from ..level_chain import AllSettings, LevelChain, leave_out_inserted, make_levels
 from ..scale_space.analysis import analyze_scale_space
 from ..textured_mesh import TexturedMesh

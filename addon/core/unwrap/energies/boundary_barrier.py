@@ -11,8 +11,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ...arrays import TINY, concatenate_ranges
-from ...geometry.geometry_2d import cross
 from ...geometry.proximity import sorted_unique
+from ...geometry.transforms import cross
 from .stretch_energy import smallest_positive_root
 
 STIFFNESS = 0.1  # of the squared activation distance, which is close to the stretch energy of a triangle

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...arrays import TINY
-from ...geometry.geometry_2d import cross
+from ...geometry.transforms import cross
 
 ACTIVATION_RATIO = 2.0  # of the limit: the energy sets in below
 STIFFNESS = 0.5  # of the area of the triangle

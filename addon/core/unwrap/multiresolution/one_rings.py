@@ -3,7 +3,7 @@
 import numpy as np
 
 from ...arrays import TINY
-from ...geometry.geometry_2d import cross
+from ...geometry.transforms import cross
 from ..energies.rest_shapes import compute_rest_shapes
 
 MAX_HALVINGS = 30

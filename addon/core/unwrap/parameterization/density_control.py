@@ -7,8 +7,8 @@ depending on the chart. The exponent from requested density to weight is therefo
 import numpy as np
 
 from ...arrays import TINY
-from ...geometry.geometry_2d import signed_areas
 from ...geometry.mesh import face_areas_and_normals
+from ...geometry.transforms import signed_areas
 from ..cutting.chart import Chart
 from ..energies.rest_shapes import compute_rest_shapes
 

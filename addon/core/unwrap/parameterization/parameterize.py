@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ...errors import GeometryError
-from ...geometry.geometry_2d import signed_areas
 from ...geometry.mesh import face_areas_and_normals
+from ...geometry.transforms import signed_areas
 from ...jobs.chunks import slices
 from ...jobs.progress import Progress, Steps, subprogress
 from ..cutting.boundaries import boundary_edges, boundary_loops, fill_holes

@@ -5,8 +5,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..core.errors import FileError
-from ..core.files.height_maps import check_size
+from ...core.errors import FileError
+from ...core.files.height_maps import check_size
 
 
 def read_gray_image(path: Path) -> np.ndarray:

@@ -1,4 +1,7 @@
-"""Python modules that Blender brings along: importable inside Blender, but not on the search path of pip's bpy."""
+"""Blender as a program: redrawing of its editors, the messages of its errors, and the Python modules that it brings along.
+
+These modules are importable inside Blender, but not on the search path of pip's bpy.
+"""
 
 import importlib
 import importlib.machinery
@@ -10,6 +13,19 @@ from types import ModuleType
 import bpy
 
 from ..core.errors import FileError
+
+
+def redraw_areas(*types: str) -> None:
+    """Redraw all areas of some types in all windows, such as "VIEW_3D"; all areas if none is given."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if not types or area.type in types:
+                area.tag_redraw()
+
+
+def error_sentence(error: RuntimeError) -> str:
+    """Return the message of an error that a function of Blender raised, on one line, without its final full stop."""
+    return " ".join(str(error).removeprefix("Error: ").split()).rstrip(".")
 
 
 def import_blender_module(name: str, purpose: str, advice: str) -> ModuleType:

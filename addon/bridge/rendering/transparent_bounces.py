@@ -6,8 +6,8 @@ from collections.abc import Sequence
 import bpy
 import numpy as np
 
-from ..core.arrays import TINY
-from .mesh_arrays import read_positions
+from ...core.arrays import TINY
+from ..geometry.mesh_arrays import read_positions
 
 MIN_BOUNCES, MAX_BOUNCES = 32.0, 1024.0  # the maximum is that of Cycles
 

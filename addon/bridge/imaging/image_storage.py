@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ..core.imaging.colors import decode_signed_srgb, encode_signed_srgb
-from ..core.imaging.images import MIN_ALPHA
-from ..core.jobs.chunks import slices
+from ...core.imaging.colors import decode_signed_srgb, encode_signed_srgb
+from ...core.imaging.images import MIN_ALPHA
+from ...core.jobs.chunks import slices
 
 CHUNK_PIXELS = 1 << 19  # converted at once, so that temporary arrays stay small
 

@@ -3,9 +3,9 @@
 import bpy
 import numpy as np
 
-from ..compat import set_file_format
-from ..core.files.temporary_folders import temporary_folder
-from ..core.imaging.colors import decode_signed_srgb
+from ...compat import set_file_format
+from ...core.files.temporary_folders import temporary_folder
+from ...core.imaging.colors import decode_signed_srgb
 from .images import read_pixels
 from .tiled_images import load_image
 

@@ -3,7 +3,7 @@
 import bpy
 import numpy as np
 
-from .mesh_arrays import read_loop_triangles, read_loop_vertices, read_positions
+from ..geometry.mesh_arrays import read_loop_triangles, read_loop_vertices, read_positions
 
 PAPER_GRAY = 0.93
 INK_GRAY = 0.12

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import FileError
+from ...core.errors import FileError
 from .image_storage import ImageFile, Storage
 
 NEAREST_DTYPES = {  # by format and by the type in the file that was read, where they differ

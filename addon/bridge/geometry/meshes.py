@@ -6,11 +6,10 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ..core.errors import GeometryError
-from ..core.geometry.affine import transform_points
-from ..core.geometry.frames import frames_from_normals
-from ..core.geometry.mesh import MAX_COORDINATE, PointCloud, TriangleMesh, check_points, fingerprint
-from ..core.geometry.points import estimate_normals, splat_radii
+from ...core.errors import GeometryError
+from ...core.geometry.mesh import MAX_COORDINATE, PointCloud, TriangleMesh, check_points, fingerprint
+from ...core.geometry.points import estimate_normals, splat_radii
+from ...core.geometry.transforms import frames_from_normals, transform_points
 from .evaluated_mesh import EvaluatedMesh, MaterialKey, MeshAttribute, read_evaluated_mesh
 
 SURFACE_TYPES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}

@@ -9,10 +9,10 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..compat import enable_nodes, set_file_format
-from ..core.errors import FarfieldError, FileError
-from ..core.files.temporary_folders import create_temporary_folder
-from .blender_errors import error_sentence
+from ...compat import enable_nodes, set_file_format
+from ...core.errors import FarfieldError, FileError
+from ...core.files.temporary_folders import create_temporary_folder
+from ..blender import error_sentence
 
 
 class RenderScene:

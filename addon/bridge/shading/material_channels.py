@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import bpy
 
-from ..compat import enable_nodes, uses_nodes
+from ...compat import enable_nodes, uses_nodes
+from ..rendering.render_scene import RenderScene
 from .node_builder import NodeBuilder, SocketOrValue
-from .render_scene import RenderScene
 from .scene_space_nodes import OBJECT_AXES, QUAD_AXES, replace_scene_space_nodes, world_normal
 
 CHANNELS = ("color", "normal", "roughness_metallic_depth")

@@ -6,8 +6,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..core.errors import FileError
-from ..core.files.filenames import safe_filename
+from ...core.errors import FileError
+from ...core.files.filenames import safe_filename
 from .images import save_image
 
 EXTENSIONS = {False: "png", True: "exr"}  # lossless, by whether the pixels are floats

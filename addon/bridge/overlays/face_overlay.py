@@ -9,7 +9,7 @@ import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
 
-from .redraws import redraw_areas
+from ..blender import redraw_areas
 
 OPACITY = 0.85
 SURFACE_OFFSET = 2e-3  # of the longest bounding-box side: distance of the overlay from the faces

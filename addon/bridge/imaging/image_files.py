@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import FileError
-from ..core.files.file_access import check_readable, convert_os_errors
-from .blender_modules import import_blender_module
+from ...core.errors import FileError
+from ...core.files.file_access import check_readable, convert_os_errors
+from ..blender import import_blender_module
 from .image_specs import build_spec, target_storage
 from .image_storage import ImageFile, Storage, from_pixels, to_pixels
 

@@ -7,12 +7,12 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..core.errors import FileError
-from ..core.files.complete_files import is_complete_png
-from ..core.files.file_access import error_reason
-from .blender_errors import error_sentence
-from .meshes import Source
-from .node_groups import nodes_in
+from ...core.errors import FileError
+from ...core.files.complete_files import is_complete_png
+from ...core.files.file_access import error_reason
+from ..blender import error_sentence
+from ..geometry.meshes import Source
+from ..shading.node_groups import nodes_in
 
 INDEPENDENT_ALPHA = {"CHANNEL_PACKED", "NONE"}  # modes in which colors are not weighted by alpha
 
