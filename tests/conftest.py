@@ -59,9 +59,18 @@ def scheduler(tmp_path) -> Iterator:
     farm.close()
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option that includes the variants marked `exhaustive`."""
+    parser.addoption("--all", action="store_true", dest="exhaustive", help="also run the tests marked exhaustive")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Run fast tests first, so that failures show early. In parallel runs, files start in this order and are not split, because their tests
-    share fixtures. Files that need nothing outside the core get the marker `core`."""
+    share fixtures. Files that need nothing outside the core get the marker `core`. Tests marked `exhaustive` need the option --all."""
+    if not config.option.exhaustive:
+        left_out = [item for item in items if item.get_closest_marker("exhaustive")]
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if not item.get_closest_marker("exhaustive")]
     is_core = {path: not NEEDS_MORE_THAN_CORE.search(path.read_text(encoding="utf-8")) for path in {item.path for item in items}}
     for item in items:
         if is_core[item.path]:
