@@ -18,7 +18,7 @@ POSITION = np.array([1.6, -5.2, 2.4])
 
 
 class TwoEditors(UserInput):
-    """Simulated input in an Image Editor, which is `area`, beside a 3D Viewport."""
+    """Simulated input in an Image Editor, which is `area`, next to a 3D Viewport."""
 
     def __init__(self) -> None:
         super().__init__()

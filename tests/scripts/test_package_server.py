@@ -44,7 +44,7 @@ PATH_TRICKS = [
 
 @pytest.fixture(scope="module")
 def package(tmp_path_factory) -> Path:
-    """A package with a secret beside it, a file that is none of its own, and a link to the secret."""
+    """A package with a secret next to it, a file that does not belong to it, and a link to the secret."""
     folder = tmp_path_factory.mktemp("served") / "package"
     write_opaque_package(folder)
     (folder / "model-L0.glb").write_bytes(b"glTF" * 100)
