@@ -138,7 +138,7 @@ class FARFIELD_OT_bdam_drop(start_job.StartJob, bpy.types.Operator):
 
     def prepare(self, context: bpy.types.Context) -> DropJob:
         """Read the positions of the selected objects or points, and open the store."""
-        return prepare(context, find_terrain(context), *self.read_settings(context))
+        return prepare(context, find_terrain(context), self.read_settings(context)[GroundSettings])
 
 
 def find_terrain(context: bpy.types.Context) -> SceneTerrain:
