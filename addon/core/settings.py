@@ -265,9 +265,11 @@ def _has_type(setting_type: type, value: Any) -> bool:
     return isinstance(value, setting_type)
 
 
-def add_flags(parser: argparse.ArgumentParser, settings_type: type[Settings]) -> None:
-    """Add one flag per setting to `parser`."""
+def add_flags(parser: argparse.ArgumentParser, settings_type: type[Settings], names: Sequence[str] | None = None) -> None:
+    """Add one flag per setting, or for those with these `names`, to `parser`."""
     for description in describe(settings_type):
+        if names is not None and description.name not in names:
+            continue
         default = description.format(description.default)
         text = (f"{description.tooltip} (default: {default})" if default else description.tooltip).replace("%", "%%")
         if description.type is bool:
@@ -285,7 +287,7 @@ def from_flags(settings_type: type[Settings], arguments: argparse.Namespace) -> 
     values = {}
     try:
         for description in describe(settings_type):
-            given = getattr(arguments, description.name)
+            given = getattr(arguments, description.name, None)
             if given is not None:
                 values[description.name] = description.parse(given) if isinstance(given, str) else given
         return settings_type(**values)
@@ -299,7 +301,7 @@ def unused_flags(arguments: argparse.Namespace, settings: Sequence[Settings]) ->
     descriptions = {item.name: item for each in settings for item in describe(type(each))}
     sentences = []
     for item in descriptions.values():
-        unmet = None if getattr(arguments, item.name) is None else _find_unmet(item, values)
+        unmet = None if getattr(arguments, item.name, None) is None else _find_unmet(item, values)
         if unmet is not None:
             flag = item.with_flag(getattr(values, item.name)).split()[0]
             sentences.append(f"{flag} is not used with {descriptions[unmet].with_flag(getattr(values, unmet))}.")

@@ -224,7 +224,7 @@ def choose_frames(scene: bpy.types.Scene, settings: FreezePathSettings) -> list[
         SettingsError: there are none.
     """
     first, last = settings.first_frame, settings.last_frame
-    if settings.scene_range:
+    if settings.scene_frame_range:
         uses_preview = scene.use_preview_range
         first, last = (scene.frame_preview_start, scene.frame_preview_end) if uses_preview else (scene.frame_start, scene.frame_end)
     if last < first:
