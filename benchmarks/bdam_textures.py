@@ -28,7 +28,7 @@ BOUNDS = {"raw": 0.0, "mean": 1.5, "99.9th": 8.0}  # of 255
 
 def create_plan(samples: int, image: ImageSource, image_format: ImageFormat) -> TexturePlan:
     """Return the plan of an image over a square field of `samples` x `samples`."""
-    tree = Tree(samples, samples, int(BdamSettings().leaf))
+    tree = Tree(samples, samples, int(BdamSettings().patch_size))
     pixel = (samples - 1) / image.shape[1]
     grid = TextureGrid(samples, samples, tree.side, (CELL_SIZE, CELL_SIZE), count_levels(tree.side, tree.depth, pixel))
     return TexturePlan(grid, image_format)

@@ -145,7 +145,7 @@ def measure_images(sheets: Path | None) -> dict[str, Any]:
     reports = {}
     for path in (HEAD, TREE):
         scene_files.open_scene(path)
-        options = BuildOptions(combine_selected=True, keep_source_visible=True)
+        options = BuildOptions(combine_selected=True, keep_original_visible=True)
         job = billboards.prepare_input(path, BillboardSettings(error=0.01, levels=1), options)
         run_to_end(run_job(job))
         cloud = billboards.read_built_clouds(job)[0]

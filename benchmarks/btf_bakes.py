@@ -75,7 +75,7 @@ def build_cloud(name: str, options: CloudOptions, error: str) -> BenchmarkCloud:
     if not report.exists():
         folder.mkdir(parents=True, exist_ok=True)
         save_model(MODELS[name], folder / "source.blend", options.data)
-        flags = ("--error", error, "--levels", 1, "--keep-source-visible", "--report", report)
+        flags = ("--error", error, "--levels", 1, "--keep-original-visible", "--report", report)
         run_script("billboards.py", folder / "source.blend", "--out", path, *flags)
     return BenchmarkCloud(path, MODELS[name].upper, json.loads(report.read_text(encoding="utf-8")))
 

@@ -79,7 +79,7 @@ def build_case(random: Random, tool: str, folder: Path, samples: Samples) -> Com
     if tool == "restore":
         _add_restore_outputs(random, case, folder, source)
     if tool == "billboards" and random.random() < 0.2:
-        case.arguments.append(random.choice(("--cross-fade", "--keep-source-visible", "--no-textures")))
+        case.arguments.append(random.choice(("--cross-fade", "--keep-original-visible", "--no-textures")))
     if tool == "clipbox" and random.random() < 0.15:
         case.arguments.append("--convert-to-mesh")
     case.arguments += small_flags(tool) + random_flags(random, tool)

@@ -112,7 +112,7 @@ def _count_data() -> dict[str, int]:
 
 
 def _build(random: Random, folder: Path) -> dict[str, Any]:
-    flags = {name: random.random() < 0.5 for name in ("combine_selected", "keep_source_visible")}
+    flags = {name: random.random() < 0.5 for name in ("combine_selected", "keep_original_visible")}
     return random_properties(random, BillboardSettings, tool="billboards") | flags
 
 

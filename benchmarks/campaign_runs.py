@@ -27,7 +27,7 @@ BAKE_FLAGS = (
     "--model", "emission", "--views-per-side", "2", "--lights-per-side", "2", "--samples", "1", "--components", "2",
     "--alpha-components", "2", "--shadows-per-side", "2", "--shadow-components", "2", "--executor", "serial", "--directions", "baked",
 )  # fmt: skip
-RESTORE_FLAGS = ("--levels", "1", "--kappa", "2")
+RESTORE_FLAGS = ("--pyramid-levels", "1", "--sub-bands", "2")
 TERRAIN_FLAGS = ("--at", "0,0,20", "--resolution", "32", "--boxes", "3")
 
 

@@ -19,7 +19,7 @@ from farfield.addon.core.restore.settings import RestoreSettings
 
 FARFIELD = {  # settings by the name of the method
     "farfield": RestoreSettings(),
-    "kappa-0": RestoreSettings(split="manual", kappa=0),
+    "kappa-0": RestoreSettings(split="manual", sub_bands=0),
     "diffusion": RestoreSettings(split="diffusion"),
 }
 DIFFUSION_PEERS = ("telea", "telea-10", "navier-stokes", "navier-stokes-10", "biharmonic")

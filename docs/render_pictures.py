@@ -149,7 +149,7 @@ def unwrap(_scene: Path, path: Path, samples: int) -> None:
 def build_monkey_cloud(error: float, roughness: float = 0.45) -> tuple[SceneCloud, int]:
     """Build the cloud of a monkey of clay in a new scene. Returns it and the number of triangles of its source."""
     create_closed_monkey().data.materials.append(create_clay_material(roughness))
-    job = billboards.prepare_input(None, BillboardSettings(levels=1, error=error, samples=32), BuildOptions(keep_source_visible=True))
+    job = billboards.prepare_input(None, BillboardSettings(levels=1, error=error, samples=32), BuildOptions(keep_original_visible=True))
     run_to_end(run_job(job))
     return billboards.read_built_clouds(job)[0], job.built_clouds[0][1].source_triangles
 

@@ -36,7 +36,7 @@ from farfield.addon.core.files.scratch import Scratch
 from farfield.addon.core.geometry.mesh_files import write_obj, write_ply
 from farfield.addon.core.geometry.viewers import Projection, Viewer, camera_window, look_at
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
-from farfield.addon.core.settings import add_flags, from_flags
+from farfield.addon.core.settings import add_flags
 from farfield.addon.operators.bdam.job import ShowJob
 from farfield.addon.operators.job_run import run_job
 from lib import command_line, scene_files
@@ -97,7 +97,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
 
 def build(given: Namespace, line: command_line.ProgressLine) -> str:
     """Build a store."""
-    settings = from_flags(BdamSettings, given)
+    settings = command_line.read_settings(given, BdamSettings)[BdamSettings]
     inputs, images = ([path.absolute() for path in paths] for paths in (given.inputs, given.texture))
     check_outputs({}, {str(path): path for path in (*inputs, *images)}, given.report)
     with Scratch(MAX_KEPT_BYTES) as scratch:

@@ -7,6 +7,7 @@ their textures). `blender --background --python scripts/billboards.py -- INPUT -
 
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from farfield.addon.core.billboards.cloud import Level
 from farfield.addon.core.billboards.settings import BillboardSettings, BuildOptions, CrossfadeSettings
 from farfield.addon.core.errors import FileError, GeometryError
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
-from farfield.addon.core.settings import add_flags, describe, from_flags
+from farfield.addon.core.settings import add_flags
 from farfield.addon.operators.billboards.job import BillboardJob, prepare_job
 from farfield.addon.operators.billboards.sources import may_have_surface
 from farfield.addon.operators.job_run import run_job
@@ -46,8 +47,7 @@ def build_parser() -> command_line.Parser:
     parser.add_argument("--out", type=command_line.parse_path, required=True, help="the file to write: .blend, .obj or .glb")
     parser.add_argument("--report", type=command_line.parse_path, help="write a report of the run to this JSON file")
     add_flags(parser, BillboardSettings)
-    keep = next(item for item in describe(BuildOptions) if item.name == "keep_source_visible")
-    parser.add_argument(keep.flag, action="store_true", help=keep.help)
+    add_flags(parser, BuildOptions, ["keep_original_visible"])
     parser.add_argument("--cross-fade", action="store_true", help="cross-fade the levels and the source for the file's active camera")
     add_flags(parser, CrossfadeSettings)
     return parser
@@ -56,7 +56,7 @@ def build_parser() -> command_line.Parser:
 def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     """Run the script and return the summary; raises FarfieldError if the input is invalid."""
     given = build_parser().parse_args(arguments)
-    settings, crossfade = from_flags(BillboardSettings, given), from_flags(CrossfadeSettings, given)
+    settings = command_line.read_settings(given, BillboardSettings, BuildOptions, CrossfadeSettings)
     out = given.out.absolute()
     if out.suffix.lower() not in EXTENSIONS:
         raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(EXTENSIONS)}.')
@@ -69,15 +69,14 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
         scene_files.open_scene(given.input.absolute())
         if given.cross_fade and read_scene_camera(bpy.context.scene) is None:
             raise GeometryError("--cross-fade needs an active camera, and the file has none; add a camera, or omit --cross-fade.")
-        options = BuildOptions(combine_selected=True, keep_source_visible=given.keep_source_visible)
-        job = prepare_input(given.input, settings, options)
+        job = prepare_input(given.input, settings[BillboardSettings], replace(settings[BuildOptions], combine_selected=True))
     for reason in job.skipped:
         command_line.print_message(f"Skipped: {reason}.")
     summary = run_to_end(run_job(job), line.show)
     line.clear()
     with clock.stage("write"):
         for cloud in read_built_clouds(job) if given.cross_fade else []:
-            cloud.add_crossfade(bpy.context, crossfade.fade_range)
+            cloud.add_crossfade(bpy.context, settings[CrossfadeSettings].fade_range)
         write_output(out, job)
     if given.report is not None:
         command_line.write_report(given.report.absolute(), build_report(job, clock))

@@ -28,7 +28,7 @@ from farfield.addon.core.files.file_access import is_same_file
 from farfield.addon.core.files.filenames import unique_filenames
 from farfield.addon.core.files.user_folders import check_owner
 from farfield.addon.core.jobs.progress import StageClock, run_to_end, subprogress
-from farfield.addon.core.settings import add_flags, from_flags
+from farfield.addon.core.settings import add_flags
 from farfield.addon.operators.btf import export_job
 from farfield.addon.operators.btf.job import BakeJob, prepare_bake
 from farfield.addon.operators.job_run import run_job
@@ -69,7 +69,8 @@ def build_parser() -> command_line.Parser:
 def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     """Run the script and return the summary; raises FarfieldError if the input is invalid."""
     options = build_parser().parse_args(arguments)
-    settings, export_settings = from_flags(BtfSettings, options), from_flags(ExportSettings, options)
+    found = command_line.read_settings(options, BtfSettings, ExportSettings)
+    settings, export_settings = found[BtfSettings], found[ExportSettings]
     out = options.out.absolute()
     if out.suffix.lower() != ".blend":
         raise FileError(f'--out is "{options.out}"; it must end in .blend.')

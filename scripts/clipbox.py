@@ -31,7 +31,7 @@ from farfield.addon.core.errors import FileError, SettingsError
 from farfield.addon.core.files.file_access import check_readable, error_reason
 from farfield.addon.core.geometry.mesh_files import write_obj, write_ply
 from farfield.addon.core.jobs.progress import Progress, StageClock, Steps, run_to_end, subprogress
-from farfield.addon.core.settings import add_flags, describe, from_flags
+from farfield.addon.core.settings import add_flags, describe
 from farfield.addon.operators import following
 from farfield.addon.operators.clipbox import convert_to_mesh, engines
 from farfield.addon.operators.clipbox.job import prepare
@@ -60,7 +60,8 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     given = build_parser().parse_args(arguments)
     if given.formula is not None and given.terrain is None:
         given.terrain = "formula"
-    settings, convert_settings = make_sources_absolute(from_flags(ClipboxSettings, given)), read_convert_settings(given)
+    settings = make_sources_absolute(command_line.read_settings(given, ClipboxSettings)[ClipboxSettings])
+    convert_settings = read_convert_settings(given)
     out = given.out.absolute()
     if out.suffix.lower() not in EXTENSIONS:
         raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(EXTENSIONS)}.')
@@ -107,7 +108,7 @@ def read_convert_settings(given: Namespace) -> ConvertSettings | None:
             if getattr(given, item.name) is not None:
                 raise SettingsError(f"{item.flag} needs --convert-to-mesh.")
         return None
-    return from_flags(ConvertSettings, given)
+    return command_line.read_settings(given, ConvertSettings)[ConvertSettings]
 
 
 def parse_position(text: str) -> np.ndarray:

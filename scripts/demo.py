@@ -139,7 +139,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     with clock.stage("scene"):
         prepare_scene(given.input, preset)
     settings = BillboardSettings(error=preset.error, levels=LEVEL_COUNT, samples=preset.capture_samples)
-    job = billboards.prepare_input(given.input, settings, BuildOptions(combine_selected=True, keep_source_visible=True))
+    job = billboards.prepare_input(given.input, settings, BuildOptions(combine_selected=True, keep_original_visible=True))
     run_to_end(subprogress(run_job(job), 0.0, BUILD_END), line.show)
     cloud = billboards.read_built_clouds(job)[0]
     with clock.stage("compare"):

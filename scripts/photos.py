@@ -43,7 +43,7 @@ from farfield.addon.core.photos.photo_texture import PhotoTexture
 from farfield.addon.core.photos.photographs import Photograph
 from farfield.addon.core.photos.refinement import refine
 from farfield.addon.core.photos.settings import PhotosSettings
-from farfield.addon.core.settings import add_flags, from_flags
+from farfield.addon.core.settings import add_flags
 from farfield.addon.core.unwrap.settings import UnwrapSettings
 from farfield.addon.operators.job_run import run_job
 from farfield.addon.operators.unwrap import job as unwrap_job
@@ -92,7 +92,7 @@ def build_parser() -> command_line.Parser:
 def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     """Run the script and return the summary; raises FarfieldError if the input is invalid."""
     given = build_parser().parse_args(arguments)
-    settings = from_flags(PhotosSettings, given)
+    settings = command_line.read_settings(given, PhotosSettings)[PhotosSettings]
     texture = given.texture.absolute()
     if texture.suffix.lower() != ".png":
         raise FileError(f'--texture is "{given.texture}"; it must end in .png.')

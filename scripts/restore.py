@@ -25,36 +25,32 @@ from farfield.addon.core.files.file_access import convert_os_errors, resolve_lin
 from farfield.addon.core.files.temporary_folders import temporary_folder
 from farfield.addon.core.jobs.progress import StageClock, Steps, run_to_end, subprogress
 from farfield.addon.core.messages import format_count
-from farfield.addon.core.restore.settings import RestoreSettings
-from farfield.addon.core.settings import add_flags, from_flags
+from farfield.addon.core.restore.settings import MaskSettings, RestoreSettings
+from farfield.addon.core.settings import add_flags, check, describe, with_flags
 from lib import command_line
 from lib.atomic_output import check_writable
 from lib.restore_jobs import ImageJob, list_jobs, publish, restore_image
 
-SPLITS = {"auto": "auto", "all": "diffusion"}  # words of --kappa and values of --split; a number means "manual"
-DEFAULT_TOLERANCE = "2%"
+TOLERANCE = next(item for item in describe(MaskSettings) if item.name == "color_tolerance")
 
 
 def build_parser() -> command_line.Parser:
     """Return the parser of all arguments of the script."""
     parser = command_line.Parser(
         prog="restore.py",
-        description="Fill the missing parts of an image with structure and texture. --kappa auto is --split auto, --kappa N is --split "
-        "manual with N sub-bands, --kappa all is --split diffusion.",
+        description="Fill the missing parts of an image with structure and texture. --sub-bands without --split implies --split manual.",
     )
     path = command_line.parse_path
     parser.add_argument("image", type=path, help="a .png, .tif, .jpg or .exr file; name.<UDIM>.png for tiles, name_####.png for frames")
     parser.add_argument("mask", help="an image that is bright where pixels are missing, the word alpha, or a color #RRGGBB")
     parser.add_argument("--out", type=path, required=True, help="the file to write: .png, .tif, .jpg or .exr")
-    parser.add_argument(
-        "--color-tolerance", default=DEFAULT_TOLERANCE, help="largest difference from the color of MASK, of 0 to 100%% (default: 2%%)"
-    )
+    parser.add_argument(TOLERANCE.flag, default="2%", help="largest difference from the color of MASK, 0 to 100%% (default: 2%%)")
     parser.add_argument("--source-mask", type=path, help="an image that is bright where texture may be copied from")
     parser.add_argument("--barriers", type=path, help="an image that is bright where diffusion must not pass")
     parser.add_argument("--data", action="store_true", help="the image is data instead of color, used as it is stored")
     parser.add_argument("--normal-map", action="store_true", help="the image is a normal map: data, and the result is normalized")
     parser.add_argument("--stages", type=path, help="write images of the stages to this folder, as PNG files")
-    parser.add_argument("--curve", type=path, help="draw the curve that decides about --kappa auto, as a PNG file")
+    parser.add_argument("--curve", type=path, help="draw the curve that decides about --split auto, as a PNG file")
     parser.add_argument("--report", type=path, help="write a report of the run to this JSON file")
     add_flags(parser, RestoreSettings)
     return parser
@@ -94,18 +90,14 @@ def restore_images(
 
 
 def read_settings(given: argparse.Namespace) -> RestoreSettings:
-    """Return the settings of the flags. --kappa is a word or a number, and selects the split.
+    """Return the settings of the flags. A number of sub-bands selects the manual split.
 
     Raises:
-        SettingsError: a flag is invalid, or --split contradicts --kappa.
+        SettingsError: a flag is invalid.
     """
-    if given.kappa is not None:
-        split = SPLITS.get(str(given.kappa), "manual")  # "--kappa=--" is an empty list
-        if given.split not in (None, split):
-            raise SettingsError(f"--kappa {given.kappa} is --split {split}; leave out --split {given.split}.")
-        given.split = split
-        given.kappa = None if split != "manual" else given.kappa
-    return from_flags(RestoreSettings, given)
+    if given.sub_bands is not None and given.split is None:
+        given.split = "manual"
+    return command_line.read_settings(given, RestoreSettings)[RestoreSettings]
 
 
 def read_tolerance(text: str) -> float:
@@ -115,11 +107,10 @@ def read_tolerance(text: str) -> float:
         SettingsError: it is not.
     """
     try:
-        tolerance = float(text.rstrip("% ")) / (100.0 if text.rstrip().endswith("%") else 1.0)
-    except ValueError:
-        tolerance = -1.0
-    if not 0.0 <= tolerance <= 1.0:
-        raise SettingsError(f'--color-tolerance is "{text}"; it must be 0% to 100%.')
+        tolerance = TOLERANCE.parse(text)
+        check(TOLERANCE, tolerance)
+    except SettingsError as error:
+        raise with_flags(error) from None
     return tolerance
 
 
@@ -132,7 +123,7 @@ def check_flags(given: argparse.Namespace, settings: RestoreSettings) -> None:
     if given.curve is not None and given.curve.suffix.lower() != ".png":
         raise FileError(f'--curve is "{given.curve}"; it must end in .png.')
     if given.curve is not None and settings.split != "auto":
-        raise SettingsError("--curve draws what decides about --kappa auto; leave out --curve or the other split.")
+        raise SettingsError("--curve draws what decides about --split auto; leave out --curve or the other split.")
     if given.stages is not None:
         check_writable(given.stages.absolute() / "stage.png")
 

@@ -23,7 +23,7 @@ import bpy
 from farfield.addon.bridge.unwrap.stretch_images import save_stretch_image
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
-from farfield.addon.core.settings import add_flags, from_flags
+from farfield.addon.core.settings import add_flags
 from farfield.addon.core.unwrap.settings import UnwrapSettings
 from farfield.addon.operators.job_run import run_job
 from farfield.addon.operators.unwrap.job import UnwrapJob, prepare
@@ -55,7 +55,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     given = build_parser().parse_args(arguments)
     if given.direction is not None and given.importance is None:
         given.importance = "direction"
-    settings = from_flags(UnwrapSettings, given)
+    settings = command_line.read_settings(given, UnwrapSettings)[UnwrapSettings]
     out = given.out.absolute()
     if out.suffix.lower() not in EXTENSIONS:
         raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(EXTENSIONS)}.')

@@ -4,21 +4,27 @@
     class BillboardSettings(Settings):
         error: float = setting(0.01, "Largest distance ...", minimum=1e-5, maximum=0.5, unit=Unit.FRACTION)
 
-Settings hold internal units: radians and fractions. Panels and flags show degrees and percentages, see `Unit`.
+Settings hold internal units: radians and fractions. Panels and flags show degrees and percentages, see `Unit`. When a setting counts is
+declared with it, as `used_if={"terrain": ("heights",)}`: panels hide it otherwise, texts say so, and a command line warns.
 """
 
 import argparse
 import dataclasses
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from numbers import Integral, Real
+from types import SimpleNamespace
 from typing import Any, ClassVar, Literal
 
 from .errors import SettingsError
 
 TYPE_NAMES = {float: "a number", int: "an integer", bool: "true or false", str: "text", tuple: "a list of numbers"}
-ABBREVIATIONS = {"Mb": "MB", "Uv": "UV"}  # in labels
+LABEL_WORDS = {"Mb": "MB", "Uv": "UV", "Per": "per", "To": "to", "In": "in"}  # that title case changes
+
+# What another setting must be: one of these values, or True for anything but off, 0 or empty, and False for the opposite.
+Condition = tuple[str, ...] | bool
 
 
 class Unit(Enum):
@@ -45,9 +51,22 @@ class Choice:
 class Description:
     """The declaration of one setting, as panels, flags and docs need it.
 
-    `choices` maps every allowed value to its `Choice`. `path` marks a string as the path of a file or folder, `is_color` three numbers as a
-    color as displayed, 0 to 1. `group` names the sub-panel that shows the setting, "" for the main panel. `panel_label` replaces `label` in
-    a panel, where there is room for about 15 characters.
+    Attributes:
+        name: of the field.
+        type: one of `TYPE_NAMES`.
+        default: its value unless it is given.
+        help: one sentence without a full stop.
+        label: in the interface. In lower case and with hyphens it is the flag.
+        minimum: lowest allowed number, None for no limit.
+        maximum: highest allowed number, None for no limit.
+        unit: of a number.
+        choices: every allowed value with its `Choice`.
+        path: marks a string as the path of a file or folder.
+        is_color: marks three numbers as a color as displayed, 0 to 1.
+        group: the sub-panel that shows the setting, "" for the main panel.
+        panel_label: replaces `label` in a panel, where there is room for about 15 characters.
+        used_if: what other settings must be so that this one counts, by name; all must be so.
+        condition: the same as text, for instance "Terrain is Heights or Forest"; "" if the setting always counts.
     """
 
     name: str
@@ -63,6 +82,13 @@ class Description:
     is_color: bool
     group: str
     panel_label: str
+    used_if: Mapping[str, Condition]
+    condition: str = ""
+
+    @property
+    def tooltip(self) -> str:
+        """The help text, and when the setting counts."""
+        return f"{self.help}. Used if {self.condition}" if self.condition else self.help
 
     @property
     def flag(self) -> str:
@@ -73,6 +99,10 @@ class Description:
     def flags(self) -> tuple[str, ...]:
         """All flags of the setting: `--textures` and `--no-textures` for a boolean, otherwise `flag` alone."""
         return (self.flag, "--no-" + self.flag.removeprefix("--")) if self.type is bool else (self.flag,)
+
+    def with_flag(self, value: Any) -> str:
+        """Return the flag that sets `value`: `--levels 3`, `--no-textures`."""
+        return self.flags[not value] if self.type is bool else f"{self.flag} {self.format(value)}"
 
     def format(self, value: Any) -> str:
         """Return `value` in the units of the interface: `1%`, `60`, `clusters`."""
@@ -117,42 +147,80 @@ def setting(
     is_color: bool = False,
     group: str = "",
     panel_label: str | None = None,
+    used_if: Mapping[str, Condition] | None = None,
 ) -> Any:
     """Declare one setting as a dataclass field; see `Description`. `label` is the field's name in title case by default, `panel_label` is
     `label`."""
-    metadata = {"help": help, "label": label, "minimum": minimum, "maximum": maximum, "unit": unit, "choices": choices or {}}
-    return dataclasses.field(
-        default=default, metadata=metadata | {"path": path, "is_color": is_color, "group": group, "panel_label": panel_label}
-    )
+    metadata = {"help": help, "label": label, "minimum": minimum, "maximum": maximum, "unit": unit, "choices": choices or {}, "path": path}
+    metadata |= {"is_color": is_color, "group": group, "panel_label": panel_label, "used_if": used_if or {}}
+    return dataclasses.field(default=default, metadata=metadata)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
     """Base class of settings. Checks every value against its declaration on construction.
 
-    has_flags: whether scripts have a flag for each setting.
+    has_flags: whether scripts have a flag for each setting. depends_on: other classes with settings that `used_if` names.
     """
 
     has_flags: ClassVar[bool] = True
+    depends_on: ClassVar[tuple[type["Settings"], ...]] = ()
 
     def __post_init__(self) -> None:
         for description in describe(type(self)):
             check(description, getattr(self, description.name))
 
 
-def describe(settings_type: type[Settings]) -> list[Description]:
-    """Return the settings of `settings_type` in declaration order."""
+def describe(*settings_types: type[Settings]) -> list[Description]:
+    """Return the settings of these classes in declaration order."""
     descriptions = []
-    for field in dataclasses.fields(settings_type):
-        label = field.metadata["label"] or default_label(field.name)
-        labels = {"label": label, "panel_label": field.metadata["panel_label"] or label}
-        descriptions.append(Description(name=field.name, type=type(field.default), default=field.default, **{**field.metadata, **labels}))
+    for settings_type in settings_types:
+        others = {item.name: item for other in settings_type.depends_on for item in describe(other)}
+        own = {field.name: _describe_field(field) for field in dataclasses.fields(settings_type)}
+        for item in own.values():
+            conditions = [_describe_condition((others | own)[name], wanted) for name, wanted in item.used_if.items()]
+            descriptions.append(dataclasses.replace(item, condition=" and ".join(conditions)))
     return descriptions
+
+
+def _describe_field(field: dataclasses.Field) -> Description:
+    label = field.metadata["label"] or default_label(field.name)
+    labels = {"label": label, "panel_label": field.metadata["panel_label"] or label}
+    return Description(name=field.name, type=type(field.default), default=field.default, **{**field.metadata, **labels})
+
+
+def _describe_condition(item: Description, wanted: Condition) -> str:
+    """Return what the setting `item` must be, as text."""
+    if isinstance(wanted, bool):
+        states = ("off", "on") if item.type is bool else ("0", "not 0")
+        return f"{item.label} is {states[wanted]}"
+    excluded = [choice.label for value, choice in item.choices.items() if value not in wanted]
+    if len(excluded) == 1 and len(wanted) > 1:
+        return f"{item.label} is not {excluded[0]}"
+    *labels, last = [item.choices[value].label for value in wanted]
+    return f"{item.label} is {', '.join(labels)} or {last}" if labels else f"{item.label} is {last}"
+
+
+def is_used(description: Description, values: Any) -> bool:
+    """Return whether a setting counts.
+
+    values: an object whose attributes are the values of the settings that `used_if` names: settings, or the property group of a panel.
+    """
+    return _find_unmet(description, values) is None
+
+
+def _find_unmet(description: Description, values: Any) -> str | None:
+    """Return the name of the first setting because of which a setting does not count, None if it counts; see `is_used`."""
+    for name, wanted in description.used_if.items():
+        value = getattr(values, name)
+        if bool(value) is not wanted if isinstance(wanted, bool) else value not in wanted:
+            return name
+    return None
 
 
 def default_label(name: str) -> str:
     """Return the label of the field `name`: `Max Normal Deviation`, `Texture MB`, `UV Map`."""
-    return " ".join(ABBREVIATIONS.get(word, word) for word in name.replace("_", " ").title().split())
+    return " ".join(LABEL_WORDS.get(word, word) for word in name.replace("_", " ").title().split())
 
 
 def flag_of(name: str) -> str:
@@ -197,11 +265,13 @@ def _has_type(setting_type: type, value: Any) -> bool:
     return isinstance(value, setting_type)
 
 
-def add_flags(parser: argparse.ArgumentParser, settings_type: type[Settings]) -> None:
-    """Add one flag per setting to `parser`."""
+def add_flags(parser: argparse.ArgumentParser, settings_type: type[Settings], names: Sequence[str] | None = None) -> None:
+    """Add one flag per setting, or for those with these `names`, to `parser`."""
     for description in describe(settings_type):
+        if names is not None and description.name not in names:
+            continue
         default = description.format(description.default)
-        text = (f"{description.help} (default: {default})" if default else description.help).replace("%", "%%")
+        text = (f"{description.tooltip} (default: {default})" if default else description.tooltip).replace("%", "%%")
         if description.type is bool:
             parser.add_argument(description.flag, dest=description.name, action=argparse.BooleanOptionalAction, help=text)
         else:
@@ -217,12 +287,25 @@ def from_flags(settings_type: type[Settings], arguments: argparse.Namespace) -> 
     values = {}
     try:
         for description in describe(settings_type):
-            given = getattr(arguments, description.name)
+            given = getattr(arguments, description.name, None)
             if given is not None:
                 values[description.name] = description.parse(given) if isinstance(given, str) else given
         return settings_type(**values)
     except SettingsError as error:
         raise with_flags(error) from None
+
+
+def unused_flags(arguments: argparse.Namespace, settings: Sequence[Settings]) -> list[str]:
+    """Return a sentence for each flag that was given although its setting does not count with these `settings`."""
+    values = SimpleNamespace(**{name: value for each in settings for name, value in vars(each).items()})
+    descriptions = {item.name: item for each in settings for item in describe(type(each))}
+    sentences = []
+    for item in descriptions.values():
+        unmet = None if getattr(arguments, item.name, None) is None else _find_unmet(item, values)
+        if unmet is not None:
+            flag = item.with_flag(getattr(values, item.name)).split()[0]
+            sentences.append(f"{flag} is not used with {descriptions[unmet].with_flag(getattr(values, unmet))}.")
+    return sentences
 
 
 def with_flags(error: SettingsError) -> SettingsError:
@@ -233,13 +316,16 @@ def with_flags(error: SettingsError) -> SettingsError:
 
 
 def markdown_table(settings_type: type[Settings]) -> str:
-    """Return the settings as a Markdown table for the docs."""
-    titles = ["Setting", *(["Flag"] if settings_type.has_flags else []), "Default", "Range", "Description"]
-    rows = [titles, ["---"] * len(titles)]
-    for description in describe(settings_type):
-        flags = [", ".join(f"`{flag}`" for flag in description.flags)] if settings_type.has_flags else []
-        rows.append([description.label, *flags, description.format(description.default), _format_range(description), description.help])
-    return "\n".join(f"|{'|'.join(row)}|" if row[0] == "---" else f"| {' | '.join(row)} |" for row in rows)
+    """Return the settings as a Markdown table for the docs, with a column that says when they count if some do not always."""
+    descriptions = describe(settings_type)
+    has_conditions = any(item.condition for item in descriptions)
+    rows = []
+    for item in descriptions:
+        flags = [", ".join(f"`{flag}`" for flag in item.flags)] if settings_type.has_flags else []
+        conditions = [item.condition] if has_conditions else []
+        rows.append([item.label, *flags, item.format(item.default), _format_range(item), *conditions, item.help])
+    titles = ["Setting", *["Flag"] * settings_type.has_flags, "Default", "Range", *["Used if"] * has_conditions, "Description"]
+    return "\n".join([f"| {' | '.join(titles)} |", "|---" * len(titles) + "|", *(f"| {' | '.join(row)} |" for row in rows)])
 
 
 def _format_range(description: Description) -> str:

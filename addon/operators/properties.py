@@ -44,7 +44,7 @@ def scene_settings_factory(
 
 def build_property(description: Description, options: set[str]) -> Any:
     """Return the Blender property that holds one setting in the units of the interface."""
-    common = {"name": description.label, "description": description.help, "options": options}
+    common = {"name": description.label, "description": description.tooltip, "options": options}
     if description.choices:
         items = [(value, choice.label, choice.help) for value, choice in description.choices.items()]
         return bpy.props.EnumProperty(items=items, default=description.default, **common)

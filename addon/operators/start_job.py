@@ -36,12 +36,12 @@ class StartJob(long_work.LongWork):
         """Return why the job cannot be started now, or an empty string."""
         raise NotImplementedError
 
-    def read_settings(self, context: bpy.types.Context) -> list[Settings]:
-        """Return the settings of each type in `settings_types`.
+    def read_settings(self, context: bpy.types.Context) -> dict[type[Settings], Any]:
+        """Return the settings of each type in `settings_types`, by type.
 
         Raises:
             SettingsError: a value is out of range.
         """
         for settings_type in self.settings_types:
             properties.fill_unset(settings_type, self, getattr(context.scene, self.panel_property))
-        return [properties.read(settings_type, self) for settings_type in self.settings_types]
+        return {settings_type: properties.read(settings_type, self) for settings_type in self.settings_types}

@@ -18,7 +18,7 @@ from farfield.addon.core.restore.settings import RestoreSettings
 from lib.contact_sheet import draw_contact_sheet
 
 SETTINGS = {
-    "synthesis by pixels": RestoreSettings(split="manual", kappa=0, method="pixels"),
+    "synthesis by pixels": RestoreSettings(split="manual", sub_bands=0, method="pixels"),
     "pure diffusion": RestoreSettings(split="diffusion"),
     "default": RestoreSettings(),
 }

@@ -30,7 +30,7 @@ from farfield.addon.core.files.defect_log import defect_message, write_defect_lo
 from farfield.addon.core.files.file_access import convert_os_errors, error_reason, is_stream, is_unicode
 from farfield.addon.core.jobs.progress import Progress, time_left
 from farfield.addon.core.messages import single_line
-from farfield.addon.core.settings import flag_of, with_flags
+from farfield.addon.core.settings import Settings, flag_of, from_flags, unused_flags, with_flags
 from farfield.addon.operators.job_run import format_duration
 from lib.atomic_output import atomic_file
 from lib.script_stdout import discard, script_stdout
@@ -135,6 +135,18 @@ def parse_path(text: str) -> Path:
     if not is_unicode(text):
         raise argparse.ArgumentTypeError(f'the path "{single_line(text)}" is not valid UTF-8 text; rename the file or the folder')
     return Path(text)
+
+
+def read_settings(arguments: argparse.Namespace, *settings_types: type[Settings]) -> dict[type[Settings], Any]:
+    """Return the settings of each type that a parser built by `add_flags` has read, and warn of flags that are not used.
+
+    Raises:
+        SettingsError: a value cannot be read or is out of range.
+    """
+    settings = {settings_type: from_flags(settings_type, arguments) for settings_type in settings_types}
+    for sentence in unused_flags(arguments, list(settings.values())):
+        print_message(sentence)
+    return settings
 
 
 def script_arguments() -> list[str]:

@@ -8,7 +8,7 @@ from PIL import Image
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
-SETTINGS = {"leaf": "16", "executor": "serial", "cell_size": 10.0}
+SETTINGS = {"patch_size": "16", "executor": "serial", "cell_size": 10.0}
 
 
 def write_heights(path, seed=1, size=33):
@@ -32,7 +32,7 @@ def test_files_and_settings_come_from_the_panel(tmp_path):
             bpy.ops.farfield.bdam_add_files(kind=kind, directory=str(folder), files=[{"name": name}])
     panel = bpy.context.scene.farfield_bdam_build
     assert [len(panel.files(kind)) for kind in ("SOURCES", "IMAGES")] == [1, 1]
-    panel.store, panel.leaf, panel.executor = str(folder / "store"), "16", "serial"
+    panel.store, panel.patch_size, panel.executor = str(folder / "store"), "16", "serial"
     assert bpy.ops.farfield.bdam_build() == {"FINISHED"}
     with TerrainStore(folder / "store") as store:
         assert (store.header.rows, store.header.leaf_cells, store.header.cell_size) == (33, 16, 1.0)

@@ -47,7 +47,7 @@ def write_image(folder, name="ground.tif", size=700):
 
 def steps_of(sources, out, images=(), cell_size=10.0, **options):
     field = open_field(sources, FieldSettings(cell_size=cell_size))
-    return build_terrain(field, sources, out, BdamSettings(**{"leaf": "16", "executor": "serial"} | options), images)
+    return build_terrain(field, sources, out, BdamSettings(**{"patch_size": "16", "executor": "serial"} | options), images)
 
 
 def read_files(folder):

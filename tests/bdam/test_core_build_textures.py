@@ -41,7 +41,7 @@ def gradient(rows, columns, dtype=np.uint8):
 def build(folder, images, dem=None, **options):
     dem = write_dem(folder) if dem is None else dem
     field = open_field([dem], FieldSettings())
-    settings = BdamSettings(**{"leaf": "16", "executor": "serial", "texture_format": "raw"} | options)
+    settings = BdamSettings(**{"patch_size": "16", "executor": "serial", "texture_format": "raw"} | options)
     run_to_end(build_terrain(field, [dem], folder / "store", settings, images))
     return TerrainStore(folder / "store")
 

@@ -49,7 +49,7 @@ def stores(tmp_path_factory):
     with_hole[HOLE] = np.nan
     build_store(folder / "whole", heights, height_step=STEP)
     build_store(folder / "hole", with_hole, height_step=STEP)
-    build_settings = BdamSettings(leaf="16", height_step=STEP, executor="serial")
+    build_settings = BdamSettings(patch_size="16", height_step=STEP, executor="serial")
     run_to_end(build_terrain(GeographicField(heights), [], folder / "geographic", build_settings))
     opened = {name: TerrainStore(folder / name) for name in ("whole", "hole", "geographic")}
     yield opened
@@ -194,7 +194,7 @@ def measure_in_meters(mesh: CutMesh, positions: np.ndarray) -> np.ndarray:
 def test_cuts_of_a_geographic_grid_are_within_their_errors_in_meters(tmp_path):
     y, x = np.mgrid[0:65, 0:65]
     heights = 30.0 * x + 20.0 * y  # a plane in the grid, so that all errors come from the curvature of its lines
-    settings = BdamSettings(leaf="16", height_step=STEP, executor="serial")
+    settings = BdamSettings(patch_size="16", height_step=STEP, executor="serial")
     run_to_end(build_terrain(WideField(heights), [], tmp_path / "store", settings))
     with TerrainStore(tmp_path / "store") as store:
         positions = np.stack([*store.frame.to_local(x, y), stored(heights)], axis=2).reshape(-1, 3)

@@ -43,7 +43,7 @@ def stores(tmp_path_factory):
     with_hole[HOLE] = np.nan
     build_store(folder / "whole", heights)
     build_store(folder / "hole", with_hole)
-    build_settings = BdamSettings(leaf="16", height_step=0.01, executor="serial")
+    build_settings = BdamSettings(patch_size="16", height_step=0.01, executor="serial")
     run_to_end(build_terrain(GeographicField(heights), [], folder / "geographic", build_settings))
     opened = {name: TerrainStore(folder / name) for name in NAMES}
     yield opened

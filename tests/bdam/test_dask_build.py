@@ -26,7 +26,7 @@ def test_dask_builds_the_same_bytes_with_textures(scheduler, tmp_path):
     for executor in ("serial", f"dask:{scheduler.address}"):
         folders.append(tmp_path / f"store {len(folders)}")
         field = open_field([source], FieldSettings(cell_size=10.0))
-        run_to_end(build_terrain(field, [source], folders[-1], BdamSettings(leaf="16", executor=executor), [image]))
+        run_to_end(build_terrain(field, [source], folders[-1], BdamSettings(patch_size="16", executor=executor), [image]))
     serial, dask = ({path.relative_to(folder): path.read_bytes() for path in folder.rglob("*.*")} for folder in folders)
     assert len(serial) == 8 and dask == serial
     assert sorted(path.name for path in tmp_path.glob("store*")) == ["store 0", "store 1"], "nothing is left over"

@@ -187,12 +187,12 @@ def test_cancelling_changes_nothing(folder, camera):
 
 def test_frames_can_be_chosen(folder, camera, capsys):
     load(folder)
-    assert bpy.ops.farfield.bdam_freeze_path(scene_range=False, first_frame=1, last_frame=4, frame_step=2, keep_terrain=True) == {
+    assert bpy.ops.farfield.bdam_freeze_path(scene_frame_range=False, first_frame=1, last_frame=4, frame_step=2, keep_terrain=True) == {
         "FINISHED"
     }
     assert "Good for 3 frames." in capsys.readouterr().out  # 1, 3 and the last one
     with pytest.raises(RuntimeError, match="Last Frame, 1, is before First Frame, 4"):
-        bpy.ops.farfield.bdam_freeze_path(scene_range=False, first_frame=4, last_frame=1)
+        bpy.ops.farfield.bdam_freeze_path(scene_frame_range=False, first_frame=4, last_frame=1)
 
 
 def test_bad_input_is_explained(folder, camera):

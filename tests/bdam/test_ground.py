@@ -135,13 +135,13 @@ def test_objects_are_aligned_to_the_normal_and_stay_if_repeated(terrain, folder,
     up /= np.linalg.norm(up)
     base = find_base(item, np.array(item.matrix_world), up, target == "bottoms")
     expected, normals = ground_below(terrain, folder, base)
-    drop(item, target=target, align=True)
+    drop(item, target=target, align_to_normal=True)
     matrix = np.array(item.matrix_world)
     assert np.allclose(matrix[:3, 2] / np.linalg.norm(matrix[:3, 2]), normals[0], atol=1e-5)
     assert np.allclose(find_base(item, matrix, normals[0], target == "bottoms"), expected[0], atol=TOLERANCE)
     assert np.allclose(np.linalg.norm(matrix[:3, :3], axis=0), [1.0, 2.0, 3.0], atol=1e-4)
     if target == "origins":
-        drop(item, target=target, align=True)
+        drop(item, target=target, align_to_normal=True)
         assert np.allclose(np.array(item.matrix_world), matrix, atol=TOLERANCE)
 
 

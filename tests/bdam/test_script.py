@@ -18,7 +18,7 @@ from lib import command_line, environment
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 SCRIPT = environment.ROOT / "scripts" / "bdam.py"
-SMALL = ("--leaf", "16", "--executor", "serial", "--cell-size", "10")
+SMALL = ("--patch-size", "16", "--executor", "serial", "--cell-size", "10")
 VIEW = ("--from", "-300,-300,200", "--to", "0,0,40")
 KEYS = {"origin", "triangles", "patches", "tiles", "max_error_px", "seconds", "peak_memory_mb"}
 
@@ -157,7 +157,7 @@ def test_a_store_can_be_moved(folder, tmp_path):
     [
         (("build", "none.npy", "--out", "new"), FileError, "does not exist"),
         (("build", "hills.npy", "--out", "."), FileError, "folder with a name|other files"),
-        (("build", "hills.npy", "--out", "new", "--leaf", "16", "--height-step", "-1"), SettingsError, "--height-step"),
+        (("build", "hills.npy", "--out", "new", "--patch-size", "16", "--height-step", "-1"), SettingsError, "--height-step"),
         (("build", "hills.npy", "--out", "new", "--texture", "hills.npy"), FileError, "texture"),
         (("build", "hills.npy", "--out", "new", "--executor", "many"), SettingsError, "Executor must be"),
         (("info", "new"), FileError, "no terrain"),

@@ -61,7 +61,7 @@ def test_an_object_that_took_the_name_of_the_original_stays_visible(source):
 @pytest.mark.parametrize("keep", [False, True])
 def test_a_removed_original(source, keep):
     with pytest.raises(GeometryError, match='The original "Oak" was removed while'):
-        finish_after(lambda: bpy.data.objects.remove(source), textures=False, keep_source_visible=keep)
+        finish_after(lambda: bpy.data.objects.remove(source), textures=False, keep_original_visible=keep)
     assert not levels()
 
 

@@ -55,7 +55,7 @@ def test_cloud_has_position_and_size_of_source():
 def test_one_cloud_per_selected_object_or_one_of_all():
     first, second = cube("One"), cube("Two", location=(5.0, 3.0, 1.3))
     select(first, second)
-    build(levels=1, error=1.0, keep_source_visible=True)
+    build(levels=1, error=1.0, keep_original_visible=True)
     assert {name: level["farfield_quads"] for name, level in levels().items()} == {"One Cloud L0": 6, "Two Cloud L0": 6}
     select(first, second)
     build(levels=1, error=1.0, combine_selected=True)
@@ -161,9 +161,9 @@ class TestVisibility:
         assert [is_hidden(item) for item in (source, fine, coarse)] == [True, False, True]
         assert bpy.context.active_object == fine and fine.select_get(), "the panel shows the cloud of the active object"
 
-    def test_keep_source_visible_shows_both(self):
+    def test_keep_original_visible_shows_both(self):
         source = cube()
-        build(keep_source_visible=True)
+        build(keep_original_visible=True)
         fine, coarse = levels().values()
         assert [is_hidden(item) for item in (source, fine, coarse)] == [False, False, True]
         assert bpy.context.active_object == source and source.select_get()
@@ -184,7 +184,7 @@ class TestVisibility:
 
     def test_show_sets_the_requested_state(self):
         source = cube()
-        build(keep_source_visible=True, levels=1)
+        build(keep_original_visible=True, levels=1)
         (level,) = levels().values()
         for _ in range(2):
             bpy.ops.farfield.billboards_show(show="CLOUD")

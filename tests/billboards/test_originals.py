@@ -196,7 +196,7 @@ class TestBuildAgain:
         source = cube()
         build(levels=1)
         select(levels()["Cube Cloud L0"])
-        build(levels=1, keep_source_visible=True)
+        build(levels=1, keep_original_visible=True)
         assert not is_hidden(source)
 
     def test_combined_originals_become_one_cloud_again(self):
@@ -212,7 +212,7 @@ class TestBuildAgain:
         build(levels=1, error=1.0)
         other = cube("Two", location=(5.0, 3.0, 1.3))
         select(levels()["One Cloud L0"], other)
-        build(levels=1, error=1.0, keep_source_visible=True)
+        build(levels=1, error=1.0, keep_original_visible=True)
         assert sorted(levels()) == ["One Cloud L0", "One Cloud.001 L0", "Two Cloud L0"]
         select(levels()["One Cloud.001 L0"], other)
         build(levels=1, error=1.0, combine_selected=True)
@@ -220,7 +220,7 @@ class TestBuildAgain:
 
     def test_cloud_with_its_original_is_built_once(self):
         source = cube()
-        build(levels=1, keep_source_visible=True)
+        build(levels=1, keep_original_visible=True)
         select(source, levels()["Cube Cloud L0"])
         build(levels=1)
         assert len(levels()) == 2

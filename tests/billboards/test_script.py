@@ -103,7 +103,7 @@ def test_cross_fade_needs_camera_and_blend_output(cube):
 @pytest.mark.parametrize("keep", [False, True])
 def test_source_is_hidden_unless_kept(cube, keep):
     out = cube.with_name("out.blend")
-    summary = main(cube, "--out", out, "--no-textures", "--levels", "1", *(["--keep-source-visible"] if keep else []))
+    summary = main(cube, "--out", out, "--no-textures", "--levels", "1", *(["--keep-original-visible"] if keep else []))
     assert summary.startswith("Built ")
     bpy.ops.wm.open_mainfile(filepath=str(out))
     (level,) = cloud_levels()

@@ -60,7 +60,7 @@ def build_cloud(source: bpy.types.Object) -> SceneCloud:
         item.select_set(False)
     bpy.context.view_layer.objects.active = source
     source.select_set(True)
-    bpy.ops.farfield.billboards_build(error=10.0, levels=2, samples=1, keep_source_visible=True)
+    bpy.ops.farfield.billboards_build(error=10.0, levels=2, samples=1, keep_original_visible=True)
     return clouds_in(bpy.context.scene)[0]
 
 

@@ -36,7 +36,7 @@ def build_cloud(item: bpy.types.Object, **settings) -> SceneCloud:
     bpy.ops.object.select_all(action="DESELECT")
     bpy.context.view_layer.objects.active = item
     item.select_set(True)
-    bpy.ops.farfield.billboards_build(**{"error": 4.0, "levels": 1, "samples": 4, "keep_source_visible": True, **settings})
+    bpy.ops.farfield.billboards_build(**{"error": 4.0, "levels": 1, "samples": 4, "keep_original_visible": True, **settings})
     cloud = clouds_in(bpy.context.scene)[-1]
     bpy.context.view_layer.objects.active = cloud.levels[0]
     return cloud

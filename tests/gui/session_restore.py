@@ -102,7 +102,7 @@ def session() -> Iterator[float]:
     yield from user.open_sidebar()
     outline = module("addon.bridge.restore.outline").outline
     group = bpy.context.scene.farfield_restore
-    group.replace, group.levels = True, 2
+    group.replace_in_materials, group.pyramid_levels = True, 2
     save_screenshot("1-panel")
 
     x, y = yield from user.find_button("farfield.restore_mask")

@@ -12,7 +12,7 @@ from lib import blender_window, command_line, environment
 
 pytestmark = [pytest.mark.gui, pytest.mark.usefixtures("extension")]
 SCRIPT = environment.ROOT / "scripts" / "restore.py"
-FLAGS = ("--kappa", "2", "--levels", "1")
+FLAGS = ("--sub-bands", "2", "--pyramid-levels", "1")
 SIZE = 40
 HOLE = (slice(10, 18), slice(20, 30))  # rows from the top
 

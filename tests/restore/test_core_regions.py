@@ -120,7 +120,7 @@ def test_smooth_parts_do_not_fill_other_textures():
     image[:, :90] = 0.5 + 0.15 * (image[:, :90] - 0.5)
     hole = disk((90, 180), 20, (45, 135))
     page, level = build_level(image, hole)
-    run_to_end(fill_texture([page], [level], RestoreSettings(levels=1)))
+    run_to_end(fill_texture([page], [level], RestoreSettings(pyramid_levels=1)))
     assert (level.source[level.hole] % level.shape[1] >= 90).mean() > 0.4
 
 
@@ -149,7 +149,7 @@ class TestFilling:
         random = np.random.default_rng(6)
         image, hole = gaussian_filter(random.random((200, 210, 1)), (1, 1, 0)).astype(np.float32), disk((200, 210), 45)
         page, level = build_level(image, hole)
-        run_to_end(fill_texture([page], [level], RestoreSettings(levels=1)))
+        run_to_end(fill_texture([page], [level], RestoreSettings(pyramid_levels=1)))
         sources = level.source[level.hole]
         assert (sources >= 0).all() and level.valid[sources].all() and not level.hole[sources].any()
         assert level.texture[level.hole].std() == pytest.approx(image[~hole].std(), rel=0.2)
@@ -167,7 +167,7 @@ class TestFilling:
         monkeypatch.setattr(
             texture, "synthesize", lambda *arguments: found.append(levels[0].hole & ~levels[0].filled) or original(*arguments)
         )
-        run_to_end(fill_texture([page], levels, RestoreSettings(levels=1)))
+        run_to_end(fill_texture([page], levels, RestoreSettings(pyramid_levels=1)))
         sources = levels[0].source[levels[0].hole]
         assert found and found[0].any() and levels[0].valid[sources].all()
 
@@ -179,7 +179,7 @@ class TestFilling:
         for row, column in random.integers(20, 200, (count, 2)):
             hole |= disk(hole.shape, 25 if count == 1 else 5, (row, column))
         page, level = build_level(image, hole)
-        run_to_end(fill_texture([page], [level], RestoreSettings(levels=1)))
+        run_to_end(fill_texture([page], [level], RestoreSettings(pyramid_levels=1)))
         gradients = [np.diff(level.page(0)[..., 0], axis=axis) for axis in (0, 1)]
         expected = [np.diff(image[..., 0], axis=axis) for axis in (0, 1)]
         for found, true, inside in zip(gradients, expected, (hole[1:], hole[:, 1:]), strict=True):

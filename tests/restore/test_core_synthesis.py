@@ -15,7 +15,7 @@ from farfield.addon.core.restore.restoration import restore
 from farfield.addon.core.restore.settings import METHODS, ORDERS, RestoreSettings
 from farfield.addon.core.restore.synthesis import synthesize
 
-TEXTURE_ONLY = {"split": "manual", "kappa": 0}
+TEXTURE_ONLY = {"split": "manual", "sub_bands": 0}
 ALL_METHODS = [("regions", "shrinking"), *(("pixels", order) for order in ORDERS)]
 
 
@@ -82,7 +82,7 @@ class TestKnownAnswers:
     def test_a_gradient_is_continued_under_texture(self):
         ramp = np.linspace(0.2, 0.8, 120, dtype=np.float32)[None, :, None] * np.ones((100, 1, 3), np.float32)
         image, mask = ramp + 0.08 * (noise((100, 120)) - 0.5), disk((100, 120), 14)
-        result = run(np.where(mask[..., None], np.float32(0.0), image), mask, split="manual", kappa=3)
+        result = run(np.where(mask[..., None], np.float32(0.0), image), mask, split="manual", sub_bands=3)
         means = [result.pixels[mask & (np.indices(mask.shape)[1] // 7 == column)].mean() for column in range(7, 10)]
         expected = [ramp[mask & (np.indices(mask.shape)[1] // 7 == column)].mean() for column in range(7, 10)]
         assert means == pytest.approx(expected, abs=0.02)
@@ -109,7 +109,7 @@ class TestKnownAnswers:
 
     def test_diffusion_only_is_the_diffusion_to_the_byte(self):
         image, mask = noise((30, 40)), disk((30, 40), 8)
-        for values in ({"split": "diffusion"}, {"split": "manual", "kappa": 40}):
+        for values in ({"split": "diffusion"}, {"split": "manual", "sub_bands": 40}):
             result = run(image, mask, **values)
             assert (
                 result.kappa == -1 and result.pixels.tobytes() == diffuse(np.where(mask[..., None], np.float32(0), image), mask).tobytes()
@@ -150,7 +150,7 @@ class TestInvariants:
         mask = disk(shape, random.uniform(1, 9), tuple(random.integers(0, shape))) | (random.random(shape) < 0.002)
         mask[0, 0] = True
         damaged = np.where(mask[..., None], np.float32(np.nan), image)
-        result = run(damaged, mask, method=method, order=order, levels=levels, tileable=tileable, is_color=channels > 2)
+        result = run(damaged, mask, method=method, order=order, pyramid_levels=levels, tileable=tileable, is_color=channels > 2)
         assert (result.pixels[~mask] == image[~mask]).all() and np.isfinite(result.pixels).all()
         assert (result.pixels[mask] >= image[~mask].min(axis=0)).all() and (result.pixels[mask] <= image[~mask].max(axis=0)).all()
 
@@ -162,7 +162,7 @@ class TestInvariants:
 
     def test_stages_add_up_to_the_result(self):
         image, mask = noise((60, 70)), disk((60, 70), 9)
-        result = run(image, mask, keep_stages=True, split="manual", kappa=3)
+        result = run(image, mask, keep_stages=True, split="manual", sub_bands=3)
         stages = result.stages
         assert set(stages) == {"first_fill", "low", "low_filled", "high", "high_filled"}
         assert np.allclose(stages["low"] + stages["high"], stages["first_fill"], atol=1e-5)
@@ -178,9 +178,9 @@ class TestInvariants:
         source_mask = np.zeros(mask.shape, bool)
         source_mask[:, 104:] = True
         inside = disk((100, 200), 5, (50, 50))  # away from the boundary, where the seam is blended
-        blue = run(image, mask, source_mask=source_mask, levels=1, method=method, **TEXTURE_ONLY).pixels[inside]
+        blue = run(image, mask, source_mask=source_mask, pyramid_levels=1, method=method, **TEXTURE_ONLY).pixels[inside]
         assert blue[:, 2].mean() > 0.3 > 0.1 > blue[:, 0].mean()
-        red = run(image, mask, source_mask=~source_mask, levels=1, method=method, **TEXTURE_ONLY).pixels[inside]
+        red = run(image, mask, source_mask=~source_mask, pyramid_levels=1, method=method, **TEXTURE_ONLY).pixels[inside]
         assert red[:, 0].mean() > 0.3 > 0.1 > red[:, 2].mean()
 
     @pytest.mark.parametrize("order", ORDERS)
@@ -198,7 +198,7 @@ class TestInvariants:
 
         def sources():
             levels = build_levels([Page(np.where(hole[..., None], np.float32(0.5), image), hole, ~hole, ~hole)], 2)
-            run_to_end(synthesize(levels, RestoreSettings(order="scanline", levels=2, coherence=1.0)))
+            run_to_end(synthesize(levels, RestoreSettings(order="scanline", pyramid_levels=2, coherence=1.0)))
             return levels[0].source
 
         in_batches = sources()
@@ -218,7 +218,7 @@ class TestInvariants:
             monkeypatch.setattr(module, name, value)
         image, hole = noise((30, 34), seed=9), disk((30, 34), 5)
         levels = build_levels([Page(np.where(hole[..., None], np.float32(0.5), image), hole, ~hole, ~hole)], 1)
-        run_to_end(synthesize(levels, RestoreSettings(order="scanline", levels=1)))
+        run_to_end(synthesize(levels, RestoreSettings(order="scanline", pyramid_levels=1)))
         expected = literal_scanline(image, hole)
         assert np.array_equal(levels[0].page(0), expected)
 

@@ -148,7 +148,7 @@ def test_the_result_replaces_the_image_where_it_is_used(empty_scene):
     texture.image = source
     restore("source")
     assert all(user.image == source for user in (node, group_node, world_node, texture)), "only on request"
-    result = restore("source", replace=True)
+    result = restore("source", replace_in_materials=True)
     assert all(user.image == result for user in (node, group_node, world_node, texture)) and other_node.image == other
     assert result[ORIGINAL_PROPERTY] == source
 
@@ -160,7 +160,7 @@ def test_a_shown_result_is_restored_again_from_the_original(editor):
     bpy.ops.farfield.restore_mask()
     shown(area).pixels.foreach_set(np.dstack([hole()] * 3 + [np.ones((HEIGHT, WIDTH))]).astype(np.float32).ravel())
     for name in ("source restored", "source restored.001"):
-        assert bpy.ops.farfield.restore_image(replace=True, **FAST) == {"FINISHED"}
+        assert bpy.ops.farfield.restore_image(replace_in_materials=True, **FAST) == {"FINISHED"}
         assert shown(area).name == node.image.name == name and shown(area)[ORIGINAL_PROPERTY] == source
     result = shown(area)
     assert find_target(result, group) == source
@@ -182,7 +182,7 @@ def test_linked_materials_are_skipped_and_named(empty_scene, tmp_path, capfd):
     _, node = add_material("local", source)
     override = bpy.data.materials["Außenwand"].override_create()
     override.name = "override"
-    result = restore("source", replace=True)
+    result = restore("source", replace_in_materials=True)
     assert node.image == result
     for name in ("Außenwand", "override"):
         assert any(item.image == source for item in bpy.data.materials[name].node_tree.nodes if item.type == "TEX_IMAGE")
@@ -198,7 +198,7 @@ def test_one_undo_removes_the_result_and_its_use(empty_scene):
     material, _ = add_material("wall", source)
     material.use_fake_user = True
     bpy.ops.ed.undo_push(message="before")
-    bpy.ops.farfield.restore_image("EXEC_DEFAULT", True, image="source", mask_image="mask", replace=True, **FAST)
+    bpy.ops.farfield.restore_image("EXEC_DEFAULT", True, image="source", mask_image="mask", replace_in_materials=True, **FAST)
     assert "source restored" in bpy.data.images
     bpy.ops.ed.undo()
     assert "source restored" not in bpy.data.images

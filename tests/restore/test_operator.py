@@ -92,7 +92,7 @@ def test_transparent_pixels_are_missing():
 
 def test_pixels_of_a_color_are_missing():
     new_image("source", damaged(ramp()))
-    result = read(restore("source", mask="color", mask_color=(1.0, 0.0, 1.0), tolerance=0.0))
+    result = read(restore("source", mask="color", mask_color=(1.0, 0.0, 1.0), color_tolerance=0.0))
     assert np.abs(result - ramp()).max() < 0.02
 
 
@@ -116,7 +116,7 @@ def test_texture_comes_from_the_source_mask():
     new_mask("mask", mask)
     new_mask("calm", allowed)
     new_mask("noisy", ~allowed)
-    arguments = {"split": "manual", "kappa": 0, "levels": 1}
+    arguments = {"split": "manual", "sub_bands": 0, "pyramid_levels": 1}
     calm, noisy = (read(restore("source", **arguments, source_mask=name))[inside][:, 0].std() for name in ("calm", "noisy"))
     assert calm < 0.6 * noisy
 
@@ -161,7 +161,7 @@ def test_equal_seeds_give_equal_bytes_and_settings_come_from_the_panel():
     new_image("source", np.dstack([random.integers(0, 255, (HEIGHT, WIDTH, 3)) / 255.0, np.ones((HEIGHT, WIDTH))]).astype(np.float32))
     new_mask()
     group = bpy.context.scene.farfield_restore
-    group.mask_image, group.split, group.levels, group.kappa = "mask", "manual", 1, 2
+    group.mask_image, group.split, group.pyramid_levels, group.sub_bands = "mask", "manual", 1, 2
     results = []
     for arguments in ({}, {}, {"split": "diffusion"}):
         assert bpy.ops.farfield.restore_image(image="source", **arguments) == {"FINISHED"}

@@ -19,7 +19,7 @@ from lib import command_line, environment, restore_jobs
 
 pytestmark = pytest.mark.usefixtures("extension")
 SCRIPT = environment.ROOT / "scripts" / "restore.py"
-SMOOTH = ("--kappa", "all")
+SMOOTH = ("--split", "diffusion")
 SIZE = 40
 HOLE = (slice(10, 18), slice(20, 30))  # rows from the top
 
@@ -105,7 +105,8 @@ def test_jpeg(folder):
 
 def test_texture_is_synthesized_and_the_same_seed_gives_the_same_bytes(folder, calls):
     for name, seed in (("a", 3), ("b", 3), ("c", 4)):
-        run(folder / "image.png", folder / "mask.png", "--out", folder / f"{name}.png", "--kappa", "2", "--levels", "1", "--seed", seed)
+        flags = ("--sub-bands", "2", "--pyramid-levels", "1", "--seed", seed)
+        run(folder / "image.png", folder / "mask.png", "--out", folder / f"{name}.png", *flags)
     assert (folder / "a.png").read_bytes() == (folder / "b.png").read_bytes()
     assert [chosen.seed for _, _, chosen, _ in calls] == [3, 3, 4]
     assert_restored(folder / "image.png", folder / "a.png")
@@ -150,14 +151,15 @@ def test_masks_and_kinds_of_data_reach_the_restoration(folder, calls):
     write_image(folder / "source.png", 255 - hole())
     write_image(folder / "barriers.png", np.flipud(hole()))
     masks = ("--source-mask", folder / "source.png", "--barriers", folder / "barriers.png")
-    run(folder / "image.png", folder / "mask.png", "--out", folder / "out.png", "--kappa", "3", "--tileable", "--order", "scanline", *masks)
+    flags = ("--sub-bands", "3", "--tileable", "--order", "scanline")
+    run(folder / "image.png", folder / "mask.png", "--out", folder / "out.png", *flags, *masks)
     run(folder / "image.png", folder / "mask.png", "--out", folder / "out.png", *SMOOTH, "--data")
     run(folder / "image.png", folder / "mask.png", "--out", folder / "out.png", *SMOOTH, "--normal-map")
     (_, mask, chosen, options), (_, _, _, data), (_, _, _, normal_map) = calls
     np.testing.assert_array_equal(mask, hole()[::-1, :, 0] > 0)
     np.testing.assert_array_equal(options["source_mask"], ~mask)
     np.testing.assert_array_equal(options["barriers"], mask[::-1])
-    assert (chosen.split, chosen.kappa, chosen.tileable, chosen.order) == ("manual", 3, True, "scanline")
+    assert (chosen.split, chosen.sub_bands, chosen.tileable, chosen.order) == ("manual", 3, True, "scanline")
     assert (options["is_color"], options["is_normal_map"], options["keep_stages"]) == (True, False, False)
     assert (data["is_color"], data["is_normal_map"]) == (False, False)
     assert (normal_map["is_color"], normal_map["is_normal_map"]) == (False, True)
@@ -173,12 +175,12 @@ def test_float_data_is_used_as_stored(folder, calls):
 
 
 @pytest.mark.parametrize(
-    ("flags", "split", "kappa"),
-    [((), "auto", 4), (("--kappa", "auto"), "auto", 4), (("--kappa", "all"), "diffusion", 4), (("--kappa", "0"), "manual", 0)],
+    ("flags", "split", "sub_bands"),
+    [((), "auto", 4), (("--split", "diffusion"), "diffusion", 4), (("--sub-bands", "0"), "manual", 0)],
 )
-def test_kappa_selects_the_split(flags, split, kappa):
+def test_a_number_of_sub_bands_selects_the_manual_split(flags, split, sub_bands):
     parsed = restore.read_settings(restore.build_parser().parse_args(["a.png", "b.png", "--out", "c.png", *flags]))
-    assert (parsed.split, parsed.kappa) == (split, kappa)
+    assert (parsed.split, parsed.sub_bands) == (split, sub_bands)
 
 
 def test_stages_and_the_curve(folder):
@@ -222,7 +224,7 @@ def test_tiles_and_frames(folder, pattern, numbers, out):
 def test_one_mask_for_all_frames_and_stages_by_number(folder):
     for number in (1, 2):
         write_image(folder / f"f{number}.png", texture())
-    flags = ("--kappa", "1", "--levels", "1", "--stages", folder / "stages")
+    flags = ("--sub-bands", "1", "--pyramid-levels", "1", "--stages", folder / "stages")
     assert "2 images" in run(folder / "f#.png", folder / "mask.png", "--out", folder / "o#.png", *flags)
     assert {"0001_low.png", "0002_low.png"} <= {path.name for path in (folder / "stages").iterdir()}
 
@@ -260,14 +262,13 @@ def test_an_error_in_the_last_frame_writes_no_frame(folder):
         ("image.png", "", (), FileError, "empty"),
         ("image.png", "mask.png", ("--out", "x.gif"), FileError, "--out"),
         ("image.png", "mask.png", ("--curve", "x.jpg"), FileError, "--curve"),
-        ("image.png", "mask.png", ("--curve", "x.png", "--kappa", "3"), SettingsError, "--curve"),
-        ("image.png", "mask.png", ("--kappa", "all", "--split", "auto"), SettingsError, "--split"),
-        ("image.png", "mask.png", ("--kappa", "most"), SettingsError, "--kappa"),
-        ("image.png", "mask.png", ("--kappa", "-1"), SettingsError, "--kappa"),
-        ("image.png", "mask.png", ("--kappa=--",), SettingsError, "--kappa"),
+        ("image.png", "mask.png", ("--curve", "x.png", "--sub-bands", "3"), SettingsError, "--curve"),
+        ("image.png", "mask.png", ("--sub-bands", "most"), SettingsError, "--sub-bands"),
+        ("image.png", "mask.png", ("--sub-bands", "-1"), SettingsError, "--sub-bands"),
+        ("image.png", "mask.png", ("--sub-bands=--",), SettingsError, "--sub-bands"),
         ("image.png", "mask.png", ("--color-tolerance=--",), SettingsError, "--color-tolerance"),
         ("black.png", "mask.png", ("--normal-map",), ImageError, "--normal-map"),
-        ("image.png", "mask.png", ("--levels", "6"), SettingsError, "--levels"),
+        ("image.png", "mask.png", ("--pyramid-levels", "6"), SettingsError, "--pyramid-levels"),
         ("image.png", "mask.png", ("--color-tolerance", "much"), SettingsError, "--color-tolerance"),
         ("image.png", "mask.png", ("--stages", "image.png"), FileError, "image.png"),
         ("f#.png", "mask.png", ("--out", "x#.png"), FileError, "No file matches"),
@@ -322,7 +323,7 @@ def test_cancelling_leaves_nothing(folder, monkeypatch):
 
     monkeypatch.setattr(line, "show", cancel)
     with pytest.raises(KeyboardInterrupt):
-        restore.main([str(folder / "image.png"), str(folder / "mask.png"), "--out", str(folder / "out.png"), "--kappa", "2"], line)
+        restore.main([str(folder / "image.png"), str(folder / "mask.png"), "--out", str(folder / "out.png"), "--sub-bands", "2"], line)
     assert sorted(folder.rglob("*")) == before
 
 

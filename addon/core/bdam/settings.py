@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from ..settings import Choice, Settings, Unit, setting
 
-LEAVES = {
+PATCH_SIZES = {
     "16": Choice("16", "Patches of about 256 triangles, as in the paper: finer steps of detail, more patches"),
     "32": Choice("32", "Patches of about 1,000 triangles"),
     "64": Choice("64", "Patches of about 4,000 triangles: fewer and larger steps of detail"),
@@ -25,7 +25,7 @@ TEXTURE_ERRORS = {
 class BdamSettings(Settings):
     """Settings of the build of a large terrain."""
 
-    leaf: str = setting("32", "Samples along the short edges of the finest patches", label="Patch Size", choices=LEAVES)
+    patch_size: str = setting("32", "Samples along the short edges of the finest patches", choices=PATCH_SIZES)
     height_step: float = setting(
         0.0,
         "Meters between two heights that are stored. 0 for that of the source, or a two-hundredth of a cell",
@@ -38,7 +38,12 @@ class BdamSettings(Settings):
     fill_holes: bool = setting(False, "Fill unknown heights smoothly from those around them, instead of leaving holes")
     texture_format: str = setting("jpeg", "How texture tiles are coded", choices=TEXTURE_FORMATS)
     texture_quality: int = setting(
-        0, "Quality of JPEG and WebP tiles, 1 to 100. 0 for 85 of JPEG and 95 of WebP", minimum=0, maximum=100, unit=Unit.COUNT
+        0,
+        "Quality of the tiles, 1 to 100. 0 for 85 of JPEG and 95 of WebP",
+        minimum=0,
+        maximum=100,
+        unit=Unit.COUNT,
+        used_if={"texture_format": ("jpeg", "webp")},
     )
     texture_error: str = setting("magnification", "What decides how fine textures must be", choices=TEXTURE_ERRORS)
     executor: str = setting(
@@ -95,7 +100,9 @@ class GroundSettings(Settings):
 
     target: str = setting("origins", "What is put on the ground", choices=TARGETS)
     surface: str = setting("finest", "The ground that is used", choices=SURFACES)
-    align: bool = setting(False, "Rotate objects until their Z axes are perpendicular to the ground", label="Align to Normal")
+    align_to_normal: bool = setting(
+        False, "Rotate objects until their Z axes are perpendicular to the ground", used_if={"target": ("origins", "bottoms")}
+    )
     offset: float = setting(0.0, "Height above the ground", minimum=-1e6, maximum=1e6, unit=Unit.LENGTH)
 
 
@@ -115,7 +122,7 @@ class FreezePathSettings(Settings):
 
     has_flags = False
 
-    scene_range: bool = setting(True, "Use all frames of the scene, or of its preview range", label="Scene Frame Range")
-    first_frame: int = setting(1, "First frame, unless the frame range of the scene is used", minimum=-1_000_000, maximum=1_000_000)
-    last_frame: int = setting(250, "Last frame, unless the frame range of the scene is used", minimum=-1_000_000, maximum=1_000_000)
+    scene_frame_range: bool = setting(True, "Use all frames of the scene, or of its preview range")
+    first_frame: int = setting(1, "First frame", minimum=-1_000_000, maximum=1_000_000, used_if={"scene_frame_range": False})
+    last_frame: int = setting(250, "Last frame", minimum=-1_000_000, maximum=1_000_000, used_if={"scene_frame_range": False})
     frame_step: int = setting(1, "Use every frame, every second, and so on; frames between may be too coarse", minimum=1, maximum=1000)

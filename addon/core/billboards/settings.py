@@ -36,10 +36,8 @@ class BuildOptions(Settings):
     has_flags: ClassVar[bool] = False
 
     combine_selected: bool = setting(False, "Build one cloud from all selected objects instead of one per object")
-    keep_source_visible: bool = setting(
-        False,
-        "Keep the original visible after the build. When off, it is hidden in the viewport and in renders",
-        label="Keep Original Visible",
+    keep_original_visible: bool = setting(
+        False, "Keep the original visible after the build. When off, it is hidden in the viewport and in renders"
     )
 
 
@@ -54,6 +52,7 @@ class BillboardSettings(Settings):
         minimum=1e-4,
         maximum=0.25,
         unit=Unit.FRACTION,
+        used_if={"quads": False, "texture_mb": False},
     )
     levels: int = setting(3, "Number of levels of detail; the error doubles per level", minimum=1, maximum=8, unit=Unit.COUNT)
     quads: int = setting(
@@ -89,6 +88,7 @@ class BillboardSettings(Settings):
         unit=Unit.NONE,
         group="Detail",
         panel_label="Max Waste",
+        used_if={"method": ("clusters", "decimate")},
     )
     texel_size: float = setting(
         0.5, "Side length of a texel relative to the level's error", minimum=0.05, maximum=4.0, unit=Unit.NONE, group="Textures"
@@ -111,6 +111,12 @@ class BillboardSettings(Settings):
     )
     textures: bool = setting(True, "Capture textures from the materials with Cycles")
     samples: int = setting(
-        16, "Cycles samples per texel of the captured textures", minimum=1, maximum=4096, unit=Unit.COUNT, group="Textures"
+        16,
+        "Cycles samples per texel of the captured textures",
+        minimum=1,
+        maximum=4096,
+        unit=Unit.COUNT,
+        group="Textures",
+        used_if={"textures": True},
     )
     seed: int = setting(0, "Seed of the random choices", minimum=0, maximum=2**31 - 1, group="Advanced")

@@ -1,6 +1,7 @@
 """Settings of the tool `btf`: baking, compressing and exporting relightable textures."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from ..errors import SettingsError
 from ..geometry.direction_grids import DirectionGrid
@@ -14,7 +15,9 @@ MODELS = {
     "surface": Choice("Surface", "The PBR material with silhouettes that depend on the view. Works with all lights, shadows and bounces"),
     "emission": Choice("Emission", "All lighting is baked, for up to four Sun lights and uniform World lighting. For export; takes longer"),
 }
-EMISSION = "emission"
+EMISSION, EMISSION_GROUP = "emission", "Emission"
+IF_EMISSION = {"model": (EMISSION,)}
+IF_LOCAL_PCA = IF_EMISSION | {"codec": ("lpca",)}
 SURFACE_CHANNELS = 2  # renders per view of the model *surface*: color and normal
 SILHOUETTE_SAMPLES_FACTOR = 16  # color and coverage of a view come from one render, those of the model *emission* from dozens
 MAX_NORMAL_SAMPLES = 8
@@ -34,23 +37,13 @@ class ExportSettings(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BtfSettings(Settings):
-    """Settings of a bake."""
+class BakeSettings(Settings):
+    """Settings of every bake."""
 
     model: str = setting("surface", "What is baked", choices=MODELS)
     views_per_side: int = setting(
         8,
         "View directions along each side of their square grid: 8 for 64 views",
-        label="Views per Side",
-        minimum=2,
-        maximum=32,
-        unit=Unit.COUNT,
-        group="Directions",
-    )
-    lights_per_side: int = setting(
-        8,
-        "Emission only: light directions along each side of their square grid: 8 for 64 Sun lights. Uniform World lighting is added",
-        label="Lights per Side",
         minimum=2,
         maximum=32,
         unit=Unit.COUNT,
@@ -61,33 +54,6 @@ class BtfSettings(Settings):
         "Only bake views and lights above the horizon, at twice the density. Use for objects that are never seen or lit from below",
         group="Directions",
     )
-    codec: str = setting("pca", "Emission only: compression method", choices=CODECS, group="Compression")
-    components: int = setting(
-        12,
-        "Emission with PCA only: number of color components; four share a pixel",
-        minimum=1,
-        maximum=64,
-        unit=Unit.COUNT,
-        group="Compression",
-        panel_label="Color",
-    )
-    clusters: int = setting(
-        32, "Emission with Local PCA only: number of texel clusters", minimum=1, maximum=256, unit=Unit.COUNT, group="Compression"
-    )
-    cluster_components: int = setting(
-        8,
-        "Emission with Local PCA only: number of color components per cluster",
-        minimum=1,
-        maximum=32,
-        unit=Unit.COUNT,
-        group="Compression",
-        panel_label="Per Cluster",
-    )
-    blend_texels: bool = setting(
-        True,
-        "Emission with Local PCA only: randomly blend neighboring texels per sample. Removes blockiness; needs more render samples",
-        group="Compression",
-    )
     alpha_components: int = setting(
         12,
         "Number of silhouette components; four share a pixel",
@@ -96,25 +62,6 @@ class BtfSettings(Settings):
         unit=Unit.COUNT,
         group="Compression",
         panel_label="Alpha",
-    )
-    shadows_per_side: int = setting(
-        16,
-        "Emission only: light directions along each side of the grid whose self-shadowing is captured: 16 for 256; 0 for none",
-        label="Shadow Directions per Side",
-        minimum=0,
-        maximum=64,
-        unit=Unit.COUNT,
-        group="Shadows",
-        panel_label="Per Side",
-    )
-    shadow_components: int = setting(
-        24,
-        "Emission only: number of self-shadowing components; four share a pixel",
-        minimum=1,
-        maximum=64,
-        unit=Unit.COUNT,
-        group="Shadows",
-        panel_label="Components",
     )
     refine: bool = setting(
         True, "Refine silhouettes against renders of the source, so that overlapping quads add up to its coverage", group="Compression"
@@ -132,7 +79,78 @@ class BtfSettings(Settings):
         "Where renders run: serial, processes, processes:N for N at a time, or dask:tcp://HOST:PORT for a Dask scheduler",
         group="Performance",
     )
-    seed: int = setting(0, "Random seed", minimum=0, maximum=2**31 - 1)
+    seed: int = setting(0, "Random seed", minimum=0, maximum=2**31 - 1, group="Performance")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EmissionSettings(Settings):
+    """Settings of the model *Emission*: its lights, and how their radiance is compressed."""
+
+    depends_on: ClassVar[tuple[type[Settings], ...]] = (BakeSettings,)
+
+    lights_per_side: int = setting(
+        8,
+        "Light directions along each side of their square grid: 8 for 64 Sun lights. Uniform World lighting is added",
+        minimum=2,
+        maximum=32,
+        unit=Unit.COUNT,
+        group=EMISSION_GROUP,
+        used_if=IF_EMISSION,
+    )
+    codec: str = setting("pca", "Compression method", choices=CODECS, group=EMISSION_GROUP, used_if=IF_EMISSION)
+    components: int = setting(
+        12,
+        "Number of color components; four share a pixel",
+        minimum=1,
+        maximum=64,
+        unit=Unit.COUNT,
+        group=EMISSION_GROUP,
+        used_if=IF_EMISSION | {"codec": ("pca",)},
+    )
+    clusters: int = setting(
+        32, "Number of texel clusters", minimum=1, maximum=256, unit=Unit.COUNT, group=EMISSION_GROUP, used_if=IF_LOCAL_PCA
+    )
+    cluster_components: int = setting(
+        8,
+        "Number of color components per cluster",
+        minimum=1,
+        maximum=32,
+        unit=Unit.COUNT,
+        group=EMISSION_GROUP,
+        panel_label="Per Cluster",
+        used_if=IF_LOCAL_PCA,
+    )
+    blend_texels: bool = setting(
+        True,
+        "Randomly blend neighboring texels per sample. Removes blockiness; needs more render samples",
+        group=EMISSION_GROUP,
+        used_if=IF_LOCAL_PCA,
+    )
+    shadows_per_side: int = setting(
+        16,
+        "Light directions along each side of the grid whose self-shadowing is captured: 16 for 256; 0 for none",
+        minimum=0,
+        maximum=64,
+        unit=Unit.COUNT,
+        group=EMISSION_GROUP,
+        panel_label="Shadow Grid",
+        used_if=IF_EMISSION,
+    )
+    shadow_components: int = setting(
+        24,
+        "Number of self-shadowing components; four share a pixel",
+        minimum=1,
+        maximum=64,
+        unit=Unit.COUNT,
+        group=EMISSION_GROUP,
+        panel_label="Shadow Detail",
+        used_if=IF_EMISSION | {"shadows_per_side": True},
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class BtfSettings(EmissionSettings, BakeSettings):
+    """All settings of a bake, and what follows from them."""
 
     @property
     def view_count(self) -> int:

@@ -7,6 +7,8 @@ from ..settings import Choice, Settings, Unit, setting
 from .terrains.generators import CHOICES
 
 TERRAIN, BOXES, DETAIL = "Terrain", "Boxes", "Detail"  # groups
+SPHERES, FOREST, HEIGHTS = ({"terrain": (kind,)} for kind in ("spheres", "forest", "heights"))
+FILES = {"terrain": ("heights", "volume", "forest")}
 MIN_RESOLUTION_PER_THRESHOLD = 8  # voxels; with a larger threshold a box could leave the next coarser one
 SURFACES = {
     "smooth": Choice("Smooth", "Surface nets: vertices lie where the density is 0"),
@@ -21,19 +23,19 @@ class ClipboxSettings(Settings):
     terrain: str = setting("cascades", "Shape of the terrain", choices=CHOICES, group=TERRAIN)
     formula: str = setting(
         "30*sin(x/40)*sin(y/40) - z",
-        "Formula only: density as a function of x, y and z in scene units; positive values are solid",
+        "Density as a function of x, y and z in scene units; positive values are solid",
         group=TERRAIN,
+        used_if={"terrain": ("formula",)},
     )
-    source: str = setting(
-        "", "Heights, Volume and Forest only: height map or voxel model to read", label="Source File", path="file", group=TERRAIN
-    )
+    source: str = setting("", "Height map or voxel model to read", path="file", group=TERRAIN, used_if=FILES)
     source_size: float = setting(
         1000.0,
-        "Length of the longest side of the source file's content; for Forest, of the largest copy",
+        "Length of the longest side of the source's content; for Forest, of the largest copy",
         minimum=1e-3,
         maximum=1e7,
         unit=Unit.LENGTH,
         group=TERRAIN,
+        used_if=FILES,
     )
     source_height: float = setting(
         100.0,
@@ -42,44 +44,59 @@ class ClipboxSettings(Settings):
         maximum=1e6,
         unit=Unit.LENGTH,
         group=TERRAIN,
+        used_if=HEIGHTS,
     )
     source_color: str = setting(
-        "", "Heights only: image of the ground from above, with the same extent as the source file", path="file", group=TERRAIN
+        "", "Image of the ground from above, with the same extent as the source", path="file", group=TERRAIN, used_if=HEIGHTS
     )
     forest_spacing: float = setting(
-        0.8, "Forest only: distance between copies, relative to the size of the largest", minimum=0.25, maximum=100.0, group=TERRAIN
+        0.8,
+        "Distance between copies, relative to the size of the largest",
+        minimum=0.25,
+        maximum=100.0,
+        group=TERRAIN,
+        used_if=FOREST,
     )
     forest_hills: float = setting(
-        15.0, "Forest only: height range of the ground below the copies", minimum=0.0, maximum=1e5, unit=Unit.LENGTH, group=TERRAIN
+        15.0,
+        "Height range of the ground below the copies",
+        minimum=0.0,
+        maximum=1e5,
+        unit=Unit.LENGTH,
+        group=TERRAIN,
+        used_if=FOREST,
     )
     sphere_radius: float = setting(
         120.0,
-        "Spheres only: maximum radius of the largest size class; each further class is half as large",
+        "Maximum radius of the largest size class; each further class is half as large",
         minimum=0.1,
         maximum=1e5,
         unit=Unit.LENGTH,
         group=TERRAIN,
+        used_if=SPHERES,
     )
-    sphere_classes: int = setting(7, "Spheres only: number of size classes", minimum=1, maximum=12, group=TERRAIN)
+    sphere_classes: int = setting(7, "Number of size classes", minimum=1, maximum=12, group=TERRAIN, used_if=SPHERES)
     sphere_count: int = setting(
-        4, "Spheres only: spheres of each class per cell (a cube four radii wide)", minimum=1, maximum=64, group=TERRAIN
+        4, "Spheres of each class per cell (a cube four radii wide)", minimum=1, maximum=64, group=TERRAIN, used_if=SPHERES
     )
     sphere_subtracted: float = setting(
         0.5,
-        "Spheres only: fraction of spheres that are subtracted",
+        "Fraction of spheres that are subtracted",
         minimum=0.0,
         maximum=1.0,
         unit=Unit.FRACTION,
         group=TERRAIN,
         panel_label="Subtracted",
+        used_if=SPHERES,
     )
     sphere_height: float = setting(
         60.0,
-        "Spheres only: maximum distance of the largest spheres' centers above and below z = 0",
+        "Maximum distance of the largest spheres' centers above and below z = 0",
         minimum=0.0,
         maximum=1e6,
         unit=Unit.LENGTH,
         group=TERRAIN,
+        used_if=SPHERES,
     )
     seed: int = setting(
         0, "Random seed; every value gives a different terrain of the same kind", minimum=0, maximum=2**31 - 1, group=TERRAIN
@@ -110,6 +127,7 @@ class ClipboxSettings(Settings):
         maximum=1.0,
         unit=Unit.FRACTION,
         group=DETAIL,
+        used_if={"subdivided_boxes": True},
     )
     surface: str = setting("smooth", "How the surface is extracted from the voxels", choices=SURFACES, group=DETAIL)
     smoothing: int = setting(
@@ -149,5 +167,6 @@ class ConvertSettings(Settings):
         maximum=1.0,
         unit=Unit.FRACTION,
         panel_label="Fraction",
+        used_if={"collider": True},
     )
     keep_terrain: bool = setting(False, "Keep the terrain in addition to its meshes")

@@ -225,7 +225,7 @@ class _Merger:
             surface = prepare_surface(self.mesh, self.normals, self.corner_normals)
             is_cosine = self.settings.method == "paper"
             self.painter = TexelPainter(surface, self.photographs, self.views, self.color_corrections, self.scratch, is_cosine=is_cosine)
-            if self.settings.highlights:
+            if self.settings.reduce_highlights:
                 self.painter.reduce_highlights()
             if len(self.pairs.keys):
                 self.painter.use_labels(self.pairs, self.vertex_colors.corrections)

@@ -93,8 +93,8 @@ def restore(
         yield Progress(0.1, "Choosing sub-bands")
         with clock.stage("kappa"):
             kappa, deviations = choose_kappa(pixels, is_color)
-    elif settings.split == "manual" and settings.kappa < max(mask.shape):
-        kappa = settings.kappa
+    elif settings.split == "manual" and settings.sub_bands < max(mask.shape):
+        kappa = settings.sub_bands
     if keep_stages:
         stages["first_fill"] = pixels.copy()
     if kappa >= 0:
@@ -128,7 +128,7 @@ def _restore_texture(
             pages.append(Page(pixels[window.area] - low, window.hole, known, known & _usable(options, window.area), window.wrap))
         with clock.stage("pyramid"):
             pages += _further_pages(pixels, mask, low_band, pages, options)
-            levels = build_levels(pages, options.settings.levels)
+            levels = build_levels(pages, options.settings.pyramid_levels)
             _check_sources(levels[0])
         count = sum(int(window.hole.sum()) for window in group)
         with clock.stage("texture"):

@@ -25,37 +25,54 @@ MASKS = {
     "color": Choice("Color", "Pixels of the image that have a given color"),
 }
 MAX_LEVELS = 5
+HAS_TEXTURE = {"split": ("auto", "manual")}
+BY_PIXELS = HAS_TEXTURE | {"method": ("pixels",)}
+TEXTURE_GROUP, PIXELS_GROUP, GUIDES_GROUP = "Structure and Texture", "Pixels", "Guides"
 
 
 @dataclass(frozen=True, kw_only=True)
 class RestoreSettings(Settings):
     """Settings of a restoration."""
 
-    split: str = setting("auto", "How the image is split into structure (low frequencies) and texture", choices=SPLITS)
-    kappa: int = setting(
+    split: str = setting("auto", "How the image is split into structure (low frequencies) and texture", choices=SPLITS, group=TEXTURE_GROUP)
+    sub_bands: int = setting(
         4,
-        "Number of sub-bands of the cosine transform that are structure. 0 synthesizes everything as texture. Used by Sub-Bands",
+        "Number of sub-bands of the cosine transform that are structure. 0 synthesizes everything as texture",
         label="Sub-Bands",
         minimum=0,
         maximum=65536,
+        group=TEXTURE_GROUP,
+        used_if={"split": ("manual",)},
     )
-    method: str = setting("regions", "How texture is copied", choices=METHODS)
-    levels: int = setting(
+    method: str = setting("regions", "How texture is copied", choices=METHODS, group=TEXTURE_GROUP, used_if=HAS_TEXTURE)
+    pyramid_levels: int = setting(
         3,
-        "Levels of the pyramid for texture. More levels continue larger patterns. Used by Pixels",
-        label="Pyramid Levels",
+        "Levels of the pyramid for texture. More levels continue larger patterns",
         minimum=1,
         maximum=MAX_LEVELS,
+        group=PIXELS_GROUP,
+        used_if=BY_PIXELS,
     )
-    order: str = setting("shrinking", "Order in which the pixels of a hole are synthesized. Used by Pixels", choices=ORDERS)
+    order: str = setting(
+        "shrinking", "Order in which the pixels of a hole are synthesized", choices=ORDERS, group=PIXELS_GROUP, used_if=BY_PIXELS
+    )
     coherence: float = setting(
         10.0,
-        "Preference for copying connected regions of the source. Larger values copy larger regions. Used by Pixels",
+        "Preference for copying connected regions of the source. Larger values copy larger regions",
         minimum=0.0,
         maximum=1000.0,
+        group=PIXELS_GROUP,
+        used_if=BY_PIXELS,
     )
-    tileable: bool = setting(False, "Treat opposite borders of the image as neighbors, so that the result still tiles")
-    seed: int = setting(0, "Seed of random choices. Another seed gives another texture", minimum=0, maximum=2**31 - 1)
+    tileable: bool = setting(False, "Treat opposite borders of the image as neighbors, so that the result still tiles", group=TEXTURE_GROUP)
+    seed: int = setting(
+        0,
+        "Seed of random choices. Another seed gives another texture",
+        minimum=0,
+        maximum=2**31 - 1,
+        group=TEXTURE_GROUP,
+        used_if=HAS_TEXTURE,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,23 +82,41 @@ class MaskSettings(Settings):
     has_flags: ClassVar[bool] = False
 
     mask: str = setting("image", "What marks the missing pixels", choices=MASKS)
-    mask_image: str = setting("", "Image of the same size that is bright where pixels are missing. Used by Image")
+    mask_image: str = setting("", "Image of the same size that is bright where pixels are missing", used_if={"mask": ("image",)})
     threshold: float = setting(
         0.5,
         "Image: luminance above which a pixel of the mask marks a missing pixel. Alpha: alpha below which a pixel is missing",
         minimum=0.0,
         maximum=1.0,
+        used_if={"mask": ("image", "alpha")},
     )
-    mask_color: tuple = setting((0.0, 0.0, 0.0), "Color of the missing pixels, as displayed. Used by Color", label="Color", is_color=True)
-    tolerance: float = setting(0.02, "Largest difference per channel from the color, 0 to 1. Used by Color", minimum=0.0, maximum=1.0)
-    source_mask: str = setting("", "Image that is bright where texture may be copied from; empty for everywhere outside the mask")
-    barriers: str = setting("", "Image that is bright where diffusion must not cross, for instance along edges; may be empty")
+    mask_color: tuple = setting(
+        (0.0, 0.0, 0.0),
+        "Color of the missing pixels, as displayed",
+        is_color=True,
+        panel_label="Color",
+        used_if={"mask": ("color",)},
+    )
+    color_tolerance: float = setting(
+        0.02,
+        "Largest difference per channel from the color, 0 to 1",
+        minimum=0.0,
+        maximum=1.0,
+        panel_label="Tolerance",
+        used_if={"mask": ("color",)},
+    )
+    source_mask: str = setting(
+        "", "Image that is bright where texture may be copied from; empty for everywhere outside the mask", group=GUIDES_GROUP
+    )
+    barriers: str = setting(
+        "", "Image that is bright where diffusion must not cross, for instance along edges; may be empty", group=GUIDES_GROUP
+    )
     normal_map: bool = setting(
-        False, "Treat the image as a normal map. Images that a Normal Map node uses are recognized without this option"
-    )
-    replace: bool = setting(
         False,
-        "Use the result in place of the image, and of earlier results, in all materials, Worlds, lights and textures",
-        label="Replace in Materials",
+        "Treat the image as a normal map. Images that a Normal Map node uses are recognized without this option",
+        group=GUIDES_GROUP,
     )
     output_folder: str = setting("", "Image sequences only: folder for the restored frames", path="folder")
+    replace_in_materials: bool = setting(
+        False, "Use the result in place of the image, and of earlier results, in all materials, Worlds, lights and textures"
+    )

@@ -20,7 +20,7 @@ def fill_texture(pages: list[Page], levels: list[Level], settings: RestoreSettin
         yield from subprogress(copy_regions(level, settings.seed), 0.0, 0.9)
         remaining = level.hole & ~level.filled
         if remaining.any():
-            levels = build_levels([_update(page, level, index) for index, page in enumerate(pages)], settings.levels)
+            levels = build_levels([_update(page, level, index) for index, page in enumerate(pages)], settings.pyramid_levels)
     if remaining.any():
         yield from subprogress(synthesize(levels, settings), 1.0 - np.count_nonzero(remaining) / total, 1.0)
         level.source[remaining], level.texture[remaining] = levels[0].source[remaining], levels[0].texture[remaining]

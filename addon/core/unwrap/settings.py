@@ -29,11 +29,17 @@ class UnwrapSettings(Settings):
 
     importance: str = setting("uniform", "What determines the texel density", choices=IMPORTANCE)
     direction: tuple = setting(
-        (0.0, -1.0, 0.0), "Direction from the surface to the viewer, in world space. Used by Direction and Direction (Gradual)"
+        (0.0, -1.0, 0.0), "Direction from the surface to the viewer, in world space", used_if={"importance": ("direction", "gradual")}
     )
-    vertex_group: str = setting("", "Vertex group that is painted where texels are needed. Empty uses the active one")
+    vertex_group: str = setting(
+        "", "Vertex group that is painted where texels are needed. Empty uses the active one", used_if={"importance": ("vertex_group",)}
+    )
     density_ratio: float = setting(
-        4.0, "Texel density of the most important areas relative to the least important", minimum=1.0, maximum=64.0
+        4.0,
+        "Texel density of the most important areas relative to the least important",
+        minimum=1.0,
+        maximum=64.0,
+        used_if={"importance": tuple(value for value in IMPORTANCE if value != "uniform")},
     )
     min_quality: float = setting(
         0.0,

@@ -155,7 +155,7 @@ class FARFIELD_OT_bdam_build(start_job.StartJob, bpy.types.Operator):
 
     def prepare(self, context: bpy.types.Context) -> BuildJob:
         """Open the elevation models; read those that only Blender can read."""
-        [settings] = self.read_settings(context)
+        settings = self.read_settings(context)[BdamSettings]
         panel = context.scene.farfield_bdam_build
         is_given = self.properties.is_property_set
         sources = _read_paths(self.sources if is_given("sources") else panel.sources)

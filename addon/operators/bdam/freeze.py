@@ -180,7 +180,7 @@ class FARFIELD_OT_bdam_freeze(FreezeOperator, bpy.types.Operator):
 
     def prepare(self, context: bpy.types.Context) -> FreezeJob:
         """Read the tiles of the active terrain."""
-        terrain, (settings,) = SceneTerrain.of_object(context.active_object), self.read_settings(context)
+        terrain, settings = SceneTerrain.of_object(context.active_object), self.read_settings(context)[FreezeSettings]
         check_removal(terrain, settings)
         meshes = freezing_bridge.read_tiles(terrain)
         if not meshes:
@@ -204,10 +204,11 @@ class FARFIELD_OT_bdam_freeze_path(FreezeOperator, bpy.types.Operator):
 
     def prepare(self, context: bpy.types.Context) -> FreezePathJob:
         """Read the settings and the frames."""
-        terrain, (settings, path_settings) = SceneTerrain.of_object(context.active_object), self.read_settings(context)
-        check_removal(terrain, settings)
+        terrain, settings = SceneTerrain.of_object(context.active_object), self.read_settings(context)
+        check_removal(terrain, settings[FreezeSettings])
         _ = terrain.origin  # raises SettingsError before the frame changes
-        return FreezePathJob(terrain, terrain.folder, terrain.settings, settings, choose_frames(context.scene, path_settings))
+        frames = choose_frames(context.scene, settings[FreezePathSettings])
+        return FreezePathJob(terrain, terrain.folder, terrain.settings, settings[FreezeSettings], frames)
 
 
 def check_removal(terrain: SceneTerrain, settings: FreezeSettings) -> None:
@@ -223,7 +224,7 @@ def choose_frames(scene: bpy.types.Scene, settings: FreezePathSettings) -> list[
         SettingsError: there are none.
     """
     first, last = settings.first_frame, settings.last_frame
-    if settings.scene_range:
+    if settings.scene_frame_range:
         uses_preview = scene.use_preview_range
         first, last = (scene.frame_preview_start, scene.frame_preview_end) if uses_preview else (scene.frame_start, scene.frame_end)
     if last < first:

@@ -86,9 +86,9 @@ class DropJob:
             if parents > depth:
                 depth = parents
                 view_layer.update()  # parents have moved
-            normal = axis if self.settings.align else None
+            normal = axis if self.settings.align_to_normal else None
             ground_bridge.place(item, place, up, normal, uses_bottom)
-            placed.append((name, place, axis if self.settings.align else up, float(np.linalg.norm(place - start))))
+            placed.append((name, place, axis if self.settings.align_to_normal else up, float(np.linalg.norm(place - start))))
         view_layer.update()
         objects = bpy.data.objects
         locked = sum(not ground_bridge.is_at(objects[name, None], place, axis, uses_bottom, step) for name, place, axis, step in placed)
@@ -138,7 +138,7 @@ class FARFIELD_OT_bdam_drop(start_job.StartJob, bpy.types.Operator):
 
     def prepare(self, context: bpy.types.Context) -> DropJob:
         """Read the positions of the selected objects or points, and open the store."""
-        return prepare(context, find_terrain(context), *self.read_settings(context))
+        return prepare(context, find_terrain(context), self.read_settings(context)[GroundSettings])
 
 
 def find_terrain(context: bpy.types.Context) -> SceneTerrain:

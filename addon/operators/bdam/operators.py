@@ -68,7 +68,7 @@ class FARFIELD_OT_bdam_load(start_job.StartJob, bpy.types.Operator):
         if self.use_relative_path and bpy.data.filepath:
             with suppress(ValueError):  # on another drive
                 path = bpy.path.relpath(str(folder))
-        engine = BdamEngine(folder, *self.read_settings(context))
+        engine = BdamEngine(folder, self.read_settings(context)[ViewSettings])
         area = context_viewport(context)
         if self.frame_view and area is not None:
             frame_terrain(area.spaces.active, *engine.bounds, engine.settings.exaggeration)
@@ -92,7 +92,8 @@ class FARFIELD_OT_bdam_update(start_job.StartJob, bpy.types.Operator):
     def prepare(self, context: bpy.types.Context) -> ShowJob:
         """Read the settings, the view and the active terrain."""
         terrain = SceneTerrain.of_object(context.active_object)
-        return prepare_update(terrain, *self.read_settings(context), view_of_area(context.scene, context_viewport(context)))
+        settings = self.read_settings(context)[ViewSettings]
+        return prepare_update(terrain, settings, view_of_area(context.scene, context_viewport(context)))
 
 
 class FARFIELD_OT_bdam_follow_view(FollowViewOperator, bpy.types.Operator):

@@ -96,7 +96,7 @@ class BillboardJob:
             scene_clouds.append(read_cloud(collection))
         self._hide_rebuilt_clouds(scene_clouds)
         for scene_cloud in scene_clouds:
-            if not self.options.keep_source_visible:
+            if not self.options.keep_original_visible:
                 scene_cloud.hide_sources()
                 self.linked_sources += scene_cloud.linked_source_names
             elif self.rebuilt_uids:

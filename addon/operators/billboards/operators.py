@@ -48,7 +48,8 @@ class FARFIELD_OT_billboards_build(start_job.StartJob, bpy.types.Operator):
 
     def prepare(self, context: bpy.types.Context) -> BillboardJob:
         """Read the selected objects, and the originals of selected clouds."""
-        return prepare_job(context, context.selected_objects, *self.read_settings(context))
+        settings = self.read_settings(context)
+        return prepare_job(context, context.selected_objects, settings[BillboardSettings], settings[BuildOptions])
 
 
 class FARFIELD_OT_billboards_estimate(bpy.types.Operator):

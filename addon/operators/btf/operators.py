@@ -62,7 +62,7 @@ class FARFIELD_OT_btf_bake(start_job.StartJob, bpy.types.Operator):
 
     def prepare(self, context: bpy.types.Context) -> BakeJob:
         """Read the source objects of the active cloud. Finished views are kept in a folder of the user until it ends."""
-        (settings,) = self.read_settings(context)
+        settings = self.read_settings(context)[BtfSettings]
         if parse_executor(settings.executor).uses_network and not bpy.app.online_access:
             raise SettingsError(
                 f'Executor "{settings.executor}" uses the network; enable Allow Online Access in the preferences or choose processes.',

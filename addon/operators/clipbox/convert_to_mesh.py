@@ -68,7 +68,7 @@ class FARFIELD_OT_clipbox_convert_to_mesh(start_job.StartJob, bpy.types.Operator
 
     def prepare(self, context: bpy.types.Context) -> ConvertJob:
         """Prepare the conversion of the active terrain."""
-        return prepare(terrain_of_object(context.active_object), *self.read_settings(context))
+        return prepare(terrain_of_object(context.active_object), self.read_settings(context)[ConvertSettings])
 
 
 def prepare(terrain: SceneTerrain, settings: ConvertSettings) -> ConvertJob:

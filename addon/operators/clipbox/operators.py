@@ -34,7 +34,7 @@ class FARFIELD_OT_clipbox_create(start_job.StartJob, bpy.types.Operator):
 
     def prepare(self, context: bpy.types.Context) -> TerrainJob:
         """Read the settings and the viewer position."""
-        return prepare(*self.read_settings(context), viewer_position(context))
+        return prepare(self.read_settings(context)[ClipboxSettings], viewer_position(context))
 
 
 class FARFIELD_OT_clipbox_update(start_job.StartJob, bpy.types.Operator):
@@ -54,7 +54,7 @@ class FARFIELD_OT_clipbox_update(start_job.StartJob, bpy.types.Operator):
     def prepare(self, context: bpy.types.Context) -> TerrainJob:
         """Read the settings and the active terrain."""
         terrain = terrain_of_object(context.active_object)
-        return prepare(*self.read_settings(context), terrain.viewer, terrain)
+        return prepare(self.read_settings(context)[ClipboxSettings], terrain.viewer, terrain)
 
 
 class FARFIELD_OT_clipbox_follow_view(FollowViewOperator, bpy.types.Operator):

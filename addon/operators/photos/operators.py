@@ -33,7 +33,7 @@ class FARFIELD_OT_photos_merge(start_job.StartJob, bpy.types.Operator):
 
     def prepare(self, context: bpy.types.Context) -> MergeJob:
         """Read meshes and cameras."""
-        [settings] = self.read_settings(context)
+        settings = self.read_settings(context)[PhotosSettings]
         if not self.properties.is_property_set("maps"):
             self.maps = context.scene.farfield_photos.maps
         return prepare(context, settings, has_maps=self.maps)

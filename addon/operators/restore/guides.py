@@ -92,7 +92,7 @@ def find_missing(stored: np.ndarray, display: np.ndarray, settings: MaskSettings
     """Return the pixels (H, W) bool of an image, as stored and as display values (H, W, 4), that the image itself marks as missing."""
     if settings.mask == "alpha":
         return stored[..., 3] < settings.threshold
-    return has_color(display, settings.mask_color, settings.tolerance)
+    return has_color(display, settings.mask_color, settings.color_tolerance)
 
 
 def find_shown_masks(image: bpy.types.Image, settings: MaskSettings) -> dict[int, np.ndarray]:

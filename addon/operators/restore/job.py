@@ -70,7 +70,7 @@ class RestoreJob:
     def finish(self, source: bpy.types.Image, image: bpy.types.Image, missing_count: int) -> str:
         """Connect the new `image` with its `source`, replace and show it; return the message for the user."""
         image[image_users.ORIGINAL_PROPERTY] = source
-        skipped = image_users.replace_image(source, image) if self.masks.replace else []
+        skipped = image_users.replace_image(source, image) if self.masks.replace_in_materials else []
         image.use_fake_user = image.users == 0
         image_editors.show_image(self.editor, image)
         message = f'Restored {missing_count:,} pixels of "{source.name}" as "{image.name}".'

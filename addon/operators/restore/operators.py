@@ -47,7 +47,8 @@ class FARFIELD_OT_restore_image(start_job.StartJob, bpy.types.Operator):
 
     def prepare(self, context: bpy.types.Context) -> RestoreJob:
         """Read the image and its masks."""
-        return prepare(context, self.image, *self.read_settings(context))
+        settings = self.read_settings(context)
+        return prepare(context, self.image, settings[MaskSettings], settings[RestoreSettings])
 
 
 class FARFIELD_OT_restore_mask(bpy.types.Operator):

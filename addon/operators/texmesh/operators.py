@@ -46,7 +46,7 @@ class FARFIELD_OT_texmesh_analyze(start_job.StartJob, bpy.types.Operator):
 
     def prepare(self, context: bpy.types.Context) -> AnalysisJob:
         """Read the selected objects."""
-        return prepare_analysis(context, source_objects(context), *self.read_settings(context))
+        return prepare_analysis(context, source_objects(context), self.read_settings(context)[ScaleSpaceSettings])
 
 
 class FARFIELD_OT_texmesh_levels(start_job.StartJob, bpy.types.Operator):
@@ -65,7 +65,7 @@ class FARFIELD_OT_texmesh_levels(start_job.StartJob, bpy.types.Operator):
 
     def prepare(self, context: bpy.types.Context) -> LevelsJob:
         """Read the selected objects."""
-        *settings, scene_settings = self.read_settings(context)
+        *settings, scene_settings = self.read_settings(context).values()
         return prepare_levels(context, source_objects(context), AllSettings(*settings), scene_settings)
 
 

@@ -81,7 +81,7 @@ class FARFIELD_OT_texmesh_package(start_job.StartJob, bpy.types.Operator):
 
     def prepare(self, context: bpy.types.Context) -> PackageJob:
         """Read the selected objects."""
-        settings = AllSettings(*self.read_settings(context))
+        settings = AllSettings(*self.read_settings(context).values())
         panel = context.scene.farfield_texmesh_package
         properties.fill_unset(PackageSettings, self, panel)
         package_settings = properties.read(PackageSettings, self)

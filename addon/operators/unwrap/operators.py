@@ -36,7 +36,7 @@ class FARFIELD_OT_unwrap(start_job.StartJob, bpy.types.Operator):
 
     def prepare(self, context: bpy.types.Context) -> UnwrapJob:
         """Read the selected meshes."""
-        return prepare(context, target_objects(context), *self.read_settings(context))
+        return prepare(context, target_objects(context), self.read_settings(context)[UnwrapSettings])
 
 
 class FARFIELD_OT_unwrap_direction(bpy.types.Operator):

@@ -151,7 +151,7 @@ def _create_header(field: TerrainField, settings: BdamSettings, has_texture: boo
     return StoreHeader(
         rows,
         columns,
-        int(settings.leaf),
+        int(settings.patch_size),
         height_step,
         GRADIENT_STEP * field.cell_size / height_step,
         field.cell_size,
