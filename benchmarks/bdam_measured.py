@@ -23,7 +23,7 @@ from bdam_stores import cpu_seconds
 from bdam_terrains import CELL_SIZE, FractalTerrain
 from bdam_views import fly_over
 
-from farfield.addon.core.bdam.build.terrain_build import build_terrain
+from farfield.addon.core.bdam.building.terrain_build import build_terrain
 from farfield.addon.core.bdam.cut_meshes import PatchCache
 from farfield.addon.core.bdam.extraction import CutSettings, extract_cut
 from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field

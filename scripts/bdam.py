@@ -23,8 +23,8 @@ import bpy
 import numpy as np
 
 from farfield.addon.bridge.imaging.height_images import read_gray_image
-from farfield.addon.core.bdam.build.disk_space import folder_bytes
-from farfield.addon.core.bdam.build.terrain_build import build_terrain
+from farfield.addon.core.bdam.building.disk_space import folder_bytes
+from farfield.addon.core.bdam.building.terrain_build import build_terrain
 from farfield.addon.core.bdam.cut_files import ExtractedMesh, extract_mesh
 from farfield.addon.core.bdam.engine import BdamEngine
 from farfield.addon.core.bdam.extraction import CutSettings

@@ -38,7 +38,8 @@ RETIRED_IN_IDENTIFIERS = set(
     "standing stood strewn tint tints told whole".split()
 )
 RETIRED_IN_TEXT = re.compile(r"\b(afar|anew|aslant|besides|lamps?|mended|polygonis\w+|storeys?|strewn|strew|upon)\b", re.IGNORECASE)
-NOT_OURS = {".git", ".venv", ".hypothesis", ".pytest_cache", ".ruff_cache", "__pycache__", "build", "dist", "out"}
+NOT_OURS = {".git", ".venv", ".hypothesis", ".pytest_cache", ".ruff_cache", "__pycache__"}  # wherever they are
+GENERATED = {"build", "dist", "out"}  # at the top; a folder of sources may have such a name
 REGISTRY_HOST = re.compile(r"\b(?:pypi|pythonhosted|anaconda|npmjs)\.(?:org|com)\b")
 MACHINE_PATH = re.compile(r"(?<![\w.~/])/(?:home|root|Users|tmp|work)/\w")
 
@@ -47,7 +48,9 @@ def our_files() -> list[Path]:
     """Every text file of the project."""
     files = []
     for path in sorted(ROOT.rglob("*")):
-        if path.is_file() and not NOT_OURS & set(path.relative_to(ROOT).parts) and path.suffix not in {".png", ".jpg", ".webp", ".blend"}:
+        parts = path.relative_to(ROOT).parts
+        is_ours = not NOT_OURS & set(parts) and parts[0] not in GENERATED
+        if path.is_file() and is_ours and path.suffix not in {".png", ".jpg", ".webp", ".blend"}:
             files.append(path)
     return files
 

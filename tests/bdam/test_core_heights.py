@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from farfield.addon.core.bdam.build.terrain_build import build_terrain
+from farfield.addon.core.bdam.building.terrain_build import build_terrain
 from farfield.addon.core.bdam.cut_meshes import CutMesh, PatchCache, build_cut_mesh
 from farfield.addon.core.bdam.extraction import extract_uniform_cut
 from farfield.addon.core.bdam.fields.placements import GeographicFrame
