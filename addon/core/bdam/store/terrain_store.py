@@ -122,8 +122,7 @@ class TerrainStore:
         for damage in self.file_damages:
             yield damage.name
         for number in self._geometry.verify():
-            level = int(np.searchsorted(self.links.starts, number, side="right")) - 1
-            yield self.label(level, number - int(self.links.starts[level]))
+            yield self.label(*self.links.locate(number))
         if self.textures is not None:
             for number in self.textures.verify():
                 yield self.textures.label(number)
