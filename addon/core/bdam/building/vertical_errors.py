@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...arrays import concatenate_ranges
-from ..triangle_gradients import weigh_gradients
+from ..height_meshes import weigh_gradients
 from .height_grid import HeightGrid, split_rows
 
 MAX_SPANS = 1 << 14  # rows of triangles at once

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FileError
+from ..files.backups import FileDamage
+from ..files.blocks import BlockReader
 from ..textures.store import TextureStore
-from .backups import FileDamage
-from .blocks import BlockReader
 from .damaged_patches import PatchLimits, find_limits
 from .leaf_grids import leaf_grid
 from .patch_codec import Patch, decode_patch
