@@ -9,8 +9,8 @@ from bdam_terrains import CELL_SIZE, FractalTerrain
 from bdam_views import draw_viewer, project_displacements, sample_positions
 
 from farfield.addon.core.arrays import concatenate_ranges
-from farfield.addon.core.bdam.cut_meshes import CutMesh, PatchCache, PatchMesh, build_cut_mesh
-from farfield.addon.core.bdam.extraction import CutSettings, extract_cut
+from farfield.addon.core.bdam.view.cut_meshes import CutMesh, PatchCache, PatchMesh, build_cut_mesh
+from farfield.addon.core.bdam.view.extraction import CutSettings, extract_cut
 
 SECOND_SHAPE = (0.55, 0.8)  # rows and columns of the second terrain of a scene, as parts of those of the first
 TOLERANCES = (0.5, 1.0, 4.0)  # pixels

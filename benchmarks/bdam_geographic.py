@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from bdam_stores import Workplace, build_from
 
-from farfield.addon.core.bdam.cut_meshes import PatchCache, build_cut_mesh
-from farfield.addon.core.bdam.extraction import extract_uniform_cut
 from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field
-from farfield.addon.core.bdam.ground import MeshSurface, find_ground
-from farfield.addon.core.bdam.heights import HeightQuery
+from farfield.addon.core.bdam.ground.heights import HeightQuery
+from farfield.addon.core.bdam.ground.surfaces import MeshSurface, find_ground
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
+from farfield.addon.core.bdam.view.cut_meshes import PatchCache, build_cut_mesh
+from farfield.addon.core.bdam.view.extraction import extract_uniform_cut
 from farfield.addon.core.jobs.progress import run_to_end
 
 FILE = "N46E008.tif"

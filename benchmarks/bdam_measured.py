@@ -23,14 +23,14 @@ from bdam_stores import cpu_seconds
 from bdam_terrains import CELL_SIZE, FractalTerrain
 from bdam_views import fly_over
 
-from farfield.addon.core.bdam.build.terrain_build import build_terrain
-from farfield.addon.core.bdam.cut_meshes import PatchCache
-from farfield.addon.core.bdam.extraction import CutSettings, extract_cut
+from farfield.addon.core.bdam.building.terrain_build import build_terrain
 from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field
-from farfield.addon.core.bdam.patch_squares import find_leaf_squares
 from farfield.addon.core.bdam.settings import BdamSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
-from farfield.addon.core.bdam.tiles import TileGrouping, build_tile_mesh
+from farfield.addon.core.bdam.view.cut_meshes import PatchCache
+from farfield.addon.core.bdam.view.extraction import CutSettings, extract_cut
+from farfield.addon.core.bdam.view.patch_squares import find_leaf_squares
+from farfield.addon.core.bdam.view.tiles import TileGrouping, build_tile_mesh
 from farfield.addon.core.jobs.progress import run_to_end
 from lib import command_line
 

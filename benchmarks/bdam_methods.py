@@ -15,8 +15,8 @@ from bdam_collapses import halve_field
 from bdam_terrains import write_grid
 
 import reference_tools
-from farfield.addon.core.bdam.build.height_grid import HeightGrid
-from farfield.addon.core.bdam.build.vertical_errors import measure_triangles
+from farfield.addon.core.bdam.building.height_grid import HeightGrid
+from farfield.addon.core.bdam.building.vertical_errors import measure_triangles
 from farfield.addon.core.errors import FarfieldError
 
 MARTINI_BISECTIONS = 9

@@ -11,9 +11,9 @@ from bdam_stores import Workplace, build_store
 from bdam_terrains import CELL_SIZE, HEIGHT_STEP, FractalTerrain, read_real
 from bdam_views import draw_viewer, nearest_visible
 
-from farfield.addon.core.bdam.cut_meshes import CutMesh, PatchCache, build_cut_mesh
-from farfield.addon.core.bdam.extraction import CutSettings, extract_cut, extract_uniform_cut
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
+from farfield.addon.core.bdam.view.cut_meshes import CutMesh, PatchCache, build_cut_mesh
+from farfield.addon.core.bdam.view.extraction import CutSettings, extract_cut, extract_uniform_cut
 
 ANCHORS = (8, 32, 128, 512)  # samples per vertex of Farfield's meshes whose errors the others must reach
 FRACTAL_DEGREES = (0.75, 0.85, 0.95)  # roughness of the fractals that judge; the first ones are rougher

@@ -8,7 +8,7 @@ import numpy as np
 import tifffile
 from scipy import ndimage, sparse
 
-from farfield.addon.core.bdam.build.height_grid import HeightGrid, encode_heights
+from farfield.addon.core.bdam.building.height_grid import HeightGrid, encode_heights
 from farfield.addon.core.bdam.fields.terrain_field import open_field
 
 CELL_SIZE, HEIGHT_STEP, MAX_HEIGHT = 20.0, 0.1, 4400.0  # meters, as the Puget Sound of the paper

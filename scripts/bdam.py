@@ -23,14 +23,14 @@ import bpy
 import numpy as np
 
 from farfield.addon.bridge.imaging.height_images import read_gray_image
-from farfield.addon.core.bdam.build.disk_space import folder_bytes
-from farfield.addon.core.bdam.build.terrain_build import build_terrain
-from farfield.addon.core.bdam.cut_files import ExtractedMesh, extract_mesh
-from farfield.addon.core.bdam.engine import BdamEngine
-from farfield.addon.core.bdam.extraction import CutSettings
+from farfield.addon.core.bdam.building.disk_space import folder_bytes
+from farfield.addon.core.bdam.building.terrain_build import build_terrain
 from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field, warn_of_heights
 from farfield.addon.core.bdam.settings import BdamSettings, ViewSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
+from farfield.addon.core.bdam.view.cut_files import ExtractedMesh, extract_mesh
+from farfield.addon.core.bdam.view.engine import BdamEngine
+from farfield.addon.core.bdam.view.extraction import CutSettings
 from farfield.addon.core.errors import FileError, SettingsError
 from farfield.addon.core.files.scratch import Scratch
 from farfield.addon.core.geometry.mesh_files import write_obj, write_ply

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from farfield.addon.core.bdam.build.terrain_build import build_terrain
+from farfield.addon.core.bdam.building.terrain_build import build_terrain
 from farfield.addon.core.bdam.fields.placements import ProjectedFrame
 from farfield.addon.core.bdam.settings import BdamSettings
 from farfield.addon.core.bdam.store.structure import read_structure, write_structure

@@ -17,15 +17,15 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from farfield.addon.bridge.geometry.mesh_pool import fill_mesh
-from farfield.addon.core.bdam.build.height_grid import HeightGrid, encode_heights
-from farfield.addon.core.bdam.build.terrain_build import build_terrain
-from farfield.addon.core.bdam.build.vertical_errors import measure_triangles
-from farfield.addon.core.bdam.cut_meshes import PatchCache, build_cut_mesh
-from farfield.addon.core.bdam.extraction import extract_uniform_cut
+from farfield.addon.core.bdam.building.height_grid import HeightGrid, encode_heights
+from farfield.addon.core.bdam.building.terrain_build import build_terrain
+from farfield.addon.core.bdam.building.vertical_errors import measure_triangles
 from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field
 from farfield.addon.core.bdam.settings import BdamSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 from farfield.addon.core.bdam.tree import Tree
+from farfield.addon.core.bdam.view.cut_meshes import PatchCache, build_cut_mesh
+from farfield.addon.core.bdam.view.extraction import extract_uniform_cut
 from farfield.addon.core.jobs.progress import run_to_end
 from lib.demo_terrain import fractal_heights
 

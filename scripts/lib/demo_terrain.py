@@ -12,7 +12,7 @@ from lib import environment
 environment.import_farfield()
 
 from farfield.addon.bridge.bdam.objects import SceneTerrain
-from farfield.addon.core.bdam.build.terrain_build import build_terrain
+from farfield.addon.core.bdam.building.terrain_build import build_terrain
 from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field
 from farfield.addon.core.bdam.settings import BdamSettings
 from farfield.addon.core.jobs.progress import Progress, StageClock, Steps, subprogress

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from farfield.addon.core.bdam.build import hole_filling, simplified_diamonds
-from farfield.addon.core.bdam.build.height_grid import HeightGrid, encode_heights
-from farfield.addon.core.bdam.build.terrain_build import build_terrain
+from farfield.addon.core.bdam.building import hole_filling, simplified_diamonds
+from farfield.addon.core.bdam.building.height_grid import HeightGrid, encode_heights
+from farfield.addon.core.bdam.building.terrain_build import build_terrain
 from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field
 from farfield.addon.core.bdam.settings import BdamSettings
 from farfield.addon.core.bdam.store import structure

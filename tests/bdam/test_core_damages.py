@@ -10,17 +10,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from farfield.addon.core.bdam.cut_files import extract_mesh
-from farfield.addon.core.bdam.engine import BdamEngine
-from farfield.addon.core.bdam.extraction import CutSettings, extract_uniform_cut
-from farfield.addon.core.bdam.ground import StoreSurface
-from farfield.addon.core.bdam.heights import height_at
+from farfield.addon.core.bdam.files.backups import backup_path
+from farfield.addon.core.bdam.files.blocks import HEADER_SIZE, BlockReader
+from farfield.addon.core.bdam.ground.heights import height_at
+from farfield.addon.core.bdam.ground.surfaces import StoreSurface
 from farfield.addon.core.bdam.settings import ViewSettings
-from farfield.addon.core.bdam.store.backups import backup_path
-from farfield.addon.core.bdam.store.blocks import HEADER_SIZE, BlockReader
 from farfield.addon.core.bdam.store.damaged_patches import find_limits
 from farfield.addon.core.bdam.store.patch_links import NO_PATCH
 from farfield.addon.core.bdam.store.terrain_store import GEOMETRY_FILE, GEOMETRY_KIND, TerrainStore
+from farfield.addon.core.bdam.view.cut_files import extract_mesh
+from farfield.addon.core.bdam.view.engine import BdamEngine
+from farfield.addon.core.bdam.view.extraction import CutSettings, extract_uniform_cut
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.geometry.viewers import Projection, Viewer, look_at
 from farfield.addon.core.jobs.progress import run_to_end

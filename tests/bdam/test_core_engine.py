@@ -8,14 +8,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from farfield.addon.core.bdam.engine import BdamEngine, Update
-from farfield.addon.core.bdam.extraction import CutSettings
-from farfield.addon.core.bdam.patch_squares import find_leaf_squares, square_boxes
 from farfield.addon.core.bdam.settings import ViewSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 from farfield.addon.core.bdam.textures.image_files import encode_targa, to_image_files
 from farfield.addon.core.bdam.textures.tile_blocks import CodedTile
-from farfield.addon.core.bdam.tiles import MAX_TILES, TileMesh, locate_tile
+from farfield.addon.core.bdam.view.engine import BdamEngine, Update
+from farfield.addon.core.bdam.view.extraction import CutSettings
+from farfield.addon.core.bdam.view.patch_squares import find_leaf_squares, square_boxes
+from farfield.addon.core.bdam.view.tiles import MAX_TILES, TileMesh, locate_tile
 from farfield.addon.core.geometry.viewers import Projection, Viewer
 from farfield.addon.core.imaging.coded_images import encode
 from farfield.addon.core.jobs.progress import run_to_end

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from farfield.addon.core.bdam.cut_meshes import CutMesh, PatchCache, build_cut_mesh
-from farfield.addon.core.bdam.extraction import CutSettings, ProjectedErrors, extract_cut, extract_uniform_cut
-from farfield.addon.core.bdam.heights import height_at
+from farfield.addon.core.bdam.ground.heights import height_at
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
+from farfield.addon.core.bdam.view.cut_meshes import CutMesh, PatchCache, build_cut_mesh
+from farfield.addon.core.bdam.view.extraction import CutSettings, ProjectedErrors, extract_cut, extract_uniform_cut
 from farfield.addon.core.geometry.viewers import Projection, Viewer
 from small_terrain_stores import build_store, hills
 from watertight import undirected_edge_counts

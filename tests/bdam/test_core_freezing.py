@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from farfield.addon.core.bdam import freezing
-from farfield.addon.core.bdam.cut_meshes import PatchCache, build_cut_mesh
-from farfield.addon.core.bdam.extraction import Cut, CutSettings, ProjectedErrors, extract_cut, extract_union_cut
-from farfield.addon.core.bdam.freezing import FrozenMesh, choose_path_cut, describe_limit, freeze_cut, join
-from farfield.addon.core.bdam.patch_squares import find_leaf_squares
 from farfield.addon.core.bdam.settings import ViewSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
-from farfield.addon.core.bdam.texture_cuts import TextureSelector
+from farfield.addon.core.bdam.view import freezing
+from farfield.addon.core.bdam.view.cut_meshes import PatchCache, build_cut_mesh
+from farfield.addon.core.bdam.view.extraction import Cut, CutSettings, ProjectedErrors, extract_cut, extract_union_cut
+from farfield.addon.core.bdam.view.freezing import FrozenMesh, choose_path_cut, describe_limit, freeze_cut, join
+from farfield.addon.core.bdam.view.patch_squares import find_leaf_squares
+from farfield.addon.core.bdam.view.texture_cuts import TextureSelector
 from farfield.addon.core.geometry.viewers import Projection, Viewer
 from farfield.addon.core.jobs.progress import run_to_end
 from small_terrain_stores import CELL_SIZE, add_texture, build_store, colors, hills

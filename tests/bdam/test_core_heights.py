@@ -5,14 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from farfield.addon.core.bdam.build.terrain_build import build_terrain
-from farfield.addon.core.bdam.cut_meshes import CutMesh, PatchCache, build_cut_mesh
-from farfield.addon.core.bdam.extraction import extract_uniform_cut
+from farfield.addon.core.bdam.building.terrain_build import build_terrain
 from farfield.addon.core.bdam.fields.placements import GeographicFrame
-from farfield.addon.core.bdam.heights import HeightQuery, height_at
+from farfield.addon.core.bdam.ground.heights import HeightQuery, height_at
+from farfield.addon.core.bdam.ground.triangle_search import TriangleSearch
 from farfield.addon.core.bdam.settings import BdamSettings
 from farfield.addon.core.bdam.store.terrain_store import GEOMETRY_FILE, TerrainStore
-from farfield.addon.core.bdam.triangle_search import TriangleSearch
+from farfield.addon.core.bdam.view.cut_meshes import CutMesh, PatchCache, build_cut_mesh
+from farfield.addon.core.bdam.view.extraction import extract_uniform_cut
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.jobs.progress import run_to_end
 from small_terrain_stores import ArrayField, build_store, hills

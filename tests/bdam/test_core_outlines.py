@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from farfield.addon.core.bdam.cut_meshes import PatchCache
-from farfield.addon.core.bdam.extraction import CutSettings, extract_cut
 from farfield.addon.core.bdam.store.patch_outlines import triangulate_outline
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
+from farfield.addon.core.bdam.view.cut_meshes import PatchCache
+from farfield.addon.core.bdam.view.extraction import CutSettings, extract_cut
 from farfield.addon.core.geometry.viewers import Projection, Viewer, look_at
 from small_terrain_stores import build_store, hills
 

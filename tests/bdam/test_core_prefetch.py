@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from farfield.addon.core.bdam.cut_meshes import PatchCache
-from farfield.addon.core.bdam.engine import BdamEngine
-from farfield.addon.core.bdam.extraction import extract_uniform_cut
-from farfield.addon.core.bdam.prefetching import PatchesAhead, Prefetch, TexturesAhead
 from farfield.addon.core.bdam.settings import ViewSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
-from farfield.addon.core.bdam.texture_files import TextureFiles
+from farfield.addon.core.bdam.view.cut_meshes import PatchCache
+from farfield.addon.core.bdam.view.engine import BdamEngine
+from farfield.addon.core.bdam.view.extraction import extract_uniform_cut
+from farfield.addon.core.bdam.view.prefetching import PatchesAhead, Prefetch, TexturesAhead
+from farfield.addon.core.bdam.view.texture_files import TextureFiles
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.geometry.viewers import Projection, Viewer, look_at
 from farfield.addon.core.jobs.progress import run_to_end

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from farfield.addon.core.bdam.store.backups import backup_path, copy_to_backup
-from farfield.addon.core.bdam.store.blocks import BlockReader, BlockWriter
+from farfield.addon.core.bdam.files.backups import backup_path, copy_to_backup
+from farfield.addon.core.bdam.files.blocks import BlockReader, BlockWriter
 from farfield.addon.core.bdam.textures.build import build_textures
 from farfield.addon.core.bdam.textures.grid import BORDER, STEP, TextureGrid
 from farfield.addon.core.bdam.textures.images import ArraySource, stretch_over_field

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from farfield.addon.core.bdam.build.terrain_build import build_terrain
+from farfield.addon.core.bdam.building.terrain_build import build_terrain
 from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field
 from farfield.addon.core.bdam.settings import BdamSettings
 from farfield.addon.core.jobs.progress import run_to_end

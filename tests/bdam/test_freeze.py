@@ -12,9 +12,9 @@ from farfield.addon.bridge.bdam.objects import SceneTerrain
 from farfield.addon.bridge.bdam.textures import TEXTURE_KEY
 from farfield.addon.bridge.geometry.mesh_arrays import read_loop_vertices, read_positions
 from farfield.addon.bridge.viewers import camera_viewer
-from farfield.addon.core.bdam.extraction import CutSettings, extract_union_cut
 from farfield.addon.core.bdam.settings import FreezeSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
+from farfield.addon.core.bdam.view.extraction import CutSettings, extract_union_cut
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.operators import follow_handlers
 from farfield.addon.operators.bdam.freeze import FreezePathJob

@@ -11,8 +11,8 @@ import pytest
 from farfield.addon.bridge.bdam.ground import find_base
 from farfield.addon.bridge.bdam.objects import STORE_KEY, SceneTerrain
 from farfield.addon.bridge.geometry.mesh_arrays import read_positions
-from farfield.addon.core.bdam.heights import height_at
-from farfield.addon.core.bdam.store.blocks import HEADER_SIZE, BlockReader
+from farfield.addon.core.bdam.files.blocks import HEADER_SIZE, BlockReader
+from farfield.addon.core.bdam.ground.heights import height_at
 from farfield.addon.core.bdam.store.terrain_store import GEOMETRY_FILE, GEOMETRY_KIND, TerrainStore
 from small_terrain_stores import build_store, hills
 

@@ -12,9 +12,9 @@ from farfield.addon.bridge.bdam.materials import LEVEL_ATTRIBUTE
 from farfield.addon.bridge.bdam.objects import SceneTerrain, TerrainChange
 from farfield.addon.bridge.bdam.textures import TEXTURE_KEY, remove_unused
 from farfield.addon.bridge.geometry.mesh_arrays import read_attribute, read_loop_vertices, read_positions, read_uvs
-from farfield.addon.core.bdam.engine import BdamEngine
 from farfield.addon.core.bdam.settings import ViewSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
+from farfield.addon.core.bdam.view.engine import BdamEngine
 from farfield.addon.core.geometry.viewers import Projection, Viewer
 from farfield.addon.core.jobs.progress import run_to_end
 from small_terrain_stores import add_texture, build_store, colors, hills

@@ -6,7 +6,7 @@ import bpy
 import mathutils
 import numpy as np
 
-from ...core.bdam.freezing import FrozenMesh
+from ...core.bdam.view.freezing import FrozenMesh
 from ..geometry.mesh_arrays import read_attribute, read_loop_vertices, read_positions, read_uvs
 from ..geometry.mesh_pool import fill_mesh
 from ..terrain_roots import soften_terminator

@@ -15,9 +15,9 @@ from typing import ClassVar
 import bpy
 import numpy as np
 
-from ...core.bdam.engine import BdamEngine, Figures, TileBlock, Update
 from ...core.bdam.settings import ViewSettings
-from ...core.bdam.tiles import TileKey, TileMesh
+from ...core.bdam.view.engine import BdamEngine, Figures, TileBlock, Update
+from ...core.bdam.view.tiles import TileKey, TileMesh
 from ...core.errors import FileError
 from ..geometry.mesh_arrays import write_attribute, write_triangles
 from ..geometry.mesh_pool import PendingMeshes, claim, mark_spare

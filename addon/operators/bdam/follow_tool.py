@@ -3,7 +3,7 @@
 import bpy
 
 from ...bridge.bdam.objects import SceneTerrain, TerrainChange
-from ...core.bdam.engine import BdamEngine
+from ...core.bdam.view.engine import BdamEngine
 from ...core.geometry.viewers import Viewer
 
 

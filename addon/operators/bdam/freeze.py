@@ -11,9 +11,9 @@ from ...bridge.bdam import objects as terrain_objects
 from ...bridge.bdam.objects import SceneTerrain
 from ...bridge.bdam.textures import TextureMaterials, remove_unused
 from ...bridge.viewers import camera_viewer
-from ...core.bdam.engine import BdamEngine
-from ...core.bdam.freezing import FrozenMesh, choose_path_cut, describe_limit, freeze_cut, join
 from ...core.bdam.settings import FreezePathSettings, FreezeSettings, ViewSettings
+from ...core.bdam.view.engine import BdamEngine
+from ...core.bdam.view.freezing import FrozenMesh, choose_path_cut, describe_limit, freeze_cut, join
 from ...core.errors import FarfieldError, GeometryError, SettingsError
 from ...core.geometry.viewers import Viewer
 from ...core.jobs.progress import Progress, Steps, subprogress

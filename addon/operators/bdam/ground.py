@@ -10,7 +10,7 @@ from ...bridge.bdam import freezing
 from ...bridge.bdam import ground as ground_bridge
 from ...bridge.bdam.ground import TerrainSpace
 from ...bridge.bdam.objects import SceneTerrain
-from ...core.bdam.ground import MeshSurface, StoreSurface, Surface, find_ground
+from ...core.bdam.ground.surfaces import MeshSurface, StoreSurface, Surface, find_ground
 from ...core.bdam.settings import GroundSettings
 from ...core.bdam.store.terrain_store import TerrainStore
 from ...core.errors import FileError, GeometryError

@@ -6,8 +6,8 @@ import bpy
 
 from ...bridge.bdam import objects as terrain_objects
 from ...bridge.bdam.objects import SceneTerrain, TerrainChange
-from ...core.bdam.engine import BdamEngine, Update
 from ...core.bdam.settings import ViewSettings
+from ...core.bdam.view.engine import BdamEngine, Update
 from ...core.errors import GeometryError
 from ...core.geometry.viewers import Viewer
 from ...core.jobs.progress import Progress, Steps

@@ -6,8 +6,8 @@ import bpy
 
 from ...bridge.bdam import objects as terrain_objects
 from ...bridge.bdam.objects import SceneTerrain
-from ...core.bdam.engine import BdamEngine
 from ...core.bdam.settings import ViewSettings
+from ...core.bdam.view.engine import BdamEngine
 from ...core.errors import FileError
 from .. import follow_handlers, properties, start_job
 from ..engine_cache import cache

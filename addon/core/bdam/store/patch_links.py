@@ -26,10 +26,10 @@ class PatchLinks:
     children: np.ndarray
     partners: np.ndarray
 
-    def locate(self, patches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the levels and the rows in these of `patches` of any shape."""
-        levels = np.searchsorted(self.starts, patches, side="right") - 1
-        return levels, patches - self.starts[levels]
+    def locate(self, patch: int) -> tuple[int, int]:
+        """Return the level of a patch and its row in this level."""
+        level = int(np.searchsorted(self.starts, patch, side="right")) - 1
+        return level, patch - int(self.starts[level])
 
     def find_grandchildren(self, patches: np.ndarray) -> np.ndarray:
         """Return the grandchildren (4, N) int of `patches` (N,): where there are fewer, others twice, or children, or the patches."""

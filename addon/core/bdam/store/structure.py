@@ -24,9 +24,9 @@ import numpy as np
 
 from ...errors import FileError
 from ..fields.placements import Frame, GeographicFrame, ProjectedFrame
+from ..files.backups import FileDamage, backup_path, copy_to_backup, read_either
+from ..files.blocks import BlockReader, BlockWriter
 from ..tree import Tree
-from .backups import FileDamage, backup_path, copy_to_backup, read_either
-from .blocks import BlockReader, BlockWriter
 
 KIND, STRUCTURE_FILE = "bdamstru", "structure.bdam"
 # Of the contents of the header. 2: gradients of patches have another name, errors include the curvature of geographic grids. 3: structures

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FileError
+from ..files.backups import FileDamage
+from ..files.blocks import BlockReader
 from ..textures.store import TextureStore
-from .backups import FileDamage
-from .blocks import BlockReader
 from .damaged_patches import PatchLimits, find_limits
 from .leaf_grids import leaf_grid
 from .patch_codec import Patch, decode_patch
@@ -122,8 +122,7 @@ class TerrainStore:
         for damage in self.file_damages:
             yield damage.name
         for number in self._geometry.verify():
-            level = int(np.searchsorted(self.links.starts, number, side="right")) - 1
-            yield self.label(level, number - int(self.links.starts[level]))
+            yield self.label(*self.links.locate(number))
         if self.textures is not None:
             for number in self.textures.verify():
                 yield self.textures.label(number)

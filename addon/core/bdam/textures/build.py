@@ -20,7 +20,7 @@ from ...errors import FileError
 from ...files.atomic_write import TEMPORARY_SUFFIX
 from ...files.file_access import convert_os_errors
 from ...jobs.progress import Progress, Steps
-from ..store.blocks import BlockReader, BlockWriter
+from ..files.blocks import BlockReader, BlockWriter
 from .filtering import EXTENSION, extend_colors, halve, measure_detail
 from .grid import BORDER, STEP, TILE_SIZE, TextureGrid
 from .images import PlacedImage

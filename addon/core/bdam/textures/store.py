@@ -25,8 +25,8 @@ import numpy as np
 
 from ...errors import FileError, ImageError
 from ...jobs.progress import Progress, Steps
-from ..store.backups import FileDamage, copy_to_backup, read_either
-from ..store.blocks import BlockReader, BlockWriter
+from ..files.backups import FileDamage, copy_to_backup, read_either
+from ..files.blocks import BlockReader, BlockWriter
 from .build import TILE_KIND, list_tiles, tile_path
 from .grid import TILE_SIZE, TextureGrid
 from .nesting import nest_errors

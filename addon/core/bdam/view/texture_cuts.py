@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..geometry.viewers import Viewer
-from ..jobs.progress import Progress, Steps
+from ...geometry.viewers import Viewer
+from ...jobs.progress import Progress, Steps
+from ..store.damaged_patches import PatchLimits
+from ..store.terrain_store import TerrainStore
+from ..textures.nesting import select_cut
 from .culling import Culling
 from .extraction import CutSettings, IsForced
 from .patch_squares import contains_squares, square_boxes
-from .store.damaged_patches import PatchLimits
-from .store.terrain_store import TerrainStore
-from .textures.nesting import select_cut
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..geometry.viewers import Viewer
-from ..jobs.progress import Progress, Steps, subprogress
+from ...geometry.viewers import Viewer
+from ...jobs.progress import Progress, Steps, subprogress
+from ..settings import ViewSettings
+from ..store.terrain_store import TerrainStore
 from .cut_meshes import PatchCache
 from .extraction import Cut, CutSettings, extract_union_cut
 from .patch_squares import find_leaf_squares
-from .settings import ViewSettings
-from .store.terrain_store import TerrainStore
 from .texture_cuts import TextureCut, TextureSelector
 from .tiles import MAX_TILES, TileGrouping, TileMesh, build_tile_mesh
 

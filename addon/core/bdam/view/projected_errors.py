@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..geometry.viewers import Viewer
+from ...geometry.viewers import Viewer
+from ..store.terrain_store import TerrainStore
 from .culling import Culling
-from .store.terrain_store import TerrainStore
 
 MIN_DEPTH = 1e-3  # meters. Errors stay finite, so that a tolerance that fits a triangle budget exists also around the viewer
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..height_meshes import weigh_gradients
+from ..store.patch_codec import Patch
+from ..store.patch_outlines import triangulate_outline
+from ..store.terrain_store import TerrainStore
 from .extraction import Cut
-from .store.patch_codec import Patch
-from .store.patch_outlines import triangulate_outline
-from .store.terrain_store import TerrainStore
-from .triangle_gradients import weigh_gradients
 
 DEFAULT_CACHE_BYTES = 48 << 20  # more than what a cut of a million triangles needs
 

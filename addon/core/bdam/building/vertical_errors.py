@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...arrays import concatenate_ranges
-from ..triangle_gradients import weigh_gradients
+from ..height_meshes import weigh_gradients
 from .height_grid import HeightGrid, split_rows
 
 MAX_SPANS = 1 << 14  # rows of triangles at once
@@ -70,11 +70,11 @@ class _Planes:
         self._gradient_x, self._gradient_y = along_x / area, along_y / area
         self._offset = z[0] - self._gradient_x * x[0] - self._gradient_y * y[0]
         order = np.argsort(y, axis=0, kind="stable")
-        (x0, x1, x2), (y0, self._middle, self._high) = np.take_along_axis(x, order, axis=0), np.take_along_axis(y, order, axis=0)
+        (x0, x1, x2), (y0, self._median, self._high) = np.take_along_axis(x, order, axis=0), np.take_along_axis(y, order, axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            x_per_row = (x2 - x0) / (self._high - y0), (x1 - x0) / (self._middle - y0), (x2 - x1) / (self._high - self._middle)
+            x_per_row = (x2 - x0) / (self._high - y0), (x1 - x0) / (self._median - y0), (x2 - x1) / (self._high - self._median)
         self._low, self._starts, self._x_per_row = y0, (x0, x0, x1), x_per_row
-        self._is_long_left = (x1 - x0) * (self._high - y0) > (x2 - x0) * (self._middle - y0)
+        self._is_long_left = (x1 - x0) * (self._high - y0) > (x2 - x0) * (self._median - y0)
 
     def find_rows(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the first and last row (T,) int64 of all triangles."""
@@ -131,12 +131,12 @@ class _Planes:
 
     def _find_spans(self, triangles: np.ndarray, counts: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the first and last column (M,) int64 of rows `y` (M,), which are `counts` (N,) rows of each of `triangles` (N,)."""
-        low, middle, is_long_left = (np.repeat(values[triangles], counts) for values in (self._low, self._middle, self._is_long_left))
+        low, median, is_long_left = (np.repeat(values[triangles], counts) for values in (self._low, self._median, self._is_long_left))
         above = y - low
         crossings = [np.repeat(self._starts[0][triangles], counts) + above * np.repeat(self._x_per_row[0][triangles], counts)]
-        is_upper = (y > middle) | (middle == low)
+        is_upper = (y > median) | (median == low)
         rows = np.repeat(triangles, counts)
         start, step = (np.where(is_upper, upper[rows], lower[rows]) for lower, upper in (self._starts[1:], self._x_per_row[1:]))
-        crossings.append(start + (y - np.where(is_upper, middle, low)) * step)
+        crossings.append(start + (y - np.where(is_upper, median, low)) * step)
         left, right = np.where(is_long_left, crossings, crossings[::-1])
         return np.ceil(left - TOLERANCE).astype(np.int64), np.floor(right + TOLERANCE).astype(np.int64)

@@ -12,11 +12,11 @@ from typing import Protocol
 
 import numpy as np
 
-from ..errors import FileError
-from ..files.segment_cache import DEFAULT_CACHE_BYTES, SegmentCache
-from .extraction import Cut
-from .store.patch_codec import Patch
-from .store.terrain_store import TerrainStore
+from ...errors import FileError
+from ...files.segment_cache import DEFAULT_CACHE_BYTES, SegmentCache
+from ..store.patch_codec import Patch
+from ..store.terrain_store import TerrainStore
+from ..view.extraction import Cut
 from .triangle_search import TriangleSearch
 
 MAX_POINTS = 1 << 17  # that are evaluated at once

@@ -3,10 +3,10 @@
 import numpy as np
 
 from ...arrays import concatenate_ranges, gather
+from ..height_meshes import weigh_gradients
 from ..simplification.decimation import MeshBatch, simplify
 from ..simplification.removed_samples import RemovedSamples
 from ..tree import Tree
-from ..triangle_gradients import weigh_gradients
 from .diamond_meshes import DiamondMeshes, classify_vertices, triangulate_field, weld_patches
 from .grid_collapses import choose_grid_collapses
 from .height_grid import HeightGrid, split_rows

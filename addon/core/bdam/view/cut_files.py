@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import FileError
-from ..geometry.viewers import Viewer
-from ..jobs.progress import Progress, Steps
+from ...errors import FileError
+from ...geometry.viewers import Viewer
+from ...jobs.progress import Progress, Steps
+from ..store.terrain_store import TerrainStore
 from .cut_meshes import CutMesh, PatchCache, PatchMesh, merge_patches, remove_unused
 from .extraction import Cut, CutSettings, extract_cut
 from .patch_squares import find_leaf_squares
-from .store.terrain_store import TerrainStore
 from .texture_cuts import TextureSelector
 from .tiles import MAX_TILES, TileGrouping
 

@@ -6,8 +6,8 @@ Level s of the quadtree has squares (i, j), i along x and j along y, whose side 
 
 import numpy as np
 
-from .store.terrain_store import TerrainStore
-from .tree import bisect
+from ..store.terrain_store import TerrainStore
+from ..tree import bisect
 
 
 def find_leaf_squares(store: TerrainStore) -> list[np.ndarray]:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..triangle_gradients import weigh_gradients
+from ..height_meshes import weigh_gradients
 from .patch_set import PatchSet
 
 

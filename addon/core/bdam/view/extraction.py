@@ -13,11 +13,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..geometry.viewers import Viewer
-from ..jobs.progress import Progress, Steps
+from ...geometry.viewers import Viewer
+from ...jobs.progress import Progress, Steps
+from ..store.patch_links import NO_PATCH
+from ..store.terrain_store import TerrainStore
 from .projected_errors import CutSettings, ProjectedErrors
-from .store.patch_links import NO_PATCH
-from .store.terrain_store import TerrainStore
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import FileError
+from ...errors import FileError
+from ..store.terrain_store import TerrainStore
+from ..textures.grid import BORDER, STEP, TILE_SIZE
+from ..textures.tile_index import morton_keys
 from .cut_meshes import CutMesh, PatchCache, merge_patches, remove_unused
 from .extraction import Cut
-from .store.terrain_store import TerrainStore
-from .textures.grid import BORDER, STEP, TILE_SIZE
-from .textures.tile_index import morton_keys
 
 MAX_TILES = 64
 MAX_TILE_TRIANGLES = 6000  # of tiles that are not split

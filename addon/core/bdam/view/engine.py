@@ -8,20 +8,20 @@ from queue import SimpleQueue
 
 import numpy as np
 
-from ..errors import FarfieldError
-from ..geometry.viewer_motion import ViewerMotion
-from ..geometry.viewers import Viewer
-from ..jobs.progress import Progress, Steps
+from ...errors import FarfieldError
+from ...geometry.viewer_motion import ViewerMotion
+from ...geometry.viewers import Viewer
+from ...jobs.progress import Progress, Steps
+from ..settings import ViewSettings
+from ..store.structure import find_structure
+from ..store.terrain_store import TerrainStore
+from ..textures.tile_blocks import CodedTile
 from .cut_meshes import PatchCache
 from .extraction import Cut, CutSettings, IsForced, extract_cut
 from .patch_squares import find_leaf_squares
 from .prefetching import PatchesAhead, Prefetch, TexturesAhead
-from .settings import ViewSettings
-from .store.structure import find_structure
-from .store.terrain_store import TerrainStore
 from .texture_cuts import TextureCut, TextureSelector
 from .texture_files import TextureFiles
-from .textures.tile_blocks import CodedTile
 from .tiles import MAX_TILES, Tile, TileGrouping, TileKey, TileMesh, build_tile_mesh
 
 SETTLED_FRACTION = 0.02  # of the distance to the terrain, and of the image, by which the viewer may move before the cut changes

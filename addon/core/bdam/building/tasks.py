@@ -67,10 +67,10 @@ class BuildTasks:
         x, y = (np.concatenate([getattr(leaf, axis)[rows] for leaf, rows in zip(leaves, boundaries, strict=True)]) for axis in "xy")
         gradients = np.split(sample_gradients(x, y, grid), np.cumsum([len(rows) for rows in boundaries])[:-1])
         patches = []
-        for leaf, boundary, slope in zip(leaves, boundaries, gradients, strict=True):
+        for leaf, boundary, gradient in zip(leaves, boundaries, gradients, strict=True):
             rows, columns = leaf.y - low[1], leaf.x - low[0]
             is_hole = ~is_known[rows, columns][leaf.triangles].any(axis=1)
-            patches.append(Patch(leaf.x, leaf.y, heights[rows, columns], boundary, slope, leaf.triangles, is_hole))
+            patches.append(Patch(leaf.x, leaf.y, heights[rows, columns], boundary, gradient, leaf.triangles, is_hole))
         return self._encode(level, indices, np.zeros(len(indices), np.float32), patches)
 
     def _simplify(self, level: int, shard: int) -> EncodedPatches:

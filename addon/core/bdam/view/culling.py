@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..geometry.viewers import Viewer
+from ...geometry.viewers import Viewer
 
 
 class Culling:

@@ -3,10 +3,10 @@
 from collections.abc import Hashable, Iterable
 from typing import Protocol
 
-from ..errors import FarfieldError
-from ..jobs.progress import Progress, Steps
+from ...errors import FarfieldError
+from ...jobs.progress import Progress, Steps
+from ..store.terrain_store import TerrainStore
 from .cut_meshes import PatchCache
-from .store.terrain_store import TerrainStore
 from .texture_files import TextureFiles
 
 VERTEX_BYTES, TRIANGLE_BYTES = 48, 12  # of a `PatchMesh`, at most

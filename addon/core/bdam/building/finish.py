@@ -8,7 +8,7 @@ import numpy as np
 from ...files.sealed_files import read_sealed
 from ...jobs.progress import Progress, Steps
 from ..fields.placements import Frame
-from ..store.blocks import BlockWriter
+from ..files.blocks import BlockWriter
 from ..store.structure import Level, StoreHeader, write_structure
 from ..store.terrain_store import GEOMETRY_FILE, GEOMETRY_KIND
 from ..tree import Tree

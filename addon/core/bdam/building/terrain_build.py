@@ -26,7 +26,7 @@ from .store_target import check_target, delete_work_folder, hold, replace_store,
 from .texture_stage import TextureWork, build_texture_tiles, plan_textures, write_texture_store
 from .work_folder import HEIGHTS_FILE, PARAMETERS_FILE, BuildParameters, LevelLayout, WorkFolder
 
-TASKS_MODULE = "addon.core.bdam.build.tasks"
+TASKS_MODULE = "addon.core.bdam.building.tasks"
 FORMAT_VERSION = 4  # of the files in a work folder
 FILLED_FILE = "heights.filled"  # marks that holes were filled
 DIAMONDS_PER_SHARD = {16: 96, 32: 24, 64: 6}  # by cells of a leaf: as many samples; workers need up to 240 MB

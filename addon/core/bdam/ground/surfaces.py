@@ -5,10 +5,10 @@ from typing import Protocol
 
 import numpy as np
 
-from ..jobs.progress import Progress, Steps
-from .extraction import extract_uniform_cut
+from ...jobs.progress import Progress, Steps
+from ..store.terrain_store import TerrainStore
+from ..view.extraction import extract_uniform_cut
 from .heights import HeightQuery, evaluate_planes
-from .store.terrain_store import TerrainStore
 from .triangle_search import TriangleSearch
 
 POINTS_PER_STEP = 1 << 16

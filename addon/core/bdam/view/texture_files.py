@@ -2,10 +2,10 @@
 
 from collections import OrderedDict
 
-from .textures.grid import TILE_SIZE
-from .textures.image_files import TARGA_HEADER, to_image_files
-from .textures.store import TextureStore
-from .textures.tile_blocks import CodedTile
+from ..textures.grid import TILE_SIZE
+from ..textures.image_files import TARGA_HEADER, to_image_files
+from ..textures.store import TextureStore
+from ..textures.tile_blocks import CodedTile
 
 MAX_TEXTURE_BYTES = 32 << 20
 

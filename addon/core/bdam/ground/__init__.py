@@ -1,0 +1,1 @@
+"""Heights and normals of the ground at any position."""
