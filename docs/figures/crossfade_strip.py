@@ -8,7 +8,7 @@ from lib import environment
 environment.import_farfield()
 
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud
-from farfield.addon.bridge.billboards.source_proxies import find_source_proxies
+from farfield.addon.bridge.billboards.source_objects import find_source_proxies
 from farfield.addon.bridge.cameras import read_scene_camera
 from farfield.addon.core.imaging import metrics
 from lib.contact_sheet import PAPER_GRAY, draw_contact_sheet

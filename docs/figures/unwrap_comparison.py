@@ -12,9 +12,8 @@ environment.import_farfield()
 from farfield.addon.bridge.geometry.mesh_arrays import read_uvs, write_uvs
 from farfield.addon.bridge.unwrap import uv_maps
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.unwrap.distortion import DistortionMetrics, compute_stretches, measure_distortion
+from farfield.addon.core.unwrap.distortion import DistortionMetrics, compute_stretches, draw_stretch_image, measure_distortion
 from farfield.addon.core.unwrap.settings import UnwrapSettings
-from farfield.addon.core.unwrap.stretch_colors import draw_stretch_image
 from farfield.addon.operators.job_run import run_job
 from farfield.addon.operators.unwrap.job import prepare
 from lib.demo_materials import create_material

@@ -15,19 +15,21 @@ from lib import environment
 
 environment.import_farfield()
 
-from farfield.addon.bridge.btf.octahedral.capture import capture_atlas, has_varying_surface
-from farfield.addon.bridge.btf.octahedral.objects import Impostor, build_impostor
+from farfield.addon.bridge.btf.octahedral.capture import capture_atlas
 from farfield.addon.bridge.geometry.mesh_arrays import read_positions, read_values, write_attribute
-from farfield.addon.bridge.geometry.meshes import read_source, visible_meshes
-from farfield.addon.core.btf.octahedral import FrameGrid, compute_frame_resolution
+from farfield.addon.bridge.geometry.meshes import Source, read_source, visible_meshes
+from farfield.addon.core.btf.octahedral import MIN_FRAME_RESOLUTION, FrameGrid
 from farfield.addon.core.errors import GeometryError, SettingsError
 from farfield.addon.core.geometry.mesh import longest_side
-from farfield.addon.core.jobs.progress import Steps
+from farfield.addon.core.jobs.progress import Steps, run_to_end
+from lib.impostors import Impostor, build_impostor
 
 DEFAULT_FRAMES = 12  # along each side of the impostor's grid
 BISECTION_STEPS = 12  # for the ratio of the Decimate modifier
 MERGE_DISTANCE = 1e-6  # relative to the longest side
 BASE_MAP_COUNT = 2  # color with alpha, normal with height; a third map where roughness or metallic vary
+PROBE_CHANNELS = ("color", "roughness_metallic_depth")
+PROBE_FRAMES_PER_SIDE, PROBE_RESOLUTION, PROBE_SAMPLES = 4, 32, 4  # These renders decide whether roughness and metallic need a map.
 
 
 def build_octahedral_impostor(
@@ -45,6 +47,27 @@ def build_octahedral_impostor(
     for item in impostor.objects:
         bpy.context.scene.collection.objects.link(item)
     return impostor
+
+
+def has_varying_surface(source: Source) -> bool:
+    """Whether roughness or metallic of `source` vary over its surface, from a few small renders. Raises as `capture_atlas`."""
+    steps = capture_atlas(source, FrameGrid(PROBE_FRAMES_PER_SIDE), PROBE_RESOLUTION, PROBE_SAMPLES, channels=PROBE_CHANNELS)
+    return run_to_end(steps).uniform_roughness_metallic is None
+
+
+def compute_frame_resolution(total_bytes: int, frames_per_side: int, image_count: int) -> int:
+    """Return the largest frame resolution with which `image_count` images, four bytes per pixel, uncompressed, fit into `total_bytes`.
+
+    Raises:
+        SettingsError: the frames would be too small.
+    """
+    resolution = int((total_bytes / (4.0 * image_count)) ** 0.5 / frames_per_side)
+    if resolution < MIN_FRAME_RESOLUTION:
+        raise SettingsError(
+            f"{total_bytes:,} bytes are too few for an octahedral atlas of {frames_per_side} x {frames_per_side} frames: each would have "
+            f"{resolution} pixels per side. Use at least {4 * image_count * (MIN_FRAME_RESOLUTION * frames_per_side) ** 2:,} bytes."
+        )
+    return resolution
 
 
 def decimate(objects: Sequence[bpy.types.Object], triangles: int) -> bpy.types.Object:

@@ -14,11 +14,10 @@ from farfield.addon.core.billboards import primitives as primitives_module
 from farfield.addon.core.billboards.atlas import MAX_TEXELS
 from farfield.addon.core.billboards.budget import Budget, read_budget, split_into_groups
 from farfield.addon.core.billboards.build import build_cloud
-from farfield.addon.core.billboards.components import find_components
 from farfield.addon.core.billboards.error_search import MAX_BUILDS, MAX_ERROR, MIN_ERROR, Attempt, search_error
 from farfield.addon.core.billboards.estimate import BYTES_PER_TEXEL
 from farfield.addon.core.billboards.levels import LevelBuilder
-from farfield.addon.core.billboards.primitives import from_mesh
+from farfield.addon.core.billboards.primitives import find_components, from_mesh
 from farfield.addon.core.billboards.settings import BillboardSettings
 from farfield.addon.core.errors import SettingsError
 from farfield.addon.core.geometry.mesh import TriangleMesh, concatenate, longest_side

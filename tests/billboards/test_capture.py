@@ -10,7 +10,7 @@ pytest.importorskip("bpy")
 import bpy
 
 from bridge import blender_scenes, pbr_clouds
-from farfield.addon.bridge.billboards.atlas_placement import compute_placement
+from farfield.addon.bridge.billboards.atlas_meshes import compute_placement
 from farfield.addon.bridge.billboards.capture import capture_textures
 from farfield.addon.bridge.imaging.images import check_images
 from farfield.addon.core.billboards.settings import BillboardSettings

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from farfield.addon.core.billboards.components import find_components, find_shared_surfaces
-from farfield.addon.core.billboards.primitives import from_mesh, from_points
+from farfield.addon.core.billboards.primitives import find_components, find_shared_surfaces, from_mesh, from_points
 from farfield.addon.core.geometry.mesh import PointCloud, concatenate
 from shapes import cylinder, leaf_cards, sheet, sphere
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from farfield.addon.core.billboards.cutouts import cut_corners
+from farfield.addon.core.billboards.levels import cut_corners
 
 seeds = st.integers(0, 2**32 - 1)
 NO_MARGIN = np.zeros(2)

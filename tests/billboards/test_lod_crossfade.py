@@ -6,7 +6,7 @@ import pytest
 
 from bridge import blender_scenes
 from farfield.addon.bridge import lod_crossfade
-from farfield.addon.bridge.billboards import source_proxies
+from farfield.addon.bridge.billboards import source_objects
 from farfield.addon.bridge.billboards.scene_clouds import clouds_in
 from farfield.addon.bridge.imaging.images import read_pixels
 from farfield.addon.compat import enable_nodes, set_file_format
@@ -171,7 +171,7 @@ def test_operator_adds_crossfade_and_show_level_removes_it(scene):
     before = blender_scenes.count_data()
     assert not cloud.has_crossfade
     assert bpy.ops.farfield.billboards_crossfade(fade_range=50.0) == {"FINISHED"}
-    (proxy,) = source_proxies.find_source_proxies(cloud.collection)
+    (proxy,) = source_objects.find_source_proxies(cloud.collection)
     assert len(proxy.data.polygons) > len(ball.data.polygons) and not proxy.modifiers
     assert cloud.has_crossfade and ball.hide_render and not any(level.hide_render for level in cloud.levels)
     np.testing.assert_allclose(proxy[lod_crossfade.CROSSFADE], (0.0, cloud.errors[0], 0.5))
@@ -179,11 +179,11 @@ def test_operator_adds_crossfade_and_show_level_removes_it(scene):
     assert proxy.data.materials[0] != ball.data.materials[0]
     assert not [node for node in ball.data.materials[0].node_tree.nodes if node.type == "GROUP"]
     bpy.ops.farfield.billboards_crossfade()  # again, with another range
-    assert len(source_proxies.find_source_proxies(cloud.collection)) == 1 and cloud.levels[0][lod_crossfade.CROSSFADE][2] == pytest.approx(
+    assert len(source_objects.find_source_proxies(cloud.collection)) == 1 and cloud.levels[0][lod_crossfade.CROSSFADE][2] == pytest.approx(
         0.25
     )
     bpy.ops.farfield.billboards_show_level()
-    assert not cloud.has_crossfade and not source_proxies.find_source_proxies(cloud.collection)
+    assert not cloud.has_crossfade and not source_objects.find_source_proxies(cloud.collection)
     after = blender_scenes.count_data()
     assert {name: after[name] - before[name] for name in after} == dict.fromkeys(after, 0) | {"node_groups": 1}
     assert [item.hide_render for item in (ball, *cloud.levels)].count(False) == 1
@@ -214,7 +214,7 @@ def test_collection_instances_get_one_proxy_per_object(scene):
     bpy.ops.farfield.billboards_build(levels=1, error=4.0, samples=1)
     (cloud,) = clouds_in(scene)
     bpy.ops.farfield.billboards_crossfade()
-    proxies = source_proxies.find_source_proxies(cloud.collection)
+    proxies = source_objects.find_source_proxies(cloud.collection)
     assert sorted(tuple(item.matrix_world.translation) for item in proxies) == [(-1.5, 3.0, 0.0), (1.5, 3.0, 0.0)]
     assert instance.hide_render
 
@@ -223,7 +223,7 @@ def test_cloud_without_source_fades_between_its_levels(scene):
     ball, cloud = build_ball_cloud()
     bpy.data.objects.remove(ball)
     bpy.ops.farfield.billboards_crossfade()
-    assert not source_proxies.find_source_proxies(cloud.collection)
+    assert not source_objects.find_source_proxies(cloud.collection)
     assert cloud.levels[0][lod_crossfade.CROSSFADE][0] == 0.0
 
 

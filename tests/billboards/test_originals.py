@@ -6,7 +6,7 @@ import bpy
 import pytest
 
 from bridge.operator_scenes import build, cube, is_hidden, levels, link_from_library, select
-from farfield.addon.bridge.billboards import source_proxies
+from farfield.addon.bridge.billboards import source_objects
 from farfield.addon.bridge.billboards.scene_clouds import clouds_in
 from farfield.addon.bridge.source_links import SOURCES
 
@@ -57,7 +57,7 @@ class TestRenamed:
         bpy.ops.farfield.billboards_show_level()
         assert (is_hidden(tree), is_hidden(ball)) == (True, False)
         bpy.ops.farfield.billboards_crossfade()
-        (proxy,) = source_proxies.find_source_proxies(clouds_in(bpy.context.scene)[0].collection)
+        (proxy,) = source_objects.find_source_proxies(clouds_in(bpy.context.scene)[0].collection)
         assert len(proxy.data.vertices) == len(tree.data.vertices) and not is_hidden(ball)
 
     def test_it_is_found_in_a_reopened_file(self, scene, tmp_path):

@@ -6,7 +6,7 @@ import pytest
 from bridge import blender_scenes
 from bridge.operator_scenes import build, cube, is_hidden, levels, select
 from farfield.addon.bridge import lod_crossfade
-from farfield.addon.bridge.billboards import source_proxies
+from farfield.addon.bridge.billboards import source_objects
 from farfield.addon.bridge.billboards.scene_clouds import clouds_in, find_cloud
 from farfield.addon.panels import billboards as panels
 
@@ -50,7 +50,7 @@ class TestExcludedOriginal:
     def test_cross_fade_shows_the_finest_level_up_to_the_camera(self, source, capfd):
         assert bpy.ops.farfield.billboards_crossfade() == {"FINISHED"}
         (cloud,) = clouds_in(bpy.context.scene)
-        assert not source_proxies.find_source_proxies(cloud.collection)
+        assert not source_objects.find_source_proxies(cloud.collection)
         assert cloud.levels[0][lod_crossfade.CROSSFADE][0] == 0.0
         assert "Not in the view layer: Cube." in capfd.readouterr().out
 

@@ -10,16 +10,17 @@ pytest.importorskip("bpy")
 import bpy
 
 from bridge import blender_scenes
-from farfield.addon.bridge.btf.octahedral.capture import capture_atlas, has_varying_surface
+from farfield.addon.bridge.btf.octahedral.capture import capture_atlas
 from farfield.addon.bridge.btf.octahedral.exports import write_octahedral_atlas
-from farfield.addon.bridge.btf.octahedral.objects import build_impostor
 from farfield.addon.bridge.imaging.images import read_pixels
-from farfield.addon.core.btf.octahedral import FrameGrid, sample_rays
+from farfield.addon.core.btf.octahedral import FrameGrid
 from farfield.addon.core.errors import FileError, GeometryError, SettingsError
 from farfield.addon.core.geometry.cameras import OrthographicView
 from farfield.addon.core.imaging import metrics
 from farfield.addon.core.jobs.progress import run_to_end
+from impostor_sampling import sample_rays
 from lib import baselines
+from lib.impostors import build_impostor
 from lib.studio import open_studio
 
 BETWEEN = np.array([0.5, -0.8, 0.3]) / np.linalg.norm([0.5, -0.8, 0.3])
@@ -87,11 +88,22 @@ def test_stacked_transparent_leaves_keep_their_color():
     assert np.abs(atlas.height).max() < 0.95
 
 
+@pytest.mark.parametrize(("total_bytes", "frames", "images"), [(300_000, 3, 2), (73_728, 12, 2), (10**9, 16, 3)])
+def test_frame_resolution_is_the_largest_that_fits(total_bytes, frames, images):
+    resolution = baselines.compute_frame_resolution(total_bytes, frames, images)
+    assert 4 * images * (frames * resolution) ** 2 <= total_bytes < 4 * images * (frames * (resolution + 1)) ** 2
+
+
+def test_too_few_bytes_are_rejected_with_the_minimum():
+    with pytest.raises(SettingsError, match="at least 73,728 bytes"):
+        baselines.compute_frame_resolution(73_727, 12, 2)
+
+
 def test_roughness_needs_an_image_only_if_it_varies():
     objects = ball_and_box()
-    assert not has_varying_surface(blender_scenes.read_objects(*objects))
+    assert not baselines.has_varying_surface(blender_scenes.read_objects(*objects))
     blender_scenes.shader_of(bpy.data.materials["Blue"]).inputs["Roughness"].default_value = 0.3
-    assert has_varying_surface(blender_scenes.read_objects(*objects))
+    assert baselines.has_varying_surface(blender_scenes.read_objects(*objects))
 
 
 def test_matches_the_source_at_and_between_frames():

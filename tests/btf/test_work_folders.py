@@ -16,8 +16,7 @@ import btf
 from bridge import blender_scenes
 from bridge.bakes import SMALL, build_small_cloud, finished_views, prepare_job
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
-from farfield.addon.bridge.btf.driver_permission import may_run_python_drivers
-from farfield.addon.bridge.btf.snapshot import METADATA_FILE, open_snapshot
+from farfield.addon.bridge.btf.snapshot import METADATA_FILE, may_run_python_drivers, open_snapshot
 from farfield.addon.core.btf.capture.dispatch import Shard
 from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.errors import FileError

@@ -20,8 +20,7 @@ from ..rendering.cycles_renders import prepare_channel_render
 from ..rendering.render_scene import RenderScene, render_scene
 from ..shading.material_channels import CHANNELS, CaptureMaterial, build_capture_material
 from ..shading.scene_space_nodes import required_attributes
-from .atlas_meshes import compute_atlas_positions, compute_cell_coordinates, create_atlas_mesh, find_drawn_triangles
-from .atlas_placement import compute_placement
+from .atlas_meshes import compute_atlas_positions, compute_cell_coordinates, compute_placement, create_atlas_mesh, find_drawn_triangles
 from .level_maps import LevelTextures, compute_maps
 from .silhouettes import SurfaceContinuation
 

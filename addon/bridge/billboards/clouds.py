@@ -11,12 +11,10 @@ from ..cameras import read_scene_camera
 from ..geometry.mesh_arrays import read_positions, write_attribute, write_geometry
 from ..geometry.meshes import Source
 from ..imaging.images import packed_bytes
-from .atlas_placement import compute_placement, compute_uvs
+from .atlas_meshes import compute_placement, compute_uvs
 from .cloud_materials import JOINED_ATTRIBUTE, SOLID_ATTRIBUTE, create_gray_material
-from .level_maps import LevelTextures, PbrMaps
+from .level_maps import LevelTextures, PbrMaps, compute_corner_normals, create_textured_material
 from .level_objects import CENTER
-from .map_images import create_textured_material
-from .quad_normals import compute_corner_normals
 
 KIND, CLOUD = "farfield_kind", "cloud"  # custom property of all objects that Farfield creates, and its value on levels of a cloud
 FINGERPRINT = "farfield_source_fingerprint"  # custom property of a cloud's collection, see `Source.fingerprint`

@@ -1,11 +1,25 @@
-"""The texture maps of one level of a cloud, as arrays."""
+"""The texture maps of one level of a cloud: as arrays, as Blender images with the material that shows them, and as corner normals.
+
+Cycles lights a normal-mapped surface only from the side that its smooth normal faces. A quad shows faces that deviate by up to 60 degrees
+from it, so with its flat normal a whole quad would stay dark at a grazing angle where it should be lit. Corner normals that follow the
+normal map, as well as a linear field can, make this test correct nearly everywhere.
+"""
 
 from dataclasses import dataclass
 
+import bpy
 import numpy as np
 
 from ...core.billboards.cloud import Level
-from ...core.imaging.images import MIN_ALPHA, grow_silhouette, mean_over_coverage
+from ...core.imaging.images import MIN_ALPHA, dilate, grow_silhouette, mean_over_coverage, unpremultiply
+from ...core.imaging.metrics import encode_srgb
+from ..imaging.images import create_image
+from .cloud_materials import COLOR, NORMAL, ROUGHNESS_METALLIC_DEPTH, create_cloud_material
+
+MIN_COSINE = 0.2  # between a corner's normal and the quad's; with less a corner would face away
+RIDGE = 1e-3  # Tikhonov regularization of the slopes, relative to the total weight: keeps the fit of one row of texels well posed
+# Quads cast no shadow on surfaces within this many errors: quads of one surface overlap within that distance.
+SHADOWLESS_ERRORS = 4.0
 
 
 @dataclass(frozen=True)
@@ -45,3 +59,61 @@ def compute_maps(
     parameters = mean_over_coverage(roughness_metallic_depth, radius)
     parameters[..., 2] = parameters[..., 2] * 2.0 - 1.0
     return PbrMaps(grow_silhouette(np.clip(color, 0.0, None), continuation, radius), directions.astype(np.float32), parameters)
+
+
+def compute_corner_normals(level: Level, maps: PbrMaps, quad: int, cutout: np.ndarray) -> np.ndarray:
+    """Compute unit normals (C, 3) in world space at the points `cutout` (C, 2), in -1..1 of the half sizes of one `quad`.
+
+    They are a linear least-squares fit to the normals of the quad's texels in `maps`, weighted by coverage. Where the texel normals
+    disagree so much that their mean is short, as in foliage, the result is blended with the quad's own normal.
+    """
+    x, y, width, height = level.atlas.rectangles[quad]
+    normals = maps.normal[y : y + height, x : x + width].reshape(-1, 3).astype(np.float64)
+    weights = maps.color[y : y + height, x : x + width, 3].ravel().astype(np.float64)
+    quad_normal = level.quads.frames[quad, 2]
+    if weights.sum() <= 0.0:
+        return np.tile(quad_normal, (len(cutout), 1))
+    rows, columns = np.divmod(np.arange(width * height), width)
+    half_texel = 0.5 * level.texel_size  # smaller quads have one texel, at their center
+    scale = half_texel / np.maximum(level.quads.half_sizes[quad], half_texel)
+    design = np.column_stack([(2 * columns + 1 - width) * scale[0], (2 * rows + 1 - height) * scale[1], np.ones(width * height)])
+    ridge = RIDGE * weights.sum() * np.diag([1.0, 1.0, 0.0]) + 1e-9 * np.eye(3)
+    weighted = design * weights[:, None]
+    coefficients = np.linalg.solve(weighted.T @ design + ridge, weighted.T @ normals)
+    fitted = np.column_stack([cutout, np.ones(len(cutout))]) @ coefficients
+    agreement = min(float(np.linalg.norm(coefficients[2])), 1.0)
+    return _limit_angle(fitted + (1.0 - agreement) * quad_normal, quad_normal)
+
+
+def _limit_angle(directions: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Normalize `directions` (C, 3) and rotate those that deviate too far from `axis` (3,) towards it."""
+    lengths = np.linalg.norm(directions, axis=1, keepdims=True)
+    unit = np.where(lengths > 1e-9, directions / np.maximum(lengths, 1e-9), axis)
+    cosines = unit @ axis
+    tangent = unit - cosines[:, None] * axis
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
+    limited = MIN_COSINE * axis + np.sqrt(1.0 - MIN_COSINE**2) * tangent
+    return np.where(cosines[:, None] < MIN_COSINE, limited, unit)
+
+
+def create_textured_material(name: str, level: Level, textures: LevelTextures) -> bpy.types.Material:
+    """Create a material with the images of `textures`, packed and named after it."""
+    images = {}
+    for side, maps in (("Front", textures.front), ("Back", textures.back)):
+        for map_name, pixels in _encode_maps(maps, level.atlas.gutter).items():
+            images[side, map_name] = create_image(f"{name} {side} {map_name}", pixels, is_data=map_name != COLOR)
+    return create_cloud_material(name, images, SHADOWLESS_ERRORS * level.error)
+
+
+def _encode_maps(maps: PbrMaps, gutter: int) -> dict[str, np.ndarray]:
+    """Encode the maps of one side for 8-bit images: (H, W, 4) in 0..1, color as straight sRGB."""
+    straight = unpremultiply(maps.color)
+    alpha = np.clip(straight[..., 3:], 0.0, 1.0)
+    color = dilate(straight[..., :3], maps.color[..., 3] * (maps.color[..., 3] > MIN_ALPHA), gutter // 2 + 1)
+    parameters = maps.roughness_metallic_depth * np.float32([1.0, 1.0, 0.5]) + np.float32([0.0, 0.0, 0.5])
+    opaque = np.ones_like(alpha)
+    return {
+        COLOR: np.concatenate([encode_srgb(color), alpha], axis=2),
+        NORMAL: np.concatenate([0.5 + 0.5 * maps.normal, opaque], axis=2),
+        ROUGHNESS_METALLIC_DEPTH: np.concatenate([parameters, opaque], axis=2),
+    }

@@ -14,7 +14,7 @@ from ..geometry import meshes
 from ..objects import temporarily_visible, world_matrix
 from ..rendering import transparent_bounces
 from ..source_links import SourceIndex, find_sources
-from . import clouds, source_proxies
+from . import clouds, source_objects
 from .level_objects import pbr_material
 
 LEVEL_NUMBERS = ("farfield_level", "farfield_error", "farfield_quads", "farfield_texels")  # without them an object is no level
@@ -111,8 +111,8 @@ class SceneCloud:
         sources, errors = self.sources_in(context.view_layer), [*self.errors, lod_crossfade.MAX_PIXEL]
         if sources:
             with temporarily_visible(context, sources) as depsgraph:
-                source_proxies.add_source_proxies(sources, self.collection, depsgraph)
-        proxies = source_proxies.find_source_proxies(self.collection)
+                source_objects.add_source_proxies(sources, self.collection, depsgraph)
+        proxies = source_objects.find_source_proxies(self.collection)
         for item in proxies:
             scale = np.linalg.norm(np.array(item.matrix_basis)[:3, :3]) / 3.0**0.5
             lod_crossfade.add_crossfade(item, lod_crossfade.MIN_PIXEL, errors[0] / max(scale, 1e-12), fade_range)
@@ -127,7 +127,7 @@ class SceneCloud:
 
     def remove_crossfade(self) -> None:
         """Let every level show at any distance, and remove the proxies of the source. The visibility of objects stays as it is."""
-        source_proxies.remove_source_proxies(self.collection)
+        source_objects.remove_source_proxies(self.collection)
         for level in self.levels:
             materials = [material for material in (*level.data.materials, pbr_material(level)) if material is not None]
             lod_crossfade.remove_crossfade(level, [material for material in materials if material.is_editable])

@@ -10,7 +10,7 @@ from mathutils.bvhtree import BVHTree
 from ...core.billboards.cloud import Level
 from ...core.imaging.images import MIN_ALPHA, max_of_neighbors
 from ..geometry.meshes import Source
-from .atlas_placement import compute_placement
+from .atlas_meshes import compute_placement
 
 MAX_HEIGHT = 2.0  # errors above and below the plane of a quad in which its surface is searched
 

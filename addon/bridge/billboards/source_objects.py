@@ -1,4 +1,7 @@
-"""Reading the source objects of a cloud again, also while they are hidden."""
+"""The source objects of a cloud: reading them again, also while they are hidden, and proxies that cross-fade into the cloud.
+
+Proxies are the same evaluated meshes with copies of their materials, since a cross-fade adds a node to materials.
+"""
 
 from collections.abc import Sequence
 
@@ -7,6 +10,11 @@ import bpy
 from ...core.errors import FarfieldError, GeometryError
 from ..geometry import meshes
 from ..objects import temporarily_visible
+from ..rendering.render_properties import copy_render_properties
+from .cloud_materials import create_gray_material
+from .clouds import KIND
+
+SOURCE_PROXY = "source_proxy"  # value of farfield_kind
 
 
 def read_source_objects(context: bpy.types.Context, sources: Sequence[bpy.types.Object]) -> meshes.Source:
@@ -27,3 +35,66 @@ def read_source_objects(context: bpy.types.Context, sources: Sequence[bpy.types.
             return meshes.read_source(list(sources), depsgraph)
         except FarfieldError as error:
             raise GeometryError(f"The original of the cloud cannot be read: {error}") from error
+
+
+def add_source_proxies(sources: Sequence[bpy.types.Object], collection: bpy.types.Collection, depsgraph: bpy.types.Depsgraph) -> None:
+    """Add proxies of everything that `sources` show to `collection`, evaluated with modifiers, instances and their materials.
+
+    The sources must be visible in `depsgraph`. Instances of the same data share one mesh.
+    """
+    wanted = {item.name_full for item in sources}
+    meshes: dict[int, bpy.types.Mesh] = {}
+    copies: dict[bpy.types.Material | None, bpy.types.Material] = {}
+    for owner, instance in meshes.visible_meshes(wanted, depsgraph):
+        evaluated, matrix = instance.object, instance.matrix_world.copy()
+        key = evaluated.data.as_pointer()
+        if key not in meshes:
+            meshes[key] = _copy_mesh(evaluated, f"{collection.name} {evaluated.name}", depsgraph, copies)
+        proxy = bpy.data.objects.new(meshes[key].name, meshes[key])
+        copy_render_properties(owner, proxy)
+        proxy[KIND] = SOURCE_PROXY
+        proxy.matrix_world = matrix
+        collection.objects.link(proxy)
+
+
+def find_source_proxies(collection: bpy.types.Collection) -> list[bpy.types.Object]:
+    """Return the proxies in `collection`."""
+    return [item for item in collection.objects if item.get(KIND) == SOURCE_PROXY]
+
+
+def remove_source_proxies(collection: bpy.types.Collection) -> None:
+    """Remove the proxies in `collection`, with the meshes and materials that nothing else uses."""
+    for item in find_source_proxies(collection):
+        mesh = item.data
+        bpy.data.objects.remove(item)
+        if mesh.users == 0:
+            materials = [material for material in mesh.materials if material is not None]
+            bpy.data.meshes.remove(mesh)
+            for material in dict.fromkeys(materials):
+                if material.users == 0:
+                    bpy.data.materials.remove(material)
+
+
+def _copy_mesh(
+    evaluated: bpy.types.Object, name: str, depsgraph: bpy.types.Depsgraph, copies: dict[bpy.types.Material | None, bpy.types.Material]
+) -> bpy.types.Mesh:
+    """Return a copy of the evaluated mesh of `evaluated`, with a copy of each of its materials."""
+    slots = [slot.material for slot in evaluated.material_slots]
+    mesh = bpy.data.meshes.new_from_object(evaluated, preserve_all_data_layers=True, depsgraph=depsgraph)
+    mesh.name = name
+    materials = [slots[index] if index < len(slots) else material for index, material in enumerate(mesh.materials)] or [None]
+    mesh.materials.clear()
+    for material in materials:
+        original = None if material is None else material.original
+        if original not in copies:
+            copies[original] = _copy_material(original)
+        mesh.materials.append(copies[original])
+    return mesh
+
+
+def _copy_material(material: bpy.types.Material | None) -> bpy.types.Material:
+    if material is None:
+        return create_gray_material("Farfield Source")
+    copy = material.copy()
+    copy.use_transparent_shadow = True
+    return copy

@@ -1,4 +1,8 @@
-"""Capture of a cloud's source: one Cycles render per view and light, and one face-ID render per view."""
+"""Capture of a cloud's source with Cycles: face IDs per view, radiance per view and light, or color and normal without light.
+
+The model *emission* needs the radiance, the model *surface* the colors and normals. Face IDs are rendered from proxies whose faces emit
+their own index, with holes where their materials are transparent.
+"""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -13,14 +17,20 @@ from ...core.btf.settings import BtfSettings
 from ...core.geometry.cameras import OrthographicView
 from ...core.geometry.direction_grids import DirectionGrid
 from ..cameras import light_matrix, set_camera_view
+from ..geometry.mesh_arrays import write_attribute
 from ..geometry.meshes import Source
-from ..rendering.cycles_renders import prepare_cycles
+from ..rendering.cycles_renders import prepare_channel_render, prepare_cycles
 from ..rendering.render_scene import RenderScene, render_scene
 from ..shading.emission import has_emission
-from .face_id_pass import add_face_id_proxies, decode_face_ids
+from ..shading.material_channels import CaptureMaterial, build_capture_material
+from ..shading.node_builder import NodeBuilder
+from .proxies import add_proxies, single_placement
 
 MAX_TRANSPARENT_BOUNCES = 256
 MIN_FILTER_WIDTH = 0.01  # pixels: the narrowest filter of Cycles
+FACE_ID = "farfield_face_id"  # face attribute (id // BASE, id % BASE, 1): single precision holds each component exactly
+BASE = 4096
+MIN_OPAQUE_ALPHA = 0.5  # a face with less alpha is transparent
 
 
 class FaceIdRenderer:
@@ -90,6 +100,37 @@ class RadianceRenderer:
         return self._work.render()[..., :3]
 
 
+class SurfaceRenderer:
+    """Renders color, coverage and normal of a source from any view."""
+
+    def __init__(self, work: RenderScene, source: Source, materials: Sequence[CaptureMaterial], settings: BtfSettings) -> None:
+        self._work, self._source, self._materials, self._settings = work, source, materials, settings
+
+    @property
+    def render_seconds(self) -> float:
+        """Total time of all Cycles renders so far."""
+        return self._work.render_seconds
+
+    def render_view(self, view: OrthographicView, face_ids: np.ndarray, emission: np.ndarray | None) -> ViewRender:
+        """Render one view. Its images are color and world-space normal, encoded in 0..1; both are premultiplied.
+
+        face_ids, emission: of this view, as in `ViewRender`.
+        """
+        set_camera_view(self._work.scene, view)
+        color = self._render_channel("color", self._settings.silhouette_samples)
+        normal = self._render_channel("normal", self._settings.normal_samples)
+        # Both must be premultiplied by the same coverage, but the one of fewer samples is noisier.
+        normal[..., :3] *= color[..., 3:] / np.maximum(normal[..., 3:], 1e-6)
+        heights = compute_heights(self._source, view.supersample(ID_BUFFER_SCALE), face_ids)
+        return ViewRender(np.stack([color[..., :3], normal[..., :3]]), color[..., 3], face_ids, heights, emission)
+
+    def _render_channel(self, channel: str, samples: int) -> np.ndarray:
+        self._work.scene.cycles.samples = samples
+        for material in self._materials:
+            material.emit(channel)
+        return self._work.render()
+
+
 def compute_heights(source: Source, view: OrthographicView, face_ids: np.ndarray) -> np.ndarray:
     """Return the height (H, W) above the view's center of the surface at every pixel center, on the plane of its face; -inf for none."""
     row, column = np.nonzero(face_ids >= 0)
@@ -102,9 +143,6 @@ def compute_heights(source: Source, view: OrthographicView, face_ids: np.ndarray
     heights = np.full(face_ids.shape, -np.inf)
     heights[row, column] = np.einsum("ni,ni->n", point - base, normal) / cosine
     return heights
-
-
-# Open one renderer after the other, never both at once: between renders Blender keeps the data of only one scene.
 
 
 @contextmanager
@@ -120,6 +158,30 @@ def open_face_id_renderer(source: Source, settings: BtfSettings, threads: int) -
         yield FaceIdRenderer(work)
 
 
+def add_face_id_proxies(work: RenderScene, source: Source) -> None:
+    """Add proxies of all faces of `source`, at their world-space positions, to the scene of `work`; see `decode_face_ids`."""
+    placement = single_placement(np.zeros(3))
+    for mesh, drawn in add_proxies(work, source, placement, lambda original, color_layer: _face_id_material(original, color_layer, work)):
+        digits = np.stack([drawn.primitives // BASE, drawn.primitives % BASE, np.ones(len(drawn.primitives))], axis=1)
+        write_attribute(mesh, FACE_ID, "FACE", digits)
+
+
+def decode_face_ids(render: np.ndarray) -> np.ndarray:
+    """Return the face ID (H, W) int32 in every pixel of a render (H, W, 4) of the proxies, -1 for none."""
+    high, low, mask = np.moveaxis(render[..., :3], -1, 0)
+    return np.where(mask > 0.5, np.rint(high).astype(np.int64) * BASE + np.rint(low).astype(np.int64), -1).astype(np.int32)
+
+
+def _face_id_material(original: bpy.types.Material | None, color_layer: str, work: RenderScene) -> bpy.types.Material:
+    """Return a copy of a material that emits the face ID where it is opaque and is transparent elsewhere."""
+    capture = build_capture_material(original, color_layer, 1.0, False, work)
+    builder = NodeBuilder(capture.material.node_tree)
+    is_opaque = builder.math("GREATER_THAN", capture.channels.alpha, MIN_OPAQUE_ALPHA)
+    builder.connect(builder.vector("SCALE", builder.attribute(FACE_ID), is_opaque), capture.emission.inputs["Color"])
+    builder.connect(builder.math("SUBTRACT", 1.0, is_opaque), capture.transparent.inputs["Color"])
+    return capture.material
+
+
 @contextmanager
 def open_radiance_renderer(
     objects: Sequence[bpy.types.Object], source: Source, settings: BtfSettings, threads: int
@@ -131,6 +193,23 @@ def open_radiance_renderer(
     with render_scene("Farfield Radiance") as work, work.show(objects):
         _prepare_scene(work, settings, threads)
         yield RadianceRenderer(work, source, settings)
+
+
+@contextmanager
+def open_surface_renderer(source: Source, settings: BtfSettings, threads: int) -> Iterator[SurfaceRenderer]:
+    """Open a renderer for `source` that uses `threads` threads. It leaves nothing behind. No other renderer may be open, see `capture`."""
+    materials: list[CaptureMaterial] = []
+    with render_scene("Farfield Surface") as work:
+        prepare_channel_render(work.scene, 1, 1, settings.seed)
+        work.scene.render.threads_mode, work.scene.render.threads = "FIXED", threads
+
+        def copy_material(original: bpy.types.Material | None, color_layer: str) -> bpy.types.Material:
+            materials.append(build_capture_material(original, color_layer, 1.0, False, work))
+            return materials[-1].material
+
+        for _ in add_proxies(work, source, single_placement(np.zeros(3)), copy_material):
+            pass
+        yield SurfaceRenderer(work, source, materials, settings)
 
 
 def sun_angle(settings: BtfSettings) -> float:
@@ -163,3 +242,6 @@ def _prepare_scene(work: RenderScene, settings: BtfSettings, threads: int) -> No
     scene.render.threads_mode, scene.render.threads = "FIXED", threads
     scene.cycles.seed = settings.seed
     scene.cycles.pixel_filter_type = "BOX"
+
+
+# Open one renderer after the other, never both at once: between renders Blender keeps the data of only one scene.

@@ -12,8 +12,7 @@ import numpy as np
 
 from ...compat import set_file_format
 from ...core.btf.decoding import RelightableTexture
-from ...core.btf.formats.bonn_filenames import direction_names, format_direction_list
-from ...core.btf.formats.complete_exr import is_complete_exr
+from ...core.btf.formats.bonn_filenames import direction_names, format_direction_list, is_complete_exr
 from ...core.errors import FileError
 from ...core.jobs.progress import Progress, Steps
 from ..rendering.render_scene import RenderScene, render_scene

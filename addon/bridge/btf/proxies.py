@@ -5,8 +5,7 @@ from collections.abc import Callable, Iterator
 import bpy
 import numpy as np
 
-from ..billboards.atlas_meshes import DrawnTriangles, compute_atlas_positions, create_atlas_mesh, find_drawn_triangles
-from ..billboards.atlas_placement import AtlasPlacement
+from ..billboards.atlas_meshes import AtlasPlacement, DrawnTriangles, compute_atlas_positions, create_atlas_mesh, find_drawn_triangles
 from ..geometry.meshes import Source
 from ..rendering.render_scene import RenderScene
 from ..shading.scene_space_nodes import required_attributes

@@ -13,8 +13,8 @@ from ...core.btf.tables import build_alpha_table
 from ...core.errors import GeometryError
 from ...core.imaging.metrics import decode_srgb
 from ..billboards.cloud_materials import COLOR, MAPS, NORMAL, SHADOWLESS_DISTANCE, SIDES, SOLID_ATTRIBUTE, map_label
+from ..billboards.level_maps import SHADOWLESS_ERRORS
 from ..billboards.level_objects import pbr_image, pbr_material, read_pbr_alpha, read_quad_flags
-from ..billboards.map_images import SHADOWLESS_ERRORS
 from ..imaging.images import read_pixels
 from ..lod_crossfade import apply_to_materials
 from .clouds import remove_suns, replace_pbr_material

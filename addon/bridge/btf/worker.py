@@ -12,9 +12,8 @@ from ...core.btf.capture.capture_spec import LevelCaptureSpec
 from ...core.btf.capture.dispatch import Shard
 from ...core.btf.capture.observations import ID_BUFFER_SCALE, ViewRender, observe, visible_subsamples
 from ...core.btf.capture.reference_images import compute_reference_image, low_order_lights
-from ...core.btf.capture.shard_files import ViewFiles, to_half
+from ...core.btf.capture.shard_files import ViewFiles, encode_visibility, to_half
 from ...core.btf.capture.shards import ShardStore
-from ...core.btf.capture.visibility_codec import encode_visibility
 from ...core.errors import FarfieldError
 from ...core.geometry.cameras import OrthographicView
 from ...core.jobs.heartbeat import exit_when_run_ends
@@ -23,8 +22,8 @@ from ..geometry.meshes import Source
 from ..shading.emission import has_emission
 from ..worker_processes import worker_command
 from . import capture
+from .capture import open_surface_renderer
 from .snapshot import Snapshot, open_snapshot, store_folder
-from .surface_capture import open_surface_renderer
 
 
 def shard_command(folder: Path, snapshot_folder: Path, shard: Shard, *, run_drivers: bool) -> list[str]:

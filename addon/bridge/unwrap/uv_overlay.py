@@ -1,9 +1,15 @@
-"""Overlay that colors faces by UV stretch in 3D Viewports and UV Editors."""
+"""UV stretch as colors: an overlay of faces in 3D Viewports and UV Editors, and image files."""
+
+from pathlib import Path
 
 import bpy
+import numpy as np
 
-from ...core.unwrap.stretch_colors import stretch_colors
+from ...core.errors import GeometryError
+from ...core.files.file_access import check_writable
+from ...core.unwrap.distortion import draw_stretch_image, stretch_colors
 from ..geometry.mesh_arrays import read_loop_vertices, read_positions, read_values
+from ..imaging.images import create_image, save_image
 from ..overlays.face_overlay import FaceColors, FaceOverlay, offset_from_faces
 from .uv_maps import read_uv_stretch
 
@@ -27,3 +33,23 @@ class StretchOverlay(FaceOverlay):
 
 
 overlay = StretchOverlay()
+
+
+def save_stretch_image(item: bpy.types.Object, path: Path, resolution: int) -> None:
+    """Write a PNG of the active UV map of an object's mesh, with `resolution` pixels per side.
+
+    Raises:
+        GeometryError: the mesh has not been unwrapped, or is in Edit Mode.
+        FileError: the file cannot be written.
+    """
+    uv_stretch = read_uv_stretch(item.data)
+    if uv_stretch is None:
+        raise GeometryError(f'"{item.name}" has not been unwrapped or is in Edit Mode; unwrap it and switch to Object Mode.')
+    check_writable(path)
+    pixels = draw_stretch_image(uv_stretch.uvs[uv_stretch.loops], uv_stretch.stretches, resolution)
+    image = create_image("stretch", np.dstack([pixels, np.ones((resolution, resolution), np.float32)]), is_data=False)
+    try:
+        image.file_format = "PNG"
+        save_image(image, path)
+    finally:
+        bpy.data.images.remove(image)

@@ -17,11 +17,10 @@ from ..jobs.progress import Steps, subprogress
 from .atlas import MAX_TEXELS
 from .cloud import Level
 from .clustering.patches import Covering, merge_coverings
-from .components import Components
 from .error_search import MAX_ERROR, MIN_FRACTION, Attempt, search_error
 from .estimate import BYTES_PER_TEXEL, estimate_levels, sample_primitives
 from .levels import LevelBuilder
-from .primitives import Primitives
+from .primitives import Components, Primitives
 from .settings import BillboardSettings
 
 MAX_REMAINING_BUILDS = 4  # of the group that gets the unused rest of the budget

@@ -7,9 +7,8 @@ from ..geometry.mesh import PointCloud, TriangleMesh, drop_degenerate, longest_s
 from ..jobs.progress import Progress, StageClock, Steps, subprogress
 from .budget import cover_within_budget, read_budget
 from .cloud import Cloud, Level, Quads
-from .components import find_components
 from .levels import LevelBuilder
-from .primitives import Primitives, drop_incomplete_points, from_mesh, from_points
+from .primitives import Primitives, drop_incomplete_points, find_components, from_mesh, from_points
 from .settings import BillboardSettings
 
 PACKING_START = 0.95  # fraction of the progress bar; the rest is for packing the atlas

@@ -17,10 +17,8 @@ from .clustering.hierarchy import ClusterBounds, merge_in_rounds
 from .clustering.patches import Covering, Patch, assign_groups, best_facing_patch, group_by_label, merge_coverings
 from .clustering.planes import PlaneBounds, Planes
 from .clustering.rectangles import compute_bounds, enclosing_rectangle, min_area_axes
-from .components import Components
-from .decimation.flat_surfaces import cover_flat_surfaces
-from .decimation.triangle_patches import build_triangle_patches
-from .primitives import Primitives
+from .decimation.triangle_patches import build_triangle_patches, cover_flat_surfaces
+from .primitives import Components, Primitives
 from .settings import BillboardSettings
 
 REGION_NEIGHBORS = 12  # per primitive, in the graph over which the region of a quad grows

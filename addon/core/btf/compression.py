@@ -18,10 +18,9 @@ from .factorization.factors import Factors, factorize, factorize_scalar
 from .factorization.lpca import factorize_lpca
 from .refinement.refine import compute_texel_colors
 from .refinement.training import StoredTrainingView, refine_stored_views
-from .reflectance.chromaticity import compute_chromaticity
+from .reflectance.chromaticity import compute_chromaticity, mean_emission
 from .reflectance.disc_lights import DiscLights
 from .reflectance.dome import fit_dome
-from .reflectance.emission import mean_emission
 from .reflectance.lobe_fit import CapturedRadiance, fit_lobes
 from .reflectance.lobes import Lobes, TexelSurface
 from .reflectance.residuals import ResidualFiles, write_residuals

@@ -1,4 +1,4 @@
-"""Quality metrics of a UV map: stretch, flips, overlaps, triangle quality, filled area and texel density."""
+"""Quality metrics of a UV map, and colors for its stretch: stretch, flips, overlaps, triangle quality, filled area and texel density."""
 
 from dataclasses import dataclass
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from ..geometry.mesh import TriangleMesh, face_areas_and_normals
 from ..geometry.transforms import signed_areas
+from ..imaging.raster import fill_triangles
 from ..jobs.progress import Progress, Steps
 from .energies.rest_shapes import compute_rest_shapes
 from .energies.shape_barrier import min_height_to_base
@@ -16,6 +17,9 @@ from .parameterization.density_control import compute_density_ratio
 NEGLIGIBLE_AREA = 1e-9  # of the mean area: the stretch of smaller triangles is rounding noise
 PERCENTILES = 95.0, 99.0
 IMPORTANCE_BINS = 4
+NEUTRAL, STRETCHED, COMPRESSED = np.array([0.93, 0.93, 0.90]), np.array([0.75, 0.10, 0.08]), np.array([0.10, 0.28, 0.70])
+SATURATION_STRETCH = 2.0  # stretch, or its inverse, that gets the full color
+BACKGROUND = 0.16
 
 
 @dataclass(frozen=True)
@@ -115,3 +119,14 @@ def _compute_densities(uv_areas: np.ndarray, areas: np.ndarray, importance: np.n
     area_sums, uv_sums = (np.bincount(bins, values, IMPORTANCE_BINS) for values in (areas, uv_areas))
     densities = np.divide(uv_sums, area_sums, out=np.zeros(IMPORTANCE_BINS), where=area_sums > 0.0)
     return tuple((densities * areas.sum() / uv_areas.sum()).tolist())
+
+
+def stretch_colors(stretches: np.ndarray) -> np.ndarray:
+    """Return colors (N, 3) float32, sRGB, of `stretches` (N,); 1 is no stretch."""
+    t = np.clip(np.log(np.maximum(stretches, 1e-6)) / np.log(SATURATION_STRETCH), -1.0, 1.0)[:, None]
+    return (NEUTRAL + np.abs(t) * (np.where(t > 0.0, STRETCHED, COMPRESSED) - NEUTRAL)).astype(np.float32)
+
+
+def draw_stretch_image(corner_uvs: np.ndarray, stretches: np.ndarray, resolution: int) -> np.ndarray:
+    """Return an image (resolution, resolution, 3), sRGB, of a UV map `corner_uvs` (T, 3, 2), colored by `stretches` (T,)."""
+    return fill_triangles(np.asarray(corner_uvs, np.float64) * resolution, stretch_colors(stretches), (resolution, resolution), BACKGROUND)

@@ -20,10 +20,10 @@ from ...bridge.btf import capture as btf_capture
 from ...bridge.btf import clouds as btf_clouds
 from ...bridge.btf import snapshot as btf_snapshot
 from ...bridge.btf import worker as btf_worker
-from ...bridge.btf.driver_permission import may_run_python_drivers
 from ...bridge.btf.level_checks import check_editable, check_level, is_unchanged
 from ...bridge.btf.light_calibration import calibrate_light_coverage, has_loose_quads
 from ...bridge.btf.shared_parameters import Value, read_shared_parameters
+from ...bridge.btf.snapshot import may_run_python_drivers
 from ...bridge.btf.surface_clouds import assign_surface_material, check_maps, read_two_sided_texels
 from ...bridge.geometry import meshes
 from ...bridge.imaging import images

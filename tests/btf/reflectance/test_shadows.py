@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from farfield.addon.core.btf.capture.visibility_codec import UNKNOWN, encode_visibility
+from farfield.addon.core.btf.capture.shard_files import UNKNOWN, encode_visibility
 from farfield.addon.core.btf.factorization.factors import Factors
 from farfield.addon.core.btf.reflectance.disc_lights import DiscLights
 from farfield.addon.core.btf.reflectance.shadows import MAX_ANGLE, PENUMBRA_ANGLE, Shadows, compute_shadows

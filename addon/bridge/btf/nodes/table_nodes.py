@@ -1,11 +1,10 @@
-"""Shader nodes that sample images, and lookup tables of directions; see `core.btf.tables`."""
+"""Shader nodes that sample images, and lookup tables of directions; see `core.btf.tables` and `core.geometry.directions`."""
 
 import bpy
 
 from ....core.btf.tables import ViewTable
 from ...shading.node_builder import NodeBuilder, SocketOrValue
 from ...shading.node_groups import ensure_shared_group
-from .octahedral_nodes import to_octahedral
 
 OCTAHEDRAL_VERSION = 1
 BLACK = (0.0, 0.0, 0.0)
@@ -74,6 +73,29 @@ def _octahedral_group(upper: bool) -> bpy.types.NodeTree:
 
     name = "Farfield Hemi-octahedral" if upper else "Farfield Octahedral"
     return ensure_shared_group(name, OCTAHEDRAL_VERSION, [("Direction", "Vector")], [("UV", "Vector")], fill)
+
+
+def to_octahedral(builder: NodeBuilder, direction: SocketOrValue, upper: bool) -> bpy.types.NodeSocket:
+    """Return the position (x, y, 0) in -1..1 of a `direction` of any length on the octahedral map.
+
+    upper: on the hemi-octahedral map; directions below the horizon are projected onto it.
+    """
+    if upper:
+        direction = builder.vector("MAXIMUM", direction, (-1e6, -1e6, 0.0))
+    norm = builder.vector("DOT_PRODUCT", builder.vector("ABSOLUTE", direction), (1.0, 1.0, 1.0))
+    projected = builder.vector("SCALE", direction, builder.math("DIVIDE", 1.0, builder.math("MAXIMUM", norm, 1e-12)))
+    x, y, z = builder.separate(projected)
+    if upper:
+        return builder.combine(builder.math("ADD", x, y), builder.math("SUBTRACT", x, y), 0.0)
+    fold = fold_below_horizon(builder, x, y, z)
+    return builder.vector("ADD", builder.combine(x, y, 0.0), fold)
+
+
+def fold_below_horizon(builder: NodeBuilder, x: SocketOrValue, y: SocketOrValue, z: SocketOrValue) -> bpy.types.NodeSocket:
+    """Return (sign x, sign y, 0) max(-z, 0): below the horizon the corners of the map fold outwards by this. The sign of 0 is -1."""
+    is_positive = (builder.math("GREATER_THAN", value, 0.0) for value in (x, y))
+    signs = builder.combine(*(builder.math("SUBTRACT", builder.math("MULTIPLY", value, 2.0), 1.0) for value in is_positive), 0.0)
+    return builder.vector("SCALE", signs, builder.math("MAXIMUM", builder.math("MULTIPLY", z, -1.0), 0.0))
 
 
 def weight_sockets(blocks: int) -> list[tuple[str, str]]:

@@ -4,14 +4,14 @@ Proxies of all faces, translated so that the center of the object is the origin,
 orthographic camera renders one image per frame and channel.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
 
-from ....core.btf.octahedral import MIN_FRAME_RESOLUTION, FrameGrid, OctahedralAtlas, find_uniform_value
+from ....core.btf.octahedral import MIN_FRAME_RESOLUTION, FrameGrid, OctahedralAtlas
 from ....core.errors import SettingsError
 from ....core.geometry.cameras import OrthographicView
 from ....core.imaging.images import MIN_ALPHA, mean_over_coverage
@@ -26,9 +26,9 @@ from ...shading.node_builder import NodeBuilder
 from ..proxies import add_proxies, single_placement
 
 MIN_UNSCALED_LENGTH, MAX_UNSCALED_LENGTH = 1e-3, 1e3  # half sides that single precision and camera clipping handle without scaling
-POSITION = "position"  # the channel of positions, in addition to CHANNELS
+POSITION = "position"
+ATLAS_CHANNELS = (*CHANNELS, POSITION)
 MAX_MATERIAL_SAMPLES = 4  # material parameters vary less within a pixel than coverage at edges
-PROBE_FRAMES_PER_SIDE, PROBE_RESOLUTION = 4, 32  # of the renders that decide whether roughness and metallic need a map
 MARGIN_PIXELS = 1.0  # between the object and the border of a frame
 
 
@@ -66,12 +66,14 @@ class _ProxyMaterial:
             self.capture.emit(channel)
 
 
-def capture_atlas(source: Source, grid: FrameGrid, frame_resolution: int, samples: int, seed: int = 0) -> Steps[OctahedralAtlas]:
+def capture_atlas(
+    source: Source, grid: FrameGrid, frame_resolution: int, samples: int, channels: Sequence[str] = ATLAS_CHANNELS
+) -> Steps[OctahedralAtlas]:
     """Render the frames of `source`, each `frame_resolution` pixels wide and high. Runs in Blender's main thread; each step is one render.
 
     The user's scene is unchanged, and nothing remains of the renders, even if the generator is closed between two steps.
 
-    samples: Cycles samples per pixel for color and alpha; other channels use fewer.
+    samples: Cycles samples per pixel for color and alpha; other channels use fewer. channels: those to render; the maps of others stay 0.
 
     Raises:
         FileError: if an image file of a material is missing, or the temporary folder cannot store a render.
@@ -92,8 +94,7 @@ def capture_atlas(source: Source, grid: FrameGrid, frame_resolution: int, sample
         np.zeros((*size, 2), np.float32),
     )
     atlas = OctahedralAtlas(grid, center, half_side, frame_resolution, *empty_maps)
-    channels = (*CHANNELS, POSITION)
-    with _open_frame_renderer(source, atlas, seed) as renderer:
+    with _open_frame_renderer(source, atlas) as renderer:
         for i, channel in enumerate(channels):
             renderer.show_channel(channel, samples if channel == "color" else min(samples, MAX_MATERIAL_SAMPLES))
             for index in range(len(grid)):
@@ -101,17 +102,6 @@ def capture_atlas(source: Source, grid: FrameGrid, frame_resolution: int, sample
                 yield Progress((i + index / len(grid)) / len(channels), label)
                 _WRITERS[channel](atlas, index, renderer.render_frame(index))
     return atlas
-
-
-def has_varying_surface(source: Source, seed: int = 0) -> bool:
-    """Whether roughness or metallic of `source` vary over its surface, from a few small renders. Raises as `capture_atlas`."""
-    center, half_side = frame_bounds(source, PROBE_RESOLUTION)
-    grid, no_map = FrameGrid(PROBE_FRAMES_PER_SIDE), np.zeros((0, 0))
-    atlas = OctahedralAtlas(grid, center, half_side, PROBE_RESOLUTION, no_map, no_map, no_map, no_map)
-    with _open_frame_renderer(source, atlas, seed) as renderer:
-        renderer.show_channel("roughness_metallic_depth", MAX_MATERIAL_SAMPLES)
-        renders = np.concatenate([renderer.render_frame(index) for index in range(len(grid))])
-    return find_uniform_value(renders[..., :2] / np.maximum(renders[..., 3:], MIN_ALPHA), renders[..., 3]) is None
 
 
 def frame_bounds(source: Source, frame_resolution: int) -> tuple[np.ndarray, float]:
@@ -125,7 +115,7 @@ def frame_bounds(source: Source, frame_resolution: int) -> tuple[np.ndarray, flo
 
 
 @contextmanager
-def _open_frame_renderer(source: Source, atlas: OctahedralAtlas, seed: int) -> Iterator[_FrameRenderer]:
+def _open_frame_renderer(source: Source, atlas: OctahedralAtlas) -> Iterator[_FrameRenderer]:
     """Open a renderer for the frames of `atlas`, whose maps are not used. It leaves nothing behind."""
     check_images(source)
     unit = 1.0 if MIN_UNSCALED_LENGTH <= atlas.half_side <= MAX_UNSCALED_LENGTH else atlas.half_side
@@ -134,7 +124,7 @@ def _open_frame_renderer(source: Source, atlas: OctahedralAtlas, seed: int) -> I
     views = [replace(atlas.view(index), center=np.zeros(3), pixel_size=pixel_size) for index in range(len(atlas.grid))]
     materials: list[_ProxyMaterial] = []
     with render_scene("Farfield Octahedral") as work:
-        prepare_channel_render(work.scene, atlas.frame_resolution, atlas.frame_resolution, seed)
+        prepare_channel_render(work.scene, atlas.frame_resolution, atlas.frame_resolution, seed=0)
 
         def copy_material(original: bpy.types.Material | None, color_layer: str) -> bpy.types.Material:
             materials.append(_proxy_material(build_capture_material(original, color_layer, half_side, False, work), half_side))

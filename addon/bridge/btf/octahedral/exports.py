@@ -12,11 +12,12 @@ from ....core.errors import FileError
 from ....core.files.atomic_write import atomic_folder
 from ....core.jobs.progress import Steps
 from ...geometry.meshes import read_source
+from ...imaging.images import create_image
 from ...objects import temporarily_visible
 from .capture import capture_atlas
-from .objects import create_atlas_images
 
 METADATA_FILE = "octahedral_atlas.json"
+IMAGE_NAMES = {"color": "Color", "normal_height": "Normal and Height", "roughness_metallic": "Roughness and Metallic"}
 MAP_CHANNELS = {
     "color": {"rgb": "base color, sRGB, straight alpha", "a": "coverage"},
     "normal_height": {
@@ -65,6 +66,11 @@ def write_octahedral_atlas(
         for name, content in contents.items():
             (temporary / name).write_bytes(content)
     return [folder / name for name in contents]
+
+
+def create_atlas_images(name: str, atlas: OctahedralAtlas) -> dict[str, bpy.types.Image]:
+    """Create the maps of `atlas` as packed images with 8 bits per channel, by their keys in `OctahedralAtlas.encode`."""
+    return {key: create_image(f"{name} {IMAGE_NAMES[key]}", pixels, is_data=key != "color") for key, pixels in atlas.encode().items()}
 
 
 def build_metadata(atlas: OctahedralAtlas, maps: Sequence[str]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Patches of a coarse mesh: one per triangle, cut to it, and one per group of triangles in one plane."""
+"""Patches of a coarse mesh: one per triangle, cut to it, and one per group of triangles in one plane. Flat input needs no coarse mesh."""
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -8,9 +8,9 @@ from ...geometry.edges import find_edges
 from ...geometry.mesh import face_areas_and_normals
 from ...geometry.transforms import frames_from_normals
 from ..clustering.patches import Covering, Patch, group_by_label
-from ..clustering.planes import PlaneBounds
+from ..clustering.planes import PlaneBounds, fit_planes
 from ..clustering.rectangles import compute_bounds, enclosing_rectangle, min_area_axes, rectangle_area
-from ..primitives import Primitives
+from ..primitives import Components, Primitives
 from .reference_mesh import DecimatedMesh
 
 FLAT_TOLERANCE = 0.05  # of the error: triangles with corners within this distance of each other's planes are in one plane
@@ -110,3 +110,47 @@ class _PatchBuilder:
             (boxes[:, 0] <= rectangle[1]) & (boxes[:, 1] >= rectangle[0]) & (boxes[:, 2] <= rectangle[3]) & (boxes[:, 3] >= rectangle[2])
         )
         return near[touches]
+
+
+def cover_flat_surfaces(
+    primitives: Primitives, components: Components, bounds: PlaneBounds, quad_cost: float
+) -> tuple[np.ndarray, Covering]:
+    """Cover connected surfaces with one quad each if all `primitives` are in one plane, within FLAT_TOLERANCE of the error.
+
+    Front and back faces need separate quads. Surfaces for which one quad would waste too much area, and loose parts, which could share one,
+    are not covered. `quad_cost`: of one more quad, in mean areas of a triangle.
+
+    Returns:
+        The indices (K,) of the covered primitives, none if the input is not flat, and the covering of these, in their numbering.
+    """
+    plane = fit_planes(primitives, [np.arange(len(primitives))])
+    normal, offset = plane.normals[0], float(plane.offsets[0])
+    cosines = primitives.normals @ normal
+    flat_bounds = PlaneBounds(FLAT_TOLERANCE * bounds.error)
+    is_flat = flat_bounds.contain(primitives.positions, primitives.normals, normal, offset) & (np.abs(cosines) >= bounds.min_cosine)
+    indices: list[np.ndarray] = []
+    patches: list[Patch] = []
+    surfaces = _find_surfaces(components, cosines > 0.0) if is_flat.all() else []
+    for members in surfaces:
+        sign = 1.0 if cosines[members[0]] > 0.0 else -1.0
+        first = sum(len(other) for other in indices)
+        patch = _build_patch(primitives.positions[members], sign * normal, sign * offset, np.arange(first, first + len(members)))
+        areas = primitives.areas[members]
+        if rectangle_area(patch.rectangle) <= areas.sum() + quad_cost * areas.mean() * (len(members) - 1):
+            indices.append(members)
+            patches.append(patch)
+    owner = np.repeat(np.arange(len(patches), dtype=np.int32), [len(members) for members in indices])
+    return np.concatenate([np.empty(0, np.int64), *indices]), Covering(patches, owner)
+
+
+def _find_surfaces(components: Components, is_front: np.ndarray) -> list[np.ndarray]:
+    """Return the primitives of each connected surface, without loose parts, front and back faces separately."""
+    labels = np.unique(2 * components.labels + is_front, return_inverse=True)[1].reshape(-1)
+    return [members for members in group_by_label(labels) if not components.loose[members].any()]
+
+
+def _build_patch(positions: np.ndarray, normal: np.ndarray, offset: float, drawn: np.ndarray) -> Patch:
+    """Build the patch with the smallest rectangle around the primitives `drawn` with corner `positions` (K, 3, 3)."""
+    frame = frames_from_normals(normal[None])[0, :2]
+    axes = min_area_axes(positions.reshape(-1, 3) @ frame.T) @ frame
+    return Patch(normal, offset, axes, enclosing_rectangle(compute_bounds(positions, axes)), drawn, drawn)

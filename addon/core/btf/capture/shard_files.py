@@ -1,4 +1,4 @@
-"""Files that hold NumPy arrays of one view. A file appears complete or not at all; a checksum detects damage."""
+"""Files that hold NumPy arrays of one view, and their encoding. A file appears complete or not at all; a checksum detects damage."""
 
 import io
 from contextlib import suppress
@@ -12,6 +12,9 @@ from ...files.atomic_write import write_bytes_atomically
 from ...files.file_access import error_reason
 from ...files.sealed_files import seal, unseal
 from .array_archives import READ_ERRORS, read_archive, write_archive
+
+UNKNOWN = 255
+FULLY_VISIBLE = UNKNOWN - 1
 
 
 @dataclass(frozen=True)
@@ -94,3 +97,12 @@ def to_half(values: np.ndarray) -> np.ndarray:
 def to_bytes(fractions: np.ndarray) -> np.ndarray:
     """Return `fractions` in 0..1 as uint8 in 0..255."""
     return np.rint(255.0 * np.clip(fractions, 0.0, 1.0)).astype(np.uint8)
+
+
+def encode_visibility(visible: np.ndarray, hidden: np.ndarray) -> np.ndarray:
+    """Return the visible fraction (N,) uint8 of texels, 0 to FULLY_VISIBLE; UNKNOWN where nothing of a texel was seen.
+
+    visible, hidden (N,): numbers of subsamples that a light sees, and that other surfaces hide from it.
+    """
+    total = visible + hidden
+    return np.where(total > 0.0, np.rint((UNKNOWN - 1) * visible / np.maximum(total, 1.0)), UNKNOWN).astype(np.uint8)

@@ -1,6 +1,10 @@
-"""Chromaticity of texels. Colors are divided by it before they are factorized, so that the residual depends on view and light alone."""
+"""Mean colors of texels over all views: chromaticity and emission.
 
-from collections.abc import Sequence
+Colors are divided by the chromaticity before they are factorized, so that the residual depends on view and light alone. Emission is
+subtracted from the captured radiance and added when decoding, independent of the lights.
+"""
+
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -9,6 +13,7 @@ from ...jobs.progress import Progress, Steps
 from ..factorization.als import ViewData, split_lights
 
 MIN_CHROMATICITY = 1e-3  # division by a smaller value would amplify noise
+MIN_EMISSION = 1e-3  # radiance; when no texel emits more, the level has no emission
 
 
 def compute_chromaticity(
@@ -32,3 +37,17 @@ def compute_chromaticity(
     mean = total.mean(axis=1, keepdims=True)
     chromaticity = np.where(mean > 0.0, total / np.where(mean > 0.0, mean, 1.0), 1.0)
     return np.maximum(chromaticity, MIN_CHROMATICITY).astype(np.float32)
+
+
+def mean_emission(views: Iterable[tuple[np.ndarray, np.ndarray]], weights: np.ndarray) -> np.ndarray | None:
+    """Return the weighted mean emission (N, 3) float32 over all views; None without emission.
+
+    Args:
+        views: texels (M,) and their emission (M, 3) in each view. weights: (V, N) weight of each texel in each view.
+    """
+    total, total_weights = np.zeros((weights.shape[1], 3)), np.zeros((weights.shape[1], 1))
+    for (rows, emission), view_weights in zip(views, weights, strict=True):
+        total[rows] += view_weights[rows, None] * emission
+        total_weights[rows] += view_weights[rows, None]
+    mean = np.maximum(total / np.maximum(total_weights, 1e-12), 0.0)
+    return mean.astype(np.float32) if mean.max(initial=0.0) > MIN_EMISSION else None

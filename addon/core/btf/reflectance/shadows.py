@@ -13,7 +13,7 @@ import numpy as np
 from ...geometry.direction_grids import DirectionGrid
 from ...jobs.chunks import slices
 from ...jobs.progress import Progress, Steps, subprogress
-from ..capture.visibility_codec import FULLY_VISIBLE, UNKNOWN
+from ..capture.shard_files import FULLY_VISIBLE, UNKNOWN
 from ..factorization.factors import Factors, factorize_scalar
 from .disc_lights import DiscLights
 

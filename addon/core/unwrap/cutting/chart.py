@@ -1,8 +1,13 @@
-"""A connected part of a surface that is parameterized as one UV island."""
+"""Connected parts of a surface that are parameterized as UV islands, and their division along edges.
+
+Corners share a vertex only where their triangles are connected around it.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 
 @dataclass(frozen=True)
@@ -17,3 +22,31 @@ class Chart:
     triangles: np.ndarray
     density: np.ndarray
     polygon_ids: np.ndarray | None = None
+
+
+def split_into_components(chart: Chart, halfedges: np.ndarray) -> list[tuple[Chart, np.ndarray]]:
+    """Split a chart along all edges except for those of `halfedges` (I, 2), pairs of halfedges 3 t + c.
+
+    Returns:
+        the connected components, each a manifold with its own vertices, and the indices of their triangles.
+    """
+    vertex_indices = _split_vertices(chart.triangles, halfedges)
+    count = len(chart.triangles)
+    first, second = halfedges.T // 3
+    total, label = connected_components(coo_array((np.ones(len(halfedges), bool), (first, second)), shape=(count, count)), directed=False)
+    components = []
+    for members in np.split(np.argsort(label, kind="stable"), np.cumsum(np.bincount(label, minlength=total))[:-1]):
+        _, corners, indices = np.unique(vertex_indices[members], return_index=True, return_inverse=True)
+        vertices = chart.vertices[chart.triangles[members].ravel()[corners]]
+        polygon_ids = None if chart.polygon_ids is None else chart.polygon_ids[members]
+        components.append((Chart(vertices, indices.reshape(-1, 3).astype(np.int32), chart.density[members], polygon_ids), members))
+    return components
+
+
+def _split_vertices(triangles: np.ndarray, halfedges: np.ndarray) -> np.ndarray:
+    """Return new vertex indices (T, 3), equal only for corners that are connected across `halfedges` (I, 2)."""
+    first, second = (3 * (side // 3) for side in halfedges.T)
+    pairs = [(first + (halfedges[:, 0] % 3 + offset) % 3, second + (halfedges[:, 1] % 3 + 3 - offset) % 3) for offset in (1, 2)]
+    first_corners, second_corners = (np.concatenate(corners) for corners in zip(*pairs, strict=True))
+    connected = coo_array((np.ones(len(first_corners), bool), (first_corners, second_corners)), shape=(triangles.size,) * 2)
+    return connected_components(connected, directed=False)[1].reshape(-1, 3)

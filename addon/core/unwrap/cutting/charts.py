@@ -9,9 +9,8 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 from ...geometry.edges import find_edges
 from ...geometry.proximity import encode_pairs
 from ...jobs.progress import Progress, Steps, subprogress
-from .chart import Chart
+from .chart import Chart, split_into_components
 from .cuts import cut_to_disk_edges
-from .splitting import split_into_components
 
 MAX_CUT_ROUNDS = 4  # before a component is cut along the complement of a spanning tree
 

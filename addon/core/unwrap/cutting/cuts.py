@@ -22,8 +22,7 @@ from ..multiresolution.halfedge_decimation import decimate
 from ..parameterization.parameterize import Boundary, parameterize
 from .atlas_seams import find_atlas_seams
 from .boundaries import boundary_loops
-from .chart import Chart
-from .splitting import split_into_components
+from .chart import Chart, split_into_components
 
 CREASE_DISCOUNT = 0.8  # of the cost of a cut: saved along an edge that is folded by 180 degrees
 BOUNDARY_COST = 100.0  # cost factor of edges at the boundary when handles are cut, so that the rest stays connected

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..energies.assembly import Assembly
 from ..energies.boundary_barrier import BoundaryBarrier
 from ..energies.rest_shapes import RestShapes
 from ..energies.shape_barrier import ShapeBarrier, min_height_to_base
 from ..energies.stretch_energy import StretchEnergy
-from ..energies.uv_energy import UvEnergy
+from ..energies.uv_energy import Assembly, UvEnergy
 from .relaxation import relax_worst_vertices
 
 MAX_DIRECT_VERTICES = 20_000  # levels with more are divided into patches

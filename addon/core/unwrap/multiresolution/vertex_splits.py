@@ -4,7 +4,7 @@ import numpy as np
 
 from ...arrays import TINY
 from ...geometry.transforms import cross
-from ..mean_value import half_angle_tangents
+from ..energies.rest_shapes import half_angle_tangents
 from .halfedge_decimation import CollapseBatch
 from .one_rings import OneRings
 

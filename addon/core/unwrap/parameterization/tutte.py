@@ -7,9 +7,8 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from ...arrays import TINY
-from ..energies.rest_shapes import compute_rest_shapes
+from ..energies.rest_shapes import compute_rest_shapes, half_angle_tangents
 from ..energies.stretch_energy import squared_stretches
-from ..mean_value import half_angle_tangents
 
 MAX_REWEIGHTINGS = 10
 MIN_SCALE = 1e-6  # of lengths in the map to lengths on the surface

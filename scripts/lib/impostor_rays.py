@@ -4,12 +4,18 @@ from dataclasses import dataclass
 
 import bpy
 
-from ....core.btf.octahedral import MIN_COSINE, PARALLAX_STEPS, FrameGrid, OctahedralAtlas
-from ....core.imaging.images import MIN_ALPHA
-from ...shading.node_builder import NodeBuilder, SocketOrValue
-from ...shading.node_groups import create_group
-from ..nodes.octahedral_nodes import from_octahedral, to_octahedral
+from lib import environment
 
+environment.import_farfield()
+
+from farfield.addon.bridge.btf.nodes.table_nodes import fold_below_horizon, to_octahedral
+from farfield.addon.bridge.shading.node_builder import NodeBuilder, SocketOrValue
+from farfield.addon.bridge.shading.node_groups import create_group
+from farfield.addon.core.btf.octahedral import FrameGrid, OctahedralAtlas
+from farfield.addon.core.imaging.images import MIN_ALPHA
+
+PARALLAX_STEPS = 2  # The search for the surface along a ray starts at the plane through the center and is repeated so often.
+MIN_COSINE = 0.1  # Smaller cosines between a ray and the direction of a frame are clamped.
 # Filtered images have smaller mipmaps in EEVEE where UVs are discontinuous, as behind heights, so frames would blend into each other.
 INTERPOLATION = {"CYCLES": "Linear", "EEVEE": "Closest"}
 
@@ -99,7 +105,7 @@ def _build_ray_group(name: str, frames: FrameImages, interpolation: str) -> bpy.
 def _surrounding_frames(
     builder: NodeBuilder, direction: SocketOrValue, grid: FrameGrid
 ) -> list[tuple[SocketOrValue, SocketOrValue, SocketOrValue]]:
-    """Return column, row and weight of the three frames around `direction`; see `FrameGrid.surrounding_frames`."""
+    """Return column, row and weight of the three frames around `direction`; see `surrounding_frames` in the tests of impostors."""
     cells = float(grid.frames_per_side - 1)
     uv = builder.vector("ADD", builder.vector("SCALE", to_octahedral(builder, direction, grid.upper), 0.5), (0.5, 0.5, 0.0))
     positions = builder.vector("SCALE", uv, cells)
@@ -124,7 +130,7 @@ def _surrounding_frames(
 
 
 def _build_frame_group(name: str, frames: FrameImages, interpolation: str) -> bpy.types.NodeTree:
-    """Create the group "Frame": what a ray hits in the frame at Column, Row; see `core.btf.octahedral.sample_rays`."""
+    """Create the group "Frame": what a ray hits in the frame at Column, Row; see `sample_rays` in the tests of impostors."""
     inputs = (("Point", "Vector"), ("Direction", "Vector"), ("Min Distance", "Float"), ("Column", "Float"), ("Row", "Float"))
     group = create_group(f"{name} Frame", inputs, RAY_OUTPUTS)
     builder = NodeBuilder(group)
@@ -163,6 +169,18 @@ def _build_frame_group(name: str, frames: FrameImages, interpolation: str) -> bp
         builder.connect(result, target)
     builder.arrange()
     return group
+
+
+def from_octahedral(builder: NodeBuilder, x: SocketOrValue, y: SocketOrValue, upper: bool) -> bpy.types.NodeSocket:
+    """Return the unit direction at the position x, y in -1..1 of the map. The inverse of `to_octahedral`."""
+    if upper:
+        x, y = (builder.math("MULTIPLY", builder.math(operation, x, y), 0.5) for operation in ("ADD", "SUBTRACT"))
+    norm = builder.math("ADD", builder.math("ABSOLUTE", x), builder.math("ABSOLUTE", y))
+    z = builder.math("SUBTRACT", 1.0, norm)
+    direction = builder.combine(x, y, builder.math("MAXIMUM", z, 0.0) if upper else z)
+    if not upper:
+        direction = builder.vector("SUBTRACT", direction, fold_below_horizon(builder, x, y, z))
+    return builder.vector("NORMALIZE", direction)
 
 
 def _right_axis(builder: NodeBuilder, direction: SocketOrValue) -> bpy.types.NodeSocket:

@@ -15,17 +15,20 @@ import bpy
 import mathutils
 import numpy as np
 
-from ....core.btf.octahedral import OctahedralAtlas
-from ...geometry.mesh_arrays import write_positions
-from ...imaging.images import create_image
-from .materials import FACING, QUAD_NORMAL, QUAD_NORMALS, RIGHT, SHELL_RADIUS, quad_material, shell_material
-from .ray_groups import FrameImages, build_ray_groups
+from lib import environment
 
-BOUNDARY_VERTICES = 32  # of a quad: it appears round to the viewer and therefore fits into the shell
+environment.import_farfield()
+
+from farfield.addon.bridge.btf.octahedral.exports import create_atlas_images
+from farfield.addon.bridge.geometry.mesh_arrays import write_positions
+from farfield.addon.core.btf.octahedral import OctahedralAtlas
+from lib.impostor_materials import FACING, QUAD_NORMAL, QUAD_NORMALS, RIGHT, SHELL_RADIUS, quad_material, shell_material
+from lib.impostor_rays import FrameImages, build_ray_groups
+
+BOUNDARY_VERTICES = 32  # A quad with so many appears round to the viewer and therefore fits into the shell.
 QUAD_RADIUS = 1.02  # as seen by the viewer, in half sides of a frame
 SHELL_SUBDIVISIONS = 3
 DEFAULT_BIAS = 1.0  # pixels of a frame: a surface that is closer in front of a point does not shade it
-IMAGE_NAMES = {"color": "Color", "normal_height": "Normal and Height", "roughness_metallic": "Roughness and Metallic"}
 LIGHT_RAY_VISIBILITY = ("visible_diffuse", "visible_glossy", "visible_transmission", "visible_volume_scatter", "visible_shadow")
 
 
@@ -88,11 +91,6 @@ def build_impostor(name: str, atlas: OctahedralAtlas, bias: float = DEFAULT_BIAS
     impostor = Impostor(quads, shell, atlas.half_side, list(images.values()))
     impostor.face_viewer((0.0, -1.0, 0.0))
     return impostor
-
-
-def create_atlas_images(name: str, atlas: OctahedralAtlas) -> dict[str, bpy.types.Image]:
-    """Create the maps of `atlas` as packed images with 8 bits per channel, by their keys in `OctahedralAtlas.encode`."""
-    return {key: create_image(f"{name} {IMAGE_NAMES[key]}", pixels, is_data=key != "color") for key, pixels in atlas.encode().items()}
 
 
 def _node_groups_in(trees: Iterable[bpy.types.NodeTree]) -> set[bpy.types.NodeTree]:

@@ -1,6 +1,6 @@
-"""The shaders of an octahedral impostor for Cycles and EEVEE, made of built-in nodes and images. See `objects` for the meshes.
+"""The shaders of an octahedral impostor for Cycles and EEVEE, made of built-in nodes and images. See `impostors` for the meshes.
 
-The quads evaluate the node group "Ray", see `ray_groups`, for every camera ray and pass color, normal and roughness to a Principled shader.
+The quads evaluate the node group "Ray" of `impostor_rays` for every camera ray and pass color, normal and roughness to a Principled shader.
 The shell evaluates it for every other ray. A ray from outside hits the silhouette that is visible from its direction. A ray from a point on
 a quad starts at the visible surface instead, and is blocked if the frames of its direction show something farther out, as in a shadow map.
 """
@@ -10,10 +10,14 @@ from collections.abc import Mapping
 import bpy
 import numpy as np
 
-from ....compat import enable_nodes
-from ...billboards.cloud_materials import set_two_sided
-from ...shading.node_builder import NodeBuilder, SocketOrValue
-from .ray_groups import RaySockets, sample_ray
+from lib import environment
+
+environment.import_farfield()
+
+from farfield.addon.bridge.billboards.cloud_materials import set_two_sided
+from farfield.addon.bridge.shading.node_builder import NodeBuilder, SocketOrValue
+from farfield.addon.compat import enable_nodes
+from lib.impostor_rays import RaySockets, sample_ray
 
 FACING = "farfield_facing"  # attribute of all vertices: unit direction to the viewer, object space
 RIGHT = "farfield_right"  # the same for the x axis of the viewer's image
