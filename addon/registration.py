@@ -10,6 +10,7 @@ from .operators.btf import exports as btf_exports
 from .operators.btf import operators as btf_operators
 from .operators.clipbox import convert_to_mesh as clipbox_convert
 from .operators.clipbox import operators as clipbox_operators
+from .operators.packages import operators as packages_operators
 from .operators.photos import coverage as photos_coverage
 from .operators.photos import import_cameras as photos_import
 from .operators.photos import operators as photos_operators
@@ -21,13 +22,13 @@ from .operators.texmesh import calibration as texmesh_calibration
 from .operators.texmesh import exports as texmesh_exports
 from .operators.texmesh import operators as texmesh_operators
 from .operators.texmesh import overlays as texmesh_overlays
-from .operators.texmesh import packages as texmesh_packages
 from .operators.texmesh import preview as texmesh_preview
 from .operators.unwrap import operators as unwrap_operators
 from .panels import bdam as bdam_panels
 from .panels import billboards as billboards_panels
 from .panels import btf as btf_panels
 from .panels import clipbox as clipbox_panels
+from .panels import packages as packages_panels
 from .panels import photos as photos_panels
 from .panels import restore as restore_panels
 from .panels import texmesh as texmesh_panels
@@ -50,10 +51,10 @@ MODULES = (
     restore_operators,
     texmesh_operators,
     texmesh_exports,
-    texmesh_packages,
     texmesh_overlays,
     texmesh_preview,
     texmesh_calibration,
+    packages_operators,
     clipbox_operators,
     clipbox_convert,
     bdam_operators,
@@ -66,6 +67,7 @@ MODULES = (
     photos_panels,
     restore_panels,
     texmesh_panels,
+    packages_panels,
     clipbox_panels,
     bdam_panels,
 )

@@ -10,14 +10,6 @@ Parts (`--only`), each in a module `texmesh_PART.py` if no other one is named:
 - `rebakes`: FLIP and bytes of rebaked textures
 - `targets` (texmesh_levels.py): subset levels, bit for bit
 - `paper`: Figures 4, 10 and 11
-- `packages`: bytes until a model looks right
-- `packaging`: time and memory of a package with 200k triangles and a texture of 4096 x 4096
-- `meshes`: bytes of meshes beside gltfpack and Draco
-- `fragments`: Figures 7 and 9, and the lookup table of the fragments of the paper
-- `textures`: bytes of the textures of packages at equal FLIP
-- `roles`: bytes of base color, normal and roughness maps
-- `sending`: packages over 200 replayed traces
-- `server`: many clients, and random requests
 
 Each run generates other models, textures and views; --seed repeats one.
 """
@@ -37,20 +29,11 @@ environment.import_farfield()
 
 import benchmark_cli
 import texmesh_glb
-from texmesh_fragments import measure_fragments
 from texmesh_levels import measure_speed, measure_switching, measure_targets
-from texmesh_meshes import measure_meshes
-from texmesh_packages import measure_packages
-from texmesh_packaging import measure_packaging
 from texmesh_paper import measure_paper
 from texmesh_rebakes import measure_rebakes
 from texmesh_refits import measure_refits
 from texmesh_renders import measure_renders
-from texmesh_roles import measure_roles
-from texmesh_sending import measure_sending
-from texmesh_server import measure_server
-from texmesh_texture_views import VIEWS
-from texmesh_textures import measure_textures
 
 from farfield.addon.core.errors import SettingsError
 from lib import command_line
@@ -62,9 +45,6 @@ def build_parser() -> command_line.Parser:
     parser.add_argument("--models", nargs="+", default=None, help="names of texmesh_models.open_model; by default all that judge")
     parser.add_argument("--seed", type=int, default=secrets.randbelow(10**6), help="of generated models, textures and views")
     parser.add_argument("--data", type=Path, default=environment.ROOT.parent / "shared" / "data", help="the folder of the meshes")
-    sizes = list(VIEWS)
-    parser.add_argument("--sizes", nargs="+", type=int, choices=sizes, default=sizes, help="of images, for the parts packages and textures")
-    parser.add_argument("--minutes", type=float, default=120.0, help="after which the parts packages and textures begin no further model")
     parser.add_argument("--validator", type=Path, help="a folder with node_modules/gltf-validator, for the part glb")
     return parser
 
@@ -96,14 +76,6 @@ PARTS = {
     "rebakes": measure_rebakes,
     "targets": measure_targets,
     "paper": measure_paper,
-    "packages": measure_packages,
-    "packaging": measure_packaging,
-    "meshes": measure_meshes,
-    "fragments": measure_fragments,
-    "textures": measure_textures,
-    "roles": measure_roles,
-    "server": measure_server,
-    "sending": measure_sending,
 }
 
 

@@ -32,7 +32,7 @@ SIZES_BY_TOOL = {  # of other windows than SIZES
     "texmesh": {"closed": (1280, 860), "open": (1280, 1700)},
 }
 RESTORE_PIXELS = 400
-TOOLS = ("billboards", "btf", "unwrap", "restore", "photos", "clipbox", "bdam", "texmesh")
+TOOLS = ("billboards", "btf", "unwrap", "restore", "photos", "clipbox", "bdam", "texmesh", "packages")
 SECONDS = 200
 DRIVER = FOLDER / "figures" / "window_screenshots.py"
 PAGES = {  # image of the docs -> screenshots side by side
@@ -44,6 +44,7 @@ PAGES = {  # image of the docs -> screenshots side by side
     "panel_clipbox.png": ("clipbox-settings", "clipbox-active"),
     "panel_bdam.png": ("bdam-settings", "bdam-loaded"),
     "panel_texmesh.png": ("texmesh-settings", "texmesh-levels"),
+    "panel_packages.png": ("packages-settings",),
     "window.png": ("window",),
 }
 GAP = 12  # pixels between two screenshots

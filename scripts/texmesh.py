@@ -1,6 +1,4 @@
-"""Perceptual levels of textured meshes: `python3 scripts/texmesh.py levels INPUT --out OUT [flags]`, and `analyze INPUT`; packages of them
-that a web page loads within a time limit: `build INPUT --out FOLDER`, `verify`, `serve`, `view` and
-`simulate FOLDER`.
+"""Perceptual levels of textured meshes: `python3 scripts/texmesh.py levels INPUT --out OUT [flags]`, and `analyze INPUT`.
 
 INPUT is a .blend, .obj, .ply, .stl, .glb, .gltf, .fbx or .usd file; each mesh that is visible in renders gets levels. The extension of
 --out selects the output: .blend (the whole scene with the levels), or .glb (one file per level, OUT-L0.glb and so on; with --one-file a
@@ -36,7 +34,7 @@ from farfield.addon.core.texmesh.settings import SceneSettings
 from farfield.addon.operators.job_run import run_job
 from farfield.addon.operators.texmesh.job import AnalysisJob, LevelsJob, describe_chain, prepare_analysis, prepare_levels
 from farfield.addon.operators.texmesh.operators import CORE_SETTINGS
-from lib import command_line, scene_files, texmesh_packages
+from lib import command_line, scene_files
 from lib.atomic_output import atomic_file, check_outputs
 from lib.contact_sheet import write_png
 from lib.texmesh_inputs import open_objects, read_all_settings
@@ -47,7 +45,7 @@ EXTENSIONS = (".blend", ".glb")
 def build_parser() -> command_line.Parser:
     """Return the parser of all arguments of the script."""
     parser = command_line.Parser(prog="texmesh.py", description="Make levels of detail of textured meshes that look the same.")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="levels|analyze|build|verify|serve|view|simulate")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="levels|analyze")
     levels = commands.add_parser("levels", description="Make levels of detail.")
     analyze = commands.add_parser("analyze", description="Find the features of meshes at 21 scales.")
     for command in (levels, analyze):
@@ -60,15 +58,12 @@ def build_parser() -> command_line.Parser:
     for settings_type in (*CORE_SETTINGS, SceneSettings):
         add_flags(levels, settings_type)
     add_flags(analyze, ScaleSpaceSettings)
-    texmesh_packages.add_commands(commands)
     return parser
 
 
 def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     """Run the script and return the summary; raises FarfieldError if the input is invalid."""
     given = build_parser().parse_args(arguments)
-    if given.command in texmesh_packages.COMMANDS:
-        return texmesh_packages.run_command(given, line)
     return analyze(given, line) if given.command == "analyze" else make_levels(given, line)
 
 

@@ -8,12 +8,12 @@ import numpy as np
 
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.packages.manifest import MAX_STEPS, MeshLevel, Section
+from farfield.addon.core.packages.mesh.coding import encode_mesh
+from farfield.addon.core.packages.mesh.order import OrderedMesh, order_mesh
+from farfield.addon.core.packages.mesh.sections import deflate
 from farfield.addon.core.texmesh.simplification.levels import Simplification, simplify_by_cost
 from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
-from farfield.addon.core.texmesh.streaming.manifest import MAX_STEPS, MeshLevel, Section
-from farfield.addon.core.texmesh.streaming.mesh_coding import encode_mesh
-from farfield.addon.core.texmesh.streaming.mesh_order import OrderedMesh, order_mesh
-from farfield.addon.core.texmesh.streaming.sections import deflate
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 
 SECTIONS = ("corners", "wedges", "parents", "positions", "uvs")

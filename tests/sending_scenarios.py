@@ -7,13 +7,13 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from reference import controller
+from reference.sending_state import Event, Job, Request, Span, State, add_table, begin
+from sending.simulation import SentPackage
+from sending.traces import Trace
 
-from farfield.addon.core.texmesh.streaming import controller
-from farfield.addon.core.texmesh.streaming.increments import Increments
-from farfield.addon.core.texmesh.streaming.manifest import MESH, TEXTURES
-from farfield.addon.core.texmesh.streaming.sending_state import Event, Job, Request, Span, State, add_table, begin
-from farfield.addon.core.texmesh.streaming.simulation import SentPackage
-from farfield.addon.core.texmesh.streaming.traces import Trace
+from farfield.addon.core.packages.increments import Increments
+from farfield.addon.core.packages.manifest import MESH, TEXTURES
 
 
 def random_job(rng: random.Random, increment_count: int | None = None) -> Job:

@@ -9,25 +9,16 @@ import numpy as np
 from PIL import Image
 
 from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.packages.increments import Increments, decode_increments, encode_increments
+from farfield.addon.core.packages.manifest import MANIFEST, MESH, TEXTURES, Manifest, MeshLevel, PackageMaterial, Section, encode_manifest
+from farfield.addon.core.packages.mesh.coding import encode_mesh
+from farfield.addon.core.packages.mesh.order import order_mesh
+from farfield.addon.core.packages.planning import ErrorModel
+from farfield.addon.core.packages.textures.building import build_textures
+from farfield.addon.core.packages.textures.settings import TextureSettings
+from farfield.addon.core.packages.textures.texture_tiles import TextureSource
 from farfield.addon.core.texmesh.simplification.levels import simplify_by_cost
 from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
-from farfield.addon.core.texmesh.streaming.error_model import ErrorModel
-from farfield.addon.core.texmesh.streaming.increments import Increments, decode_increments, encode_increments
-from farfield.addon.core.texmesh.streaming.manifest import (
-    MANIFEST,
-    MESH,
-    TEXTURES,
-    Manifest,
-    MeshLevel,
-    PackageMaterial,
-    Section,
-)
-from farfield.addon.core.texmesh.streaming.manifest_json import encode_manifest
-from farfield.addon.core.texmesh.streaming.mesh_coding import encode_mesh
-from farfield.addon.core.texmesh.streaming.mesh_order import order_mesh
-from farfield.addon.core.texmesh.streaming.textures.building import build_textures
-from farfield.addon.core.texmesh.streaming.textures.settings import TextureSettings
-from farfield.addon.core.texmesh.streaming.textures.texture_tiles import TextureSource
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
 

@@ -30,8 +30,8 @@ MAY_IMPORT = {  # the layers, lowest first
     "panels": {"panels", "operators", "bridge", "compat", "core"},
     "registration": {"panels", "operators", "bridge", "compat", "core"},
 }
-TOOLS = {"billboards", "btf", "unwrap", "photos", "restore", "texmesh", "bdam", "clipbox"}
-TOOLS_MAY_IMPORT = {"photos": {"restore", "unwrap"}, "btf": {"billboards"}}
+TOOLS = {"billboards", "btf", "unwrap", "photos", "restore", "texmesh", "packages", "bdam", "clipbox"}
+TOOLS_MAY_IMPORT = {"photos": {"restore", "unwrap"}, "btf": {"billboards"}, "packages": {"texmesh"}}
 LAST_NETS = {  # may catch Exception
     *("addon/operators/error_reports.py", "addon/operators/long_work.py", "scripts/lib/command_line.py"),
     *("addon/operators/follow_handlers.py", "addon/operators/view_following.py"),

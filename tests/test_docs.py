@@ -52,7 +52,7 @@ def test_links_lead_somewhere(page):
 @pytest.mark.parametrize("tool", tools())
 def test_tables_of_settings_match_the_core(tool):
     text = (ROOT / "docs" / f"{tool}.md").read_text(encoding="utf-8")
-    assert text.count("| `--") >= 10, "the table of settings is missing"
+    assert text.count("| `--") >= 5, "the table of settings is missing"
     assert update_tables(text) == text, "run `python3 docs/tables.py`"
 
 

@@ -14,6 +14,7 @@ PAGE_OF_OPERATORS = {  # a pattern of `fnmatch` to the page and section that des
     "bpy.ops.farfield.clipbox*": "clipbox#operators",
     "bpy.ops.farfield.bdam*": "bdam#operators",
     "bpy.ops.farfield.texmesh*": "texmesh#operators",
+    "bpy.ops.farfield.packages*": "packages#operators",
 }
 
 

@@ -8,7 +8,6 @@ from ..core.errors import SettingsError
 from ..core.settings import describe
 from ..core.texmesh.perception.recorded_answers import estimate_recorded
 from ..core.texmesh.settings import BUDGETS, InspectionSettings
-from ..core.texmesh.streaming.settings import PackageSettings
 from ..operators.texmesh import preview
 from ..operators.texmesh.calibration import (
     FARFIELD_OT_texmesh_calibrate,
@@ -28,8 +27,7 @@ from ..operators.texmesh.operators import (
     disabled_reason,
 )
 from ..operators.texmesh.overlays import FARFIELD_OT_texmesh_overlay, FARFIELD_OT_texmesh_plot, overlay
-from ..operators.texmesh.packages import FARFIELD_OT_texmesh_package
-from .sidebar import SettingsSubPanel, SidebarPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, draw_table, settings_column
+from .sidebar import SettingsSubPanel, SidebarPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, draw_table
 
 LEVEL_TITLES = ("Level", "Triangles", "Distance", "Pixels")
 
@@ -174,22 +172,6 @@ class FARFIELD_PT_texmesh_inspect(SettingsSubPanel, bpy.types.Panel):
             self.layout.label(text=f"Level {number} is shown", icon="HIDE_OFF")
 
 
-class FARFIELD_PT_texmesh_package(SettingsSubPanel, bpy.types.Panel):
-    """Where packages for a web page go, and what they are made for."""
-
-    bl_idname = "FARFIELD_PT_texmesh_package"
-    bl_parent_id = "FARFIELD_PT_texmesh"
-    bl_label = "Package"
-    bl_options = {"DEFAULT_CLOSED"}
-    settings, property_name = describe(PackageSettings), "farfield_texmesh_package"
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """Draw the folder, the settings and the button."""
-        settings_column(self.layout).prop(context.scene.farfield_texmesh_package, "folder")
-        self.draw_settings(context)
-        draw_button(self.layout, FARFIELD_OT_texmesh_package, "Export Package", "URL")
-
-
 class FARFIELD_PT_texmesh_calibration(SidebarPanel, bpy.types.Panel):
     """The experiment that measures which differences a user notices."""
 
@@ -221,7 +203,6 @@ CLASSES = (
     FARFIELD_PT_texmesh_simplification,
     FARFIELD_PT_texmesh_perception,
     FARFIELD_PT_texmesh_inspect,
-    FARFIELD_PT_texmesh_package,
     FARFIELD_PT_texmesh_calibration,
 )
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

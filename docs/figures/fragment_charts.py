@@ -13,7 +13,7 @@ GAP = 10
 
 
 def draw_fragments(figures: dict[str, Any]) -> np.ndarray:
-    """Return an image (H, W, 3) uint8, row 0 at the top, of the figures that `bench_texmesh.py --only fragments` measured."""
+    """Return an image (H, W, 3) uint8, row 0 at the top, of the figures that `bench_packages.py --only fragments` measured."""
     figure_9, lookup = figures["figure_9"], figures["lookup"]
     curves = {
         name: [(float(quality), size) for quality, size in zip(figure_9["qualities"], sizes, strict=True)]

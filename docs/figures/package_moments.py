@@ -65,7 +65,7 @@ def build_package(model: Path, texture: Path, folder: Path) -> None:
     (folder / "model.mtl").write_text(f"newmtl painted\nKd 1 1 1\nmap_Kd {texture.resolve()}\n", "utf-8")
     source = folder / f"{model.stem}.obj"
     source.write_text(f"mtllib model.mtl\nusemtl painted\n{model.read_text('utf-8')}", "utf-8")
-    script = environment.ROOT / "scripts" / "texmesh.py"
+    script = environment.ROOT / "scripts" / "packages.py"
     command = [sys.executable, str(script), "build", str(source), "--out", str(folder / "package"), "--time-limit", str(TIME_LIMIT)]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
 

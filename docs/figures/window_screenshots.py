@@ -202,6 +202,12 @@ def visit_texmesh(scene: bpy.types.Scene) -> Iterator[float]:
     yield from shoot("texmesh-levels")
 
 
+def visit_packages(scene: bpy.types.Scene) -> Iterator[float]:
+    """With a folder for the package."""
+    scene.farfield_packages.folder = "//statue"
+    yield from shoot("packages-settings")
+
+
 def visit_restore(scene: bpy.types.Scene) -> Iterator[float]:
     """Before and after *Restore*, with a mask as if it had been painted."""
     space = editor().spaces.active
@@ -235,6 +241,7 @@ VISITS = {
     "clipbox": visit_clipbox,
     "bdam": visit_bdam,
     "texmesh": visit_texmesh,
+    "packages": visit_packages,
 }
 
 

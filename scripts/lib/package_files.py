@@ -19,9 +19,8 @@ environment.import_farfield()
 
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.files.file_access import error_reason
-from farfield.addon.core.texmesh.streaming.manifest import MANIFEST, MESH, TEXTURES
-from farfield.addon.core.texmesh.streaming.manifest_json import read_manifest
-from farfield.addon.core.texmesh.streaming.page_files import read_page
+from farfield.addon.core.packages.files import read_page
+from farfield.addon.core.packages.manifest import MANIFEST, MESH, TEXTURES, read_manifest
 
 TEXT_TYPES = {
     ".html": "text/html; charset=utf-8",

@@ -26,7 +26,7 @@ environment.import_farfield()
 
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.files.file_access import error_reason
-from farfield.addon.core.texmesh.streaming.page_files import INDEX
+from farfield.addon.core.packages.files import INDEX
 from lib.line_rate import LineRate, Throttle
 from lib.package_files import PackageFile, close_package, open_package
 

@@ -20,8 +20,8 @@ from farfield.addon.core.files.glb import (
     encode_glb,
     write_glb,
 )
-from farfield.addon.core.files.glb_reader import read_glb
 from farfield.addon.core.imaging.coded_images import encode
+from glb_reader import read_glb
 
 IMAGE = encode(np.arange(48, dtype=np.uint8).reshape(4, 4, 3), "png")
 

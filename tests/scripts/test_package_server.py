@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 pytest.importorskip("tornado")
 
 from farfield.addon.core.errors import FileError, SettingsError
-from farfield.addon.core.texmesh.streaming.page_files import read_page
+from farfield.addon.core.packages.files import read_page
 from lib.line_rate import LineRate, parse_rate
 from lib.package_server import ClientLimits, read_range, run_server
 from small_packages import write_opaque_package

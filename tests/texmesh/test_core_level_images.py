@@ -6,9 +6,9 @@ import pytest
 from farfield.addon.core.geometry.directions import fibonacci_sphere
 from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
 from farfield.addon.core.imaging.mipmaps import build_mipmaps
+from farfield.addon.core.packages.material_sources import build_color_mipmaps
 from farfield.addon.core.texmesh.perception.level_images import LevelImages, measure_difference, prepare_images
 from farfield.addon.core.texmesh.perception.views import frame_around, prepare_surface
-from farfield.addon.core.texmesh.streaming.material_sources import build_color_mipmaps
 from textured_models import torus
 
 VIEWS, SIZE = 2, 48

@@ -11,7 +11,7 @@ import pytest
 import texmesh
 from farfield.addon.bridge.texmesh.level_sets import level_sets_in
 from farfield.addon.core.errors import FileError, GeometryError, SettingsError
-from farfield.addon.core.files.glb_reader import read_glb
+from glb_reader import read_glb
 from lib import command_line, environment
 from textured_scenes import checker_image, count_triangles, textured_ball, textured_material
 

@@ -1,0 +1,1 @@
+"""What packages need of objects, materials and images."""

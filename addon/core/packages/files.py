@@ -1,0 +1,120 @@
+"""Packages on the disk: written completely or not at all, and checked when they are read.
+
+The page that shows a package is three files that any static web server sends with it, made of the modules in the folder page.
+"""
+
+import hashlib
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import FileError
+from ..files.atomic_write import atomic_folder
+from ..files.file_access import convert_os_errors
+from .increments import Increments, decode_increments
+from .manifest import MANIFEST, MESH, TEXTURES, Manifest, encode_manifest, read_manifest
+
+LEVELS_GLB = "levels.glb"
+PAGE_FOLDER = Path(__file__).resolve().parent / "page"
+INDEX, STYLE, SCRIPT = "index.html", "style.css", "main.js"
+COMMENT = re.compile(r"^[ \t]*(?://[^\n]*|/\*\*.*?\*/)\n|[ \t]+// [^\n]*", re.MULTILINE | re.DOTALL)
+IMPORT = re.compile(r'^import \{ ([^}]+) \} from "\./(\w+)\.js";$', re.MULTILINE)
+EXPORT = re.compile(r"^export ((?:async )?(?:function\*?|class|const) (\w+))", re.MULTILINE)
+
+
+@dataclass(frozen=True, eq=False)
+class PackageContent:
+    """The checked content of a package. mesh, textures: the bytes of their files."""
+
+    manifest: Manifest
+    increments: Increments
+    mesh: bytes
+    textures: bytes
+
+
+def write_package(manifest: Manifest, contents: dict[str, bytes], folder: Path) -> None:
+    """Write a package with the page that shows it into `folder`; files of an earlier package are replaced, all or none.
+
+    Args:
+        contents: the bytes of the files by name, those of `manifest.files` included.
+
+    Raises:
+        FileError: a file cannot be written.
+    """
+    with atomic_folder(folder) as temporary:
+        for name, content in contents.items():
+            (temporary / name).write_bytes(content)
+        for name, content in read_page().items():
+            (temporary / name).write_bytes(content)
+        (temporary / MANIFEST).write_bytes(encode_manifest(manifest))
+
+
+def describe_file(content: bytes) -> tuple[int, str]:
+    """Return the size and the SHA-256 of a file, as manifests list them."""
+    return len(content), hashlib.sha256(content).hexdigest()
+
+
+def read_package(folder: Path) -> PackageContent:
+    """Read a package and check every byte of it.
+
+    Raises:
+        FileError: it is incomplete, damaged, of a newer version, or the manifest contradicts its files.
+    """
+    manifest = read_manifest(folder)
+    contents = {name: _read_file(folder / name, manifest) for name in (MESH, TEXTURES)}
+    textures = contents[TEXTURES]
+    increments = decode_increments(manifest.increments.read(textures, TEXTURES), manifest)
+    _check_increments(manifest, increments, textures)
+    return PackageContent(manifest, increments, contents[MESH], textures)
+
+
+def _read_file(path: Path, manifest: Manifest) -> bytes:
+    size, digest = manifest.files[path.name]
+    with convert_os_errors(f'Cannot read "{path}"'):
+        if not path.is_file():
+            raise FileError(f'The package lacks "{path.name}"; copy the whole folder again.')
+        if path.stat().st_size != size:
+            raise FileError(f'"{path.name}" has {path.stat().st_size:,} bytes instead of {size:,}; copy the whole package again.')
+        content = path.read_bytes()
+    if hashlib.sha256(content).hexdigest() != digest:
+        raise FileError(f'"{path.name}" is damaged: its checksum differs from that in manifest.json; copy the whole package again.')
+    return content
+
+
+def _check_increments(manifest: Manifest, increments: Increments, textures: bytes) -> None:
+    """Raise FileError if an increment differs from its checksum."""
+    stored = np.frombuffer(manifest.checksums.read(textures, TEXTURES), "<u4")
+    found = increments.compute_checksums(memoryview(textures)[manifest.first_increment :])
+    if not np.array_equal(stored, found):
+        raise FileError(f'"{TEXTURES}" of the package has increments that differ from their checksums; export the package again.')
+
+
+def read_page() -> dict[str, bytes]:
+    """Return the files of the page by name. Modules are joined to one, so that a browser waits for fewer responses; comments (` // ` begins
+    one anywhere), indentation and empty lines are left out."""
+    index = re.sub(r'<link rel="modulepreload"[^\n]*\n', "", (PAGE_FOLDER / INDEX).read_text("utf-8"))
+    script = COMMENT.sub("", join_modules({path.stem: path.read_text("utf-8") for path in sorted(PAGE_FOLDER.glob("*.js"))}))
+    texts = {INDEX: index, STYLE: (PAGE_FOLDER / STYLE).read_text("utf-8"), SCRIPT: script}
+    return {name: "".join(f"{line.strip()}\n" for line in text.splitlines() if line.strip()).encode() for name, text in texts.items()}
+
+
+def join_modules(modules: dict[str, str]) -> str:
+    """Return one JavaScript module that does what the module "main" does. Each of `modules`, by name, becomes a function that is called
+    once, after those that it imports, and returns what the module exports."""
+    parts: list[str] = []
+    joined: set[str] = set()
+
+    def add(name: str) -> None:
+        joined.add(name)
+        text = modules[name]
+        for _, other in IMPORT.findall(text):
+            if other not in joined:
+                add(other)
+        exported = ", ".join(found for _, found in EXPORT.findall(text))
+        body = EXPORT.sub(r"\1", IMPORT.sub(r"const { \1 } = $\2;", text))
+        parts.append(f"const ${name} = (() => {{\n{body}\nreturn {{ {exported} }};\n}})();\n")
+
+    add(Path(SCRIPT).stem)
+    return "".join(parts)

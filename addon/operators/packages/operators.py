@@ -1,0 +1,109 @@
+"""Operator and job of the tool `packages`: write objects as packages, which a web page loads within a time limit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import bpy
+
+from ...bridge.packages.sources import PackageSource, read_package_source
+from ...core.errors import SettingsError
+from ...core.files.filenames import unique_filenames
+from ...core.jobs.progress import Progress, Steps, subprogress
+from ...core.packages.files import write_package
+from ...core.packages.package import PackageReport, build_package
+from ...core.packages.settings import PackageSettings
+from ...core.texmesh.level_chain import AllSettings
+from .. import properties, start_job
+from ..properties import absolute_path
+from ..texmesh.job import describe_skipped
+from ..texmesh.operators import CORE_SETTINGS, disabled_reason
+from ..texmesh.sources import read_sources, source_objects
+
+FOLDER = {"name": "Folder", "description": "Folder for the package; files of an earlier one in it are replaced", "subtype": "DIR_PATH"}
+
+
+@dataclass
+class PackageJob:
+    """Builds packages and writes them: into the folder, or for several objects into folders in it. It does not change the scene."""
+
+    core_fraction = 0.999
+
+    sources: Sequence[PackageSource]
+    settings: AllSettings
+    package_settings: PackageSettings
+    folder: Path
+    skipped: list[str]
+    reports: list[PackageReport] = field(default_factory=list)
+
+    def core_steps(self) -> Steps[list[PackageReport]]:
+        """Build and write the package of each object."""
+        names = unique_filenames([source.name for source in self.sources])
+        folders = [self.folder / name for name in names] if len(names) > 1 else [self.folder]
+        for index, (source, folder) in enumerate(zip(self.sources, folders, strict=True)):
+            steps = build_package(source.name, source.mesh, source.materials, source.textures, self.settings, self.package_settings)
+            package = yield from subprogress(steps, index / len(names), (index + 1) / len(names))
+            write_package(package.manifest, package.contents, folder)
+            self.reports.append(package.report)
+        return self.reports
+
+    def scene_steps(self, core_result: list[PackageReport]) -> Steps[str]:
+        """Return the message for the user."""
+        yield Progress(1.0, "Exported")
+        sentences = [report.describe() for report in core_result]
+        sentences += [sentence for source in self.sources for sentence in source.remarks]
+        return " ".join([*sentences, *describe_skipped(self.skipped)])
+
+
+class FARFIELD_PG_packages(bpy.types.PropertyGroup):
+    """Folder and settings of the panel *Packages*, stored per scene."""
+
+    __annotations__ = properties.build_annotations(PackageSettings, set()) | {
+        "folder": bpy.props.StringProperty(**FOLDER, options={"PATH_SUPPORTS_BLEND_RELATIVE"})
+    }
+
+
+class FARFIELD_OT_packages_export(start_job.StartJob, bpy.types.Operator):
+    """Write the selected objects as packages of files for any web server, with a page that shows them within a time limit on any line"""
+
+    bl_idname = "farfield.packages_export"
+    bl_label = "Export Package of Perceptual Levels"
+    bl_options = {"REGISTER"}
+    settings_types, panel_property = CORE_SETTINGS, "farfield_texmesh"
+    __annotations__ = start_job.setting_properties(*CORE_SETTINGS, PackageSettings) | {
+        "folder": bpy.props.StringProperty(**FOLDER, options={"SKIP_SAVE", "PATH_SUPPORTS_BLEND_RELATIVE"})
+    }
+
+    @classmethod
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
+        """Return why nothing can be exported now, or an empty string."""
+        return disabled_reason(context)
+
+    def prepare(self, context: bpy.types.Context) -> PackageJob:
+        """Read the selected objects."""
+        settings = AllSettings(*self.read_settings(context).values())
+        panel = context.scene.farfield_packages
+        properties.fill_unset(PackageSettings, self, panel)
+        package_settings = properties.read(PackageSettings, self)
+        folder = self.folder or panel.folder
+        if not folder:
+            raise SettingsError("A package needs a folder; set Folder.", ("folder",))
+        return prepare_packages(context, source_objects(context), settings, package_settings, absolute_path(folder))
+
+
+def prepare_packages(
+    context: bpy.types.Context,
+    objects: Sequence[bpy.types.Object],
+    settings: AllSettings,
+    package_settings: PackageSettings,
+    folder: Path,
+) -> PackageJob:
+    """Return the job that writes packages of `objects`. Levels are subsets of the vertices, whatever their kind in `settings`, so that they
+    can be sent one after the other. Raises FarfieldError if none can be read."""
+    sources, skipped = read_sources(context, objects, read_package_source)
+    settings = replace(settings, levels=replace(settings.levels, product="subset"))
+    return PackageJob(sources, settings, package_settings, folder, skipped)
+
+
+CLASSES = (FARFIELD_PG_packages, FARFIELD_OT_packages_export)
+register, unregister = properties.scene_settings_factory("farfield_packages", FARFIELD_PG_packages, CLASSES)

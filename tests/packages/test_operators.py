@@ -1,0 +1,192 @@
+"""Packages from objects in a scene and from files: what is written, what is refused, and that every damaged byte is found."""
+
+import json
+import shutil
+
+import bpy
+import numpy as np
+import pytest
+from reference.mesh_decoding import decode_level, dequantize
+
+import packages
+from farfield.addon.bridge.packages.sources import read_package_source
+from farfield.addon.core.errors import FileError, SettingsError
+from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.packages.files import LEVELS_GLB, read_package, read_page
+from farfield.addon.core.packages.increments import decode_increments
+from farfield.addon.core.packages.manifest import MANIFEST, MESH, TEXTURES
+from farfield.addon.core.packages.package import build_package
+from farfield.addon.core.packages.settings import PackageSettings
+from farfield.addon.core.packages.textures.decoding import decode_textures
+from farfield.addon.core.packages.textures.fragments import count_features
+from farfield.addon.core.packages.textures.texture_tiles import TileGrid
+from farfield.addon.core.texmesh.level_chain import AllSettings
+from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
+from farfield.addon.core.texmesh.scale_space.analysis import analyze_scale_space
+from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
+from farfield.addon.core.texmesh.settings import LevelSettings
+from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
+from glb_reader import read_glb
+from lib import command_line, scene_files
+from textured_scenes import textured_ball
+
+pytestmark = pytest.mark.usefixtures("empty_scene")
+SMALL = {"choice": "count", "levels": 3, "views": 2, "max_image": 64, "pixels": 96}
+FLAGS = ("--levels", "3", "--views", "2", "--max-image", "64", "--pixels", "96")
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder that does not exist, whose path has spaces and non-ASCII letters."""
+    return tmp_path / "été à la mer" / "ball"
+
+
+def run(*arguments):
+    return packages.main([str(argument) for argument in arguments], command_line.ProgressLine())
+
+
+def test_a_package_of_an_object(folder):
+    ball = textured_ball(16)
+    ball.scale, ball.location = (2.0, 2.0, 2.0), (7.0, 0.0, 0.0)
+    bpy.context.view_layer.update()
+    before = len(bpy.data.objects), len(bpy.data.meshes), len(bpy.data.images)
+    assert bpy.ops.farfield.packages_export(folder=str(folder), **SMALL) == {"FINISHED"}
+    assert (len(bpy.data.objects), len(bpy.data.meshes), len(bpy.data.images)) == before
+    assert {path.name for path in folder.iterdir()} == {MANIFEST, MESH, TEXTURES, LEVELS_GLB, *read_page()}
+    content = read_package(folder)
+    manifest = content.manifest
+    assert manifest.name == "Bällchen" and len(manifest.levels) == 3
+    finest = decode_level(content.mesh, manifest, 2)
+    positions = dequantize(finest.positions, manifest.bounds, manifest.steps[0])
+    np.testing.assert_allclose(np.linalg.norm(positions, axis=1), 2.0, atol=2e-3)
+    assert len(finest.triangles) == 960
+    (image,) = decode_textures(manifest.textures, content.increments, memoryview(content.textures)[manifest.first_increment :])
+    assert image.shape == (32, 32, 3)
+    rows, columns = np.mgrid[:32, :32]
+    is_dark = ((rows // 4 + columns // 4) % 2).astype(bool)
+    assert np.abs(image[is_dark].astype(int) - 51).mean() < 6.0
+    assert len(manifest.errors.levels) == 3 and manifest.state_count == content.increments.state_count
+    assert manifest.errors.tabulate()[2][-1] < 0.1 < manifest.errors.tabulate()[0][0]
+
+
+def test_axes_are_those_of_gltf(folder):
+    cube = textured_ball(8)
+    cube.scale = (1.0, 2.0, 3.0)
+    bpy.context.view_layer.update()
+    bpy.ops.farfield.packages_export(folder=str(folder), **SMALL)
+    manifest = read_package(folder).manifest
+    np.testing.assert_allclose(manifest.bounds[1], [1.0, 3.0, 2.0], rtol=0.05)
+    scene = read_glb(folder / LEVELS_GLB)
+    corners = scene.meshes[0].primitives[0].positions
+    assert len(scene.meshes) == 3 and corners.max(axis=0).argmax() == 1
+
+
+def test_several_objects_have_folders(folder):
+    first, second = textured_ball(8, "a/b"), textured_ball(8, "a:b")
+    for item in (first, second):
+        item.select_set(True)
+    bpy.ops.farfield.packages_export(folder=str(folder), with_glb=False, **SMALL)
+    assert sorted(path.name for path in folder.iterdir()) == ["a_b", "a_b_2"]
+    assert [read_package(path).manifest.name for path in sorted(folder.iterdir())] == ["a/b", "a:b"]
+    assert not (folder / "a_b" / LEVELS_GLB).exists()
+
+
+def test_a_folder_is_needed():
+    textured_ball(8)
+    with pytest.raises(RuntimeError, match="set Folder"):
+        bpy.ops.farfield.packages_export(**SMALL)
+
+
+def test_mirrors_must_be_urls(folder):
+    textured_ball(8)
+    with pytest.raises(RuntimeError, match="is no URL"):
+        bpy.ops.farfield.packages_export(folder=str(folder), mirrors="https://example.org/a, elsewhere", **SMALL)
+    assert not folder.exists()
+
+
+def test_mirrors_are_written(folder):
+    textured_ball(8)
+    bpy.ops.farfield.packages_export(folder=str(folder), mirrors="https://example.org/a, http://example.org/b/", **SMALL)
+    assert read_package(folder).manifest.mirrors == ("https://example.org/a/", "http://example.org/b/")
+
+
+def test_script_builds_and_verifies(folder):
+    textured_ball()
+    scene = folder.parent / "bällchen.blend"
+    scene.parent.mkdir(parents=True)
+    scene_files.save_scene(scene)
+    summary = run("build", scene, "--out", folder, "--report", folder.parent / "report.json", *FLAGS)
+    assert '"Bällchen": 3 levels with 528' in summary
+    (figures,) = json.loads((folder.parent / "report.json").read_text(encoding="utf-8"))["packages"]
+    assert figures["errors_of_levels"][0] == 0.0 and figures["mesh_bytes"] == (folder / MESH).stat().st_size
+    assert "is complete: 3 levels" in run("verify", folder)
+    with pytest.raises(FileError, match="is the file"):
+        run("build", scene, "--out", scene)
+    with pytest.raises(SettingsError, match="multiple of 16"):
+        run("build", scene, "--out", folder, "--tile-size", "100", *FLAGS)
+
+
+@pytest.fixture(scope="module")
+def package(extension, tmp_path_factory):
+    """The folder of a small package, which tests copy."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    textured_ball(8)
+    folder = tmp_path_factory.mktemp("package")
+    bpy.ops.farfield.packages_export(folder=str(folder), with_glb=False, **SMALL)
+    return folder
+
+
+@pytest.mark.parametrize("name", [MESH, TEXTURES])
+def test_every_changed_byte_is_found(package, tmp_path, name):
+    folder = shutil.copytree(package, tmp_path / "copy")
+    content = (package / name).read_bytes()
+    for position in np.linspace(0, len(content) - 1, 20).astype(int).tolist():
+        changed = bytearray(content)
+        changed[position] ^= 16
+        (folder / name).write_bytes(changed)
+        with pytest.raises(FileError, match="damaged"):
+            read_package(folder)
+
+
+def test_incomplete_packages_are_refused(package, tmp_path):
+    folder = shutil.copytree(package, tmp_path / "copy")
+    (folder / MESH).write_bytes((package / MESH).read_bytes()[:-1])
+    with pytest.raises(FileError, match="instead of"):
+        read_package(folder)
+    (folder / MESH).unlink()
+    with pytest.raises(FileError, match="package lacks"):
+        read_package(folder)
+    (folder / MANIFEST).unlink()
+    with pytest.raises(FileError, match="cannot be read"):
+        read_package(folder)
+
+
+def build(source, **properties):
+    settings = AllSettings(
+        LevelSettings(product="subset"), ScaleSpaceSettings(), SimplificationSettings(), PerceptionSettings(views=2, max_image=64)
+    )
+    package_settings = PackageSettings(**{"pixels": 96, **properties})
+    return run_to_end(build_package(source.name, source.mesh, source.materials, source.textures, settings, package_settings))
+
+
+def test_the_same_source_gives_the_same_bytes():
+    source = read_package_source(textured_ball(8), bpy.context.evaluated_depsgraph_get())
+    first, second = build(source), build(source)
+    assert first.manifest == second.manifest and first.contents == second.contents
+
+
+def test_parts_of_textures_with_features_of_the_surface_can_come_earlier():
+    source = read_package_source(textured_ball(8), bpy.context.evaluated_depsgraph_get())
+    mesh, images = source.mesh, source.materials[0].images
+    images["base_color"] = images["base_color"].repeat(4, axis=0).repeat(4, axis=1)
+    scales = run_to_end(analyze_scale_space(mesh, source.textures, ScaleSpaceSettings())).last_scales
+    counts = count_features(mesh, (0,), scales, TileGrid(128, 128, 32)).counts[1:].sum(axis=0).ravel()
+    ranks = []
+    for weight in (0.0, 10.0):
+        package = build(source, feature_weight=weight, tile_size=32, pixels=128)
+        content, manifest = package.contents[TEXTURES], package.manifest
+        increments = decode_increments(content[: manifest.increments.size], manifest)
+        is_finest = increments.tiles < 16
+        has_many = counts[increments.tiles[is_finest]] > np.median(counts)
+        ranks.append(increments.firsts[is_finest][has_many].mean() - increments.firsts[is_finest][~has_many].mean())
+    assert ranks[1] < ranks[0]
