@@ -19,7 +19,7 @@ pytest.importorskip("tornado")
 
 from chromium import SKIP_REASON, Page, find_chromium, run_chromium
 from farfield.addon.core.imaging.mipmaps import build_mipmaps, measure_footprints, sample_mipmaps
-from farfield.addon.core.imaging.texture_renders import locate_pixels
+from farfield.addon.core.imaging.raster import locate_pixels
 from farfield.addon.core.texmesh.streaming.manifest import MESH, TEXTURES, Manifest
 from farfield.addon.core.texmesh.streaming.mesh_coding import decode_level, dequantize
 from farfield.addon.core.texmesh.streaming.page_files import read_page

@@ -16,7 +16,7 @@ from ..cameras import light_matrix, set_camera_view
 from ..geometry.meshes import Source
 from ..rendering.cycles_renders import prepare_cycles
 from ..rendering.render_scene import RenderScene, render_scene
-from ..shading.emission import has_emission
+from ..shading.node_groups import has_emission
 from .face_id_pass import add_face_id_proxies, decode_face_ids
 
 MAX_TRANSPARENT_BOUNCES = 256

@@ -1,13 +1,15 @@
 """Collapses of vertices and edges in rounds: which of them can be performed together, and which preserve topology and shape.
 
 Engines that simplify meshes share these functions. They differ in their data, and stay apart for it: seams of textures, thousands of
-separate domains, batches that can be undone, operations that are rated by samples.
+separate domains, batches that can be undone, operations that are rated by samples. Where none of this matters, the package
+fast-simplification decimates a mesh.
 """
 
 import numpy as np
 from scipy.sparse import csr_matrix
 
 from ..arrays import TINY, gather, gather_columns
+from ..errors import FarfieldError
 from .edges import Edges
 
 SELECTION_PASSES = 4  # Further passes would find few more vertices.
@@ -135,3 +137,21 @@ def creates_repeated_edge(owners: np.ndarray, keys: np.ndarray, count: int) -> n
 def measure_quality(double_areas: np.ndarray, squared_sides: np.ndarray) -> np.ndarray:
     """Return the quality of triangles, 1 if equilateral, 0 without area, from twice their areas and the sums of their squared sides."""
     return 2.0 * np.sqrt(3.0) * double_areas / np.maximum(squared_sides, TINY)
+
+
+def quadric_decimation(vertices: np.ndarray, triangles: np.ndarray, target: int) -> tuple[np.ndarray, np.ndarray]:
+    """Decimate by quadrics (Garland and Heckbert, 1997) to about `target` triangles.
+
+    Returns vertices (V, 3) float64, some possibly unused, and triangles (T, 3) int32.
+
+    Raises:
+        FarfieldError: the package is not installed.
+    """
+    try:
+        import fast_simplification
+    except ImportError:
+        raise FarfieldError(
+            "This needs the package fast-simplification, which this Python lacks; install Farfield from its zip, which contains it."
+        ) from None
+    coarse, faces = fast_simplification.simplify(vertices, triangles, target_count=target, agg=7)
+    return np.asarray(coarse, np.float64), np.asarray(faces, np.int32)
