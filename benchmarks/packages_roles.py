@@ -20,8 +20,7 @@ from farfield.addon.core.geometry.mesh import vertex_normals
 from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
 from farfield.addon.core.imaging.flip import FlipImage, compare, prepare_image
 from farfield.addon.core.imaging.mipmaps import Mipmaps, build_mipmaps, measure_footprints, sample_mipmaps
-from farfield.addon.core.imaging.raster import draw_ids
-from farfield.addon.core.imaging.texture_renders import PixelLocations, locate_positions
+from farfield.addon.core.imaging.raster import PixelLocations, draw_ids, locate_positions
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.packages.textures.building import assemble_textures, code_textures
 from farfield.addon.core.packages.textures.coding import CodedTexture

@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 from farfield.addon.core.geometry.lenses import Lens, PhotoCamera
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.imaging.colors import decode_signed_srgb, encode_signed_srgb
-from farfield.addon.core.imaging.texture_renders import locate_pixels
+from farfield.addon.core.imaging.raster import locate_pixels
 from farfield.addon.core.photos.photographs import Photograph
 
 Paint = Callable[[np.ndarray], np.ndarray]

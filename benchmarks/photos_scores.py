@@ -12,7 +12,7 @@ from farfield.addon.core.geometry.mesh import TriangleMesh, vertex_normals
 from farfield.addon.core.imaging.colors import decode_signed_srgb, encode_signed_srgb
 from farfield.addon.core.imaging.images import sample_bilinear
 from farfield.addon.core.imaging.metrics import psnr, ssim_map
-from farfield.addon.core.imaging.texture_renders import render_texture
+from farfield.addon.core.imaging.raster import locate_pixels
 from farfield.addon.core.photos.photographs import Photograph
 from farfield.addon.core.photos.texels import TexelMap
 from farfield.addon.core.photos.views import View
@@ -120,7 +120,10 @@ def score_render(mesh: TriangleMesh, corner_uvs: np.ndarray, texture: np.ndarray
     positions, depths, is_valid = camera.project(mesh.vertices)
     kept = is_valid[mesh.triangles].all(axis=1)
     triangles = mesh.triangles[kept]
-    image, covered = render_texture(positions[triangles], depths[triangles], corner_uvs[kept], texture, camera.lens.size)
+    located = locate_pixels(positions[triangles], depths[triangles], camera.lens.size)
+    covered = located.covered
+    image = np.zeros((*covered.shape, texture.shape[2]), np.float32)
+    image[covered] = sample_bilinear(texture, located.interpolate(corner_uvs[kept]) * texture.shape[1::-1])
     pixels = photograph.pixels.astype(np.float32) / np.float32(255.0)
     if photograph.mask is not None:
         covered &= photograph.mask

@@ -33,7 +33,6 @@ from farfield.addon.core.bdam.view.engine import BdamEngine
 from farfield.addon.core.bdam.view.extraction import CutSettings
 from farfield.addon.core.errors import FileError, SettingsError
 from farfield.addon.core.files.scratch import Scratch
-from farfield.addon.core.geometry.mesh_files import write_obj, write_ply
 from farfield.addon.core.geometry.viewers import Projection, Viewer, camera_window, look_at
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
 from farfield.addon.core.settings import add_flags
@@ -41,6 +40,7 @@ from farfield.addon.operators.bdam.job import ShowJob
 from farfield.addon.operators.job_run import run_job
 from lib import command_line, scene_files
 from lib.atomic_output import atomic_file, check_outputs
+from lib.mesh_export import write_obj, write_ply
 
 EXTENSIONS = (".blend", ".ply", ".obj")
 MAX_KEPT_BYTES = 64 << 20  # of images of heights that stay in memory

@@ -29,7 +29,6 @@ from farfield.addon.core.clipbox.layout import choose_terrain_origin
 from farfield.addon.core.clipbox.settings import ClipboxSettings, ConvertSettings
 from farfield.addon.core.errors import FileError, SettingsError
 from farfield.addon.core.files.file_access import check_readable, error_reason
-from farfield.addon.core.geometry.mesh_files import write_obj, write_ply
 from farfield.addon.core.jobs.progress import Progress, StageClock, Steps, run_to_end, subprogress
 from farfield.addon.core.settings import add_flags, describe
 from farfield.addon.operators import following
@@ -38,6 +37,7 @@ from farfield.addon.operators.clipbox.job import prepare
 from farfield.addon.operators.job_run import run_job
 from lib import command_line, scene_files
 from lib.atomic_output import atomic_file, check_outputs
+from lib.mesh_export import write_obj, write_ply
 
 EXTENSIONS = (".blend", ".ply", ".obj")
 

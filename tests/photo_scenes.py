@@ -6,7 +6,8 @@ from scipy.ndimage import gaussian_filter
 from farfield.addon.core.geometry.lenses import Lens, PhotoCamera
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.imaging.colors import decode_signed_srgb, encode_signed_srgb
-from farfield.addon.core.imaging.texture_renders import render_texture
+from farfield.addon.core.imaging.images import sample_bilinear
+from farfield.addon.core.imaging.raster import locate_pixels
 from farfield.addon.core.photos.observations import Observations
 from farfield.addon.core.photos.photographs import Photograph
 
@@ -49,7 +50,9 @@ def camera_at(position, target=(0.0, 0.0, 0.0), size=(300, 240), focal=300.0, na
 def photograph(mesh, corner_uvs, texture, camera, gain=1.0):
     """Render a mesh with an encoded texture."""
     positions, depths, _ = camera.project(mesh.vertices)
-    image, _ = render_texture(positions[mesh.triangles], depths[mesh.triangles], corner_uvs, texture, camera.lens.size)
+    located = locate_pixels(positions[mesh.triangles], depths[mesh.triangles], camera.lens.size)
+    image = np.zeros((*located.covered.shape, texture.shape[2]), np.float32)
+    image[located.covered] = sample_bilinear(texture, located.interpolate(corner_uvs) * texture.shape[1::-1])
     encoded = np.clip(encode_signed_srgb(decode_signed_srgb(image) * np.float32(gain)), 0.0, 1.0)
     return Photograph(camera, np.rint(255.0 * encoded).astype(np.uint8))
 

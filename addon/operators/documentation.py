@@ -6,16 +6,7 @@ from pathlib import Path
 import bpy
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE_OF_OPERATORS = {  # a pattern of `fnmatch` to the page and section that describes these operators
-    "bpy.ops.farfield.billboards*": "billboards#operators",
-    "bpy.ops.farfield.btf*": "btf#operators",
-    "bpy.ops.farfield.unwrap*": "unwrap#operators",
-    "bpy.ops.farfield.photos*": "photos#operators",
-    "bpy.ops.farfield.clipbox*": "clipbox#operators",
-    "bpy.ops.farfield.bdam*": "bdam#operators",
-    "bpy.ops.farfield.texmesh*": "texmesh#operators",
-    "bpy.ops.farfield.packages*": "packages#operators",
-}
+TOOLS = ("billboards", "btf", "unwrap", "photos", "restore", "texmesh", "packages", "bdam", "clipbox")
 
 
 @cache  # panels ask on every redraw
@@ -30,7 +21,7 @@ def find_page(page: str) -> str:
 
 def manual_map() -> tuple[str, tuple[tuple[str, str], ...]]:
     """Return the prefix of all URLs and the URL of each operator pattern, as `bpy.utils.register_manual_map` expects them."""
-    return "", tuple((pattern, find_page(page)) for pattern, page in PAGE_OF_OPERATORS.items())
+    return "", tuple((f"bpy.ops.farfield.{tool}*", find_page(f"{tool}#operators")) for tool in TOOLS)
 
 
 def register() -> None:

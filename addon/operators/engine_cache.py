@@ -26,7 +26,7 @@ class EngineCache:
         Raises:
             FarfieldError: its settings or files cannot be read.
         """
-        tool = follow_tools.registered.of(terrain)
+        tool = follow_tools.tool_of(terrain)
         engine = self._engines.get(_key(terrain))
         if engine is None or not tool.is_engine_of(engine, terrain):
             engine = tool.create_engine(terrain)

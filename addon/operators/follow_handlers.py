@@ -38,7 +38,7 @@ def follow_active_camera(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph 
     if scene.camera is None:
         return
     camera = scene.camera if depsgraph is None else scene.camera.evaluated_get(depsgraph)
-    for tool in follow_tools.registered:
+    for tool in follow_tools.registered.values():
         for terrain in tool.scene_terrains(scene):
             if follows_camera(terrain):
                 try:
@@ -89,7 +89,7 @@ def _after_undo(*_: Any) -> None:
 
 def _local_terrains() -> list[TerrainRoot]:
     """Return the terrains of all scenes that belong to this file."""
-    terrains = [terrain for tool in follow_tools.registered for scene in bpy.data.scenes for terrain in tool.scene_terrains(scene)]
+    terrains = [terrain for tool in follow_tools.registered.values() for scene in bpy.data.scenes for terrain in tool.scene_terrains(scene)]
     return [terrain for terrain in dict.fromkeys(terrains) if not terrain.read_only_reason]
 
 
@@ -97,7 +97,7 @@ def _show_again(terrain: TerrainRoot) -> None:
     """Show a terrain for the active camera, or the first 3D Viewport."""
     viewer = view_following.view_of_area(bpy.context.scene, view_following.context_viewport(bpy.context))
     try:
-        following.recenter(terrain, follow_tools.registered.of(terrain).to_terrain(terrain, viewer))
+        following.recenter(terrain, follow_tools.tool_of(terrain).to_terrain(terrain, viewer))
     except Exception as error:  # noqa: BLE001 the last resort: nobody else catches the errors of a handler
         _print_once(error)
 
@@ -156,7 +156,7 @@ def follows_camera(terrain: TerrainRoot) -> bool:
 def paused_followers(scene: bpy.types.Scene) -> Iterator[None]:
     """Let no terrain of a scene follow the active camera within the context, so that frames change quickly."""
     paused = []
-    for tool in follow_tools.registered:
+    for tool in follow_tools.registered.values():
         for terrain in tool.scene_terrains(scene):
             if not terrain.read_only_reason and follows_camera(terrain):
                 setattr(terrain.root, camera_property(terrain.tool), False)
@@ -171,7 +171,7 @@ def paused_followers(scene: bpy.types.Scene) -> Iterator[None]:
 
 def register_tool(tool: FollowTool) -> None:
     """Let the terrains of a tool follow, and register their property *Follow Active Camera*."""
-    follow_tools.registered.add(tool)
+    follow_tools.registered[tool.identifier] = tool
     follow_camera = bpy.props.BoolProperty(
         name="Follow Active Camera",
         description="Center this terrain on the active camera in every frame, also while an animation renders",
@@ -186,7 +186,7 @@ def unregister_tool(tool: FollowTool) -> None:
         view_following.current.stop()
     following.close_all(tool.identifier)
     cache.clear(tool.identifier)
-    follow_tools.registered.remove(tool)
+    follow_tools.registered.pop(tool.identifier, None)
     delattr(bpy.types.Object, camera_property(tool.identifier))
 
 

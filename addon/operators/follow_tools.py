@@ -4,7 +4,7 @@ An engine computes changes in a thread; a change fills meshes and shows them in 
 engines take are the tool's own types.
 """
 
-from collections.abc import Hashable, Iterable, Iterator
+from collections.abc import Hashable, Iterable
 from queue import SimpleQueue
 from typing import Any, Protocol, runtime_checkable
 
@@ -81,26 +81,9 @@ class FollowTool(Protocol):
         """Return the change of a new move."""
 
 
-class FollowTools:
-    """The registered tools by identifier."""
-
-    def __init__(self) -> None:
-        self._tools: dict[str, FollowTool] = {}
-
-    def __iter__(self) -> Iterator[FollowTool]:
-        return iter(tuple(self._tools.values()))
-
-    def add(self, tool: FollowTool) -> None:
-        """Add a tool."""
-        self._tools[tool.identifier] = tool
-
-    def remove(self, tool: FollowTool) -> None:
-        """Remove a tool."""
-        self._tools.pop(tool.identifier, None)
-
-    def of(self, terrain: TerrainRoot) -> FollowTool:
-        """Return the tool of a terrain."""
-        return self._tools[terrain.tool]
+registered: dict[str, FollowTool] = {}  # The tools whose terrains follow, by identifier.
 
 
-registered = FollowTools()
+def tool_of(terrain: TerrainRoot) -> FollowTool:
+    """Return the tool of a terrain."""
+    return registered[terrain.tool]

@@ -10,8 +10,7 @@ import bpy
 
 from ..bridge.terrain_roots import TerrainRoot
 from ..core.errors import Cancelled, GeometryError
-from ..core.jobs.background_thread import BackgroundThread
-from ..core.jobs.progress import Steps, run_to_end
+from ..core.jobs.progress import BackgroundThread, Steps, run_to_end
 from . import follow_tools, long_work
 from .engine_cache import cache, discard_finished_blocks
 from .follow_tools import Engine, PrefetchingEngine
@@ -107,7 +106,7 @@ class _Move:
     def __init__(self, terrain: TerrainRoot, engine: Engine, viewer: Any, prefetch: BackgroundThread[None] | None) -> None:
         """prefetch: a thread that uses the engine, which is cancelled."""
         self._engine = engine
-        self._change = follow_tools.registered.of(terrain).start_change(terrain, engine)
+        self._change = follow_tools.tool_of(terrain).start_change(terrain, engine)
         self._filling: Iterator[None] | None = None
         self._showing: Iterator[None] | None = None
         discard_finished_blocks(engine)  # of a move that was shown in another way
@@ -176,7 +175,7 @@ def recenter(terrain: TerrainRoot, viewer: Any) -> None:
         FarfieldError: the terrain is linked, its settings or files cannot be read, or its engine failed.
     """
     _check_editable(terrain)
-    tool = follow_tools.registered.of(terrain)
+    tool = follow_tools.tool_of(terrain)
     if tool.is_shown_at(terrain, viewer):
         return
     for following in running():

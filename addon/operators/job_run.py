@@ -9,8 +9,7 @@ import time
 from typing import Any, Protocol
 
 from ..core.errors import Cancelled
-from ..core.jobs.background_thread import BackgroundThread
-from ..core.jobs.progress import Progress, Steps, subprogress, time_left
+from ..core.jobs.progress import BackgroundThread, Progress, Steps, subprogress, time_left
 
 TICK = 0.05  # seconds between two updates of the job
 

@@ -79,7 +79,7 @@ class ViewFollowing:
             return False
         if not is_job_running() and not is_transforming():
             viewer = replace(view_of_area(*find_viewport(self._area_address)), is_interactive=True)
-            if self._following.tick(follow_tools.registered.of(terrain).to_terrain(terrain, viewer), self._max_seconds):
+            if self._following.tick(follow_tools.tool_of(terrain).to_terrain(terrain, viewer), self._max_seconds):
                 long_work.redraw_sidebars(bpy.context.window_manager)
         return True
 
@@ -129,7 +129,7 @@ class FollowViewOperator:
         """Without a window: recenter the terrain once."""
         terrain = current.terrain or self.active_terrain(context)
         viewer = view_of_area(context.scene, context_viewport(context))
-        following.recenter(terrain, follow_tools.registered.of(terrain).to_terrain(terrain, viewer))
+        following.recenter(terrain, follow_tools.tool_of(terrain).to_terrain(terrain, viewer))
         return {"FINISHED"}
 
     @reports_errors

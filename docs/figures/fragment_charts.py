@@ -4,8 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from farfield.addon.bridge.overlays.line_chart import HEIGHT, draw_line_chart
-from farfield.addon.bridge.overlays.text_raster import LINE_HEIGHT, PAPER_GRAY, draw_text
+from farfield.addon.bridge.overlays.line_chart import HEIGHT, LINE_HEIGHT, PAPER_GRAY, draw_line_chart, draw_text
 
 SCALES = (4, 8, 12, 16)  # of the lookup table
 MAP_PIXELS = 11  # per fragment

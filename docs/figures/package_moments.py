@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from chromium import SKIP_REASON, Page, find_chromium, run_chromium
-from farfield.addon.bridge.overlays.text_raster import LINE_HEIGHT, PAPER_GRAY, draw_text
+from farfield.addon.bridge.overlays.line_chart import LINE_HEIGHT, PAPER_GRAY, draw_text
 from farfield.addon.core.errors import SettingsError
 from lib import environment
 from lib.line_rate import LineRate

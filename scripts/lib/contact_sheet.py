@@ -14,7 +14,7 @@ from lib import environment
 
 environment.import_farfield()
 
-from farfield.addon.bridge.overlays.text_raster import LINE_HEIGHT, PAPER_GRAY, draw_text, rasterize_text
+from farfield.addon.bridge.overlays.line_chart import LINE_HEIGHT, PAPER_GRAY, draw_text, rasterize_text
 
 GAP = 10
 SAMPLE_BYTES = 1 << 20  # by which the filter of a PNG is chosen

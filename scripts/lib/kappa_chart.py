@@ -9,8 +9,19 @@ from lib import environment
 
 environment.import_farfield()
 
-from farfield.addon.bridge.overlays.line_chart import COLORS, GRID_GRAY, HEIGHT, MARGIN, WIDTH, round_ticks
-from farfield.addon.bridge.overlays.text_raster import INK_GRAY, LINE_HEIGHT, PAPER_GRAY, draw_text, rasterize_text
+from farfield.addon.bridge.overlays.line_chart import (
+    COLORS,
+    GRID_GRAY,
+    HEIGHT,
+    INK_GRAY,
+    LINE_HEIGHT,
+    MARGIN,
+    PAPER_GRAY,
+    WIDTH,
+    draw_text,
+    rasterize_text,
+    round_ticks,
+)
 
 LEFT = MARGIN + LINE_HEIGHT  # room for the labels of the decades
 LINE_RADIUS, DOT_RADIUS = 1.0, 5.0  # pixels

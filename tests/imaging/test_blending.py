@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from farfield.addon.core.imaging.band_blending import Layer, blend_bands
-from farfield.addon.core.imaging.poisson_blending import find_links, solve_screened_poisson
+from farfield.addon.core.imaging.blending import Layer, blend_bands, find_links, solve_screened_poisson
 
 SHAPES = st.tuples(st.integers(1, 70), st.integers(1, 70))
 

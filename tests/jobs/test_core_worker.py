@@ -6,8 +6,7 @@ import sys
 
 import pytest
 
-from farfield.addon.core.jobs.core_worker import core_command
-from farfield.addon.core.jobs.worker_errors import ERROR_KEY, EXIT_ERROR, EXIT_EXCEPTION
+from farfield.addon.core.jobs.core_worker import ERROR_KEY, EXIT_ERROR, EXIT_EXCEPTION, core_command
 
 MODULE = "tests.jobs.sample_tasks"
 

@@ -6,8 +6,7 @@ import time
 import pytest
 
 from farfield.addon.core.errors import Cancelled, GeometryError
-from farfield.addon.core.jobs.background_thread import BackgroundThread
-from farfield.addon.core.jobs.progress import Progress, StageClock, run_to_end, subprogress, time_left
+from farfield.addon.core.jobs.progress import BackgroundThread, Progress, StageClock, run_to_end, subprogress, time_left
 
 
 def count(steps, closed=None):

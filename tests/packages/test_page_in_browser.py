@@ -21,7 +21,7 @@ from reference.mesh_decoding import decode_level, dequantize
 
 from chromium import SKIP_REASON, Page, find_chromium, run_chromium
 from farfield.addon.core.imaging.mipmaps import build_mipmaps, measure_footprints, sample_mipmaps
-from farfield.addon.core.imaging.texture_renders import locate_pixels
+from farfield.addon.core.imaging.raster import locate_pixels
 from farfield.addon.core.packages.files import read_page
 from farfield.addon.core.packages.manifest import MESH, TEXTURES, Manifest
 from lib.line_rate import LineRate

@@ -5,7 +5,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from farfield.addon.bridge.overlays.text_raster import rasterize_text  # noqa: E402
+from farfield.addon.bridge.overlays.line_chart import rasterize_text  # noqa: E402
 from farfield.addon.core.geometry.directions import held_out_views  # noqa: E402
 from farfield.addon.core.jobs.progress import run_to_end  # noqa: E402
 from lib.comparison import compare_cloud, draw_comparison_sheet  # noqa: E402 - only if bpy is available

@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 
 pytest.importorskip("bpy")
 
-from farfield.addon.bridge.overlays.line_chart import COLORS, HEIGHT, WIDTH, draw_line_chart, round_ticks
-from farfield.addon.bridge.overlays.text_raster import PAPER_GRAY
+from farfield.addon.bridge.overlays.line_chart import COLORS, HEIGHT, PAPER_GRAY, WIDTH, draw_line_chart, round_ticks
 
 
 @given(st.floats(-1e6, 1e6), st.floats(0.0, 1e6))

@@ -21,7 +21,7 @@ from ..geometry.mesh_arrays import write_attribute
 from ..geometry.meshes import Source
 from ..rendering.cycles_renders import prepare_channel_render, prepare_cycles
 from ..rendering.render_scene import RenderScene, render_scene
-from ..shading.emission import has_emission
+from ..shading.node_groups import has_emission
 from ..shading.material_channels import CaptureMaterial, build_capture_material
 from ..shading.node_builder import NodeBuilder
 from .proxies import add_proxies, single_placement

@@ -16,10 +16,10 @@ from ...core.btf.capture.shard_files import ViewFiles, encode_visibility, to_hal
 from ...core.btf.capture.shards import ShardStore
 from ...core.errors import FarfieldError
 from ...core.geometry.cameras import OrthographicView
+from ...core.jobs.core_worker import EXIT_ERROR, encode_error
 from ...core.jobs.heartbeat import exit_when_run_ends
-from ...core.jobs.worker_errors import EXIT_ERROR, encode_error
 from ..geometry.meshes import Source
-from ..shading.emission import has_emission
+from ..shading.node_groups import has_emission
 from ..worker_processes import worker_command
 from . import capture
 from .capture import open_surface_renderer

@@ -40,17 +40,9 @@ class PendingMeshes:
         self.names[key] = mesh.name
         return mesh
 
-    def fill(
-        self,
-        key: Hashable,
-        vertices: np.ndarray,
-        triangles: np.ndarray,
-        normals: np.ndarray | None = None,
-        uvs: np.ndarray | None = None,
-        material_indices: np.ndarray | None = None,
-    ) -> None:
+    def fill(self, key: Hashable, vertices: np.ndarray, triangles: np.ndarray, normals: np.ndarray | None = None) -> None:
         """Fill the mesh of `key`; see `fill_mesh`."""
-        fill_mesh(self.take(key), vertices, triangles, normals, uvs, material_indices)
+        fill_mesh(self.take(key), vertices, triangles, normals)
 
 
 def fill_mesh(

@@ -1,19 +1,28 @@
-"""Line charts as images: (H, W, 3) float sRGB values in 0..1 with row 0 at the bottom."""
+"""Line charts as images: (H, W, 3) float sRGB values in 0..1 with row 0 at the bottom.
+
+The outlines of Blender's own font are filled with NumPy, so that text needs no font file and no other package.
+"""
 
 import itertools
 import math
 from collections.abc import Mapping, Sequence
 
+import bpy
 import numpy as np
 
-from .text_raster import INK_GRAY, LINE_HEIGHT, PAPER_GRAY, draw_text, rasterize_text
+from ...core.imaging.raster import rasterize
+from ..geometry.mesh_arrays import read_loop_triangles, read_loop_vertices, read_positions
 
 WIDTH, HEIGHT = 720, 420
+LINE_HEIGHT = 20  # pixels
 MARGIN = 3 * LINE_HEIGHT  # around the frame, for title and tick labels
-GRID_GRAY = 0.8
+PAPER_GRAY, GRID_GRAY, INK_GRAY = 0.93, 0.8, 0.12
 COLORS = ((0.80, 0.25, 0.15), (0.15, 0.40, 0.75), (0.20, 0.55, 0.25), (0.55, 0.30, 0.65), (0.75, 0.55, 0.10))
 MAX_TICKS = 8
 DOT_RADIUS = 3.5  # pixels
+SUPERSAMPLES = 4  # Samples per pixel of text, along each axis.
+FONT_SIZE_FRACTION = 0.72  # font size relative to the line height
+BASELINE_FRACTION = 0.28  # distance of the baseline from the lower edge relative to the line height
 
 
 def draw_line_chart(title: str, x_label: str, lines: Mapping[str, Sequence[tuple[float, float]]]) -> np.ndarray:
@@ -80,3 +89,36 @@ def _draw_line(image: np.ndarray, pixels: np.ndarray, color: tuple[float, float,
     for x, y in pixels:
         coverage = np.maximum(coverage, np.clip(DOT_RADIUS + 0.5 - np.hypot(columns - x, rows - y), 0.0, 1.0))
     image += coverage[..., None] * (np.array(color) - image)
+
+
+def rasterize_text(text: str, height: int) -> np.ndarray:
+    """Return the ink coverage of each pixel of `text`: (height, W) float64 in 0..1, row 0 at the top, in Blender's own font."""
+    vertices, triangles = _text_outline(text)
+    scale = FONT_SIZE_FRACTION * height * SUPERSAMPLES
+    points = vertices * scale + [0.0, BASELINE_FRACTION * height * SUPERSAMPLES]
+    width = int(np.ceil(points[:, 0].max() / SUPERSAMPLES)) + 1 if len(points) else 1
+    samples = np.zeros((height * SUPERSAMPLES, width * SUPERSAMPLES), bool)
+    for _, pixels, _ in rasterize(points[triangles], samples.shape[::-1]):
+        samples.reshape(-1)[pixels] = True
+    return samples.reshape(height, SUPERSAMPLES, width, SUPERSAMPLES).mean(axis=(1, 3))[::-1]
+
+
+def draw_text(image: np.ndarray, text: str, y: int, x: int, color: float | tuple[float, float, float] = INK_GRAY) -> None:
+    """Draw `text` into `image`, row 0 at the top, with its upper left corner at (x, y). Text beyond the image is clipped."""
+    mask = rasterize_text(text, LINE_HEIGHT)[: image.shape[0] - y, : image.shape[1] - x]
+    area = image[y : y + mask.shape[0], x : x + mask.shape[1]]
+    area += mask[..., None] * (np.asarray(color) - area)
+
+
+def _text_outline(text: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the filled outline of `text`: vertices (V, 2), in units of the font size from the baseline, and triangles (T, 3)."""
+    curve = bpy.data.curves.new("Farfield Label", "FONT")
+    curve.body = text
+    text_object = bpy.data.objects.new(curve.name, curve)
+    mesh = bpy.data.meshes.new_from_object(text_object)
+    try:
+        loops, _ = read_loop_triangles(mesh)
+        return read_positions(mesh)[:, :2].astype(np.float64), read_loop_vertices(mesh)[loops]
+    finally:
+        bpy.data.meshes.remove(mesh)
+        bpy.data.curves.remove(curve)

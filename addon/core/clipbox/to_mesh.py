@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..geometry.collapses import quadric_decimation
 from ..geometry.mesh import scaled_normals
-from ..geometry.simplification import quadric_decimation
 from ..jobs.progress import Progress, Steps, subprogress
 from .engine import TerrainEngine, WeldedMesh, weld
 from .settings import ClipboxSettings, ConvertSettings

@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, BinaryIO
 import numpy as np
 
 from ..errors import FileError
+from .array_files import read_raw_window
 from .geotiff import GEO_TAGS, MAP_TAGS, GeoReference, read_georeference
 from .height_maps import check_numeric, check_size
-from .raw_windows import read_raw_window
 from .segment_cache import SegmentCache
 from .tiff_codecs import MAX_RATIOS, NONE, decode_segment
 

@@ -216,24 +216,10 @@ class Viewer:
             plane = points[:, :2] / depths[:, None] if self.projection.kind == "perspective" else points[:, :2]
         return (plane - [left, bottom]) * self.projection.pixel_densities, depths
 
-    def pixels_per_unit(self, positions: np.ndarray) -> np.ndarray:
-        """Return an upper bound (N,) of the pixels that a short unit of length covers in the image at each of `positions` (N, 3).
-
-        The bound is reached by one direction if pixels are square and the terrain is not scaled: towards the borders of a perspective
-        image, lengths are stretched. Infinite if perspective and not in front of the camera.
-        """
-        if self.projection.kind != "perspective":
-            return self.pixels_per_unit_at(np.linalg.norm(np.asarray(positions) - self.position, axis=1))
-        points = self._to_camera(positions)
-        depths = np.maximum(-points[:, 2], 0.0)
-        # derivative of (x, y) / depth: its largest singular value is distance / depth^2
-        with np.errstate(divide="ignore", over="ignore"):
-            return max(self.projection.pixel_densities) * self.scale_range[1] * np.linalg.norm(points, axis=1) / depths**2
-
     def pixels_per_unit_at(self, distances: np.ndarray) -> np.ndarray:
         """Return the pixels that a unit of length covers at `distances` (any shape) from the camera, for all directions alike.
 
-        Perspective images stretch lengths further towards their borders; see `pixels_per_unit`. Infinite at distance 0 unless orthographic.
+        Perspective images stretch lengths further towards their borders. Infinite at distance 0 unless orthographic.
         """
         density, (shortest, longest) = max(self.projection.pixel_densities), self.scale_range
         if self.projection.kind == "orthographic":
@@ -243,13 +229,3 @@ class Viewer:
 
     def _to_camera(self, positions: np.ndarray) -> np.ndarray:
         return (np.asarray(positions, np.float64) - self.position) @ self.inverse[:3, :3].T
-
-
-def are_spheres_visible(planes: np.ndarray, centers: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """Return which spheres (N,) may be inside of `planes` (P, 4), as in `Viewer.frustum_planes`.
-
-    False only if the sphere around `centers` (N, 3) of `radii` (N,) is outside of one plane. A sphere near an edge of the frustum may count
-    as visible without being it.
-    """
-    distances = centers @ planes[:, :3].T + planes[:, 3]
-    return (distances >= -radii[:, None]).all(axis=1)

@@ -46,29 +46,16 @@ class FlipImage:
     points: np.ndarray
 
 
-def compute_flip(
-    reference: np.ndarray, image: np.ndarray, pixels_per_degree: float = DEFAULT_PIXELS_PER_DEGREE, is_linear: bool = False
-) -> np.ndarray:
-    """Return the error (H, W) float32 perceived in each pixel: 0 where nothing differs, 1 at most.
-
-    Args:
-        reference, image: (H, W, 3), clipped to 0..1: sRGB-encoded, or linear with sRGB primaries if `is_linear`.
-        pixels_per_degree: pixels of the display within one degree of the viewer's visual field.
-
-    Raises:
-        ImageError: the images differ in size, are not (H, W, 3), are empty, or contain values that are not finite.
-        SettingsError: `pixels_per_degree` is not positive.
-    """
-    if reference.shape != image.shape:
-        sizes = " and ".join(f"{shape[1]} x {shape[0]}" if len(shape) > 1 else "no image" for shape in (reference.shape, image.shape))
-        raise ImageError(f"Images that are compared must have equal sizes, not {sizes}.")
-    return compare(*(prepare_image(pixels, pixels_per_degree, is_linear) for pixels in (reference, image)))
-
-
 def prepare_image(pixels: np.ndarray, pixels_per_degree: float = DEFAULT_PIXELS_PER_DEGREE, is_linear: bool = False) -> FlipImage:
     """Return what FLIP compares of an image, so that an image which is compared several times is filtered once.
 
-    Arguments and errors are those of `compute_flip`.
+    Args:
+        pixels: (H, W, 3), clipped to 0..1: sRGB-encoded, or linear with sRGB primaries if `is_linear`.
+        pixels_per_degree: pixels of the display within one degree of the viewer's visual field.
+
+    Raises:
+        ImageError: the image is not (H, W, 3), is empty, or contains values that are not finite.
+        SettingsError: `pixels_per_degree` is not positive.
     """
     if pixels.ndim != 3 or pixels.shape[2] != 3 or not pixels.size:
         raise ImageError(f"An image to compare needs pixels with three channels, not an array of shape {pixels.shape}.")
@@ -85,7 +72,7 @@ def prepare_image(pixels: np.ndarray, pixels_per_degree: float = DEFAULT_PIXELS_
 
 
 def compare(reference: FlipImage, image: FlipImage) -> np.ndarray:
-    """Return the error (H, W) float32 between two prepared images of equal size; see `compute_flip`."""
+    """Return the error (H, W) float32 perceived in each pixel of two prepared images of equal size: 0 where nothing differs, 1 at most."""
     difference = _hyab(reference.colors, image.colors) ** COLOR_EXPONENT
     knee = COLOR_KNEE * MAX_DIFFERENCE
     low = ERROR_KNEE / knee * difference

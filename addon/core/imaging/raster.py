@@ -1,10 +1,12 @@
-"""Rasterization of triangles: covered pixels, depth buffer, flat colors."""
+"""Rasterization of triangles: covered pixels, depth buffer, flat colors, and what each pixel shows of a surface."""
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
 from ..arrays import concatenate_ranges
+from ..geometry.transforms import cross
 
 CHUNK_PIXELS, CHUNK_ROWS = 1 << 18, 1 << 15  # at once
 TOLERANCE = 1e-7  # pixels outside of an edge that count as on it, so that rounding leaves no gap between two triangles
@@ -148,3 +150,38 @@ def fill_triangles(corners: np.ndarray, colors: np.ndarray, size: tuple[int, int
 def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Return the cross products (N,) of vectors (2, N)."""
     return first[0] * second[1] - first[1] * second[0]
+
+
+class PixelLocations(NamedTuple):
+    """What N pixels of an image show: covered (H, W) bool, N of them true; triangles (N,) int32, in the order of the pixels; and their
+    barycentric coordinates (N, 3) on the surface."""
+
+    covered: np.ndarray
+    triangles: np.ndarray
+    barycentric: np.ndarray
+
+    def interpolate(self, corner_values: np.ndarray) -> np.ndarray:
+        """Return the values (N, C) of `corner_values` (T, 3, C) at the pixels."""
+        return np.einsum("ni,nic->nc", self.barycentric, corner_values[self.triangles])
+
+
+def locate_pixels(corners: np.ndarray, depths: np.ndarray, size: tuple[int, int]) -> PixelLocations:
+    """Return what each pixel shows of triangles with `corners` (T, 3, 2) float64 in pixels and positive `depths` (T, 3) along the optical
+    axis, with correct perspective. size: width and height."""
+    owners, _ = draw_ids(corners, -1.0 / depths, size)
+    covered = owners >= 0
+    triangles = owners[covered]
+    rows, columns = np.nonzero(covered)
+    positions = np.stack([columns, rows], axis=1) + 0.5
+    return PixelLocations(covered, triangles, locate_positions(corners[triangles], depths[triangles], positions))
+
+
+def locate_positions(corners: np.ndarray, depths: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Return the barycentric coordinates (N, 3), on the surface, of `positions` (N, 2) of an image, each in a triangle of its own with
+    `corners` (N, 3, 2) and positive `depths` (N, 3) along the optical axis."""
+    offsets = corners - positions[:, None]
+    areas = np.stack(
+        [cross(offsets[:, 1], offsets[:, 2]), cross(offsets[:, 2], offsets[:, 0]), cross(offsets[:, 0], offsets[:, 1])], axis=1
+    )
+    weights = areas / depths
+    return weights / weights.sum(axis=1, keepdims=True)

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
 from ..errors import FarfieldError
+from .core_worker import EXIT_ERROR, EXIT_EXCEPTION, failure_message, worker_exception
 from .heartbeat import Heartbeat
 from .progress import Progress, Steps
 from .subprocess_pool import SubprocessPool, open_subprocess_pool, wait_for_exit
-from .worker_errors import EXIT_ERROR, EXIT_EXCEPTION, failure_message, worker_exception
 
 POLL_SECONDS = 0.1  # between two progress updates
 CHECK_FRACTION = 0.02  # of the progress bar

@@ -1,14 +1,18 @@
-"""Long work as generators of progress, and a clock for the time per stage.
+"""Long work as generators of progress, a thread that runs them in the background, and a clock for the time per stage.
 
 A long task is a generator function: it yields `Progress` between two steps and returns its result. The caller decides how a step is
 shown: scripts print it, panels draw it. Both can cancel the task between two steps by closing the generator.
 """
 
+import threading
 import time
 from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Generic, TypeVar
+
+from ..errors import Cancelled
 
 MIN_FRACTION, MIN_SECONDS = 0.02, 0.5  # below these, the pace is too uncertain for an estimate of the time left
 
@@ -72,3 +76,46 @@ class StageClock:
             yield
         finally:
             self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+
+class BackgroundThread(Generic[Result]):
+    """Runs `steps` in a thread, from construction on.
+
+    `progress` is the latest step; any thread may read it. The steps must not access Blender's data.
+    """
+
+    def __init__(self, steps: Steps[Result]) -> None:
+        self.progress = Progress(0.0, "")
+        self._cancel_event = threading.Event()
+        executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="farfield")
+        self._future: Future[Result] = executor.submit(run_to_end, steps, self._on_progress)
+        executor.shutdown(wait=False)
+
+    @property
+    def is_done(self) -> bool:
+        """Whether the thread has ended: with a result, an error or cancelled."""
+        return self._future.done()
+
+    @property
+    def cancel_requested(self) -> bool:
+        """Whether `cancel` was called."""
+        return self._cancel_event.is_set()
+
+    def result(self) -> Result:
+        """Wait for the steps and return their result. Raises their exception, including `Cancelled`."""
+        return self._future.result()
+
+    def cancel(self) -> None:
+        """Ask the steps to end; they do so before the next step."""
+        self._cancel_event.set()
+
+    def wait(self, seconds: float | None = None) -> bool:
+        """Wait until the thread has ended, at most `seconds`; return whether it has."""
+        ended = threading.Event()
+        self._future.add_done_callback(lambda _: ended.set())
+        return ended.wait(seconds)
+
+    def _on_progress(self, progress: Progress) -> None:
+        if self.cancel_requested:
+            raise Cancelled("Cancelled; nothing was changed.")
+        self.progress = progress

@@ -12,11 +12,11 @@ from typing import Any
 
 from ..errors import Cancelled, FarfieldError
 from ..files.file_access import error_reason
+from .core_worker import EXIT_ERROR, EXIT_EXCEPTION, failure_message, worker_exception
 from .heartbeat import Heartbeat
 from .progress import Progress, Steps
 from .subprocess_pool import NO_WINDOW, TEMPORARY_FOLDER_VARIABLES
 from .task_worker import read_reply
-from .worker_errors import EXIT_ERROR, EXIT_EXCEPTION, failure_message, worker_exception
 
 POLL_SECONDS = 0.1  # between two progress updates
 EXIT_SECONDS = 10.0  # from the end of the output of a process until it is killed

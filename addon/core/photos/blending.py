@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..geometry.edges import Edges
-from ..imaging.band_blending import Layer, blend_bands
-from ..imaging.poisson_blending import find_links, solve_screened_poisson
+from ..imaging.blending import Layer, blend_bands, find_links, solve_screened_poisson
 from ..jobs.chunks import map_ordered
 from ..jobs.progress import Progress, Steps
 from .surface_windows import SurfaceWindow, SurfaceWindows

@@ -18,7 +18,7 @@ from ..imaging.block_matching import match_blocks
 from ..imaging.colors import LUMINANCE
 from ..imaging.images import nearest_known
 from ..imaging.pyramids import reduce_image
-from ..imaging.texture_renders import locate_pixels
+from ..imaging.raster import locate_pixels
 from ..jobs.chunks import slices
 from .photographs import Photograph, apply_gain, shift_positions
 from .views import View, find_frame

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..geometry.mesh import TriangleMesh, face_areas_and_normals
-from ..imaging.texture_renders import locate_pixels
+from ..imaging.raster import locate_pixels
 from .photographs import Photograph
 
 MAX_SIDE = 1600  # pixels; larger photographs are drawn smaller

@@ -14,8 +14,7 @@ from scipy.ndimage import convolve1d, gaussian_filter
 from ..files.scratch import Scratch
 from ..geometry.mesh import TriangleMesh
 from ..imaging.images import sample_bilinear
-from ..imaging.raster import draw_ids
-from ..imaging.texture_renders import locate_positions
+from ..imaging.raster import draw_ids, locate_positions
 from ..jobs.chunks import map_ordered, slices
 from ..jobs.progress import Progress, Steps
 from .photographs import Photograph

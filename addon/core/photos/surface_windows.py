@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from ..arrays import concatenate_ranges
 from ..geometry.edges import Edges
-from ..imaging.texture_renders import locate_positions
+from ..imaging.raster import locate_positions
 from .texels import TexelMap, TexelTile
 
 MAX_GAP = 1e-3  # texels between the UVs of both sides of an edge that is no seam

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FileError, ImageError
+from ...files.array_files import read_raw_window
 from ...files.atomic_write import TEMPORARY_SUFFIX
 from ...files.file_access import check_readable, convert_os_errors, error_reason
 from ...files.geotiff import GeoReference
-from ...files.raw_windows import read_raw_window
 from ...files.segment_cache import SegmentCache
 from ...files.tiffs import TiffImage, open_tiff
 from ...imaging.coded_images import read_coded_image, read_coded_shape

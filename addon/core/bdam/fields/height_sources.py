@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FileError
-from ...files.array_files import map_array
+from ...files.array_files import map_array, read_raw_window
 from ...files.file_access import error_reason
 from ...files.height_maps import check_numeric, check_size, find_missing
-from ...files.raw_windows import read_raw_window
 from ...files.segment_cache import SegmentCache
 from ...files.tiffs import open_tiff
 from .ascii_grids import open_ascii_grid

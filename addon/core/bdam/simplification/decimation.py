@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...arrays import gather, gather_columns
-from ...geometry.independent_vertices import find_cutoffs, order_by_cost, select_cheapest, select_independent
+from ...geometry.collapses import find_cutoffs, order_by_cost, select_cheapest, select_independent
 from ...geometry.vertex_rings import VertexRings, build_rings, to_triangles
 from .collapse_costs import LOCKED, GridPoints, find_targets
 from .collapsed_fans import arrange_fans

@@ -12,8 +12,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from ...geometry.collapses import quadric_decimation
 from ...geometry.distance import closest_on_mesh, points_farther_than
-from ...geometry.simplification import quadric_decimation
 from ...jobs.progress import Progress, Steps, subprogress
 from .edge_operations import EdgeCollapses, evaluate_collapses, flip_edges, remove_degenerate
 from .reference_mesh import FAR_DISTANCE, MAX_UNASSIGNED, DecimatedMesh, ReferenceMesh

@@ -11,8 +11,9 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from ...arrays import TINY, concatenate_ranges
+from ...geometry.collapses import satisfies_link_condition, select_disjoint
 from ...geometry.distance import closest_on_mesh, closest_on_triangles, segment_argmin, squared_point_triangle_distances
-from ...geometry.edges import Edges, find_edges
+from ...geometry.edges import find_edges
 from ...geometry.mesh import face_areas_and_normals
 
 MIN_ROTATION_COSINE = 0.2  # between the normals of a triangle before and after an operation: below it, it has folded over
@@ -44,9 +45,9 @@ class EdgeCollapses:
 
         Does not collapse the `skipped` cheapest edges. Returns the new mesh.
         """
-        costs = self.costs.copy()
-        costs[np.argsort(costs, kind="stable")[:skipped]] = np.inf
-        chosen = _choose_independent(costs, costs <= max_cost, self.candidates, self.touched, len(triangles), max_count)
+        costs = np.where(self.costs <= max_cost, self.costs, np.inf)
+        costs[np.argsort(self.costs, kind="stable")[:skipped]] = np.inf
+        chosen = select_disjoint(costs, self.candidates, self.touched, len(triangles), max_count)
         moved, merged = vertices.copy(), np.arange(len(vertices))
         moved[self.edges[chosen, 0]] = self.targets[chosen]
         merged[self.edges[chosen, 1]] = self.edges[chosen, 0]
@@ -61,7 +62,7 @@ def evaluate_collapses(samples: np.ndarray, vertices: np.ndarray, triangles: np.
         vertices, triangles: (V, 3) float64 and (T, 3) int, the coarse mesh.
     """
     mesh_edges = find_edges(triangles, len(vertices))
-    edges = mesh_edges.ends[_keeps_topology(mesh_edges)]
+    edges = mesh_edges.ends[satisfies_link_condition(mesh_edges)]
     candidates, touched = _find_stars(edges, triangles, len(vertices))
     has_first = triangles[touched] == edges[candidates, :1]
     has_second = triangles[touched] == edges[candidates, 1:]
@@ -118,7 +119,8 @@ def flip_edges(samples: np.ndarray, vertices: np.ndarray, triangles: np.ndarray,
         points = samples[tests.sample]
         before, after = (tests.max_distance(squared_point_triangle_distances(points, corners[tests.pair])) for corners in (old, new))
         gains[tests.rows] = before - after
-    chosen = _choose_independent(-gains, gains > min_gain, candidates, touched, len(triangles), len(halfedges))
+    costs = np.where(gains > min_gain, -gains, np.inf)
+    chosen = select_disjoint(costs, candidates, touched, len(triangles), len(halfedges))
     flipped = triangles.copy()
     flipped[halfedges[chosen] // 3] = pairs[chosen]
     return flipped
@@ -132,16 +134,6 @@ def remove_degenerate(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.n
     triangles = triangles[np.sort(first)]
     used, index = np.unique(triangles, return_inverse=True)
     return vertices[used], index.reshape(-1, 3).astype(np.int32)
-
-
-def _keeps_topology(edges: Edges) -> np.ndarray:
-    """Test the link condition (E,) bool: the ends share only the vertices opposite to the edge, and no boundary is pinched."""
-    ends, face_counts = edges.ends, edges.face_counts
-    ones = np.ones(2 * len(ends), np.int32)
-    adjacency = csr_matrix((ones, (ends.ravel(), ends[:, ::-1].ravel())), shape=(edges.vertex_count, edges.vertex_count))
-    shared = np.asarray(adjacency[ends[:, 0]].multiply(adjacency[ends[:, 1]]).sum(axis=1)).ravel()
-    is_boundary = face_counts == 1
-    return (shared == face_counts) & (face_counts <= 2) & (is_boundary | ~edges.boundary_vertices[ends].all(axis=1))
 
 
 def _find_stars(edges: np.ndarray, triangles: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -260,21 +252,3 @@ def _expand_ranges(starts: np.ndarray, stops: np.ndarray) -> tuple[np.ndarray, n
     sizes = stops - starts
     index = np.repeat(np.arange(len(starts)), sizes)
     return index, concatenate_ranges(starts, sizes)
-
-
-def _choose_independent(
-    costs: np.ndarray, allowed: np.ndarray, candidates: np.ndarray, touched: np.ndarray, triangle_count: int, max_count: int
-) -> np.ndarray:
-    """Choose up to `max_count` allowed candidates, cheapest first, of which no two touch the same triangle."""
-    starts = np.searchsorted(candidates, np.arange(len(costs)))
-    stops = np.searchsorted(candidates, np.arange(len(costs)), side="right")
-    is_free = np.ones(triangle_count, bool)
-    chosen = []
-    for candidate in np.argsort(costs, kind="stable"):
-        if not allowed[candidate] or len(chosen) >= max_count:
-            break
-        triangles = touched[starts[candidate] : stops[candidate]]
-        if is_free[triangles].all():
-            is_free[triangles] = False
-            chosen.append(int(candidate))
-    return np.array(chosen, np.int64)

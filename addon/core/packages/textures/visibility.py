@@ -7,8 +7,7 @@ import numpy as np
 
 from ...geometry.directions import fibonacci_sphere
 from ...imaging.mipmaps import measure_footprints
-from ...imaging.raster import draw_ids, list_drawn
-from ...imaging.texture_renders import locate_positions
+from ...imaging.raster import draw_ids, list_drawn, locate_positions
 from ...jobs.progress import Progress, Steps
 from ...texmesh.perception.views import Frame, frame_around, view_axes
 from ...texmesh.textured_mesh import TexturedMesh

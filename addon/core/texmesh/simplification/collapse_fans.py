@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ...geometry.collapses import creates_repeated_edge
 from ...geometry.proximity import encode_pairs
 from .topology import BOUNDARY, Collapses, Topology
 
@@ -44,14 +45,15 @@ class CollapseFans:
         return np.concatenate([self.owners, self.owners[is_last]]), np.concatenate([self.following, self.preceding[is_last]])
 
     @cached_property
-    def new_neighbors(self) -> tuple[np.ndarray, np.ndarray]:
-        """Pairs of a collapse and a vertex that is to become a neighbor of the kept vertex."""
+    def new_edges(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pairs of a collapse and the key, see `encode_pairs`, of an edge that it creates at the kept vertex."""
         owners, neighbors = self.neighbors
         collapses = self.collapses
-        is_new = neighbors != collapses.kept[owners]
+        kept = collapses.kept[owners]
+        is_new = neighbors != kept
         for opposite in collapses.opposite:
             is_new &= neighbors != opposite[owners]
-        return owners[is_new], neighbors[is_new]
+        return owners[is_new], encode_pairs(kept[is_new], neighbors[is_new], self.topology.vertex_count)
 
     @cached_property
     def merged_halfedges(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -109,13 +111,8 @@ def find_compatible(fans: CollapseFans) -> np.ndarray:
 
     Two collapses that share no triangle may still make the same edge or the same triangle, or close a curve from both sides.
     """
-    topology, collapses = fans.topology, fans.collapses
-    is_compatible = np.ones(len(collapses.removed), bool)
-    owners, neighbors = fans.new_neighbors
-    keys = encode_pairs(collapses.kept[owners], neighbors, topology.vertex_count)
-    order = np.lexsort((owners, keys))
-    is_repeated = (keys[order][1:] == keys[order][:-1]) & (owners[order][1:] != owners[order][:-1])
-    is_compatible[owners[order][1:][is_repeated]] = False
+    topology = fans.topology
+    is_compatible = ~creates_repeated_edge(*fans.new_edges, len(fans.collapses.removed))
     _drop_mirrored_triangles(fans, is_compatible)
     owners, _, at_kept = fans.merged_halfedges
     vanishing_owner = np.full(topology.triangle_count, -1, np.int32)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...arrays import TINY
+from ...geometry.collapses import creates_existing_edge, measure_quality
 from .collapse_fans import CollapseFans
 from .topology import BOUNDARY
 
@@ -58,9 +58,7 @@ def _breaks_topology(fans: CollapseFans) -> np.ndarray:
     """Return which collapses (N,) bool make an edge that exists (the link condition), give two triangles with the same vertices, or remove
     all triangles."""
     topology, collapses = fans.topology, fans.collapses
-    owners, neighbors = fans.new_neighbors
-    is_broken = np.zeros(len(collapses.removed), bool)
-    is_broken[owners[topology.has_edge(collapses.kept[owners], neighbors)]] = True
+    is_broken = creates_existing_edge(*fans.new_edges, topology.edge_keys, len(collapses.removed))
     twins = topology.twins[topology.next(fans.corners)]
     apex = np.where(twins >= 0, topology.ends[topology.next(np.maximum(twins, 0))], -1)
     is_broken |= fans.any_of(~fans.vanishes & (apex == collapses.kept[fans.owners]))
@@ -99,7 +97,7 @@ def _folds(fans: CollapseFans, surface: Surface, relaxation: Relaxation) -> np.n
     new_facing = _dot(new_normals, shared + surface.normals.take(kept, axis=1))
     old_facing = _dot(old_normals, shared + surface.normals.take(removed, axis=1))
     is_bad |= (new_facing <= MIN_FACING_COSINE * new_lengths) & (old_facing > MIN_FACING_COSINE * old_lengths)
-    old_quality, new_quality = (_quality(lengths, squares) for lengths, squares in ((old_lengths, old_squares), (new_lengths, new_squares)))
+    old_quality, new_quality = measure_quality(old_lengths, old_squares), measure_quality(new_lengths, new_squares)
     is_bad |= new_quality < _worst_before(old_quality, owners, len(fans.collapses.removed), MIN_QUALITY)[owners]
     is_bad &= new_longest > relaxation.small_size**2
     return _mark(owners[is_bad], len(fans.collapses.removed))
@@ -153,11 +151,7 @@ def _uv_quality(apex: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return the signed quality (N,) of triangles in the plane, 1 or -1 if equilateral."""
     first, second = a - apex, b - apex
     squares = sum(_dot(side, side) for side in (first, second, b - a))
-    return _quality(first[0] * second[1] - first[1] * second[0], squares)
-
-
-def _quality(double_areas: np.ndarray, squares: np.ndarray) -> np.ndarray:
-    return 2.0 * np.sqrt(3.0) * double_areas / np.maximum(squares, TINY)
+    return measure_quality(first[0] * second[1] - first[1] * second[0], squares)
 
 
 def _worst_before(quality: np.ndarray, owners: np.ndarray, count: int, maximum: float) -> np.ndarray:

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ...geometry.independent_vertices import select_independent
+from ...geometry.collapses import select_independent
 from ...geometry.mesh import vertex_normals
 from ..textured_mesh import TexturedMesh
 from .collapse_fans import CollapseFans, build_fans, find_compatible

@@ -114,11 +114,6 @@ class Topology:
         counts = self.rings.starts[vertices + 1] - first
         return np.repeat(np.arange(len(vertices), dtype=np.int32), counts), self.rings.corners[concatenate_ranges(first, counts)]
 
-    def has_edge(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Return whether there is an edge between each of the vertices `first` and `second` (N,)."""
-        keys = encode_pairs(first, second, self.vertex_count)
-        return self.edge_keys[np.minimum(np.searchsorted(self.edge_keys, keys), len(self.edge_keys) - 1)] == keys
-
     def find_collapses(self, vertices: np.ndarray, groups: np.ndarray) -> tuple[np.ndarray, Collapses]:
         """Return the collapses of removable `vertices` (N,) that keep to curves, and the positions of these in `vertices`, ascending.
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...geometry.collapses import creates_existing_edge, creates_repeated_edge, measure_quality, select_independent
 from ...geometry.edges import Edges, find_edges
 from ...geometry.proximity import encode_pairs
 from ...jobs.chunks import map_chunks
@@ -19,7 +20,7 @@ MIN_QUALITY = 0.05  # of triangles after a collapse; 1 is equilateral
 MIN_NORMAL_COSINE = 0.2  # between the normals of a triangle before and after a collapse
 CANDIDATE_FRACTION, MIN_CANDIDATES = 0.7, 64  # of all collapses, the cheapest ones: tested per batch
 MAX_JITTER = 3.0  # random factor of the squared length
-INDEPENDENT_SET_SWEEPS = 3
+SELECTION_PASSES = 3
 CHUNK_SIZE = 1 << 14  # collapses
 
 
@@ -102,7 +103,9 @@ def _next_batch(vertices: np.ndarray, triangles: np.ndarray, is_kept: np.ndarray
     order = np.argsort(priority, kind="stable")
     order = order[: max(int(CANDIDATE_FRACTION * len(order)), min(len(order), MIN_CANDIDATES))]
     removed, kept = removed[order], kept[order]
-    selected = find_independent_set(removed, edges)
+    corners = np.ascontiguousarray(triangles.T, np.intp)
+    independent = select_independent(removed, np.arange(len(removed)), corners, len(vertices), SELECTION_PASSES)
+    selected = np.flatnonzero(np.isin(removed, independent))
     removed, kept = removed[selected], kept[selected]
     yield progress
     links = vertex_links(triangles, removed, len(vertices))
@@ -112,7 +115,7 @@ def _next_batch(vertices: np.ndarray, triangles: np.ndarray, is_kept: np.ndarray
     )
     yield progress
     selected = np.flatnonzero(is_valid)[:max_count]
-    selected = selected[_creates_distinct_edges(links[selected], kept[selected], edges)]
+    selected = selected[~creates_repeated_edge(*_new_edges(links[selected], kept[selected], edges), len(selected))]
     return CollapseBatch(triangles, removed[selected].astype(np.int32), kept[selected].astype(np.int32), links[selected])
 
 
@@ -147,12 +150,15 @@ def _is_valid(vertices: np.ndarray, edges: Edges, links: np.ndarray, removed: np
     is_used = links[:, :, 0] >= 0
     remains = is_used & (links != kept[:, None, None]).all(axis=2)
     old, new = (_fan(vertices, links, center) for center in (removed, kept))
-    old_quality, new_quality = _quality(*old), _quality(*new)
+    old_quality, new_quality = (
+        measure_quality(np.sqrt(np.einsum("csk,csk->cs", normals, normals)), squares) for squares, normals in (old, new)
+    )
     dots = np.einsum("csk,csk->cs", old[1], new[1])
     lengths = np.sqrt(np.einsum("csk,csk->cs", old[1], old[1]) * np.einsum("csk,csk->cs", new[1], new[1]))
     min_quality = np.minimum(MIN_QUALITY, np.where(is_used, old_quality, 1.0).min(axis=1))
     is_good = ~remains | ((dots >= MIN_NORMAL_COSINE * lengths) & (new_quality >= min_quality[:, None]))
-    return is_good.all(axis=1) & remains.any(axis=1) & ~_violates_link_condition(edges, links, kept)
+    breaks_topology = creates_existing_edge(*_new_edges(links, kept, edges), edges.keys, len(kept))
+    return is_good.all(axis=1) & remains.any(axis=1) & ~breaks_topology
 
 
 def _fan(vertices: np.ndarray, links: np.ndarray, centers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -163,49 +169,10 @@ def _fan(vertices: np.ndarray, links: np.ndarray, centers: np.ndarray) -> tuple[
     return sum(np.einsum("csk,csk->cs", side, side) for side in (first, second, opposite)), np.cross(first, second)
 
 
-def _quality(squares: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Return the quality of the triangles of `_fan`: 1 if equilateral, 0 without area."""
-    return 2.0 * np.sqrt(3.0 * np.einsum("csk,csk->cs", normals, normals)) / np.where(squares > 0.0, squares, 1.0)
-
-
-def _new_neighbors(links: np.ndarray, kept: np.ndarray) -> np.ndarray:
-    """Return which entries (C, L, 2) bool of `links` become neighbors of the kept vertex that were not its neighbors within the star."""
+def _new_edges(links: np.ndarray, kept: np.ndarray, edges: Edges) -> tuple[np.ndarray, np.ndarray]:
+    """Return pairs of a collapse and the key of an edge that it creates: to a vertex that was no neighbor of the kept one in the star."""
     contains_kept = (links == kept[:, None, None]).any(axis=2)
     neighbors = np.where(contains_kept[:, :, None], links, -1).reshape(len(links), 2 * links.shape[1])
     known = np.sort(neighbors, axis=1)[:, -4:]  # the kept vertex at most twice, and its neighbors on the link
-    return (links >= 0) & (links[..., None] != known[:, None, None, :]).all(axis=3)
-
-
-def _violates_link_condition(edges: Edges, links: np.ndarray, kept: np.ndarray) -> np.ndarray:
-    """Return which collapses (C,) bool would create an existing edge, after which the mesh would be non-manifold."""
-    is_new = _new_neighbors(links, kept)
-    return (is_new & (edges.between(kept[:, None, None], np.maximum(links, 0)) >= 0)).any(axis=(1, 2))
-
-
-def find_independent_set(candidates: np.ndarray, edges: Edges) -> np.ndarray:
-    """Return the indices of some of the vertices `candidates` (C,), no two of them adjacent; earlier candidates are preferred."""
-    rank = np.full(edges.vertex_count, len(candidates))
-    rank[candidates] = np.arange(len(candidates))
-    is_open = np.zeros(edges.vertex_count, bool)
-    is_open[candidates] = True
-    is_selected = np.zeros(edges.vertex_count, bool)
-    for _ in range(INDEPENDENT_SET_SWEEPS):
-        first, second = edges.ends[is_open[edges.ends].all(axis=1)].T
-        is_local_minimum = is_open.copy()
-        is_local_minimum[np.where(rank[first] < rank[second], second, first)] = False
-        is_selected |= is_local_minimum
-        is_open &= ~is_local_minimum
-        is_open[edges.ends[is_selected[edges.ends].any(axis=1)]] = False
-    return np.flatnonzero(is_selected[candidates])
-
-
-def _creates_distinct_edges(links: np.ndarray, kept: np.ndarray, edges: Edges) -> np.ndarray:
-    """Return which collapses (C,) bool create no edge that an earlier one creates too."""
-    collapse, slot, end = np.nonzero(_new_neighbors(links, kept))
-    neighbor = links[collapse, slot, end]
-    keys = encode_pairs(kept[collapse], neighbor, edges.vertex_count)
-    order = np.lexsort((collapse, keys))
-    is_repeated = (keys[order][1:] == keys[order][:-1]) & (collapse[order][1:] != collapse[order][:-1])
-    is_distinct = np.ones(len(kept), bool)
-    is_distinct[collapse[order][1:][is_repeated]] = False
-    return is_distinct
+    collapse, slot, end = np.nonzero((links >= 0) & (links[..., None] != known[:, None, None, :]).all(axis=3))
+    return collapse, encode_pairs(kept[collapse], links[collapse, slot, end], edges.vertex_count)

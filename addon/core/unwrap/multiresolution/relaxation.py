@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from ...geometry.edges import Edges, find_edges
+from ...geometry.collapses import select_independent
 from ..energies.rest_shapes import RestShapes
 from ..energies.stretch_energy import compute_jacobians
-from .halfedge_decimation import find_independent_set, vertex_links
+from .halfedge_decimation import SELECTION_PASSES, vertex_links
 from .one_rings import OneRings
 
 MAX_ENERGY_RATIO = 3.0  # of a triangle's energy to its lower bound; the corners of triangles above it are relaxed
@@ -35,17 +35,18 @@ def relax_worst_vertices(
         return uv
     uv = uv.copy()
     adjacent = triangles[is_selected[triangles].any(axis=1)]
-    for centers in partition_into_independent_sets(find_edges(adjacent, len(uv)), np.flatnonzero(is_selected)):
+    for centers in partition_into_independent_sets(adjacent, np.flatnonzero(is_selected)):
         rings = OneRings(uv, centers, vertex_links(adjacent, centers, len(uv)), vertices, weights)
         uv[centers] = rings.relax(uv[centers], NEWTON_STEPS)
     return uv
 
 
-def partition_into_independent_sets(edges: Edges, vertices: np.ndarray) -> list[np.ndarray]:
-    """Partition `vertices` (N,) into sets without adjacent vertices."""
+def partition_into_independent_sets(triangles: np.ndarray, vertices: np.ndarray) -> list[np.ndarray]:
+    """Partition the ascending `vertices` (N,) of `triangles` (T, 3) into sets of which no two vertices are adjacent."""
+    corners = np.ascontiguousarray(triangles.T, np.intp)
+    count = int(triangles.max(initial=-1)) + 1
     sets = []
     while len(vertices):
-        selected = find_independent_set(vertices, edges)
-        sets.append(vertices[selected])
-        vertices = np.delete(vertices, selected)
+        sets.append(np.sort(select_independent(vertices, vertices, corners, count, SELECTION_PASSES)))
+        vertices = np.setdiff1d(vertices, sets[-1], assume_unique=True)
     return sets
