@@ -21,7 +21,8 @@ from typing import Any, ClassVar, Literal
 from .errors import SettingsError
 
 TYPE_NAMES = {float: "a number", int: "an integer", bool: "true or false", str: "text", tuple: "a list of numbers"}
-LABEL_WORDS = {"Mb": "MB", "Uv": "UV", "Per": "per", "To": "to", "In": "in"}  # that title case changes
+ABBREVIATIONS = {"Mb": "MB", "Uv": "UV"}  # in labels
+SMALL_WORDS = {"Per": "per", "To": "to", "In": "in"}  # in labels, except as their first word
 
 # What another setting must be: one of these values, or True for anything but off, 0 or empty, and False for the opposite.
 Condition = tuple[str, ...] | bool
@@ -220,7 +221,8 @@ def _find_unmet(description: Description, values: Any) -> str | None:
 
 def default_label(name: str) -> str:
     """Return the label of the field `name`: `Max Normal Deviation`, `Texture MB`, `UV Map`."""
-    return " ".join(LABEL_WORDS.get(word, word) for word in name.replace("_", " ").title().split())
+    first, *others = name.replace("_", " ").title().split()
+    return " ".join([ABBREVIATIONS.get(first, first), *((ABBREVIATIONS | SMALL_WORDS).get(word, word) for word in others)])
 
 
 def flag_of(name: str) -> str:

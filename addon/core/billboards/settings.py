@@ -25,7 +25,6 @@ class CrossfadeSettings(Settings):
         minimum=0.0,
         maximum=4.0,
         unit=Unit.FRACTION,
-        group="Cross-Fade",
     )
 
 

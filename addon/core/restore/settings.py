@@ -116,7 +116,7 @@ class MaskSettings(Settings):
         "Treat the image as a normal map. Images that a Normal Map node uses are recognized without this option",
         group=GUIDES_GROUP,
     )
-    output_folder: str = setting("", "Image sequences only: folder for the restored frames", path="folder")
+    output_folder: str = setting("", "Folder for the restored frames of an image sequence", path="folder")
     replace_in_materials: bool = setting(
         False, "Use the result in place of the image, and of earlier results, in all materials, Worlds, lights and textures"
     )
