@@ -22,14 +22,14 @@ from farfield.addon.core.settings import (
     describe,
     from_flags,
     is_used,
-    markdown_table,
     setting,
     unused_flags,
     with_flags,
 )
 from lib import environment
 
-find_settings = runpy.run_path(str(environment.ROOT / "docs" / "tables.py"))["find_settings"]
+tables = runpy.run_path(str(environment.ROOT / "docs" / "tables.py"))
+find_settings, markdown_table = tables["find_settings"], tables["markdown_table"]
 TABLES = [name for name in find_settings() if not name.startswith(("texmesh", "packages"))]
 DESCRIPTIONS = {item.name: item for item in describe(BillboardSettings)}
 NUMBERS = [item for item in DESCRIPTIONS.values() if item.type in (int, float) and item.minimum is not None]

@@ -11,7 +11,7 @@ PATCH_SIZES = {
 }
 
 TEXTURE_FORMATS = {
-    "jpeg": Choice("JPEG", "Small files, with alpha beside them; tiles meet without seams"),
+    "jpeg": Choice("JPEG", "Small files, with further ones for alpha; tiles meet without seams"),
     "webp": Choice("WebP", "Smaller files; faint seams"),
     "raw": Choice("Raw", "Exact colors in files of 0.8 to 1 MB per tile"),
 }
