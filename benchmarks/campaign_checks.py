@@ -12,7 +12,7 @@ from pathlib import Path
 from farfield.addon.core.files.complete_files import is_complete_blend, is_complete_png
 
 OLD_CONTENT = b"the old content"
-SKIPPED = "Skipped: "
+NOTICE = re.compile(r"Skipped: |--[a-z-]+ is not used with ")
 CANCELLED = 130  # exit code after Ctrl+C
 LIBRARY_MESSAGE = re.compile(  # printed by libpng, and by Blender's dependency graph about metaballs
     r"libpng (error|warning): |find_node component: |-{20,}$|Failed to add relation |Could not find op_(to|from): |Trace:$"
@@ -55,7 +55,7 @@ def read_state(folder: Path) -> State:
 def check_messages(code: int, stdout: str, stderr: str, interrupted: bool) -> list[Problem]:
     """Check the exit code and what a script printed."""
     printed = [line for line in stderr.splitlines() if line.strip() and not LIBRARY_MESSAGE.match(line)]
-    lines = [line for line in printed if not line.startswith(SKIPPED)]
+    lines = [line for line in printed if not NOTICE.match(line)]
     problems = []
     if "Traceback" in stderr:
         problems.append(Problem("traceback", stderr))

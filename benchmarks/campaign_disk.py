@@ -58,7 +58,7 @@ def writers(folder: Path) -> list[Writer]:
         result.append(Writer(f"restore --out {suffix}", "restore", (*restore, "--out", "{target}"), f"out{suffix}"))
     result.append(Writer("restore --report", "restore", (*restore, "--out", spare_image, "--report", "{target}"), "report.json"))
     for flag, target in (("--curve", "curve.png"), ("--stages", "stages")):
-        arguments = (*restore[:2], "--levels", "1", "--out", spare_image, flag, "{target}")
+        arguments = (*restore[:2], "--pyramid-levels", "1", "--out", spare_image, flag, "{target}")
         result.append(Writer(f"restore {flag}", "restore", arguments, target, is_new=flag == "--stages"))
     for tool, arguments, suffixes in (
         ("billboards", build, (".blend", ".obj", ".glb")), ("unwrap", unwrap, (".blend", ".obj", ".glb")),

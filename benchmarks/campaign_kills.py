@@ -74,7 +74,7 @@ def _create_jobs(campaign: Campaign, source: Path, cloud: Path) -> list[KilledJo
         job(
             "restoration with stages",
             "restore",
-            [*images, "--levels", "1"],
+            [*images, "--pyramid-levels", "1"],
             {"--out": "out.exr", "--stages": "stages", "--curve": "curve.png"},
         ),
         job("terrain", "clipbox", [*TERRAIN_FLAGS], {"--out": "out.blend"}),

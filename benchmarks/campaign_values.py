@@ -28,13 +28,14 @@ SMALL: dict[str, dict[str, Any]] = {
     },
     "unwrap": {},
     "clipbox": {"resolution": 32, "boxes": 2},
-    "restore": {"levels": 1},
+    "restore": {"pyramid_levels": 1},
 }  # fmt: skip
 LIMITS: dict[str, tuple[float, float]] = {
     "error": (0.03, 0.25), "levels": (1, 3), "quads": (0, 40), "texture_mb": (0.0, 0.2), "texel_size": (0.5, 4.0), "samples": (1, 2),
     "max_texture_waste": (1.5, 50.0), "views_per_side": (2, 3), "lights_per_side": (2, 3), "components": (1, 5), "alpha_components": (1, 5),
     "clusters": (1, 4), "cluster_components": (1, 4), "shadows_per_side": (0, 3), "shadow_components": (1, 5), "resolution": (32, 40),
     "boxes": (1, 4), "subdivided_boxes": (0, 2), "smoothing": (0, 2), "sphere_count": (1, 4), "sphere_classes": (1, 4),
+    "pyramid_levels": (1, 3),
 }  # fmt: skip
 EXECUTORS = ("serial", "processes", "processes:2", "processes:0", "dask:tcp://127.0.0.1:1", "threads", "")
 

@@ -16,7 +16,7 @@ from lib import environment
 environment.ensure()
 environment.import_farfield()
 
-from farfield.addon.core.settings import Settings, markdown_table
+from farfield.addon.core.settings import Description, Settings, describe
 
 TABLE = re.compile(r"(<!-- settings: (\w+) -->\n).*?(<!-- end of settings -->)", re.DOTALL)
 
@@ -44,6 +44,28 @@ def update_tables(text: str) -> str:
     """Return the page `text` with every table of settings replaced by the current declarations."""
     tables = find_settings()
     return TABLE.sub(lambda match: f"{match[1]}{markdown_table(tables[match[2]])}\n{match[3]}", text)
+
+
+def markdown_table(settings_type: type[Settings]) -> str:
+    """Return the settings as a Markdown table for the docs, with a column that says when they count if some do not always."""
+    descriptions = describe(settings_type)
+    has_conditions = any(item.condition for item in descriptions)
+    rows = []
+    for item in descriptions:
+        flags = [", ".join(f"`{flag}`" for flag in item.flags)] if settings_type.has_flags else []
+        conditions = [item.condition] if has_conditions else []
+        rows.append([item.label, *flags, item.format(item.default), _format_range(item), *conditions, item.help])
+    titles = ["Setting", *["Flag"] * settings_type.has_flags, "Default", "Range", *["Used if"] * has_conditions, "Description"]
+    return "\n".join([f"| {' | '.join(titles)} |", "|---" * len(titles) + "|", *(f"| {' | '.join(row)} |" for row in rows)])
+
+
+def _format_range(description: Description) -> str:
+    if description.choices:
+        return ", ".join(f"`{value}` ({choice.label})" for value, choice in description.choices.items())
+    if description.minimum is None or description.type is bool:
+        return ""
+    minimum = description.format(description.minimum)
+    return f"{minimum} or more" if description.maximum is None else f"{minimum} to {description.format(description.maximum)}"
 
 
 def main() -> None:

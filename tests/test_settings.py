@@ -2,15 +2,15 @@
 
 import argparse
 import copy
-import importlib
 import math
+import runpy
 from dataclasses import dataclass
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from farfield.addon.core.billboards.settings import BillboardSettings
+from farfield.addon.core.billboards.settings import BillboardSettings, CrossfadeSettings
 from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.errors import SettingsError
 from farfield.addon.core.settings import (
@@ -21,12 +21,16 @@ from farfield.addon.core.settings import (
     default_label,
     describe,
     from_flags,
-    markdown_table,
+    is_used,
     setting,
+    unused_flags,
     with_flags,
 )
 from lib import environment
 
+tables = runpy.run_path(str(environment.ROOT / "docs" / "tables.py"))
+find_settings, markdown_table = tables["find_settings"], tables["markdown_table"]
+TABLES = [name for name in find_settings() if not name.startswith(("texmesh", "packages"))]
 DESCRIPTIONS = {item.name: item for item in describe(BillboardSettings)}
 NUMBERS = [item for item in DESCRIPTIONS.values() if item.type in (int, float) and item.minimum is not None]
 
@@ -137,12 +141,82 @@ def test_declarations_carry_label_path_group_and_choices():
     assert "`a` (A), `b` (B)" in markdown_table(ExampleSettings)
 
 
+@dataclass(frozen=True, kw_only=True)
+class PaintSettings(Settings):
+    tool: str = setting("brush", "Tool", choices={name: Choice(name.title(), name) for name in ("brush", "spray", "fill", "eraser")})
+    size: float = setting(1.0, "Size", minimum=0.0, maximum=9.0, used_if={"tool": ("brush", "spray", "eraser")})
+    is_soft: bool = setting(True, "Whether borders are soft", label="Soft", used_if={"size": True, "tool": ("brush", "spray")})
+    count: int = setting(0, "Number of drops", minimum=0, maximum=9, used_if={"tool": ("spray",), "is_soft": False})
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaperSettings(Settings):
+    depends_on = (PaintSettings,)
+
+    absorbs: bool = setting(False, "Whether paper absorbs paint", label="Absorb", used_if={"tool": ("brush",)})
+
+
+def test_conditions_are_written_for_readers():
+    conditions = {item.name: item.condition for item in describe(PaintSettings, PaperSettings)}
+    assert conditions == {
+        "tool": "",
+        "size": "Tool is not Fill",
+        "is_soft": "Size is not 0 and Tool is Brush or Spray",
+        "count": "Tool is Spray and Soft is off",
+        "absorbs": "Tool is Brush",
+    }
+    tool, size = describe(PaintSettings)[:2]
+    assert (tool.tooltip, size.tooltip) == ("Tool", "Size. Used if Tool is not Fill")
+    assert "| Range | Used if | Description |" in markdown_table(PaintSettings)
+    assert "Used if" not in markdown_table(CrossfadeSettings)
+
+
+@pytest.mark.parametrize(
+    ("values", "unused"),
+    [
+        ({}, {"count"}),
+        ({"size": 0.0}, {"is_soft", "count"}),
+        ({"tool": "spray", "is_soft": False}, {"absorbs"}),
+        ({"tool": "fill"}, {"size", "is_soft", "count", "absorbs"}),
+    ],
+)
+def test_settings_count_where_all_conditions_are_met(values, unused):
+    settings = PaintSettings(**values)
+    assert {item.name for item in describe(PaintSettings, PaperSettings) if not is_used(item, settings)} == unused
+
+
+def test_flags_that_are_not_used_are_named():
+    parser = argparse.ArgumentParser()
+    add_flags(parser, PaintSettings)
+    add_flags(parser, PaperSettings)
+
+    def unused(*flags: str) -> list[str]:
+        arguments = parser.parse_args(flags)
+        return unused_flags(arguments, [from_flags(settings_type, arguments) for settings_type in (PaintSettings, PaperSettings)])
+
+    assert unused() == unused("--size", "2", "--is-soft") == []
+    assert unused("--size", "0", "--no-is-soft") == ["--no-is-soft is not used with --size 0."]
+    assert unused("--tool", "fill", "--absorbs") == ["--absorbs is not used with --tool fill."]
+    assert unused("--count", "3", "--tool", "spray") == ["--count is not used with --is-soft."]
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_the_flag_of_a_setting_is_its_label(table):
+    for item in describe(find_settings()[table]):
+        assert item.flag == "--" + item.label.lower().replace(" ", "-")
+
+
+@pytest.mark.parametrize("table", list(find_settings()))
+def test_conditions_name_values_that_exist(table):
+    settings_type = find_settings()[table]
+    known = {item.name: item for item in describe(*settings_type.depends_on, settings_type)}
+    for item in known.values():
+        for name, wanted in item.used_if.items():
+            assert isinstance(wanted, bool) != bool(known[name].choices)
+            assert isinstance(wanted, bool) or set(wanted) < set(known[name].choices)
+
+
 def test_panel_labels_fit_into_a_narrow_sidebar():
     """At the default width of the sidebar about 15 characters fit next to a value; check boxes have the whole width."""
-    too_long = []
-    for path in sorted((environment.ROOT / "addon" / "core").glob("*/settings.py")):
-        module = importlib.import_module(f"farfield.addon.core.{path.parent.name}.settings")
-        for item in vars(module).values():
-            if isinstance(item, type) and issubclass(item, Settings) and item is not Settings:
-                too_long += [each.panel_label for each in describe(item) if each.type is not bool and len(each.panel_label) > 15]
-    assert not too_long
+    items = describe(*(find_settings()[table] for table in TABLES))
+    assert [item.panel_label for item in items if item.type is not bool and len(item.panel_label) > 15] == []

@@ -21,7 +21,8 @@ from typing import Any, ClassVar, Literal
 from .errors import SettingsError
 
 TYPE_NAMES = {float: "a number", int: "an integer", bool: "true or false", str: "text", tuple: "a list of numbers"}
-LABEL_WORDS = {"Mb": "MB", "Uv": "UV", "Per": "per", "To": "to", "In": "in"}  # that title case changes
+ABBREVIATIONS = {"Mb": "MB", "Uv": "UV"}  # in labels
+SMALL_WORDS = {"Per": "per", "To": "to", "In": "in"}  # in labels, except as their first word
 
 # What another setting must be: one of these values, or True for anything but off, 0 or empty, and False for the opposite.
 Condition = tuple[str, ...] | bool
@@ -31,8 +32,8 @@ class Unit(Enum):
     """The unit of a number."""
 
     NONE = ""
-    FRACTION = "%"  # of the longest bounding-box side or of another quantity; a fraction internally
-    ANGLE = "degrees"  # radians internally
+    FRACTION = "%"  # A fraction internally; the help says of which quantity.
+    ANGLE = "degrees"  # Radians internally.
     COUNT = "count"
     MEGABYTES = "MB"
     LENGTH = "scene units"
@@ -220,7 +221,8 @@ def _find_unmet(description: Description, values: Any) -> str | None:
 
 def default_label(name: str) -> str:
     """Return the label of the field `name`: `Max Normal Deviation`, `Texture MB`, `UV Map`."""
-    return " ".join(LABEL_WORDS.get(word, word) for word in name.replace("_", " ").title().split())
+    first, *others = name.replace("_", " ").title().split()
+    return " ".join([ABBREVIATIONS.get(first, first), *((ABBREVIATIONS | SMALL_WORDS).get(word, word) for word in others)])
 
 
 def flag_of(name: str) -> str:
@@ -313,25 +315,3 @@ def with_flags(error: SettingsError) -> SettingsError:
     if not error.settings:
         return error
     return SettingsError(f"{', '.join(flag_of(name) for name in error.settings)}: {error}")
-
-
-def markdown_table(settings_type: type[Settings]) -> str:
-    """Return the settings as a Markdown table for the docs, with a column that says when they count if some do not always."""
-    descriptions = describe(settings_type)
-    has_conditions = any(item.condition for item in descriptions)
-    rows = []
-    for item in descriptions:
-        flags = [", ".join(f"`{flag}`" for flag in item.flags)] if settings_type.has_flags else []
-        conditions = [item.condition] if has_conditions else []
-        rows.append([item.label, *flags, item.format(item.default), _format_range(item), *conditions, item.help])
-    titles = ["Setting", *["Flag"] * settings_type.has_flags, "Default", "Range", *["Used if"] * has_conditions, "Description"]
-    return "\n".join([f"| {' | '.join(titles)} |", "|---" * len(titles) + "|", *(f"| {' | '.join(row)} |" for row in rows)])
-
-
-def _format_range(description: Description) -> str:
-    if description.choices:
-        return ", ".join(f"`{value}` ({choice.label})" for value, choice in description.choices.items())
-    if description.minimum is None or description.type is bool:
-        return ""
-    minimum = description.format(description.minimum)
-    return f"{minimum} or more" if description.maximum is None else f"{minimum} to {description.format(description.maximum)}"

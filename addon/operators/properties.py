@@ -110,7 +110,7 @@ def _round(value: float) -> float:
     return float(f"{value:.6g}")
 
 
-BLEND_PREFIX = "//"  # of paths relative to the .blend file
+BLEND_PREFIX = "//"  # Paths relative to the .blend file begin with it.
 
 
 def absolute_path(path: str) -> Path:

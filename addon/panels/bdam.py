@@ -5,66 +5,41 @@ import bpy
 from ..bridge.bdam.objects import SceneTerrain
 from ..core.bdam.settings import BdamSettings, FreezePathSettings, FreezeSettings, GroundSettings, ViewSettings
 from ..core.settings import describe
-from ..operators import view_following
 from ..operators.bdam.build import KINDS, FARFIELD_OT_bdam_add_files, FARFIELD_OT_bdam_build, FARFIELD_OT_bdam_remove_file
 from ..operators.bdam.freeze import FARFIELD_OT_bdam_freeze, FARFIELD_OT_bdam_freeze_path
 from ..operators.bdam.ground import FARFIELD_OT_bdam_drop
-from ..operators.bdam.operators import (
-    FARFIELD_OT_bdam_follow_view,
-    FARFIELD_OT_bdam_load,
-    FARFIELD_OT_bdam_remove,
-    FARFIELD_OT_bdam_update,
-)
-from ..operators.following import disabled_reason
-from .sidebar import SettingsSubPanel, SidebarPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, draw_table, format_megabytes
+from ..operators.bdam.operators import FARFIELD_OT_bdam_load, FARFIELD_OT_bdam_remove
+from .sidebar import SettingsPanel, SidebarPanel, TerrainPanel, draw_message, draw_table, format_megabytes
 
 PANEL = "FARFIELD_PT_bdam"
 MAX_LISTED = 8  # files of a build
 MAX_WARNINGS = 5  # that are drawn
 
 
-class FARFIELD_PT_bdam(ToolPanel, bpy.types.Panel):
+class FARFIELD_PT_bdam(TerrainPanel, bpy.types.Panel):
     """The buttons or the progress bar."""
 
     bl_idname = PANEL
     bl_label = "Large Terrain"
     page = "bdam"
     bl_options = {"DEFAULT_CLOSED"}
+    terrain_type, start_button = SceneTerrain, (FARFIELD_OT_bdam_load, "Load", "FILE_FOLDER")
 
-    def draw(self, context: bpy.types.Context) -> None:
-        """Draw the buttons. While a job runs, the progress bar replaces them."""
-        layout = self.layout
-        if draw_progress_bar(layout):
-            return
-        reason = disabled_reason(context)
-        if reason:
-            draw_message(layout, reason, "INFO")
-        if view_following.current.error:
-            draw_message(layout, view_following.current.error, "ERROR")
-        draw_button(layout, FARFIELD_OT_bdam_load, "Load", "FILE_FOLDER")
-        terrain, is_following = SceneTerrain.of_object(context.active_object), view_following.current.terrain is not None
-        if terrain is None and not is_following:
-            return
-        if terrain is not None and terrain.read_only_reason:
-            draw_message(layout, terrain.read_only_reason, "INFO")
-        column = layout.column(align=True)
-        column.operator(FARFIELD_OT_bdam_update.bl_idname, text="Update", icon="FILE_REFRESH")
-        text, icon = ("Stop Following", "CANCEL") if is_following else ("Follow View", "VIEW_PERSPECTIVE")
-        column.operator(FARFIELD_OT_bdam_follow_view.bl_idname, text=text, icon=icon, depress=is_following)
-        if terrain is not None:
-            column.prop(terrain.root, "farfield_bdam_follow_camera")
-            layout.prop(terrain.root, "farfield_bdam_store_path")
-            layout.operator(FARFIELD_OT_bdam_remove.bl_idname, text="Remove", icon="TRASH")
+    def draw_terrain(self, terrain: SceneTerrain) -> None:
+        """Draw the path of the store, and the button that removes the terrain."""
+        self.layout.prop(terrain.root, "farfield_bdam_store_path")
+        self.layout.operator(FARFIELD_OT_bdam_remove.bl_idname, text="Remove", icon="TRASH")
 
 
-class FARFIELD_PT_bdam_build(SettingsSubPanel, bpy.types.Panel):
+class FARFIELD_PT_bdam_build(SettingsPanel, bpy.types.Panel):
     """Files and settings of the next build."""
 
     bl_idname = "FARFIELD_PT_bdam_build"
     bl_label = "Build"
     bl_parent_id = PANEL
     bl_options = {"DEFAULT_CLOSED"}
-    settings, property_name, group_name = describe(BdamSettings), "farfield_bdam_build", ""
+    settings, property_name = describe(BdamSettings), "farfield_bdam_build"
+    buttons = ((FARFIELD_OT_bdam_build, "Build", "RNDCURVE"),)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the files, the settings and the button."""
@@ -83,53 +58,38 @@ class FARFIELD_PT_bdam_build(SettingsSubPanel, bpy.types.Panel):
                 column.label(text=f"and {len(group.files(kind)) - MAX_LISTED:,} more files")
                 row.operator(FARFIELD_OT_bdam_remove_file.bl_idname, text="", icon="TRASH").kind = kind
         layout.prop(group, "store")
-        self.draw_settings(context)
-        draw_button(layout, FARFIELD_OT_bdam_build, "Build", "RNDCURVE")
+        super().draw(context)
 
 
-class FARFIELD_PT_bdam_display(SettingsSubPanel, bpy.types.Panel):
+class FARFIELD_PT_bdam_display(SettingsPanel, bpy.types.Panel):
     """How terrains are shown."""
 
     bl_idname = "FARFIELD_PT_bdam_display"
     bl_label = "Display"
     bl_parent_id = PANEL
-    settings, property_name, group_name = describe(ViewSettings), "farfield_bdam_view", ""
+    settings, property_name = describe(ViewSettings), "farfield_bdam_view"
 
 
-class FARFIELD_PT_bdam_ground(SettingsSubPanel, bpy.types.Panel):
+class FARFIELD_PT_bdam_ground(SettingsPanel, bpy.types.Panel):
     """Put objects on the ground."""
 
     bl_idname = "FARFIELD_PT_bdam_ground"
     bl_label = "Drop to Ground"
     bl_parent_id = PANEL
     bl_options = {"DEFAULT_CLOSED"}
-    settings, property_name, group_name = describe(GroundSettings), "farfield_bdam_ground", ""
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """Draw the settings and the button."""
-        self.draw_settings(context)
-        draw_button(self.layout, FARFIELD_OT_bdam_drop, "Drop", "TRIA_DOWN_BAR")
+    settings, property_name = describe(GroundSettings), "farfield_bdam_ground"
+    buttons = ((FARFIELD_OT_bdam_drop, "Drop", "TRIA_DOWN_BAR"),)
 
 
-class FARFIELD_PT_bdam_freeze(SettingsSubPanel, bpy.types.Panel):
+class FARFIELD_PT_bdam_freeze(SettingsPanel, bpy.types.Panel):
     """Make ordinary meshes."""
 
     bl_idname = "FARFIELD_PT_bdam_freeze"
     bl_label = "Freeze"
     bl_parent_id = PANEL
     bl_options = {"DEFAULT_CLOSED"}
-    settings, property_name, group_name = describe(FreezeSettings) + describe(FreezePathSettings), "farfield_bdam_freeze", ""
-
-    @staticmethod
-    def is_active(name: str, group: bpy.types.PropertyGroup) -> bool:
-        """Return whether the setting of that name has an effect."""
-        return name not in ("first_frame", "last_frame") or not group.scene_range
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """Draw the settings and the buttons."""
-        self.draw_settings(context)
-        draw_button(self.layout, FARFIELD_OT_bdam_freeze, "Freeze", "FREEZE")
-        draw_button(self.layout, FARFIELD_OT_bdam_freeze_path, "Freeze Camera Path", "CAMERA_DATA")
+    settings, property_name = describe(FreezeSettings, FreezePathSettings), "farfield_bdam_freeze"
+    buttons = ((FARFIELD_OT_bdam_freeze, "Freeze", "FREEZE"), (FARFIELD_OT_bdam_freeze_path, "Freeze Camera Path", "CAMERA_DATA"))
 
 
 class FARFIELD_PT_bdam_figures(SidebarPanel, bpy.types.Panel):

@@ -19,80 +19,51 @@ from ..operators.billboards.operators import (
     FARFIELD_OT_billboards_show_level,
     disabled_reason,
 )
-from .sidebar import SettingsSubPanel, SidebarPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, draw_table, format_megabytes
+from .sidebar import (
+    SettingsPanel,
+    SidebarPanel,
+    ToolPanel,
+    draw_button,
+    draw_message,
+    draw_progress_bar,
+    draw_table,
+    format_megabytes,
+    sub_panels,
+)
 
+PANEL = "FARFIELD_PT_billboards"
 ESTIMATE_TITLES = ("Estimate", "Quads", "Texels", "MB")
 LEVEL_TITLES = ("Level", "Quads", "Texels", "MB", "Distance")
 
 
-class BillboardSettingsPanel(SettingsSubPanel):
+class BillboardSettingsPanel(SettingsPanel):
     """Mixin of the panels that show settings of billboard clouds."""
 
-    settings = [*describe(BillboardSettings), *describe(BuildOptions), *describe(CrossfadeSettings)]
-    property_name = "farfield_billboards"
-
-    @staticmethod
-    def is_active(name: str, group: bpy.types.PropertyGroup) -> bool:
-        """Return whether the setting `name` has an effect: a budget overrides the error, and samples need textures."""
-        if name == "error":
-            return not (group.quads or group.texture_mb)
-        return name != "samples" or group.textures
+    settings, property_name = describe(BillboardSettings, BuildOptions), "farfield_billboards"
 
 
 class FARFIELD_PT_billboards(BillboardSettingsPanel, ToolPanel, bpy.types.Panel):
     """The main settings, the estimate, and the build button or the progress bar."""
 
-    bl_idname = "FARFIELD_PT_billboards"
+    bl_idname = PANEL
     bl_label = "Billboard Cloud"
     page = "billboards"
-    group_name = ""
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the settings without a group. While a job runs, they are disabled and the progress bar replaces the button."""
-        layout, group = self.layout, context.scene.farfield_billboards
         self.draw_settings(context)
-        if draw_progress_bar(layout):
-            return
         reason = disabled_reason(context)
-        if reason:
-            draw_message(layout, reason, "INFO")
-        else:
-            draw_estimate(layout, context, group)
-        draw_button(layout, FARFIELD_OT_billboards_build, "Build", "MESH_GRID")
-
-
-class SubPanel(BillboardSettingsPanel):
-    """A closed sub-panel of settings."""
-
-    bl_parent_id = "FARFIELD_PT_billboards"
-    bl_options = {"DEFAULT_CLOSED"}
-
-
-class FARFIELD_PT_billboards_detail(SubPanel, bpy.types.Panel):
-    """Budgets and bounds of the quads."""
-
-    bl_idname = "FARFIELD_PT_billboards_detail"
-    bl_label = "Detail"
-
-
-class FARFIELD_PT_billboards_textures(SubPanel, bpy.types.Panel):
-    """Resolution and samples of the captured textures."""
-
-    bl_idname = "FARFIELD_PT_billboards_textures"
-    bl_label = "Textures"
-
-
-class FARFIELD_PT_billboards_advanced(SubPanel, bpy.types.Panel):
-    """Settings that are rarely changed."""
-
-    bl_idname = "FARFIELD_PT_billboards_advanced"
-    bl_label = "Advanced"
+        if draw_progress_bar(self.layout, reason):
+            return
+        if not reason:
+            draw_estimate(self.layout, context, context.scene.farfield_billboards)
+        draw_button(self.layout, FARFIELD_OT_billboards_build, "Build", "MESH_GRID")
 
 
 class CloudPanel(SidebarPanel):
     """A sub-panel for the cloud of the active object."""
 
-    bl_parent_id = "FARFIELD_PT_billboards"
+    bl_parent_id = PANEL
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -122,16 +93,13 @@ class FARFIELD_PT_billboards_levels(CloudPanel, bpy.types.Panel):
         buttons.operator(FARFIELD_OT_billboards_show_level.bl_idname, text="Show Level for Camera", icon="VIEW_CAMERA")
 
 
-class FARFIELD_PT_billboards_crossfade(CloudPanel, BillboardSettingsPanel, bpy.types.Panel):
+class FARFIELD_PT_billboards_crossfade(CloudPanel, SettingsPanel, bpy.types.Panel):
     """The cross-fade between levels of all clouds."""
 
     bl_idname = "FARFIELD_PT_billboards_crossfade"
     bl_label = "Cross-Fade"
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """Draw the range and the button."""
-        self.draw_settings(context)
-        self.layout.operator(FARFIELD_OT_billboards_crossfade.bl_idname, text="Cross-Fade Levels", icon="SMOOTHCURVE")
+    settings, property_name = describe(CrossfadeSettings), "farfield_billboards"
+    buttons = ((FARFIELD_OT_billboards_crossfade, "Cross-Fade Levels", "SMOOTHCURVE"),)
 
 
 def draw_estimate(layout: bpy.types.UILayout, context: bpy.types.Context, group: bpy.types.PropertyGroup) -> None:
@@ -171,9 +139,7 @@ def format_distance(distance: float) -> str:
 
 CLASSES = (
     FARFIELD_PT_billboards,
-    FARFIELD_PT_billboards_detail,
-    FARFIELD_PT_billboards_textures,
-    FARFIELD_PT_billboards_advanced,
+    *sub_panels(BillboardSettingsPanel, PANEL),
     FARFIELD_PT_billboards_levels,
     FARFIELD_PT_billboards_crossfade,
 )

@@ -4,7 +4,7 @@ import bpy
 
 from ..bridge.billboards.scene_clouds import SceneCloud
 from ..bridge.btf.materials import SUNS
-from ..core.btf.settings import EMISSION, BtfSettings
+from ..core.btf.settings import BtfSettings
 from ..core.settings import describe
 from ..operators import job_run, long_work, properties
 from ..operators.btf import estimates
@@ -20,7 +20,7 @@ from ..operators.btf.operators import (
     sun_pointer_name,
 )
 from .sidebar import (
-    SettingsSubPanel,
+    SettingsPanel,
     SidebarPanel,
     ToolPanel,
     draw_button,
@@ -28,79 +28,39 @@ from .sidebar import (
     draw_progress_bar,
     format_megabytes,
     settings_column,
+    sub_panels,
 )
 
-EMISSION_SETTINGS = {"lights_per_side", "codec", "components", "clusters", "cluster_components", "blend_texels"}
-EMISSION_SETTINGS |= {"shadows_per_side", "shadow_components"}
-CODEC_OF_SETTING = {"components": "pca", "clusters": "lpca", "cluster_components": "lpca", "blend_texels": "lpca"}
+PANEL = "FARFIELD_PT_btf"
 
 
-class FARFIELD_PT_btf(ToolPanel, bpy.types.Panel):
-    """The estimate, and the bake button or the progress bar."""
+class BtfSettingsPanel(SettingsPanel):
+    """Mixin of the panels that show settings of a bake."""
 
-    bl_idname = "FARFIELD_PT_btf"
+    settings, property_name = describe(BtfSettings), "farfield_btf"
+
+
+class FARFIELD_PT_btf(BtfSettingsPanel, ToolPanel, bpy.types.Panel):
+    """The model, the estimate, and the bake button or the progress bar."""
+
+    bl_idname = PANEL
     bl_label = "Relightable Textures"
     page = "btf"
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Draw the estimate and the button. While a job runs, the progress bar replaces them."""
-        layout = self.layout
-        if draw_progress_bar(layout):
-            return
+        """Draw the model, the estimate and the button. While a job runs, the progress bar replaces them."""
+        self.draw_settings(context)
         settings = properties.read(BtfSettings, context.scene.farfield_btf)
         reason = disabled_reason(context) or estimates.settings_error(settings)
+        if draw_progress_bar(self.layout, reason):
+            return
         finished_count = 0
-        if reason:
-            draw_message(layout, reason, "INFO")
-        else:
+        if not reason:
             cloud = active_cloud(context)
             finished_count = estimates.count_finished_views(cloud, settings)
-            draw_estimate(layout, cloud, settings, finished_count)
-        draw_button(layout, FARFIELD_OT_btf_bake, "Resume" if finished_count else "Bake", "LIGHT_SUN")
-
-
-class SubPanel(SettingsSubPanel):
-    """A closed sub-panel of settings."""
-
-    bl_parent_id = "FARFIELD_PT_btf"
-    bl_options = {"DEFAULT_CLOSED"}
-    settings, property_name = describe(BtfSettings), "farfield_btf"
-
-    @staticmethod
-    def is_used(name: str, group: bpy.types.PropertyGroup) -> bool:
-        """Return whether the setting applies to the selected model and codec."""
-        if name in EMISSION_SETTINGS and group.model != EMISSION:
-            return False
-        return CODEC_OF_SETTING.get(name, group.codec) == group.codec
-
-
-class FARFIELD_PT_btf_directions(SubPanel, bpy.types.Panel):
-    """Numbers of views and lights."""
-
-    bl_idname = "FARFIELD_PT_btf_directions"
-    bl_label = "Directions"
-
-
-class FARFIELD_PT_btf_compression(SubPanel, bpy.types.Panel):
-    """Codec and numbers of components."""
-
-    bl_idname = "FARFIELD_PT_btf_compression"
-    bl_label = "Compression"
-
-
-class FARFIELD_PT_btf_shadows(SubPanel, bpy.types.Panel):
-    """Self-shadowing."""
-
-    bl_idname = "FARFIELD_PT_btf_shadows"
-    bl_label = "Shadows"
-
-
-class FARFIELD_PT_btf_performance(SubPanel, bpy.types.Panel):
-    """Samples and parallel execution."""
-
-    bl_idname = "FARFIELD_PT_btf_performance"
-    bl_label = "Performance"
+            draw_estimate(self.layout, cloud, settings, finished_count)
+        draw_button(self.layout, FARFIELD_OT_btf_bake, "Resume" if finished_count else "Bake", "LIGHT_SUN")
 
 
 class FARFIELD_PT_btf_lighting(SidebarPanel, bpy.types.Panel):
@@ -108,7 +68,7 @@ class FARFIELD_PT_btf_lighting(SidebarPanel, bpy.types.Panel):
 
     bl_idname = "FARFIELD_PT_btf_lighting"
     bl_label = "Lighting"
-    bl_parent_id = "FARFIELD_PT_btf"
+    bl_parent_id = PANEL
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -142,12 +102,5 @@ def draw_estimate(layout: bpy.types.UILayout, cloud: SceneCloud, settings: BtfSe
         column.label(text=f"{finished_count} of {view_count} views finished", icon="CHECKMARK")
 
 
-CLASSES = (
-    FARFIELD_PT_btf,
-    FARFIELD_PT_btf_directions,
-    FARFIELD_PT_btf_compression,
-    FARFIELD_PT_btf_shadows,
-    FARFIELD_PT_btf_performance,
-    FARFIELD_PT_btf_lighting,
-)
+CLASSES = (FARFIELD_PT_btf, *sub_panels(BtfSettingsPanel, PANEL), FARFIELD_PT_btf_lighting)
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

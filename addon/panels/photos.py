@@ -25,47 +25,28 @@ from ..operators.photos.registration import (
     find_image_problem,
 )
 from ..operators.photos.sources import disabled_reason, find_cameras
-from .sidebar import SettingsSubPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, settings_column
+from .sidebar import SettingsPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, settings_column, sub_panels
 
-ONLY_FOR_BEST = {"blending"}  # settings without effect in other methods
-ONLY_WITH_EXPOSURE = {"gamma", "vignetting"}
-ONLY_FOR_COLOR = {"background_color"}
-ONLY_FOR_BACKGROUND = {"background_threshold"}
-NOT_FOR_PAPER = {"sharpen"}
+PANEL = "FARFIELD_PT_photos"
 
 
-class PhotosSettingsPanel(SettingsSubPanel):
+class PhotosSettingsPanel(SettingsPanel):
     """Mixin of the panels that show settings of photo textures."""
 
-    settings = describe(PhotosSettings)
-    property_name = "farfield_photos"
-
-    @staticmethod
-    def is_active(name: str, group: bpy.types.PropertyGroup) -> bool:
-        """Return whether the setting `name` has an effect."""
-        if name in ONLY_WITH_EXPOSURE:
-            return group.exposure
-        if name in ONLY_FOR_COLOR:
-            return group.background == "color"
-        if name in ONLY_FOR_BACKGROUND:
-            return group.background != "none"
-        if name in NOT_FOR_PAPER:
-            return group.method != "paper"
-        return name not in ONLY_FOR_BEST or group.method == "best"
+    settings, property_name = describe(PhotosSettings), "farfield_photos"
 
 
 class FARFIELD_PT_photos(PhotosSettingsPanel, ToolPanel, bpy.types.Panel):
     """The photographs, the settings, and the Merge button or the progress bar."""
 
-    bl_idname = "FARFIELD_PT_photos"
+    bl_idname = PANEL
     bl_label = "Photo Texture"
     page = "photos"
-    group_name = ""
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the steps in the order of work. While a job runs they are disabled and the progress bar replaces the button."""
-        layout, group = self.layout, context.scene.farfield_photos
+        layout = self.layout
         column = settings_column(layout)
         column.operator(FARFIELD_OT_photos_import_cameras.bl_idname, text="Import Cameras", icon="CAMERA_DATA")
         images = [find_background(item.data).image for item in find_cameras(context)]
@@ -75,22 +56,9 @@ class FARFIELD_PT_photos(PhotosSettingsPanel, ToolPanel, bpy.types.Panel):
         column.operator(FARFIELD_OT_photos_show_coverage.bl_idname, text="Show Coverage", icon="SHADING_SOLID", depress=is_shown)
         column.operator(FARFIELD_OT_photos_refine.bl_idname, text="Refine Cameras", icon="CON_CAMERASOLVER")
         self.draw_settings(context)
-        settings_column(layout).prop(group, "maps")
-        if draw_progress_bar(layout):
-            return
-        reason = disabled_reason(context)
-        if reason:
-            draw_message(layout, reason, "INFO")
-        draw_button(layout, FARFIELD_OT_photos_merge, "Merge", "TEXTURE")
-
-
-class FARFIELD_PT_photos_photographs(PhotosSettingsPanel, bpy.types.Panel):
-    """Corrections of the photographs, and what is left out of them."""
-
-    bl_idname = "FARFIELD_PT_photos_photographs"
-    bl_label = "Photographs"
-    bl_parent_id = "FARFIELD_PT_photos"
-    bl_options = {"DEFAULT_CLOSED"}
+        settings_column(layout).prop(context.scene.farfield_photos, "maps")
+        if not draw_progress_bar(layout, disabled_reason(context)):
+            draw_button(layout, FARFIELD_OT_photos_merge, "Merge", "TEXTURE")
 
 
 def draw_photographs(layout: bpy.types.UILayout, count: int, missing: int) -> None:
@@ -153,5 +121,5 @@ def draw_pairs(layout: bpy.types.UILayout, group: bpy.types.PropertyGroup) -> No
         column.label(text=f"Arrows: errors x {ARROW_SCALE:g}")
 
 
-CLASSES = (FARFIELD_PT_photos, FARFIELD_PT_photos_photographs, FARFIELD_PT_photos_registration)
+CLASSES = (FARFIELD_PT_photos, *sub_panels(PhotosSettingsPanel, PANEL), FARFIELD_PT_photos_registration)
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -4,7 +4,7 @@ import bpy
 
 from ..bridge.restore.outline import outline
 from ..core.restore.settings import MaskSettings, RestoreSettings
-from ..core.settings import describe
+from ..core.settings import Description, describe
 from ..operators import image_editors
 from ..operators.restore.operators import (
     NO_IMAGE,
@@ -15,43 +15,44 @@ from ..operators.restore.operators import (
     counterpart,
 )
 from ..operators.restore.prepare import edited_image, find_problem, find_target
-from .sidebar import SidebarPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, draw_setting, settings_column
+from .sidebar import SettingsPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, sub_panels
 
-MASK_SETTINGS = {item.name: item for item in describe(MaskSettings)}
-RESTORE_SETTINGS = {item.name: item for item in describe(RestoreSettings)}
-USED_BY_MASK = {"image": ("mask_image", "threshold"), "alpha": ("threshold",), "color": ("mask_color", "tolerance")}
-OPTIONAL_IMAGES = ("source_mask", "barriers")
-OF_PIXELS = {"levels", "order", "coherence"}  # shown for synthesis by pixels
+PANEL = "FARFIELD_PT_restore"
+IMAGES = ("mask_image", "source_mask", "barriers")
 
 
-class FARFIELD_PT_restore(ToolPanel, bpy.types.Panel):
+class RestoreSettingsPanel(SettingsPanel):
+    """Mixin of the panels that show settings of restorations."""
+
+    bl_space_type = "IMAGE_EDITOR"
+    settings, property_name = describe(RestoreSettings, MaskSettings), "farfield_restore"
+
+    def draw_setting(self, layout: bpy.types.UILayout, context: bpy.types.Context, item: Description) -> None:
+        """Draw one setting: a search field for an image, and the output folder for sequences only."""
+        if item.name in IMAGES:
+            layout.prop_search(context.scene.farfield_restore, item.name, bpy.data, "images", icon="IMAGE_DATA")
+            if item.name == "mask_image":
+                layout.operator(FARFIELD_OT_restore_mask.bl_idname, text="Create Mask", icon="ADD")
+        elif item.name != "output_folder" or is_sequence(context):
+            super().draw_setting(layout, context, item)
+
+
+class FARFIELD_PT_restore(RestoreSettingsPanel, ToolPanel, bpy.types.Panel):
     """The mask, and the Restore button or the progress bar."""
 
-    bl_idname = "FARFIELD_PT_restore"
+    bl_idname = PANEL
     bl_label = "Restore Image"
-    bl_space_type = "IMAGE_EDITOR"
     page = "restore"
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the settings of the mask. While a job runs they are disabled and the progress bar replaces the buttons."""
         layout, group, edited = self.layout, context.scene.farfield_restore, edited_image(context)
-        image = None if edited is None else find_target(edited, group)
-        column = settings_column(layout)
-        draw_setting(column, group, MASK_SETTINGS["mask"])
-        for name in USED_BY_MASK[group.mask]:
-            if name == "mask_image":
-                column.prop_search(group, name, bpy.data, "images", icon="IMAGE_DATA")
-                column.operator(FARFIELD_OT_restore_mask.bl_idname, text="Create Mask", icon="ADD")
-            else:
-                draw_setting(column, group, MASK_SETTINGS[name])
-        if image is not None and image.source == "SEQUENCE":
-            draw_setting(column, group, MASK_SETTINGS["output_folder"])
-        draw_setting(column, group, MASK_SETTINGS["replace"])
-        if draw_progress_bar(layout):
+        self.draw_settings(context)
+        if draw_progress_bar(layout, NO_IMAGE if edited is None else ""):
             return
-        if image is None:
-            draw_message(layout, NO_IMAGE, "INFO")
+        if edited is None:
             return
+        image = find_target(edited, group)
         problem = find_problem(image, group)
         if problem:
             draw_message(layout, problem, "INFO")
@@ -68,45 +69,11 @@ class FARFIELD_PT_restore(ToolPanel, bpy.types.Panel):
             column.operator(FARFIELD_OT_restore_compare.bl_idname, text="Before / After", icon="ARROW_LEFTRIGHT")
 
 
-class SubPanel(SidebarPanel):
-    """A closed sub-panel of settings."""
-
-    bl_parent_id = "FARFIELD_PT_restore"
-    bl_space_type = "IMAGE_EDITOR"
-    bl_options = {"DEFAULT_CLOSED"}
+def is_sequence(context: bpy.types.Context) -> bool:
+    """Return whether an image sequence is restored."""
+    edited = edited_image(context)
+    return edited is not None and find_target(edited, context.scene.farfield_restore).source == "SEQUENCE"
 
 
-class FARFIELD_PT_restore_texture(SubPanel, bpy.types.Panel):
-    """How structure and texture are separated and synthesized."""
-
-    bl_idname = "FARFIELD_PT_restore_texture"
-    bl_label = "Structure and Texture"
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """Draw the settings; those of texture are grayed out if there is none."""
-        group = context.scene.farfield_restore
-        column = settings_column(self.layout)
-        for name, setting in RESTORE_SETTINGS.items():
-            if (name != "kappa" or group.split == "manual") and (name not in OF_PIXELS or group.method == "pixels"):
-                item = column.column()
-                item.active = name in {"split", "tileable"} or group.split != "diffusion"
-                draw_setting(item, group, setting)
-
-
-class FARFIELD_PT_restore_guides(SubPanel, bpy.types.Panel):
-    """Further masks, and what the image contains."""
-
-    bl_idname = "FARFIELD_PT_restore_guides"
-    bl_label = "Guides"
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """Draw search fields for the masks and the option for normal maps."""
-        group = context.scene.farfield_restore
-        column = settings_column(self.layout)
-        for name in OPTIONAL_IMAGES:
-            column.prop_search(group, name, bpy.data, "images", icon="IMAGE_DATA")
-        draw_setting(column, group, MASK_SETTINGS["normal_map"])
-
-
-CLASSES = (FARFIELD_PT_restore, FARFIELD_PT_restore_texture, FARFIELD_PT_restore_guides)
+CLASSES = (FARFIELD_PT_restore, *sub_panels(RestoreSettingsPanel, PANEL))
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -2,11 +2,13 @@
 
 import textwrap
 from collections.abc import Sequence
+from typing import ClassVar
 
 import bpy
 
-from ..core.settings import Description
-from ..operators import documentation, job_run, long_work
+from ..bridge.terrain_roots import TerrainRoot
+from ..core.settings import Description, is_used
+from ..operators import documentation, follow_handlers, following, job_run, long_work, view_following
 
 MESSAGE_WIDTH = 36  # characters per line at the default width of the sidebar
 
@@ -32,15 +34,81 @@ class ToolPanel(SidebarPanel):
         self.layout.operator("wm.url_open", text="", icon="HELP", emboss=False).url = documentation.find_page(self.page)
 
 
-class SettingsSubPanel(SidebarPanel):
-    """Mixin of a panel with the settings of one group.
+class TerrainPanel(ToolPanel):
+    """Mixin of the top-level panel of a tool whose terrains follow the view.
 
-    settings: all settings of the tool. property_name: the property of the scene that holds them. group_name: of the settings to draw, by
-    default the label of the panel.
+    terrain_type: of its terrains. start_button: operator, text and icon of the button that adds a terrain to the scene.
+    """
+
+    terrain_type: type[TerrainRoot]
+    start_button: tuple[type[bpy.types.Operator], str, str]
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the buttons. While a job runs, the progress bar replaces them."""
+        layout, tool = self.layout, self.terrain_type.tool
+        if draw_progress_bar(layout, following.disabled_reason(context)):
+            return
+        if view_following.current.error:
+            draw_message(layout, view_following.current.error, "ERROR")
+        draw_button(layout, *self.start_button)
+        terrain, is_following = self.terrain_type.of_object(context.active_object), view_following.current.terrain is not None
+        if terrain is None and not is_following:
+            return
+        if terrain is not None and terrain.read_only_reason:
+            draw_message(layout, terrain.read_only_reason, "INFO")
+        column = layout.column(align=True)
+        column.operator(f"farfield.{tool}_update", text="Update", icon="FILE_REFRESH")
+        text, icon = ("Stop Following", "CANCEL") if is_following else ("Follow View", "VIEW_PERSPECTIVE")
+        column.operator(f"farfield.{tool}_follow_view", text=text, icon=icon, depress=is_following)
+        if terrain is not None:
+            column.prop(terrain.root, follow_handlers.camera_property(tool))
+            self.draw_terrain(terrain)
+
+    def draw_terrain(self, terrain: TerrainRoot) -> None:
+        """Draw what else can be done with the active terrain."""
+
+
+class SettingsPanel(SidebarPanel):
+    """Mixin of a panel with the settings of one group, of which it shows those that count.
+
+    Attributes:
+        settings: all settings of the tool.
+        property_name: the property of the scene that holds them.
+        group_name: of the settings to draw.
+        buttons: operator, text and icon of each large button below them.
     """
 
     settings: Sequence[Description] = ()
     property_name = ""
+    group_name = ""
+    buttons: ClassVar[Sequence[tuple[type[bpy.types.Operator], str, str]]] = ()
+
+    @classmethod
+    def shown_settings(cls, context: bpy.types.Context) -> list[Description]:
+        """Return the settings of the group that count."""
+        group = getattr(context.scene, cls.property_name)
+        return [item for item in cls.settings if item.group == cls.group_name and is_used(item, group)]
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the settings and the buttons."""
+        self.draw_settings(context)
+        for button in self.buttons:
+            draw_button(self.layout, *button)
+
+    def draw_settings(self, context: bpy.types.Context) -> None:
+        """Draw the settings of the group that count."""
+        column = settings_column(self.layout)
+        for item in self.shown_settings(context):
+            self.draw_setting(column, context, item)
+
+    def draw_setting(self, layout: bpy.types.UILayout, context: bpy.types.Context, item: Description) -> None:
+        """Draw one setting with its panel label."""
+        layout.prop(getattr(context.scene, self.property_name), item.name, text=item.panel_label)
+
+
+class SettingsSubPanel(SettingsPanel):
+    """Mixin of panels whose settings do not yet declare when they count; group_name is by default the label of the panel."""
+
     group_name: str | None = None
 
     @staticmethod
@@ -53,20 +121,37 @@ class SettingsSubPanel(SidebarPanel):
         """Return whether the setting of that name has an effect with the other settings; others are grayed out."""
         return True
 
-    def draw(self, context: bpy.types.Context) -> None:
-        """Draw the settings."""
-        self.draw_settings(context)
+    @classmethod
+    def shown_settings(cls, context: bpy.types.Context) -> list[Description]:
+        """Return the settings of the group that are used."""
+        group, group_name = getattr(context.scene, cls.property_name), cls.bl_label if cls.group_name is None else cls.group_name
+        return [item for item in cls.settings if item.group == group_name and cls.is_used(item.name, group)]
 
-    def draw_settings(self, context: bpy.types.Context) -> None:
-        """Draw the settings of the group that are used."""
-        group = getattr(context.scene, self.property_name)
-        group_name = self.bl_label if self.group_name is None else self.group_name
-        column = settings_column(self.layout)
-        for setting in self.settings:
-            if setting.group == group_name and self.is_used(setting.name, group):
-                item = column.column()
-                item.active = self.is_active(setting.name, group)
-                draw_setting(item, group, setting)
+    def draw_setting(self, layout: bpy.types.UILayout, context: bpy.types.Context, item: Description) -> None:
+        """Draw one setting, grayed out where it has no effect."""
+        column = layout.column()
+        column.active = self.is_active(item.name, getattr(context.scene, self.property_name))
+        super().draw_setting(column, context, item)
+
+
+def sub_panels(mixin: type[SettingsPanel], parent: str, open_groups: Sequence[str] = ()) -> tuple[type[bpy.types.Panel], ...]:
+    """Return a sub-panel for each group of the settings of `mixin`, named after it, below the panel with the identifier `parent`.
+
+    They are closed except for `open_groups`, and hidden where no setting counts.
+    """
+
+    @classmethod
+    def poll(cls: type[SettingsPanel], context: bpy.types.Context) -> bool:
+        return bool(cls.shown_settings(context))
+
+    classes = []
+    for group in dict.fromkeys(item.group for item in mixin.settings if item.group):
+        name = f"{parent}_{group.lower().replace(' ', '_')}"
+        members = {"__doc__": f"The settings of the group *{group}*.", "__module__": mixin.__module__, "poll": poll}
+        members |= {"bl_idname": name, "bl_label": group, "bl_parent_id": parent, "group_name": group}
+        members["bl_options"] = set() if group in open_groups else {"DEFAULT_CLOSED"}
+        classes.append(type(name, (mixin, bpy.types.Panel), members))
+    return tuple(classes)
 
 
 def settings_column(layout: bpy.types.UILayout) -> bpy.types.UILayout:
@@ -78,11 +163,6 @@ def settings_column(layout: bpy.types.UILayout) -> bpy.types.UILayout:
     return column
 
 
-def draw_setting(layout: bpy.types.UILayout, group: bpy.types.PropertyGroup, setting: Description) -> None:
-    """Draw one setting of the property group `group` with its panel label."""
-    layout.prop(group, setting.name, text=setting.panel_label)
-
-
 def draw_message(layout: bpy.types.UILayout, message: str, icon: str) -> None:
     """Draw a message with its icon, in as many lines as a sidebar of the default width needs."""
     column = layout.column(align=True)
@@ -90,13 +170,17 @@ def draw_message(layout: bpy.types.UILayout, message: str, icon: str) -> None:
         column.label(text=line, icon="BLANK1" if index else icon)
 
 
-def draw_progress_bar(layout: bpy.types.UILayout) -> bool:
+def draw_progress_bar(layout: bpy.types.UILayout, disabled_reason: str = "") -> bool:
     """Draw the progress of the running job - percentage, label, time left, how to cancel - and return whether there is one.
+
+    If there is none, draw why the tool cannot start one, if it is given.
 
     The Cancel button is disabled in the half of the job that uses the scene: only its modal operator receives events then, and Esc cancels.
     """
     run = long_work.current_run()
     if run is None:
+        if disabled_reason:
+            draw_message(layout, disabled_reason, "INFO")
         return False
     column = layout.column(align=True)
     row = column.row(align=True)

@@ -4,7 +4,7 @@ import bpy
 
 from ..bridge.unwrap import uv_maps
 from ..bridge.unwrap.uv_overlay import overlay
-from ..core.settings import describe
+from ..core.settings import Description, describe
 from ..core.unwrap.settings import UnwrapSettings
 from ..operators.unwrap.operators import (
     FARFIELD_OT_unwrap,
@@ -14,10 +14,8 @@ from ..operators.unwrap.operators import (
     disabled_reason,
     is_unwrapped,
 )
-from .sidebar import ToolPanel, draw_button, draw_message, draw_progress_bar, settings_column
+from .sidebar import SettingsPanel, ToolPanel, draw_button, draw_progress_bar
 
-SETTING_NAMES = [description.name for description in describe(UnwrapSettings)]
-SHOWN_FOR_IMPORTANCE = {"direction": ("direction", "gradual"), "vertex_group": ("vertex_group",)}
 METRICS = (
     ("Stretch L2", "l2", "{:.3f}"),
     ("95th Percentile", "p95", "{:.2f}"),
@@ -30,26 +28,21 @@ METRICS = (
 )
 
 
-class FARFIELD_PT_unwrap(ToolPanel, bpy.types.Panel):
+class FARFIELD_PT_unwrap(SettingsPanel, ToolPanel, bpy.types.Panel):
     """Settings, the Unwrap button, and the metrics of the active object's UV map."""
 
     bl_idname = "FARFIELD_PT_unwrap"
     bl_label = "View-Dependent Unwrap"
     page = "unwrap"
     bl_options = {"DEFAULT_CLOSED"}
+    settings, property_name = describe(UnwrapSettings), "farfield_unwrap"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Draw the settings in use. While a job runs they are disabled and the progress bar replaces the button."""
-        layout, group = self.layout, context.scene.farfield_unwrap
-        column = settings_column(layout)
-        for name in SETTING_NAMES:
-            if is_used(name, group.importance):
-                draw_setting(column, context, group, name)
-        if draw_progress_bar(layout):
+        """Draw the settings that count. While a job runs they are disabled and the progress bar replaces the button."""
+        layout = self.layout
+        self.draw_settings(context)
+        if draw_progress_bar(layout, disabled_reason(context)):
             return
-        reason = disabled_reason(context)
-        if reason:
-            draw_message(layout, reason, "INFO")
         draw_button(layout, FARFIELD_OT_unwrap, "Unwrap", "UV")
         if is_unwrapped(context.active_object):
             draw_metrics(layout, uv_maps.read_metrics(context.active_object.data))
@@ -57,22 +50,14 @@ class FARFIELD_PT_unwrap(ToolPanel, bpy.types.Panel):
             row.operator(FARFIELD_OT_unwrap_overlay.bl_idname, text="Show Stretch", icon="OVERLAY", depress=overlay.is_shown)
             row.operator(FARFIELD_OT_unwrap_stretch_image.bl_idname, text="", icon="IMAGE_DATA")
 
-
-def is_used(name: str, importance: str) -> bool:
-    """Return whether the setting `name` has an effect with this importance."""
-    if name == "density_ratio":
-        return importance != "uniform"
-    return name not in SHOWN_FOR_IMPORTANCE or importance in SHOWN_FOR_IMPORTANCE[name]
-
-
-def draw_setting(layout: bpy.types.UILayout, context: bpy.types.Context, group: bpy.types.PropertyGroup, name: str) -> None:
-    """Draw one setting: a search field for the vertex group, and a button below the direction that sets it from the view."""
-    if name == "vertex_group" and context.active_object is not None and context.active_object.type == "MESH":
-        layout.prop_search(group, name, context.active_object, "vertex_groups")
-        return
-    layout.prop(group, name)
-    if name == "direction":
-        layout.operator(FARFIELD_OT_unwrap_direction.bl_idname, text="From View", icon="VIEW3D")
+    def draw_setting(self, layout: bpy.types.UILayout, context: bpy.types.Context, item: Description) -> None:
+        """Draw one setting: a search field for the vertex group, and a button below the direction that sets it from the view."""
+        if item.name == "vertex_group" and context.active_object is not None and context.active_object.type == "MESH":
+            layout.prop_search(context.scene.farfield_unwrap, item.name, context.active_object, "vertex_groups")
+            return
+        super().draw_setting(layout, context, item)
+        if item.name == "direction":
+            layout.operator(FARFIELD_OT_unwrap_direction.bl_idname, text="From View", icon="VIEW3D")
 
 
 def draw_metrics(layout: bpy.types.UILayout, metrics: dict[str, float]) -> None:

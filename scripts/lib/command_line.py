@@ -1,8 +1,9 @@
 """The command line that all scripts share: arguments, progress line, reports and exit codes.
 
 Exit codes: 0 success, 1 a defect of Farfield, 2 invalid input, 130 cancelled; in all but the first case there is one sentence on stderr.
-Standard output holds the result that `main` returns and nothing else; `--verbose` adds the messages of Blender and the traceback of a
-defect. Every message is one line, whatever names it quotes. Import this module after `environment.ensure()`.
+Sentences about what is skipped or not used come before it. Standard output holds the result that `main` returns and nothing else;
+`--verbose` adds the messages of Blender and the traceback of a defect. Every message is one line, whatever names it quotes.
+Import this module after `environment.ensure()`.
 """
 
 import argparse

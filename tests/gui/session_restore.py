@@ -98,7 +98,7 @@ def session() -> Iterator[float]:
     add_wall(source)
     bpy.ops.ed.undo_push(message="Open Photograph")
     user.area.spaces.active.image = source
-    open_panel_alone("restore", "texture", "guides")
+    open_panel_alone("restore", "structure_and_texture", "guides")
     yield from user.open_sidebar()
     outline = module("addon.bridge.restore.outline").outline
     group = bpy.context.scene.farfield_restore

@@ -80,6 +80,7 @@ def test_other_strategies_give_text(content, value, name):
         (0, "", []),
         (0, "Skipped: Cube (no faces).\n", []),
         (2, "Skipped: Cube (no faces).\nThere is no file.\n", []),
+        (0, "--gamma is not used with --no-exposure.\n", []),
         (130, "Cancelled.\n", []),
         (2, "libpng error: IDAT: CRC error\nThe image is damaged.\n", []),
         (0, 'find_node component: Could not find ID OBA\nFailed to add relation "Metaball"\n\nTrace:\n\n1        Object         A\n', []),

@@ -11,7 +11,7 @@ PATCH_SIZES = {
 }
 
 TEXTURE_FORMATS = {
-    "jpeg": Choice("JPEG", "Small files, with alpha beside them; tiles meet without seams"),
+    "jpeg": Choice("JPEG", "Small files, with further ones for alpha; tiles meet without seams"),
     "webp": Choice("WebP", "Smaller files; faint seams"),
     "raw": Choice("Raw", "Exact colors in files of 0.8 to 1 MB per tile"),
 }
@@ -42,7 +42,6 @@ class BdamSettings(Settings):
         "Quality of the tiles, 1 to 100. 0 for 85 of JPEG and 95 of WebP",
         minimum=0,
         maximum=100,
-        unit=Unit.COUNT,
         used_if={"texture_format": ("jpeg", "webp")},
     )
     texture_error: str = setting("magnification", "What decides how fine textures must be", choices=TEXTURE_ERRORS)
@@ -72,7 +71,6 @@ class ViewSettings(Settings):
         "Largest number of triangles; the tolerance is raised until the terrain has no more. 0 for no limit",
         minimum=0,
         maximum=100_000_000,
-        unit=Unit.COUNT,
     )
     exaggeration: float = setting(1.0, "Factor of all heights", minimum=0.01, maximum=100.0)
     shading: str = setting("texture", "What the colors of the terrain show", choices=SHADINGS)

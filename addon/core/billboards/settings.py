@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 from ..settings import Choice, Settings, Unit, setting
@@ -14,6 +15,8 @@ METHODS = {
     "decimate": Choice("Decimate", "Edge collapse with a measured error: for smooth connected surfaces (section 4.2)"),
 }
 
+in_detail, in_textures = partial(setting, group="Detail"), partial(setting, group="Textures")
+
 
 @dataclass(frozen=True, kw_only=True)
 class CrossfadeSettings(Settings):
@@ -25,7 +28,6 @@ class CrossfadeSettings(Settings):
         minimum=0.0,
         maximum=4.0,
         unit=Unit.FRACTION,
-        group="Cross-Fade",
     )
 
 
@@ -54,69 +56,36 @@ class BillboardSettings(Settings):
         unit=Unit.FRACTION,
         used_if={"quads": False, "texture_mb": False},
     )
-    levels: int = setting(3, "Number of levels of detail; the error doubles per level", minimum=1, maximum=8, unit=Unit.COUNT)
-    quads: int = setting(
-        0,
-        "Target number of quads of the finest level. Overrides Error; 0 disables",
-        minimum=0,
-        maximum=100_000,
-        unit=Unit.COUNT,
-        group="Detail",
-    )
-    texture_mb: float = setting(
-        0.0,
-        "Target texture memory of all levels. Overrides Error; 0 disables",
-        minimum=0.0,
-        maximum=65_536.0,
-        unit=Unit.MEGABYTES,
-        group="Detail",
-    )
-    max_normal_deviation: float = setting(
+    levels: int = setting(3, "Number of levels of detail; the error doubles per level", minimum=1, maximum=8)
+    quads: int = in_detail(0, "Target number of quads of the finest level. Overrides Error; 0 disables", minimum=0, maximum=100_000)
+    texture_mb: float = in_detail(0.0, "Target texture memory of all levels. Overrides Error; 0 disables", minimum=0.0, maximum=65_536.0)
+    max_normal_deviation: float = in_detail(
         math.radians(60.0),
         "Maximum angle between a face and the quad that replaces it",
         minimum=math.radians(5.0),
         maximum=math.radians(90.0),
         unit=Unit.ANGLE,
-        group="Detail",
         panel_label="Max Angle",
     )
-    max_texture_waste: float = setting(
+    max_texture_waste: float = in_detail(
         8.0,
         "Maximum area of a quad relative to the area of the faces that it replaces",
         minimum=1.5,
         maximum=1000.0,
-        unit=Unit.NONE,
-        group="Detail",
         panel_label="Max Waste",
         used_if={"method": ("clusters", "decimate")},
     )
-    texel_size: float = setting(
-        0.5, "Side length of a texel relative to the level's error", minimum=0.05, maximum=4.0, unit=Unit.NONE, group="Textures"
-    )
-    loose_fraction: float = setting(
+    texel_size: float = in_textures(0.5, "Side length of a texel relative to the level's error", minimum=0.05, maximum=4.0)
+    loose_fraction: float = in_detail(
         0.5,
         "Fraction of a quad or texture budget for loose parts, such as leaves, if the mesh also has connected surfaces",
         minimum=0.0,
         maximum=1.0,
         unit=Unit.FRACTION,
-        group="Detail",
     )
-    cutout_corners: int = setting(
-        8,
-        "Maximum corners of the polygon that each quad is cut to; 4 keeps the rectangle",
-        minimum=4,
-        maximum=8,
-        unit=Unit.COUNT,
-        group="Detail",
+    cutout_corners: int = in_detail(
+        8, "Maximum corners of the polygon that each quad is cut to; 4 keeps the rectangle", minimum=4, maximum=8
     )
     textures: bool = setting(True, "Capture textures from the materials with Cycles")
-    samples: int = setting(
-        16,
-        "Cycles samples per texel of the captured textures",
-        minimum=1,
-        maximum=4096,
-        unit=Unit.COUNT,
-        group="Textures",
-        used_if={"textures": True},
-    )
+    samples: int = in_textures(16, "Cycles samples per texel of the captured textures", minimum=1, maximum=4096, used_if={"textures": True})
     seed: int = setting(0, "Seed of the random choices", minimum=0, maximum=2**31 - 1, group="Advanced")

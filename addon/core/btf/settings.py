@@ -1,11 +1,12 @@
 """Settings of the tool `btf`: baking, compressing and exporting relightable textures."""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 from ..errors import SettingsError
 from ..geometry.direction_grids import DirectionGrid
-from ..settings import Choice, Settings, Unit, setting
+from ..settings import Choice, Settings, setting
 
 CODECS = {
     "pca": Choice("PCA", "One set of components for all quads. Linear: filtered and mip-mapped like any texture"),
@@ -15,9 +16,11 @@ MODELS = {
     "surface": Choice("Surface", "The PBR material with silhouettes that depend on the view. Works with all lights, shadows and bounces"),
     "emission": Choice("Emission", "All lighting is baked, for up to four Sun lights and uniform World lighting. For export; takes longer"),
 }
-EMISSION, EMISSION_GROUP = "emission", "Emission"
+EMISSION = "emission"
 IF_EMISSION = {"model": (EMISSION,)}
-IF_LOCAL_PCA = IF_EMISSION | {"codec": ("lpca",)}
+in_directions, in_compression, in_performance = (partial(setting, group=group) for group in ("Directions", "Compression", "Performance"))
+for_emission = partial(setting, group="Emission", used_if=IF_EMISSION)
+for_local_pca = partial(for_emission, used_if=IF_EMISSION | {"codec": ("lpca",)})
 SURFACE_CHANNELS = 2  # renders per view of the model *surface*: color and normal
 SILHOUETTE_SAMPLES_FACTOR = 16  # color and coverage of a view come from one render, those of the model *emission* from dozens
 MAX_NORMAL_SAMPLES = 8
@@ -41,45 +44,23 @@ class BakeSettings(Settings):
     """Settings of every bake."""
 
     model: str = setting("surface", "What is baked", choices=MODELS)
-    views_per_side: int = setting(
-        8,
-        "View directions along each side of their square grid: 8 for 64 views",
-        minimum=2,
-        maximum=32,
-        unit=Unit.COUNT,
-        group="Directions",
+    views_per_side: int = in_directions(8, "View directions along each side of their square grid: 8 for 64 views", minimum=2, maximum=32)
+    upper_hemisphere: bool = in_directions(
+        False, "Only bake views and lights above the horizon, at twice the density. Use for objects that are never seen or lit from below"
     )
-    upper_hemisphere: bool = setting(
-        False,
-        "Only bake views and lights above the horizon, at twice the density. Use for objects that are never seen or lit from below",
-        group="Directions",
+    alpha_components: int = in_compression(
+        12, "Number of silhouette components; four share a pixel", minimum=1, maximum=64, panel_label="Alpha"
     )
-    alpha_components: int = setting(
-        12,
-        "Number of silhouette components; four share a pixel",
-        minimum=1,
-        maximum=64,
-        unit=Unit.COUNT,
-        group="Compression",
-        panel_label="Alpha",
+    refine: bool = in_compression(
+        True, "Refine silhouettes against renders of the source, so that overlapping quads add up to its coverage"
     )
-    refine: bool = setting(
-        True, "Refine silhouettes against renders of the source, so that overlapping quads add up to its coverage", group="Compression"
+    samples: int = in_performance(
+        4, "Cycles samples per pixel under each light of the model Emission. Silhouettes take 16 times as many", minimum=1, maximum=4096
     )
-    samples: int = setting(
-        4,
-        "Cycles samples per pixel under each light of the model Emission. Silhouettes take 16 times as many",
-        minimum=1,
-        maximum=4096,
-        unit=Unit.COUNT,
-        group="Performance",
+    executor: str = in_performance(
+        "processes", "Where renders run: serial, processes, processes:N for N at a time, or dask:tcp://HOST:PORT for a Dask scheduler"
     )
-    executor: str = setting(
-        "processes",
-        "Where renders run: serial, processes, processes:N for N at a time, or dask:tcp://HOST:PORT for a Dask scheduler",
-        group="Performance",
-    )
-    seed: int = setting(0, "Random seed", minimum=0, maximum=2**31 - 1, group="Performance")
+    seed: int = in_performance(0, "Random seed", minimum=0, maximum=2**31 - 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,61 +69,31 @@ class EmissionSettings(Settings):
 
     depends_on: ClassVar[tuple[type[Settings], ...]] = (BakeSettings,)
 
-    lights_per_side: int = setting(
+    lights_per_side: int = for_emission(
         8,
         "Light directions along each side of their square grid: 8 for 64 Sun lights. Uniform World lighting is added",
         minimum=2,
         maximum=32,
-        unit=Unit.COUNT,
-        group=EMISSION_GROUP,
-        used_if=IF_EMISSION,
     )
-    codec: str = setting("pca", "Compression method", choices=CODECS, group=EMISSION_GROUP, used_if=IF_EMISSION)
-    components: int = setting(
-        12,
-        "Number of color components; four share a pixel",
-        minimum=1,
-        maximum=64,
-        unit=Unit.COUNT,
-        group=EMISSION_GROUP,
-        used_if=IF_EMISSION | {"codec": ("pca",)},
+    codec: str = for_emission("pca", "Compression method", choices=CODECS)
+    components: int = for_emission(
+        12, "Number of color components; four share a pixel", minimum=1, maximum=64, used_if=IF_EMISSION | {"codec": ("pca",)}
     )
-    clusters: int = setting(
-        32, "Number of texel clusters", minimum=1, maximum=256, unit=Unit.COUNT, group=EMISSION_GROUP, used_if=IF_LOCAL_PCA
-    )
-    cluster_components: int = setting(
-        8,
-        "Number of color components per cluster",
-        minimum=1,
-        maximum=32,
-        unit=Unit.COUNT,
-        group=EMISSION_GROUP,
-        panel_label="Per Cluster",
-        used_if=IF_LOCAL_PCA,
-    )
-    blend_texels: bool = setting(
-        True,
-        "Randomly blend neighboring texels per sample. Removes blockiness; needs more render samples",
-        group=EMISSION_GROUP,
-        used_if=IF_LOCAL_PCA,
-    )
-    shadows_per_side: int = setting(
+    clusters: int = for_local_pca(32, "Number of texel clusters", minimum=1, maximum=256)
+    cluster_components: int = for_local_pca(8, "Number of color components per cluster", minimum=1, maximum=32, panel_label="Per Cluster")
+    blend_texels: bool = for_local_pca(True, "Randomly blend neighboring texels per sample. Removes blockiness; needs more render samples")
+    shadows_per_side: int = for_emission(
         16,
         "Light directions along each side of the grid whose self-shadowing is captured: 16 for 256; 0 for none",
         minimum=0,
         maximum=64,
-        unit=Unit.COUNT,
-        group=EMISSION_GROUP,
         panel_label="Shadow Grid",
-        used_if=IF_EMISSION,
     )
-    shadow_components: int = setting(
+    shadow_components: int = for_emission(
         24,
         "Number of self-shadowing components; four share a pixel",
         minimum=1,
         maximum=64,
-        unit=Unit.COUNT,
-        group=EMISSION_GROUP,
         panel_label="Shadow Detail",
         used_if=IF_EMISSION | {"shadows_per_side": True},
     )

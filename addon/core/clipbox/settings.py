@@ -1,14 +1,16 @@
 """Settings of the tool `clipbox`."""
 
 from dataclasses import dataclass
+from functools import partial
 
 from ..errors import SettingsError
 from ..settings import Choice, Settings, Unit, setting
 from .terrains.generators import CHOICES
 
-TERRAIN, BOXES, DETAIL = "Terrain", "Boxes", "Detail"  # groups
-SPHERES, FOREST, HEIGHTS = ({"terrain": (kind,)} for kind in ("spheres", "forest", "heights"))
-FILES = {"terrain": ("heights", "volume", "forest")}
+TERRAIN = "Terrain"
+in_terrain, in_boxes, in_detail = (partial(setting, group=group) for group in (TERRAIN, "Boxes", "Detail"))
+for_spheres, for_forest, for_heights = (partial(in_terrain, used_if={"terrain": (kind,)}) for kind in ("spheres", "forest", "heights"))
+for_files = partial(in_terrain, used_if={"terrain": ("heights", "volume", "forest")})
 MIN_RESOLUTION_PER_THRESHOLD = 8  # voxels; with a larger threshold a box could leave the next coarser one
 SURFACES = {
     "smooth": Choice("Smooth", "Surface nets: vertices lie where the density is 0"),
@@ -20,122 +22,66 @@ SURFACES = {
 class ClipboxSettings(Settings):
     """Settings of a terrain in nested boxes. Implements `TerrainSource`."""
 
-    terrain: str = setting("cascades", "Shape of the terrain", choices=CHOICES, group=TERRAIN)
-    formula: str = setting(
+    terrain: str = in_terrain("cascades", "Shape of the terrain", choices=CHOICES)
+    formula: str = in_terrain(
         "30*sin(x/40)*sin(y/40) - z",
         "Density as a function of x, y and z in scene units; positive values are solid",
-        group=TERRAIN,
         used_if={"terrain": ("formula",)},
     )
-    source: str = setting("", "Height map or voxel model to read", path="file", group=TERRAIN, used_if=FILES)
-    source_size: float = setting(
+    source: str = for_files("", "Height map or voxel model to read", path="file")
+    source_size: float = for_files(
         1000.0,
         "Length of the longest side of the source's content; for Forest, of the largest copy",
         minimum=1e-3,
         maximum=1e7,
         unit=Unit.LENGTH,
-        group=TERRAIN,
-        used_if=FILES,
     )
-    source_height: float = setting(
-        100.0,
-        "Height difference between black and white for image height maps",
-        minimum=0.0,
-        maximum=1e6,
-        unit=Unit.LENGTH,
-        group=TERRAIN,
-        used_if=HEIGHTS,
+    source_height: float = for_heights(
+        100.0, "Height difference between black and white for image height maps", minimum=0.0, maximum=1e6, unit=Unit.LENGTH
     )
-    source_color: str = setting(
-        "", "Image of the ground from above, with the same extent as the source", path="file", group=TERRAIN, used_if=HEIGHTS
+    source_color: str = for_heights("", "Image of the ground from above, with the same extent as the source", path="file")
+    forest_spacing: float = for_forest(0.8, "Distance between copies, relative to the size of the largest", minimum=0.25, maximum=100.0)
+    forest_hills: float = for_forest(15.0, "Height range of the ground below the copies", minimum=0.0, maximum=1e5, unit=Unit.LENGTH)
+    sphere_radius: float = for_spheres(
+        120.0, "Maximum radius of the largest size class; each further class is half as large", minimum=0.1, maximum=1e5, unit=Unit.LENGTH
     )
-    forest_spacing: float = setting(
-        0.8,
-        "Distance between copies, relative to the size of the largest",
-        minimum=0.25,
-        maximum=100.0,
-        group=TERRAIN,
-        used_if=FOREST,
+    sphere_classes: int = for_spheres(7, "Number of size classes", minimum=1, maximum=12)
+    sphere_count: int = for_spheres(4, "Spheres of each class per cell (a cube four radii wide)", minimum=1, maximum=64)
+    sphere_subtracted: float = for_spheres(
+        0.5, "Fraction of spheres that are subtracted", minimum=0.0, maximum=1.0, unit=Unit.FRACTION, panel_label="Subtracted"
     )
-    forest_hills: float = setting(
-        15.0,
-        "Height range of the ground below the copies",
-        minimum=0.0,
-        maximum=1e5,
-        unit=Unit.LENGTH,
-        group=TERRAIN,
-        used_if=FOREST,
+    sphere_height: float = for_spheres(
+        60.0, "Maximum distance of the largest spheres' centers above and below z = 0", minimum=0.0, maximum=1e6, unit=Unit.LENGTH
     )
-    sphere_radius: float = setting(
-        120.0,
-        "Maximum radius of the largest size class; each further class is half as large",
-        minimum=0.1,
-        maximum=1e5,
-        unit=Unit.LENGTH,
-        group=TERRAIN,
-        used_if=SPHERES,
-    )
-    sphere_classes: int = setting(7, "Number of size classes", minimum=1, maximum=12, group=TERRAIN, used_if=SPHERES)
-    sphere_count: int = setting(
-        4, "Spheres of each class per cell (a cube four radii wide)", minimum=1, maximum=64, group=TERRAIN, used_if=SPHERES
-    )
-    sphere_subtracted: float = setting(
-        0.5,
-        "Fraction of spheres that are subtracted",
-        minimum=0.0,
-        maximum=1.0,
-        unit=Unit.FRACTION,
-        group=TERRAIN,
-        panel_label="Subtracted",
-        used_if=SPHERES,
-    )
-    sphere_height: float = setting(
-        60.0,
-        "Maximum distance of the largest spheres' centers above and below z = 0",
-        minimum=0.0,
-        maximum=1e6,
-        unit=Unit.LENGTH,
-        group=TERRAIN,
-        used_if=SPHERES,
-    )
-    seed: int = setting(
-        0, "Random seed; every value gives a different terrain of the same kind", minimum=0, maximum=2**31 - 1, group=TERRAIN
-    )
-    scale: float = setting(1.0, "Size factor of all terrain features", minimum=1e-3, maximum=1e3, group=TERRAIN)
-    voxel_size: float = setting(1.0, "Side of the smallest voxels", minimum=1e-4, maximum=1e4, unit=Unit.LENGTH, group=BOXES)
-    resolution: int = setting(64, "Voxels along each side of every box", minimum=32, maximum=256, group=BOXES)
-    boxes: int = setting(7, "Number of nested boxes, each twice as large as the next inner one", minimum=1, maximum=10, group=BOXES)
-    threshold: int = setting(
+    seed: int = in_terrain(0, "Random seed; every value gives a different terrain of the same kind", minimum=0, maximum=2**31 - 1)
+    scale: float = in_terrain(1.0, "Size factor of all terrain features", minimum=1e-3, maximum=1e3)
+    voxel_size: float = in_boxes(1.0, "Side of the smallest voxels", minimum=1e-4, maximum=1e4, unit=Unit.LENGTH)
+    resolution: int = in_boxes(64, "Voxels along each side of every box", minimum=32, maximum=256)
+    boxes: int = in_boxes(7, "Number of nested boxes, each twice as large as the next inner one", minimum=1, maximum=10)
+    threshold: int = in_boxes(
         4,
         "Distance, in its own voxels, that the viewer moves before a box is recentered. Higher values update less often",
         minimum=1,
         maximum=8,
-        group=BOXES,
     )
-    subdivided_boxes: int = setting(
+    subdivided_boxes: int = in_detail(
         0,
         "Number of innermost boxes that subdivide the surface of the next coarser box instead of sampling the terrain",
         minimum=0,
         maximum=9,
-        group=DETAIL,
         panel_label="Subdivided",
     )
-    roughness: float = setting(
+    roughness: float = in_detail(
         0.25,
         "Maximum random displacement of subdivided vertices, relative to the voxel size",
         minimum=0.0,
         maximum=1.0,
         unit=Unit.FRACTION,
-        group=DETAIL,
         used_if={"subdivided_boxes": True},
     )
-    surface: str = setting("smooth", "How the surface is extracted from the voxels", choices=SURFACES, group=DETAIL)
-    smoothing: int = setting(
-        0,
-        "Smoothing iterations; each moves every vertex halfway to the mean of its neighbors",
-        minimum=0,
-        maximum=8,
-        group=DETAIL,
+    surface: str = in_detail("smooth", "How the surface is extracted from the voxels", choices=SURFACES)
+    smoothing: int = in_detail(
+        0, "Smoothing iterations; each moves every vertex halfway to the mean of its neighbors", minimum=0, maximum=8
     )
 
     def __post_init__(self) -> None:

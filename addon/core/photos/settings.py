@@ -1,6 +1,7 @@
 """Settings of the tool `photos`."""
 
 from dataclasses import dataclass
+from functools import partial
 
 from ..settings import Choice, Settings, setting
 
@@ -33,6 +34,8 @@ BACKGROUNDS = {
     "color": Choice("Color", "Leave out one color"),
 }
 
+of_photographs = partial(setting, group="Photographs")
+
 
 @dataclass(frozen=True, kw_only=True)
 class PhotosSettings(Settings):
@@ -41,50 +44,31 @@ class PhotosSettings(Settings):
     size: int = setting(4096, "Pixels per side of the texture", minimum=16, maximum=32768)
     method: str = setting("average", "How photographs are combined", choices=METHODS)
     blending: str = setting(
-        "level",
-        "How regions from different photographs are made to meet without a seam",
-        choices=BLENDINGS,
-        used_if={"method": ("best",)},
+        "level", "How regions from different photographs are made to meet without a seam", choices=BLENDINGS, used_if={"method": ("best",)}
     )
     fill: str = setting("interpolate", "What fills the parts that no photograph shows", choices=FILLS)
     materials: str = setting("replace", "What happens to the materials of the meshes", choices=MATERIALS)
-    exposure: bool = setting(True, "Adjust the brightness and color balance of the photographs to each other", group="Photographs")
-    gamma: bool = setting(
-        False, "Adjust the contrast of the photographs to each other, too", group="Photographs", used_if={"exposure": True}
+    exposure: bool = of_photographs(True, "Adjust the brightness and color balance of the photographs to each other")
+    gamma: bool = of_photographs(False, "Adjust the contrast of the photographs to each other, too", used_if={"exposure": True})
+    vignetting: bool = of_photographs(False, "Correct photographs that are darker towards their corners", used_if={"exposure": True})
+    alignment: bool = of_photographs(
+        False, "Warp the photographs a little, so that they show details at the same places. For cameras that are some pixels off"
     )
-    vignetting: bool = setting(
-        False, "Correct photographs that are darker towards their corners", group="Photographs", used_if={"exposure": True}
+    reduce_highlights: bool = of_photographs(
+        False, "Give photographs less weight where they are brighter than others, against highlights that move with the camera"
     )
-    alignment: bool = setting(
-        False,
-        "Warp the photographs a little, so that they show details at the same places. For cameras that are some pixels off",
-        group="Photographs",
+    sharpen: bool = of_photographs(True, "Bring back detail that resampling has blurred", used_if={"method": ("best", "average")})
+    background: str = of_photographs(
+        "none", "Which pixels show the background: none of them may appear near silhouettes", choices=BACKGROUNDS
     )
-    reduce_highlights: bool = setting(
-        False,
-        "Give photographs less weight where they are brighter than others, against highlights that move with the camera",
-        group="Photographs",
+    background_color: tuple = of_photographs(
+        (0.5, 0.5, 0.5), "Color of the background, as displayed", is_color=True, panel_label="Color", used_if={"background": ("color",)}
     )
-    sharpen: bool = setting(
-        True, "Bring back detail that resampling has blurred", group="Photographs", used_if={"method": ("best", "average")}
-    )
-    background: str = setting(
-        "none", "Which pixels show the background: none of them may appear near silhouettes", choices=BACKGROUNDS, group="Photographs"
-    )
-    background_color: tuple = setting(
-        (0.5, 0.5, 0.5),
-        "Color of the background, as displayed",
-        is_color=True,
-        panel_label="Color",
-        group="Photographs",
-        used_if={"background": ("color",)},
-    )
-    background_threshold: float = setting(
+    background_threshold: float = of_photographs(
         0.0,
         "How far the color of the background may vary, 0 for automatic",
         minimum=0.0,
         maximum=1.0,
         panel_label="Threshold",
-        group="Photographs",
         used_if={"background": ("auto", "border", "color")},
     )

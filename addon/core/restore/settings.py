@@ -1,6 +1,7 @@
 """Settings of the tool `restore`."""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 from ..settings import Choice, Settings, setting
@@ -26,53 +27,35 @@ MASKS = {
 }
 MAX_LEVELS = 5
 HAS_TEXTURE = {"split": ("auto", "manual")}
-BY_PIXELS = HAS_TEXTURE | {"method": ("pixels",)}
-TEXTURE_GROUP, PIXELS_GROUP, GUIDES_GROUP = "Structure and Texture", "Pixels", "Guides"
+in_texture, in_guides = partial(setting, group="Structure and Texture"), partial(setting, group="Guides")
+for_texture = partial(in_texture, used_if=HAS_TEXTURE)
+for_pixels = partial(setting, group="Pixels", used_if=HAS_TEXTURE | {"method": ("pixels",)})
+for_color = partial(setting, used_if={"mask": ("color",)})
 
 
 @dataclass(frozen=True, kw_only=True)
 class RestoreSettings(Settings):
     """Settings of a restoration."""
 
-    split: str = setting("auto", "How the image is split into structure (low frequencies) and texture", choices=SPLITS, group=TEXTURE_GROUP)
-    sub_bands: int = setting(
+    split: str = in_texture("auto", "How the image is split into structure (low frequencies) and texture", choices=SPLITS)
+    sub_bands: int = in_texture(
         4,
         "Number of sub-bands of the cosine transform that are structure. 0 synthesizes everything as texture",
         label="Sub-Bands",
         minimum=0,
         maximum=65536,
-        group=TEXTURE_GROUP,
         used_if={"split": ("manual",)},
     )
-    method: str = setting("regions", "How texture is copied", choices=METHODS, group=TEXTURE_GROUP, used_if=HAS_TEXTURE)
-    pyramid_levels: int = setting(
-        3,
-        "Levels of the pyramid for texture. More levels continue larger patterns",
-        minimum=1,
-        maximum=MAX_LEVELS,
-        group=PIXELS_GROUP,
-        used_if=BY_PIXELS,
+    method: str = for_texture("regions", "How texture is copied", choices=METHODS)
+    pyramid_levels: int = for_pixels(
+        3, "Levels of the pyramid for texture. More levels continue larger patterns", minimum=1, maximum=MAX_LEVELS
     )
-    order: str = setting(
-        "shrinking", "Order in which the pixels of a hole are synthesized", choices=ORDERS, group=PIXELS_GROUP, used_if=BY_PIXELS
+    order: str = for_pixels("shrinking", "Order in which the pixels of a hole are synthesized", choices=ORDERS)
+    coherence: float = for_pixels(
+        10.0, "Preference for copying connected regions of the source. Larger values copy larger regions", minimum=0.0, maximum=1000.0
     )
-    coherence: float = setting(
-        10.0,
-        "Preference for copying connected regions of the source. Larger values copy larger regions",
-        minimum=0.0,
-        maximum=1000.0,
-        group=PIXELS_GROUP,
-        used_if=BY_PIXELS,
-    )
-    tileable: bool = setting(False, "Treat opposite borders of the image as neighbors, so that the result still tiles", group=TEXTURE_GROUP)
-    seed: int = setting(
-        0,
-        "Seed of random choices. Another seed gives another texture",
-        minimum=0,
-        maximum=2**31 - 1,
-        group=TEXTURE_GROUP,
-        used_if=HAS_TEXTURE,
-    )
+    tileable: bool = in_texture(False, "Treat opposite borders of the image as neighbors, so that the result still tiles")
+    seed: int = for_texture(0, "Seed of random choices. Another seed gives another texture", minimum=0, maximum=2**31 - 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,33 +73,16 @@ class MaskSettings(Settings):
         maximum=1.0,
         used_if={"mask": ("image", "alpha")},
     )
-    mask_color: tuple = setting(
-        (0.0, 0.0, 0.0),
-        "Color of the missing pixels, as displayed",
-        is_color=True,
-        panel_label="Color",
-        used_if={"mask": ("color",)},
+    mask_color: tuple = for_color((0.0, 0.0, 0.0), "Color of the missing pixels, as displayed", is_color=True, panel_label="Color")
+    color_tolerance: float = for_color(
+        0.02, "Largest difference per channel from the color, 0 to 1", minimum=0.0, maximum=1.0, panel_label="Tolerance"
     )
-    color_tolerance: float = setting(
-        0.02,
-        "Largest difference per channel from the color, 0 to 1",
-        minimum=0.0,
-        maximum=1.0,
-        panel_label="Tolerance",
-        used_if={"mask": ("color",)},
+    source_mask: str = in_guides("", "Image that is bright where texture may be copied from; empty for everywhere outside the mask")
+    barriers: str = in_guides("", "Image that is bright where diffusion must not cross, for instance along edges; may be empty")
+    normal_map: bool = in_guides(
+        False, "Treat the image as a normal map. Images that a Normal Map node uses are recognized without this option"
     )
-    source_mask: str = setting(
-        "", "Image that is bright where texture may be copied from; empty for everywhere outside the mask", group=GUIDES_GROUP
-    )
-    barriers: str = setting(
-        "", "Image that is bright where diffusion must not cross, for instance along edges; may be empty", group=GUIDES_GROUP
-    )
-    normal_map: bool = setting(
-        False,
-        "Treat the image as a normal map. Images that a Normal Map node uses are recognized without this option",
-        group=GUIDES_GROUP,
-    )
-    output_folder: str = setting("", "Image sequences only: folder for the restored frames", path="folder")
+    output_folder: str = setting("", "Folder for the restored frames of an image sequence", path="folder")
     replace_in_materials: bool = setting(
         False, "Use the result in place of the image, and of earlier results, in all materials, Worlds, lights and textures"
     )

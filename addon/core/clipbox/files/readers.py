@@ -74,7 +74,7 @@ def read_source(terrain: str, source: str, readers: Readers) -> FileData:
         FileError: the file cannot be read, or its path is relative to a .blend file that was never saved.
     """
     if not source:
-        raise SettingsError(f'The terrain "{terrain}" needs a file; set Source File.', ("source",))
+        raise SettingsError(f'The terrain "{terrain}" needs a file; set Source.', ("source",))
     check_path(source)
     return read_file(Path(source), readers)
 
