@@ -18,11 +18,11 @@ from .factorization.factors import Factors, factorize, factorize_scalar
 from .factorization.lpca import factorize_lpca
 from .refinement.refine import compute_texel_colors
 from .refinement.training import StoredTrainingView, refine_stored_views
-from .reflectance.chromaticity import compute_chromaticity, mean_emission
 from .reflectance.disc_lights import DiscLights
 from .reflectance.dome import fit_dome
 from .reflectance.lobe_fit import CapturedRadiance, fit_lobes
 from .reflectance.lobes import Lobes, TexelSurface
+from .reflectance.mean_colors import compute_chromaticity, mean_emission
 from .reflectance.residuals import ResidualFiles, write_residuals
 from .reflectance.shadows import Shadows, compute_shadows
 from .settings import BtfSettings

@@ -16,15 +16,15 @@ from ...bridge.billboards import clouds
 from ...bridge.billboards.level_objects import built_center, read_level_quads, read_level_texels, read_pbr_alpha
 from ...bridge.billboards.scene_clouds import SceneCloud, read_cloud
 from ...bridge.billboards.source_objects import read_source_objects
-from ...bridge.btf import capture as btf_capture
-from ...bridge.btf import clouds as btf_clouds
-from ...bridge.btf import snapshot as btf_snapshot
-from ...bridge.btf import worker as btf_worker
-from ...bridge.btf.level_checks import check_editable, check_level, is_unchanged
-from ...bridge.btf.light_calibration import calibrate_light_coverage, has_loose_quads
-from ...bridge.btf.shared_parameters import Value, read_shared_parameters
-from ...bridge.btf.snapshot import may_run_python_drivers
-from ...bridge.btf.surface_clouds import assign_surface_material, check_maps, read_two_sided_texels
+from ...bridge.btf.capture import snapshot as btf_snapshot
+from ...bridge.btf.capture import source_renderers as btf_capture
+from ...bridge.btf.capture import worker as btf_worker
+from ...bridge.btf.capture.light_calibration import calibrate_light_coverage, has_loose_quads
+from ...bridge.btf.capture.snapshot import may_run_python_drivers
+from ...bridge.btf.levels import emission_levels as btf_clouds
+from ...bridge.btf.levels.level_checks import check_editable, check_level, is_unchanged
+from ...bridge.btf.levels.surface_levels import assign_surface_material, check_maps, read_two_sided_texels
+from ...bridge.btf.materials.shared_parameters import Value, read_shared_parameters
 from ...bridge.geometry import meshes
 from ...bridge.imaging import images
 from ...bridge.objects import find_by_uid

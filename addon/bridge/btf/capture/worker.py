@@ -8,22 +8,22 @@ from pathlib import Path
 
 import numpy as np
 
-from ...core.btf.capture.capture_spec import LevelCaptureSpec
-from ...core.btf.capture.dispatch import Shard
-from ...core.btf.capture.observations import ID_BUFFER_SCALE, ViewRender, observe, visible_subsamples
-from ...core.btf.capture.reference_images import compute_reference_image, low_order_lights
-from ...core.btf.capture.shard_files import ViewFiles, encode_visibility, to_half
-from ...core.btf.capture.shards import ShardStore
-from ...core.errors import FarfieldError
-from ...core.geometry.cameras import OrthographicView
-from ...core.jobs.heartbeat import exit_when_run_ends
-from ...core.jobs.worker_errors import EXIT_ERROR, encode_error
-from ..geometry.meshes import Source
-from ..shading.emission import has_emission
-from ..worker_processes import worker_command
-from . import capture
-from .capture import open_surface_renderer
+from ....core.btf.capture.capture_spec import LevelCaptureSpec
+from ....core.btf.capture.dispatch import Shard
+from ....core.btf.capture.observations import ID_BUFFER_SCALE, ViewRender, observe, visible_subsamples
+from ....core.btf.capture.reference_images import compute_reference_image, low_order_lights
+from ....core.btf.capture.shard_files import ViewFiles, encode_visibility, to_half
+from ....core.btf.capture.shards import ShardStore
+from ....core.errors import FarfieldError
+from ....core.geometry.cameras import OrthographicView
+from ....core.jobs.heartbeat import exit_when_run_ends
+from ....core.jobs.worker_errors import EXIT_ERROR, encode_error
+from ...geometry.meshes import Source
+from ...shading.emission import has_emission
+from ...worker_processes import worker_command
+from . import source_renderers
 from .snapshot import Snapshot, open_snapshot, store_folder
+from .source_renderers import open_surface_renderer
 
 
 def shard_command(folder: Path, snapshot_folder: Path, shard: Shard, *, run_drivers: bool) -> list[str]:
@@ -35,7 +35,7 @@ def shard_command(folder: Path, snapshot_folder: Path, shard: Shard, *, run_driv
     if run_drivers:
         arguments.append("--run-drivers")
     arguments += ["--workers-per-machine", str(shard.workers_per_machine), "--views", *map(str, shard.views)]
-    return worker_command("addon.bridge.btf.worker", arguments)
+    return worker_command("addon.bridge.btf.capture.worker", arguments)
 
 
 def main(arguments: list[str]) -> int:
@@ -74,8 +74,8 @@ def _find_missing_views(snapshot: Snapshot, folder: Path, views: list[int]) -> l
     jobs: list[_ViewJob] = []
     for level, spec in enumerate(snapshot.specs):
         store = ShardStore(store_folder(folder, level))
-        all_views = capture.build_views(source, settings.view_grid, spec.texels.texel_size)
-        suns = [] if settings.shadow_grid is None else capture.build_views(source, settings.shadow_grid, spec.texels.texel_size)
+        all_views = source_renderers.build_views(source, settings.view_grid, spec.texels.texel_size)
+        suns = [] if settings.shadow_grid is None else source_renderers.build_views(source, settings.shadow_grid, spec.texels.texel_size)
         jobs += [
             _ViewJob(store, spec, index, all_views[index], suns[index :: len(all_views)]) for index in views if not store.exists(index)
         ]
@@ -85,7 +85,7 @@ def _find_missing_views(snapshot: Snapshot, folder: Path, views: list[int]) -> l
 def _capture_face_ids(snapshot: Snapshot, jobs: list["_ViewJob"], threads: int) -> list[tuple[list[np.ndarray], float]]:
     """Store the ID buffers of all views. Return per view the visibility of its Suns, and the render time in seconds."""
     source, visibility_and_seconds = snapshot.source, []
-    with capture.open_face_id_renderer(source, snapshot.settings, threads) as face_id_renderer:
+    with source_renderers.open_face_id_renderer(source, snapshot.settings, threads) as face_id_renderer:
         for job in jobs:
             start = face_id_renderer.render_seconds
             job.store.face_ids.write(job.index, face_id_renderer.render_face_ids(job.view.supersample(ID_BUFFER_SCALE)))
@@ -99,7 +99,7 @@ def _capture_lit_views(
 ) -> None:
     """Capture all views under every light of the model *emission*."""
     source, settings = snapshot.source, snapshot.settings
-    with capture.open_radiance_renderer(snapshot.objects, source, settings, threads) as radiance_renderer:
+    with source_renderers.open_radiance_renderer(snapshot.objects, source, settings, threads) as radiance_renderer:
         for job, (visibility, seconds) in zip(jobs, visibility_and_seconds, strict=True):
             start = radiance_renderer.render_seconds
             render = radiance_renderer.render_view(job.view, job.store.face_ids.read(job.index))
@@ -128,7 +128,7 @@ def _capture_emission(snapshot: Snapshot, jobs: list["_ViewJob"], threads: int) 
     seconds = [0.0] * len(jobs)
     if not has_emission(snapshot.source.materials):
         return seconds
-    with capture.open_radiance_renderer(snapshot.objects, snapshot.source, snapshot.settings, threads) as renderer:
+    with source_renderers.open_radiance_renderer(snapshot.objects, snapshot.source, snapshot.settings, threads) as renderer:
         for index, job in enumerate(jobs):
             start = renderer.render_seconds
             job.emission_files.write(job.index, {"emission": to_half(renderer.render_emission(job.view))})
@@ -158,5 +158,5 @@ class _ViewJob:
 
 
 def _sun_visibility(spec: LevelCaptureSpec, source: Source, sun: OrthographicView, face_ids: np.ndarray) -> np.ndarray:
-    heights = capture.compute_heights(source, sun, face_ids)
+    heights = source_renderers.compute_heights(source, sun, face_ids)
     return encode_visibility(*visible_subsamples(spec.texels, sun, face_ids, heights, spec.quad_faces, spec.error))

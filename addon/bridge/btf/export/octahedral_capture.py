@@ -23,7 +23,7 @@ from ...rendering.cycles_renders import prepare_channel_render
 from ...rendering.render_scene import RenderScene, render_scene
 from ...shading.material_channels import CHANNELS, CaptureMaterial, build_capture_material
 from ...shading.node_builder import NodeBuilder
-from ..proxies import add_proxies, single_placement
+from ..capture.proxies import add_proxies, single_placement
 
 MIN_UNSCALED_LENGTH, MAX_UNSCALED_LENGTH = 1e-3, 1e3  # half sides that single precision and camera clipping handle without scaling
 POSITION = "position"

@@ -5,10 +5,10 @@ from collections.abc import Callable, Iterator
 import bpy
 import numpy as np
 
-from ..billboards.atlas_meshes import AtlasPlacement, DrawnTriangles, compute_atlas_positions, create_atlas_mesh, find_drawn_triangles
-from ..geometry.meshes import Source
-from ..rendering.render_scene import RenderScene
-from ..shading.scene_space_nodes import required_attributes
+from ...billboards.atlas_meshes import AtlasPlacement, DrawnTriangles, compute_atlas_positions, create_atlas_mesh, find_drawn_triangles
+from ...geometry.meshes import Source
+from ...rendering.render_scene import RenderScene
+from ...shading.scene_space_nodes import required_attributes
 
 
 def single_placement(center: np.ndarray, scale: float = 1.0) -> AtlasPlacement:

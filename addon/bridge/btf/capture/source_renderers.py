@@ -10,20 +10,20 @@ from contextlib import contextmanager
 import bpy
 import numpy as np
 
-from ...core.btf.capture.observations import ID_BUFFER_SCALE, ViewRender
-from ...core.btf.estimate import image_resolution
-from ...core.btf.reflectance.disc_lights import disc_radius
-from ...core.btf.settings import BtfSettings
-from ...core.geometry.cameras import OrthographicView
-from ...core.geometry.direction_grids import DirectionGrid
-from ..cameras import light_matrix, set_camera_view
-from ..geometry.mesh_arrays import write_attribute
-from ..geometry.meshes import Source
-from ..rendering.cycles_renders import prepare_channel_render, prepare_cycles
-from ..rendering.render_scene import RenderScene, render_scene
-from ..shading.emission import has_emission
-from ..shading.material_channels import CaptureMaterial, build_capture_material
-from ..shading.node_builder import NodeBuilder
+from ....core.btf.capture.observations import ID_BUFFER_SCALE, ViewRender
+from ....core.btf.estimate import image_resolution
+from ....core.btf.reflectance.disc_lights import disc_radius
+from ....core.btf.settings import BtfSettings
+from ....core.geometry.cameras import OrthographicView
+from ....core.geometry.direction_grids import DirectionGrid
+from ...cameras import light_matrix, set_camera_view
+from ...geometry.mesh_arrays import write_attribute
+from ...geometry.meshes import Source
+from ...rendering.cycles_renders import prepare_channel_render, prepare_cycles
+from ...rendering.render_scene import RenderScene, render_scene
+from ...shading.emission import has_emission
+from ...shading.material_channels import CaptureMaterial, build_capture_material
+from ...shading.node_builder import NodeBuilder
 from .proxies import add_proxies, single_placement
 
 MAX_TRANSPARENT_BOUNCES = 256
