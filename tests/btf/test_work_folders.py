@@ -17,10 +17,10 @@ from bridge import blender_scenes
 from bridge.bakes import SMALL, build_small_cloud, finished_views, prepare_job
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
 from farfield.addon.bridge.btf.capture.snapshot import METADATA_FILE, may_run_python_drivers, open_snapshot
-from farfield.addon.core.btf.capture.dispatch import Shard
 from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.files import user_folders
+from farfield.addon.core.jobs.dispatch import Shard
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.operators.btf import estimates
 

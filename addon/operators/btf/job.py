@@ -31,7 +31,7 @@ from ...bridge.objects import find_by_uid
 from ...core.billboards.texels import QuadPolygons, Texels
 from ...core.btf.capture.capture_run import CaptureRun
 from ...core.btf.capture.capture_spec import LevelCaptureSpec
-from ...core.btf.capture.dispatch import Shard, render_missing_views
+from ...core.btf.capture.dispatch import render_missing_views
 from ...core.btf.capture.reference_images import LOW_ORDER_LIGHTS
 from ...core.btf.capture.shard_layout import ShardLayout
 from ...core.btf.capture.shards import ShardStore
@@ -44,6 +44,7 @@ from ...core.files.temporary_folders import folder_prefix
 from ...core.files.user_folders import open_private_folder
 from ...core.geometry.cameras import OrthographicView
 from ...core.jobs import heartbeat
+from ...core.jobs.dispatch import Shard
 from ...core.jobs.executors import parse_executor
 from ...core.jobs.progress import StageClock, Steps, subprogress
 from . import estimates
@@ -164,7 +165,7 @@ class BakeJob:
         stores = [level.store for level in self.levels]
         return render_missing_views(self.run.heartbeat, stores, len(self.settings.view_grid), self.settings.executor, self._shard_command)
 
-    def _shard_command(self, shard: Shard) -> list[str]:
+    def _shard_command(self, shard: Shard[int]) -> list[str]:
         return btf_worker.shard_command(self.folder, self.run.snapshot_folder, shard, run_drivers=self.run_drivers)
 
     def _renewing(self, steps: Steps[BakedLevel]) -> Steps[BakedLevel]:

@@ -74,7 +74,7 @@ class Bake:
 
     def steps(self, executor_spec: str = "serial", fault: str = "pass"):
         def command(shard):
-            return [sys.executable, "-c", WORKER, str(self.folder), str(shard.heartbeat_file), fault, *map(str, shard.views)]
+            return [sys.executable, "-c", WORKER, str(self.folder), str(shard.heartbeat_file), fault, *map(str, shard.items)]
 
         with closing(heartbeat.take_over(self.folder)) as held:
             return (yield from render_missing_views(held, self.stores, VIEWS, executor_spec, command))

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from ....core.btf.capture.capture_spec import LevelCaptureSpec
-from ....core.btf.capture.dispatch import Shard
 from ....core.btf.capture.observations import ID_BUFFER_SCALE, ViewRender, observe, visible_subsamples
 from ....core.btf.capture.reference_images import compute_reference_image, low_order_lights
 from ....core.btf.capture.shard_files import ViewFiles, encode_visibility, to_half
 from ....core.btf.capture.shards import ShardStore
 from ....core.errors import FarfieldError
 from ....core.geometry.cameras import OrthographicView
+from ....core.jobs.dispatch import Shard
 from ....core.jobs.heartbeat import exit_when_run_ends
 from ....core.jobs.worker_errors import EXIT_ERROR, encode_error
 from ...geometry.meshes import Source
@@ -26,7 +26,7 @@ from .snapshot import Snapshot, open_snapshot, store_folder
 from .source_renderers import open_surface_renderer
 
 
-def shard_command(folder: Path, snapshot_folder: Path, shard: Shard, *, run_drivers: bool) -> list[str]:
+def shard_command(folder: Path, snapshot_folder: Path, shard: Shard[int], *, run_drivers: bool) -> list[str]:
     """Return the command line that captures a shard of the bake in `folder`.
 
     run_drivers: whether drivers in the snapshot may run any Python.
@@ -34,7 +34,7 @@ def shard_command(folder: Path, snapshot_folder: Path, shard: Shard, *, run_driv
     arguments = ["--folder", str(folder), "--snapshot", str(snapshot_folder), "--heartbeat", str(shard.heartbeat_file)]
     if run_drivers:
         arguments.append("--run-drivers")
-    arguments += ["--workers-per-machine", str(shard.workers_per_machine), "--views", *map(str, shard.views)]
+    arguments += ["--workers-per-machine", str(shard.workers_per_machine), "--views", *map(str, shard.items)]
     return worker_command("addon.bridge.btf.capture.worker", arguments)
 
 
@@ -87,10 +87,11 @@ def _capture_face_ids(snapshot: Snapshot, jobs: list["_ViewJob"], threads: int) 
     source, visibility_and_seconds = snapshot.source, []
     with source_renderers.open_face_id_renderer(source, snapshot.settings, threads) as face_id_renderer:
         for job in jobs:
-            start = face_id_renderer.render_seconds
-            job.store.face_ids.write(job.index, face_id_renderer.render_face_ids(job.view.supersample(ID_BUFFER_SCALE)))
+            start = face_id_renderer.work.render_seconds
+            face_ids = face_id_renderer.render_face_ids(job.view.supersample(ID_BUFFER_SCALE))
+            job.store.face_ids.write(job.index, {"face_ids": face_ids}, compressed=True)
             visibility = [_sun_visibility(job.spec, source, sun, face_id_renderer.render_face_ids(sun)) for sun in job.suns]
-            visibility_and_seconds.append((visibility, face_id_renderer.render_seconds - start))
+            visibility_and_seconds.append((visibility, face_id_renderer.work.render_seconds - start))
     return visibility_and_seconds
 
 
@@ -101,9 +102,9 @@ def _capture_lit_views(
     source, settings = snapshot.source, snapshot.settings
     with source_renderers.open_radiance_renderer(snapshot.objects, source, settings, threads) as radiance_renderer:
         for job, (visibility, seconds) in zip(jobs, visibility_and_seconds, strict=True):
-            start = radiance_renderer.render_seconds
-            render = radiance_renderer.render_view(job.view, job.store.face_ids.read(job.index))
-            job.write(render, low_order_lights(settings.light_grid), visibility, seconds + radiance_renderer.render_seconds - start)
+            start = radiance_renderer.work.render_seconds
+            render = radiance_renderer.render_view(job.view, job.read_face_ids())
+            job.write(render, low_order_lights(settings.light_grid), visibility, seconds + radiance_renderer.work.render_seconds - start)
 
 
 def _capture_surface_views(
@@ -114,12 +115,11 @@ def _capture_surface_views(
     emission_seconds = _capture_emission(snapshot, jobs, threads)
     with open_surface_renderer(source, settings, threads) as renderer:
         for job, (visibility, seconds), more_seconds in zip(jobs, visibility_and_seconds, emission_seconds, strict=True):
-            start = renderer.render_seconds
+            start = renderer.work.render_seconds
             emission = job.emission_files.read(job.index, "emission")[0].astype(np.float32) if more_seconds else None
-            render = renderer.render_view(job.view, job.store.face_ids.read(job.index), emission)
-            job.write(
-                render, np.eye(len(render.radiance), dtype=np.float32), visibility, seconds + more_seconds + renderer.render_seconds - start
-            )
+            render = renderer.render_view(job.view, job.read_face_ids(), emission)
+            seconds += more_seconds + renderer.work.render_seconds - start
+            job.write(render, np.eye(len(render.radiance), dtype=np.float32), visibility, seconds)
             job.emission_files.remove(job.index)
 
 
@@ -130,9 +130,9 @@ def _capture_emission(snapshot: Snapshot, jobs: list["_ViewJob"], threads: int) 
         return seconds
     with source_renderers.open_radiance_renderer(snapshot.objects, snapshot.source, snapshot.settings, threads) as renderer:
         for index, job in enumerate(jobs):
-            start = renderer.render_seconds
+            start = renderer.work.render_seconds
             job.emission_files.write(job.index, {"emission": to_half(renderer.render_emission(job.view))})
-            seconds[index] = renderer.render_seconds - start
+            seconds[index] = renderer.work.render_seconds - start
     return seconds
 
 
@@ -145,6 +145,10 @@ class _ViewJob:
     index: int
     view: OrthographicView
     suns: list[OrthographicView]
+
+    def read_face_ids(self) -> np.ndarray:
+        """Return the ID buffer (H, W) int32 of the view."""
+        return self.store.face_ids.read(self.index, "face_ids")[0]
 
     @property
     def emission_files(self) -> ViewFiles:
