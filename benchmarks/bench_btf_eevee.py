@@ -20,7 +20,7 @@ import bpy
 import numpy as np
 
 from farfield.addon.bridge.billboards.scene_clouds import clouds_in
-from farfield.addon.bridge.btf.clouds import link_suns
+from farfield.addon.bridge.btf.levels.emission_levels import link_suns
 from farfield.addon.compat import eevee_engine
 from farfield.addon.core.jobs.progress import Progress, Steps, run_to_end
 from lib import command_line, scene_files

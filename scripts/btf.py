@@ -20,7 +20,7 @@ import bpy
 import numpy as np
 
 from farfield.addon.bridge.billboards.scene_clouds import clouds_in
-from farfield.addon.bridge.btf.clouds import link_suns
+from farfield.addon.bridge.btf.levels.emission_levels import link_suns
 from farfield.addon.bridge.overlays.line_chart import draw_line_chart
 from farfield.addon.core.btf.settings import BtfSettings, ExportSettings
 from farfield.addon.core.errors import FileError, GeometryError, SettingsError

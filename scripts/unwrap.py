@@ -20,7 +20,7 @@ environment.import_farfield()
 
 import bpy
 
-from farfield.addon.bridge.unwrap.uv_overlay import save_stretch_image
+from farfield.addon.bridge.unwrap.stretch_display import save_stretch_image
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
 from farfield.addon.core.settings import add_flags

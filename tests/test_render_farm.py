@@ -8,8 +8,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from farfield.addon.bridge.btf import clouds as btf_clouds  # noqa: E402
-from farfield.addon.bridge.btf.materials import AMBIENT, SUNS, sun_color_property, sun_direction_property  # noqa: E402
+from farfield.addon.bridge.btf.levels import emission_levels as btf_clouds  # noqa: E402
+from farfield.addon.bridge.btf.materials.emission_material import AMBIENT, SUNS, sun_color_property, sun_direction_property  # noqa: E402
 from farfield.addon.bridge.lod_crossfade import CAMERA_POSITION  # noqa: E402 - only where bpy is
 from farfield.addon.compat import enable_nodes  # noqa: E402
 

@@ -13,7 +13,7 @@ START_SCRIPT = Path(__file__).with_name("worker_start.py")
 
 def worker_command(module: str, arguments: list[str]) -> list[str]:
     """Return the command of a process like this one that calls `main(arguments)` of a `module` of the extension, for instance
-    `addon.bridge.btf.worker`, and exits with the returned code. Blender starts itself; Python with pip's bpy starts Python."""
+    `addon.bridge.btf.capture.worker`, and exits with the returned code. Blender starts itself; Python with pip's bpy starts Python."""
     worker_arguments = [module, str(Path(scipy.__file__).resolve().parents[1]), *arguments]
     if bpy.app.module:
         return [sys.executable, str(START_SCRIPT), *worker_arguments]

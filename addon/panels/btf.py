@@ -3,7 +3,7 @@
 import bpy
 
 from ..bridge.billboards.scene_clouds import SceneCloud
-from ..bridge.btf.materials import SUNS
+from ..bridge.btf.materials.emission_material import SUNS
 from ..core.btf.settings import BtfSettings
 from ..core.settings import describe
 from ..operators import job_run, long_work, properties

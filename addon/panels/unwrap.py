@@ -3,7 +3,7 @@
 import bpy
 
 from ..bridge.unwrap import uv_maps
-from ..bridge.unwrap.uv_overlay import overlay
+from ..bridge.unwrap.stretch_display import overlay
 from ..core.settings import Description, describe
 from ..core.unwrap.settings import UnwrapSettings
 from ..operators.unwrap.operators import (

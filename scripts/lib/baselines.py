@@ -15,7 +15,7 @@ from lib import environment
 
 environment.import_farfield()
 
-from farfield.addon.bridge.btf.octahedral.capture import capture_atlas
+from farfield.addon.bridge.btf.export.octahedral_capture import capture_atlas
 from farfield.addon.bridge.geometry.mesh_arrays import read_positions, read_values, write_attribute
 from farfield.addon.bridge.geometry.meshes import Source, read_source, visible_meshes
 from farfield.addon.core.btf.octahedral import MIN_FRAME_RESOLUTION, FrameGrid

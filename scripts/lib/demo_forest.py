@@ -20,8 +20,8 @@ environment.import_farfield()
 
 from farfield.addon.bridge.billboards.level_objects import pbr_material
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud
-from farfield.addon.bridge.btf.clouds import link_suns, needs_linked_suns
-from farfield.addon.bridge.btf.materials import AMBIENT
+from farfield.addon.bridge.btf.levels.emission_levels import link_suns, needs_linked_suns
+from farfield.addon.bridge.btf.materials.emission_material import AMBIENT
 from farfield.addon.bridge.imaging.images import read_pixels
 from farfield.addon.compat import enable_nodes, set_file_format
 from farfield.addon.core.errors import FileError

@@ -19,7 +19,7 @@ from lib import environment
 
 environment.import_farfield()
 
-from farfield.addon.bridge.btf.octahedral.exports import create_atlas_images
+from farfield.addon.bridge.btf.export.octahedral_files import create_atlas_images
 from farfield.addon.bridge.geometry.mesh_arrays import write_positions
 from farfield.addon.core.btf.octahedral import OctahedralAtlas
 from lib.impostor_materials import FACING, QUAD_NORMAL, QUAD_NORMALS, RIGHT, SHELL_RADIUS, quad_material, shell_material

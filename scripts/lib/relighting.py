@@ -12,7 +12,7 @@ from lib import environment
 environment.import_farfield()
 
 from farfield.addon.bridge.billboards.level_objects import pbr_material
-from farfield.addon.bridge.btf.clouds import link_suns
+from farfield.addon.bridge.btf.levels.emission_levels import link_suns
 from farfield.addon.core.geometry.directions import held_out_views
 from farfield.addon.core.imaging import metrics
 from farfield.addon.core.jobs.progress import Progress, Steps

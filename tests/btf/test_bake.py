@@ -14,9 +14,9 @@ from bridge import blender_scenes
 from bridge.bakes import open_cloud
 from farfield.addon.bridge.billboards.level_objects import PBR_MATERIAL, read_level_texels
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
-from farfield.addon.bridge.btf.capture import sun_angle
-from farfield.addon.bridge.btf.clouds import link_suns, raise_transparent_bounces
-from farfield.addon.bridge.btf.decode import read_relightable_texture
+from farfield.addon.bridge.btf.capture.source_renderers import sun_angle
+from farfield.addon.bridge.btf.levels.decode import read_relightable_texture
+from farfield.addon.bridge.btf.levels.emission_levels import link_suns, raise_transparent_bounces
 from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.geometry.direction_grids import DirectionGrid
 from farfield.addon.operators.btf.estimates import EstimateCache

@@ -17,8 +17,8 @@ from farfield.addon.bridge.billboards import clouds
 from farfield.addon.bridge.billboards.cloud_materials import FRONT_COLOR
 from farfield.addon.bridge.billboards.level_objects import CENTER, PBR_MATERIAL, pbr_image, pbr_material
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
-from farfield.addon.bridge.btf.clouds import link_suns
-from farfield.addon.bridge.btf.materials import AMBIENT, sun_color_property, sun_direction_property
+from farfield.addon.bridge.btf.levels.emission_levels import link_suns
+from farfield.addon.bridge.btf.materials.emission_material import AMBIENT, sun_color_property, sun_direction_property
 from farfield.addon.core.errors import GeometryError
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.operators.btf.job import BakeJob

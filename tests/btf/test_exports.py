@@ -17,9 +17,9 @@ from bridge.bakes import open_cloud
 from farfield.addon.bridge.billboards.cloud_materials import FRONT_COLOR, FRONT_NORMAL
 from farfield.addon.bridge.billboards.level_objects import PBR_MATERIAL, read_level_texels
 from farfield.addon.bridge.billboards.scene_clouds import clouds_in
-from farfield.addon.bridge.btf import image_export
-from farfield.addon.bridge.btf.clouds import assign_relightable_material
-from farfield.addon.bridge.btf.decode import read_relightable_texture
+from farfield.addon.bridge.btf.export import image_folders
+from farfield.addon.bridge.btf.levels.decode import read_relightable_texture
+from farfield.addon.bridge.btf.levels.emission_levels import assign_relightable_material
 from farfield.addon.bridge.imaging.images import read_pixels
 from farfield.addon.bridge.rendering.render_scene import render_scene
 from farfield.addon.core.btf.compression import CompressedTextures
@@ -236,13 +236,13 @@ def test_a_full_disk_is_noticed(tmp_path, size, limit):
     pixels = np.random.default_rng(0).random((*size[::-1], 3))
     handler, limits = signal.signal(signal.SIGXFSZ, signal.SIG_IGN), resource.getrlimit(resource.RLIMIT_FSIZE)
     with render_scene("Farfield Images") as work:
-        image = image_export._new_image(work, size)
-        image_export._save_image(work, image, pixels, tmp_path / "complete.exr")
+        image = image_folders._new_image(work, size)
+        image_folders._save_image(work, image, pixels, tmp_path / "complete.exr")
         assert (tmp_path / "complete.exr").stat().st_size > limit
         try:
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limits[1]))
             with pytest.raises((FileError, RuntimeError), match=r"truncated|could not be saved"):
-                image_export._save_image(work, image, pixels, tmp_path / "image.exr")
+                image_folders._save_image(work, image, pixels, tmp_path / "image.exr")
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)
             signal.signal(signal.SIGXFSZ, handler)

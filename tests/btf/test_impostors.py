@@ -10,8 +10,8 @@ pytest.importorskip("bpy")
 import bpy
 
 from bridge import blender_scenes
-from farfield.addon.bridge.btf.octahedral.capture import capture_atlas
-from farfield.addon.bridge.btf.octahedral.exports import write_octahedral_atlas
+from farfield.addon.bridge.btf.export.octahedral_capture import capture_atlas
+from farfield.addon.bridge.btf.export.octahedral_files import write_octahedral_atlas
 from farfield.addon.bridge.imaging.images import read_pixels
 from farfield.addon.core.btf.octahedral import FrameGrid
 from farfield.addon.core.errors import FileError, GeometryError, SettingsError

@@ -13,9 +13,9 @@ import mathutils
 from bridge import blender_scenes
 from farfield.addon.bridge.billboards.cloud_materials import FRONT_COLOR, FRONT_NORMAL, FRONT_ROUGHNESS_METALLIC_DEPTH
 from farfield.addon.bridge.billboards.level_objects import read_level_texels
-from farfield.addon.bridge.btf.clouds import assign_relightable_material, read_texel_surface, restore_pbr_material
-from farfield.addon.bridge.btf.decode import read_relightable_texture
-from farfield.addon.bridge.btf.materials import AMBIENT, sun_color_property, sun_direction_property
+from farfield.addon.bridge.btf.levels.decode import read_relightable_texture
+from farfield.addon.bridge.btf.levels.emission_levels import assign_relightable_material, read_texel_surface, restore_pbr_material
+from farfield.addon.bridge.btf.materials.emission_material import AMBIENT, sun_color_property, sun_direction_property
 from farfield.addon.bridge.imaging.images import create_image
 from farfield.addon.bridge.lod_crossfade import GROUP_NAME, add_crossfade, remove_crossfade
 from farfield.addon.bridge.rendering.render_scene import render_scene

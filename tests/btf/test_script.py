@@ -10,8 +10,8 @@ import btf
 from bridge import blender_scenes
 from bridge.bakes import to_flags
 from farfield.addon.bridge.billboards.scene_clouds import clouds_in
-from farfield.addon.bridge.btf.decode import read_relightable_texture
-from farfield.addon.bridge.btf.materials import CLUSTERS
+from farfield.addon.bridge.btf.levels.decode import read_relightable_texture
+from farfield.addon.bridge.btf.materials.emission_material import CLUSTERS
 from farfield.addon.core.errors import FileError, SettingsError
 from fmf_reader import read_fmf
 from lib import command_line, scene_files

@@ -11,9 +11,9 @@ from bridge import blender_scenes
 from bridge.bakes import open_cloud
 from farfield.addon.bridge.billboards.level_objects import PBR_MATERIAL
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
-from farfield.addon.bridge.btf.decode import is_upper_hemisphere, read_relightable_texture
-from farfield.addon.bridge.btf.materials import sun_color_property
-from farfield.addon.bridge.btf.shared_parameters import read_shared_parameters
+from farfield.addon.bridge.btf.levels.decode import is_upper_hemisphere, read_relightable_texture
+from farfield.addon.bridge.btf.materials.emission_material import sun_color_property
+from farfield.addon.bridge.btf.materials.shared_parameters import read_shared_parameters
 from farfield.addon.bridge.shading.node_groups import nodes_in
 from farfield.addon.core.errors import GeometryError
 from farfield.addon.core.imaging import metrics

@@ -16,11 +16,11 @@ import btf
 from bridge import blender_scenes
 from bridge.bakes import SMALL, build_small_cloud, finished_views, prepare_job
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
-from farfield.addon.bridge.btf.snapshot import METADATA_FILE, may_run_python_drivers, open_snapshot
-from farfield.addon.core.btf.capture.dispatch import Shard
+from farfield.addon.bridge.btf.capture.snapshot import METADATA_FILE, may_run_python_drivers, open_snapshot
 from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.files import user_folders
+from farfield.addon.core.jobs.dispatch import Shard
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.operators.btf import estimates
 
@@ -135,7 +135,7 @@ def test_a_run_that_ends_leaves_no_snapshot(cloud, tmp_path):
 
 
 def test_a_snapshot_that_cannot_be_written_is_one_sentence(cloud, tmp_path, monkeypatch):
-    from farfield.addon.bridge.btf import snapshot
+    from farfield.addon.bridge.btf.capture import snapshot
 
     monkeypatch.setattr(snapshot, "is_complete_blend", lambda _: False)  # as on a full disk, which Blender does not report
     with pytest.raises(FileError, match="snapshot for the workers cannot be written") as raised:

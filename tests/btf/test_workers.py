@@ -30,8 +30,8 @@ from bridge.bakes import (
     to_flags,
     worker_pids,
 )
-from farfield.addon.bridge.btf import snapshot as btf_snapshot
-from farfield.addon.bridge.btf import worker as btf_worker
+from farfield.addon.bridge.btf.capture import snapshot as btf_snapshot
+from farfield.addon.bridge.btf.capture import worker as btf_worker
 from farfield.addon.bridge.imaging.images import read_pixels
 from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.errors import FarfieldError, FileError, GeometryError

@@ -59,7 +59,7 @@ def session() -> Iterator[float]:
     x, y = yield from user.find_button("farfield.unwrap_overlay")
     user.press("LEFTMOUSE", x, y)
     yield 3.0
-    overlay = module("addon.bridge.unwrap.uv_overlay").overlay
+    overlay = module("addon.bridge.unwrap.stretch_display").overlay
     results["overlay_shown"] = overlay.is_shown
     save_screenshot("4-stretch")
     properties = next(area for area in user.window.screen.areas if area.type == "DOPESHEET_EDITOR" or area.type == "PROPERTIES")

@@ -6,7 +6,7 @@ import pytest
 
 from farfield.addon.bridge.photos.camera_objects import create_cameras
 from farfield.addon.bridge.photos.coverage_overlay import overlay
-from farfield.addon.bridge.unwrap.uv_overlay import overlay as stretch_overlay
+from farfield.addon.bridge.unwrap.stretch_display import overlay as stretch_overlay
 from image_data import write_image
 from photo_scenes import camera_at, grid
 

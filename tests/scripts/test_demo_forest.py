@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from bridge import bakes, blender_scenes
-from farfield.addon.bridge.btf.materials import AMBIENT, SUNS, sun_color_property, sun_direction_property, sun_node_labels
+from farfield.addon.bridge.btf.materials.emission_material import AMBIENT, SUNS, sun_color_property, sun_direction_property, sun_node_labels
 from farfield.addon.bridge.rendering.render_scene import render_scene
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.jobs.progress import run_to_end

@@ -9,8 +9,8 @@ bpy = pytest.importorskip("bpy")
 import reference_tools  # noqa: E402 - only if bpy is available
 from bridge import blender_scenes  # noqa: E402
 from bridge.bakes import build_cloud, prepare_job  # noqa: E402
-from farfield.addon.bridge.btf.clouds import link_suns  # noqa: E402
-from farfield.addon.bridge.btf.materials import sun_color_property  # noqa: E402
+from farfield.addon.bridge.btf.levels.emission_levels import link_suns  # noqa: E402
+from farfield.addon.bridge.btf.materials.emission_material import sun_color_property  # noqa: E402
 from farfield.addon.core.jobs.progress import run_to_end  # noqa: E402
 from farfield.addon.operators.job_run import run_job  # noqa: E402
 from lib.flip_metric import mean_flip  # noqa: E402

@@ -8,7 +8,7 @@ import pytest
 
 from farfield.addon.bridge.geometry.mesh_arrays import read_loop_triangles, read_uvs
 from farfield.addon.bridge.unwrap import uv_maps
-from farfield.addon.bridge.unwrap.uv_overlay import save_stretch_image
+from farfield.addon.bridge.unwrap.stretch_display import save_stretch_image
 from farfield.addon.core.geometry.transforms import signed_areas
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.unwrap.overlaps import count_overlaps

@@ -4,7 +4,9 @@ In the atlas plane one atlas is `texel * width` by `texel * height` large and ce
 normal lie along x, y and z. Lengths, and thus the heights of bumps, are the same as in the scene.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import bpy
 import numpy as np
@@ -14,9 +16,12 @@ from ...core.billboards.cloud import Level
 from ...core.geometry.mesh import connected_components
 from ..geometry.evaluated_mesh import EvaluatedMesh
 from ..geometry.mesh_arrays import write_attribute, write_triangles
-from ..geometry.meshes import Source
+from ..geometry.meshes import Source, find_material
+from ..rendering.render_scene import RenderScene
 from ..shading.material_channels import CELL_COORDINATES
-from ..shading.scene_space_nodes import GENERATED, ISLAND, LOCATION, OBJECT, OBJECT_AXES, POSITION, QUAD_AXES, RANDOM
+from ..shading.scene_space_nodes import GENERATED, ISLAND, LOCATION, OBJECT, OBJECT_AXES, POSITION, QUAD_AXES, RANDOM, required_attributes
+
+Copy = TypeVar("Copy")
 
 
 @dataclass(frozen=True)
@@ -125,20 +130,41 @@ def compute_cell_coordinates(level: Level, placement: AtlasPlacement, flat: np.n
     return np.concatenate([coordinates, np.zeros_like(coordinates[..., :1])], axis=2)
 
 
-def create_atlas_mesh(
-    name: str,
+def copy_materials(
+    source: Source,
+    drawn: DrawnTriangles,
+    copies: dict[tuple, Copy],
+    copy_material: Callable[[bpy.types.Material | None, str], Copy],
+    clip: bool = False,
+) -> list[Copy]:
+    """Return a copy per material slot of the mesh of `drawn`: those that `copies` has, and otherwise new ones, which are added to it.
+
+    copy_material: returns the copy of a material, or of None. Its second argument is the color attribute that a point cloud without
+    material shows, or "". clip: materials that clip need copies of their own.
+    """
+    color_attribute = drawn.mesh.color if source.points is not None else ""
+    keys = [(material, color_attribute, clip) for material in drawn.mesh.materials]
+    for key in keys:
+        if key not in copies:
+            copies[key] = copy_material(None if key[0] is None else find_material(key[0]), color_attribute)
+    return [copies[key] for key in keys]
+
+
+def add_atlas_mesh(
+    work: RenderScene,
     drawn: DrawnTriangles,
     world: np.ndarray,
     flat: np.ndarray,
     cell_coordinates: np.ndarray,
     placement: AtlasPlacement,
-    required: set[str],
+    materials: Sequence[bpy.types.Material],
 ) -> bpy.types.Mesh:
-    """Create a mesh of separate triangles at `flat` (K, 3, 3), with their shading normals and the attributes named in `required`.
+    """Add a mesh of separate triangles at `flat` (K, 3, 3) with `materials`, the attributes that these read, and shading normals to `work`.
 
     world (K, 3, 3): the same corners in world space. cell_coordinates: see `compute_cell_coordinates`.
     """
-    mesh = bpy.data.meshes.new(name)
+    required = set().union(*(required_attributes(material.node_tree) for material in materials))
+    mesh = work.own(bpy.data.meshes.new("Farfield Atlas"))
     write_triangles(mesh, flat.reshape(-1, 3), np.arange(3 * len(drawn.triangles)).reshape(-1, 3))
     mesh.polygons.foreach_set("material_index", drawn.mesh.material_indices[drawn.triangles])
     _write_attribute(mesh, "custom_normal", _compute_normals(drawn, placement))
@@ -151,6 +177,9 @@ def create_atlas_mesh(
         mesh.uv_layers[drawn.mesh.uv_map].active_render = True
     if drawn.mesh.color:
         mesh.attributes.default_color_name = drawn.mesh.color
+    for material in materials:
+        mesh.materials.append(material)
+    work.add_object(mesh)
     return mesh
 
 

@@ -6,6 +6,7 @@ and depth. A level takes six renders.
 """
 
 import math
+from functools import partial
 
 import bpy
 import numpy as np
@@ -13,14 +14,19 @@ import numpy as np
 from ...core.billboards.cloud import Cloud, Level
 from ...core.billboards.settings import BillboardSettings
 from ...core.jobs.progress import Progress, Steps
-from ..geometry.evaluated_mesh import MaterialKey
-from ..geometry.meshes import Source, find_material
+from ..geometry.meshes import Source
 from ..imaging.images import check_images
 from ..rendering.cycles_renders import prepare_channel_render
 from ..rendering.render_scene import RenderScene, render_scene
 from ..shading.material_channels import CHANNELS, CaptureMaterial, build_capture_material
-from ..shading.scene_space_nodes import required_attributes
-from .atlas_meshes import compute_atlas_positions, compute_cell_coordinates, compute_placement, create_atlas_mesh, find_drawn_triangles
+from .atlas_meshes import (
+    add_atlas_mesh,
+    compute_atlas_positions,
+    compute_cell_coordinates,
+    compute_placement,
+    copy_materials,
+    find_drawn_triangles,
+)
 from .level_maps import LevelTextures, compute_maps
 from .silhouettes import SurfaceContinuation
 
@@ -80,24 +86,17 @@ def _add_meshes(work: RenderScene, source: Source, level: Level) -> tuple[list[C
     Returns their materials, and the largest height above or below the atlas plane plus one texel, in capture units.
     """
     placement, unit = compute_placement(level), _unit(level)
-    copies: dict[tuple[MaterialKey | None, str, bool], CaptureMaterial] = {}
+    copies: dict[tuple, CaptureMaterial] = {}
     max_height = 0.0
     quads = np.repeat(np.arange(len(level.quads)), np.diff(level.quads.drawn_offsets))
     for drawn in find_drawn_triangles(source, level.quads.drawn, quads):
         world, flat = compute_atlas_positions(drawn, placement)
         cell_coordinates = compute_cell_coordinates(level, placement, flat, drawn.quads)
         clip = bool(np.abs(cell_coordinates).max() > 1.0)
-        color_attribute = drawn.mesh.color if source.points is not None else ""
-        keys = [(material, color_attribute, clip) for material in drawn.mesh.materials]
-        for key in keys:
-            if key not in copies:
-                material = None if key[0] is None else find_material(key[0])
-                copies[key] = build_capture_material(material, color_attribute, level.error / unit, clip, work)
-        required = set().union(*(required_attributes(copies[key].material.node_tree) for key in keys))
-        mesh = work.own(create_atlas_mesh("Farfield Atlas", drawn, world, flat / unit, cell_coordinates, placement, required))
-        for key in keys:
-            mesh.materials.append(copies[key].material)
-        work.add_object(mesh)
+        copy_material = partial(build_capture_material, error=level.error / unit, clip=clip, work=work)
+        captures = copy_materials(source, drawn, copies, copy_material, clip)
+        materials = [capture.material for capture in captures]
+        add_atlas_mesh(work, drawn, world, flat / unit, cell_coordinates, placement, materials)
         max_height = max(max_height, float(np.abs(flat[..., 2]).max()) / unit)
     return list(copies.values()), max_height + level.texel_size / unit
 

@@ -18,12 +18,12 @@ from .factorization.factors import Factors, factorize, factorize_scalar
 from .factorization.lpca import factorize_lpca
 from .refinement.refine import compute_texel_colors
 from .refinement.training import StoredTrainingView, refine_stored_views
-from .reflectance.chromaticity import compute_chromaticity, mean_emission
 from .reflectance.disc_lights import DiscLights
 from .reflectance.dome import fit_dome
 from .reflectance.lobe_fit import CapturedRadiance, fit_lobes
 from .reflectance.lobes import Lobes, TexelSurface
-from .reflectance.residuals import ResidualFiles, write_residuals
+from .reflectance.mean_colors import compute_chromaticity, mean_emission
+from .reflectance.residuals import residual_files, write_residuals
 from .reflectance.shadows import Shadows, compute_shadows
 from .settings import BtfSettings
 
@@ -82,7 +82,7 @@ class LevelCompressor:
             steps = _factorize_color(ViewMatrix(residuals, count, self._weights, self._column_weights), settings)
             color = yield from subprogress(steps, RESIDUALS_END, COLOR_END)
         finally:
-            ResidualFiles(self._store.folder).remove_all()
+            residual_files(self._store).remove_all()
         silhouettes = yield from subprogress(read_silhouettes(self._store, self._pbr_alpha, solid_angles), COLOR_END, SILHOUETTES_END)
         alpha = yield from subprogress(factorize_scalar(silhouettes, settings.alpha_components, settings.seed), SILHOUETTES_END, 1.0)
         emission = mean_emission((self._store.read_emission(view) for view in range(len(self._views))), self._weights)

@@ -14,7 +14,7 @@ from .capture.shards import ShardStore
 from .capture.view_data import read_silhouettes
 from .factorization.factors import Factors, factorize_scalar
 from .refinement.training import StoredTrainingView, refine_stored_views
-from .reflectance.chromaticity import mean_emission
+from .reflectance.mean_colors import mean_emission
 from .settings import BtfSettings
 
 SILHOUETTES_END, FACTORS_END = 0.2, 0.9

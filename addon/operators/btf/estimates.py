@@ -9,7 +9,7 @@ import numpy as np
 from ...bridge.billboards import clouds
 from ...bridge.billboards.level_objects import read_level_texels
 from ...bridge.billboards.scene_clouds import SceneCloud
-from ...bridge.btf.snapshot import store_folder
+from ...bridge.btf.capture.snapshot import store_folder
 from ...core.billboards.texels import Texels
 from ...core.btf.capture.shards import ShardStore
 from ...core.btf.estimate import BakeEstimate, LevelExtent, estimate_bake, image_resolution

@@ -9,9 +9,9 @@ import numpy as np
 from ...bridge.billboards.exports import write_glb
 from ...bridge.billboards.level_objects import read_level_texels
 from ...bridge.billboards.scene_clouds import find_cloud
-from ...bridge.btf.decode import is_upper_hemisphere, read_relightable_texture
-from ...bridge.btf.image_export import write_images
-from ...bridge.btf.octahedral.exports import write_octahedral_atlas
+from ...bridge.btf.export.image_folders import write_images
+from ...bridge.btf.export.octahedral_files import write_octahedral_atlas
+from ...bridge.btf.levels.decode import is_upper_hemisphere, read_relightable_texture
 from ...bridge.objects import find_by_uid
 from ...core.btf.decoding import RelightableTexture
 from ...core.btf.formats.fmf import write_fmf

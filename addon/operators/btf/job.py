@@ -16,22 +16,22 @@ from ...bridge.billboards import clouds
 from ...bridge.billboards.level_objects import built_center, read_level_quads, read_level_texels, read_pbr_alpha
 from ...bridge.billboards.scene_clouds import SceneCloud, read_cloud
 from ...bridge.billboards.source_objects import read_source_objects
-from ...bridge.btf import capture as btf_capture
-from ...bridge.btf import clouds as btf_clouds
-from ...bridge.btf import snapshot as btf_snapshot
-from ...bridge.btf import worker as btf_worker
-from ...bridge.btf.level_checks import check_editable, check_level, is_unchanged
-from ...bridge.btf.light_calibration import calibrate_light_coverage, has_loose_quads
-from ...bridge.btf.shared_parameters import Value, read_shared_parameters
-from ...bridge.btf.snapshot import may_run_python_drivers
-from ...bridge.btf.surface_clouds import assign_surface_material, check_maps, read_two_sided_texels
+from ...bridge.btf.capture import snapshot as btf_snapshot
+from ...bridge.btf.capture import source_renderers as btf_capture
+from ...bridge.btf.capture import worker as btf_worker
+from ...bridge.btf.capture.light_calibration import calibrate_light_coverage, has_loose_quads
+from ...bridge.btf.capture.snapshot import may_run_python_drivers
+from ...bridge.btf.levels import emission_levels as btf_clouds
+from ...bridge.btf.levels.level_checks import check_editable, check_level, is_unchanged
+from ...bridge.btf.levels.surface_levels import assign_surface_material, check_maps, read_two_sided_texels
+from ...bridge.btf.materials.shared_parameters import Value, read_shared_parameters
 from ...bridge.geometry import meshes
 from ...bridge.imaging import images
 from ...bridge.objects import find_by_uid
 from ...core.billboards.texels import QuadPolygons, Texels
 from ...core.btf.capture.capture_run import CaptureRun
 from ...core.btf.capture.capture_spec import LevelCaptureSpec
-from ...core.btf.capture.dispatch import Shard, render_missing_views
+from ...core.btf.capture.dispatch import render_missing_views
 from ...core.btf.capture.reference_images import LOW_ORDER_LIGHTS
 from ...core.btf.capture.shard_layout import ShardLayout
 from ...core.btf.capture.shards import ShardStore
@@ -44,6 +44,7 @@ from ...core.files.temporary_folders import folder_prefix
 from ...core.files.user_folders import open_private_folder
 from ...core.geometry.cameras import OrthographicView
 from ...core.jobs import heartbeat
+from ...core.jobs.dispatch import Shard
 from ...core.jobs.executors import parse_executor
 from ...core.jobs.progress import StageClock, Steps, subprogress
 from . import estimates
@@ -164,7 +165,7 @@ class BakeJob:
         stores = [level.store for level in self.levels]
         return render_missing_views(self.run.heartbeat, stores, len(self.settings.view_grid), self.settings.executor, self._shard_command)
 
-    def _shard_command(self, shard: Shard) -> list[str]:
+    def _shard_command(self, shard: Shard[int]) -> list[str]:
         return btf_worker.shard_command(self.folder, self.run.snapshot_folder, shard, run_drivers=self.run_drivers)
 
     def _renewing(self, steps: Steps[BakedLevel]) -> Steps[BakedLevel]:

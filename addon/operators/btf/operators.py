@@ -4,9 +4,9 @@ import bpy
 
 from ...bridge.billboards.level_objects import PBR_MATERIAL
 from ...bridge.billboards.scene_clouds import SceneCloud, find_cloud
-from ...bridge.btf import clouds as btf_clouds
-from ...bridge.btf.level_checks import is_editable
-from ...bridge.btf.materials import SUNS
+from ...bridge.btf.levels import emission_levels as btf_clouds
+from ...bridge.btf.levels.level_checks import is_editable
+from ...bridge.btf.materials.emission_material import SUNS
 from ...core.btf.capture.capture_run import remove_expired
 from ...core.btf.settings import BtfSettings
 from ...core.errors import SettingsError

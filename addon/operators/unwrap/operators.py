@@ -6,7 +6,7 @@ import bpy
 from mathutils import Vector
 
 from ...bridge.unwrap import uv_maps
-from ...bridge.unwrap.uv_overlay import overlay, save_stretch_image
+from ...bridge.unwrap.stretch_display import overlay, save_stretch_image
 from ...core.unwrap.settings import UnwrapSettings
 from .. import long_work, properties, start_job
 from ..error_reports import report_message, reports_errors

@@ -26,7 +26,7 @@ import numpy as np
 from pathlib import Path
 from farfield.addon.core.jobs import heartbeat
 from farfield.addon.core.btf.capture.shards import ShardStore
-from farfield.addon.core.jobs.worker_errors import EXIT_ERROR, encode_error
+from farfield.addon.core.jobs.core_worker import EXIT_ERROR, encode_error
 from farfield.addon.core.btf.capture.reference_images import ReferenceImage
 from farfield.addon.core.btf.capture.observations import Observation
 from farfield.addon.core.errors import FileError
@@ -74,7 +74,7 @@ class Bake:
 
     def steps(self, executor_spec: str = "serial", fault: str = "pass"):
         def command(shard):
-            return [sys.executable, "-c", WORKER, str(self.folder), str(shard.heartbeat_file), fault, *map(str, shard.views)]
+            return [sys.executable, "-c", WORKER, str(self.folder), str(shard.heartbeat_file), fault, *map(str, shard.items)]
 
         with closing(heartbeat.take_over(self.folder)) as held:
             return (yield from render_missing_views(held, self.stores, VIEWS, executor_spec, command))

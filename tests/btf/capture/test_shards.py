@@ -86,13 +86,13 @@ def test_a_damaged_view_is_not_valid(store):
 
 def test_an_id_buffer_alone_is_not_a_finished_view(store):
     face_ids = np.arange(-1, 35, dtype=np.int32).reshape(6, 6)
-    store.face_ids.write(2, face_ids)
-    np.testing.assert_array_equal(store.face_ids.read(2), face_ids)
+    store.face_ids.write(2, {"face_ids": face_ids}, compressed=True)
+    np.testing.assert_array_equal(store.face_ids.read(2, "face_ids")[0], face_ids)
     assert not store.is_valid(2)
 
 
 def test_only_files_of_finished_views_remain(store):
-    store.face_ids.write(0, np.zeros((2, 2), np.int32))
+    store.face_ids.write(0, {"face_ids": np.zeros((2, 2), np.int32)})
     store.write(0, random_observation(), random_reference(), [], 1.5)
     assert {path.name for path in store.folder.iterdir()} == {"job.json", "view-0000.json", "view-0000.shard"}
 

@@ -9,7 +9,7 @@ import bpy
 
 from farfield.addon.bridge.imaging.images import create_image
 from farfield.addon.compat import set_file_format
-from farfield.addon.core.btf.formats.bonn_filenames import is_complete_exr
+from farfield.addon.core.btf.formats.image_folders import is_complete_exr
 
 
 def write_exr(path, codec: str, shape: tuple[int, int]) -> None:

@@ -177,5 +177,5 @@ def test_stored_fragments_round_trip_through_memory_and_files(free_bytes, tmp_pa
         np.testing.assert_array_equal(getattr(loaded.fragments, name), getattr(expected.fragments, name))
     assert loaded.fragments.ray_count == expected.fragments.ray_count and loaded.reference is gray_view.reference
     np.testing.assert_array_equal(loaded.colors, expected.colors)
-    training.FragmentFiles(tmp_path).remove_all()
+    training.fragment_files(store).remove_all()
     assert not list(tmp_path.iterdir())

@@ -8,7 +8,7 @@ import pytest
 from farfield.addon.core.btf.factorization.als import ViewMatrix
 from farfield.addon.core.btf.factorization.compression_error import error_by_components
 from farfield.addon.core.btf.factorization.factors import factorize
-from farfield.addon.core.btf.reflectance.chromaticity import compute_chromaticity
+from farfield.addon.core.btf.reflectance.mean_colors import compute_chromaticity
 from farfield.addon.core.jobs.progress import run_to_end
 
 ALBEDOS = np.random.default_rng(0).uniform(0.1, 0.9, (50, 3)).astype(np.float32)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from farfield.addon.core.btf.reflectance.chromaticity import mean_emission
+from farfield.addon.core.btf.reflectance.mean_colors import mean_emission
 
 
 def test_emission_is_the_weighted_mean_over_the_views():

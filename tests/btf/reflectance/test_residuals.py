@@ -8,7 +8,7 @@ from farfield.addon.core.btf.capture.reference_images import ReferenceImage
 from farfield.addon.core.btf.capture.shards import ShardStore
 from farfield.addon.core.btf.capture.view_data import RadianceView
 from farfield.addon.core.btf.reflectance.disc_lights import DiscLights
-from farfield.addon.core.btf.reflectance.residuals import MAX_DOME_RESIDUAL, MAX_RESIDUAL, ResidualFiles, write_residuals
+from farfield.addon.core.btf.reflectance.residuals import MAX_DOME_RESIDUAL, MAX_RESIDUAL, residual_files, write_residuals
 from farfield.addon.core.geometry.direction_grids import DirectionGrid
 from farfield.addon.core.jobs.progress import run_to_end
 from random_textures import random_lobes
@@ -40,7 +40,7 @@ def test_residuals_are_the_difference_to_the_lobes_over_chromaticity(tmp_path):
         rows, values = view.read()
         np.testing.assert_array_equal(rows, np.arange(0, COUNT, 2))
         np.testing.assert_allclose(values.reshape(20, -1, 3) * CHROMATICITY[rows, None], 0.1, atol=0.01)
-    ResidualFiles(store.folder).remove_all()
+    residual_files(store).remove_all()
     assert not list(tmp_path.glob("residuals-*")) and store.is_valid(3)
 
 

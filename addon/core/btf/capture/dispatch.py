@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from ...jobs import dispatch
 from ...jobs.heartbeat import Heartbeat
@@ -13,31 +12,18 @@ MAX_SHARD_VIEWS = 64  # per worker process: Blender's memory grows slowly with t
 VIEWS = dispatch.ItemName("view", "views")
 
 
-@dataclass(frozen=True)
-class Shard:
-    """Views for one worker process. heartbeat_file: the file that it watches. workers_per_machine: how many workers use its machine."""
-
-    views: list[int]
-    heartbeat_file: Path
-    workers_per_machine: int
-
-
 def render_missing_views(
-    held: Heartbeat, stores: Sequence[ShardStore], view_count: int, executor_spec: str, command: Callable[[Shard], list[str]]
+    held: Heartbeat, stores: Sequence[ShardStore], view_count: int, executor_spec: str, command: Callable[[dispatch.Shard[int]], list[str]]
 ) -> Steps[int]:
     """Have worker processes render all views that are missing in any of the `stores`; return their number.
 
     held: of the run, which must own the folders of all stores. command: returns the command line that renders a shard for all stores; it
     must skip finished views. See `jobs.dispatch.run_missing` for the other arguments and the errors.
     """
-
-    def view_command(shard: dispatch.Shard[int]) -> list[str]:
-        return command(Shard(shard.items, shard.heartbeat_file, shard.workers_per_machine))
-
     for store in stores:
         store.remove_temporary_files()
     files = _ViewFiles(stores)
-    return (yield from dispatch.run_missing(held, range(view_count), files, executor_spec, view_command, VIEWS, split_views))
+    return (yield from dispatch.run_missing(held, range(view_count), files, executor_spec, command, VIEWS, split_views))
 
 
 def split_views(missing: Sequence[int], slots: int) -> list[list[int]]:

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from ...jobs.job_folder import open_job_folder, remove_temporary_files
-from .face_id_files import FaceIdFiles
 from .observations import Observation
 from .reference_images import ReferenceImage
 from .shard_files import ViewFiles, to_bytes, to_half, write_view_file
@@ -27,9 +26,9 @@ class ShardStore:
     layout: ShardLayout | None = None
 
     @property
-    def face_ids(self) -> FaceIdFiles:
-        """The ID buffers of unfinished views."""
-        return FaceIdFiles(self.folder)
+    def face_ids(self) -> ViewFiles:
+        """The ID buffers of unfinished views: `face_ids` (H, W) int32."""
+        return ViewFiles(self.folder, "face-ids")
 
     def open(self, fingerprint: str) -> None:
         """Create the folder, or check that it belongs to the bake with this `fingerprint`.

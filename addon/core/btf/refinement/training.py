@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from threading import Lock
 
 import numpy as np
@@ -18,38 +17,8 @@ from .fragments import Fragments, find_fragments
 from .refine import RAYS_PER_SIDE, TrainingView, cull_hidden, refine_alpha, shade
 
 SHADING_END = 0.3  # of the progress of a refinement
+FRAGMENT_ARRAYS = ("ray_count", "ray_indices", "texel_indices", "weights", "colors")
 MAX_MEMORY_BYTES = 4e8  # of fragments and colors; those of further views go to files
-
-
-@dataclass(frozen=True)
-class FragmentFiles:
-    """Fragments and their colors in `folder`, one file per view. They exist during refinement only."""
-
-    folder: Path
-
-    def write(self, view: int, fragments: Fragments, colors: np.ndarray) -> None:
-        """Write the fragments of a view and their `colors` (F, D) float16. Raises FileError."""
-        arrays = {
-            "ray_count": np.array(fragments.ray_count),
-            "ray_indices": fragments.ray_indices,
-            "texel_indices": fragments.texel_indices,
-            "weights": fragments.weights,
-            "colors": colors,
-        }
-        self._files.write(view, arrays)
-
-    def read(self, view: int) -> tuple[Fragments, np.ndarray]:
-        """Return fragments and colors of a view. Raises FileError."""
-        ray_count, *arrays, colors = self._files.read(view, "ray_count", "ray_indices", "texel_indices", "weights", "colors")
-        return Fragments(int(ray_count), *arrays), colors
-
-    def remove_all(self) -> None:
-        """Delete the files of all views."""
-        self._files.remove_all()
-
-    @property
-    def _files(self) -> ViewFiles:
-        return ViewFiles(self.folder, "fragments")
 
 
 @dataclass
@@ -97,13 +66,23 @@ class StoredTrainingView:
     def store_fragments(self, fragments: Fragments, colors: np.ndarray) -> None:
         """Store fragments and colors for `load`. Raises FileError when they do not fit into memory and the file cannot be written."""
         if not self.cache.add(self.index, fragments, colors):
-            FragmentFiles(self.store.folder).write(self.index, fragments, colors)
+            arrays = fragments.ray_indices, fragments.texel_indices, fragments.weights, colors
+            names_and_arrays = zip(FRAGMENT_ARRAYS, (np.array(fragments.ray_count), *arrays), strict=True)
+            fragment_files(self.store).write(self.index, dict(names_and_arrays))
 
     def load(self) -> TrainingView:
         """Return the stored fragments and colors, and the reference image. Raises FileError."""
-        entry = self.cache.entries.get(self.index)
-        fragments, colors = FragmentFiles(self.store.folder).read(self.index) if entry is None else entry
+        if self.index in self.cache.entries:
+            fragments, colors = self.cache.entries[self.index]
+        else:
+            ray_count, *arrays, colors = fragment_files(self.store).read(self.index, *FRAGMENT_ARRAYS)
+            fragments = Fragments(int(ray_count), *arrays)
         return TrainingView(fragments, colors, self.store.read_reference(self.index))
+
+
+def fragment_files(store: ShardStore) -> ViewFiles:
+    """Return the files of fragments and their colors (F, D) float16 in the folder of `store`. They exist during refinement only."""
+    return ViewFiles(store.folder, "fragments")
 
 
 def refine_stored_views(
@@ -136,7 +115,7 @@ def refine_stored_views(
             yield Progress(SHADING_END * index / len(views), "Shading")
         return (yield from subprogress(refine_alpha(views, alpha, pbr_alpha, view_weights), SHADING_END, 1.0))
     finally:
-        FragmentFiles(views[0].store.folder).remove_all()
+        fragment_files(views[0].store).remove_all()
 
 
 def training_views(quads: QuadPolygons, texels: Texels, views: Sequence[OrthographicView], store: ShardStore) -> list[StoredTrainingView]:

@@ -1,7 +1,6 @@
 """Residual radiance: captured radiance without lobes, divided by the chromaticity. This is what the components represent."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -20,40 +19,24 @@ MIN_RESIDUAL, MIN_DOME_RESIDUAL = -1.0 / np.pi, -1.0  # a white surface that is 
 
 
 @dataclass(frozen=True)
-class ResidualFiles:
-    """The residuals in `folder`, one file per view. They exist during compression only."""
-
-    folder: Path
-
-    def write(self, view: int, visible: np.ndarray, residuals: np.ndarray) -> None:
-        """Write the residuals (M, L * 3) of the texels `visible` (M,) as half floats. Raises FileError."""
-        self._files.write(view, {"visible": visible, "residuals": to_half(residuals)})
-
-    def read(self, view: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return visible texels (M,) and residuals (M, L * 3) float16. Raises FileError."""
-        visible, residuals = self._files.read(view, "visible", "residuals")
-        return visible, residuals
-
-    def remove_all(self) -> None:
-        """Delete the residuals of all views."""
-        self._files.remove_all()
-
-    @property
-    def _files(self) -> ViewFiles:
-        return ViewFiles(self.folder, "residuals")
-
-
-@dataclass(frozen=True)
 class ResidualView:
     """The residuals of a view; see `als.ViewData`."""
 
-    files: ResidualFiles
+    files: ViewFiles
     view: int
 
     def read(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the visible texels (M,) and their residuals (M, L * 3) float32."""
-        visible, residuals = self.files.read(self.view)
+        """Return the visible texels (M,) and their residuals (M, L * 3) float32. Raises FileError."""
+        visible, residuals = self.files.read(self.view, "visible", "residuals")
         return visible, residuals.astype(np.float32)
+
+
+def residual_files(store: ShardStore) -> ViewFiles:
+    """Return the files of residuals in the folder of `store`: `visible` (M,) and `residuals` (M, L * 3) as half floats.
+
+    They exist during compression only.
+    """
+    return ViewFiles(store.folder, "residuals")
 
 
 def write_residuals(
@@ -64,7 +47,7 @@ def write_residuals(
     Residuals under `lobes` are clamped to MIN_RESIDUAL..MAX_RESIDUAL. Larger values are highlights that their lobe shows elsewhere; they
     are the largest of all and would use up the components.
     """
-    files = ResidualFiles(store.folder)
+    files = residual_files(store)
 
     def write_view(view: int) -> ResidualView:
         visible, values = RadianceView(store, view).read()
@@ -73,7 +56,8 @@ def write_residuals(
             values = values - lobes.radiance_on_grid(views.directions[view], suns, visible)
             values[:, :-1] = np.clip(values[:, :-1], MIN_RESIDUAL, MAX_RESIDUAL)
             values[:, -1] = np.clip(values[:, -1], MIN_DOME_RESIDUAL, MAX_DOME_RESIDUAL)
-        files.write(view, visible, (values / chromaticity[visible, None]).reshape(len(visible), 3 * values.shape[1]))
+        residuals = (values / chromaticity[visible, None]).reshape(len(visible), 3 * values.shape[1])
+        files.write(view, {"visible": visible, "residuals": to_half(residuals)})
         return ResidualView(files, view)
 
     residual_views = []

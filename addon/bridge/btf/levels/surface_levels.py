@@ -5,24 +5,24 @@ import itertools
 import bpy
 import numpy as np
 
-from ...core.billboards.texels import Texels
-from ...core.btf.reflectance.parallax import parallax_axes
-from ...core.btf.settings import BtfSettings
-from ...core.btf.surface_compression import SurfaceTextures, TwoSidedTexels
-from ...core.btf.tables import build_alpha_table
-from ...core.errors import GeometryError
-from ...core.imaging.metrics import decode_srgb
-from ..billboards.cloud_materials import COLOR, MAPS, NORMAL, SHADOWLESS_DISTANCE, SIDES, SOLID_ATTRIBUTE, map_label
-from ..billboards.level_maps import SHADOWLESS_ERRORS
-from ..billboards.level_objects import pbr_image, pbr_material, read_pbr_alpha, read_quad_flags
-from ..imaging.images import read_pixels
-from ..lod_crossfade import apply_to_materials
-from .clouds import remove_suns, replace_pbr_material
-from .materials import LAYOUT, VERSION
-from .nodes.parallax_nodes import write_texel_axes
-from .shared_parameters import Value
-from .surface_materials import DEFAULT_LIGHT_COVERAGE, SurfaceImages, build_surface_material, set_light_coverage
-from .texture_images import create_color_image, create_half_float_image, create_weight_images
+from ....core.billboards.texels import Texels
+from ....core.btf.reflectance.parallax import parallax_axes
+from ....core.btf.settings import BtfSettings
+from ....core.btf.surface_compression import SurfaceTextures, TwoSidedTexels
+from ....core.btf.tables import build_alpha_table
+from ....core.errors import GeometryError
+from ....core.imaging.metrics import decode_srgb
+from ...billboards.cloud_materials import COLOR, MAPS, NORMAL, SHADOWLESS_DISTANCE, SIDES, SOLID_ATTRIBUTE, map_label
+from ...billboards.level_maps import SHADOWLESS_ERRORS
+from ...billboards.level_objects import pbr_image, pbr_material, read_pbr_alpha, read_quad_flags
+from ...imaging.images import read_pixels
+from ...lod_crossfade import apply_to_materials
+from ..materials.emission_material import LAYOUT, VERSION
+from ..materials.nodes.parallax_nodes import write_texel_axes
+from ..materials.shared_parameters import Value
+from ..materials.surface_material import DEFAULT_LIGHT_COVERAGE, SurfaceImages, build_surface_material, set_light_coverage
+from ..materials.texture_images import create_color_image, create_half_float_image, create_weight_images
+from .emission_levels import remove_suns, replace_pbr_material
 
 
 def check_maps(level_object: bpy.types.Object) -> None:

@@ -6,24 +6,23 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ...core.billboards.texels import Texels
-from ...core.btf.compression import CompressedTextures
-from ...core.btf.factorization.factors import Factors
-from ...core.btf.factorization.lpca import LocalFactors
-from ...core.btf.reflectance.lobes import SCHLICK, Lobes, TexelSurface
-from ...core.btf.reflectance.parallax import ParallaxMap, parallax_axes
-from ...core.btf.reflectance.shadows import Shadows
-from ...core.btf.settings import BtfSettings
-from ...core.btf.tables import LookupTables, build_tables
-from ...core.imaging.images import decode_normals, dilate, nearest_known
-from ..billboards.cloud_materials import FRONT_COLOR, FRONT_NORMAL, FRONT_ROUGHNESS_METALLIC_DEPTH
-from ..billboards.level_objects import PBR_MATERIAL, pbr_image
-from ..imaging.images import read_pixels
-from ..lod_crossfade import apply_to_materials
-from ..objects import add_object_driver
-from ..rendering.transparent_bounces import ensure_transparent_bounces
-from .level_checks import PBR_LABELS
-from .materials import (
+from ....core.billboards.texels import Texels
+from ....core.btf.compression import CompressedTextures
+from ....core.btf.factorization.factors import Factors
+from ....core.btf.factorization.lpca import LocalFactors
+from ....core.btf.reflectance.lobes import SCHLICK, Lobes, TexelSurface
+from ....core.btf.reflectance.parallax import ParallaxMap, parallax_axes
+from ....core.btf.reflectance.shadows import Shadows
+from ....core.btf.settings import BtfSettings
+from ....core.btf.tables import LookupTables, build_tables
+from ....core.imaging.images import decode_normals, dilate, nearest_known
+from ...billboards.cloud_materials import FRONT_COLOR, FRONT_NORMAL, FRONT_ROUGHNESS_METALLIC_DEPTH
+from ...billboards.level_objects import PBR_MATERIAL, pbr_image
+from ...imaging.images import read_pixels
+from ...lod_crossfade import apply_to_materials
+from ...objects import add_object_driver
+from ...rendering.transparent_bounces import ensure_transparent_bounces
+from ..materials.emission_material import (
     AMBIENT,
     SUNS,
     BtfImages,
@@ -32,8 +31,9 @@ from .materials import (
     sun_direction_property,
     sun_node_labels,
 )
-from .nodes.parallax_nodes import write_texel_axes
-from .texture_images import DILATION_TEXELS, create_color_image, create_half_float_image, create_weight_images
+from ..materials.nodes.parallax_nodes import write_texel_axes
+from ..materials.texture_images import DILATION_TEXELS, create_color_image, create_half_float_image, create_weight_images
+from .level_checks import PBR_LABELS
 
 OTHER_TRANSPARENT_SURFACES = 8  # allowance for the rest of a scene
 

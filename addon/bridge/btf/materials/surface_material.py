@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import bpy
 
-from ...compat import enable_nodes
-from ...core.btf.tables import ViewTable
-from ..billboards.cloud_materials import (
+from ....compat import enable_nodes
+from ....core.btf.tables import ViewTable
+from ...billboards.cloud_materials import (
     COLOR,
     JOINED_ATTRIBUTE,
     MAPS,
@@ -24,9 +24,9 @@ from ..billboards.cloud_materials import (
     sample_map,
     set_two_sided,
 )
-from ..shading.node_builder import NodeBuilder, SocketOrValue
-from ..shading.node_groups import create_group
-from .materials import ALPHA_BASIS, ALPHA_WEIGHTS, EMISSION
+from ...shading.node_builder import NodeBuilder, SocketOrValue
+from ...shading.node_groups import create_group
+from .emission_material import ALPHA_BASIS, ALPHA_WEIGHTS, EMISSION
 from .nodes.parallax_nodes import depth_uv
 from .nodes.table_nodes import map_uv, sample_image, sample_weights, weighted_scalar_sum
 from .shared_parameters import Value, write_parameters

@@ -3,9 +3,9 @@
 import math
 from dataclasses import dataclass, fields
 
-from ....core.btf.reflectance.lobes import MIN_COSINE, MIN_FRESNEL_COSINE, MIN_ROUGHNESS, SCHLICK, GrazingFresnel
-from ...shading.node_builder import NodeBuilder, SocketOrValue
-from ...shading.node_groups import ensure_shared_group
+from .....core.btf.reflectance.lobes import MIN_COSINE, MIN_FRESNEL_COSINE, MIN_ROUGHNESS, SCHLICK, GrazingFresnel
+from ....shading.node_builder import NodeBuilder, SocketOrValue
+from ....shading.node_groups import ensure_shared_group
 
 GROUP_NAME, GROUP_VERSION = "Farfield Lobes", 3
 INPUTS = [  # the residual radiance, the Sun and its visibility, and a texel's lobes in the order of `TexelLobes`

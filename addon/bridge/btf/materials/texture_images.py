@@ -3,10 +3,10 @@
 import bpy
 import numpy as np
 
-from ...core.billboards.texels import Texels
-from ...core.btf.tables import pack_weights
-from ...core.imaging.images import dilate
-from ..imaging.images import create_image
+from ....core.billboards.texels import Texels
+from ....core.btf.tables import pack_weights
+from ....core.imaging.images import dilate
+from ...imaging.images import create_image
 
 DILATION_TEXELS = 3  # width of the margin around known texels
 

@@ -10,12 +10,12 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ...compat import set_file_format
-from ...core.btf.decoding import RelightableTexture
-from ...core.btf.formats.bonn_filenames import direction_names, format_direction_list, is_complete_exr
-from ...core.errors import FileError
-from ...core.jobs.progress import Progress, Steps
-from ..rendering.render_scene import RenderScene, render_scene
+from ....compat import set_file_format
+from ....core.btf.decoding import RelightableTexture
+from ....core.btf.formats.image_folders import direction_names, format_direction_list, is_complete_exr
+from ....core.errors import FileError
+from ....core.jobs.progress import Progress, Steps
+from ...rendering.render_scene import RenderScene, render_scene
 
 MAX_HALF_FLOAT = float(np.finfo(np.float16).max)
 

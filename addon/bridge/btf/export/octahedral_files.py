@@ -14,7 +14,7 @@ from ....core.jobs.progress import Steps
 from ...geometry.meshes import read_source
 from ...imaging.images import create_image
 from ...objects import temporarily_visible
-from .capture import capture_atlas
+from .octahedral_capture import capture_atlas
 
 METADATA_FILE = "octahedral_atlas.json"
 IMAGE_NAMES = {"color": "Color", "normal_height": "Normal and Height", "roughness_metallic": "Roughness and Metallic"}

@@ -5,10 +5,17 @@ from collections.abc import Callable, Iterator
 import bpy
 import numpy as np
 
-from ..billboards.atlas_meshes import AtlasPlacement, DrawnTriangles, compute_atlas_positions, create_atlas_mesh, find_drawn_triangles
-from ..geometry.meshes import Source
-from ..rendering.render_scene import RenderScene
-from ..shading.scene_space_nodes import required_attributes
+from ...billboards.atlas_meshes import (
+    AtlasPlacement,
+    DrawnTriangles,
+    add_atlas_mesh,
+    compute_atlas_positions,
+    copy_materials,
+    find_drawn_triangles,
+)
+from ...geometry.meshes import Source
+from ...rendering.render_scene import RenderScene
+from ...shading.material_channels import CaptureMaterial, build_capture_material
 
 
 def single_placement(center: np.ndarray, scale: float = 1.0) -> AtlasPlacement:
@@ -30,15 +37,19 @@ def add_proxies(
     count = sum(len(instance.mesh.triangles) for instance in source.instances) // source.triangles_per_primitive
     copies: dict[tuple, bpy.types.Material] = {}
     for drawn in find_drawn_triangles(source, np.arange(count), np.zeros(count, np.int64)):
-        color_layer = drawn.mesh.color if source.points is not None else ""
-        keys = [(material, color_layer) for material in drawn.mesh.materials]
-        for key in keys:
-            if key not in copies:
-                copies[key] = copy_material(None if key[0] is None else bpy.data.materials[key[0]], color_layer)
+        materials = copy_materials(source, drawn, copies, copy_material)
         world, placed = compute_atlas_positions(drawn, placement)
-        attributes = set().union(*(required_attributes(copies[key].node_tree) for key in keys))
-        mesh = work.own(create_atlas_mesh("Farfield Proxy", drawn, world, placed, np.zeros_like(world), placement, attributes))
-        for key in keys:
-            mesh.materials.append(copies[key])
-        work.add_object(mesh)
-        yield mesh, drawn
+        yield add_atlas_mesh(work, drawn, world, placed, np.zeros_like(world), placement, materials), drawn
+
+
+def add_channel_proxies(work: RenderScene, source: Source, placement: AtlasPlacement, error: float) -> list[CaptureMaterial]:
+    """Add proxies as `add_proxies` does, and return their materials, which emit channels. error: see `build_capture_material`."""
+    materials: list[CaptureMaterial] = []
+
+    def copy_material(original: bpy.types.Material | None, color_layer: str) -> bpy.types.Material:
+        materials.append(build_capture_material(original, color_layer, error, False, work))
+        return materials[-1].material
+
+    for _ in add_proxies(work, source, placement, copy_material):
+        pass
+    return materials

@@ -11,14 +11,14 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ...core.btf.capture.capture_spec import LevelCaptureSpec, load_capture_spec
-from ...core.btf.settings import BtfSettings
-from ...core.errors import FileError, GeometryError
-from ...core.files.complete_files import is_complete_blend
-from ...core.files.file_access import error_reason
-from ..billboards.source_objects import read_source_objects
-from ..geometry.meshes import Source
-from ..imaging.images import find_images, read_pixels
+from ....core.btf.capture.capture_spec import LevelCaptureSpec, load_capture_spec
+from ....core.btf.settings import BtfSettings
+from ....core.errors import FileError, GeometryError
+from ....core.files.complete_files import is_complete_blend
+from ....core.files.file_access import error_reason
+from ...billboards.source_objects import read_source_objects
+from ...geometry.meshes import Source
+from ...imaging.images import find_images, read_pixels
 
 BLEND_FILE, METADATA_FILE = "snapshot.blend", "snapshot.json"
 SCENE_PROPERTIES = ("frame_subframe", "use_gravity")

@@ -8,25 +8,25 @@ from pathlib import Path
 
 import numpy as np
 
-from ...core.btf.capture.capture_spec import LevelCaptureSpec
-from ...core.btf.capture.dispatch import Shard
-from ...core.btf.capture.observations import ID_BUFFER_SCALE, ViewRender, observe, visible_subsamples
-from ...core.btf.capture.reference_images import compute_reference_image, low_order_lights
-from ...core.btf.capture.shard_files import ViewFiles, encode_visibility, to_half
-from ...core.btf.capture.shards import ShardStore
-from ...core.errors import FarfieldError
-from ...core.geometry.cameras import OrthographicView
-from ...core.jobs.core_worker import EXIT_ERROR, encode_error
-from ...core.jobs.heartbeat import exit_when_run_ends
-from ..geometry.meshes import Source
-from ..shading.node_groups import has_emission
-from ..worker_processes import worker_command
-from . import capture
-from .capture import open_surface_renderer
+from ....core.btf.capture.capture_spec import LevelCaptureSpec
+from ....core.btf.capture.observations import ID_BUFFER_SCALE, ViewRender, observe, visible_subsamples
+from ....core.btf.capture.reference_images import compute_reference_image, low_order_lights
+from ....core.btf.capture.shard_files import ViewFiles, encode_visibility, to_half
+from ....core.btf.capture.shards import ShardStore
+from ....core.errors import FarfieldError
+from ....core.geometry.cameras import OrthographicView
+from ....core.jobs.core_worker import EXIT_ERROR, encode_error
+from ....core.jobs.dispatch import Shard
+from ....core.jobs.heartbeat import exit_when_run_ends
+from ...geometry.meshes import Source
+from ...shading.node_groups import has_emission
+from ...worker_processes import worker_command
+from . import source_renderers
 from .snapshot import Snapshot, open_snapshot, store_folder
+from .source_renderers import open_surface_renderer
 
 
-def shard_command(folder: Path, snapshot_folder: Path, shard: Shard, *, run_drivers: bool) -> list[str]:
+def shard_command(folder: Path, snapshot_folder: Path, shard: Shard[int], *, run_drivers: bool) -> list[str]:
     """Return the command line that captures a shard of the bake in `folder`.
 
     run_drivers: whether drivers in the snapshot may run any Python.
@@ -34,8 +34,8 @@ def shard_command(folder: Path, snapshot_folder: Path, shard: Shard, *, run_driv
     arguments = ["--folder", str(folder), "--snapshot", str(snapshot_folder), "--heartbeat", str(shard.heartbeat_file)]
     if run_drivers:
         arguments.append("--run-drivers")
-    arguments += ["--workers-per-machine", str(shard.workers_per_machine), "--views", *map(str, shard.views)]
-    return worker_command("addon.bridge.btf.worker", arguments)
+    arguments += ["--workers-per-machine", str(shard.workers_per_machine), "--views", *map(str, shard.items)]
+    return worker_command("addon.bridge.btf.capture.worker", arguments)
 
 
 def main(arguments: list[str]) -> int:
@@ -74,8 +74,8 @@ def _find_missing_views(snapshot: Snapshot, folder: Path, views: list[int]) -> l
     jobs: list[_ViewJob] = []
     for level, spec in enumerate(snapshot.specs):
         store = ShardStore(store_folder(folder, level))
-        all_views = capture.build_views(source, settings.view_grid, spec.texels.texel_size)
-        suns = [] if settings.shadow_grid is None else capture.build_views(source, settings.shadow_grid, spec.texels.texel_size)
+        all_views = source_renderers.build_views(source, settings.view_grid, spec.texels.texel_size)
+        suns = [] if settings.shadow_grid is None else source_renderers.build_views(source, settings.shadow_grid, spec.texels.texel_size)
         jobs += [
             _ViewJob(store, spec, index, all_views[index], suns[index :: len(all_views)]) for index in views if not store.exists(index)
         ]
@@ -85,12 +85,13 @@ def _find_missing_views(snapshot: Snapshot, folder: Path, views: list[int]) -> l
 def _capture_face_ids(snapshot: Snapshot, jobs: list["_ViewJob"], threads: int) -> list[tuple[list[np.ndarray], float]]:
     """Store the ID buffers of all views. Return per view the visibility of its Suns, and the render time in seconds."""
     source, visibility_and_seconds = snapshot.source, []
-    with capture.open_face_id_renderer(source, snapshot.settings, threads) as face_id_renderer:
+    with source_renderers.open_face_id_renderer(source, snapshot.settings, threads) as face_id_renderer:
         for job in jobs:
-            start = face_id_renderer.render_seconds
-            job.store.face_ids.write(job.index, face_id_renderer.render_face_ids(job.view.supersample(ID_BUFFER_SCALE)))
+            start = face_id_renderer.work.render_seconds
+            face_ids = face_id_renderer.render_face_ids(job.view.supersample(ID_BUFFER_SCALE))
+            job.store.face_ids.write(job.index, {"face_ids": face_ids}, compressed=True)
             visibility = [_sun_visibility(job.spec, source, sun, face_id_renderer.render_face_ids(sun)) for sun in job.suns]
-            visibility_and_seconds.append((visibility, face_id_renderer.render_seconds - start))
+            visibility_and_seconds.append((visibility, face_id_renderer.work.render_seconds - start))
     return visibility_and_seconds
 
 
@@ -99,11 +100,11 @@ def _capture_lit_views(
 ) -> None:
     """Capture all views under every light of the model *emission*."""
     source, settings = snapshot.source, snapshot.settings
-    with capture.open_radiance_renderer(snapshot.objects, source, settings, threads) as radiance_renderer:
+    with source_renderers.open_radiance_renderer(snapshot.objects, source, settings, threads) as radiance_renderer:
         for job, (visibility, seconds) in zip(jobs, visibility_and_seconds, strict=True):
-            start = radiance_renderer.render_seconds
-            render = radiance_renderer.render_view(job.view, job.store.face_ids.read(job.index))
-            job.write(render, low_order_lights(settings.light_grid), visibility, seconds + radiance_renderer.render_seconds - start)
+            start = radiance_renderer.work.render_seconds
+            render = radiance_renderer.render_view(job.view, job.read_face_ids())
+            job.write(render, low_order_lights(settings.light_grid), visibility, seconds + radiance_renderer.work.render_seconds - start)
 
 
 def _capture_surface_views(
@@ -114,12 +115,11 @@ def _capture_surface_views(
     emission_seconds = _capture_emission(snapshot, jobs, threads)
     with open_surface_renderer(source, settings, threads) as renderer:
         for job, (visibility, seconds), more_seconds in zip(jobs, visibility_and_seconds, emission_seconds, strict=True):
-            start = renderer.render_seconds
+            start = renderer.work.render_seconds
             emission = job.emission_files.read(job.index, "emission")[0].astype(np.float32) if more_seconds else None
-            render = renderer.render_view(job.view, job.store.face_ids.read(job.index), emission)
-            job.write(
-                render, np.eye(len(render.radiance), dtype=np.float32), visibility, seconds + more_seconds + renderer.render_seconds - start
-            )
+            render = renderer.render_view(job.view, job.read_face_ids(), emission)
+            seconds += more_seconds + renderer.work.render_seconds - start
+            job.write(render, np.eye(len(render.radiance), dtype=np.float32), visibility, seconds)
             job.emission_files.remove(job.index)
 
 
@@ -128,11 +128,11 @@ def _capture_emission(snapshot: Snapshot, jobs: list["_ViewJob"], threads: int) 
     seconds = [0.0] * len(jobs)
     if not has_emission(snapshot.source.materials):
         return seconds
-    with capture.open_radiance_renderer(snapshot.objects, snapshot.source, snapshot.settings, threads) as renderer:
+    with source_renderers.open_radiance_renderer(snapshot.objects, snapshot.source, snapshot.settings, threads) as renderer:
         for index, job in enumerate(jobs):
-            start = renderer.render_seconds
+            start = renderer.work.render_seconds
             job.emission_files.write(job.index, {"emission": to_half(renderer.render_emission(job.view))})
-            seconds[index] = renderer.render_seconds - start
+            seconds[index] = renderer.work.render_seconds - start
     return seconds
 
 
@@ -146,6 +146,10 @@ class _ViewJob:
     view: OrthographicView
     suns: list[OrthographicView]
 
+    def read_face_ids(self) -> np.ndarray:
+        """Return the ID buffer (H, W) int32 of the view."""
+        return self.store.face_ids.read(self.index, "face_ids")[0]
+
     @property
     def emission_files(self) -> ViewFiles:
         """The emission of unfinished views."""
@@ -158,5 +162,5 @@ class _ViewJob:
 
 
 def _sun_visibility(spec: LevelCaptureSpec, source: Source, sun: OrthographicView, face_ids: np.ndarray) -> np.ndarray:
-    heights = capture.compute_heights(source, sun, face_ids)
+    heights = source_renderers.compute_heights(source, sun, face_ids)
     return encode_visibility(*visible_subsamples(spec.texels, sun, face_ids, heights, spec.quad_faces, spec.error))

@@ -7,23 +7,21 @@ import bpy
 import idprop
 import numpy as np
 
-from ...core.btf.decoding import RelightableTexture
-from ...core.btf.factorization.factors import Factors
-from ...core.btf.factorization.lpca import LocalFactors
-from ...core.btf.reflectance.lobes import SCHLICK, GrazingFresnel, Lobes, TexelSurface
-from ...core.btf.reflectance.parallax import ParallaxMap
-from ...core.btf.reflectance.shadows import Shadows
-from ...core.btf.settings import EMISSION as EMISSION_MODEL
-from ...core.btf.tables import unpack_color_basis, unpack_scalar_basis, unpack_weights
-from ...core.errors import GeometryError
-from ...core.geometry.direction_grids import DirectionGrid
-from ...core.imaging.images import decode_normals
-from ..billboards.level_objects import read_level_texels
-from ..imaging.images import read_pixels
-from ..shading.node_groups import nodes_in
-from .clouds import build_parallax_map
-from .level_checks import check_quads
-from .materials import (
+from ....core.btf.decoding import RelightableTexture
+from ....core.btf.factorization.factors import Factors
+from ....core.btf.factorization.lpca import LocalFactors
+from ....core.btf.reflectance.lobes import SCHLICK, GrazingFresnel, Lobes, TexelSurface
+from ....core.btf.reflectance.parallax import ParallaxMap
+from ....core.btf.reflectance.shadows import Shadows
+from ....core.btf.settings import EMISSION as EMISSION_MODEL
+from ....core.btf.tables import unpack_color_basis, unpack_scalar_basis, unpack_weights
+from ....core.errors import GeometryError
+from ....core.geometry.direction_grids import DirectionGrid
+from ....core.imaging.images import decode_normals
+from ...billboards.level_objects import read_level_texels
+from ...imaging.images import read_pixels
+from ...shading.node_groups import nodes_in
+from ..materials.emission_material import (
     ALPHA_BASIS,
     ALPHA_WEIGHTS,
     CHROMATICITY,
@@ -39,9 +37,11 @@ from .materials import (
     VERSION,
     WEIGHTS,
 )
-from .nodes.parallax_nodes import DEPTH
-from .nodes.radiance_nodes import BASIS
-from .nodes.shadow_nodes import SHADOW_BASIS, SHADOW_WEIGHTS
+from ..materials.nodes.parallax_nodes import DEPTH
+from ..materials.nodes.radiance_nodes import BASIS
+from ..materials.nodes.shadow_nodes import SHADOW_BASIS, SHADOW_WEIGHTS
+from .emission_levels import build_parallax_map
+from .level_checks import check_quads
 
 
 def read_relightable_texture(level_object: bpy.types.Object) -> RelightableTexture:

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import bpy
 
-from ...compat import enable_nodes
-from ...core.btf.reflectance.lobes import GrazingFresnel
-from ...core.btf.tables import LookupTables
-from ..billboards.cloud_materials import set_two_sided
-from ..shading.node_builder import NodeBuilder, SocketOrValue
+from ....compat import enable_nodes
+from ....core.btf.reflectance.lobes import GrazingFresnel
+from ....core.btf.tables import LookupTables
+from ...billboards.cloud_materials import set_two_sided
+from ...shading.node_builder import NodeBuilder, SocketOrValue
 from .nodes.lobe_nodes import TexelLobes, add_dome_response, add_sun_response, decode_facing_normal
 from .nodes.parallax_nodes import parallax_uv
 from .nodes.radiance_nodes import build_sun_group

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import bpy
 import numpy as np
 
-from ....core.btf.reflectance.parallax import MAX_OFFSET, MIN_COSINE
-from ...geometry.mesh_arrays import write_attribute
-from ...shading.node_builder import NodeBuilder, SocketOrValue
+from .....core.btf.reflectance.parallax import MAX_OFFSET, MIN_COSINE
+from ....geometry.mesh_arrays import write_attribute
+from ....shading.node_builder import NodeBuilder, SocketOrValue
 from .table_nodes import sample_image
 
 TEXEL_AXES = ("farfield_texel_x", "farfield_texel_y")  # face attributes of a level

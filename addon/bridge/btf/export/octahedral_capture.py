@@ -21,9 +21,9 @@ from ...geometry.meshes import Source
 from ...imaging.images import check_images
 from ...rendering.cycles_renders import prepare_channel_render
 from ...rendering.render_scene import RenderScene, render_scene
-from ...shading.material_channels import CHANNELS, CaptureMaterial, build_capture_material
+from ...shading.material_channels import CHANNELS, CaptureMaterial
 from ...shading.node_builder import NodeBuilder
-from ..proxies import add_proxies, single_placement
+from ..capture.proxies import add_channel_proxies, single_placement
 
 MIN_UNSCALED_LENGTH, MAX_UNSCALED_LENGTH = 1e-3, 1e3  # half sides that single precision and camera clipping handle without scaling
 POSITION = "position"
@@ -122,17 +122,10 @@ def _open_frame_renderer(source: Source, atlas: OctahedralAtlas) -> Iterator[_Fr
     half_side = atlas.half_side / unit
     pixel_size = 2.0 * half_side / atlas.frame_resolution
     views = [replace(atlas.view(index), center=np.zeros(3), pixel_size=pixel_size) for index in range(len(atlas.grid))]
-    materials: list[_ProxyMaterial] = []
     with render_scene("Farfield Octahedral") as work:
         prepare_channel_render(work.scene, atlas.frame_resolution, atlas.frame_resolution, seed=0)
-
-        def copy_material(original: bpy.types.Material | None, color_layer: str) -> bpy.types.Material:
-            materials.append(_proxy_material(build_capture_material(original, color_layer, half_side, False, work), half_side))
-            return materials[-1].capture.material
-
-        for _ in add_proxies(work, source, single_placement(atlas.center, 1.0 / unit), copy_material):
-            pass
-        yield _FrameRenderer(work, materials, views)
+        captures = add_channel_proxies(work, source, single_placement(atlas.center, 1.0 / unit), half_side)
+        yield _FrameRenderer(work, [_proxy_material(capture, half_side) for capture in captures], views)
 
 
 def _proxy_material(capture: CaptureMaterial, half_side: float) -> _ProxyMaterial:

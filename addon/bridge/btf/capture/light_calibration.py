@@ -12,17 +12,17 @@ from dataclasses import replace
 import bpy
 import numpy as np
 
-from ...core.geometry.cameras import OrthographicView
-from ...core.imaging.metrics import composite_over_gray
-from ...core.jobs.progress import Progress, Steps
-from ..billboards.cloud_materials import JOINED_ATTRIBUTE
-from ..billboards.level_objects import read_quad_flags
-from ..cameras import light_matrix, set_camera_view
-from ..geometry.mesh_arrays import read_positions
-from ..lod_crossfade import CROSSFADE, MAX_PIXEL, MIN_PIXEL, MIN_RANGE, PIXEL_SIZE
-from ..rendering.cycles_renders import MAX_TRANSPARENT_BOUNCES, prepare_cycles
-from ..rendering.render_scene import RenderScene, render_scene
-from .surface_materials import DEFAULT_LIGHT_COVERAGE, set_light_coverage
+from ....core.geometry.cameras import OrthographicView
+from ....core.imaging.metrics import composite_over_gray
+from ....core.jobs.progress import Progress, Steps
+from ...billboards.cloud_materials import JOINED_ATTRIBUTE
+from ...billboards.level_objects import read_quad_flags
+from ...cameras import light_matrix, set_camera_view
+from ...geometry.mesh_arrays import read_positions
+from ...lod_crossfade import CROSSFADE, MAX_PIXEL, MIN_PIXEL, MIN_RANGE, PIXEL_SIZE
+from ...rendering.cycles_renders import MAX_TRANSPARENT_BOUNCES, prepare_cycles
+from ...rendering.render_scene import RenderScene, render_scene
+from ..materials.surface_material import DEFAULT_LIGHT_COVERAGE, set_light_coverage
 
 CANDIDATES = (0.0, 0.5, 1.0)
 PAIR_COUNT = 3  # of view and Sun

@@ -1,7 +1,8 @@
 """Capture of a cloud's source with Cycles: face IDs per view, radiance per view and light, or color and normal without light.
 
 The model *emission* needs the radiance, the model *surface* the colors and normals. Face IDs are rendered from proxies whose faces emit
-their own index, with holes where their materials are transparent.
+their own index, with holes where their materials are transparent. Open one renderer after the other, never two at once: between renders
+Blender keeps the data of only one scene.
 """
 
 from collections.abc import Iterator, Sequence
@@ -10,21 +11,21 @@ from contextlib import contextmanager
 import bpy
 import numpy as np
 
-from ...core.btf.capture.observations import ID_BUFFER_SCALE, ViewRender
-from ...core.btf.estimate import image_resolution
-from ...core.btf.reflectance.disc_lights import disc_radius
-from ...core.btf.settings import BtfSettings
-from ...core.geometry.cameras import OrthographicView
-from ...core.geometry.direction_grids import DirectionGrid
-from ..cameras import light_matrix, set_camera_view
-from ..geometry.mesh_arrays import write_attribute
-from ..geometry.meshes import Source
-from ..rendering.cycles_renders import prepare_channel_render, prepare_cycles
-from ..rendering.render_scene import RenderScene, render_scene
-from ..shading.node_groups import has_emission
-from ..shading.material_channels import CaptureMaterial, build_capture_material
-from ..shading.node_builder import NodeBuilder
-from .proxies import add_proxies, single_placement
+from ....core.btf.capture.observations import ID_BUFFER_SCALE, ViewRender
+from ....core.btf.estimate import image_resolution
+from ....core.btf.reflectance.disc_lights import disc_radius
+from ....core.btf.settings import BtfSettings
+from ....core.geometry.cameras import OrthographicView
+from ....core.geometry.direction_grids import DirectionGrid
+from ...cameras import light_matrix, set_camera_view
+from ...geometry.mesh_arrays import write_attribute
+from ...geometry.meshes import Source
+from ...rendering.cycles_renders import prepare_channel_render, prepare_cycles
+from ...rendering.render_scene import RenderScene, render_scene
+from ...shading.material_channels import CaptureMaterial, build_capture_material
+from ...shading.node_builder import NodeBuilder
+from ...shading.node_groups import has_emission
+from .proxies import add_channel_proxies, add_proxies, single_placement
 
 MAX_TRANSPARENT_BOUNCES = 256
 MIN_FILTER_WIDTH = 0.01  # pixels: the narrowest filter of Cycles
@@ -37,34 +38,24 @@ class FaceIdRenderer:
     """Renders the face IDs of a source from any view."""
 
     def __init__(self, work: RenderScene) -> None:
-        self._work = work
-
-    @property
-    def render_seconds(self) -> float:
-        """Total time of all Cycles renders so far."""
-        return self._work.render_seconds
+        self.work = work
 
     def render_face_ids(self, view: OrthographicView) -> np.ndarray:
         """Return the face ID (H, W) int32 at the center of every pixel of `view`, -1 for none."""
-        set_camera_view(self._work.scene, view)
-        return decode_face_ids(self._work.render())
+        set_camera_view(self.work.scene, view)
+        return decode_face_ids(self.work.render())
 
 
 class RadianceRenderer:
     """Renders the source objects from any view, under one Sun light or uniform World lighting."""
 
     def __init__(self, work: RenderScene, source: Source, settings: BtfSettings) -> None:
-        self._work, self._source, self._settings = work, source, settings
+        self.work, self._source, self._settings = work, source, settings
         light = work.own(bpy.data.lights.new("Farfield Sun", "SUN"))
         light.energy, light.angle = 1.0, sun_angle(settings)
         self._sun = work.add_object(light)
         self._black_world, self._white_world = (work.add_world(radiance) for radiance in (0.0, 1.0))
         self._has_emission = has_emission(source.materials)
-
-    @property
-    def render_seconds(self) -> float:
-        """Total time of all Cycles renders so far."""
-        return self._work.render_seconds
 
     def render_view(self, view: OrthographicView, face_ids: np.ndarray) -> ViewRender:
         """Render one view under every Sun direction of the light grid, and last under uniform World lighting.
@@ -74,16 +65,16 @@ class RadianceRenderer:
         face_ids: of this view, as `ViewRender.face_ids`.
         """
         sun_directions = self._settings.light_grid.directions
-        set_camera_view(self._work.scene, view)
+        set_camera_view(self.work.scene, view)
         radiance = np.empty((len(sun_directions) + 1, view.resolution, view.resolution, 3), np.float32)
         coverage = np.zeros((view.resolution, view.resolution), np.float32)
-        self._work.scene.world, self._sun.hide_render = self._black_world, False
+        self.work.scene.world, self._sun.hide_render = self._black_world, False
         for index in range(len(sun_directions) + 1):
             if index < len(sun_directions):
                 self._sun.matrix_world = light_matrix(sun_directions[index])
             else:
-                self._work.scene.world, self._sun.hide_render = self._white_world, True
-            render = self._work.render()
+                self.work.scene.world, self._sun.hide_render = self._white_world, True
+            render = self.work.render()
             radiance[index] = render[..., :3]
             coverage += render[..., 3] / (len(sun_directions) + 1)
         emission = None
@@ -95,28 +86,23 @@ class RadianceRenderer:
 
     def render_emission(self, view: OrthographicView) -> np.ndarray:
         """Render the emitted radiance (H, W, 3) float32 of the source, premultiplied, from one view."""
-        set_camera_view(self._work.scene, view)
-        self._work.scene.world, self._sun.hide_render = self._black_world, True
-        return self._work.render()[..., :3]
+        set_camera_view(self.work.scene, view)
+        self.work.scene.world, self._sun.hide_render = self._black_world, True
+        return self.work.render()[..., :3]
 
 
 class SurfaceRenderer:
     """Renders color, coverage and normal of a source from any view."""
 
     def __init__(self, work: RenderScene, source: Source, materials: Sequence[CaptureMaterial], settings: BtfSettings) -> None:
-        self._work, self._source, self._materials, self._settings = work, source, materials, settings
-
-    @property
-    def render_seconds(self) -> float:
-        """Total time of all Cycles renders so far."""
-        return self._work.render_seconds
+        self.work, self._source, self._materials, self._settings = work, source, materials, settings
 
     def render_view(self, view: OrthographicView, face_ids: np.ndarray, emission: np.ndarray | None) -> ViewRender:
         """Render one view. Its images are color and world-space normal, encoded in 0..1; both are premultiplied.
 
         face_ids, emission: of this view, as in `ViewRender`.
         """
-        set_camera_view(self._work.scene, view)
+        set_camera_view(self.work.scene, view)
         color = self._render_channel("color", self._settings.silhouette_samples)
         normal = self._render_channel("normal", self._settings.normal_samples)
         # Both must be premultiplied by the same coverage, but the one of fewer samples is noisier.
@@ -125,10 +111,10 @@ class SurfaceRenderer:
         return ViewRender(np.stack([color[..., :3], normal[..., :3]]), color[..., 3], face_ids, heights, emission)
 
     def _render_channel(self, channel: str, samples: int) -> np.ndarray:
-        self._work.scene.cycles.samples = samples
+        self.work.scene.cycles.samples = samples
         for material in self._materials:
             material.emit(channel)
-        return self._work.render()
+        return self.work.render()
 
 
 def compute_heights(source: Source, view: OrthographicView, face_ids: np.ndarray) -> np.ndarray:
@@ -197,19 +183,11 @@ def open_radiance_renderer(
 
 @contextmanager
 def open_surface_renderer(source: Source, settings: BtfSettings, threads: int) -> Iterator[SurfaceRenderer]:
-    """Open a renderer for `source` that uses `threads` threads. It leaves nothing behind. No other renderer may be open, see `capture`."""
-    materials: list[CaptureMaterial] = []
+    """Open a renderer for `source` that uses `threads` threads. It leaves nothing behind."""
     with render_scene("Farfield Surface") as work:
         prepare_channel_render(work.scene, 1, 1, settings.seed)
         work.scene.render.threads_mode, work.scene.render.threads = "FIXED", threads
-
-        def copy_material(original: bpy.types.Material | None, color_layer: str) -> bpy.types.Material:
-            materials.append(build_capture_material(original, color_layer, 1.0, False, work))
-            return materials[-1].material
-
-        for _ in add_proxies(work, source, single_placement(np.zeros(3)), copy_material):
-            pass
-        yield SurfaceRenderer(work, source, materials, settings)
+        yield SurfaceRenderer(work, source, add_channel_proxies(work, source, single_placement(np.zeros(3)), 1.0), settings)
 
 
 def sun_angle(settings: BtfSettings) -> float:
@@ -242,6 +220,3 @@ def _prepare_scene(work: RenderScene, settings: BtfSettings, threads: int) -> No
     scene.render.threads_mode, scene.render.threads = "FIXED", threads
     scene.cycles.seed = settings.seed
     scene.cycles.pixel_filter_type = "BOX"
-
-
-# Open one renderer after the other, never both at once: between renders Blender keeps the data of only one scene.

@@ -6,14 +6,14 @@ from numbers import Real
 import bpy
 import numpy as np
 
-from ...core.billboards.texels import QuadPolygons
-from ...core.btf.settings import MAX_IMAGE_SIDE
-from ...core.errors import GeometryError
-from ..billboards import clouds
-from ..billboards.cloud_materials import FRONT_COLOR, FRONT_NORMAL, FRONT_ROUGHNESS_METALLIC_DEPTH
-from ..billboards.level_objects import built_center, pbr_image, read_level_quads
-from ..billboards.scene_clouds import SceneCloud
-from ..geometry.meshes import Source
+from ....core.billboards.texels import QuadPolygons
+from ....core.btf.settings import MAX_IMAGE_SIDE
+from ....core.errors import GeometryError
+from ...billboards import clouds
+from ...billboards.cloud_materials import FRONT_COLOR, FRONT_NORMAL, FRONT_ROUGHNESS_METALLIC_DEPTH
+from ...billboards.level_objects import built_center, pbr_image, read_level_quads
+from ...billboards.scene_clouds import SceneCloud
+from ...geometry.meshes import Source
 
 PBR_LABELS = (FRONT_COLOR, FRONT_NORMAL, FRONT_ROUGHNESS_METALLIC_DEPTH)
 MAX_UV_EXCESS = 1e-3  # beyond 0..1
