@@ -9,12 +9,7 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
-from texmesh_textured_models import open_textured
-
-from farfield.addon.core.imaging.coded_images import encode
-from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
-from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.packages.textures.fragments import (
+from sending.fragments import (
     DEFAULT_TOLERANCE,
     FRAGMENT_UNIT,
     CodedFragments,
@@ -26,6 +21,11 @@ from farfield.addon.core.packages.textures.fragments import (
     quality_of_scale,
     tabulate_sizes,
 )
+from texmesh_textured_models import open_textured
+
+from farfield.addon.core.imaging.coded_images import encode
+from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
+from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.scale_space.analysis import analyze_scale_space
 from farfield.addon.core.texmesh.scale_space.scale_map import SCALES
 from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings

@@ -107,7 +107,7 @@ def measure_model(mesh: TexturedMesh) -> dict[str, Any]:
     decode_level(content, manifest, len(levels) - 1)
     decoded = time.process_time()
     nothing = np.zeros(0, np.int32)
-    alone = order_mesh(mesh, [], Simplification((), nothing, nothing, nothing, np.zeros(0)))
+    alone = order_mesh(mesh, [], Simplification((), nothing, nothing, np.zeros(0)))
     alone_size = len(encode_mesh(alone, (0.0,), material_count)[0])
     names = ("corners", "wedges", "parents", "positions", "uvs")
     with temporary_folder() as folder:

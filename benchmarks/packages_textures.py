@@ -14,15 +14,7 @@ import numpy as np
 import texmesh_models
 import texmesh_textured_models
 from PIL import Image
-from texmesh_texture_views import VIEWS, TextureJudge, list_left_out, list_members, random_directions
-
-from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
-from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.packages.increments import encode_increments
-from farfield.addon.core.packages.textures.avif_files import SPEED
-from farfield.addon.core.packages.textures.building import BuiltTextures, build_textures
-from farfield.addon.core.packages.textures.decoding import decode_textures
-from farfield.addon.core.packages.textures.fragments import (
+from sending.fragments import (
     CodedFragments,
     FragmentMap,
     assign_qualities,
@@ -31,6 +23,14 @@ from farfield.addon.core.packages.textures.fragments import (
     normalize_counts,
     quality_of_scale,
 )
+from texmesh_texture_views import VIEWS, TextureJudge, list_left_out, list_members, random_directions
+
+from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
+from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.packages.increments import encode_increments
+from farfield.addon.core.packages.textures.avif_files import SPEED
+from farfield.addon.core.packages.textures.building import BuiltTextures, build_textures
+from farfield.addon.core.packages.textures.decoding import decode_textures
 from farfield.addon.core.packages.textures.settings import TextureSettings
 from farfield.addon.core.packages.textures.texture_tiles import TextureSource
 from farfield.addon.core.texmesh.scale_space.analysis import analyze_scale_space

@@ -5,8 +5,8 @@ from scipy.spatial import cKDTree
 
 from farfield.addon.core.geometry.edges import find_edges
 from farfield.addon.core.geometry.mesh import TriangleMesh
-from farfield.addon.core.texmesh.simplification.islands import find_islands
 from farfield.addon.core.texmesh.simplification.levels import SubsetLevel
+from farfield.addon.core.texmesh.simplification.topology import find_islands
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 
 

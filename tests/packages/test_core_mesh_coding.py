@@ -8,7 +8,7 @@ from reference.mesh_decoding import decode_level, dequantize
 
 from farfield.addon.core.errors import FileError, GeometryError
 from farfield.addon.core.packages.mesh.coding import encode_mesh, quantize
-from farfield.addon.core.packages.mesh.order import find_records, order_mesh
+from farfield.addon.core.packages.mesh.order import order_mesh
 from farfield.addon.core.packages.mesh.traversal import find_opposite_halfedges, traverse
 from farfield.addon.core.texmesh.simplification.levels import Simplification, SubsetLevel
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
@@ -92,18 +92,6 @@ def test_moving_vertices_to_their_parents_gives_the_coarser_level():
         )
 
 
-def test_records_insert_vertices_next_to_those_that_are_there():
-    mesh = torus()
-    result, ordered = order_with_levels(mesh)
-    records = find_records(mesh, ordered, result)
-    present = set(range(ordered.levels[0].vertex_count))
-    for inserted, neighbor in zip(records.inserted.tolist(), records.neighbors.tolist(), strict=True):
-        assert neighbor in present and inserted not in present
-        present.add(inserted)
-    assert present == set(range(len(mesh.vertices)))
-    np.testing.assert_array_equal(records.texels, mesh.uvs[result.removed_wedges[::-1]][-len(records.texels) :])
-
-
 def test_wedges_that_differ_in_attributes_only_are_one():
     mesh = plane(3, 3)
     doubled = TexturedMesh(**vars(mesh) | {"attributes": np.zeros((2 * len(mesh.uvs), 1), np.float32)})
@@ -114,7 +102,7 @@ def test_wedges_that_differ_in_attributes_only_are_one():
         | {"wedge_triangles": triangles, "uvs": np.tile(mesh.uvs, (2, 1)), "wedge_vertices": np.tile(mesh.wedge_vertices, 2)},
     )
     nothing = np.zeros(0, np.int32)
-    ordered = order_mesh(doubled, [], Simplification((), nothing, nothing, nothing, np.zeros(0)))
+    ordered = order_mesh(doubled, [], Simplification((), nothing, nothing, np.zeros(0)))
     assert len(ordered.uvs) == len(mesh.uvs)
 
 
@@ -122,7 +110,7 @@ def test_a_level_may_add_nothing():
     mesh = plane(3, 3)
     nothing = np.zeros(0, np.int32)
     same = [fine_level(mesh), fine_level(mesh)]
-    ordered = order_mesh(mesh, same, Simplification(tuple(same), nothing, nothing, nothing, np.zeros(0)))
+    ordered = order_mesh(mesh, same, Simplification(tuple(same), nothing, nothing, np.zeros(0)))
     content, manifest = pack(ordered, 1)
     levels = [decode_level(content, manifest, index) for index in range(3)]
     for level in levels[1:]:
@@ -135,7 +123,7 @@ def test_levels_without_triangles_are_refused():
     nothing = np.zeros(0, np.int32)
     empty = SubsetLevel(np.zeros((0, 3), np.int32), np.zeros((0, 3), np.int32), nothing, 0, "", ())
     with pytest.raises(GeometryError, match="no triangles"):
-        order_mesh(mesh, [empty], Simplification((empty,), nothing, nothing, nothing, np.zeros(0)))
+        order_mesh(mesh, [empty], Simplification((empty,), nothing, nothing, np.zeros(0)))
 
 
 def test_a_traversal_visits_each_triangle_once_and_mostly_along_the_border():

@@ -224,19 +224,6 @@ def test_gray_textures_have_one_component():
     assert (np.ptp(decode_textures(built.textures, built.increments, built.content)[0].astype(int), axis=2) == 0).all()
 
 
-def test_tiles_with_features_come_earlier():
-    source = make_source()
-    x = source.mesh.vertices[:, 0]
-    scales = np.where(x > 0.7 * x.max(), 20, 0).astype(np.int8)  # in the second column of tiles, not in the first
-    ranks = []
-    for weight in (0.0, 10.0):
-        built = run_to_end(build_textures([replace(source, feature_scales=scales)], replace(SETTINGS, feature_weight=weight)))
-        firsts = built.increments.firsts[built.increments.tiles < 9]
-        is_featured = built.increments.tiles[built.increments.tiles < 9] % 3 == 1
-        ranks.append(firsts[is_featured].mean() - firsts[~is_featured].mean())
-    assert ranks[1] < ranks[0]
-
-
 def test_visibility_counts_all_pixels():
     source = make_source()
     grid = TileGrid(90, 70, 32)

@@ -13,16 +13,12 @@ from farfield.addon.bridge.packages.sources import read_package_source
 from farfield.addon.core.errors import FileError, SettingsError
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.packages.files import LEVELS_GLB, read_package, read_page
-from farfield.addon.core.packages.increments import decode_increments
 from farfield.addon.core.packages.manifest import MANIFEST, MESH, TEXTURES
 from farfield.addon.core.packages.package import build_package
 from farfield.addon.core.packages.settings import PackageSettings
 from farfield.addon.core.packages.textures.decoding import decode_textures
-from farfield.addon.core.packages.textures.fragments import count_features
-from farfield.addon.core.packages.textures.texture_tiles import TileGrid
 from farfield.addon.core.texmesh.level_chain import AllSettings
 from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
-from farfield.addon.core.texmesh.scale_space.analysis import analyze_scale_space
 from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
 from farfield.addon.core.texmesh.settings import LevelSettings
 from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
@@ -173,20 +169,3 @@ def test_the_same_source_gives_the_same_bytes():
     source = read_package_source(textured_ball(8), bpy.context.evaluated_depsgraph_get())
     first, second = build(source), build(source)
     assert first.manifest == second.manifest and first.contents == second.contents
-
-
-def test_parts_of_textures_with_features_of_the_surface_can_come_earlier():
-    source = read_package_source(textured_ball(8), bpy.context.evaluated_depsgraph_get())
-    mesh, images = source.mesh, source.materials[0].images
-    images["base_color"] = images["base_color"].repeat(4, axis=0).repeat(4, axis=1)
-    scales = run_to_end(analyze_scale_space(mesh, source.textures, ScaleSpaceSettings())).last_scales
-    counts = count_features(mesh, (0,), scales, TileGrid(128, 128, 32)).counts[1:].sum(axis=0).ravel()
-    ranks = []
-    for weight in (0.0, 10.0):
-        package = build(source, feature_weight=weight, tile_size=32, pixels=128)
-        content, manifest = package.contents[TEXTURES], package.manifest
-        increments = decode_increments(content[: manifest.increments.size], manifest)
-        is_finest = increments.tiles < 16
-        has_many = counts[increments.tiles[is_finest]] > np.median(counts)
-        ranks.append(increments.firsts[is_finest][has_many].mean() - increments.firsts[is_finest][~has_many].mean())
-    assert ranks[1] < ranks[0]

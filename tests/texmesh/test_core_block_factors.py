@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from farfield.addon.core.texmesh.refitting.block_factors import factorize_blocks
+from farfield.addon.core.texmesh.refitting.least_squares import factorize_blocks
 
 
 @pytest.mark.parametrize("size", [1, 3, 5])

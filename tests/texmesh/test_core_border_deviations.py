@@ -7,16 +7,14 @@ from farfield.addon.core.geometry.edges import find_edges, halfedge_ends
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.refitting.border_curves import find_border_curves, find_border_halfedges
-from farfield.addon.core.texmesh.refitting.border_deviations import BorderDeviations
-from farfield.addon.core.texmesh.refitting.deviation_quadrics import DeviationQuadrics
+from farfield.addon.core.texmesh.refitting.correspondence import sample_surface
+from farfield.addon.core.texmesh.refitting.deviation_quadrics import BorderDeviations, DeviationQuadrics
 from farfield.addon.core.texmesh.refitting.edge_splits import split_far_edges
-from farfield.addon.core.texmesh.refitting.fine_surface import FineSurface
 from farfield.addon.core.texmesh.refitting.level_state import attach
-from farfield.addon.core.texmesh.refitting.outliers import measure_distances
-from farfield.addon.core.texmesh.refitting.sampling import sample_surface
-from farfield.addon.core.texmesh.simplification.islands import find_islands
+from farfield.addon.core.texmesh.refitting.outliers import FineSurface, measure_distances
 from farfield.addon.core.texmesh.simplification.levels import extract_level, simplify_by_cost
 from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
+from farfield.addon.core.texmesh.simplification.topology import find_islands
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 from tests.shapes import sheet
 

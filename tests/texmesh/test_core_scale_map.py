@@ -8,9 +8,8 @@ from hypothesis import strategies as st
 import shapes
 from farfield.addon.core.geometry.mesh import TriangleMesh, concatenate
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.texmesh.scale_space.analysis import analyze_scale_space
-from farfield.addon.core.texmesh.scale_space.feature_spacing import rank_coverage, thin_features
-from farfield.addon.core.texmesh.scale_space.lightness import encode_lightness, sample_lightness
+from farfield.addon.core.texmesh.scale_space.analysis import analyze_scale_space, encode_lightness, sample_lightness
+from farfield.addon.core.texmesh.scale_space.feature_tracing import rank_coverage, thin_features
 from farfield.addon.core.texmesh.scale_space.scale_map import SCALES, ScaleMap, records
 from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh

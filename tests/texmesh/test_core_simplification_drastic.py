@@ -6,8 +6,8 @@ from farfield.addon.core.geometry.edges import find_edges
 from farfield.addon.core.geometry.mesh import TriangleMesh, face_areas_and_normals
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.simplification.levels import SubsetLevel, simplify_by_cost
-from farfield.addon.core.texmesh.simplification.manifold_copies import divide_into_surfaces
 from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
+from farfield.addon.core.texmesh.simplification.topology import divide_into_surfaces
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 from textured_models import check_no_flips, check_subset, plane, torus
 

@@ -8,8 +8,8 @@ from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.simplification.collapse_fans import CollapseFans
 from farfield.addon.core.texmesh.simplification.levels import simplify_by_cost, simplify_in_order
+from farfield.addon.core.texmesh.simplification.removal_orders import LENGTH_WEIGHT, TextureQuadrics
 from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
-from farfield.addon.core.texmesh.simplification.texture_quadrics import LENGTH_WEIGHT, TextureQuadrics
 from farfield.addon.core.texmesh.simplification.topology import Collapses, build_topology
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 from textured_models import plane, torus

@@ -12,12 +12,11 @@ from ..imaging.mipmaps import Mipmaps
 from ..jobs.parallel_steps import run_in_parallel
 from ..jobs.progress import Progress, Steps, subprogress
 from ..messages import format_count
-from ..texmesh.level_chain import AllSettings, LevelChain, leave_out_inserted, make_levels
+from ..texmesh.level_chain import AllSettings, LevelChain, make_levels
 from ..texmesh.scale_space.analysis import analyze_scale_space
 from ..texmesh.textured_mesh import TexturedMesh
 from .files import LEVELS_GLB, describe_file
 from .increments import Increments, encode_increments
-from .inserted_levels import INSERTED_FRACTION, is_worthwhile, leave_out_error
 from .levels_glb import encode_levels
 from .manifest import MESH, TEXTURES, Manifest, MeshLevel, PackageMaterial, Section
 from .material_sources import MaterialSource, build_color_mipmaps
@@ -91,20 +90,11 @@ def build_package(
 
     sources, references = _list_sources(mesh, materials)
     analysis = analyze_scale_space(mesh, textures, settings.analysis)
-    if texture_settings.feature_weight > 0.0:
-        scale_map = yield from subprogress(analysis, 0.0, 0.2)
-        weighted = [replace(source, feature_scales=scale_map.last_scales) for source in sources]
-        built = yield from subprogress(_build_textures(weighted, texture_settings), 0.2, 0.4)
-    else:
-        scale_map, built = yield from subprogress(run_in_parallel([analysis, _build_textures(sources, texture_settings)]), 0.0, 0.4)
-    chain = yield from subprogress(make_levels(mesh, textures, settings, name, scale_map, INSERTED_FRACTION), 0.4, 0.75)
+    scale_map, built = yield from subprogress(run_in_parallel([analysis, _build_textures(sources, texture_settings)]), 0.0, 0.4)
+    chain = yield from subprogress(make_levels(mesh, textures, settings, name, scale_map), 0.4, 0.75)
     tasks = [_measure(chain, materials, built, references, settings, package_settings), _encode_in_steps(encode, chain)]
     table, coded = yield from subprogress(run_in_parallel(tasks), 0.75, 0.98)
     yield Progress(0.98, "Writing")
-    has_inserted = any(level.is_inserted for level in chain.levels)
-    if has_inserted and not is_worthwhile(coded[1], table, built):
-        chain = leave_out_inserted(chain)
-        coded, table = encode(chain), leave_out_error(table)
     return _assemble(name, materials, references, chain, coded, steps, built, table, package_settings)
 
 

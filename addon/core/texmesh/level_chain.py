@@ -6,7 +6,6 @@ say that it is seen.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -25,12 +24,12 @@ from .perception.weber import Collapses, Impacts, measure_impacts
 from .ratios import parse_ratios, targets_of_ratios
 from .refitting.refit import make_starts, refit_starts
 from .refitting.settings import RefitSettings
-from .scale_costs import ScaleWeightedQuadrics
 from .scale_space.analysis import analyze_scale_space
 from .scale_space.scale_map import SCALES, ScaleMap
 from .scale_space.settings import ScaleSpaceSettings
 from .settings import LevelSettings
 from .simplification.levels import Simplification, SubsetLevel, extract_level, simplify_by_cost, simplify_in_order
+from .simplification.removal_orders import ScaleWeightedQuadrics
 from .simplification.settings import SimplificationSettings
 from .textured_mesh import TexturedMesh
 
@@ -38,7 +37,6 @@ MIN_TRIANGLES = 8  # of the source, below which there is nothing to simplify, an
 MIN_REDUCTION = 0.6  # of triangles from one candidate to the next
 STEP_BEYOND = 0.5  # of triangles from one candidate to the next beyond the last scale
 MIN_FRACTION = 0.002  # of the triangles of the source in the coarsest candidate
-MIN_STEP = 1.25  # of triangles between an inserted level and its neighbors
 MIN_PIXELS = 4  # of the image of an object at the switch to a level that is worth having
 VERTEX_BYTES, TRIANGLE_BYTES = 16, 6  # of quantized geometry: position, texture coordinates and normal; indices
 
@@ -55,16 +53,15 @@ class AllSettings:
 
 @dataclass(frozen=True)
 class Level:
-    """One level. scale: the last scale whose features it has; 0 for the original and an inserted one. pixel_size: see
+    """One level. scale: the last scale whose features it has; 0 for the original. pixel_size: see
     `perception.switch_distances.Switch`, 0 for the original. switch, subset: None for the original. With the product "refit", `subset` is
-    the level before its vertices moved. is_inserted: see `make_levels`."""
+    the level before its vertices moved."""
 
     mesh: TexturedMesh
     scale: int
     pixel_size: float
     switch: Switch | None
     subset: SubsetLevel | None
-    is_inserted: bool = False
 
     @property
     def constraint(self) -> str:
@@ -115,15 +112,12 @@ def make_levels(
     settings: AllSettings,
     name: str = "mesh",
     scale_map: ScaleMap | None = None,
-    inserted: float = 0.0,
 ) -> Steps[LevelChain]:
     """Make levels of `mesh`.
 
     Args:
         textures: per material an image (H, W, 3) float32, scene-linear, row 0 at the bottom, or None. name: for messages. scale_map: of an
-            analysis of the same mesh with the same settings, None to analyze it. inserted: fraction of the triangles, at most, of a level
-            that is inserted between the original and the next one, if that has clearly fewer; 0 for none. Only subset levels that are
-            chosen as perceptible have one. The other levels do not depend on it.
+            analysis of the same mesh with the same settings, None to analyze it.
 
     Raises:
         GeometryError: there is nothing to simplify.
@@ -138,8 +132,7 @@ def make_levels(
     mipmaps = [None if texture is None else build_mipmaps(texture) for texture in textures]
     targets, scales = targets_of_ratios(mesh, scale_map, ratios) if ratios else choose_targets(mesh, scale_map)
     is_refit = levels.product == "refit" and _has_uv_area(mesh)
-    waypoint = 0 if is_refit or levels.choice != "perceptual" else int(inserted * len(mesh.triangles))
-    tasks: list[Steps] = [_simplify(mesh, scale_map, targets, settings, waypoint)]
+    tasks: list[Steps] = [_simplify(mesh, scale_map, targets, settings)]
     if is_refit:
         tasks.append(make_starts(mesh, targets, RefitSettings(), settings.simplification))
     simplification, *starts = yield from subprogress(run_in_parallel(tasks), 0.35, 0.6)
@@ -166,16 +159,8 @@ def make_levels(
         shown, switches = shown[: 1 + large], switches[:large]
         kept = [kept[index] for index in shown]
     made = [_to_level(item, switch) for item, switch in zip(kept, [None, *switches], strict=True)]
-    if simplification.passed is not None:
-        item = _Candidate(extract_level(mesh, simplification.passed), 0, simplification.passed)
-        made = yield from _insert_level(made, item, images[0], mipmaps, settings)
     tried = tuple((len(item.mesh.triangles), size) for item, size in zip(candidates, pixel_sizes, strict=True))
     return LevelChain(tuple(made), scale_map, impacts, simplification, tried, images[0].frame.side)
-
-
-def leave_out_inserted(chain: LevelChain) -> LevelChain:
-    """Return `chain` without the level that was inserted, if there is one."""
-    return replace(chain, levels=tuple(level for level in chain.levels if not level.is_inserted))
 
 
 def choose_targets(mesh: TexturedMesh, scale_map: ScaleMap) -> tuple[list[int], list[int]]:
@@ -227,10 +212,10 @@ def _divide_collapses(simplification: Simplification, candidates: Sequence[_Cand
     return Collapses(removed, kept, values, np.searchsorted(counts, np.arange(len(removed)), side="right"))
 
 
-def _simplify(mesh: TexturedMesh, scale_map: ScaleMap, targets: list[int], settings: AllSettings, waypoint: int) -> Steps[Simplification]:
+def _simplify(mesh: TexturedMesh, scale_map: ScaleMap, targets: list[int], settings: AllSettings) -> Steps[Simplification]:
     if settings.levels.order == "scale":
-        return (yield from simplify_in_order(mesh, _priorities(scale_map), targets, settings.simplification, waypoint))
-    return (yield from simplify_by_cost(mesh, ScaleWeightedQuadrics(mesh, scale_map), targets, settings.simplification, waypoint))
+        return (yield from simplify_in_order(mesh, _priorities(scale_map), targets, settings.simplification))
+    return (yield from simplify_by_cost(mesh, ScaleWeightedQuadrics(mesh, scale_map), targets, settings.simplification))
 
 
 def _gather_candidates(
@@ -299,20 +284,6 @@ def _refit(mesh: TexturedMesh, kept: Sequence[_Candidate]) -> Steps[list[_Candid
     starts, targets = [item.start for item in kept[1:]], [item.target for item in kept[1:]]
     moved = yield from refit_starts(mesh, starts, targets, RefitSettings())
     return [kept[0], *(replace(item, mesh=level) for item, level in zip(kept[1:], moved, strict=True))]
-
-
-def _insert_level(
-    made: list[Level], item: _Candidate, original: LevelImages, mipmaps: Sequence[Mipmaps | None], settings: AllSettings
-) -> Steps[list[Level]]:
-    """Return levels with `item` between the first two of `made`, if it has clearly more triangles than the second and looks no worse."""
-    counts = [len(level.triangles) for level in (made[0].mesh, item.mesh, *(level.mesh for level in made[1:2]))]
-    if len(counts) < 3 or any(finer < MIN_STEP * coarser for finer, coarser in pairwise(counts)):
-        return made
-    (surface,) = _view([item], mipmaps, settings.perception)
-    (switch,) = yield from find_switches([original, replace(original, surface=surface, renders={}, images={})], settings.perception)
-    if switch.pixels < made[1].switch.pixels:
-        return made
-    return [made[0], replace(_to_level(item, switch), is_inserted=True), *made[1:]]
 
 
 def _to_level(item: _Candidate, switch: Switch | None) -> Level:

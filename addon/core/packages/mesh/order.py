@@ -50,16 +50,6 @@ class OrderedMesh:
     levels: tuple[OrderedLevel, ...]
 
 
-@dataclass(frozen=True)
-class RefinementRecords:
-    """What refines the coarsest level, in its order (section III.A): N vertices that are inserted, V_R (N,), the vertices onto which they
-    had been collapsed, V_C (N,), both int32, numbered as in an `OrderedMesh`; and the texels of V_R, texture coordinates (N, 2) float64."""
-
-    inserted: np.ndarray
-    neighbors: np.ndarray
-    texels: np.ndarray
-
-
 def order_mesh(mesh: TexturedMesh, levels: Sequence[SubsetLevel], simplification: Simplification) -> OrderedMesh:
     """Number the vertices and wedges of `mesh` in the order in which they are sent.
 
@@ -93,16 +83,6 @@ def order_mesh(mesh: TexturedMesh, levels: Sequence[SubsetLevel], simplification
         wedges=same_wedges[wedges].astype(np.int32),
         levels=tuple(ordered),
     )
-
-
-def find_records(mesh: TexturedMesh, ordered: OrderedMesh, simplification: Simplification) -> RefinementRecords:
-    """Return the records that refine the coarsest level of `ordered`, which was made from `mesh` and `simplification`."""
-    numbers = np.full(len(mesh.vertices), -1, np.int32)
-    numbers[ordered.vertices] = np.arange(len(ordered.vertices), dtype=np.int32)
-    inserted = numbers[simplification.removed]
-    rows = np.flatnonzero(inserted >= ordered.levels[0].vertex_count)[::-1]
-    texels = mesh.uvs[simplification.removed_wedges[rows]]
-    return RefinementRecords(inserted[rows], numbers[simplification.kept[rows]], texels)
 
 
 class _Numbering:

@@ -14,7 +14,6 @@ from ..manifest import PackageTexture
 from ..tile_pyramid import TilePyramid, sum_tiles
 from .avif_files import decode_tile, encode_tile
 from .enlarging import sharpen_for_enlarging
-from .fragments import count_features
 from .settings import TextureSettings
 from .texture_errors import TextureErrors, to_bytes, values_of_bytes
 from .texture_tiles import TextureSource, TileGrid, cut_tiles, fill_unused, find_used_texels, join_tiles
@@ -86,9 +85,6 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
     image = fill_unused(source, grid, used)
     has_colors = bool((image[..., 1:] != image[..., :1]).any())
     shown = _complete_visibility(visibility, cut_blocks(used))
-    if source.feature_scales is not None and settings.feature_weight > 0.0:
-        importance = _weigh_features(source, grid, settings.feature_weight)
-        shown *= importance.repeat(blocks, axis=0).repeat(blocks, axis=1)[..., None]
     used_tiles = cut_tiles(used, grid.tile_size).any(axis=(1, 2)).reshape(pyramid.shapes[0])
     del used
     mipmaps = build_mipmaps(image, values_of_bytes(source.role))
@@ -163,10 +159,3 @@ def _complete_visibility(visibility: np.ndarray, used: np.ndarray) -> np.ndarray
     common = common / common.sum() if common.any() else np.full(len(common), 1.0 / len(common))
     floor = MIN_VISIBILITY * max(float(total.sum()) / max(int(used.sum()), 1), 1e-9)
     return visibility + (np.where(used, np.maximum(floor - total, 0.0), 0.0)[..., None] * common).astype(np.float32)
-
-
-def _weigh_features(source: TextureSource, grid: TileGrid, weight: float) -> np.ndarray:
-    """Return the importance (R, C) float32 of all tiles, about 1 in the mean: it grows with the scales that features in the tile last."""
-    counts = count_features(source.mesh, source.materials, source.feature_scales, grid).counts[1:].sum(axis=0)
-    relative = counts / max(counts[counts > 0].mean() if counts.any() else 1.0, 1.0)
-    return ((1.0 + weight * relative) / (1.0 + weight)).astype(np.float32)

@@ -24,15 +24,13 @@ class TextureSource:
     """A texture to code, and what uses it.
 
     role: one of ROLES. image: (H, W, 3) uint8 as stored (sRGB-encoded colors, or data such as normals), row 0 at the bottom. mesh: the
-    finest level. materials: those of its materials, by number, that use the texture. feature_scales: (V,) int8 last scales of the vertices
-    (`ScaleMap.last_scales`), None for none. name: for messages.
+    finest level. materials: those of its materials, by number, that use the texture. name: for messages.
     """
 
     role: str
     image: np.ndarray
     mesh: TexturedMesh
     materials: tuple[int, ...]
-    feature_scales: np.ndarray | None = None
     name: str = "texture"
 
 

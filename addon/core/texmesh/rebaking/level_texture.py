@@ -11,10 +11,9 @@ from ...imaging.images import dilate
 from ...imaging.mipmaps import Mipmaps, build_mipmaps, sample_mipmaps
 from ...imaging.raster import rasterize
 from ...jobs.progress import Progress, Steps
-from ..refitting.correspondence import compute_uv_scale, match_islands
-from ..refitting.fine_surface import FineSurface
-from ..refitting.sampling import SurfaceSamples, sample_surface
-from ..simplification.islands import find_islands
+from ..refitting.correspondence import SurfaceSamples, compute_uv_scale, match_islands, sample_surface
+from ..refitting.outliers import FineSurface
+from ..simplification.topology import find_islands
 from ..textured_mesh import TexturedMesh
 from .image_sizes import choose_supersampling, halve_size
 from .surface_descent import SurfaceDescent

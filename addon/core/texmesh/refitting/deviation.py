@@ -5,10 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...geometry.distance import closest_on_mesh
-from ..simplification.islands import find_islands
+from ..simplification.topology import find_islands
 from ..textured_mesh import TexturedMesh
-from .correspondence import compute_uv_scale, find_correspondence, match_islands
-from .sampling import SurfaceSamples, sample_surface
+from .correspondence import SurfaceSamples, compute_uv_scale, find_correspondence, match_islands, sample_surface
 
 DEFAULT_SAMPLES = 100_000
 MIN_LABEL_SAMPLES = 20_000  # that tell which island a triangle of a level belongs to

@@ -9,14 +9,14 @@ slides along the surface and its texture coordinates do not.
 
 import numpy as np
 
+from ...geometry.edges import halfedge_ends
 from ...geometry.mesh import face_areas_and_normals
 from ...geometry.transforms import signed_areas
 from ..simplification.collapse_fans import CollapseFans
-from ..simplification.texture_quadrics import evaluate_quadrics
+from ..simplification.removal_orders import evaluate_quadrics
 from ..simplification.topology import Collapses
 from ..textured_mesh import TexturedMesh
 from .border_curves import find_border_halfedges
-from .border_deviations import BorderDeviations
 from .correspondence import compute_uv_scale
 
 ROWS, COLUMNS = np.triu_indices(6)
@@ -108,3 +108,56 @@ def _deviation_rows(corners: np.ndarray, normals: np.ndarray, normal_weight: flo
     metric = np.eye(3) + (np.sqrt(normal_weight) - 1.0) * project
     metric[is_flat] = np.sqrt(normal_weight) * project[is_flat]
     return metric @ rows
+
+
+class BorderDeviations:
+    """For each wedge on a border its neighbors there, and the largest distance of removed vertices from the edges beside it.
+
+    Wedges are those of the fine mesh. Wedges where borders cross or end have no neighbors.
+    """
+
+    def __init__(self, mesh: TexturedMesh) -> None:
+        halfedges, _ = find_border_halfedges(mesh)
+        starts, ends = halfedge_ends(mesh.wedge_triangles, halfedges).T
+        count = len(mesh.uvs)
+        self._points = mesh.vertices[mesh.wedge_vertices]
+        self._following, self._preceding = np.full(count, -1), np.full(count, -1)
+        self._following[starts], self._preceding[ends] = ends, starts
+        is_crossing = (np.bincount(starts, minlength=count) > 1) | (np.bincount(ends, minlength=count) > 1)
+        self._following[is_crossing] = self._preceding[is_crossing] = -1
+        self._errors = np.zeros(count)
+
+    def evaluate(self, removed: np.ndarray, kept: np.ndarray) -> np.ndarray:
+        """Return the squared deviation (N,) of the new edge if the wedges `removed` (N,) move onto `kept` (N,), times its squared length;
+        0 where that is not along a border."""
+        costs = np.zeros(len(removed))
+        rows, others = self._find_others(removed, kept)
+        squares = ((self._points[others] - self._points[kept[rows]]) ** 2).sum(axis=1)
+        costs[rows] = squares * self._deviate(removed[rows], kept[rows], others) ** 2
+        return costs
+
+    def merge(self, removed: np.ndarray, kept: np.ndarray) -> None:
+        """Take note that the wedges `removed` (N,) have moved onto `kept` (N,)."""
+        rows, others = self._find_others(removed, kept)
+        removed, kept = removed[rows], kept[rows]
+        errors = self._deviate(removed, kept, others)
+        np.maximum.at(self._errors, kept, errors)
+        np.maximum.at(self._errors, others, errors)
+        is_forward = self._following[removed] == kept
+        first, second = np.where(is_forward, others, kept), np.where(is_forward, kept, others)
+        self._following[first], self._preceding[second] = second, first
+
+    def _find_others(self, removed: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the rows (R,) of moves along a border, and the neighbors (R,) of the removed wedges on the other side."""
+        is_forward, is_backward = self._following[removed] == kept, self._preceding[removed] == kept
+        others = np.where(is_forward, self._preceding[removed], self._following[removed])
+        rows = np.flatnonzero((is_forward != is_backward) & (others >= 0))
+        return rows, others[rows]
+
+    def _deviate(self, removed: np.ndarray, kept: np.ndarray, others: np.ndarray) -> np.ndarray:
+        """Return an upper bound of the distance (N,) between the edges from `others` to `kept`, and what they replace."""
+        start, end, point = self._points[others], self._points[kept], self._points[removed]
+        along = end - start
+        fraction = np.einsum("ni,ni->n", point - start, along) / np.maximum(np.einsum("ni,ni->n", along, along), np.finfo(float).tiny)
+        nearest = start + np.clip(fraction, 0.0, 1.0)[:, None] * along
+        return np.linalg.norm(point - nearest, axis=1) + self._errors[removed]

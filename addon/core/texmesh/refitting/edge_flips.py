@@ -8,8 +8,8 @@ from ...arrays import TINY, concatenate_ranges
 from ...geometry.mesh import face_areas_and_normals
 from ...geometry.proximity import counting_argsort
 from ...geometry.transforms import cross, signed_areas
+from .correspondence import evaluate_uv_maps, invert_uv_maps
 from .level_state import LevelState
-from .uv_triangles import evaluate_uv_maps, invert_uv_maps
 
 NEW_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])  # corners of a quad after the flip
 MIN_UV_FRACTION = 0.02  # area of a new triangle in UV space relative to its quadrilateral

@@ -9,9 +9,8 @@ from ...geometry.mesh import scaled_normals
 from ...geometry.transforms import signed_areas
 from .border_curves import BorderCurves
 from .edge_flips import select_largest
-from .fine_surface import FineSurface
 from .level_state import LevelState, attach
-from .outliers import LevelDistances
+from .outliers import FineSurface, LevelDistances
 
 SHORT_EDGE_FACTOR = 0.25  # of the deviation that counts for edges that are not the longest of their triangle
 MIN_UV_FRACTION = 0.1  # area of a new triangle in UV space relative to the one that is divided

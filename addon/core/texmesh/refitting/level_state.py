@@ -9,8 +9,7 @@ from scipy.sparse import csr_array
 from ...geometry.edges import Edges, find_edges
 from ...geometry.mesh import face_areas_and_normals
 from ..textured_mesh import TexturedMesh
-from .correspondence import Correspondence, find_correspondence
-from .sampling import SurfaceSamples
+from .correspondence import Correspondence, SurfaceSamples, find_correspondence
 
 
 @dataclass(frozen=True)

@@ -3,15 +3,12 @@
 import numpy as np
 
 from ...arrays import find_last_positions
-from ...geometry.mesh import face_areas_and_normals
-from .correspondence import Correspondence
+from ...geometry.mesh import face_areas_and_normals, scaled_normals
+from .correspondence import Correspondence, SurfaceSamples
 from .edge_flips import find_quads, flip_quads, select_flips
-from .fine_surface import FineSurface
-from .folds import unfold
 from .least_squares import Linearization, compute_moments
 from .level_state import LevelState
-from .outliers import EDGE_FRACTIONS, LevelDistances, gather_some_points
-from .sampling import SurfaceSamples
+from .outliers import EDGE_FRACTIONS, FineSurface, LevelDistances, gather_some_points
 
 ATTRACTION = 0.5  # weight of an outlier at the limit, relative to all samples of a triangle; it grows with the fourth power of the distance
 MAX_ATTRACTION = 30.0
@@ -21,6 +18,7 @@ HALVINGS = 2  # withdrawals that leave a part of a step, before the others leave
 WITHDRAWN_FRACTION = 0.5
 ACCEPTED_FRACTION = 0.8  # of the largest distance in the neighborhood, up to which a point may get farther while that is lowered
 PEAK_RINGS = 2
+MAX_ROUNDS = 6  # of vertices that stay because of those that stayed before
 
 
 def flip_outliers(state: LevelState, surface: FineSurface, measured: LevelDistances) -> LevelState:
@@ -151,3 +149,31 @@ def _measure_planes(state: LevelState, vertices: np.ndarray, is_used: np.ndarray
     _, normals = face_areas_and_normals(corners)
     offsets = np.einsum("ti,ti->t", normals, corners[:, 0])
     return samples, np.abs(np.einsum("ni,ni->n", normals[rows], state.samples.positions[samples]) - offsets[rows])
+
+
+def avoid_folds(state: LevelState, vertices: np.ndarray) -> np.ndarray:
+    """Return `vertices` (V, 3), but those of triangles that would turn over stay where they are in `state`."""
+    before = scaled_normals(state.corners)
+    is_folded = np.einsum("ti,ti->t", before, scaled_normals(vertices[state.mesh.triangles])) < 0.0
+    result = vertices.copy()
+    stays = state.mesh.triangles[is_folded]
+    result[stays] = state.mesh.vertices[stays]
+    return result
+
+
+def unfold(state: LevelState, vertices: np.ndarray, surface: FineSurface) -> np.ndarray:
+    """Return `vertices` (V, 3), but those of triangles stay that would turn away from the fine surface, or would turn over without turning
+    toward it."""
+    mesh, result = state.mesh, vertices.copy()
+    before = scaled_normals(state.corners)
+    for _ in range(MAX_ROUNDS):
+        after = scaled_normals(result[mesh.triangles])
+        rows = np.flatnonzero(np.einsum("ti,ti->t", before, after) < 0.0)
+        if not len(rows):
+            break
+        normals = surface.find_normals(state.corners[rows].mean(axis=1), mesh.corner_uvs[rows].mean(axis=1), state.islands[rows])
+        stays = mesh.triangles[rows[np.einsum("ti,ti->t", normals, after[rows]) < 0.0]]
+        if not len(stays):
+            break
+        result[stays] = mesh.vertices[stays]
+    return result

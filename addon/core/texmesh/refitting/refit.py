@@ -11,24 +11,20 @@ import numpy as np
 
 from ...jobs.parallel_steps import run_in_parallel
 from ...jobs.progress import Progress, Steps, subprogress
-from ..simplification.islands import find_islands
 from ..simplification.levels import SubsetLevel, extract_level, simplify_by_cost
 from ..simplification.settings import SimplificationSettings
+from ..simplification.topology import find_islands
 from ..textured_mesh import TexturedMesh
-from .border_curves import BorderCurves, Freedom, find_border_curves, find_freedom
-from .correspondence import compute_uv_scale, match_islands
+from .border_curves import BorderCurves, Freedom, find_border_curves, find_freedom, move_uvs
+from .correspondence import compute_uv_scale, match_islands, sample_surface
 from .deviation_quadrics import DeviationQuadrics
 from .edge_flips import flip_edges
 from .edge_splits import split_edges, split_far_edges
-from .fine_surface import FineSurface
-from .folds import avoid_folds
 from .least_squares import Linearization, compute_moments
 from .level_state import LevelState, attach
-from .outlier_repair import approach, flip_outliers, pull_back
-from .outliers import measure_distances
-from .sampling import sample_surface
+from .outlier_repair import approach, avoid_folds, flip_outliers, pull_back
+from .outliers import FineSurface, measure_distances
 from .settings import RefitSettings
-from .uv_moves import move_uvs
 
 MIN_SAMPLES, MAX_SAMPLES = 16_000, 300_000  # per level
 TRIANGLE_FRACTION = 0.5  # of the samples, those that are divided evenly among the triangles of the fine mesh: small parts need some

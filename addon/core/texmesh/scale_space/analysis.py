@@ -1,15 +1,32 @@
-"""The analysis of a textured mesh in scale space (sections II and III.A of the TexMesh paper)."""
+"""The analysis of a textured mesh in scale space (sections II and III.A of the TexMesh paper).
+
+On the surface, curvature and the lightness of the texture, at the resolution of the triangles, are diffused, for meshes of any topology.
+"""
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from ...jobs.progress import Steps
+from ...geometry.edges import find_edges
+from ...geometry.transforms import signed_areas
+from ...imaging.colors import LUMINANCE
+from ...imaging.mipmaps import build_mipmaps, sample_mipmaps
+from ...jobs.progress import Progress, Steps, subprogress
 from ..textured_mesh import TexturedMesh
+from .cotangent_laplacian import assemble_laplacian, integrate_mean_curvature, integrate_over_vertices, mollify_lengths, triangle_areas
+from .diffusion import build_levels, choose_times, diffuse, search_last_sigma
+from .feature_tracing import FeatureTracer, rank_coverage, thin_features
 from .paper_mode import analyze_range_image
 from .scale_map import ScaleMap
 from .settings import ScaleSpaceSettings
-from .surface_mode import analyze_surface
+
+MIN_MASS = 1e-12  # of the mean, of a vertex: one without triangles has this
+FIRST_RADIUS = 1.6  # of aggregates, relative to the distance between vertices
+MAX_SIGMA = 0.25  # relative to the square root of the area
+MAX_RADIUS = 0.1  # relative to the same
+MIN_RANGES = np.array([0.05, 0.1])  # a turn in radians and a lightness; smaller signals are weak features, not stretched to strong ones
+POINTS = np.full((3, 3), 1.0 / 6.0) + 0.5 * np.eye(3)  # barycentric coordinates of samples, one near each corner
+CUBE_ROOT_LIMIT, LINE_SCALE = (6.0 / 29.0) ** 3, 9.0329  # of CIE L*, as a fraction of white
 
 
 def analyze_scale_space(mesh: TexturedMesh, textures: Sequence[np.ndarray | None], settings: ScaleSpaceSettings) -> Steps[ScaleMap]:
@@ -23,3 +40,110 @@ def analyze_scale_space(mesh: TexturedMesh, textures: Sequence[np.ndarray | None
     if settings.mode == "paper":
         return (yield from analyze_range_image(mesh, settings))
     return (yield from analyze_surface(mesh, textures, settings))
+
+
+def analyze_surface(mesh: TexturedMesh, textures: Sequence[np.ndarray | None], settings: ScaleSpaceSettings) -> Steps[ScaleMap]:
+    """Return the scale map of `mesh` by diffusion on its surface; arguments as for `analyze_scale_space`.
+
+    Features are zero crossings of the Laplacian of the diffused mean curvature, and of the diffused lightness of the textures. Of the ends
+    of an edge across which a Laplacian changes its sign, the one nearer to the crossing is the feature. It is traced to the mesh, and ends
+    at a lower scale where a more persistent or stronger one is too close.
+    """
+    yield Progress(0.0, "Measuring curvature")
+    points, unit = _normalize(mesh)
+    edges = find_edges(mesh.triangles, len(points))
+    lengths = mollify_lengths(points, mesh.triangles)
+    areas = triangle_areas(lengths)
+    masses = integrate_over_vertices(mesh.triangles, areas, np.ones(mesh.triangles.shape), len(points))
+    spacing = float(np.sqrt(np.median(masses)))
+    masses = np.maximum(masses, MIN_MASS * masses.mean())
+    signals, weights = [integrate_mean_curvature(points, mesh.triangles, edges)], [min(1.0, 2.0 - 2.0 * settings.texture_weight)]
+    yield Progress(0.03, "Reading textures")
+    lightness, losses = _integrate_lightness(mesh, textures if settings.texture_weight > 0.0 else (), areas)
+    if lightness is not None:
+        signals.append(lightness)
+        weights.append(min(1.0, 2.0 * settings.texture_weight))
+    integrals, weights = np.stack(signals, axis=1), np.array(weights if len(signals) > 1 else [1.0])
+
+    yield Progress(0.08, "Building coarse levels")
+    laplacian = assemble_laplacian(mesh.triangles, lengths, len(points))
+    levels = build_levels(laplacian, masses, points, FIRST_RADIUS * spacing, MAX_RADIUS)
+    last_sigma, largest = search_last_sigma(levels, integrals, weights, settings.convergence, MAX_SIGMA)
+    times, growth = choose_times(spacing, last_sigma)
+    laplacians, ranges = yield from subprogress(diffuse(levels, integrals, times, growth), 0.2, 0.9)
+    sigmas = np.sqrt(2.0 * times)
+    scales = weights / np.maximum(largest, MIN_RANGES[: len(weights)])
+
+    yield Progress(0.9, "Finding features")
+    raw = np.stack([integrals[:, 0] / np.sqrt(masses), *(integrals[:, 1:] / masses[:, None]).T], axis=1)
+    tracer = FeatureTracer(points, edges, raw * scales, settings.noise)
+    for index, sigma in enumerate(sigmas):
+        units = np.array([sigma, 1.0])[: len(weights)]  # curvature becomes the angle turned over a sigma
+        tracer.add(index + 1, laplacians[index] * (scales * units * sigma**3))
+    sigmas = np.concatenate([[0.0], sigmas])
+    features = tracer.features
+    features.last_scales = thin_features(points, features.last_scales, features.strengths, sigmas, settings.spacing)
+    coverage = rank_coverage(points, features.last_scales, tracer.contrasts, sigmas, settings.spacing)
+    features.strengths = np.where(features.last_scales > 0, features.strengths, coverage).astype(np.float32)
+    raw_ranges = np.concatenate([[np.ptp(raw, axis=0)], ranges * np.stack([sigmas[1:], np.ones(len(times))], axis=1)[:, : len(weights)]])
+    relative = (raw_ranges / np.where(largest > 0.0, largest, 1.0)) @ weights / weights.sum()
+    return features.to_scale_map(sigmas * unit, relative, losses)
+
+
+def _normalize(mesh: TexturedMesh) -> tuple[np.ndarray, float]:
+    """Return the vertices (V, 3) around the origin with a surface of area 1, and the length of that unit in the unit of the mesh."""
+    extent = float(np.ptp(mesh.vertices, axis=0).max())
+    points = (mesh.vertices - mesh.vertices.mean(axis=0)) / extent
+    area = float(triangle_areas(mollify_lengths(points, mesh.triangles)).sum())
+    return points / np.sqrt(area), extent * float(np.sqrt(area))
+
+
+def _integrate_lightness(mesh: TexturedMesh, textures: Sequence[np.ndarray | None], areas: np.ndarray) -> tuple[np.ndarray | None, str]:
+    """Return the lightness of the textures integrated around each vertex, (V,), None without textures, and a sentence about triangles
+    without one, "" for none. They have the mean lightness of the others."""
+    lightness, has_texture = sample_lightness(mesh, textures)
+    if not has_texture.any():
+        return None, ""
+    mean = float((lightness[has_texture].mean(axis=1) @ areas[has_texture]) / areas[has_texture].sum())
+    lightness[~has_texture] = mean
+    missing = float(areas[~has_texture].sum() / areas.sum())
+    losses = f"{100.0 * missing:.1f}% of the area has no texture; only its shape counts." if missing > 0.0 else ""
+    return integrate_over_vertices(mesh.triangles, areas, lightness - mean, len(mesh.vertices)), losses
+
+
+def sample_lightness(mesh: TexturedMesh, textures: Sequence[np.ndarray | None]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lightness (T, 3) float32, 0 to 1, near each corner of the triangles of `mesh`, and which triangles (T,) bool have a
+    texture.
+
+    A sample is the mean over texels of about a third of its triangle, from a level of mipmaps, so that detail finer than the mesh
+    does not alias. Textures repeat outside 0..1. Triangles without a texture are 0.
+
+    textures: per material an image (H, W, 3) float32, scene-linear, or None; further channels are ignored.
+    """
+    lightness = np.zeros(mesh.triangles.shape, np.float32)
+    has_texture = np.zeros(len(mesh.triangles), bool)
+    for material, texture in enumerate(textures):
+        rows = np.flatnonzero(mesh.materials == material)
+        if texture is None or texture.size == 0 or not len(rows):
+            continue
+        has_texture[rows] = True
+        corner_uvs = mesh.corner_uvs[rows]
+        texels = np.abs(signed_areas(corner_uvs)) * (texture.shape[0] * texture.shape[1] / len(POINTS))
+        positions = np.einsum("pc,tcx->tpx", POINTS, corner_uvs).reshape(-1, 2)
+        mipmaps = build_mipmaps(_luminance_of(texture)[..., None])
+        luminance = sample_mipmaps(mipmaps, positions, np.repeat(np.sqrt(texels), len(POINTS)))
+        lightness[rows] = encode_lightness(luminance).reshape(-1, 3)
+    return lightness, has_texture
+
+
+def encode_lightness(luminance: np.ndarray) -> np.ndarray:
+    """Return the CIE lightness L* as a fraction, 0 to 1, of relative `luminance`, scene-linear, of any shape."""
+    clipped = np.clip(luminance, 0.0, 1.0)
+    return np.where(clipped <= CUBE_ROOT_LIMIT, LINE_SCALE * clipped, 1.16 * np.cbrt(clipped) - 0.16)
+
+
+def _luminance_of(texture: np.ndarray) -> np.ndarray:
+    """Return the luminance (H, W) float32 of a scene-linear `texture` (H, W, C), within 0 to 1, so that no highlight outshines a level."""
+    values = texture[..., :3] @ LUMINANCE if texture.shape[2] >= 3 else texture[..., 0]
+    limited = np.fmin(values, np.float32(1.0))  # fmin and fmax replace what is not a number
+    return np.fmax(limited, np.float32(0.0), out=limited)

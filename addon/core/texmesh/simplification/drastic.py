@@ -9,11 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from ...geometry.mesh import face_areas_and_normals
-from .collapse_guards import measure_uv_quality
+from .collapse_fans import measure_uv_quality
 from .engine import CollapseEngine
-from .islands import label_connected
 from .settings import SimplificationSettings
-from .topology import BOUNDARY
+from .topology import BOUNDARY, label_connected
 
 MAX_LOCKED_FRACTION = 0.25  # of the vertices of a level: with more, what can be unlocked is unlocked before all others are gone
 SMALLEST_FRACTION = 0.5  # of the size of small components: those that are dropped before triangles fold

@@ -8,21 +8,90 @@ from typing import Protocol
 
 import numpy as np
 
+from ...arrays import TINY
 from ...geometry.collapses import select_independent
 from ...geometry.mesh import vertex_normals
 from ..textured_mesh import TexturedMesh
-from .collapse_fans import CollapseFans, build_fans, find_compatible
-from .collapse_guards import FOLD, SHORT_CURVE, VALID, Relaxation, Surface, find_orientations, find_refusals
-from .islands import find_islands
-from .manifold_copies import divide_into_surfaces
-from .perceptual_values import PerceptualValues
-from .topology import Collapses, Topology, build_topology
+from .collapse_fans import (
+    FOLD,
+    SHORT_CURVE,
+    VALID,
+    CollapseFans,
+    Relaxation,
+    Surface,
+    build_fans,
+    find_compatible,
+    find_orientations,
+    find_refusals,
+)
+from .topology import BOUNDARY, Collapses, Topology, build_topology, divide_into_surfaces, find_islands
 
 MAX_ATTEMPTS = 8  # neighbors that are tried per vertex and round
 WINDOW_FRACTION, MIN_WINDOW = 0.2, 48  # of the vertices that may be removed: the first, from which a round chooses
 WINDOW_EXCESS = 3.0  # at most so many times the vertices that are still to be removed
 MIN_RETRY_FRACTION = 0.01  # of the refused vertices: collapses since their last attempt, from which on they are tried again
 RANK_JITTER = 0.5  # of the window; without it, smooth orders would shrink row by row
+
+
+class PerceptualValues:
+    """Perceptual values of vertices when they are removed: their distances to the mean planes of their neighbors, with what they have
+    absorbed, the cumulated sum (Figure 12)."""
+
+    def __init__(self, vertices: np.ndarray) -> None:
+        """vertices: (V, 3)."""
+        self._positions = np.ascontiguousarray(vertices.T)
+        self._absorbed = np.zeros(len(vertices))
+
+    def estimate(self, topology: Topology, vertices: np.ndarray) -> np.ndarray:
+        """Return what the removal of `vertices` (N,) would be seen as, whatever they collapse onto: cumulated distances to
+        mean planes. On a curve, the last one is at least the distance to the edge between the neighbors there, by which the
+        boundary or the textures on both sides move."""
+        distances = measure_plane_distances(self._positions, topology, vertices)
+        rows = np.flatnonzero(topology.is_on_curve[vertices])
+        distances[rows] = np.maximum(distances[rows], _measure_curve_distances(self._positions, topology, vertices[rows]))
+        return self._absorbed[vertices] + distances
+
+    def record(self, topology: Topology, removed: np.ndarray, kept: np.ndarray) -> np.ndarray:
+        """Return the values (N,) of `removed` vertices (N,), whose stimuli the `kept` (N,) absorb."""
+        distances = self._absorbed[removed] + measure_plane_distances(self._positions, topology, removed)
+        np.add.at(self._absorbed, kept, distances)
+        return distances
+
+
+def measure_plane_distances(positions: np.ndarray, topology: Topology, vertices: np.ndarray) -> np.ndarray:
+    """Return the distances (N,) of `vertices` (N,) to the mean planes of their neighbors, in the unit of `positions` (3, V).
+
+    The plane goes through the mean of the neighbors, perpendicular to the vector area of the polygon that they form.
+    """
+    owners, corners = topology.find_corners(vertices)
+    preceding = topology.previous(corners)
+    following = topology.ends[corners]
+    count = len(vertices)
+    neighbors = positions.take(following, axis=1)
+    others = positions.take(topology.starts[preceding], axis=1)
+    is_last = topology.twins[preceding] == BOUNDARY
+    numbers = np.bincount(owners, minlength=count) + np.bincount(owners[is_last], minlength=count)
+    center = np.empty((3, count))
+    for axis in range(3):
+        sums = np.bincount(owners, neighbors[axis], count) + np.bincount(owners[is_last], others[axis, is_last], count)
+        center[axis] = sums / np.maximum(numbers, 1)
+    first, second = neighbors - center[:, owners], others - center[:, owners]
+    normal = np.empty((3, count))
+    for axis in range(3):
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        normal[axis] = np.bincount(owners, first[i] * second[j] - first[j] * second[i], count)
+    offset = positions[:, vertices] - center
+    lengths = np.sqrt((normal**2).sum(axis=0))
+    return np.where(lengths > 0.0, np.abs((offset * normal).sum(axis=0)) / np.maximum(lengths, TINY), np.sqrt((offset**2).sum(axis=0)))
+
+
+def _measure_curve_distances(positions: np.ndarray, topology: Topology, vertices: np.ndarray) -> np.ndarray:
+    """Return the distances (N,) of `vertices` (N,) to the segments between their neighbors on curves, in the unit of `positions` (3, V)."""
+    first, second = topology.curve_neighbors[:, vertices]
+    start = positions[:, first]
+    direction, offset = positions[:, second] - start, positions[:, vertices] - start
+    fraction = np.clip((direction * offset).sum(axis=0) / np.maximum((direction**2).sum(axis=0), TINY), 0.0, 1.0)
+    return np.sqrt(((offset - fraction * direction) ** 2).sum(axis=0))
 
 
 class RemovalOrder(Protocol):
@@ -65,7 +134,7 @@ class CollapseEngine:
         self.relaxation = Relaxation()
         self.perceptual = PerceptualValues(mesh.vertices)
         self.reasons = np.zeros(len(mesh.vertices), np.uint8)
-        self.removed, self.kept, self.texels, self.values = [], [], [], []
+        self.removed, self.kept, self.values = [], [], []
         self.folded_count = self.dropped_island_count = 0
         self._retry_count = 0
         self._is_waiting = np.zeros(len(mesh.vertices), bool)
@@ -167,7 +236,6 @@ class CollapseEngine:
         self.values.append(self.perceptual.record(self.topology, collapses.removed, collapses.kept))
         self.removed.append(collapses.removed)
         self.kept.append(collapses.kept)
-        self.texels.append(collapses.removed_wedges[0])
         changed = np.unique(fans.neighbors[1])
         self.triangles.reshape(-1)[fans.corners] = collapses.kept[fans.owners]
         self.wedges.reshape(-1)[fans.corners] = fans.wedges

@@ -12,23 +12,32 @@ import numpy as np
 from ...errors import SettingsError
 from ...jobs.progress import Progress, Steps
 from ..textured_mesh import TexturedMesh
-from .constraints import name_constraint
+from .collapse_fans import FLIP, FOLD, SHORT_CURVE, TOPOLOGY, VALID
 from .drastic import DrasticSteps
 from .engine import CollapseEngine, RemovalOrder
-from .removal_orders import CheapestOrder, CollapseCost, GivenOrder
+from .removal_orders import CheapestOrder, CollapseCost, GivenOrder, TextureQuadrics
 from .settings import SimplificationSettings
-from .texture_quadrics import TextureQuadrics
 
 TOLERANCE = 0.01  # of a target: a count within it has reached the target
+REFUSALS = {
+    VALID: "{} without a possible collapse",
+    FOLD: "{} that would fold the surface over",
+    FLIP: "{} that would flip texture coordinates",
+    SHORT_CURVE: "{} that would remove the last triangle of an island or of a loop of seams",
+    TOPOLOGY: "{} that would pinch the surface or close a component",
+}
 
 
 @dataclass(frozen=True)
 class SubsetLevel:
     """A coarse mesh that refers to vertices and wedges of the fine mesh.
 
-    triangles, wedge_triangles: (t, 3) int32, into the vertices and wedges of the fine mesh. materials: (t,) int32. collapse_count: the
-    number of collapses up to this level. constraint: what prevented the target from being reached to 1 %, "" if it was reached.
-    drastic_steps: sentences that tell what drastic simplification did up to this level.
+    Attributes:
+        triangles, wedge_triangles: (T, 3) int32, into the vertices and wedges of the fine mesh.
+        materials: (T,) int32.
+        collapse_count: number of collapses up to this level.
+        constraint: why the target was not reached within 1 %, "" if it was reached.
+        drastic_steps: sentences that tell what drastic simplification did up to this level.
     """
 
     triangles: np.ndarray
@@ -43,21 +52,21 @@ class SubsetLevel:
 class Simplification:
     """Levels from fine to coarse, and the N collapses in their order.
 
-    removed, kept: (N,) int32, the vertices V_R and V_C. removed_wedges: (N,) int32, a wedge of each removed vertex, whose texture
-    coordinates are its texel. perceptual_values: (N,) float64. Where several surfaces touch at an edge, a vertex is removed once from each.
-    passed: the level that was taken on the way, None if there is none.
+    Where several surfaces touch at an edge, a vertex is removed once from each.
+
+    Attributes:
+        removed, kept: (N,) int32, the vertices V_R and V_C.
+        perceptual_values: (N,) float64.
     """
 
     levels: tuple[SubsetLevel, ...]
     removed: np.ndarray
     kept: np.ndarray
-    removed_wedges: np.ndarray
     perceptual_values: np.ndarray
-    passed: SubsetLevel | None = None
 
 
 def simplify_in_order(
-    mesh: TexturedMesh, priorities: np.ndarray, targets: list[int], settings: SimplificationSettings, waypoint: int = 0
+    mesh: TexturedMesh, priorities: np.ndarray, targets: list[int], settings: SimplificationSettings
 ) -> Steps[Simplification]:
     """Simplify `mesh` by removing vertices with low `priorities` (V,) first, ties by perceptual value, each onto its nearest neighbor.
 
@@ -65,8 +74,7 @@ def simplify_in_order(
     whose collapses the constraints refuse stay until their neighborhood has changed.
 
     Args:
-        targets: triangle counts, descending. waypoint: number of triangles down to which the first rounds lead; the state is taken as a
-            level more, `Simplification.passed`, and changes no other; 0 for none.
+        targets: triangle counts, descending.
 
     Raises:
         SettingsError: `targets` do not descend or are not positive, or `priorities` have another length than the vertices.
@@ -77,16 +85,16 @@ def simplify_in_order(
         )
     engine = CollapseEngine(mesh)
     order = GivenOrder(engine.surface.positions, priorities[engine.fine_vertices].astype(np.float64), settings.protected_fraction)
-    return (yield from _make_levels(engine, order, targets, settings, waypoint))
+    return (yield from _make_levels(engine, order, targets, settings))
 
 
 def simplify_by_cost(
-    mesh: TexturedMesh, cost: CollapseCost | None, targets: list[int], settings: SimplificationSettings, waypoint: int = 0
+    mesh: TexturedMesh, cost: CollapseCost | None, targets: list[int], settings: SimplificationSettings
 ) -> Steps[Simplification]:
     """Simplify `mesh` by the collapses with the smallest `cost`, by default `TextureQuadrics`. See `simplify_in_order`."""
     engine = CollapseEngine(mesh)
     order = CheapestOrder(TextureQuadrics(mesh) if cost is None else cost, engine.fine_vertices)
-    return (yield from _make_levels(engine, order, targets, settings, waypoint))
+    return (yield from _make_levels(engine, order, targets, settings))
 
 
 def extract_level(mesh: TexturedMesh, level: SubsetLevel) -> TexturedMesh:
@@ -110,14 +118,14 @@ def extract_level(mesh: TexturedMesh, level: SubsetLevel) -> TexturedMesh:
 
 
 def _make_levels(
-    engine: CollapseEngine, order: RemovalOrder, targets: list[int], settings: SimplificationSettings, waypoint: int
+    engine: CollapseEngine, order: RemovalOrder, targets: list[int], settings: SimplificationSettings
 ) -> Steps[Simplification]:
     if any(target < 1 for target in targets) or any(first < second for first, second in pairwise(targets)):
         raise SettingsError(f"Triangle counts of levels must be positive and descend, not {', '.join(map(str, targets))}.")
     drastic = DrasticSteps(engine, settings)
     initial_count = engine.triangle_count
     last_target = min(targets, default=initial_count)
-    levels, passed = [], None
+    levels = []
     for target in targets:
         if engine.triangle_count > target:
             drastic.prepare(target)
@@ -126,16 +134,12 @@ def _make_levels(
             fraction = (initial_count - engine.triangle_count) / max(initial_count - last_target, 1)
             yield Progress(min(max(fraction, 0.0), 1.0), "Simplifying")
             is_exhausted = not _advance(engine, order, drastic, target)
-            if passed is None and target < engine.triangle_count <= waypoint:
-                passed = _take_level(engine, drastic, waypoint)
         levels.append(_take_level(engine, drastic, target))
     return Simplification(
         levels=tuple(levels),
         removed=engine.fine_vertices[_join(engine.removed, np.int32)],
         kept=engine.fine_vertices[_join(engine.kept, np.int32)],
-        removed_wedges=_join(engine.texels, np.int32),
         perceptual_values=_join(engine.values, np.float64),
-        passed=passed,
     )
 
 
@@ -163,3 +167,18 @@ def _advance(engine: CollapseEngine, order: RemovalOrder, drastic: DrasticSteps,
 
 def _join(parts: list[np.ndarray], dtype: type) -> np.ndarray:
     return np.concatenate(parts).astype(dtype) if parts else np.zeros(0, dtype)
+
+
+def name_constraint(engine: CollapseEngine, target: int) -> str:
+    """Return a sentence that names what keeps the current vertices from being removed, the most frequent reason first."""
+    topology = engine.topology
+    is_kept = topology.is_used & ~topology.is_removable
+    counts = {
+        "{} at corners, crossings or ends of seams and boundaries": np.count_nonzero(is_kept & ~topology.is_locked),
+        "{} at edges with more than two triangles or opposite orientations": np.count_nonzero(is_kept & topology.is_locked),
+    }
+    for reason, text in REFUSALS.items():
+        counts[text] = np.count_nonzero(topology.is_removable & (engine.reasons == reason))
+    parts = [text.format(count) for text, count in sorted(counts.items(), key=lambda item: -item[1]) if count]
+    total = np.count_nonzero(topology.is_used)
+    return f"{engine.triangle_count} triangles remain instead of {target}, because of {total} vertices these stay: {', '.join(parts)}."

@@ -5,11 +5,25 @@ from typing import Protocol
 
 import numpy as np
 
+from ...arrays import TINY
+from ...geometry.mesh import longest_side, scaled_normals
+from ...geometry.transforms import signed_areas
+from ...jobs.chunks import slices
+from ..scale_space.scale_map import ScaleMap
+from ..textured_mesh import TexturedMesh
 from .collapse_fans import CollapseFans
 from .engine import CollapseEngine
-from .topology import Collapses
+from .topology import BOUNDARY, Collapses, build_topology, find_islands
 
 TIED_FRACTION = 0.01  # of priorities that are equal to others, above which ties are broken by perceptual values
+WEIGHT_PER_SCALE = 1.15  # factor of the cost of a vertex per scale at which it is a feature: 1.1 to 1.25 gave the least visible levels
+ROWS, COLUMNS = np.triu_indices(6)
+CHUNK_SIZE = 1 << 14  # triangles
+CHUNK_COLLAPSES = 1 << 13
+MAX_SCALE_RATIO = 4.0  # between the UV scales of a triangle and of its island
+BOUNDARY_WEIGHT = 0.5  # of a squared distance from an edge of a boundary, times its squared length
+SEAM_WEIGHT = 0.02  # likewise of a seam. The texture beyond it is there in the neighboring island, so that more only costs accuracy
+LENGTH_WEIGHT = 1e-6  # of the squared length of a collapse, which decides where the surface and its texture coordinates are flat
 
 
 class CollapseCost(Protocol):
@@ -106,3 +120,136 @@ class CheapestOrder:
 
     def _to_fine(self, collapses: Collapses) -> Collapses:
         return replace(collapses, removed=self._fine_vertices[collapses.removed], kept=self._fine_vertices[collapses.kept])
+
+
+class ScaleWeightedQuadrics:
+    """Texture quadrics, weighted by the last scale at which the removed vertex is a feature; a `CollapseCost`."""
+
+    def __init__(self, mesh: TexturedMesh, scale_map: ScaleMap) -> None:
+        self._quadrics = TextureQuadrics(mesh)
+        self._weights = WEIGHT_PER_SCALE ** scale_map.last_scales.astype(np.float64)
+
+    def evaluate(self, collapses: Collapses) -> np.ndarray:
+        """See `CollapseCost`."""
+        return self._quadrics.evaluate(collapses) * self._weights[collapses.removed]
+
+    def merge(self, collapses: Collapses, fans: CollapseFans) -> None:
+        """See `CollapseCost`."""
+        self._quadrics.merge(collapses, fans)
+
+
+class TextureQuadrics:
+    """A `CollapseCost`: sums of squared distances to the triangles and curves that a wedge stands for, weighted by area."""
+
+    def __init__(self, mesh: TexturedMesh) -> None:
+        unit = 1.0 / max(longest_side(mesh.vertices), TINY)
+        positions = (mesh.vertices - mesh.vertices.mean(axis=0)) * unit
+        scales, overall = _find_uv_scales(mesh, unit)
+        points = np.concatenate([positions[mesh.wedge_vertices], mesh.uvs * overall], axis=1)
+        homogeneous = np.concatenate([points, np.ones((len(points), 1))], axis=1)
+        self._monomials = homogeneous[:, ROWS] * homogeneous[:, COLUMNS] * np.where(ROWS == COLUMNS, 1.0, 2.0)
+        self._positions = positions
+        self._quadrics = np.zeros((len(points), len(ROWS)))
+        self._areas = np.zeros(len(points))
+        triangles = np.ascontiguousarray(mesh.triangles.T)
+        wedges = np.ascontiguousarray(mesh.wedge_triangles.T)
+        topology = build_topology(triangles, wedges, np.arange(len(points)), np.zeros(len(mesh.vertices), bool))
+        curve_weights = np.where(topology.is_curve, SEAM_WEIGHT, 0.0)
+        curve_weights[topology.twins == BOUNDARY] = BOUNDARY_WEIGHT
+        curve_weights = curve_weights.reshape(3, -1)
+        for start in range(0, len(mesh.triangles), CHUNK_SIZE):
+            rows = slice(start, start + CHUNK_SIZE)
+            self._add_triangles(points, mesh.wedge_triangles[rows], scales[rows] / overall, curve_weights[:, rows])
+        self._own_costs = np.einsum("wk,wk->w", self._quadrics, self._monomials)
+
+    def evaluate(self, collapses: Collapses) -> np.ndarray:
+        """See `CollapseCost`."""
+        (removed, other_removed), (kept, other_kept) = collapses.removed_wedges, collapses.kept_wedges
+        costs = self._evaluate(removed, kept)
+        rows = np.flatnonzero((other_removed >= 0) & (other_removed != removed))
+        costs[rows] += self._evaluate(other_removed[rows], other_kept[rows])
+        displacements = self._positions[collapses.removed] - self._positions[collapses.kept]
+        return costs + LENGTH_WEIGHT * self._areas[removed] * np.einsum("ij,ij->i", displacements, displacements)
+
+    def merge(self, collapses: Collapses, fans: CollapseFans) -> None:
+        """See `CollapseCost`."""
+        pairs = np.unique(fans.topology.wedges[fans.corners].astype(np.int64) * len(self._areas) + fans.wedges)
+        removed, kept = pairs // len(self._areas), pairs % len(self._areas)
+        np.add.at(self._quadrics, kept, self._quadrics[removed])
+        np.add.at(self._areas, kept, self._areas[removed])
+        self._own_costs[kept] = np.einsum("wk,wk->w", self._quadrics[kept], self._monomials[kept])
+
+    def _evaluate(self, removed: np.ndarray, kept: np.ndarray) -> np.ndarray:
+        """Return the costs (N,) of moving wedges (N,) onto others, not negative."""
+        return np.maximum(evaluate_quadrics(self._quadrics, self._monomials, removed, kept) + self._own_costs.take(kept), 0.0)
+
+    def _add_triangles(self, points: np.ndarray, wedges: np.ndarray, scales: np.ndarray, curve_weights: np.ndarray) -> None:
+        """Add the quadrics of triangles `wedges` (T, 3), and of their edges with `curve_weights` (3, T), to those of their wedges.
+
+        scales: (T,), of the texture coordinates in `points` (W, 5).
+        """
+        corners = points[wedges]
+        corners[:, :, 3:] *= scales[:, None, None]
+        areas = 0.5 * np.linalg.norm(scaled_normals(corners[:, :, :3]), axis=1)
+        first = _normalize(corners[:, 1] - corners[:, 0])
+        second = _normalize(_reject(corners[:, 2] - corners[:, 0], first))
+        offsets = _to_offsets(corners[:, 0], scales)
+        in_plane = [np.einsum("ti,tij->tj", axis, offsets) for axis in (first, second)]
+        terms = np.einsum("tik,tik->tk", offsets[:, :, ROWS], offsets[:, :, COLUMNS])
+        for axis in in_plane:
+            terms -= axis[:, ROWS] * axis[:, COLUMNS]
+        for corner in range(3):
+            np.add.at(self._quadrics, wedges[:, corner], terms * areas[:, None] / 3.0)
+            np.add.at(self._areas, wedges[:, corner], areas / 3.0)
+        for corner in range(3):
+            rows = np.flatnonzero(curve_weights[corner])
+            start, end, apex = (corners[rows, (corner + step) % 3] for step in range(3))
+            edge = end - start
+            inward = _normalize(_reject(apex - start, _normalize(edge)))
+            distances = np.einsum("ti,tij->tj", inward, _to_offsets(start, scales[rows]))
+            weights = curve_weights[corner, rows] * np.einsum("ti,ti->t", edge[:, :3], edge[:, :3])
+            curve_terms = distances[:, ROWS] * distances[:, COLUMNS] * weights[:, None]
+            np.add.at(self._quadrics, wedges[rows, corner], curve_terms)
+            np.add.at(self._quadrics, wedges[rows, (corner + 1) % 3], curve_terms)
+
+
+def evaluate_quadrics(quadrics: np.ndarray, monomials: np.ndarray, removed: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """Return the values (N,) of the `quadrics` (W, K) of wedges `removed` (N,) at the `monomials` (W, K) of wedges `kept` (N,), in chunks
+    that stay in the cache."""
+    costs = np.empty(len(removed))
+    for chunk in slices(len(removed), CHUNK_COLLAPSES):
+        np.einsum("wk,wk->w", quadrics.take(removed[chunk], axis=0), monomials.take(kept[chunk], axis=0), out=costs[chunk])
+    return costs
+
+
+def _find_uv_scales(mesh: TexturedMesh, unit: float) -> tuple[np.ndarray, float]:
+    """Return the length in space of one in texture space for each triangle (T,), limited by that of its island, and for all."""
+    uv_areas = np.abs(signed_areas(mesh.corner_uvs))
+    areas = 0.5 * np.linalg.norm(scaled_normals(mesh.vertices[mesh.triangles] * unit), axis=1)
+    overall = _find_scale(areas.sum(), uv_areas.sum(), 1.0)
+    islands = find_islands(mesh)
+    island_scales = _find_scale(np.bincount(islands, areas), np.bincount(islands, uv_areas), overall)[islands]
+    scales = _find_scale(areas, uv_areas, island_scales)
+    return np.clip(scales, island_scales / MAX_SCALE_RATIO, island_scales * MAX_SCALE_RATIO), float(overall)
+
+
+def _find_scale(areas: np.ndarray, uv_areas: np.ndarray, default: np.ndarray | float) -> np.ndarray:
+    return np.where(uv_areas > 0.0, np.sqrt(areas / np.maximum(uv_areas, TINY)), default)
+
+
+def _to_offsets(origins: np.ndarray, scales: np.ndarray) -> np.ndarray:
+    """Return matrices (T, 5, 6) that map homogeneous points to scaled offsets from `origins` (T, 5), which are scaled already."""
+    matrices = np.zeros((len(origins), 5, 6))
+    matrices[:, [0, 1, 2], [0, 1, 2]] = 1.0
+    matrices[:, [3, 4], [3, 4]] = scales[:, None]
+    matrices[:, :, 5] = -origins
+    return matrices
+
+
+def _reject(vectors: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """Return `vectors` (T, 5) without their components along unit `axes` (T, 5)."""
+    return vectors - np.einsum("ti,ti->t", vectors, axes)[:, None] * axes
+
+
+def _normalize(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1), TINY)[:, None]

@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...errors import SettingsError
-from ...imaging.coded_images import decode, encode
-from ...texmesh.scale_space.scale_map import SCALES
-from ...texmesh.textured_mesh import TexturedMesh
-from .texture_tiles import TileGrid, cut_tiles, join_tiles
+from farfield.addon.core.errors import SettingsError
+from farfield.addon.core.imaging.coded_images import decode, encode
+from farfield.addon.core.packages.textures.texture_tiles import TileGrid, cut_tiles, join_tiles
+from farfield.addon.core.texmesh.scale_space.scale_map import SCALES
+from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
 FRAGMENT_UNIT = 16  # pixels; macroblocks of JPEG
 DEFAULT_FRAGMENT = 32

@@ -2,10 +2,7 @@
 
 import numpy as np
 import pytest
-
-from farfield.addon.core.errors import SettingsError
-from farfield.addon.core.geometry.mesh import TriangleMesh
-from farfield.addon.core.packages.textures.fragments import (
+from sending.fragments import (
     CodedFragments,
     assign_qualities,
     count_features,
@@ -16,6 +13,9 @@ from farfield.addon.core.packages.textures.fragments import (
     quality_of_scale,
     tabulate_sizes,
 )
+
+from farfield.addon.core.errors import SettingsError
+from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.texmesh.scale_space.scale_map import SCALES
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 
