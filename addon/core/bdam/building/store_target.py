@@ -1,4 +1,4 @@
-"""The folder that a build writes a store to, and the work folder beside it."""
+"""The folder that a build writes a store to, and the work folder next to it."""
 
 import shutil
 from collections.abc import Iterator
@@ -12,7 +12,7 @@ from ...jobs import heartbeat
 from ...jobs.job_folder import JOB_FILE
 from ..store.structure import STRUCTURE_FILE, find_structure
 
-WORK_SUFFIX, NEW_SUFFIX, OLD_SUFFIX = ".build", ".new", ".build-finished"  # of folders beside that of the store
+WORK_SUFFIX, NEW_SUFFIX, OLD_SUFFIX = ".build", ".new", ".build-finished"  # added to the name of the store's folder
 
 
 def work_folder_path(out: Path) -> Path:

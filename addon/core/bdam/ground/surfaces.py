@@ -27,7 +27,7 @@ class Surface(Protocol):
 class StoreSurface:
     """The finest triangles of a store, whose heights are multiplied by `exaggeration`.
 
-    Coarser patches replace those that turn out to be damaged, see `store.damaged_patches`. damages: sentences about these.
+    Coarser patches replace those that turn out to be damaged, see `store.patch_links`. damages: sentences about these.
     """
 
     def __init__(self, store: TerrainStore, exaggeration: float) -> None:
@@ -36,13 +36,11 @@ class StoreSurface:
 
     def find(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return heights and normals; see `Surface`."""
-        known_damages = -1
-        while known_damages != self._store.damage_count:
-            known_damages = self._store.damage_count
+        for attempt in self._store.attempts():
+            if attempt:
+                self._query = HeightQuery(self._store, extract_uniform_cut(self._store, 0.0))
             heights, normals = self._query.find(points)
             self.damages += [sentence for sentence in self._query.damages if sentence not in self.damages]
-            if known_damages != self._store.damage_count:
-                self._query = HeightQuery(self._store, extract_uniform_cut(self._store, 0.0))
         normals = normals / [1.0, 1.0, self._exaggeration]
         return heights * self._exaggeration, normals / np.linalg.norm(normals, axis=1, keepdims=True)
 

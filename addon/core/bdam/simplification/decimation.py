@@ -16,8 +16,7 @@ from ...arrays import gather, gather_columns
 from ...geometry.collapses import find_cutoffs, order_by_cost, select_cheapest, select_independent
 from ...geometry.vertex_rings import VertexRings, build_rings, to_triangles
 from .collapse_costs import LOCKED, GridPoints, find_targets
-from .collapsed_fans import arrange_fans
-from .removed_samples import RemovedSamples
+from .collapsed_fans import RemovedSamples, arrange_fans
 
 MAX_ROUNDS = 40
 MAX_EXACT_DIFFERENCE = 1 << 11  # products of differences up to this are exact in float32
