@@ -8,7 +8,6 @@ from pathlib import Path
 from ...errors import FileError
 from ...files.atomic_write import TEMPORARY_SUFFIX, atomic_write
 from ...files.file_access import convert_os_errors
-from ...jobs import heartbeat
 from ...jobs.job_folder import JOB_FILE
 from ..store.structure import STRUCTURE_FILE, find_structure
 
@@ -36,16 +35,6 @@ def check_target(out: Path) -> None:
         work = work_folder_path(out)
         if work.is_dir() and not (work / JOB_FILE).exists() and any(path.suffix != TEMPORARY_SUFFIX for path in work.iterdir()):
             raise FileError(f'"{work}" contains other files, but the build needs that folder; rename it, or choose another name.')
-
-
-@contextmanager
-def hold(folder: Path) -> Iterator[heartbeat.Heartbeat]:
-    """Own a work folder until the end of the block."""
-    held = heartbeat.take_over(folder)
-    try:
-        yield held
-    finally:
-        held.close()
 
 
 @contextmanager

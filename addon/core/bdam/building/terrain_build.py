@@ -4,6 +4,7 @@ import hashlib
 import json
 import shutil
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from ...errors import FarfieldError, FileError
 from ...files.file_access import convert_os_errors
 from ...files.sealed_files import validate_or_remove, write_sealed
 from ...jobs.executors import parse_executor
+from ...jobs.heartbeat import take_over
 from ...jobs.job_folder import open_job_folder, remove_temporary_files
 from ...jobs.progress import Progress, StageClock, Steps, subprogress
 from ...jobs.task_pool import TaskPool, open_task_pool
@@ -20,7 +22,7 @@ from ..settings import BdamSettings
 from ..store.structure import Level, StoreHeader
 from .finish import write_geometry
 from .heights import choose_height_step, fill_holes, write_heights
-from .store_target import check_target, delete_work_folder, hold, replace_store, work_folder_path
+from .store_target import check_target, delete_work_folder, replace_store, work_folder_path
 from .texture_stage import TextureWork, build_texture_tiles, plan_textures, write_texture_store
 from .work_folder import HEIGHTS_FILE, PARAMETERS_FILE, BuildParameters, LevelLayout, WorkFolder
 
@@ -94,7 +96,7 @@ def build_terrain(
     work = WorkFolder(folder, parameters)
     fingerprint = _fingerprint(header, [*sources, *images], textures, settings)
     open_job_folder(folder, fingerprint, "the build of another terrain or with other settings")
-    with hold(folder) as held:
+    with closing(take_over(folder)) as held:
         remove_temporary_files(folder)
         write_sealed(folder / PARAMETERS_FILE, work.parameters_content)
         with clock.stage("heights"):

@@ -1,4 +1,7 @@
-"""Fans of triangles that replace the stars of collapsed vertices, and the location of samples in them."""
+"""Fans of triangles that replace the stars of collapsed vertices, and the samples that were removed before.
+
+Removed samples remember the triangle that contains them, so that errors do not accumulate unseen.
+"""
 
 from dataclasses import dataclass
 
@@ -8,9 +11,9 @@ from ...arrays import gather
 from ...geometry.vertex_rings import VertexRings, to_triangles
 from .collapse_costs import GridPoints
 
-ROW_LENGTH = 16  # of the arrays of fans; a fan has fewer than MAX_DEGREE triangles
+ROW_LENGTH = 16  # columns of the arrays of fans; a fan has fewer than MAX_DEGREE triangles
 SEARCH_STEPS = (8, 4, 2, 1)
-MAX_ENTRIES = 1 << 16  # of a (degree, vertices) array
+MAX_ENTRIES = 1 << 16  # entries of a (degree, vertices) array
 MAX_SAMPLES = 1 << 13  # samples that are located at once
 
 
@@ -18,11 +21,14 @@ MAX_SAMPLES = 1 << 13  # samples that are located at once
 class CollapsedFans:
     """The fans of triangles around the targets (N,) of collapsed vertices, counterclockwise, in rows of ROW_LENGTH.
 
-    vertices, targets: (N,) intp. corners: (N, 16) intp, the corners of the vertices whose triangles become those of the fan.
-    owners: (C,) intp and star: (C,) intp, the vertices' positions and all corners of their stars. is_kept: (C,) bool, whether the
-    triangle of a corner becomes one of the fan; the others vanish.
-    x, y, z: (N, 16), the vectors from the target to the ends of its rays, of which there is one more than triangles.
-    angles: (N, 16), see `_pseudo_angles`, of the rays from the second to the one before the last, then infinity.
+    Attributes:
+        vertices, targets: (N,) intp.
+        corners: (N, 16) intp, corners of the vertices whose triangles become those of the fan.
+        owners: (C,) intp, positions of the vertices of all corners of their stars.
+        star: (C,) intp, all corners of the stars.
+        is_kept: (C,) bool, whether the triangle of a corner becomes one of the fan; the others vanish.
+        x, y, z: (N, 16), the vectors from the target to the ends of its rays, of which there is one more than triangles.
+        angles: (N, 16), `_pseudo_angles` of the rays from the second to the one before the last, then infinity.
     """
 
     vertices: np.ndarray
