@@ -4,12 +4,13 @@ from argparse import Namespace
 from typing import Any
 
 import numpy as np
-from bdam_stores import Workplace, build_store
+from bdam_stores import Workplace, build_cut_mesh, build_store
 from bdam_terrains import CELL_SIZE, FractalTerrain
 from bdam_views import draw_viewer, project_displacements, sample_positions
 
 from farfield.addon.core.arrays import concatenate_ranges
-from farfield.addon.core.bdam.view.cut_meshes import CutMesh, PatchCache, PatchMesh, build_cut_mesh
+from farfield.addon.core.bdam.view.caches import PatchCache
+from farfield.addon.core.bdam.view.cut_meshes import CutMesh, PatchMesh
 from farfield.addon.core.bdam.view.extraction import CutSettings, extract_cut
 
 SECOND_SHAPE = (0.55, 0.8)  # rows and columns of the second terrain of a scene, as parts of those of the first
@@ -34,7 +35,7 @@ def measure_cracks(given: Namespace, workplace: Workplace) -> dict[str, Any]:
         viewer = draw_viewer(random, stores[0], terrains[0], exaggeration)
         for store, cache in zip(stores, caches, strict=True):
             cut = extract_cut(store, viewer, settings)
-            meshes = [cache.get(*key) for key in cut.list_patches()]
+            meshes = [cache.read(key) for key in cut.list_patches()]
             figures["patches"] += len(meshes)
             figures["triangles"] += sum(len(mesh.triangles) for mesh in meshes)
             for name, count in count_faults(meshes, store.header.rows, store.header.columns).items():

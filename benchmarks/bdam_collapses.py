@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from farfield.addon.core.bdam.building.diamond_meshes import DiamondMeshes
-from farfield.addon.core.bdam.building.grid_collapses import choose_grid_collapses
+from farfield.addon.core.bdam.building.simplified_diamonds import choose_grid_collapses
 from farfield.addon.core.bdam.simplification.collapse_costs import FREE, HORIZONTAL, LOCKED, VERTICAL
 from farfield.addon.core.bdam.simplification.decimation import MeshBatch, simplify
 

@@ -8,13 +8,13 @@ from argparse import Namespace
 from typing import Any
 
 import numpy as np
-from bdam_stores import Workplace, build_from
+from bdam_stores import Workplace, build_cut_mesh, build_from
 
 from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field
 from farfield.addon.core.bdam.ground.heights import HeightQuery
 from farfield.addon.core.bdam.ground.surfaces import MeshSurface, find_ground
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
-from farfield.addon.core.bdam.view.cut_meshes import PatchCache, build_cut_mesh
+from farfield.addon.core.bdam.view.caches import PatchCache
 from farfield.addon.core.bdam.view.extraction import extract_uniform_cut
 from farfield.addon.core.jobs.progress import run_to_end
 
@@ -33,7 +33,7 @@ def measure_geographic(given: Namespace, workplace: Workplace) -> dict[str, Any]
     field = open_field([source], FieldSettings())
     heights = field.read(slice(0, field.shape[0]), slice(0, field.shape[1])).astype(np.float64)
     y, x = np.nonzero(np.isfinite(heights))
-    points, known = np.stack(field.to_local(x, y), axis=1), heights[y, x]
+    points, known = np.stack(field.frame.to_local(x, y), axis=1), heights[y, x]
     figures: dict[str, Any] = {"file": FILE, "samples": len(known), "cuts": {}}
     with TerrainStore(folder) as store:
         cache = PatchCache(store)

@@ -27,9 +27,8 @@ from farfield.addon.core.bdam.building.terrain_build import build_terrain
 from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field
 from farfield.addon.core.bdam.settings import BdamSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
-from farfield.addon.core.bdam.view.cut_meshes import PatchCache
+from farfield.addon.core.bdam.view.caches import PatchCache
 from farfield.addon.core.bdam.view.extraction import CutSettings, extract_cut
-from farfield.addon.core.bdam.view.patch_squares import find_leaf_squares
 from farfield.addon.core.bdam.view.tiles import TileGrouping, build_tile_mesh
 from farfield.addon.core.jobs.progress import run_to_end
 from lib import command_line
@@ -69,10 +68,10 @@ def fly(given: Namespace) -> dict[str, Any]:
     """Extract the cuts of a fly-over, and build the meshes of the tiles that change, as the engine does. All that are shown are kept."""
     figures: dict[str, Any] = {}
     with TerrainStore(given.path) as store:
-        viewers, leaf_squares = list(fly_over(FractalTerrain(given.size, given.seed), store)), find_leaf_squares(store)
+        viewers = list(fly_over(FractalTerrain(given.size, given.seed), store))
         for culls in (False, True):
             settings, cache = CutSettings(culls=culls), PatchCache(store)
-            grouping, shown = TileGrouping(store, leaf_squares), {}
+            grouping, shown = TileGrouping(store), {}
             seconds, patches, triangles, tiles, mesh_seconds = [], [], [], [], []
             for viewer in viewers:
                 started = time.perf_counter()

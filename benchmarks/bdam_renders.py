@@ -9,7 +9,7 @@ from typing import Any
 import bpy
 import numpy as np
 from bdam_builds import measure_process
-from bdam_stores import Workplace, build_fractal
+from bdam_stores import Workplace, build_cut_mesh, build_fractal
 from bdam_terrains import FractalTerrain
 from bdam_views import FIELD_OF_VIEW, SIZE, fly_over
 
@@ -17,7 +17,7 @@ from farfield.addon.bridge.geometry.mesh_pool import fill_mesh
 from farfield.addon.bridge.rendering.cycles_renders import prepare_cycles
 from farfield.addon.bridge.rendering.render_scene import RenderScene, render_scene
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
-from farfield.addon.core.bdam.view.cut_meshes import PatchCache, build_cut_mesh
+from farfield.addon.core.bdam.view.caches import PatchCache
 from farfield.addon.core.bdam.view.extraction import CutSettings, extract_cut
 from farfield.addon.core.geometry.viewers import Viewer
 from farfield.addon.core.imaging.colors import encode_signed_srgb

@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 from bdam_methods import Field, Triangulation, interpolate_vertices, open_field_for_methods
-from bdam_stores import Workplace, build_store
+from bdam_stores import Workplace, build_cut_mesh, build_store
 from bdam_terrains import CELL_SIZE, HEIGHT_STEP, FractalTerrain, read_real
 from bdam_views import draw_viewer, nearest_visible
 
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
-from farfield.addon.core.bdam.view.cut_meshes import CutMesh, PatchCache, build_cut_mesh
+from farfield.addon.core.bdam.view.caches import PatchCache
+from farfield.addon.core.bdam.view.cut_meshes import CutMesh
 from farfield.addon.core.bdam.view.extraction import CutSettings, extract_cut, extract_uniform_cut
 
 ANCHORS = (8, 32, 128, 512)  # samples per vertex of Farfield's meshes whose errors the others must reach

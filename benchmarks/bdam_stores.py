@@ -14,6 +14,9 @@ from farfield.addon.core.bdam.building.terrain_build import build_terrain
 from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field
 from farfield.addon.core.bdam.settings import BdamSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
+from farfield.addon.core.bdam.view.caches import PatchCache
+from farfield.addon.core.bdam.view.cut_meshes import CutMesh, merge_patches
+from farfield.addon.core.bdam.view.extraction import Cut
 from farfield.addon.core.jobs.progress import run_to_end
 
 
@@ -66,6 +69,11 @@ def build_from(workplace: Workplace, source: Path, out: Path, cell_size: float) 
         "cpu_seconds": round(cpu_seconds() - cpu, 2),
         "samples": terrain.shape[0] * terrain.shape[1],
     }
+
+
+def build_cut_mesh(cache: PatchCache, cut: Cut) -> CutMesh:
+    """Return the mesh of a whole cut."""
+    return merge_patches([cache.read(key) for key in cut.list_patches()], cut.levels)
 
 
 def cpu_seconds() -> float:

@@ -1,6 +1,7 @@
 """Texture tiles of a synthetic aerial image for `bench_bdam.py`, and the seams between them."""
 
 import shutil
+import sys
 from argparse import Namespace
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,14 +13,18 @@ from bdam_terrains import CELL_SIZE, AerialImage
 from scipy import ndimage
 
 from farfield.addon.core.bdam.settings import BdamSettings
-from farfield.addon.core.bdam.textures.build import build_textures
-from farfield.addon.core.bdam.textures.grid import TILE_SIZE, TextureGrid, count_levels, tile_uv
-from farfield.addon.core.bdam.textures.images import ImageSource, stretch_over_field
+from farfield.addon.core.bdam.textures.grid import TILE_SIZE, TextureGrid, count_levels
 from farfield.addon.core.bdam.textures.plan import TexturePlan
+from farfield.addon.core.bdam.textures.resampling import ImageSource
 from farfield.addon.core.bdam.textures.store import TextureStore, write_textures
 from farfield.addon.core.bdam.tree import Tree
 from farfield.addon.core.imaging.coded_images import ImageFormat
 from farfield.addon.core.jobs.progress import run_to_end
+from lib import environment
+
+sys.path.append(str(environment.ROOT / "tests"))
+
+from texture_builds import build_textures, stretch_over_field, tile_uv
 
 FORMATS: tuple[ImageFormat, ...] = ("raw", "jpeg", "webp")
 POINTS_PER_EDGE = 2000
@@ -40,9 +45,10 @@ def build_texture_store(folder: Path, image: ImageSource, image_format: ImageFor
     out = folder / image_format
     if not out.exists():
         work = folder / f"{image_format}-work"
-        run_to_end(build_textures(work, create_plan(samples, image, image_format), [stretch_over_field(image, samples, samples)]))
+        plan = create_plan(samples, image, image_format)
+        build_textures(work, plan, [stretch_over_field(image, samples, samples)])
         out.mkdir(parents=True)
-        run_to_end(write_textures(work, out))
+        run_to_end(write_textures(work, plan, out))
         shutil.rmtree(work)
     return out
 

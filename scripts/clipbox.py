@@ -23,6 +23,7 @@ environment.import_farfield()
 import bpy
 import numpy as np
 
+from farfield.addon.bridge.clipbox import sources
 from farfield.addon.core.clipbox.engine import TerrainEngine, Update, check_viewer, weld
 from farfield.addon.core.clipbox.files.readers import check_path
 from farfield.addon.core.clipbox.layout import choose_terrain_origin
@@ -32,7 +33,7 @@ from farfield.addon.core.files.file_access import check_readable, error_reason
 from farfield.addon.core.jobs.progress import Progress, StageClock, Steps, run_to_end, subprogress
 from farfield.addon.core.settings import add_flags, describe
 from farfield.addon.operators import following
-from farfield.addon.operators.clipbox import convert_to_mesh, engines
+from farfield.addon.operators.clipbox import convert_to_mesh
 from farfield.addon.operators.clipbox.job import prepare
 from farfield.addon.operators.job_run import run_job
 from lib import command_line, scene_files
@@ -155,7 +156,7 @@ def build_engine(
     settings: ClipboxSettings, positions: list[np.ndarray], clock: StageClock, line: command_line.ProgressLine
 ) -> TerrainEngine:
     """Build a terrain that has followed the path, without Blender objects."""
-    engine = engines.create_engine(settings)
+    engine = sources.create_engine(settings)
     with clock.stage("first build"):
         run_to_end(subprogress(engine.move(positions[0]), 0.0, 1.0 / len(positions)), line.show)
     with clock.stage("path"):

@@ -13,13 +13,15 @@ from farfield.addon.core.bdam.building.terrain_build import build_terrain
 from farfield.addon.core.bdam.fields.placements import ProjectedFrame
 from farfield.addon.core.bdam.settings import BdamSettings
 from farfield.addon.core.bdam.store.structure import read_structure, write_structure
-from farfield.addon.core.bdam.store.terrain_store import TEXTURE_FOLDER
-from farfield.addon.core.bdam.textures.build import build_textures
+from farfield.addon.core.bdam.store.terrain_store import TEXTURE_FOLDER, TerrainStore
 from farfield.addon.core.bdam.textures.grid import TextureGrid, count_levels
-from farfield.addon.core.bdam.textures.images import ArraySource, stretch_over_field
 from farfield.addon.core.bdam.textures.plan import TexturePlan
 from farfield.addon.core.bdam.textures.store import write_textures
+from farfield.addon.core.bdam.view.caches import PatchCache
+from farfield.addon.core.bdam.view.cut_meshes import CutMesh, merge_patches
+from farfield.addon.core.bdam.view.extraction import Cut
 from farfield.addon.core.jobs.progress import run_to_end
+from texture_builds import build_textures, stretch_over_field
 
 CELL_SIZE = 10.0
 _built: dict[str, Path] = {}
@@ -27,7 +29,7 @@ _built: dict[str, Path] = {}
 
 @dataclass(frozen=True, eq=False)
 class ArrayField:
-    """A `HeightField` of heights (rows, columns) in meters, NaN where unknown, with its local zero at the sample nearest to the center."""
+    """A field of heights (rows, columns) in meters, NaN where unknown, with its local zero at the sample nearest to the center."""
 
     heights: np.ndarray
     cell_size: float = CELL_SIZE
@@ -40,10 +42,6 @@ class ArrayField:
         return self.heights.shape
 
     @property
-    def origin(self) -> tuple[float, float]:
-        return self.frame.origin
-
-    @property
     def frame(self) -> ProjectedFrame:
         rows, columns = self.heights.shape
         center = self.cell_size * ((columns - 1) // 2), self.cell_size * ((rows - 1) // 2)
@@ -51,12 +49,6 @@ class ArrayField:
 
     def read(self, rows: slice, columns: slice) -> np.ndarray:
         return self.heights[rows, columns].astype(np.float32)
-
-    def to_local(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return self.frame.to_local(x, y)
-
-    def to_grid(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return self.frame.to_grid(x, y)
 
 
 def hills(rows: int = 129, columns: int = 129, seed: int = 1) -> np.ndarray:
@@ -115,14 +107,21 @@ def _build_once(folder: Path, settings: str, values: np.ndarray, build: Callable
 
 
 def _add_texture(folder: Path, image: np.ndarray, image_format: str) -> None:
-    header, levels = read_structure(folder)
+    header, levels, _ = read_structure(folder)
     tree = header.tree
-    placed = stretch_over_field(ArraySource(image), header.columns, header.rows)
-    level_count = count_levels(tree.side, tree.depth, placed.pixel)
+    placed = stretch_over_field(image, header.columns, header.rows)
+    level_count = count_levels(tree.side, tree.depth, min(placed.step))
     spacing = header.step if header.frame == "projected" else (header.cell_size, header.cell_size)
     grid = TextureGrid(header.columns, header.rows, tree.side, tuple(spacing), level_count)
     work, out = folder.with_name(f"{folder.name} textures"), folder / TEXTURE_FOLDER
     out.mkdir()
-    run_to_end(build_textures(work, TexturePlan(grid, image_format), [placed]))
-    run_to_end(write_textures(work, out))
+    plan = TexturePlan(grid, image_format)
+    build_textures(work, plan, [placed])
+    run_to_end(write_textures(work, plan, out))
     write_structure(folder, replace(header, has_texture=True), levels)
+
+
+def build_cut_mesh(store: TerrainStore, cut: Cut, cache: PatchCache | None = None) -> CutMesh:
+    """The mesh of a whole cut."""
+    cache = cache or PatchCache(store)
+    return merge_patches([cache.read(key) for key in cut.list_patches()], cut.levels)

@@ -24,7 +24,8 @@ from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_fi
 from farfield.addon.core.bdam.settings import BdamSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 from farfield.addon.core.bdam.tree import Tree
-from farfield.addon.core.bdam.view.cut_meshes import PatchCache, build_cut_mesh
+from farfield.addon.core.bdam.view.caches import PatchCache
+from farfield.addon.core.bdam.view.cut_meshes import CutMesh, merge_patches
 from farfield.addon.core.bdam.view.extraction import extract_uniform_cut
 from farfield.addon.core.jobs.progress import run_to_end
 from lib.demo_terrain import fractal_heights
@@ -65,10 +66,15 @@ def compare_meshes() -> list[TerrainMesh]:
         settings = BdamSettings(cell_size=CELL_SIZE, height_step=HEIGHT_STEP, executor="serial")
         run_to_end(build_terrain(open_field([source], FieldSettings(cell_size=CELL_SIZE)), [source], out, settings))
         with TerrainStore(out) as store:
-            full, network = (build_cut_mesh(PatchCache(store), extract_uniform_cut(store, error)) for error in (0.0, ERROR))
+            full, network = (_build_cut_mesh(store, error) for error in (0.0, ERROR))
         meshes = [(mesh.ids, mesh.triangles) for mesh in (full, network)]
         meshes.append(triangulate_right(steps, len(network.triangles)))
         return [_create_object(ids, triangles, steps, grid) for ids, triangles in meshes]
+
+
+def _build_cut_mesh(store: TerrainStore, error: float) -> CutMesh:
+    cut, cache = extract_uniform_cut(store, error), PatchCache(store)
+    return merge_patches([cache.read(key) for key in cut.list_patches()], cut.levels)
 
 
 def triangulate_right(steps: np.ndarray, triangle_count: int) -> tuple[np.ndarray, np.ndarray]:

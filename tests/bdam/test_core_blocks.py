@@ -15,7 +15,6 @@ BLOCKS = [b"first", b"", bytes(range(200)), b"\0" * 17]
 def write(path, blocks, kind="TEST"):
     with BlockWriter(path, kind) as writer:
         assert [writer.append(block) for block in blocks] == list(range(len(blocks)))
-        writer.flush()
         writer.finish()
 
 

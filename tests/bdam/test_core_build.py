@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from farfield.addon.core.bdam.building import hole_filling, simplified_diamonds
+from farfield.addon.core.bdam.building import heights, simplified_diamonds
 from farfield.addon.core.bdam.building.height_grid import HeightGrid, encode_heights
 from farfield.addon.core.bdam.building.terrain_build import build_terrain
 from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field
@@ -157,7 +157,7 @@ def test_every_sample_of_the_source_is_in_the_finest_level(built):
 def test_stores_of_other_versions_are_refused(built, tmp_path, monkeypatch, version, message):
     folder, _, _, _, _ = built
     shutil.copytree(folder / "store", tmp_path / "store")
-    header, levels = structure.read_structure(tmp_path / "store")
+    header, levels, _ = structure.read_structure(tmp_path / "store")
     (tmp_path / "store" / structure.STRUCTURE_FILE).unlink()
     with monkeypatch.context() as patched:
         patched.setattr(structure, "VERSION", version)
@@ -261,11 +261,11 @@ def test_filling_keeps_known_heights_stays_between_them_and_does_not_depend_on_b
     is_known = random.random((rows, columns)) < random.choice([0.02, 0.5, 0.98])
     is_known[random.integers(rows), random.integers(columns)] = True
     results = []
-    for band_samples in (hole_filling.BAND_SAMPLES, 4 * columns):
+    for band_samples in (heights.BAND_SAMPLES, 4 * columns):
         grid = write_grid(tmp_path_factory.mktemp("grid"), steps, is_known)
         with pytest.MonkeyPatch.context() as patched:
-            patched.setattr(hole_filling, "BAND_SAMPLES", band_samples)
-            run_to_end(hole_filling.fill_holes(grid))
+            patched.setattr(heights, "BAND_SAMPLES", band_samples)
+            run_to_end(heights.fill_holes(grid))
         filled, all_known = grid.read(slice(0, rows), slice(0, columns))
         assert all_known.all() and (filled[is_known] == steps[is_known]).all()
         assert filled.min() >= steps[is_known].min() and filled.max() <= steps[is_known].max()
@@ -279,7 +279,7 @@ def test_a_hole_in_a_plane_is_filled_by_nearly_the_plane(tmp_path):
     plane = 100 * x + 37 * y
     is_known = (np.abs(x - 150) > 40) | (np.abs(y - 90) > 25)
     grid = write_grid(tmp_path, plane, is_known)
-    run_to_end(hole_filling.fill_holes(grid))
+    run_to_end(heights.fill_holes(grid))
     filled, _ = grid.read(slice(0, 200), slice(0, 300))
     assert np.abs(filled - plane).max() < 0.05 * np.ptp(plane[~is_known])
     edges = np.abs(np.diff(filled, axis=1)) - 100
@@ -292,5 +292,5 @@ def test_the_parameters_of_a_work_folder_are_plain_json(tmp_path):
     while next(steps).fraction < 0.5:
         pass
     steps.close()
-    for name in ("parameters.json", "images.json"):
+    for name in ("parameters.json", "textures.json"):
         assert json.loads((tmp_path / "store.build" / name).read_bytes()[32:])

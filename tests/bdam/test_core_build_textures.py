@@ -8,9 +8,10 @@ from farfield.addon.core.bdam.building.terrain_build import build_terrain
 from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field
 from farfield.addon.core.bdam.settings import BdamSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
-from farfield.addon.core.bdam.textures.grid import TILE_SIZE, tile_uv
+from farfield.addon.core.bdam.textures.grid import TILE_SIZE
 from farfield.addon.core.errors import FarfieldError, FileError
 from farfield.addon.core.jobs.progress import run_to_end
+from texture_builds import tile_uv
 from tiff_writer import AREA_KEYS, POINT_KEYS, UTM_KEYS, map_tags, write_tiff
 
 SIZE, CELL = 49, 20.0
@@ -171,7 +172,7 @@ def write_world_text(folder):
         (lambda folder: [place(folder, "a.tif", OTHER_UTM_KEYS)], "different projections .*EPSG:32633"),
         (lambda folder: [place(folder, "a.tif", AREA_KEYS, west=8.0)], "different projections .*degrees"),
         (lambda folder: [place(folder, "a.tif", POINT_KEYS, west=8.0)], "different projections"),
-        (lambda folder: [place(folder, "a.tif", west=WEST + 5e4)], "beside the elevation model"),
+        (lambda folder: [place(folder, "a.tif", west=WEST + 5e4)], "outside of the elevation model"),
         (lambda folder: [place(folder, "a.tif", channels=5)], "5 channels"),
         (lambda folder: [write_plain(folder, "a.png"), write_plain(folder, "b.png")], "no position.*world file"),
         (lambda folder: [write_rotated(folder)], "is rotated"),

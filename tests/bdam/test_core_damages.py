@@ -15,8 +15,7 @@ from farfield.addon.core.bdam.files.blocks import HEADER_SIZE, BlockReader
 from farfield.addon.core.bdam.ground.heights import height_at
 from farfield.addon.core.bdam.ground.surfaces import StoreSurface
 from farfield.addon.core.bdam.settings import ViewSettings
-from farfield.addon.core.bdam.store.damaged_patches import find_limits
-from farfield.addon.core.bdam.store.patch_links import NO_PATCH
+from farfield.addon.core.bdam.store.patch_links import NO_PATCH, find_limits
 from farfield.addon.core.bdam.store.terrain_store import GEOMETRY_FILE, GEOMETRY_KIND, TerrainStore
 from farfield.addon.core.bdam.view.cut_files import extract_mesh
 from farfield.addon.core.bdam.view.engine import BdamEngine

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 from farfield.addon.core.bdam.settings import ViewSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
-from farfield.addon.core.bdam.textures.image_files import encode_targa, to_image_files
 from farfield.addon.core.bdam.textures.tile_blocks import CodedTile
+from farfield.addon.core.bdam.view.caches import encode_targa, to_image_files
 from farfield.addon.core.bdam.view.engine import BdamEngine, Update
 from farfield.addon.core.bdam.view.extraction import CutSettings
-from farfield.addon.core.bdam.view.patch_squares import find_leaf_squares, square_boxes
+from farfield.addon.core.bdam.view.texture_cuts import square_boxes
 from farfield.addon.core.bdam.view.tiles import MAX_TILES, TileMesh, locate_tile
 from farfield.addon.core.geometry.viewers import Projection, Viewer
 from farfield.addon.core.imaging.coded_images import encode
@@ -259,10 +259,10 @@ def test_a_damaged_patch_is_named_and_the_rest_is_shown(folders, tmp_path):
 
 def test_boxes_of_squares_contain_their_patches(folders):
     store = TerrainStore(folders["plain"])
-    squares = find_leaf_squares(store)
+    squares = store.leaf_squares
     for level in range(store.tree.depth + 1):
         every = np.unique(squares[2 * level] >> (store.tree.depth - level), axis=0)
-        low, high = square_boxes(store, squares, level, np.concatenate([every, [[99, 99]]]))
+        low, high = square_boxes(store, level, np.concatenate([every, [[99, 99]]]))
         assert np.isinf(low[-1]).all() and (low[:-1] <= high[:-1]).all()
         corners = store.tree.triangle_corners(2 * level, store.levels[2 * level].indices)
         cells = (corners.min(axis=1) * (1 << level)) // store.tree.side

@@ -5,10 +5,11 @@ import pytest
 
 from farfield.addon.core.bdam.ground.heights import height_at
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
-from farfield.addon.core.bdam.view.cut_meshes import CutMesh, PatchCache, build_cut_mesh
+from farfield.addon.core.bdam.view.caches import PatchCache
+from farfield.addon.core.bdam.view.cut_meshes import CutMesh
 from farfield.addon.core.bdam.view.extraction import CutSettings, ProjectedErrors, extract_cut, extract_uniform_cut
 from farfield.addon.core.geometry.viewers import Projection, Viewer
-from small_terrain_stores import build_store, hills
+from small_terrain_stores import build_cut_mesh, build_store, hills
 from watertight import undirected_edge_counts
 
 ROWS, COLUMNS = 129, 161
@@ -77,7 +78,7 @@ def test_random_cameras_see_no_cracks(store, kind):
     for _ in range(CAMERAS):
         culls = bool(random.integers(2))
         settings = CutSettings(10.0 ** random.uniform(-0.5, 1.5), 10.0 ** random.uniform(-0.5, 0.5), culls)
-        mesh = build_cut_mesh(cache, extract_cut(store, random_viewer(random, store, kind), settings))
+        mesh = build_cut_mesh(store, extract_cut(store, random_viewer(random, store, kind), settings), cache)
         assert count_cracks(mesh) == 0
         assert covered_cells(mesh) == (ROWS - 1) * (COLUMNS - 1)
         sizes.add(len(mesh.triangles))
@@ -143,5 +144,5 @@ def test_uniform_cuts_are_consistent_and_within_their_error(store):
     for max_error in (0.0, 0.5, 3.0, 20.0, 1e9):
         cut = extract_uniform_cut(store, max_error)
         assert cut.max_error <= max_error
-        assert count_cracks(build_cut_mesh(PatchCache(store), cut)) == 0
+        assert count_cracks(build_cut_mesh(store, cut)) == 0
     assert len(cut) == 2

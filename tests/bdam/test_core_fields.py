@@ -147,20 +147,20 @@ class TestPositions:
     def test_of_areas_and_points_in_meters(self, tmp_path):
         for keys, shift in ((UTM_KEYS, 15.0), ((1, 1, 0, 2, 1024, 0, 1, 1, 1025, 0, 1, 2), 0.0)):
             field = open_field([write_tiff(tmp_path / "map.tif", terrain(), tags=map_tags((30.0, 30.0), CORNER, keys))])
-            x, y = field.to_local(np.array([0.0, 60.0, 0.5]), np.array([39.0, 0.0, -1.0]))
-            assert np.allclose(x + field.origin[0], CORNER[0] + shift + np.array([0.0, 1800.0, 15.0]), atol=1e-9)
-            assert np.allclose(y + field.origin[1], CORNER[1] - shift - np.array([0.0, 39 * 30.0, 40 * 30.0]), atol=1e-9)
+            x, y = field.frame.to_local(np.array([0.0, 60.0, 0.5]), np.array([39.0, 0.0, -1.0]))
+            assert np.allclose(x + field.frame.origin[0], CORNER[0] + shift + np.array([0.0, 1800.0, 15.0]), atol=1e-9)
+            assert np.allclose(y + field.frame.origin[1], CORNER[1] - shift - np.array([0.0, 39 * 30.0, 40 * 30.0]), atol=1e-9)
             assert np.abs([x, y]).max() < 2000.0, "the origin lies near the data"
-            assert all(number == int(number) for number in field.origin)
+            assert all(number == int(number) for number in field.frame.origin)
             assert field.cell_size == 30.0
         assert open_field([write_tiff(tmp_path / "map.tif", terrain(), tags=map_tags((30.0, 30.0), CORNER))]).crs == "EPSG:32632, meters"
 
     def test_feet(self, tmp_path):
         field = open_field([write_tiff(tmp_path / "map.tif", terrain(), tags=map_tags((10.0, 20.0), CORNER, FEET_KEYS))])
         foot = 1200.0 / 3937.0
-        x, y = field.to_local(np.arange(3), np.arange(3))
+        x, y = field.frame.to_local(np.arange(3), np.arange(3))
         assert np.allclose(np.diff(x), 10.0 * foot) and np.allclose(np.diff(y), 20.0 * foot)
-        assert x[0] + field.origin[0] == pytest.approx((CORNER[0] + 5.0) * foot, abs=1e-9)
+        assert x[0] + field.frame.origin[0] == pytest.approx((CORNER[0] + 5.0) * foot, abs=1e-9)
         assert np.allclose(read_all(field), terrain()[::-1] * 0.3048, rtol=1e-6)
         assert field.height_step == 0.3048 and field.cell_size == pytest.approx(foot * 200.0**0.5)
 
@@ -171,8 +171,8 @@ class TestPositions:
         field = open_field([write_tiff(tmp_path / "map.tif", terrain(), tags=tags)])
         assert np.array_equal(read_all(field), terrain()[::-1])
         center = np.array([8.0 + 30 * step, 47.0 - 19.5 * step])
-        assert np.allclose(field.origin, center, atol=1e-6)
-        x, y = field.to_local(np.array([30.0, 31.0, 30.0]), np.array([19.5, 19.5, 20.5]))
+        assert np.allclose(field.frame.origin, center, atol=1e-6)
+        x, y = field.frame.to_local(np.array([30.0, 31.0, 30.0]), np.array([19.5, 19.5, 20.5]))
         root = 1.0 - 0.00669437999014 * np.sin(np.radians(center[1])) ** 2
         assert np.hypot(x[1] - x[0], y[1] - y[0]) == pytest.approx(
             np.radians(step) * 6378137.0 / root**0.5 * np.cos(np.radians(center[1])), abs=1e-4
@@ -184,7 +184,7 @@ class TestPositions:
     @given(st.floats(-70.0, 130.0), st.floats(-50.0, 90.0))
     def test_to_grid_inverts_to_local(self, positioned, x, y):
         for field in positioned:
-            assert np.allclose(field.to_grid(*field.to_local(x, y)), (x, y), atol=1e-6)
+            assert np.allclose(field.frame.to_grid(*field.frame.to_local(x, y)), (x, y), atol=1e-6)
 
     def test_of_an_srtm_tile(self, tmp_path):
         tile = np.arange(1201 * 1201).reshape(1201, 1201).astype(np.int16)
@@ -216,7 +216,7 @@ class TestPositions:
     def test_files_without_a_position_use_the_cell_size(self, tmp_path):
         np.save(tmp_path / "map.npy", terrain())
         field = open_field([tmp_path / "map.npy"], FieldSettings(cell_size=2.5))
-        x, _ = field.to_local(np.arange(2), np.zeros(2))
+        x, _ = field.frame.to_local(np.arange(2), np.zeros(2))
         assert x[1] - x[0] == field.cell_size == 2.5
         assert field.warnings[0].endswith("has no position on a map; its cells are taken as 2.5 m wide (Cell Size).")
 

@@ -11,14 +11,12 @@ from hypothesis import strategies as st
 from farfield.addon.core.bdam.settings import ViewSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 from farfield.addon.core.bdam.view import freezing
-from farfield.addon.core.bdam.view.cut_meshes import PatchCache, build_cut_mesh
 from farfield.addon.core.bdam.view.extraction import Cut, CutSettings, ProjectedErrors, extract_cut, extract_union_cut
 from farfield.addon.core.bdam.view.freezing import FrozenMesh, choose_path_cut, describe_limit, freeze_cut, join
-from farfield.addon.core.bdam.view.patch_squares import find_leaf_squares
 from farfield.addon.core.bdam.view.texture_cuts import TextureSelector
 from farfield.addon.core.geometry.viewers import Projection, Viewer
 from farfield.addon.core.jobs.progress import run_to_end
-from small_terrain_stores import CELL_SIZE, add_texture, build_store, colors, hills
+from small_terrain_stores import CELL_SIZE, add_texture, build_cut_mesh, build_store, colors, hills
 from watertight import open_edges
 
 pytest.importorskip("PIL")
@@ -74,7 +72,7 @@ def test_the_union_cut_satisfies_every_frame_without_cracks(stores, seed, count,
     numbers = cut.rows + store.links.starts[cut.levels]
     errors = [ProjectedErrors(store, viewer, cut_settings)(numbers).max() for viewer in viewers]
     assert max(errors) == cut.max_error <= tolerance
-    mesh = build_cut_mesh(PatchCache(store), cut)
+    mesh = build_cut_mesh(store, cut)
     assert are_open_edges_on_border(*(mesh.positions[:, :2].T / EXTENT), mesh.triangles)
 
 
@@ -119,7 +117,7 @@ def freeze(store: TerrainStore, viewers: list[Viewer], **values) -> tuple[Cut, l
 def test_joined_meshes_have_the_vertices_of_the_cut_and_no_cracks(stores, name):
     store = stores[name]
     cut, meshes = freeze(store, path(3, 5), exaggeration=2.0)
-    expected_mesh = build_cut_mesh(PatchCache(store), cut)
+    expected_mesh = build_cut_mesh(store, cut)
     joined = join(meshes)
     positions = joined.vertices.astype(np.float64) + joined.location
     assert len(positions) == len(expected_mesh.positions) and len(joined.triangles) == len(expected_mesh.triangles)
@@ -153,7 +151,7 @@ def test_textures_of_a_path_are_as_fine_as_those_of_every_frame(stores):
 @given(st.integers(0, 2**31), st.integers(1, 5), st.sampled_from([1, 4, 7, 16, 64]), st.floats(0.1, 20.0))
 def test_a_path_has_a_limited_number_of_textures_that_keep_their_stated_tolerance(stores, seed, count, max_count, tolerance):
     store, viewers = stores["texture"], path(seed, count)
-    selector = TextureSelector(store, find_leaf_squares(store))
+    selector = TextureSelector(store)
     chosen = run_to_end(selector.choose_for_path(viewers, CutSettings(tolerance), max_count))
     assert 1 <= len(chosen.numbers) <= max_count and chosen.tolerance >= tolerance
     refined = [{tuple(square) for square in squares.tolist()} for squares in chosen.refined]

@@ -11,11 +11,11 @@ from farfield.addon.core.bdam.ground.heights import HeightQuery, height_at
 from farfield.addon.core.bdam.ground.triangle_search import TriangleSearch
 from farfield.addon.core.bdam.settings import BdamSettings
 from farfield.addon.core.bdam.store.terrain_store import GEOMETRY_FILE, TerrainStore
-from farfield.addon.core.bdam.view.cut_meshes import CutMesh, PatchCache, build_cut_mesh
+from farfield.addon.core.bdam.view.cut_meshes import CutMesh
 from farfield.addon.core.bdam.view.extraction import extract_uniform_cut
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.jobs.progress import run_to_end
-from small_terrain_stores import ArrayField, build_store, hills
+from small_terrain_stores import ArrayField, build_cut_mesh, build_store, hills
 
 pytest.importorskip("zstandard")
 ROWS, COLUMNS, STEP = 99, 71, 0.01
@@ -150,7 +150,7 @@ def test_triangles_without_a_known_sample_are_holes(stores):
 def test_heights_of_a_cut_are_those_of_its_mesh(stores, name, max_error):
     store = stores[name]
     cut = extract_uniform_cut(store, max_error)
-    mesh = build_cut_mesh(PatchCache(store), cut)
+    mesh = build_cut_mesh(store, cut)
     points = random_points(store, 3, 500)
     heights, normals = height_at(store, points, cut)
     corners = mesh.positions[mesh.triangles]
@@ -200,7 +200,7 @@ def test_cuts_of_a_geographic_grid_are_within_their_errors_in_meters(tmp_path):
         positions = np.stack([*store.frame.to_local(x, y), stored(heights)], axis=2).reshape(-1, 3)
         assert all((level.errors > 0.0).all() for level in store.levels[:-1])
         for max_error in (0.1, 0.5, 2.0, 20.0):
-            mesh = build_cut_mesh(PatchCache(store), extract_uniform_cut(store, max_error))
+            mesh = build_cut_mesh(store, extract_uniform_cut(store, max_error))
             distances = measure_in_meters(mesh, positions)
             is_inside = np.isfinite(distances)
             assert is_inside.mean() > 0.95, "the borders of the field are curved, so that a few samples are outside of the mesh"

@@ -57,7 +57,7 @@ def test_tiles_are_one_field_in_any_order(tmp_path, write, shared):
     single = open_field([write_tiff(tmp_path / "all.tif", expected[::-1].astype(np.int16), tags={
         **map_tags((STEP, STEP), (5.0, 1.0), POINT_KEYS if shared else AREA_KEYS)})])  # fmt: skip
     x, y = np.meshgrid(np.arange(columns), np.arange(rows))
-    assert np.allclose(open_field(paths).to_local(x, y), single.to_local(x, y), atol=1e-6)
+    assert np.allclose(open_field(paths).frame.to_local(x, y), single.frame.to_local(x, y), atol=1e-6)
 
 
 @pytest.fixture(scope="module")
@@ -76,9 +76,9 @@ def test_windows_across_tiles(mosaic, rows, columns):
 def test_tiles_on_both_sides_of_180_degrees(tmp_path):
     heights = np.zeros((SIDE + 1, SIDE + 1), np.int16)
     field = open_field([write_point_tile(tmp_path, 179, 0, heights), write_point_tile(tmp_path, -180, 0, heights + 1)])
-    assert field.shape == (SIDE + 1, 2 * SIDE + 1) and field.origin == (180.0, 0.5)
+    assert field.shape == (SIDE + 1, 2 * SIDE + 1) and field.frame.origin == (180.0, 0.5)
     assert read_all(field)[0].tolist() == [0.0] * (SIDE + 1) + [1.0] * SIDE
-    x, _ = field.to_local(np.arange(2 * SIDE + 1), np.zeros(2 * SIDE + 1))
+    x, _ = field.frame.to_local(np.arange(2 * SIDE + 1), np.zeros(2 * SIDE + 1))
     assert np.allclose(np.diff(x), 111_320.0 * STEP, rtol=1e-3)
 
 

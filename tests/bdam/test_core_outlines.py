@@ -5,7 +5,7 @@ import pytest
 
 from farfield.addon.core.bdam.store.patch_outlines import triangulate_outline
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
-from farfield.addon.core.bdam.view.cut_meshes import PatchCache
+from farfield.addon.core.bdam.view.caches import PatchCache
 from farfield.addon.core.bdam.view.extraction import CutSettings, extract_cut
 from farfield.addon.core.geometry.viewers import Projection, Viewer, look_at
 from small_terrain_stores import build_store, hills
@@ -53,14 +53,14 @@ def test_patches_with_holes_or_beyond_the_field_have_no_outline_but_themselves(s
         if is_cut or patch.is_hole.any():
             count += 1
             assert triangulate_outline(patch, corners) is None
-            assert np.array_equal(cache.get(level, row, True).triangles, cache.get(level, row).triangles)
+            assert np.array_equal(cache.read((level, row, True)).triangles, cache.read((level, row, False)).triangles)
     assert count > 4
 
 
 def test_outlines_have_the_vertices_and_normals_of_their_patches(store):
     cache = PatchCache(store)
     for level, row, patch, _ in all_patches(store):
-        full, outline = cache.get(level, row), cache.get(level, row, True)
+        full, outline = cache.read((level, row, False)), cache.read((level, row, True))
         if len(outline.ids) < len(full.ids):
             for name in ("ids", "positions", "normals"):
                 assert np.array_equal(getattr(outline, name), getattr(full, name)[patch.boundary])
@@ -75,7 +75,7 @@ def test_views_see_no_outlines(store):
         cut = extract_cut(store, viewer, CutSettings(0.5, culls=True))
         for level, row, is_outline in cut.list_patches():
             if is_outline:
-                mesh = cache.get(level, row, True)
+                mesh = cache.read((level, row, True))
                 centers = mesh.positions[mesh.triangles].mean(axis=1)
                 pixels, depths = viewer.project(np.concatenate([mesh.positions, centers]))
                 assert not ((depths > 0.1) & (pixels >= 0.0).all(axis=1) & (pixels <= [320, 240]).all(axis=1)).any()

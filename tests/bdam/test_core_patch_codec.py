@@ -9,9 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
-from farfield.addon.core.bdam.store.integer_streams import StreamReader, write_signed, write_unsigned
 from farfield.addon.core.bdam.store.leaf_grids import leaf_grid
-from farfield.addon.core.bdam.store.patch_codec import MAX_GRADIENT, Patch, decode_patch, encode_patch, find_boundary
+from farfield.addon.core.bdam.store.patch_codec import (
+    MAX_GRADIENT,
+    Patch,
+    StreamReader,
+    decode_patch,
+    encode_patch,
+    find_boundary,
+    write_signed,
+    write_unsigned,
+)
 from farfield.addon.core.bdam.tree import Tree
 from farfield.addon.core.errors import FileError
 

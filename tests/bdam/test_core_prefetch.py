@@ -5,11 +5,9 @@ import pytest
 
 from farfield.addon.core.bdam.settings import ViewSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
-from farfield.addon.core.bdam.view.cut_meshes import PatchCache
+from farfield.addon.core.bdam.view.caches import PatchCache, Prefetch, TextureFiles
 from farfield.addon.core.bdam.view.engine import BdamEngine
 from farfield.addon.core.bdam.view.extraction import extract_uniform_cut
-from farfield.addon.core.bdam.view.prefetching import PatchesAhead, Prefetch, TexturesAhead
-from farfield.addon.core.bdam.view.texture_files import TextureFiles
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.geometry.viewers import Projection, Viewer, look_at
 from farfield.addon.core.jobs.progress import run_to_end
@@ -138,12 +136,12 @@ def test_reading_ahead_evicts_nothing_that_is_needed_now(folders, max_bytes):
         cache = PatchCache(store, max_bytes)
         present, other, next_cut = (extract_uniform_cut(store, error).list_patches() for error in (20.0, 60.0, 0.5))
         for key in present + other:
-            cache.get(*key)
-        before = {key for key in present if cache.touch(*key) is not None}
-        run_to_end(Prefetch(PatchesAhead(store, cache), present).read(next_cut))
-        assert cache.byte_count <= max_bytes or len(before) <= 1, "a cache keeps one patch of any size"
-        assert all(cache.touch(*key) is not None for key in before)
-        read = [cache.touch(*key) is not None for key in next_cut if key not in before]
+            cache.read(key)
+        before = {key for key in present if cache.touch(key) is not None}
+        run_to_end(Prefetch(cache, present).read(next_cut))
+        assert cache.byte_count <= max_bytes
+        assert all(cache.touch(key) is not None for key in before)
+        read = [cache.touch(key) is not None for key in next_cut if key not in before]
         assert read == sorted(read, reverse=True), "what is needed first comes first"
         assert max_bytes < 8 << 20 or all(read)
 
@@ -151,24 +149,24 @@ def test_reading_ahead_evicts_nothing_that_is_needed_now(folders, max_bytes):
 def test_bounds_of_bytes_hold(folders):
     with TerrainStore(folders["texture"]) as store:
         cache, files = PatchCache(store), TextureFiles(store.textures)
-        patches, textures = PatchesAhead(store, cache), TexturesAhead(files)
         for level in range(len(store.levels)):
             for row in range(0, len(store.levels[level].indices), 5):
                 for is_outline in (False, True):
-                    assert patches.bound_bytes((level, row, is_outline)) >= cache.get(level, row, is_outline).byte_count
+                    key = level, row, is_outline
+                    assert cache.bound_bytes(key) >= cache.read(key).nbytes
         for number in range(len(store.textures.index)):
-            assert textures.touch(number) is None
-            textures.read(number)
-            assert 0 < textures.touch(number) <= textures.bound_bytes(number)
-        assert files.byte_count == sum(textures.touch(number) for number in range(len(store.textures.index)))
+            assert files.touch(number) is None
+            files.read(number)
+            assert 0 < files.touch(number) <= files.bound_bytes(number)
+        assert files.byte_count == sum(files.touch(number) for number in range(len(store.textures.index)))
 
 
 def test_textures_used_last_are_kept(folders):
     with TerrainStore(folders["texture"]) as store:
-        one = len(TextureFiles(store.textures).get(0).color)
+        one = len(TextureFiles(store.textures).read(0).color)
         files = TextureFiles(store.textures, max_bytes=3 * one)
         for number in (0, 1, 0, 2, 0, 3, 0, 4):
-            files.get(number)
+            files.read(number)
         assert files.touch(0) is not None and files.touch(4) is not None and files.touch(1) is None and files.byte_count <= 3 * one
 
 
@@ -184,5 +182,5 @@ def test_damaged_patches_are_left_out(folders):
             return read(level, row)
 
         store.read = fail
-        run_to_end(Prefetch(PatchesAhead(store, cache), []).read(keys))
-        assert [cache.touch(*key) is None for key in keys] == [key == keys[1] for key in keys]
+        run_to_end(Prefetch(cache, []).read(keys))
+        assert [cache.touch(key) is None for key in keys] == [key == keys[1] for key in keys]

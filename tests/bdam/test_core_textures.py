@@ -6,18 +6,17 @@ import numpy as np
 import pytest
 
 from farfield.addon.core.bdam.textures import resampling
-from farfield.addon.core.bdam.textures.build import build_textures, build_tiles, discard_pieces, list_tiles, missing_tiles, tile_path
+from farfield.addon.core.bdam.textures.build import build_tiles, discard_pieces, list_tiles, missing_tiles, tile_path
 from farfield.addon.core.bdam.textures.filtering import ENCODED, QUARTERS, encode_linear
-from farfield.addon.core.bdam.textures.grid import BORDER, STEP, TILE_SIZE, TextureGrid, count_levels, tile_uv
-from farfield.addon.core.bdam.textures.images import ArraySource, PlacedImage, open_coded_image, place_by_affine, stretch_over_field
-from farfield.addon.core.bdam.textures.plan import TexturePlan, start_build
+from farfield.addon.core.bdam.textures.grid import BORDER, STEP, TILE_SIZE, TextureGrid, count_levels
+from farfield.addon.core.bdam.textures.plan import TexturePlan, check_plan
+from farfield.addon.core.bdam.textures.resampling import PlacedImage
 from farfield.addon.core.bdam.textures.store import TextureStore, write_textures
-from farfield.addon.core.errors import FileError, ImageError, SettingsError
-from farfield.addon.core.files.scratch import Scratch
-from farfield.addon.core.imaging.coded_images import encode
+from farfield.addon.core.errors import SettingsError
 from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
 from farfield.addon.core.imaging.images import sample_bilinear
 from farfield.addon.core.jobs.progress import run_to_end
+from texture_builds import ArraySource, build_textures, stretch_over_field, tile_uv, write_texture_store
 
 SIZE = 64  # cells
 
@@ -25,11 +24,8 @@ SIZE = 64  # cells
 def build(folder, pixels, *, columns=SIZE + 1, rows=SIZE + 1, levels=2, image_format="raw", images=None, **settings) -> TextureStore:
     """The store of an image that is stretched over a field, or of several `images`."""
     grid = TextureGrid(columns, rows, SIZE, (2.0, 2.0), levels)
-    images = images or [stretch_over_field(ArraySource(pixels), columns, rows)]
-    run_to_end(build_textures(folder / "work", TexturePlan(grid, image_format, **settings), images))
-    (folder / "store").mkdir(exist_ok=True)
-    run_to_end(write_textures(folder / "work", folder / "store"))
-    return TextureStore(folder / "store")
+    images = images or [stretch_over_field(pixels, columns, rows)]
+    return TextureStore(write_texture_store(folder, TexturePlan(grid, image_format, **settings), images))
 
 
 @lru_cache
@@ -159,18 +155,18 @@ def test_any_split_and_order_of_the_work_gives_the_same_bytes(tmp_path):
     pixels = with_holes(photograph(1000))
     with build(tmp_path, pixels, image_format="jpeg", error="feature") as store:
         plan = store.plan
-    images = [stretch_over_field(ArraySource(pixels), SIZE + 1, SIZE + 1)]
-    start_build(tmp_path / "other", plan)
+    images = [stretch_over_field(pixels, SIZE + 1, SIZE + 1)]
+    (tmp_path / "other").mkdir()
     generator = np.random.default_rng(0)
     for level in (1, 0):
         tiles = generator.permutation(list_tiles(plan.grid, level))
-        assert len(missing_tiles(tmp_path / "other", level)) == len(tiles)
+        assert len(missing_tiles(tmp_path / "other", plan.grid, level)) == len(tiles)
         for part in np.array_split(tiles, 3):
-            build_tiles(tmp_path / "other", level, part, images)
-        assert len(missing_tiles(tmp_path / "other", level)) == 0
+            build_tiles(tmp_path / "other", plan, level, part, images)
+        assert len(missing_tiles(tmp_path / "other", plan.grid, level)) == 0
         discard_pieces(tmp_path / "other", level + 1)
     (tmp_path / "again").mkdir()
-    run_to_end(write_textures(tmp_path / "other", tmp_path / "again"))
+    run_to_end(write_textures(tmp_path / "other", plan, tmp_path / "again"))
     for path in (tmp_path / "store").iterdir():
         assert path.read_bytes() == (tmp_path / "again" / path.name).read_bytes()
 
@@ -180,23 +176,18 @@ def test_an_interrupted_build_goes_on_and_repairs_what_is_damaged(tmp_path):
     build(tmp_path, pixels, levels=3).close()
     expected = (tmp_path / "store" / "textures.tiles").read_bytes()
     plan = TexturePlan(TextureGrid(SIZE + 1, SIZE + 1, SIZE, (2.0, 2.0), 3), "raw")
-    images = [stretch_over_field(ArraySource(pixels), SIZE + 1, SIZE + 1)]
+    images = [stretch_over_field(pixels, SIZE + 1, SIZE + 1)]
     folder = tmp_path / "interrupted"
-    steps = build_textures(folder, plan, images)
-    for _ in range(3):
-        next(steps)
-    steps.close()
+    build_textures(folder, plan, images, max_tiles=8)
     damaged = tile_path(folder, 2, 1, 1)
     damaged.write_bytes(damaged.read_bytes()[:-1])
     tile_path(folder, 2, 0, 0).with_suffix(".piece").unlink(missing_ok=True)
-    run_to_end(build_textures(folder, plan, images))
+    build_textures(folder, plan, images)
     tile_path(folder, 1, 0, 0).unlink()  # whose pieces were deleted
-    run_to_end(build_textures(folder, plan, images))
+    build_textures(folder, plan, images)
     (tmp_path / "again").mkdir()
-    run_to_end(write_textures(folder, tmp_path / "again"))
+    run_to_end(write_textures(folder, plan, tmp_path / "again"))
     assert (tmp_path / "again" / "textures.tiles").read_bytes() == expected
-    with pytest.raises(FileError, match="other settings"):
-        run_to_end(build_textures(folder, TexturePlan(plan.grid, "jpeg"), images))
 
 
 def test_a_lone_faint_texel_is_known_up_to_the_root(tmp_path):
@@ -215,7 +206,7 @@ def test_a_texel_is_the_same_in_every_window_however_its_pixels_are_read(monkeyp
     pixels = with_holes(photograph(1000))
     grid = TextureGrid(SIZE + 1, SIZE + 1, SIZE, (2.0, 2.0), 1)
     for image in (pixels, pixels[..., :3]):
-        images = [stretch_over_field(ArraySource(image), SIZE + 1, SIZE + 1)]
+        images = [stretch_over_field(image, SIZE + 1, SIZE + 1)]
         everything = resampling.resample(grid, 0, np.arange(STEP), np.arange(STEP), images)
         for start in (17, 101, 250):
             part = np.arange(start, start + 250)
@@ -279,7 +270,7 @@ def test_images_lie_side_by_side_and_upside_down(tmp_path):
 
 
 def test_later_images_lie_over_earlier_ones(tmp_path):
-    below = stretch_over_field(ArraySource(np.full((10, 10, 3), 60, np.uint8)), SIZE + 1, SIZE + 1)
+    below = stretch_over_field(np.full((10, 10, 3), 60, np.uint8), SIZE + 1, SIZE + 1)
     patch = np.full((8, 8, 4), (250, 0, 0, 128), np.uint8)
     above = PlacedImage(ArraySource(patch), (16.0, 16.0), (1.0, 1.0))
     with build(tmp_path, None, levels=1, images=[below, above]) as store:
@@ -310,24 +301,6 @@ def test_unknown_values_of_float_images_are_holes(tmp_path):
         assert (tile[..., :3] == ENCODED[16384]).all()
 
 
-def test_images_of_files_are_decoded_once(tmp_path):
-    pixels = photograph(300)
-    (tmp_path / "aerial.png").write_bytes(encode(pixels, "png"))
-    with Scratch(max_memory=1000) as scratch:
-        source = open_coded_image(tmp_path / "aerial.png", scratch)
-        assert source.shape == pixels.shape
-        assert np.array_equal(source.read(slice(10, 20), slice(5, 9)), pixels[10:20, 5:9])
-
-
-def test_georeferenced_images_lie_where_their_affine_map_says():
-    source = ArraySource(np.zeros((50, 100, 3), np.uint8))
-    image = place_by_affine(source, np.array([[0.5, 0.0, 1010.0], [0.0, -0.25, 2030.0]]), (1000.0, 2000.0), (10.0, 5.0))
-    assert image.corner == (1.0, 6.0) and image.step == (0.05, -0.05)
-    assert np.allclose(image.bounds, ((1.0, 6.0), (3.5, 6.0)))
-    with pytest.raises(ImageError, match="rotated"):
-        place_by_affine(source, np.array([[0.5, 0.1, 0.0], [0.1, -0.5, 0.0]]), (0.0, 0.0), (1.0, 1.0))
-
-
 @pytest.mark.parametrize(
     "pixel, depth, levels", [(8192 / 16384, 9, 6), (8192 / 16384, 3, 4), (8192 / 504, 9, 1), (8192 / 1000, 9, 2), (8192 / 1100, 9, 3)]
 )
@@ -336,13 +309,6 @@ def test_the_finest_texels_are_as_small_as_pixels(pixel, depth, levels):
 
 
 @pytest.mark.parametrize("settings", [{"quality": 0}, {"image_format": "gif"}, {"error": "none"}])
-def test_plans_out_of_range_are_refused(tmp_path, settings):
+def test_plans_out_of_range_are_refused(settings):
     with pytest.raises(SettingsError):
-        start_build(tmp_path, TexturePlan(TextureGrid(9, 9, 8, (1.0, 1.0), 1), **settings))
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("pixels", [np.zeros((4, 4), np.uint8), np.zeros((4, 4, 2), np.uint8), np.zeros((4, 4, 3), np.int32)])
-def test_arrays_that_are_no_images_are_refused(pixels):
-    with pytest.raises(ImageError):
-        ArraySource(pixels)
+        check_plan(TexturePlan(TextureGrid(9, 9, 8, (1.0, 1.0), 1), **settings))

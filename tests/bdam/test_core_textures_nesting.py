@@ -5,12 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from farfield.addon.core.bdam.textures.build import list_tiles
 from farfield.addon.core.bdam.textures.grid import TextureGrid
-from farfield.addon.core.bdam.textures.nesting import balance, nest_errors, nest_spheres, refine, select_cut
-from farfield.addon.core.bdam.textures.tile_index import TileIndex, order_along_curve
+from farfield.addon.core.bdam.textures.tile_index import TileIndex
 
 LEVELS = 5
-GRID = TextureGrid(257, 257, 256, (30.0, 20.0), LEVELS)
 
 
 def full_index(generator=None) -> TileIndex:
@@ -48,67 +47,37 @@ def random_tree(seed: int):
     generator = np.random.default_rng(seed)
     index = full_index(generator if seed % 2 else None)
     own = generator.exponential(1.0, len(index)) * 2.0**-index.levels * (generator.random(len(index)) < 0.8)
-    heights = np.sort(generator.uniform(-500, 2500, (len(index), 2)), axis=1)
-    centers, radii = nest_spheres(index, GRID, heights, (-100.0, 50.0))
-    return generator, index, nest_errors(index, own.astype(np.float32)), centers, radii, own, heights
+    return generator, index, own.astype(np.float32)
 
 
 @given(seed=st.integers(0, 2**32 - 1))
 def test_neighbors_in_a_cut_differ_by_one_level_at_most(seed):
-    generator, index, errors, centers, radii, _, _ = random_tree(seed)
-    for _ in range(5):
-        eye = generator.uniform((-3000, -3000, -1000), (11000, 8000, 6000))
-        is_refined = refine(errors, centers, radii, eye, 900.0, 10.0 ** generator.uniform(-2, 3))
-        assert largest_step(index, select_cut(index, is_refined)) <= 1
+    generator, index, own = random_tree(seed)
+    errors = index.nest(own)
+    for threshold in (0.0, 0.01, 0.1, 0.5, *generator.exponential(0.3, 5)):
+        is_refined = errors > threshold
+        assert largest_step(index, index.select_cut(is_refined)) <= 1
         assert (is_refined[index.parents()] | ~is_refined | (index.levels == 0)).all(), "a refined tile has refined ancestors"
-    for threshold in (0.01, 0.1, 0.5):
-        assert largest_step(index, select_cut(index, errors > threshold)) <= 1
 
 
 @given(seed=st.integers(0, 2**32 - 1))
-def test_nothing_shrinks_towards_the_root_and_everything_contains_its_relatives(seed):
-    _, index, errors, centers, radii, own, heights = random_tree(seed)
-    assert (errors >= own.astype(np.float32)).all()
+def test_errors_never_shrink_towards_the_root_nor_grow_without_need(seed):
+    _, index, own = random_tree(seed)
+    errors = index.nest(own)
+    assert (errors >= own).all() and np.array_equal(index.nest(errors), errors)
     for level in range(LEVELS - 1):
-        numbers, relatives = index.numbers(level), index.relatives(level)
-        exists = relatives >= 0
-        assert (errors[numbers][:, None] >= np.where(exists, errors[relatives], 0.0)).all()
-        distances = np.linalg.norm(centers[numbers][:, None] - centers[relatives], axis=2)
-        assert (~exists | (distances + radii[relatives] <= radii[numbers][:, None])).all()
-    side = np.array(GRID.spacing) * (GRID.size / 2.0**index.levels)[:, None]
-    for corner in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        for height in heights.T:
-            points = np.column_stack([(-100.0, 50.0) + (index.tiles + corner) * side, height])
-            assert (np.linalg.norm(points - centers, axis=1) <= radii * (1 + 1e-12)).all()
-
-
-@given(seed=st.integers(0, 2**32 - 1), fraction=st.floats(0.02, 0.9))
-def test_balancing_makes_any_test_of_tiles_a_valid_cut(seed, fraction):
-    generator = np.random.default_rng(seed)
-    index = full_index(generator if seed % 2 else None)
-    wanted = generator.random(len(index)) < fraction
-    balanced = balance(index, wanted)
-    assert (balanced >= wanted).all()
-    assert largest_step(index, select_cut(index, balanced)) <= 1
-    fewer = wanted & (generator.random(len(index)) < 0.5)
-    assert (balance(index, fewer) <= balanced).all()
-    assert np.array_equal(balance(index, balanced), balanced)
+        numbers, relatives = index.numbers(level), index.relatives[level]
+        below = np.where(relatives >= 0, errors[relatives], 0.0).max(axis=1)
+        assert np.array_equal(errors[numbers], np.maximum(own[numbers], below))
 
 
 def test_errors_spread_to_the_neighbors_of_a_lone_feature_and_no_farther():
     index = full_index()
     own = np.zeros(len(index), np.float32)
     own[index.find(4, np.array([[7, 7]]))] = 1.0
-    errors = nest_errors(index, own)
+    errors = index.nest(own)
     assert {tuple(tile) for tile in index.tiles[index.numbers(3)][errors[index.numbers(3)] > 0]} == {(3, 3), (4, 3), (3, 4)}
     assert errors.max() == 1.0 and (errors[index.numbers(4)] > 0).sum() == 1
-
-
-def test_spheres_have_less_than_two_sides_as_their_radius():
-    grid = TextureGrid(257, 257, 256, (30.0, 30.0), LEVELS)
-    index = full_index()
-    _, radii = nest_spheres(index, grid, np.zeros((len(index), 2)), (0.0, 0.0))
-    assert (radii / (grid.size * 30.0 / 2.0**index.levels)).max() < 1.6
 
 
 def test_tiles_are_found_by_level_and_position():
@@ -122,9 +91,9 @@ def test_tiles_are_found_by_level_and_position():
     assert len(TileIndex(np.zeros(0, np.int32), np.zeros((0, 2), np.int32), 3).find(0, np.array([[0, 0]]))) == 1
 
 
-@pytest.mark.parametrize("count", [1, 2, 8])
-def test_the_curve_visits_every_square_of_tiles_at_once(count):
-    tiles = np.stack(np.meshgrid(np.arange(count), np.arange(count)), -1).reshape(-1, 2)
-    ordered = tiles[order_along_curve(tiles)]
+@pytest.mark.parametrize("level", [0, 1, 3])
+def test_the_curve_visits_every_square_of_tiles_at_once(level):
+    ordered = list_tiles(TextureGrid(257, 257, 256, (30.0, 20.0), LEVELS), level)
+    assert len(ordered) == 4**level
     assert ordered[:4].tolist() == [[0, 0], [1, 0], [0, 1], [1, 1]][: len(ordered)]
-    assert all(len({tuple(tile) for tile in (group // 2).tolist()}) == 1 for group in ordered.reshape(-1, 4, 2)) if count > 1 else True
+    assert all(len({tuple(tile) for tile in (group // 2).tolist()}) == 1 for group in ordered.reshape(-1, 4, 2)) if level else True

@@ -8,27 +8,20 @@ import pytest
 
 from farfield.addon.core.bdam.files.backups import backup_path, copy_to_backup
 from farfield.addon.core.bdam.files.blocks import BlockReader, BlockWriter
-from farfield.addon.core.bdam.textures.build import build_textures
 from farfield.addon.core.bdam.textures.grid import BORDER, STEP, TextureGrid
-from farfield.addon.core.bdam.textures.images import ArraySource, stretch_over_field
-from farfield.addon.core.bdam.textures.plan import TexturePlan, read_plan
+from farfield.addon.core.bdam.textures.plan import TexturePlan
 from farfield.addon.core.bdam.textures.store import STRUCTURE_FILE, STRUCTURE_KIND, TILES_FILE, TextureStore, write_textures
 from farfield.addon.core.bdam.textures.tile_blocks import decode_tile, encode_tile
 from farfield.addon.core.errors import FarfieldError, FileError
 from farfield.addon.core.imaging.coded_images import decode
 from farfield.addon.core.jobs.progress import run_to_end
+from texture_builds import build_textures, stretch_over_field, write_texture_store
 
 GRID = TextureGrid(65, 65, 64, (2.0, 3.0), 2)
 
 
 def write_store(folder, pixels, grid=GRID, **settings):
-    images = [stretch_over_field(ArraySource(pixels), grid.columns, grid.rows)]
-    run_to_end(build_textures(folder / "work", TexturePlan(grid, **settings), images))
-    assert read_plan(folder / "work") == TexturePlan(grid, **settings)
-    store = folder / "store"
-    store.mkdir()
-    run_to_end(write_textures(folder / "work", store))
-    return store
+    return write_texture_store(folder, TexturePlan(grid, **settings), [stretch_over_field(pixels, grid.columns, grid.rows)])
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +63,7 @@ def test_a_damaged_tile_is_named_and_the_others_are_read(store_folder):
 def test_any_damage_of_the_structure_is_found_when_the_store_is_opened_and_costs_nothing(store_folder):
     path = store_folder / STRUCTURE_FILE
     with TextureStore(store_folder) as store:
-        assert store.damages == ()
+        assert store.damages == () and store.plan == TexturePlan(GRID)
         expected = store.index.tiles, store.errors
     for damaged in (path, backup_path(path)):
         content = damaged.read_bytes()
@@ -117,12 +110,9 @@ def test_tiles_of_other_textures_are_refused(store_folder, tmp_path_factory, pix
 
 
 def test_an_unfinished_build_is_not_a_store(tmp_path):
-    images = [stretch_over_field(ArraySource(np.zeros((9, 9, 3), np.uint8)), 65, 65)]
-    steps = build_textures(tmp_path, TexturePlan(GRID), images)
-    next(steps)
-    steps.close()
+    build_textures(tmp_path, TexturePlan(GRID), [stretch_over_field(np.zeros((9, 9, 3), np.uint8), 65, 65)], max_tiles=2)
     with pytest.raises(FileError, match="0-0-0"):
-        run_to_end(write_textures(tmp_path, tmp_path))
+        run_to_end(write_textures(tmp_path, TexturePlan(GRID), tmp_path))
     with pytest.raises(FileError):
         TextureStore(tmp_path)
 

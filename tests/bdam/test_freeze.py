@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from farfield.addon.bridge.bdam.freezing import PROPERTY_PREFIX
+from farfield.addon.bridge.bdam.materials import TEXTURE_KEY
 from farfield.addon.bridge.bdam.objects import SceneTerrain
-from farfield.addon.bridge.bdam.textures import TEXTURE_KEY
 from farfield.addon.bridge.geometry.mesh_arrays import read_loop_vertices, read_positions
 from farfield.addon.bridge.viewers import camera_viewer
 from farfield.addon.core.bdam.settings import FreezeSettings

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from farfield.addon.bridge.bdam import objects as terrain_objects
-from farfield.addon.bridge.bdam.materials import LEVEL_ATTRIBUTE
+from farfield.addon.bridge.bdam.materials import LEVEL_ATTRIBUTE, TEXTURE_KEY, remove_unused
 from farfield.addon.bridge.bdam.objects import SceneTerrain, TerrainChange
-from farfield.addon.bridge.bdam.textures import TEXTURE_KEY, remove_unused
 from farfield.addon.bridge.geometry.mesh_arrays import read_attribute, read_loop_vertices, read_positions, read_uvs
 from farfield.addon.core.bdam.settings import ViewSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore

@@ -9,7 +9,7 @@ import pytest
 
 from farfield.addon.bridge.bdam.objects import STORE_KEY, SceneTerrain
 from farfield.addon.operators import follow_handlers, following, view_following
-from farfield.addon.operators.bdam.follow_tool import TOOL
+from farfield.addon.operators.bdam.operators import TOOL
 from farfield.addon.operators.engine_cache import cache
 from small_terrain_stores import build_store, hills
 

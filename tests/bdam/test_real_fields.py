@@ -14,13 +14,13 @@ pytestmark = pytest.mark.skipif(not (FOLDER / "N46E008.tif").exists(), reason="t
 def test_neighbors_are_one_field():
     field = open_field([FOLDER / "N49W123.tif", FOLDER / "N49W124.tif"])
     assert field.shape == (1201, 2401) and field.height_step == 1.0
-    assert field.origin == (-123.0, 49.5)
+    assert field.frame.origin == (-123.0, 49.5)
     assert check_heights(field) == (), "common samples are equal"
     heights = field.read(slice(0, 1201), slice(0, 2401))
     for name, columns in (("N49W124", slice(0, 1201)), ("N49W123", slice(1200, 2401))):
         stored = tifffile.imread(FOLDER / f"{name}.tif")[::-1]
         assert np.array_equal(np.nan_to_num(heights[:, columns], nan=-32767.0), stored)
-    x, y = field.to_local(np.array([0.0, 2400.0]), np.array([600.0, 600.0]))
+    x, y = field.frame.to_local(np.array([0.0, 2400.0]), np.array([600.0, 600.0]))
     assert x[1] - x[0] == pytest.approx(2.0 * 111_320.0 * np.cos(np.radians(49.5)), rel=3e-3)
     assert y[0] == pytest.approx(y[1])
 

@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from farfield.addon.core.clipbox.meshing.case_table import HIGH, LOW, OCTANTS, case_table, edge_octants
-from farfield.addon.core.clipbox.meshing.repair import repair_voxels
-from farfield.addon.core.clipbox.meshing.surface_nets import extract_surface
+from farfield.addon.core.clipbox.meshing.surface_nets import extract_surface, repair_voxels
 from farfield.addon.core.clipbox.meshing.triangulation import vertex_neighbors
 from watertight import directed_edge_counts, open_edges
 

@@ -22,8 +22,7 @@ from ...core.errors import FileError
 from ..geometry.mesh_arrays import write_attribute, write_triangles
 from ..geometry.mesh_pool import PendingMeshes, claim, mark_spare
 from ..terrain_roots import TerrainRoot, remove_terrain
-from .materials import LEVEL_ATTRIBUTE, MATERIAL_KEY, create_material
-from .textures import TextureMaterials, mark_used, remove_unused
+from .materials import LEVEL_ATTRIBUTE, MATERIAL_KEY, TextureMaterials, create_material, mark_used, remove_unused
 
 STORE_KEY = "farfield_bdam_store"  # custom property of the root: the folder of the store
 FIGURES_KEY, WARNINGS_KEY = "farfield_bdam_figures", "farfield_bdam_warnings"  # of the root: of the last change, as JSON text

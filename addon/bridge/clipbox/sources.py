@@ -1,12 +1,15 @@
 """Readers of terrain files that need Blender: images and OpenVDB volumes. Paths that a user has typed."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
 
+from ...core.clipbox.engine import TerrainEngine
 from ...core.clipbox.files import readers
 from ...core.clipbox.files.file_data import HeightMap
 from ...core.clipbox.files.readers import BLEND_PREFIX, Readers
+from ...core.clipbox.settings import ClipboxSettings
 from ..imaging.height_images import read_gray_image
 from .openvdb_files import read_vdb
 
@@ -32,3 +35,19 @@ def absolute_path(path: str, library: bpy.types.Library | None = None) -> str:
 
 
 READERS: Readers = {**readers.READERS, **dict.fromkeys(IMAGE_EXTENSIONS, read_image), VOLUME_EXTENSION: read_vdb}
+
+
+def create_engine(settings: ClipboxSettings, closed: bool = False, library: bpy.types.Library | None = None) -> TerrainEngine:
+    """Create an engine for a new terrain; `closed` adds walls at the boundary of the outermost box.
+
+    library: the file that the settings are linked from, None for this file.
+
+    Raises:
+        SettingsError, FileError: the formula or the source file cannot be read.
+    """
+    return TerrainEngine(resolve_paths(settings, library), READERS, closed)
+
+
+def resolve_paths(settings: ClipboxSettings, library: bpy.types.Library | None = None) -> ClipboxSettings:
+    """Return settings whose source path does not depend on the .blend file ("//") or on the current folder."""
+    return replace(settings, source=absolute_path(settings.source, library)) if settings.source else settings

@@ -22,7 +22,7 @@ class SegmentCache:
     """Keeps the arrays that were used last, `max_bytes` of them at most. Several files and threads can share one."""
 
     def __init__(self, max_bytes: int = DEFAULT_CACHE_BYTES) -> None:
-        self._max_bytes, self._lock = max_bytes, Lock()
+        self.max_bytes, self._lock = max_bytes, Lock()
         self._arrays: OrderedDict[Hashable, HasBytes] = OrderedDict()
         self.byte_count = 0
 
@@ -37,9 +37,17 @@ class SegmentCache:
                 return self._arrays[key]
         array = create()
         with self._lock:
-            if key not in self._arrays and array.nbytes <= self._max_bytes:
+            if key not in self._arrays and array.nbytes <= self.max_bytes:
                 self._arrays[key] = array
                 self.byte_count += array.nbytes
-                while self.byte_count > self._max_bytes:
+                while self.byte_count > self.max_bytes:
                     self.byte_count -= self._arrays.popitem(last=False)[1].nbytes
         return array
+
+    def touch(self, key: Hashable) -> int | None:
+        """Keep an array as if it had just been used. Returns its bytes, None if it is not kept."""
+        with self._lock:
+            if key not in self._arrays:
+                return None
+            self._arrays.move_to_end(key)
+            return self._arrays[key].nbytes

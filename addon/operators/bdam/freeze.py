@@ -8,8 +8,8 @@ import bpy
 
 from ...bridge.bdam import freezing as freezing_bridge
 from ...bridge.bdam import objects as terrain_objects
+from ...bridge.bdam.materials import TextureMaterials, remove_unused
 from ...bridge.bdam.objects import SceneTerrain
-from ...bridge.bdam.textures import TextureMaterials, remove_unused
 from ...bridge.viewers import camera_viewer
 from ...core.bdam.settings import FreezePathSettings, FreezeSettings, ViewSettings
 from ...core.bdam.view.engine import BdamEngine
@@ -84,9 +84,7 @@ class FreezePathJob:
         store, exaggeration = core_result.store, self.view_settings.exaggeration
         try:
             yield from subprogress(self._read_viewers(), 0.0, VIEWERS_FRACTION)
-            known_damages = -1
-            while known_damages != store.damage_count:  # others are chosen instead of patches that turn out to be damaged
-                known_damages = store.damage_count
+            for _ in store.attempts():
                 textures, cut = yield from subprogress(
                     choose_path_cut(store, self.viewers, self.view_settings), VIEWERS_FRACTION, CUT_FRACTION
                 )

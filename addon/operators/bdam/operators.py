@@ -3,21 +3,27 @@
 from contextlib import suppress
 
 import bpy
+import mathutils
+import numpy as np
 
 from ...bridge.bdam import objects as terrain_objects
-from ...bridge.bdam.objects import SceneTerrain
+from ...bridge.bdam.objects import SceneTerrain, TerrainChange
 from ...core.bdam.settings import ViewSettings
 from ...core.bdam.view.engine import BdamEngine
 from ...core.errors import FileError
+from ...core.geometry.viewers import Viewer
 from .. import follow_handlers, properties, start_job
 from ..engine_cache import cache
 from ..error_reports import report_message, reports_errors
 from ..following import disabled_reason
 from ..long_work import poll_with_reason
 from ..view_following import FollowViewOperator, context_viewport, view_of_area
-from .follow_tool import TOOL
 from .job import ShowJob, prepare_update
-from .view_frames import frame_terrain
+
+MIN_CLIP_END = 4.0  # relative to the size of the terrain
+MIN_CLIP_START = 2e-6  # relative to the end of the clipping range: nearer surfaces of far terrain would flicker
+VIEW_DISTANCE = 1.2  # relative to the size of the terrain
+ROTATION = mathutils.Euler((1.05, 0.0, 0.0))  # from the south, and down
 
 
 class FARFIELD_PG_bdam_view(bpy.types.PropertyGroup):
@@ -149,6 +155,8 @@ CLASSES = (
     FARFIELD_OT_bdam_follow_view,
     FARFIELD_OT_bdam_remove,
 )
+
+
 register_settings, unregister_settings = properties.scene_settings_factory("farfield_bdam_view", FARFIELD_PG_bdam_view, CLASSES)
 
 
@@ -180,3 +188,58 @@ def unregister() -> None:
     follow_handlers.unregister_tool(TOOL)
     del bpy.types.Object.farfield_bdam_store_path
     unregister_settings()
+
+
+class BdamFollowTool:
+    """The tool `bdam` among those whose terrains follow; see `FollowTool`."""
+
+    identifier = SceneTerrain.tool
+
+    def scene_terrains(self, scene: bpy.types.Scene) -> list[SceneTerrain]:
+        """Return all terrains of a scene, linked ones included."""
+        return SceneTerrain.in_scene(scene)
+
+    def create_engine(self, terrain: SceneTerrain) -> BdamEngine:
+        """Create an engine for a terrain.
+
+        Raises:
+            SettingsError, FileError: the settings or the store cannot be read.
+        """
+        return BdamEngine(terrain.folder, terrain.settings)
+
+    def is_engine_of(self, engine: BdamEngine, terrain: SceneTerrain) -> bool:
+        """Return whether an engine has the current settings and the current store of its terrain."""
+        return engine.settings == terrain.settings and engine.folder == terrain.folder
+
+    def to_terrain(self, terrain: SceneTerrain, viewer: Viewer) -> Viewer:
+        """Return a viewer in world space as a viewer in the local frame of the store."""
+        return terrain.to_terrain_space(viewer)
+
+    def is_shown_at(self, terrain: SceneTerrain, viewer: Viewer) -> bool:
+        """Return False: only the engine knows."""
+        return False
+
+    def start_change(self, terrain: SceneTerrain, engine: BdamEngine) -> TerrainChange:
+        """Return the change of a new move."""
+        return TerrainChange(terrain, engine)
+
+
+TOOL = BdamFollowTool()
+
+
+def frame_terrain(space: bpy.types.SpaceView3D, low: np.ndarray, high: np.ndarray, exaggeration: float) -> None:
+    """Let a 3D Viewport show a terrain between two corners (3,) of its bounding box, and extend its clipping range.
+
+    In Solid shading it no longer outlines objects, which would draw lines between tiles. A view through the camera stays as it is.
+    """
+    space.shading.show_object_outline = False
+    scale = np.array([1.0, 1.0, exaggeration])
+    center, size = 0.5 * (low + high) * scale, float(np.linalg.norm((high - low) * scale))
+    space.clip_end = max(space.clip_end, MIN_CLIP_END * size)
+    space.clip_start = max(space.clip_start, MIN_CLIP_START * space.clip_end)
+    region = space.region_3d
+    if region.view_perspective == "CAMERA":
+        return
+    region.view_location, region.view_distance = center.tolist(), VIEW_DISTANCE * float((high - low)[:2].max())
+    region.view_rotation = ROTATION.to_quaternion()
+    region.update()

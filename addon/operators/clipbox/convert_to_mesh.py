@@ -6,6 +6,7 @@ import bpy
 import numpy as np
 
 from ...bridge.clipbox import objects as terrain_objects
+from ...bridge.clipbox import sources
 from ...bridge.clipbox.objects import SceneTerrain, terrain_of_object
 from ...core.clipbox.engine import TerrainEngine
 from ...core.clipbox.settings import ConvertSettings
@@ -14,7 +15,7 @@ from ...core.errors import GeometryError, SettingsError
 from ...core.jobs.progress import Progress, Steps
 from .. import properties, start_job
 from ..engine_cache import cache
-from . import engines, operators
+from . import operators
 
 
 @dataclass
@@ -81,7 +82,7 @@ def prepare(terrain: SceneTerrain, settings: ConvertSettings) -> ConvertJob:
     if terrain.read_only_reason and not settings.keep_terrain:
         raise SettingsError(f"{terrain.read_only_reason}, or enable Keep Terrain.", ("keep_terrain",))
     _ = terrain.origin  # raises SettingsError before anything is created
-    engine = engines.create_engine(terrain.settings, settings.closed, terrain.root.library)
+    engine = sources.create_engine(terrain.settings, settings.closed, terrain.root.library)
     return ConvertJob(terrain, engine, terrain.viewer, settings)
 
 

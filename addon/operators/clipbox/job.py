@@ -7,6 +7,7 @@ import bpy
 import numpy as np
 
 from ...bridge.clipbox import objects as terrain_objects
+from ...bridge.clipbox import sources
 from ...bridge.clipbox.materials import GroundImage, create_terrain_material
 from ...bridge.clipbox.objects import SceneTerrain
 from ...bridge.clipbox.sources import absolute_path
@@ -18,7 +19,6 @@ from ...core.errors import GeometryError
 from ...core.files.file_access import check_readable
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ..engine_cache import cache
-from . import engines
 
 HEIGHT_PERCENTILES = 10, 90  # of the vertices, between which most ground has the color of grass
 
@@ -76,7 +76,7 @@ def prepare(settings: ClipboxSettings, viewer: np.ndarray, terrain: SceneTerrain
     """
     check_viewer(viewer, settings.voxel_size)
     find_ground_image(settings, np.zeros(3))  # before any computation
-    return TerrainJob(engines.create_engine(settings), keep_blend_paths(settings), np.array(viewer, np.float64), terrain)
+    return TerrainJob(sources.create_engine(settings), keep_blend_paths(settings), np.array(viewer, np.float64), terrain)
 
 
 def keep_blend_paths(settings: ClipboxSettings) -> ClipboxSettings:

@@ -3,12 +3,16 @@
 import bpy
 import numpy as np
 
-from ...bridge.clipbox.objects import SceneTerrain, terrain_of_object
+from ...bridge.clipbox import objects as terrain_objects
+from ...bridge.clipbox import sources
+from ...bridge.clipbox.objects import PendingBlocks, SceneTerrain, terrain_of_object
+from ...core.clipbox.blocks import BlockMesh
+from ...core.clipbox.engine import BlockKey, TerrainEngine, Update
 from ...core.clipbox.settings import ClipboxSettings
+from ...core.geometry.viewers import Viewer
 from .. import follow_handlers, properties, start_job
 from ..following import disabled_reason
 from ..view_following import FollowViewOperator, context_viewport, view_of_area
-from .follow_tool import TOOL
 from .job import TerrainJob, prepare
 
 
@@ -86,6 +90,8 @@ def viewer_position(context: bpy.types.Context) -> np.ndarray:
 
 
 CLASSES = (FARFIELD_PG_clipbox, FARFIELD_OT_clipbox_create, FARFIELD_OT_clipbox_update, FARFIELD_OT_clipbox_follow_view)
+
+
 register_settings, unregister_settings = properties.scene_settings_factory("farfield_clipbox", FARFIELD_PG_clipbox, CLASSES)
 
 
@@ -99,3 +105,58 @@ def unregister() -> None:
     """Stop following, remove the settings from scenes, and unregister the classes."""
     follow_handlers.unregister_tool(TOOL)
     unregister_settings()
+
+
+class TerrainChange:
+    """One move of one terrain."""
+
+    def __init__(self, terrain: SceneTerrain, engine: TerrainEngine) -> None:
+        self._terrain = terrain
+        self._pending = PendingBlocks(terrain.origin, engine.settings)
+
+    def fill(self, key: BlockKey, block: BlockMesh) -> tuple[()]:
+        """Fill the mesh of a block, at once: blocks are small."""
+        self._pending.fill(key, block)
+        return ()
+
+    def show(self, update: Update) -> tuple[()]:
+        """Show all meshes."""
+        terrain_objects.show_meshes(self._terrain, self._pending.names, update, self._terrain.material)
+        return ()
+
+
+class ClipboxFollowTool:
+    """The tool `clipbox` among those whose terrains follow; see `FollowTool`."""
+
+    identifier = SceneTerrain.tool
+
+    def scene_terrains(self, scene: bpy.types.Scene) -> list[SceneTerrain]:
+        """Return all terrains of a scene, linked ones included."""
+        return terrain_objects.scene_terrains(scene)
+
+    def create_engine(self, terrain: SceneTerrain) -> TerrainEngine:
+        """Create an engine for a terrain.
+
+        Raises:
+            SettingsError, FileError: the settings, the formula or the source file cannot be read.
+        """
+        return sources.create_engine(terrain.settings)
+
+    def is_engine_of(self, engine: TerrainEngine, terrain: SceneTerrain) -> bool:
+        """Return whether an engine has the current settings of its terrain."""
+        return engine.settings == sources.resolve_paths(terrain.settings)
+
+    def to_terrain(self, terrain: SceneTerrain, viewer: Viewer) -> np.ndarray:
+        """Return the terrain position (3,) float64 of a viewer in world space."""
+        return terrain.viewer_position(viewer.matrix)
+
+    def is_shown_at(self, terrain: SceneTerrain, viewer: np.ndarray) -> bool:
+        """Return whether the boxes already lie as they would around `viewer` (3,)."""
+        return TerrainEngine.has_same_layout(terrain.settings, terrain.viewer, viewer)
+
+    def start_change(self, terrain: SceneTerrain, engine: TerrainEngine) -> TerrainChange:
+        """Return the change of a new move."""
+        return TerrainChange(terrain, engine)
+
+
+TOOL = ClipboxFollowTool()

@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 
+from ..height_meshes import find_used, triangulate_cells
 from ..simplification.collapse_costs import ANTIDIAGONAL, DIAGONAL, FREE, HORIZONTAL, LOCKED, VERTICAL
 from ..tree import Tree
 from .height_grid import HeightGrid
@@ -15,10 +16,13 @@ from .patch_set import PatchSet
 class DiamondMeshes:
     """The meshes of D diamonds without common vertices. Vertices are in ascending order of their diamonds, then x, then y.
 
-    domains: (V,) int32, diamond of each vertex. x, y, z: (V,) int32. gradients: (V, 2) float32, known on the outer boundary of each
-    diamond, NaN elsewhere. triangles: (T, 3) int32. samples: (S, 3) int32, samples (x, y, z) that are not vertices, but whose distances
-    count.
-    sample_triangles: (S,) int32, the triangles that contain them.
+    Attributes:
+        domains: (V,) int32, diamond of each vertex.
+        x, y, z: (V,) int32, grid coordinates and heights in steps.
+        gradients: (V, 2) float32, steps per cell, known on the outer boundary of each diamond, NaN elsewhere.
+        triangles: (T, 3) int32, counterclockwise.
+        samples: (S, 3) int32, samples (x, y, z) that are not vertices, but whose distances count.
+        sample_triangles: (S,) int32, the triangles that contain them.
     """
 
     domains: np.ndarray
@@ -55,22 +59,12 @@ def triangulate_field(tree: Tree, centers: np.ndarray, grid: HeightGrid) -> Diam
 @cache
 def diamond_template(leaf_cells: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the vertices (V, 2) int32, relative to the center, and the counterclockwise triangles (T, 3) int32 of the samples within
-    `leaf_cells` steps of the center.
-
-    The diagonals of the cells alternate: they meet at samples with an even sum of coordinates, as the hypotenuses of the bintree do.
-    """
-    side = 2 * leaf_cells + 1
-    x, y = np.mgrid[-leaf_cells : leaf_cells + 1, -leaf_cells : leaf_cells + 1].astype(np.int32)
-    number = np.arange(side * side, dtype=np.int32).reshape(side, side)
-    a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
-    is_even = ((x + y)[:-1, :-1] % 2 == 0)[..., None]
-    first = np.where(is_even, np.stack([a, b, c], axis=-1), np.stack([a, b, d], axis=-1))
-    second = np.where(is_even, np.stack([a, c, d], axis=-1), np.stack([b, c, d], axis=-1))
-    triangles = np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)])
-    is_inside = (np.abs(x) + np.abs(y) <= leaf_cells).ravel()
-    triangles = triangles[is_inside[triangles].all(axis=1)]
-    renumbering = np.cumsum(is_inside, dtype=np.int32) - 1
-    return np.stack([x.ravel(), y.ravel()], axis=1)[is_inside], renumbering[triangles]
+    `leaf_cells` steps of the center."""
+    vertices = np.mgrid[-leaf_cells : leaf_cells + 1, -leaf_cells : leaf_cells + 1].astype(np.int32).reshape(2, -1).T
+    triangles = triangulate_cells(2 * leaf_cells)
+    is_inside = np.abs(vertices).sum(axis=1) <= leaf_cells
+    is_used, triangles = find_used(triangles[is_inside[triangles].all(axis=1)], len(vertices))
+    return np.ascontiguousarray(vertices[is_used]), triangles
 
 
 def weld_patches(tree: Tree, patches: PatchSet, domains: np.ndarray) -> DiamondMeshes:
@@ -147,10 +141,8 @@ def sample_gradients(x: np.ndarray, y: np.ndarray, grid: HeightGrid) -> np.ndarr
 
 def _remove_unused(meshes: DiamondMeshes) -> DiamondMeshes:
     """Return the meshes without the vertices that no triangle uses."""
-    is_used = np.zeros(len(meshes.x), bool)
-    is_used[meshes.triangles] = True
-    if is_used.all():
+    is_used, triangles = find_used(meshes.triangles, len(meshes.x))
+    if triangles is meshes.triangles:
         return meshes
-    renumbering = np.cumsum(is_used, dtype=np.int32) - 1
     arrays = (array[is_used] for array in (meshes.domains, meshes.x, meshes.y, meshes.z, meshes.gradients))
-    return DiamondMeshes(*arrays, renumbering[meshes.triangles], meshes.samples, meshes.sample_triangles)
+    return DiamondMeshes(*arrays, triangles, meshes.samples, meshes.sample_triangles)

@@ -12,10 +12,10 @@ from ..files.blocks import BlockWriter
 from ..store.structure import Level, StoreHeader, write_structure
 from ..store.terrain_store import GEOMETRY_FILE, GEOMETRY_KIND
 from ..tree import Tree
-from .encoded_patches import EncodedPatches
+from .patch_set import EncodedPatches
 from .work_folder import ADVICE, LevelLayout, WorkFolder
 
-EDGE_POINTS = 5  # of each edge of a triangle that are projected, because edges are curved in the local frame of a geographic grid
+EDGE_POINTS = 5  # Points of each edge of a triangle that are projected: edges are curved in the local frame of a geographic grid.
 
 
 def write_geometry(work: WorkFolder, layouts: list[LevelLayout], header: StoreHeader, out: Path) -> Steps[list[Level]]:

@@ -2,8 +2,13 @@
 
 GeoTIFF files are read by window from where they are. JPEG, PNG and WebP files cannot be: the parent process decodes them once into raw
 files in the work folder, which workers read by window without mapping them.
+
+The position of an image without tags may be in a world file with six lines of text (Esri, World files for raster datasets): A, D, B, E, C
+and F of x = A * column + B * row + C and y = D * column + E * row + F, at the centers of pixels counted from (0, 0) in the upper left
+corner. The coordinate reference system is not declared.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,27 +17,31 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FileError, ImageError
-from ...files.array_files import read_raw_window
 from ...files.atomic_write import TEMPORARY_SUFFIX
 from ...files.file_access import check_readable, convert_os_errors, error_reason
 from ...files.geotiff import GeoReference
+from ...files.height_maps import are_valid_sizes
 from ...files.segment_cache import SegmentCache
 from ...files.tiffs import TiffImage, open_tiff
 from ...imaging.coded_images import read_coded_image, read_coded_shape
 from ..fields.placements import Placement, place_map
-from ..textures.images import PlacedImage
-from ..textures.world_files import find_world_file, read_world_file
+from ..textures.resampling import PlacedImage
+from .height_grid import read_window
 from .tiff_colors import TiffColors, check_colors
 
 TIFF_EXTENSIONS, CODED_EXTENSIONS = (".tif", ".tiff"), (".jpg", ".jpeg", ".png", ".webp")
+MAX_WORLD_FILE_BYTES = 1024
 
 
 @dataclass(frozen=True)
 class GroundImage:
     """An image file and its place on the field. It consists of types of JSON, for the tasks of a build.
 
-    path: absolute. raw: name in the work folder of the file with the decoded pixels, None for TIFF files. shape: rows, columns, channels.
-    corner, step: see `PlacedImage`.
+    Attributes:
+        path: absolute path.
+        raw: name in the work folder of the file with the decoded pixels, None for TIFF files.
+        shape: rows, columns, channels.
+        corner, step: position on the field, see `PlacedImage`.
     """
 
     path: str
@@ -55,14 +64,7 @@ class RawPixels:
 
     def read(self, rows: slice, columns: slice) -> np.ndarray:
         """Return a window (h, w, C) uint8. Raises FileError."""
-        pixel = np.dtype((np.void, self.shape[2]))
-        try:
-            with self._path.open("rb", buffering=0) as file:
-                window = np.ascontiguousarray(read_raw_window(file, 0, pixel, self.shape[1], rows, columns))
-        except EOFError as error:
-            raise FileError(f'"{self._path}" is truncated; delete its folder and build the terrain again.') from error
-        except OSError as error:
-            raise FileError(f'"{self._path}" cannot be read: {error_reason(error)}; build the terrain again.') from error
+        window = np.ascontiguousarray(read_window(self._path, np.dtype((np.void, self.shape[2])), self.shape[1], rows, columns))
         return window.view(np.uint8).reshape(*window.shape, self.shape[2])
 
 
@@ -150,8 +152,7 @@ def _place_on_map(
     if not field.is_placed:
         raise FileError(f'"{path}" has a position on a map but the elevation model has none; use an elevation model with a position.')
     placement, is_south_up = place_map(path, reference, size, 1.0)
-    is_other = placement.is_geographic != field.is_geographic or (None not in (placement.code, field.code) and placement.code != field.code)
-    if is_declared and is_other:
+    if is_declared and placement.has_other_crs(field):
         raise FileError(
             f'"{path}" and the elevation model have different projections ({placement.crs} and {field.crs}); warp the image to that of '
             "the elevation model."
@@ -164,7 +165,7 @@ def _place_on_map(
     corner = tuple((first[axis] - 0.5 * step[axis] - field.first[axis]) / field.step[axis] for axis in range(2))
     counts, ends = (size[1], size[0]), (shape[1] - 1, shape[0] - 1)
     if not all(corner[axis] < ends[axis] and corner[axis] + scale[axis] * counts[axis] > 0.0 for axis in range(2)):
-        raise FileError(f'"{path}" lies beside the elevation model; check its position, or leave it out.')
+        raise FileError(f'"{path}" lies outside of the elevation model; check its position, or leave it out.')
     if is_south_up:
         return corner, scale
     return (corner[0], corner[1] + scale[1] * size[0]), (scale[0], -scale[1])
@@ -185,3 +186,33 @@ def _convert_image_errors(path: Path) -> Iterator[None]:
         raise FileError(f'"{path}" cannot be used as a texture: {error}') from error
     except OSError as error:
         raise FileError(f'"{path}" cannot be read: {error_reason(error)}.') from error
+
+
+def find_world_file(image: Path) -> Path | None:
+    """Return the world file of an image, None if there is none: the first and last letter of its file name extension with a w, the whole
+    extension with a w, or .wld."""
+    letters = image.suffix[1:]
+    if not letters:
+        return None
+    names = (f"{letters[0]}{letters[-1]}w", f"{letters}w", "wld")
+    candidates = (image.with_suffix(f".{name}") for ending in names for name in (ending, ending.lower(), ending.upper()))
+    return next((path for path in candidates if path.is_file()), None)
+
+
+def read_world_file(path: Path) -> tuple[float, float, float, float, float, float]:
+    """Return (a, b, c, d, e, f) of a world file in the order of `GeoReference.affine`: x = a * column + b * row + c, y = d * column +
+    e * row + f.
+
+    Raises:
+        FileError: it cannot be read, or does not contain six numbers.
+    """
+    with convert_os_errors(f'"{path}" cannot be read'), path.open("rb") as file:
+        words = file.read(MAX_WORLD_FILE_BYTES).replace(b",", b".").split()
+    try:
+        a, d, b, e, c, f = (float(word) for word in words[:6])
+    except ValueError as error:
+        raise FileError(f'"{path}" is no world file: it must contain six numbers, one per line.') from error
+    is_valid = all(math.isfinite(number) for number in (a, b, c, d, e, f))
+    if not is_valid or not are_valid_sizes((math.hypot(a, d), math.hypot(b, e))):
+        raise FileError(f'"{path}" is no world file: its pixels have no size; export it again.')
+    return a, b, c, d, e, f

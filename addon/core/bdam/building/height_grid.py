@@ -1,4 +1,5 @@
-"""The samples of a field as a file of integers, read by window without memory mapping, so that the memory of workers stays bounded."""
+"""The samples of a field as a file of integers. Files of a build are read by window without memory mapping, so that the memory of workers
+stays bounded."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -7,9 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FileError
+from ...files.array_files import read_raw_window
 from ...files.file_access import error_reason
 
-HOLE_BIT = 1  # of a stored value: whether the sample is unknown; its height is then interpolated
+HOLE_BIT = 1  # bit of a stored value: whether the sample is unknown; its height is then interpolated
 MAX_BAND_SAMPLES = 1 << 21
 
 
@@ -27,19 +29,7 @@ class HeightGrid:
         Raises:
             FileError: the file cannot be read.
         """
-        width = columns.stop - columns.start
-        values = np.empty((rows.stop - rows.start, width), np.int32)
-        try:
-            with self.path.open("rb", buffering=0) as file:
-                if width == self.columns:
-                    file.seek(4 * rows.start * self.columns)
-                    _read_exactly(file, values)
-                else:
-                    for row, target in enumerate(values, rows.start):
-                        file.seek(4 * (row * self.columns + columns.start))
-                        _read_exactly(file, target)
-        except OSError as error:
-            raise FileError(f'The heights in "{self.path}" cannot be read: {error_reason(error)}; build the terrain again.') from error
+        values = read_window(self.path, np.dtype(np.int32), self.columns, rows, columns)
         return values >> 1, (values & HOLE_BIT) == 0
 
     def read_points(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -74,6 +64,16 @@ def split_rows(start: int, stop: int, width: int) -> Iterator[slice]:
         yield slice(first, min(first + size, stop))
 
 
-def _read_exactly(file, target: np.ndarray) -> None:
-    if file.readinto(memoryview(target).cast("B")) != target.nbytes:
-        raise FileError(f'"{file.name}" is truncated; build the terrain again.')
+def read_window(path: Path, dtype: np.dtype, width: int, rows: slice, columns: slice) -> np.ndarray:
+    """Return a window (h, w) of a file of a build that holds an array whose rows have `width` elements.
+
+    Raises:
+        FileError: the file cannot be read.
+    """
+    try:
+        with path.open("rb", buffering=0) as file:
+            return read_raw_window(file, 0, dtype, width, rows, columns)
+    except EOFError as error:
+        raise FileError(f'"{path}" is truncated; build the terrain again.') from error
+    except OSError as error:
+        raise FileError(f'"{path}" cannot be read: {error_reason(error)}; build the terrain again.') from error

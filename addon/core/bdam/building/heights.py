@@ -1,24 +1,40 @@
-"""The heights of a build: a field in steps, with its holes interpolated."""
+"""The heights of a build: a field in steps, with its unknown heights interpolated or filled.
+
+Heights that nobody sees are interpolated along rows. If holes are to be filled, it is done smoothly from the heights around them, out of
+core: a pyramid as in Gortler et al., The Lumigraph, 1996, section 3.4 (push-pull), made a solver of Laplace's equation by relaxation. Every
+coarser level has the means of the known heights of 2 x 2 samples. From the coarsest level on, unknown heights are first interpolated from
+the coarser level and then replaced RELAXATIONS times by the mean of their four neighbors, so that they meet the known heights without a
+step (a cascadic multigrid method: Bornemann and Deuflhard, 1996). Heights that are known stay as they are.
+
+All levels are files that are read in bands of rows. A band is computed together with as many rows around it as relaxation reaches, so that
+the result does not depend on the bands.
+"""
 
 import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ...errors import FileError, SettingsError
+from ...files.atomic_write import TEMPORARY_SUFFIX
 from ...files.file_access import convert_os_errors
 from ...files.sealed_files import read_sealed, write_sealed
 from ...jobs.progress import Progress, Steps
-from ..fields.height_field import HeightField
-from .height_grid import encode_heights, split_rows
+from ..fields.terrain_field import TerrainField
+from .height_grid import HeightGrid, encode_heights, read_window, split_rows
 from .work_folder import ADVICE
 
 MAX_STEPS = 2**29  # stored heights lie between minus and plus this many steps
-STEPS_PER_CELL = 200.0  # of sources with real numbers: 0.1 m for cells of 20 m
+STEPS_PER_CELL = 200.0  # for sources with real numbers: 0.1 m for cells of 20 m
 DONE_SUFFIX = ".done"
+RELAXATIONS = 12
+BAND_SAMPLES = 1 << 20
+SOLVE_START = 0.2  # progress at which all levels are reduced
 
 
-def choose_height_step(field: HeightField, wanted: float) -> float:
+def choose_height_step(field: TerrainField, wanted: float) -> float:
     """Return the meters between two stored heights: `wanted` if positive, otherwise that of the source or a round fraction of a cell."""
     if wanted > 0.0:
         return wanted
@@ -29,7 +45,7 @@ def choose_height_step(field: HeightField, wanted: float) -> float:
     return max(factor * magnitude for factor in (1.0, 2.0, 5.0) if factor * magnitude <= step * (1.0 + 1e-9))
 
 
-def write_heights(field: HeightField, path: Path, height_step: float) -> Steps[int]:
+def write_heights(field: TerrainField, path: Path, height_step: float) -> Steps[int]:
     """Write the heights of a field as a `HeightGrid` to `path`, unless that was finished before. Returns the number of unknown heights.
 
     Raises:
@@ -76,3 +92,122 @@ def _interpolate_rows(heights: np.ndarray, is_known: np.ndarray, previous: np.nd
             row[:] = previous
         previous = row
     return previous.copy()
+
+
+@dataclass(frozen=True)
+class _Level:
+    """Heights (rows, columns) float32 in steps, NaN where unknown. read: returns those of some rows."""
+
+    rows: int
+    columns: int
+    read: Callable[[slice], np.ndarray]
+
+    def bands(self) -> list[slice]:
+        """Return bands of rows, with an even number of rows except for the last one."""
+        size = max(BAND_SAMPLES // self.columns // 2 * 2, 2)
+        return [slice(start, min(start + size, self.rows)) for start in range(0, self.rows, size)]
+
+
+def fill_holes(grid: HeightGrid) -> Steps[None]:
+    """Make all heights of a grid known. At least one must be known. If it is interrupted, it can be started again.
+
+    Raises:
+        FileError: a file cannot be read or written.
+    """
+    with convert_os_errors(f'The holes of "{grid.path}" cannot be filled'):
+        levels = [_Level(grid.rows, grid.columns, lambda rows: _read_heights(grid, rows))]
+        while any(np.isnan(levels[-1].read(band)).any() for band in levels[-1].bands()):
+            levels.append(_reduce(levels[-1], _level_path(grid, len(levels), "known")))
+            yield Progress(SOLVE_START * (1.0 - 0.25 ** len(levels)), "Filling holes")
+        solved = levels[-1]
+        for number in range(len(levels) - 2, 0, -1):
+            level, coarser = levels[number], solved
+            bands = (_solve_band(level, coarser, band) for band in level.bands())
+            solved = _write_level(_level_path(grid, number, "filled"), level.rows, level.columns, bands)
+            yield Progress(SOLVE_START + (1.0 - SOLVE_START) * 0.25**number, "Filling holes")
+        if len(levels) > 1:
+            yield from _fill_samples(grid, levels[0], solved)
+        for path in grid.path.parent.glob(f"{grid.path.stem}-*-level.raw"):
+            path.unlink()
+
+
+def _read_heights(grid: HeightGrid, rows: slice) -> np.ndarray:
+    steps, is_known = grid.read(rows, slice(0, grid.columns))
+    return np.where(is_known, steps, np.nan).astype(np.float32)
+
+
+def _level_path(grid: HeightGrid, number: int, kind: str) -> Path:
+    return grid.path.with_name(f"{grid.path.stem}-{kind}-{number:02d}-level.raw")
+
+
+def _write_level(path: Path, rows: int, columns: int, bands: Iterable[np.ndarray]) -> _Level:
+    """Write the heights of bands to a file, and return the level that reads them."""
+    with path.open("wb") as file:
+        for heights in bands:
+            heights.astype(np.float32).tofile(file)
+    return _Level(rows, columns, lambda rows: read_window(path, np.dtype(np.float32), columns, rows, slice(0, columns)))
+
+
+def _reduce(level: _Level, path: Path) -> _Level:
+    """Write the means of the known heights of 2 x 2 samples."""
+    bands = (_reduce_band(level.read(band)) for band in level.bands())
+    return _write_level(path, (level.rows + 1) // 2, (level.columns + 1) // 2, bands)
+
+
+def _reduce_band(heights: np.ndarray) -> np.ndarray:
+    heights = np.pad(heights, [(0, count % 2) for count in heights.shape], constant_values=np.nan)
+    blocks = heights.reshape(heights.shape[0] // 2, 2, -1, 2).transpose(0, 2, 1, 3).reshape(heights.shape[0] // 2, -1, 4)
+    counts = np.isfinite(blocks).sum(axis=2)
+    sums = np.where(np.isfinite(blocks), blocks, 0.0).sum(axis=2)
+    return np.divide(sums, counts, out=np.full(sums.shape, np.nan, np.float32), where=counts > 0)
+
+
+def _fill_samples(grid: HeightGrid, level: _Level, coarser: _Level) -> Steps[None]:
+    """Replace the file of a grid by one whose unknown heights are filled."""
+    temporary = grid.path.with_name(grid.path.name + TEMPORARY_SUFFIX)
+    with temporary.open("wb") as file:
+        for band in level.bands():
+            yield Progress(SOLVE_START + (1.0 - SOLVE_START) * (0.25 + 0.75 * band.start / grid.rows), "Filling holes")
+            steps, is_known = grid.read(band, slice(0, grid.columns))
+            if not is_known.all():
+                filled = np.rint(_solve_band(level, coarser, band))
+                steps = np.where(is_known, steps, filled.astype(np.int32))
+            encode_heights(steps, np.ones(steps.shape, bool)).astype("<i4").tofile(file)
+    temporary.replace(grid.path)
+
+
+def _solve_band(level: _Level, coarser: _Level, band: slice) -> np.ndarray:
+    """Return the heights (h, columns) of a band with its unknown heights filled."""
+    rows = slice(max(band.start - RELAXATIONS, 0), min(band.stop + RELAXATIONS, level.rows))
+    heights = level.read(rows)
+    is_unknown = np.isnan(heights)
+    inner = slice(band.start - rows.start, band.stop - rows.start)
+    if not is_unknown[inner].any():
+        return heights[inner]
+    heights = np.where(is_unknown, _expand(coarser, rows, level.columns), heights)
+    padded = np.pad(heights, 1, mode="edge")
+    for _ in range(RELAXATIONS):
+        center = padded[1:-1, 1:-1]
+        means = padded[:-2, 1:-1] + padded[2:, 1:-1]
+        means += padded[1:-1, :-2]
+        means += padded[1:-1, 2:]
+        means *= 0.25
+        np.copyto(center, means, where=is_unknown)
+        padded[0], padded[-1], padded[:, 0], padded[:, -1] = padded[1], padded[-2], padded[:, 1], padded[:, -2]
+    return padded[1:-1, 1:-1][inner]
+
+
+def _expand(coarser: _Level, rows: slice, columns: int) -> np.ndarray:
+    """Return the bilinear interpolation (h, columns) float32 of the coarser level at rows of the finer one."""
+    low, high = max(min((rows.start - 1) // 2, coarser.rows - 2), 0), min(rows.stop // 2 + 1, coarser.rows)
+    values = coarser.read(slice(low, high))
+    for axis, positions, first, count in (
+        (0, np.arange(rows.start, rows.stop), low, coarser.rows),
+        (1, np.arange(columns), 0, coarser.columns),
+    ):
+        centers = np.clip((positions - 0.5) / 2.0, 0.0, count - 1.0)
+        start = np.minimum(centers.astype(np.int64), max(count - 2, 0))
+        weights = (centers - start).astype(np.float32).reshape((-1, 1) if axis == 0 else (1, -1))
+        end = np.minimum(start + 1, count - 1)
+        values = np.take(values, start - first, axis) * (1.0 - weights) + np.take(values, end - first, axis) * weights
+    return values

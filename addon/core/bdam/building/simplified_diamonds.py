@@ -3,18 +3,20 @@
 import numpy as np
 
 from ...arrays import concatenate_ranges, gather
-from ..height_meshes import weigh_gradients
+from ..height_meshes import sum_gradients
+from ..simplification.collapse_costs import FREE, HORIZONTAL, LOCKED, VERTICAL
+from ..simplification.collapsed_fans import RemovedSamples
 from ..simplification.decimation import MeshBatch, simplify
-from ..simplification.removed_samples import RemovedSamples
 from ..tree import Tree
 from .diamond_meshes import DiamondMeshes, classify_vertices, triangulate_field, weld_patches
-from .grid_collapses import choose_grid_collapses
 from .height_grid import HeightGrid, split_rows
 from .patch_set import PatchSet, to_starts
 from .vertical_errors import Measurement, measure_triangles
 
-MAX_SAMPLES_PER_TRIANGLE = 6  # that the next level measures; without them errors grow unseen, and all of them would take too long
-MAX_MEASURED_SAMPLES = 1 << 14  # at once, so that they do not decide how much memory workers need
+# The next level measures so many samples of a triangle: without any, errors grow unseen, and all of them would take too long.
+MAX_SAMPLES_PER_TRIANGLE = 6
+MAX_MEASURED_SAMPLES = 1 << 14  # Samples are measured in such chunks, so that they do not decide how much memory workers need.
+GRID_COLLAPSE_FRACTION = 0.6  # The first collapses of a grid remove this fraction of the vertices that are to be removed.
 
 
 def simplify_diamonds(
@@ -81,7 +83,7 @@ def _choose_samples(batch: MeshBatch, triangles: np.ndarray, removed: RemovedSam
     noise[distances == gather(largest, crowded.triangles)] = 0
     order = np.argsort(crowded.triangles.astype(np.uint64) << np.uint64(32) | noise, kind="stable")
     counts[counts <= MAX_SAMPLES_PER_TRIANGLE] = 0
-    ranks = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
+    ranks = concatenate_ranges(0, counts)
     kept = gather(np.flatnonzero(is_crowded), order.compress(ranks < MAX_SAMPLES_PER_TRIANGLE))
     chosen = np.concatenate([np.flatnonzero(~is_crowded), kept])
     return RemovedSamples(gather(removed.vertices, chosen), gather(removed.triangles, chosen))
@@ -166,9 +168,52 @@ def _add_gradients(meshes: DiamondMeshes, triangles: np.ndarray, is_missing: np.
     """Return the gradients (V, 2) float32 with those of the vertices `is_missing` (V,), if triangles use them: means of the gradients of
     their triangles weighted by area."""
     triangles = triangles[is_missing.take(triangles).any(axis=1)]
-    weighted = weigh_gradients(*(axis.astype(np.float64).take(triangles.T) for axis in (meshes.x, meshes.y, meshes.z)))
-    corners, count = triangles.reshape(-1), len(meshes.x)
-    sums = [np.bincount(corners, np.repeat(values, 3), minlength=count)[is_missing] for values in weighted]
+    sums = sum_gradients(np.stack([meshes.x, meshes.y, meshes.z]).astype(np.float64), triangles.T.astype(np.intp, order="C"))
+    sums = [values[is_missing] for values in sums]
     gradients = meshes.gradients.copy()
     gradients[is_missing] = np.stack(sums[:2], axis=1) / np.maximum(sums[2], 1.0)[:, None]
     return gradients
+
+
+def choose_grid_collapses(meshes: DiamondMeshes, lines: np.ndarray, excess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Choose the first collapses of a regular grid: the cheapest samples that have four neighbors.
+
+    Samples with an odd sum of coordinates share no triangle, so their costs are found at once and any number of them can be removed.
+
+    Args:
+        meshes: all samples of diamonds. lines: (V,) int8, constraints. excess: (D,) int, how many vertices to remove from each diamond.
+
+    Returns:
+        Vertices (N,) int32 and the neighbors (N,) int32 to collapse them onto.
+    """
+    odd = np.flatnonzero(((meshes.x + meshes.y) % 2 == 1) & (lines != LOCKED)).astype(np.int32)
+    x_low, x_high, y_low, y_high = _find_neighbors(meshes, odd)
+    z = meshes.z.astype(np.float32)
+    across = np.abs(z[odd] - 0.5 * (z[x_low] + z[x_high]))
+    along = np.abs(z[odd] - 0.5 * (z[y_low] + z[y_high]))
+    across[((lines[odd] != FREE) & (lines[odd] != HORIZONTAL)) | (x_low < 0) | (x_high < 0)] = np.inf
+    along[((lines[odd] != FREE) & (lines[odd] != VERTICAL)) | (y_low < 0) | (y_high < 0)] = np.inf
+    costs = np.minimum(across, along)
+    # At a boundary, the target is the neighbor with which the counterclockwise fan of triangles begins.
+    targets = np.where(across <= along, np.where(y_low < 0, x_high, x_low), np.where(x_high < 0, y_high, y_low))
+    domains = meshes.domains[odd]
+    order = np.lexsort((costs, domains))
+    counts = np.bincount(domains, minlength=len(excess))
+    ranks = concatenate_ranges(0, counts)
+    chosen = order[(ranks < GRID_COLLAPSE_FRACTION * excess[domains[order]]) & np.isfinite(costs[order])]
+    chosen.sort()
+    return odd[chosen], targets[chosen]
+
+
+def _find_neighbors(meshes: DiamondMeshes, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the vertices (N,) int32 before and after `vertices` along x and along y, -1 where there is none."""
+    x, y, domains = (array.astype(np.int64) for array in (meshes.x, meshes.y, meshes.domains))
+    width, height = int(x.max()) + 3, int(y.max()) + 3
+    keys = (domains * height + y + 1) * width + x + 1
+    order = np.argsort(keys, kind="stable")
+    found = []
+    for offset in (-1, 1, -width, width):
+        wanted = keys[vertices] + offset
+        positions = np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)
+        found.append(np.where(keys[order[positions]] == wanted, order[positions], -1).astype(np.int32))
+    return tuple(found)

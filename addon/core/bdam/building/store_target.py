@@ -1,4 +1,4 @@
-"""The folder that a build writes a store to, and the work folder beside it."""
+"""The folder that a build writes a store to, and the work folder next to it."""
 
 import shutil
 from collections.abc import Iterator
@@ -8,11 +8,10 @@ from pathlib import Path
 from ...errors import FileError
 from ...files.atomic_write import TEMPORARY_SUFFIX, atomic_write
 from ...files.file_access import convert_os_errors
-from ...jobs import heartbeat
 from ...jobs.job_folder import JOB_FILE
 from ..store.structure import STRUCTURE_FILE, find_structure
 
-WORK_SUFFIX, NEW_SUFFIX, OLD_SUFFIX = ".build", ".new", ".build-finished"  # of folders beside that of the store
+WORK_SUFFIX, NEW_SUFFIX, OLD_SUFFIX = ".build", ".new", ".build-finished"  # added to the name of the store's folder
 
 
 def work_folder_path(out: Path) -> Path:
@@ -36,16 +35,6 @@ def check_target(out: Path) -> None:
         work = work_folder_path(out)
         if work.is_dir() and not (work / JOB_FILE).exists() and any(path.suffix != TEMPORARY_SUFFIX for path in work.iterdir()):
             raise FileError(f'"{work}" contains other files, but the build needs that folder; rename it, or choose another name.')
-
-
-@contextmanager
-def hold(folder: Path) -> Iterator[heartbeat.Heartbeat]:
-    """Own a work folder until the end of the block."""
-    held = heartbeat.take_over(folder)
-    try:
-        yield held
-    finally:
-        held.close()
 
 
 @contextmanager

@@ -14,13 +14,11 @@ from ...files.sealed_files import write_sealed
 from ..store.leaf_grids import leaf_grid
 from ..store.patch_codec import Patch, encode_patch, find_boundary
 from ..store.patch_outlines import count_outline_triangles
-from .curvature_errors import bound_curvature_errors
 from .diamond_meshes import sample_gradients
-from .encoded_patches import EncodedPatches
-from .patch_files import read_patches, write_patches
-from .patch_set import PatchSet, join
+from .patch_set import EncodedPatches, PatchSet, join, read_patches, write_patches
 from .simplified_diamonds import simplify_diamonds
-from .texture_tasks import TEXTURE_TASK, TextureTasks
+from .texture_stage import TEXTURE_TASK, TextureTasks
+from .vertical_errors import bound_curvature_errors
 from .work_folder import LevelLayout, WorkFolder
 
 

@@ -2,14 +2,17 @@
 
 import hashlib
 import json
-from collections.abc import Sequence
-from dataclasses import asdict
+import shutil
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from ...errors import FarfieldError
+from ...errors import FarfieldError, FileError
 from ...files.file_access import convert_os_errors
 from ...files.sealed_files import validate_or_remove, write_sealed
 from ...jobs.executors import parse_executor
+from ...jobs.heartbeat import take_over
 from ...jobs.job_folder import open_job_folder, remove_temporary_files
 from ...jobs.progress import Progress, StageClock, Steps, subprogress
 from ...jobs.task_pool import TaskPool, open_task_pool
@@ -17,22 +20,52 @@ from ..fields.placements import GeographicFrame
 from ..fields.terrain_field import TerrainField
 from ..settings import BdamSettings
 from ..store.structure import Level, StoreHeader
-from .build_report import BuildReport
-from .disk_space import check_free_space, estimate_bytes, folder_bytes
 from .finish import write_geometry
-from .heights import choose_height_step, write_heights
-from .hole_filling import fill_holes
-from .store_target import check_target, delete_work_folder, hold, replace_store, work_folder_path
+from .heights import choose_height_step, fill_holes, write_heights
+from .store_target import check_target, delete_work_folder, replace_store, work_folder_path
 from .texture_stage import TextureWork, build_texture_tiles, plan_textures, write_texture_store
 from .work_folder import HEIGHTS_FILE, PARAMETERS_FILE, BuildParameters, LevelLayout, WorkFolder
 
 TASKS_MODULE = "addon.core.bdam.building.tasks"
-FORMAT_VERSION = 4  # of the files in a work folder
+FORMAT_VERSION = 5  # version of the files in a work folder
 FILLED_FILE = "heights.filled"  # marks that holes were filled
 DIAMONDS_PER_SHARD = {16: 96, 32: 24, 64: 6}  # by cells of a leaf: as many samples; workers need up to 240 MB
 GRADIENT_STEP = 1.0 / 64.0  # meters of height per meter
-READ_END, FINISH_START = 0.05, 0.95  # of the progress
+READ_END, FINISH_START = 0.05, 0.95  # progress at which heights are read, and at which the store is written
 TEXEL_COST = 0.05  # seconds of a texel relative to those of a sample, for the progress
+HEIGHT_BYTES = 4.0  # per sample, in the work folder
+FILL_BYTES = 7.0  # per sample, for the levels of hole filling
+GEOMETRY_BYTES = 16.0  # per sample: patches of two levels, coded patches, and their copy in the store
+TEXEL_BYTES = {"jpeg": 2.5, "webp": 2.5, "raw": 11.0}  # per texel of the finest level: tiles, their copy in the store, pieces of one level
+
+
+@dataclass(frozen=True)
+class BuildReport:
+    """Figures of a terrain that was built.
+
+    Attributes:
+        origin: world position of the local zero, meters of the projection, or degrees of longitude and latitude.
+        crs: the coordinate reference system in words.
+        rows, columns: samples.
+        holes: unknown samples of the sources.
+        patches, triangles: numbers at all levels.
+        tiles: texture tiles.
+        bytes: size of the store.
+        seconds: times of this run by stage.
+        warnings: sentences for the user.
+    """
+
+    origin: tuple[float, float]
+    crs: str
+    rows: int
+    columns: int
+    holes: int
+    patches: int
+    triangles: int
+    tiles: int
+    bytes: int
+    seconds: Mapping[str, float]
+    warnings: tuple[str, ...]
 
 
 def build_terrain(
@@ -40,7 +73,7 @@ def build_terrain(
 ) -> Steps[BuildReport]:
     """Build the store of a field in the folder `out`.
 
-    Finished parts are kept in a folder beside it, from which the same build resumes; it is deleted at the end.
+    Finished parts are kept in a work folder next to it, from which the same build resumes; it is deleted at the end.
 
     sources: the files of the field; with their sizes and times they tell whether a work folder belongs to this build. images: files of its
     texture, see `ground_images.place_images`; later ones lie over earlier ones.
@@ -56,14 +89,14 @@ def build_terrain(
     header = _create_header(field, settings, has_texture=bool(images))
     textures = plan_textures(field, header.tree, images, settings)
     folder = work_folder_path(out)
-    check_free_space(out, _estimate(header, textures, settings), folder)
+    _check_free_space(out, _estimate_bytes(header, textures, settings), folder)
     leaf_cells = header.leaf_cells
     curvature = header.create_frame().measure_curvature((header.rows, header.columns))
     parameters = BuildParameters(header.rows, header.columns, leaf_cells, header.gradient_step, DIAMONDS_PER_SHARD[leaf_cells], curvature)
     work = WorkFolder(folder, parameters)
     fingerprint = _fingerprint(header, [*sources, *images], textures, settings)
     open_job_folder(folder, fingerprint, "the build of another terrain or with other settings")
-    with hold(folder) as held:
+    with closing(take_over(folder)) as held:
         remove_temporary_files(folder)
         write_sealed(folder / PARAMETERS_FILE, work.parameters_content)
         with clock.stage("heights"):
@@ -81,7 +114,7 @@ def build_terrain(
             target.mkdir()
             levels = yield from subprogress(write_geometry(work, layouts, header, target), FINISH_START, 1.0)
             if textures is not None:
-                tiles = yield from subprogress(write_texture_store(work, target), FINISH_START, 1.0)
+                tiles = yield from subprogress(write_texture_store(work, textures.plan, target), FINISH_START, 1.0)
     delete_work_folder(folder)
     return _create_report(field, header, levels, holes, tiles, out, clock, textures)
 
@@ -104,11 +137,12 @@ def _read_heights(field: TerrainField, work: WorkFolder, header: StoreHeader, se
     return holes
 
 
-def _estimate(header: StoreHeader, textures: TextureWork | None, settings: BdamSettings) -> int:
-    """Return about how many bytes the build needs on the disk."""
-    raw_bytes = 0 if textures is None else sum(image.raw_bytes for image in textures.images)
-    texels = 0 if textures is None else textures.texels
-    return estimate_bytes(header.rows * header.columns, settings.fill_holes, texels, settings.texture_format, raw_bytes)
+def _estimate_bytes(header: StoreHeader, textures: TextureWork | None, settings: BdamSettings) -> int:
+    """Return about how many bytes the work folder and the store of a build take together at most."""
+    needed = header.rows * header.columns * (HEIGHT_BYTES + GEOMETRY_BYTES + (FILL_BYTES if settings.fill_holes else 0.0))
+    if textures is not None:
+        needed += textures.texels * TEXEL_BYTES[settings.texture_format] + sum(image.raw_bytes for image in textures.images)
+    return int(needed)
 
 
 def _texture_fraction(header: StoreHeader, textures: TextureWork | None) -> float:
@@ -218,3 +252,25 @@ def _remove_finer_patches(work: WorkFolder, level: int) -> None:
     for path in work.path.glob(f"patches-{level:02d}-*.shard"):
         with convert_os_errors(f'"{path}" cannot be deleted'):
             path.unlink(missing_ok=True)
+
+
+def _check_free_space(out: Path, needed: int, work_folder: Path) -> None:
+    """Check that `needed` bytes, less what the work folder has already, fit on the disk of the folder `out`.
+
+    Raises:
+        FileError: they do not.
+    """
+    with convert_os_errors(f'The free space of "{out.parent}" cannot be found out'):
+        place = next(parent for parent in out.absolute().parents if parent.exists())
+        free = shutil.disk_usage(place).free
+        kept = folder_bytes(work_folder) if work_folder.is_dir() else 0
+    if needed - kept > free:
+        raise FileError(
+            f'The disk of "{place}" has {free / 1e9:,.2f} GB left, and the build needs about {max(needed - kept, 0) / 1e9:,.2f} GB there; '
+            "free some space, or choose another disk."
+        )
+
+
+def folder_bytes(folder: Path) -> int:
+    """Return the size of all files in a folder. Raises OSError."""
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())

@@ -1,33 +1,41 @@
-"""The textures of a build: what is built from which images, in tasks from the finest level to the coarsest."""
+"""The textures of a build: what is built from which images, in tasks from the finest level to the coarsest, and these tasks."""
 
+import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from ...files.file_access import convert_os_errors
+from ...files.sealed_files import read_sealed, write_sealed
+from ...files.segment_cache import SegmentCache
 from ...jobs.progress import Progress, Steps, subprogress
 from ...jobs.task_pool import TaskPool
 from ..fields.terrain_field import TerrainField
 from ..settings import BdamSettings
 from ..store.terrain_store import TEXTURE_FOLDER
-from ..textures.build import discard_pieces, list_tiles, missing_tiles
+from ..textures.build import build_tiles, discard_pieces, list_tiles, missing_tiles
 from ..textures.grid import MAX_COARSER, TextureGrid, count_levels
-from ..textures.plan import TexturePlan, check_plan, start_build
+from ..textures.plan import TexturePlan, check_plan, parse_plan
+from ..textures.resampling import PlacedImage
 from ..textures.store import write_textures
 from ..tree import Tree
-from .ground_images import GroundImage, decode_image, place_images
-from .texture_tasks import TEXTURE_TASK, textures_folder, write_images_file
-from .work_folder import WorkFolder
+from .ground_images import GroundImage, decode_image, open_image, place_images
+from .height_grid import HeightGrid
+from .work_folder import ADVICE, WorkFolder
 
 TILES_PER_TASK = 8
-DECODE_END = 0.1  # of the progress
+DECODE_END = 0.1  # progress at which all images are decoded
+TEXTURE_TASK = "texture"  # first element of the items of these tasks
+TASKS_FILE, TEXTURES_FOLDER = "textures.json", "textures"
+CACHE_BYTES = 48 << 20  # bytes of decoded parts of TIFF files that a worker keeps
 
 
 @dataclass(frozen=True)
 class TextureWork:
-    """The textures that a build makes. images: later ones lie over earlier ones."""
+    """The textures of a build. images: later ones lie over earlier ones."""
 
     plan: TexturePlan
     images: tuple[GroundImage, ...]
@@ -75,18 +83,20 @@ def build_texture_tiles(textures: TextureWork, work: WorkFolder, pool: TaskPool,
     Raises:
         FarfieldError: an image or a file cannot be read or written, or a worker fails.
     """
-    folder, grid = textures_folder(work), textures.plan.grid
-    start_build(folder, textures.plan)
+    folder, grid = work.path / TEXTURES_FOLDER, textures.plan.grid
+    with convert_os_errors(f'"{folder}" cannot be created'):
+        folder.mkdir(exist_ok=True)
     finest = grid.level_count - 1
-    if len(missing_tiles(folder, finest)):
+    if len(missing_tiles(folder, grid, finest)):
         for index, image in enumerate(textures.images):
             yield Progress(DECODE_END * index / len(textures.images), "Decoding images")
             decode_image(image, work.path)
-    write_images_file(work, textures.images, has_holes)
+    content = {"plan": textures.plan.to_json().decode(), "images": [asdict(image) for image in textures.images], "has_holes": has_holes}
+    write_sealed(work.path / TASKS_FILE, json.dumps(content, sort_keys=True).encode())
     counts = [len(list_tiles(grid, level)) for level in range(grid.level_count)]
     total, done = sum(counts), 0
     for level in range(finest, -1, -1):
-        missing = missing_tiles(folder, level).tolist()
+        missing = missing_tiles(folder, grid, level).tolist()
         start = (done + counts[level] - len(missing)) / total
         done += counts[level]
         items = [[TEXTURE_TASK, level, missing[first : first + TILES_PER_TASK]] for first in range(0, len(missing), TILES_PER_TASK)]
@@ -100,16 +110,55 @@ def build_texture_tiles(textures: TextureWork, work: WorkFolder, pool: TaskPool,
                 (work.path / image.raw).unlink(missing_ok=True)
 
 
-def write_texture_store(work: WorkFolder, store: Path) -> Steps[int]:
+def write_texture_store(work: WorkFolder, plan: TexturePlan, store: Path) -> Steps[int]:
     """Write the textures to the folder of a store; return the number of tiles. Raises FileError."""
     out = store / TEXTURE_FOLDER
     with convert_os_errors(f'"{out}" cannot be created'):
         out.mkdir()
-    return (yield from write_textures(textures_folder(work), out))
+    return (yield from write_textures(work.path / TEXTURES_FOLDER, plan, out))
 
 
 def _measure_cell(field: TerrainField) -> tuple[float, float]:
-    """Return the meters between neighboring samples along x and y in the middle of a field."""
+    """Return the meters between neighboring samples along x and y at the center of a field."""
     x, y = ((count - 1) / 2.0 for count in field.shape[::-1])
-    east, north = field.to_local(np.array([x, x + 1.0, x]), np.array([y, y, y + 1.0]))
+    east, north = field.frame.to_local(np.array([x, x + 1.0, x]), np.array([y, y, y + 1.0]))
     return tuple(float(np.hypot(east[index] - east[0], north[index] - north[0])) for index in (1, 2))
+
+
+class KnownSamples:
+    """An image source: a pixel per sample of a field, (rows, columns, 4) uint8, whose alpha is 0 where the height is unknown, else 255."""
+
+    def __init__(self, grid: HeightGrid) -> None:
+        self.shape, self._grid = (grid.rows, grid.columns, 4), grid
+
+    def read(self, rows: slice, columns: slice) -> np.ndarray:
+        """Return a window (h, w, 4) uint8. Raises FileError."""
+        _, is_known = self._grid.read(rows, columns)
+        pixels = np.zeros((*is_known.shape, 4), np.uint8)
+        pixels[..., 3] = np.where(is_known, 255, 0)
+        return pixels
+
+
+class TextureTasks:
+    """Builds texture tiles of a build in its work folder."""
+
+    def __init__(self, folder: WorkFolder) -> None:
+        self._folder = folder
+
+    def run(self, level: int, tiles: Sequence[Sequence[int]]) -> None:
+        """Build the tiles [i, j] of a level of the quadtree; all tiles of the finer level must be built.
+
+        Raises:
+            FileError: an image cannot be read, or a file cannot be written.
+        """
+        plan, images, mask = self._work
+        build_tiles(self._folder.path / TEXTURES_FOLDER, plan, level, np.array(tiles), images, mask)
+
+    @cached_property
+    def _work(self) -> tuple[TexturePlan, list[PlacedImage], PlacedImage | None]:
+        """The plan, the images, and the mask of known heights, None where all are known."""
+        content = json.loads(read_sealed(self._folder.path / TASKS_FILE, ADVICE))
+        cache = SegmentCache(CACHE_BYTES)
+        images = [open_image(GroundImage(**image), self._folder.path, cache) for image in content["images"]]
+        mask = PlacedImage(KnownSamples(self._folder.grid), (-0.5, -0.5), (1.0, 1.0)) if content["has_holes"] else None
+        return parse_plan(content["plan"].encode()), images, mask

@@ -7,7 +7,7 @@ from ...files.segment_cache import SegmentCache
 from ...files.tiffs import TiffImage
 from ...imaging.colors import decode_signed_srgb
 
-MAX_SEGMENT_BYTES = 64 << 20  # of a strip or tile that must be decoded as a whole, in every worker
+MAX_SEGMENT_BYTES = 64 << 20  # bytes of a strip or tile that must be decoded as a whole, in every worker
 MAX_SAMPLES = 1 << 20  # along each side
 MAX_CHANNELS = 4
 BIT_DEPTHS = {np.dtype(np.uint8), np.dtype(np.uint16), np.dtype(np.float16), np.dtype(np.float32)}

@@ -19,9 +19,12 @@ ADVICE = "start the build again"
 class BuildParameters:
     """What the tasks of a build need to know.
 
-    rows, columns: of the field. leaf_cells: cells along a leg of a leaf. gradient_step: unit of stored gradients, in steps per cell.
-    diamonds_per_shard: how many diamonds a task simplifies.
-    curvature: of straight lines of the grid in the local frame, in cells per square cell.
+    Attributes:
+        rows, columns: samples of the field.
+        leaf_cells: cells along a leg of a leaf.
+        gradient_step: unit of stored gradients, in steps per cell.
+        diamonds_per_shard: how many diamonds a task simplifies.
+        curvature: curvature of straight lines of the grid in the local frame, in cells per square cell.
     """
 
     rows: int

@@ -16,9 +16,9 @@ from ...files.segment_cache import SegmentCache
 from .placements import Placement
 
 MAX_HEADER_BYTES = 4096
-BLOCK_BYTES = 4 << 20  # of the file that are searched at once
-BLOCK_SAMPLES = 1 << 18  # that are parsed at once and kept in the cache
-DEFAULT_NO_DATA = -9999.0  # of the format, where the header has none
+BLOCK_BYTES = 4 << 20  # bytes of the file that are searched at once
+BLOCK_SAMPLES = 1 << 18  # samples that are parsed at once and kept in the cache
+DEFAULT_NO_DATA = -9999.0  # the format's number, where the header has none
 SIZE_KEYS = {"ncols", "nrows"}
 KEYS = SIZE_KEYS | {"xllcorner", "xllcenter", "yllcorner", "yllcenter", "cellsize", "dx", "dy", "nodata_value"}
 MAX_DEGREE_CELL = 0.2  # cells of degrees are smaller, those of meters wider
@@ -29,7 +29,16 @@ BAD_NUMBERS = '"{path}" contains something other than numbers in its rows of hei
 
 @dataclass(frozen=True, eq=False)
 class AsciiGrid:
-    """An open grid. shape: rows and columns. row_offsets: (rows + 1,) int64, bytes where the rows begin, row 0 in the north."""
+    """An open grid.
+
+    Attributes:
+        path: the file.
+        shape: rows and columns.
+        placement: position of the grid.
+        no_data: the number for unknown heights.
+        row_offsets: (rows + 1,) int64, bytes where the rows begin, row 0 in the north, and the end of the file.
+        warnings: sentences for the user.
+    """
 
     path: Path
     shape: tuple[int, int]
@@ -65,7 +74,7 @@ class AsciiGrid:
 
 
 def open_ascii_grid(path: Path) -> AsciiGrid:
-    """Read the header of an Arc ASCII grid and find its rows. A file .prj beside it tells degrees, feet and meters apart.
+    """Read the header of an Arc ASCII grid and find its rows. A .prj file of the same name tells degrees, feet and meters apart.
 
     Raises:
         FileError: it is no such grid, or has fewer or more numbers than its header declares.

@@ -16,7 +16,7 @@ from ...files.tiffs import open_tiff
 from .ascii_grids import open_ascii_grid
 from .placements import Placement, place_map, unplaced
 
-MAX_SEGMENT_BYTES = 256 << 20  # of a strip or tile that must be decoded as a whole
+MAX_SEGMENT_BYTES = 256 << 20  # bytes of a strip or tile that must be decoded as a whole
 MIN_SAMPLES = 2  # along each side
 MAX_SAMPLES = 1 << 20  # along each side
 MAX_OFFSET = 1e11  # cells from the world's zero to the field; beyond, float64 has less than five decimals of a cell
@@ -33,8 +33,13 @@ ReadImage = Callable[[Path], np.ndarray]  # gray values (H, W) float32, row 0 at
 class HeightSource:
     """An open elevation model.
 
-    shape: rows and columns, row 0 in the south. read: returns heights (h, w) float32 of a window within it, meters, NaN where unknown.
-    height_step: meters between two heights that the file can tell apart, None for floats.
+    Attributes:
+        path: the file.
+        shape: rows and columns, row 0 in the south.
+        placement: position of the grid.
+        read: returns heights (h, w) float32 of a window within the grid, meters, NaN where unknown.
+        height_step: meters between two heights that the file can tell apart, None for floats.
+        warnings: sentences for the user.
     """
 
     path: Path
@@ -47,7 +52,7 @@ class HeightSource:
 
 @dataclass(frozen=True)
 class SourceContext:
-    """What readers need beside the file: see `terrain_field.FieldSettings`."""
+    """What readers need in addition to the file: see `terrain_field.FieldSettings`."""
 
     cell_size: float
     image_height: float
@@ -82,7 +87,7 @@ def open_source(path: Path, context: SourceContext) -> HeightSource:
 
 def to_heights(values: np.ndarray, no_data: float | None, unit: float) -> np.ndarray:
     """Return samples of a file, of any shape, as heights float32 in meters, NaN where they mean "no data". unit: meters of a sample."""
-    with np.errstate(all="ignore"):  # of numbers that are no heights
+    with np.errstate(all="ignore"):  # numbers that are no heights may overflow
         precision = np.float64 if values.itemsize > 2 else np.float32
         heights = (values if unit == 1.0 else np.multiply(values, unit, dtype=precision)).astype(np.float32)
         heights[find_missing(values, no_data)] = np.nan

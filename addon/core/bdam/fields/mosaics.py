@@ -9,15 +9,19 @@ from ...errors import FileError, SettingsError
 from .height_sources import MAX_SAMPLES, HeightSource
 from .placements import Placement
 
-MAX_DRIFT = 0.05  # cells by which samples of a file may lie beside the common grid; headers have rounded numbers
+MAX_DRIFT = 0.05  # cells by which samples of a file may differ from the common grid; headers have rounded numbers
 
 
 @dataclass(frozen=True, eq=False)
 class Mosaic:
-    """Sources on a common grid.
+    """Sources on a common grid. Where they overlap, the first one that knows the height is used.
 
-    shape: rows and columns. placement: of the sample (0, 0) in the south-west. corners: (N, 2) int64, row and column of the first sample of
-    each source; sizes: (N, 2) int64, its rows and columns. Where sources overlap, the first one that knows the height is used.
+    Attributes:
+        sources: the files, in the order in which they were given.
+        corners: (N, 2) int64, row and column of the first sample of each source.
+        sizes: (N, 2) int64, rows and columns of each source.
+        shape: rows and columns of the grid.
+        placement: position of the grid.
     """
 
     sources: tuple[HeightSource, ...]
@@ -96,7 +100,7 @@ def _locate(source: HeightSource, reference: HeightSource) -> tuple[int, int]:
     if not (placement.is_placed and first.is_placed):
         unplaced = source if not placement.is_placed else reference
         raise FileError(f'"{unplaced.path}" has no position, so it cannot be joined with other files; use a GeoTIFF.')
-    if placement.is_geographic != first.is_geographic or (None not in (placement.code, first.code) and placement.code != first.code):
+    if placement.has_other_crs(first):
         raise FileError(f"{names} have different projections ({placement.crs} and {first.crs}); warp one to the projection of the other.")
     count = max(*source.shape, *reference.shape)
     if any(abs(step - other) * count > MAX_DRIFT * other for step, other in zip(placement.step, first.step, strict=True)):

@@ -13,20 +13,38 @@ from ...geometry.map_projections import ECCENTRICITY, SEMI_MAJOR_AXIS, Transvers
 
 MAX_LONGITUDES = 60.0  # degrees from west to east; the projection stretches what is farther from its central meridian too much
 POLE = 90.0 + 1e-6  # degrees of latitude, and what rounding adds
-ORIGIN_DECIMALS = 6  # of an origin in degrees, about 0.1 m, so that reports show it completely
-MIN_COSINE = 1e-6  # of latitudes at the poles, where meridians meet
-CURVATURE_POINTS = 9  # along each side of a grid whose curvature is measured
-CURVATURE_STEP = 0.01  # of differences, as a fraction of the longer side
-CURVATURE_SLACK = 1.1  # for places between the points
-MIN_DERIVATIVE = 1e-3  # instead of smaller first derivatives close to a pole, as a fraction of the largest one
+ORIGIN_DECIMALS = 6  # An origin in degrees is rounded to about 0.1 m, so that reports show it completely.
+MIN_COSINE = 1e-6  # replaces the cosine of latitudes at the poles, where meridians meet
 METERS_PER_DEGREE = 111_320.0  # along the equator; only for the nominal cell size
 
 
 @dataclass(frozen=True)
-class Placement:
-    """The position of a grid: world = first + step * (column, row), row 0 in the south. All in meters, or in degrees if `is_geographic`.
+class CurvatureSampling:
+    """How the curvature of a grid in a local frame is measured.
 
-    code: of the coordinate reference system, such as "EPSG:32632", None if it is unknown. is_placed: whether the file has a position.
+    points: places along each side of the grid. step: distance of differences, as a fraction of the longer side. slack: factor for places
+    between the points. min_derivative: replaces smaller first derivatives close to a pole, as a fraction of the largest one.
+    """
+
+    points: int = 9
+    step: float = 0.01
+    slack: float = 1.1
+    min_derivative: float = 1e-3
+
+
+CURVATURE = CurvatureSampling()
+
+
+@dataclass(frozen=True)
+class Placement:
+    """The position of a grid: world = first + step * (column, row), row 0 in the south.
+
+    Attributes:
+        first: position of the sample in column 0 and row 0, meters, or degrees if `is_geographic`.
+        step: distance between two samples along x and y, in the same unit.
+        is_geographic: whether positions are longitudes and latitudes.
+        code: code of the coordinate reference system, such as "EPSG:32632", None if it is unknown.
+        is_placed: whether the file has a position.
     """
 
     first: tuple[float, float]
@@ -40,6 +58,10 @@ class Placement:
         """The coordinate reference system in words."""
         unit = "degrees" if self.is_geographic else "meters"
         return f"{self.code}, {unit}" if self.code else unit
+
+    def has_other_crs(self, other: "Placement") -> bool:
+        """Return whether two placements are known to be in different coordinate reference systems."""
+        return self.is_geographic != other.is_geographic or (None not in (self.code, other.code) and self.code != other.code)
 
     def position(self, column: float, row: float) -> tuple[float, float]:
         """Return the world position of grid coordinates."""
@@ -153,8 +175,8 @@ class GeographicFrame:
         """Return the curvature of straight lines of the grid in the local frame, in cells per square cell, for a grid of `shape` (rows,
         columns): the largest second derivative of `to_local` along any direction, relative to the smaller first derivative."""
         rows, columns = shape
-        x, y = np.meshgrid(np.linspace(0.0, columns - 1.0, CURVATURE_POINTS), np.linspace(0.0, rows - 1.0, CURVATURE_POINTS))
-        step = max(1.0, CURVATURE_STEP * max(shape))
+        x, y = np.meshgrid(np.linspace(0.0, columns - 1.0, CURVATURE.points), np.linspace(0.0, rows - 1.0, CURVATURE.points))
+        step = max(1.0, CURVATURE.step * max(shape))
 
         offsets = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
         at = {(i, j): np.stack(self.to_local(x + i * step, y + j * step)) for i, j in offsets}
@@ -163,7 +185,7 @@ class GeographicFrame:
         mixed = (at[1, 1] + at[-1, -1] - at[1, -1] - at[-1, 1]) / 4.0
         second = np.sqrt((second_x**2 + second_y**2 + 2.0 * mixed**2).sum(axis=0)) / step**2
         first = np.minimum(np.linalg.norm(along_x, axis=0), np.linalg.norm(along_y, axis=0)) / (2.0 * step)
-        return float(CURVATURE_SLACK * (second / np.maximum(first, MIN_DERIVATIVE * first.max())).max())
+        return float(CURVATURE.slack * (second / np.maximum(first, CURVATURE.min_derivative * first.max())).max())
 
     @cached_property
     def _projection(self) -> TransverseMercator:

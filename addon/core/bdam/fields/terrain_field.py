@@ -1,7 +1,7 @@
 """One height field from one or many elevation models."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -32,23 +32,29 @@ class FieldSettings:
 
 @dataclass(frozen=True, eq=False)
 class TerrainField:
-    """A `HeightField` of one or several files."""
+    """A grid of heights of any size, from one or several files.
+
+    Grid coordinates are (x, y) = (column, row), integers at samples, row 0 in the south and column 0 in the west. The local frame is in
+    meters, x east, y north, z up.
+
+    Attributes:
+        mosaic: the files.
+        frame: the local frame.
+        cell_size: nominal meters between two samples, the geometric mean of both directions.
+        height_step: meters between two heights that the sources can tell apart; None for floats.
+        warnings: sentences for the user.
+    """
 
     mosaic: Mosaic
     frame: Frame
     cell_size: float
     height_step: float | None
-    warnings: tuple[str, ...] = field(default=())
+    warnings: tuple[str, ...] = ()
 
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""
         return self.mosaic.shape
-
-    @property
-    def origin(self) -> tuple[float, float]:
-        """The position of the local zero: meters of the projection, or degrees of longitude and latitude."""
-        return self.frame.origin
 
     @property
     def placement(self) -> Placement:
@@ -61,16 +67,12 @@ class TerrainField:
         return self.mosaic.placement.crs
 
     def read(self, rows: slice, columns: slice) -> np.ndarray:
-        """Return the heights (h, w) float32 of a window within the grid, meters, NaN where unknown. See `HeightField.read`."""
+        """Return the heights (h, w) float32 of a window within the grid, meters, NaN where unknown. Several threads may call it.
+
+        Raises:
+            FileError: a file is damaged or cannot be read.
+        """
         return self.mosaic.read(rows, columns)
-
-    def to_local(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return local meters, float64, of grid coordinates."""
-        return self.frame.to_local(x, y)
-
-    def to_grid(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return grid coordinates, float64, of local meters."""
-        return self.frame.to_grid(x, y)
 
 
 def open_field(

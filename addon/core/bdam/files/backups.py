@@ -1,7 +1,8 @@
 """Backups of what a whole store depends on, so that no damaged place makes it unusable.
 
-Beside a file `name.ending` lies its backup `name-backup.ending`: a whole copy of the structures of terrain and textures. Of files whose
-blocks are patches or texture tiles, it has only the header and the index (see `blocks`), because a damaged block costs one of them only.
+The backup of a file `name.ending` is `name-backup.ending` in the same folder: a whole copy of the structures of terrain and textures. Of
+files whose blocks are patches or texture tiles, it has only the header and the index (see `blocks`), because a damaged block costs one of
+them only.
 """
 
 import shutil

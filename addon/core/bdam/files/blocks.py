@@ -26,7 +26,6 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
@@ -42,7 +41,7 @@ INDEX_ENTRY_SIZE = 16  # bytes per block
 MAX_BLOCK_SIZE = 2**32 - 1  # bytes
 
 
-class BlockWriter:
+class BlockWriter(AbstractContextManager):
     """Writes blocks to a new file one after the other. Use it in a `with` block, and call `finish` at the end: a file that was not finished
     is refused by `BlockReader`."""
 
@@ -62,10 +61,7 @@ class BlockWriter:
             self._file = path.open("wb")
             self._file.write(bytes(HEADER_SIZE))
 
-    def __enter__(self) -> "BlockWriter":
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(self, *_error: object) -> None:
         with self._convert_errors():
             self._file.close()
 
@@ -82,11 +78,6 @@ class BlockWriter:
         self._sizes.append(len(block))
         self._checksums.append(zlib.crc32(block))
         return len(self._sizes) - 1
-
-    def flush(self) -> None:
-        """Hand what was appended to the system. Raises FileError."""
-        with self._convert_errors():
-            self._file.flush()
 
     def finish(self, backs_up_index: bool = False) -> int:
         """Write the index and the header, and close the file. Returns the checksum of the index. Raises FileError.
@@ -117,7 +108,7 @@ class BlockWriter:
 
 @dataclass(frozen=True)
 class _Index:
-    """positions: (N,) uint64. sizes: (N,) uint32, bytes. checksums: (N,) uint32. checksum: of the index itself."""
+    """The index of a file: (N,) uint64 positions, (N,) uint32 sizes in bytes, (N,) uint32 checksums of blocks, and its own checksum."""
 
     positions: np.ndarray
     sizes: np.ndarray
@@ -125,11 +116,14 @@ class _Index:
     checksum: int
 
 
-class BlockReader:
+class BlockReader(AbstractContextManager):
     """Reads the blocks of a file, which stays mapped until `close` or the end of a `with` block. Threads may share it.
 
-    count: number of blocks. index_checksum: names the content of the file, since the index contains the sizes and checksums of all blocks.
-    damages: of the index or of its backup, if it has one.
+    Attributes:
+        path: the file.
+        sizes: (N,) uint32, bytes of the blocks.
+        index_checksum: names the content of the file, since the index contains the sizes and checksums of all blocks.
+        damages: those of the index or of its backup, if it has one.
     """
 
     def __init__(self, path: Path, kind: str, has_backup: bool = False) -> None:
@@ -140,38 +134,24 @@ class BlockReader:
         Raises:
             FileError: the file cannot be read, is damaged, truncated, unfinished or of a newer version, or holds blocks of another kind.
         """
-        self._path = path
+        self.path = path
         self.damages: tuple[FileDamage, ...] = ()
         check_readable(path)
         if has_backup:
             index, self.damages = read_either(path, lambda source: _read_index(source, kind, source != path), is_index=True)
         else:
             index = _read_index(path, kind)
-        self._positions, self._sizes, self._checksums = index.positions, index.sizes, index.checksums
-        self.count, self.index_checksum = len(index.sizes), index.checksum
+        self._positions, self.sizes, self._checksums, self.index_checksum = index.positions, index.sizes, index.checksums, index.checksum
         with convert_os_errors(f'Cannot read "{path}"'), path.open("rb") as file:
             if not file.seek(0, 2):
                 raise FileError(f'"{path}" is empty; build it again.')
             self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
 
-    def __enter__(self) -> "BlockReader":
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(self, *_error: object) -> None:
         self.close()
 
     def __len__(self) -> int:
-        return self.count
-
-    @property
-    def path(self) -> Path:
-        """The path of the file."""
-        return self._path
-
-    @property
-    def sizes(self) -> np.ndarray:
-        """The sizes in bytes of the blocks, (N,) uint32."""
-        return self._sizes
+        return len(self.sizes)
 
     def read(self, number: int, label: str) -> bytes:
         """Return a copy of block `number`, 0 to N - 1.
@@ -183,12 +163,12 @@ class BlockReader:
         """
         block = self._block(number)
         if not self._is_intact(number, block):
-            raise FileError(f'The {label} in "{self._path}" is damaged; build it again, or go on without it.')
+            raise FileError(f'The {label} in "{self.path}" is damaged; build it again, or go on without it.')
         return block
 
     def verify(self) -> Iterator[int]:
         """Yield the numbers of damaged blocks. Reads the whole file, one block at a time."""
-        for number in range(self.count):
+        for number in range(len(self)):
             if not self._is_intact(number, self._block(number)):
                 yield number
 
@@ -197,13 +177,13 @@ class BlockReader:
         self._map.close()
 
     def _block(self, number: int) -> bytes:
-        if not 0 <= number < self.count:
-            raise IndexError(f"block {number} of {self.count}")
+        if not 0 <= number < len(self):
+            raise IndexError(f"block {number} of {len(self)}")
         start = int(self._positions[number])
-        return self._map[start : start + int(self._sizes[number])]
+        return self._map[start : start + int(self.sizes[number])]
 
     def _is_intact(self, number: int, block: bytes) -> bool:
-        return len(block) == self._sizes[number] and zlib.crc32(block) == self._checksums[number]
+        return len(block) == self.sizes[number] and zlib.crc32(block) == self._checksums[number]
 
 
 def _read_index(path: Path, kind: str, is_backup: bool = False) -> _Index:

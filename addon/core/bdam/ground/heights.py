@@ -8,7 +8,6 @@ on the plane of the triangle on the other side.
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from ..store.terrain_store import TerrainStore
 from ..view.extraction import Cut
 from .triangle_search import TriangleSearch
 
-MAX_POINTS = 1 << 17  # that are evaluated at once
+MAX_POINTS = 1 << 17  # points that are evaluated at once
 NUDGE = 1e-6  # cells by which points on edges are moved to be inside of a triangle
 # Towards the inside of each of the eight triangles around a sample. All borders of patches and of leaf triangles are along or between
 # these.
@@ -51,7 +50,7 @@ class HeightQuery:
     """
 
     def __init__(self, store: TerrainStore, cut: Cut | None = None, max_bytes: int = DEFAULT_CACHE_BYTES) -> None:
-        """cut: the finest patches by default; of its outlines, the whole patches count. max_bytes: of patches that are kept in memory."""
+        """cut: the finest patches by default; whole patches count instead of outlines. max_bytes: bytes of patches kept in memory."""
         self._store, self._cache = store, SegmentCache(max_bytes)
         self.damages: list[str] = []
         leaf_level = store.tree.leaf_level
@@ -127,7 +126,7 @@ class HeightQuery:
             indices[levels >= 0] = -1  # found; no deeper patch has this index
         return levels, rows
 
-    def _read(self, level: int, row: int) -> "_PatchTriangles | None":
+    def _read(self, level: int, row: int) -> "_LeafTriangles | _TinTriangles | None":
         """Return the triangles of a patch, None if it is damaged."""
         try:
             return self._cache.get((level, row), lambda: self._prepare(level, row))
@@ -136,7 +135,7 @@ class HeightQuery:
                 self.damages.append(str(error))
             return None
 
-    def _prepare(self, level: int, row: int) -> "_PatchTriangles":
+    def _prepare(self, level: int, row: int) -> "_LeafTriangles | _TinTriangles":
         patch, tree = self._store.read(level, row), self._store.tree
         if level < tree.leaf_level:
             return _TinTriangles(patch)
@@ -157,20 +156,13 @@ def evaluate_planes(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray
     return heights, normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
-class _PatchTriangles(Protocol):
-    """The triangles of a patch that are not holes. nbytes: of its arrays."""
-
-    nbytes: int
-
-    def find(self, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return corners (N, 3, 3) int64 and whether there is a triangle (N,) bool; see `HeightQuery._find_triangles`."""
-        ...
-
-
 @dataclass(frozen=True)
 class _LeafTriangles:
-    """low: (2,) int64, lower left corner of the bounding box. heights: (C + 1, C + 1) int32 steps, by x and y; 0 outside of the patch.
-    exists: (C, C, 2) bool, for the two triangles of each cell."""
+    """The triangles of a leaf that are not holes.
+
+    low: (2,) int64, lower left corner of the bounding box. heights: (C + 1, C + 1) int32 steps, by x and y; 0 outside of the patch.
+    exists: (C, C, 2) bool, for the two triangles of each cell.
+    """
 
     low: np.ndarray
     heights: np.ndarray
@@ -193,6 +185,7 @@ class _LeafTriangles:
         return self.heights.nbytes + self.exists.nbytes
 
     def find(self, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return corners (N, 3, 3) int64 and whether there is a triangle (N,) bool; see `HeightQuery._find_triangles`."""
         offsets = grid - self.low
         cells = np.clip(offsets.astype(np.int64), 0, len(self.exists) - 1)
         x, y = (offsets - cells).T
@@ -204,6 +197,8 @@ class _LeafTriangles:
 
 
 class _TinTriangles:
+    """The triangles of a patch above the leaves that are not holes."""
+
     def __init__(self, patch: Patch) -> None:
         self._vertices = np.stack([patch.x, patch.y, patch.z], axis=1).astype(np.int64)
         self._triangles = patch.triangles[~patch.is_hole]

@@ -1,7 +1,6 @@
 """The ground that objects are put on: the finest data of a store, or the meshes that a scene shows."""
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 
@@ -14,20 +13,10 @@ from .triangle_search import TriangleSearch
 POINTS_PER_STEP = 1 << 16
 
 
-class Surface(Protocol):
-    """The ground in the space of a terrain. damages: sentences about parts that cannot be read."""
-
-    damages: list[str]
-
-    def find(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return heights (N,) float64 and unit normals (N, 3) float64 at `points` (N, 2), NaN where there is no ground."""
-        ...
-
-
 class StoreSurface:
-    """The finest triangles of a store, whose heights are multiplied by `exaggeration`.
+    """The finest triangles of a store, whose heights are multiplied by `exaggeration`, in the space of a terrain.
 
-    Coarser patches replace those that turn out to be damaged, see `store.damaged_patches`. damages: sentences about these.
+    Coarser patches replace those that turn out to be damaged, see `store.patch_links`. damages: sentences about these.
     """
 
     def __init__(self, store: TerrainStore, exaggeration: float) -> None:
@@ -35,20 +24,18 @@ class StoreSurface:
         self.damages: list[str] = []
 
     def find(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return heights and normals; see `Surface`."""
-        known_damages = -1
-        while known_damages != self._store.damage_count:
-            known_damages = self._store.damage_count
+        """Return heights (N,) float64 and unit normals (N, 3) float64 at `points` (N, 2), NaN where there is no ground."""
+        for attempt in self._store.attempts():
+            if attempt:
+                self._query = HeightQuery(self._store, extract_uniform_cut(self._store, 0.0))
             heights, normals = self._query.find(points)
             self.damages += [sentence for sentence in self._query.damages if sentence not in self.damages]
-            if known_damages != self._store.damage_count:
-                self._query = HeightQuery(self._store, extract_uniform_cut(self._store, 0.0))
         normals = normals / [1.0, 1.0, self._exaggeration]
         return heights * self._exaggeration, normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
 class MeshSurface:
-    """Meshes that cover each place at most once, except for their common borders."""
+    """Meshes that cover each place at most once, except for their common borders, in the space of a terrain."""
 
     def __init__(self, meshes: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
         """meshes: vertices (V, 3) float64 and triangles (T, 3) int, counterclockwise from above."""
@@ -57,7 +44,7 @@ class MeshSurface:
         self.damages: list[str] = []
 
     def find(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return heights and normals; see `Surface`."""
+        """Return heights and normals; see `StoreSurface.find`."""
         heights, normals = np.full(len(points), np.nan), np.full((len(points), 3), np.nan)
         missing = np.flatnonzero(np.isfinite(points).all(axis=1))
         for corners, search in zip(self._corners, self._searches, strict=True):
@@ -68,6 +55,9 @@ class MeshSurface:
             heights[candidates], normals[candidates] = evaluate_planes(points[candidates], corners[triangles])
             missing = missing[np.isnan(heights[missing])]
         return heights, normals
+
+
+Surface = StoreSurface | MeshSurface
 
 
 def find_ground(surface: Surface, points: np.ndarray) -> Steps[tuple[np.ndarray, np.ndarray]]:

@@ -2,7 +2,9 @@
 
 import numpy as np
 
-TOLERANCE = 1e-9  # of barycentric coordinates: points on an edge are in both triangles in spite of rounding
+from ...arrays import concatenate_ranges
+
+TOLERANCE = 1e-9  # Barycentric coordinates may be this negative: points on an edge are in both triangles in spite of rounding.
 TRIANGLES_PER_BUCKET = 2.0
 
 
@@ -24,7 +26,7 @@ class TriangleSearch:
         widths, heights = (last - first + 1).T
         counts = widths * heights
         members = np.repeat(np.arange(len(triangles)), counts)
-        offsets = np.arange(len(members)) - np.repeat(np.cumsum(counts) - counts, counts)
+        offsets = concatenate_ranges(0, counts)
         columns, rows = first[members, 0] + offsets % widths[members], first[members, 1] + offsets // widths[members]
         buckets = rows * self._count + columns
         self._members = members[np.argsort(buckets, kind="stable")].astype(np.int32)
@@ -45,8 +47,7 @@ class TriangleSearch:
         buckets = buckets[:, 1] * self._count + buckets[:, 0]
         counts = self._starts[buckets + 1] - self._starts[buckets]
         of_point = np.repeat(np.arange(len(points)), counts)
-        offsets = np.arange(len(of_point)) - np.repeat(np.cumsum(counts) - counts, counts)
-        candidates = self._members[self._starts[buckets][of_point] + offsets]
+        candidates = self._members[concatenate_ranges(self._starts[buckets], counts)]
         depths = self._measure_depths(points[of_point], candidates)
         is_inside = depths >= -TOLERANCE
         of_point, candidates, depths = of_point[is_inside], candidates[is_inside], depths[is_inside]

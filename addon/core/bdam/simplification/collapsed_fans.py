@@ -1,16 +1,19 @@
-"""Fans of triangles that replace the stars of collapsed vertices, and the location of samples in them."""
+"""Fans of triangles that replace the stars of collapsed vertices, and the samples that were removed before.
+
+Removed samples remember the triangle that contains them, so that errors do not accumulate unseen.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from ...arrays import gather
-from ...geometry.vertex_rings import VertexRings
+from ...geometry.vertex_rings import VertexRings, to_triangles
 from .collapse_costs import GridPoints
 
-ROW_LENGTH = 16  # of the arrays of fans; a fan has fewer than MAX_DEGREE triangles
+ROW_LENGTH = 16  # columns of the arrays of fans; a fan has fewer than MAX_DEGREE triangles
 SEARCH_STEPS = (8, 4, 2, 1)
-MAX_ENTRIES = 1 << 16  # of a (degree, vertices) array
+MAX_ENTRIES = 1 << 16  # entries of a (degree, vertices) array
 MAX_SAMPLES = 1 << 13  # samples that are located at once
 
 
@@ -18,11 +21,14 @@ MAX_SAMPLES = 1 << 13  # samples that are located at once
 class CollapsedFans:
     """The fans of triangles around the targets (N,) of collapsed vertices, counterclockwise, in rows of ROW_LENGTH.
 
-    vertices, targets: (N,) intp. corners: (N, 16) intp, the corners of the vertices whose triangles become those of the fan.
-    owners: (C,) intp and star: (C,) intp, the vertices' positions and all corners of their stars. is_kept: (C,) bool, whether the
-    triangle of a corner becomes one of the fan; the others vanish.
-    x, y, z: (N, 16), the vectors from the target to the ends of its rays, of which there is one more than triangles.
-    angles: (N, 16), see `_pseudo_angles`, of the rays from the second to the one before the last, then infinity.
+    Attributes:
+        vertices, targets: (N,) intp.
+        corners: (N, 16) intp, corners of the vertices whose triangles become those of the fan.
+        owners: (C,) intp, positions of the vertices of all corners of their stars.
+        star: (C,) intp, all corners of the stars.
+        is_kept: (C,) bool, whether the triangle of a corner becomes one of the fan; the others vanish.
+        x, y, z: (N, 16), the vectors from the target to the ends of its rays, of which there is one more than triangles.
+        angles: (N, 16), `_pseudo_angles` of the rays from the second to the one before the last, then infinity.
     """
 
     vertices: np.ndarray
@@ -117,3 +123,48 @@ def _pseudo_angles(x: np.ndarray, y: np.ndarray, away_x: np.ndarray, away_y: np.
     with np.errstate(invalid="ignore"):
         quotients = cross / (np.abs(cross) + np.abs(dot))
     return np.where(dot < 0, np.copysign(2, cross).astype(quotients.dtype) - quotients, quotients)
+
+
+@dataclass(frozen=True)
+class LocatedSamples:
+    """Samples in the stars of vertices that may collapse.
+
+    samples: (N,) intp, their positions. owners: (N,) intp, positions of the vertices. triangles: (N,) intp, the triangles that contain
+    the samples after the collapses. distances: (N,) float32, their vertical distances from these.
+    """
+
+    samples: np.ndarray
+    owners: np.ndarray
+    triangles: np.ndarray
+    distances: np.ndarray
+
+
+class RemovedSamples:
+    """Removed vertices of a mesh with numbered triangles.
+
+    vertices: (S,) intp. triangles: (S,) intp, columns of the triangle array that contain them.
+    """
+
+    def __init__(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
+        self.vertices = vertices
+        self.triangles = triangles
+
+    def locate(self, points: GridPoints, fans: CollapsedFans, triangle_count: int) -> LocatedSamples:
+        """Locate the samples in the stars of the vertices of `fans`, no two of which share a triangle."""
+        owner_of_triangle = np.full(triangle_count, -1, np.int32)
+        owner_of_triangle[to_triangles(fans.star, triangle_count)] = fans.owners
+        owners = gather(owner_of_triangle, self.triangles)
+        samples = np.flatnonzero(owners >= 0)
+        owners = gather(owners, samples).astype(np.intp)
+        corners, distances = fans.locate(points, owners, gather(self.vertices, samples))
+        return LocatedSamples(samples, owners, to_triangles(corners, triangle_count), distances)
+
+    def move(self, located: LocatedSamples, is_accepted: np.ndarray) -> None:
+        """Move those samples whose owners collapse, according to `is_accepted` (V,) bool."""
+        is_moved = gather(is_accepted, located.owners)
+        self.triangles[located.samples.compress(is_moved)] = located.triangles.compress(is_moved)
+
+    def add(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
+        """Add removed vertices (N,) intp, which `triangles` (N,) intp contain."""
+        self.vertices = np.concatenate([self.vertices, vertices])
+        self.triangles = np.concatenate([self.triangles, triangles])

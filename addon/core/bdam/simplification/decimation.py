@@ -16,24 +16,27 @@ from ...arrays import gather, gather_columns
 from ...geometry.collapses import find_cutoffs, order_by_cost, select_cheapest, select_independent
 from ...geometry.vertex_rings import VertexRings, build_rings, to_triangles
 from .collapse_costs import LOCKED, GridPoints, find_targets
-from .collapsed_fans import arrange_fans
-from .removed_samples import RemovedSamples
+from .collapsed_fans import RemovedSamples, arrange_fans
 
 MAX_ROUNDS = 40
-MAX_EXACT_DIFFERENCE = 1 << 11  # products of differences up to this are exact in float32
-STALE_COST_RATIO = 1.2  # a changed vertex is evaluated again only if its last cost was below this many times the cutoff
-CANDIDATE_RATIO = 1.3  # of vertices within the cutoff to those to be removed; more need fewer rounds, but cost quality
-TOLERATED_EXCESS = 0.02  # of the vertices to be removed, above which another round runs
+MAX_EXACT_DIFFERENCE = 1 << 11  # Products of differences up to this are exact in float32.
+STALE_COST_RATIO = 1.2  # A changed vertex is evaluated again only if its last cost was below this many times the cutoff.
+CANDIDATE_RATIO = 1.3  # The cutoff admits this many times the vertices to be removed; more need fewer rounds, but cost quality.
+TOLERATED_EXCESS = 0.02  # Another round runs if more than this fraction of the vertices to be removed is left.
 
 
 @dataclass(frozen=True)
 class MeshBatch:
     """Separate meshes, the domains, which are simplified at once.
 
-    x, y: (V + S,) int32, grid coordinates. z: (V + S,) float32. lines: (V,) int8, the constraints of `collapse_costs`. domains: (V,)
-    int32, 0 to D - 1, ascending. triangles: (T, 3) int32, counterclockwise. sample_triangles: (S,) int32, the triangles that contain the
-    points after
-    the vertices: samples, whose distances count. extent: the largest difference of coordinates in any domain.
+    Attributes:
+        x, y: (V + S,) int32, grid coordinates of the vertices and of samples whose distances count.
+        z: (V + S,) float32, heights in steps.
+        lines: (V,) int8, constraints of `collapse_costs`.
+        domains: (V,) int32, 0 to D - 1, ascending.
+        triangles: (T, 3) int32, counterclockwise.
+        sample_triangles: (S,) int32, triangles that contain the samples.
+        extent: the largest difference of coordinates in any domain.
     """
 
     x: np.ndarray

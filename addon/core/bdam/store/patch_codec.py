@@ -1,8 +1,9 @@
 """The contents of a patch as bytes.
 
 Vertices are sorted by x, then y. A sweep in this order adds each vertex v on the right of the triangles so far: the triangles whose last
-vertex is v form a fan with neighbors l1, ..., lk of v on its left, from bottom to top. A block contains these streams (see
-`integer_streams`), all of it compressed by Zstandard:
+vertex is v form a fan with neighbors l1, ..., lk of v on its left, from bottom to top. A block contains these streams of integers, all of
+it compressed by Zstandard. A stream is one byte with the number of bytes per value, as many as the largest value needs, then the lowest
+bytes of all values, the second lowest ones, and so on, which compresses well; signed values have small magnitudes first (zigzag).
 
 1. unsigned: differences of x to the previous vertex, the first one to the lower left corner of the patch's bounding box
 2. unsigned: y minus that of the box if x differs, otherwise the difference to the previous vertex, less one
@@ -22,22 +23,25 @@ import numpy as np
 import zstandard
 
 from ...errors import FileError
-from .integer_streams import StreamReader, write_signed, write_unsigned
 from .leaf_grids import LeafGrid
 
 COMPRESSION_LEVEL = 9
 MAX_GRADIENT = 2**30  # steps of gradients that are stored; steeper ones, which no longer differ from vertical, become this steep
 FOLLOWING = np.array([(0, 1, 2), (1, 2, 0), (2, 0, 1)])  # the corners of a triangle that follow 0 to 2 turns after a corner
 MAX_RADIX = 1 << 16
+WIDTHS = (0, 1, 2, 4)  # bytes of a value
 
 
 @dataclass(frozen=True)
 class Patch:
     """The contents of a patch.
 
-    x, y, z: (V,) int32, grid coordinates and heights in steps. boundary: (B,) int32, the vertices on the edges of the bintree triangle.
-    gradients: (B, 2) float32, derivatives there along x and y in steps per cell. triangles: (T, 3) int32, counterclockwise. is_hole: (T,)
-    bool.
+    Attributes:
+        x, y, z: (V,) int32, grid coordinates and heights in steps.
+        boundary: (B,) int32, the vertices on the edges of the bintree triangle.
+        gradients: (B, 2) float32, derivatives at these vertices along x and y in steps per cell.
+        triangles: (T, 3) int32, counterclockwise.
+        is_hole: (T,) bool, triangles without any known sample.
     """
 
     x: np.ndarray
@@ -47,6 +51,58 @@ class Patch:
     gradients: np.ndarray
     triangles: np.ndarray
     is_hole: np.ndarray
+
+
+class StreamReader:
+    """Reads the streams of one block from the beginning."""
+
+    def __init__(self, content: bytes) -> None:
+        self._content = content
+        self._position = 0
+
+    def read_bytes(self, count: int) -> np.ndarray:
+        """Return the next `count` bytes, uint8.
+
+        Raises:
+            FileError: the block ends before.
+        """
+        end = self._position + count
+        if end > len(self._content):
+            raise FileError("a block is shorter than its contents.")
+        start, self._position = self._position, end
+        return np.frombuffer(self._content, np.uint8, count, start)
+
+    def read_unsigned(self, count: int) -> np.ndarray:
+        """Return the next stream of `count` integers, int64."""
+        width = int(self.read_bytes(1)[0])
+        if width not in WIDTHS:
+            raise FileError("a block contains a stream of an unknown width.")
+        planes = self.read_bytes(width * count)
+        if not width:
+            return np.zeros(count, np.int64)
+        values = planes[:count].astype(np.int64)
+        for plane in range(1, width):
+            values |= planes[plane * count : (plane + 1) * count].astype(np.int64) << 8 * plane
+        return values
+
+    def read_signed(self, count: int) -> np.ndarray:
+        """Return the next stream of `count` signed integers, int64."""
+        values = self.read_unsigned(count)
+        return (values >> 1) ^ -(values & 1)
+
+
+def write_unsigned(values: np.ndarray) -> bytes:
+    """Encode integers (N,) from 0 to 2**32 - 1: one byte with the width, then the planes from the lowest byte to the highest."""
+    largest = int(values.max(initial=0))
+    width = next(width for width in WIDTHS if largest < 1 << 8 * width)
+    planes = values.astype("<u4").view(np.uint8).reshape(-1, 4).T[:width]
+    return bytes([width]) + planes.tobytes()
+
+
+def write_signed(values: np.ndarray) -> bytes:
+    """Encode integers (N,) from -2**31 to 2**31 - 1, with small magnitudes first (zigzag)."""
+    values = values.astype(np.int64)
+    return write_unsigned(np.where(values < 0, -2 * values - 1, 2 * values))
 
 
 def encode_patch(patch: Patch, corner: np.ndarray, is_leaf: bool, gradient_step: float) -> bytes:

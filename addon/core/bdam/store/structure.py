@@ -1,7 +1,7 @@
 """The structure file of a store: everything but the contents of patches and texture tiles.
 
-A file of blocks (see `blocks`) of the kind `bdamstru`. Block 0 is a JSON object, see `StoreHeader`. Then follow, for every level from 0,
-five blocks with little-endian arrays over the N patches of the level in ascending order of their bintree indices:
+A file of blocks (see `files.blocks`) of the kind `bdamstru`. Block 0 is a JSON object, see `StoreHeader`. Then follow, for every level from
+0, five blocks with little-endian arrays over the N patches of the level in ascending order of their bintree indices:
 
 | block | content |
 |---|---|
@@ -12,7 +12,7 @@ five blocks with little-endian arrays over the N patches of the level in ascendi
 | 5 level + 5 | bounding boxes in the local frame, N x 6 float32: lowest and highest x, y, z in meters, with finer patches |
 
 The patches of level 0, then of level 1 and so on, are the blocks of the geometry file in the same order.
-The backup of the file (see `backups`) is a copy of it.
+The backup of the file (see `files.backups`) is a copy of it.
 """
 
 import json
@@ -29,8 +29,8 @@ from ..files.blocks import BlockReader, BlockWriter
 from ..tree import Tree
 
 KIND, STRUCTURE_FILE = "bdamstru", "structure.bdam"
-# Of the contents of the header. 2: gradients of patches have another name, errors include the curvature of geographic grids. 3: structures
-# name the files that they belong to, patches have triangles of outlines.
+# The version of the contents of the header. 2: gradients of patches have another name, errors include the curvature of geographic grids. 3:
+# structures name the files that they belong to, patches have triangles of outlines.
 VERSION = 3
 ARRAYS_PER_LEVEL = 5
 FRAMES = {"projected": ProjectedFrame, "geographic": GeographicFrame}
@@ -40,11 +40,16 @@ FRAMES = {"projected": ProjectedFrame, "geographic": GeographicFrame}
 class StoreHeader:
     """What is the same for a whole store.
 
-    rows, columns, leaf_cells: see `Tree`. height_step: meters between two stored heights. gradient_step: unit of stored gradients, in
-    steps per cell. cell_size: nominal meters between two samples. crs: the coordinate reference system in words. frame: "projected" or
-    "geographic".
-    first, step, origin: of the frame, see `fields.placements`. has_texture: whether there is a folder of textures. geometry_checksum: that
-    of the index of the geometry file, which so is known to be the one that belongs to the structure.
+    Attributes:
+        rows, columns, leaf_cells: see `Tree`.
+        height_step: meters between two stored heights.
+        gradient_step: unit of stored gradients, in steps per cell.
+        cell_size: nominal meters between two samples.
+        crs: the coordinate reference system in words.
+        frame: "projected" or "geographic".
+        first, step, origin: position of the grid in the frame, see `fields.placements`.
+        has_texture: whether there is a folder of textures.
+        geometry_checksum: checksum of the index of the geometry file that belongs to the structure.
     """
 
     rows: int
@@ -75,8 +80,12 @@ class StoreHeader:
 class Level:
     """The patches of a level.
 
-    indices: (N,) int64. errors: (N,) float32, meters. heights: (N, 2) int32, steps. counts: (N, 3) int32,
-    vertices, triangles, and triangles of the outline. low, high: (N, 3) float32, bounding boxes in local meters.
+    Attributes:
+        indices: (N,) int64, triangles of the bintree, ascending.
+        errors: (N,) float32, meters.
+        heights: (N, 2) int32, the lowest and the highest one, in steps.
+        counts: (N, 3) int32, vertices, triangles, and triangles of the outline.
+        low, high: (N, 3) float32, bounding boxes in local meters.
     """
 
     indices: np.ndarray
@@ -107,18 +116,12 @@ def find_structure(folder: Path) -> Path | None:
     return next((candidate for candidate in (path, backup_path(path)) if candidate.is_file()), None)
 
 
-def read_structure(folder: Path) -> tuple[StoreHeader, list[Level]]:
-    """Read the structure file of a store, or its backup if it is damaged or missing.
+def read_structure(folder: Path) -> tuple[StoreHeader, list[Level], tuple[FileDamage, ...]]:
+    """Read the structure file of a store, or its backup if it is damaged or missing. Returns the damage of either, too.
 
     Raises:
         FileError: both are missing, damaged, or of another version.
     """
-    header, levels, _ = load_structure(folder)
-    return header, levels
-
-
-def load_structure(folder: Path) -> tuple[StoreHeader, list[Level], tuple[FileDamage, ...]]:
-    """Read the structure file of a store and its backup; see `read_structure`. Returns their damage, too."""
     (header, levels), damages = read_either(folder / STRUCTURE_FILE, _read_file)
     return header, levels, damages
 

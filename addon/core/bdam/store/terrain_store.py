@@ -1,9 +1,10 @@
 """A finished terrain: a folder with a structure file, a geometry file and, if the terrain has textures, a folder of these.
 
-Both files and those of the textures have backups, see `backups`.
+Both files and those of the textures have backups, see `files.backups`.
 """
 
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from functools import cached_property
 from pathlib import Path
 
@@ -13,21 +14,26 @@ from ...errors import FileError
 from ..files.backups import FileDamage
 from ..files.blocks import BlockReader
 from ..textures.store import TextureStore
-from .damaged_patches import PatchLimits, find_limits
 from .leaf_grids import leaf_grid
 from .patch_codec import Patch, decode_patch
-from .patch_links import join_bounds, link_patches
-from .structure import STRUCTURE_FILE, find_structure, load_structure
+from .patch_links import PatchLimits, find_leaf_squares, find_limits, join_bounds, link_patches
+from .structure import STRUCTURE_FILE, find_structure, read_structure
 
 GEOMETRY_FILE, GEOMETRY_KIND, TEXTURE_FOLDER = "geometry.bdam", "bdamgeom", "textures"
 
 
-class TerrainStore:
+class TerrainStore(AbstractContextManager):
     """An open store. Threads may share it.
 
-    header: see `StoreHeader`. tree: the bintrees. levels: the patches of each level from the coarsest to the finest. links: parents,
-    children and partners of patches. bounds: (N, 7) float32, bounding boxes and errors of all patches, see `join_bounds`. textures: None
-    without textures. file_damages: of files whose backup is used, and of backups.
+    Attributes:
+        header: see `StoreHeader`.
+        tree: the bintrees.
+        frame: the local frame.
+        levels: the patches of each level from the coarsest to the finest.
+        links: parents, children and partners of patches.
+        bounds: (N, 7) float32, bounding boxes and errors of all patches, see `join_bounds`.
+        textures: the texture tiles, None without.
+        file_damages: damages of files whose backup is used, and of backups.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -41,12 +47,12 @@ class TerrainStore:
             raise FileError(
                 f'"{folder}" is no terrain built by Farfield: it contains no file "{STRUCTURE_FILE}"; choose the folder of a terrain.'
             )
-        self.header, self.levels, damages = load_structure(folder)
+        self.header, self.levels, damages = read_structure(folder)
         self.tree = self.header.tree
         self.frame = self.header.create_frame()
         self._geometry = BlockReader(folder / GEOMETRY_FILE, GEOMETRY_KIND, has_backup=True)
-        of_geometry = self._geometry.count, self._geometry.index_checksum
-        if of_geometry != (sum(len(level.indices) for level in self.levels), self.header.geometry_checksum):
+        patch_count = sum(len(level.indices) for level in self.levels)
+        if (len(self._geometry), self._geometry.index_checksum) != (patch_count, self.header.geometry_checksum):
             self._geometry.close()
             raise FileError(f'"{folder / GEOMETRY_FILE}" and "{STRUCTURE_FILE}" belong to different terrains; build the terrain again.')
         self.bounds, self.levels = join_bounds(self.levels)
@@ -56,9 +62,6 @@ class TerrainStore:
         self.file_damages: tuple[FileDamage, ...] = (*damages, *self._geometry.damages, *of_textures)
         self._patch_damages: dict[int, str] = {}
         self._limits: tuple[int, PatchLimits | None] = (0, None)
-
-    def __enter__(self) -> "TerrainStore":
-        return self
 
     def __exit__(self, *_error: object) -> None:
         self.close()
@@ -86,6 +89,14 @@ class TerrainStore:
         """The number of patches that could not be read so far."""
         return len(self._patch_damages)
 
+    def attempts(self) -> Iterator[int]:
+        """Yield 0, and further numbers as long as patches have turned out to be damaged since the last one: choose a cut each time."""
+        number, known_damages = 0, -1
+        while known_damages != self.damage_count:
+            known_damages = self.damage_count
+            yield number
+            number += 1
+
     @property
     def damages(self) -> tuple[str, ...]:
         """Sentences about what was found to be damaged so far."""
@@ -96,9 +107,9 @@ class TerrainStore:
         """How cuts avoid the patches that could not be read so far, None if all could be read."""
         count, limits = self._limits
         if count != self.damage_count:
-            numbers = tuple(self._patch_damages)
+            numbers = list(self._patch_damages)
             is_damaged = np.zeros(len(self.links.parents), bool)
-            is_damaged[list(numbers)] = True
+            is_damaged[numbers] = True
             limits = find_limits(self.links, is_damaged)
             self._limits = len(numbers), limits
         return limits
@@ -126,6 +137,11 @@ class TerrainStore:
         if self.textures is not None:
             for number in self.textures.verify():
                 yield self.textures.label(number)
+
+    @cached_property
+    def leaf_squares(self) -> list[np.ndarray]:
+        """The squares of the patches of each level, see `find_leaf_squares`."""
+        return find_leaf_squares(self.tree, self.levels)
 
     @cached_property
     def height_range(self) -> tuple[float, float]:

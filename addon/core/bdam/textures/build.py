@@ -19,37 +19,34 @@ import numpy as np
 from ...errors import FileError
 from ...files.atomic_write import TEMPORARY_SUFFIX
 from ...files.file_access import convert_os_errors
-from ...jobs.progress import Progress, Steps
 from ..files.blocks import BlockReader, BlockWriter
 from .filtering import EXTENSION, extend_colors, halve, measure_detail
 from .grid import BORDER, STEP, TILE_SIZE, TextureGrid
-from .images import PlacedImage
-from .plan import TexturePlan, read_plan, start_build
-from .resampling import resample
+from .plan import TexturePlan
+from .resampling import PlacedImage, resample
 from .tile_blocks import encode_tile
-from .tile_index import order_along_curve
+from .tile_index import morton_keys
 
 MARGIN = BORDER + EXTENSION  # texels around a tile's own square that its texels depend on
 WINDOW = STEP + 2 * MARGIN
 PIECE = STEP // 2
-OWN = slice(MARGIN, MARGIN + STEP)  # of a window
+OWN = slice(MARGIN, MARGIN + STEP)  # the tile's own square in a window
 REACHED = slice(MARGIN - 1, MARGIN + STEP + 1)  # by bilinear interpolation within the tile's own square
 TILE = slice(EXTENSION, EXTENSION + TILE_SIZE)
 TILE_KIND, PIECE_KIND = "TILE", "PIECE"
-PROGRESS_TILES = 16  # between two steps of `build_textures`
 
 
 def list_tiles(grid: TextureGrid, level: int) -> np.ndarray:
-    """Return the tiles (N, 2) int32 of a level that have a part of the field, along Morton's curve."""
+    """Return the tiles (N, 2) int32, columns i and j, of a level that have a part of the field, along Morton's curve: near tiles are near
+    in files."""
     columns, rows = grid.tile_counts(level)
     tiles = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2).astype(np.int32)
-    return tiles[order_along_curve(tiles)]
+    return tiles[np.argsort(morton_keys(tiles), kind="stable")]
 
 
-def missing_tiles(folder: Path, level: int) -> np.ndarray:
+def missing_tiles(folder: Path, grid: TextureGrid, level: int) -> np.ndarray:
     """Return the tiles (N, 2) of `list_tiles` that must be built, again if their files are damaged, or if their pieces are and a coarser
     tile is missing."""
-    grid = read_plan(folder).grid
     needs_pieces = False
     for coarser in range(level + 1):
         tiles = list_tiles(grid, coarser)
@@ -58,11 +55,14 @@ def missing_tiles(folder: Path, level: int) -> np.ndarray:
     return tiles[is_missing]
 
 
-def build_tiles(folder: Path, level: int, tiles: np.ndarray, images: Sequence[PlacedImage] = (), mask: PlacedImage | None = None) -> None:
+def build_tiles(
+    folder: Path, plan: TexturePlan, level: int, tiles: np.ndarray, images: Sequence[PlacedImage] = (), mask: PlacedImage | None = None
+) -> None:
     """Build tiles of a level, in any order and by any number of processes at once.
 
     Args:
-        folder: of the build, with its plan.
+        folder: the folder of the build.
+        plan: what is built.
         level: all tiles of the finer level must be built.
         tiles: (N, 2) integers, i and j.
         images: needed by the finest level only; later ones lie over earlier ones.
@@ -71,7 +71,6 @@ def build_tiles(folder: Path, level: int, tiles: np.ndarray, images: Sequence[Pl
     Raises:
         FileError: an image or a piece cannot be read, or a file cannot be written.
     """
-    plan = read_plan(folder)
     for i, j in np.asarray(tiles).tolist():
         _build_tile(folder, plan, level, i, j, images, mask)
 
@@ -81,28 +80,6 @@ def discard_pieces(folder: Path, level: int) -> None:
     with convert_os_errors(f'Cannot delete files in "{folder}"'):
         for path in folder.glob(f"{level}-*.piece"):
             path.unlink()
-
-
-def build_textures(folder: Path, plan: TexturePlan, images: Sequence[PlacedImage]) -> Steps[None]:
-    """Build all tiles in this process, the finest level first; goes on with an interrupted build of the same plan.
-
-    Raises:
-        SettingsError: the plan is not valid.
-        FileError: the folder holds a build of another plan, an image cannot be read, or a file cannot be written.
-    """
-    start_build(folder, plan)
-    counts = [len(list_tiles(plan.grid, level)) for level in range(plan.grid.level_count)]
-    total, done = sum(counts), 0
-    for level in reversed(range(plan.grid.level_count)):
-        missing = missing_tiles(folder, level)
-        done += counts[level] - len(missing)
-        for start in range(0, len(missing), PROGRESS_TILES):
-            yield Progress(done / total, f"Texture level {level}")
-            tiles = missing[start : start + PROGRESS_TILES]
-            build_tiles(folder, level, tiles, images)
-            done += len(tiles)
-        discard_pieces(folder, level + 1)
-    yield Progress(1.0, "Texture tiles built")
 
 
 def tile_path(folder: Path, level: int, i: int, j: int) -> Path:
@@ -132,7 +109,7 @@ def _build_tile(
 
 def _join_pieces(folder: Path, grid: TextureGrid, level: int, i: int, j: int) -> np.ndarray:
     """Return the window (WINDOW, WINDOW, 4) uint8 of a tile, put together from the pieces of up to 16 tiles below."""
-    joined = np.zeros((4 * PIECE, 4 * PIECE, 4), np.uint8)  # of the four children, and as much again around them
+    joined = np.zeros((4 * PIECE, 4 * PIECE, 4), np.uint8)  # the four children, and as much again around them
     counts = grid.tile_counts(level + 1)
     for row in range(4):
         for column in range(4):

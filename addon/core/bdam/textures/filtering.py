@@ -11,7 +11,7 @@ from ...imaging.images import dilate_in_place
 QUARTERS = np.round(LINEAR_OF_BYTE * (65535 // 4)).astype(np.uint16)  # a quarter of the scale of ENCODED: the sum of four fits into 16 bits
 ENCODED = np.round(255.0 * encode_signed_srgb(np.arange(65536) / 65535.0)).astype(np.uint8)  # sRGB bytes by scene-linear value * 65535
 EXTENSION = 8  # texels; a block of JPEG with a known texel is filled to its last texel
-DETAIL_FRACTION = 1e-3  # of the texels, which exceed the detail of a tile
+DETAIL_FRACTION = 1e-3  # part of the texels whose contrast exceeds the detail of a tile
 
 
 def encode_linear(linear: np.ndarray) -> np.ndarray:

@@ -82,8 +82,3 @@ def count_levels(size: int, depth: int, pixel: float) -> int:
     while level < min(depth, MAX_LEVELS - 1) and size / (STEP << level) > pixel * (1.0 + MAX_COARSER):
         level += 1
     return level + 1
-
-
-def tile_uv(grid: TextureGrid, level: int, tile: tuple[int, int], positions: np.ndarray) -> np.ndarray:
-    """Return the UV coordinates (N, 2) float64 of grid `positions` (N, 2) in a tile (i, j); the formula at the top."""
-    return (BORDER + STEP * (positions * (2.0**level / grid.size) - np.asarray(tile))) / TILE_SIZE

@@ -1,19 +1,14 @@
-"""The plan of a build of texture tiles, and its file."""
+"""The plan of a build of texture tiles."""
 
 import json
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 import numpy as np
 
-from ...errors import FileError, SettingsError
-from ...files.atomic_write import write_bytes_atomically
-from ...files.file_access import convert_os_errors
+from ...errors import SettingsError
 from ...imaging.coded_images import DEFAULT_QUALITY, ImageFormat
 from .grid import MAX_LEVELS, TextureGrid
 
-PLAN_FILE = "plan.json"
-MAX_PLAN_BYTES = 1 << 16
 # The overlap of WebP tiles, unlike that of JPEG tiles, is coded differently in each; below 95 the seams exceed 8/255 in photographs.
 DEFAULT_QUALITIES = {"jpeg": DEFAULT_QUALITY, "webp": 95, "raw": DEFAULT_QUALITY}
 
@@ -25,8 +20,8 @@ class TexturePlan:
     Attributes:
         grid: the tiles.
         image_format: coding of tiles: jpeg, webp or raw.
-        quality: of jpeg and webp, 1 to 100; None is that of DEFAULT_QUALITIES.
-        error: error of a tile in `nest_errors`: `magnification`, the size of its texels, or `feature`, the same only where replacing the
+        quality: 1 to 100, for jpeg and webp; None for that of DEFAULT_QUALITIES.
+        error: error of a tile by itself: `magnification`, the size of its texels, or `feature`, the same only where replacing the
             texels of the next finer level loses visible detail; the largest size of the features that the tile loses.
     """
 
@@ -55,38 +50,6 @@ def parse_plan(content: bytes) -> TexturePlan | None:
         return plan
     except (ValueError, TypeError, KeyError, AttributeError, SettingsError):
         return None
-
-
-def read_plan(folder: Path) -> TexturePlan:
-    """Return the plan of the build in a folder.
-
-    Raises:
-        FileError: the folder has no plan, or its plan is damaged.
-    """
-    path = folder / PLAN_FILE
-    with convert_os_errors(f'Cannot read "{path}"'), path.open("rb") as file:
-        plan = parse_plan(file.read(MAX_PLAN_BYTES))
-    if plan is None:
-        raise FileError(f'"{path}" is damaged; delete its folder and build again.')
-    return plan
-
-
-def start_build(folder: Path, plan: TexturePlan) -> None:
-    """Write the plan to the folder of a build, which is created, or check that the build there has the same plan.
-
-    Raises:
-        SettingsError: the plan is not valid.
-        FileError: the folder holds a build of another plan, or cannot be written.
-    """
-    check_plan(plan)
-    path = folder / PLAN_FILE
-    if path.is_file():
-        if read_plan(folder) != plan:
-            raise FileError(f'"{folder}" holds an unfinished build with other settings; delete the folder.')
-        return
-    with convert_os_errors(f'Cannot write in "{folder}"'):
-        folder.mkdir(parents=True, exist_ok=True)
-        write_bytes_atomically(path, plan.to_json())
 
 
 def check_plan(plan: TexturePlan) -> None:

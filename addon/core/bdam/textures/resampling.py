@@ -7,6 +7,8 @@ A texel has the same value in every window: its weights, and the order and the g
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -14,11 +16,44 @@ from scipy.sparse import csr_array
 from ...imaging.colors import LINEAR_OF_BYTE
 from .filtering import encode_premultiplied
 from .grid import TextureGrid
-from .images import PlacedImage
 
 STRIP_PIXELS = 1 << 20  # about how many pixels are read at once
-FULL_COVERAGE = 1.0 - 1e-5  # by a mask; less is no rounding
+FULL_COVERAGE = 1.0 - 1e-5  # coverage by a mask that counts as complete, in spite of rounding
+EDGE_TOLERANCE = 1e-9  # part of an image that rounding may place beyond its last pixel, where the field ends
 Axis = tuple[csr_array, np.ndarray, int, int]  # weights (N, pixels), whether each texel is in the image (N,), first pixel, end
+
+
+class ImageSource(Protocol):
+    """An image that is read by window.
+
+    Attributes:
+        shape: rows, columns and channels; 3 for RGB, 4 with alpha.
+    """
+
+    shape: tuple[int, int, int]
+
+    def read(self, rows: slice, columns: slice) -> np.ndarray:
+        """Return a window (H, W, channels) with straight alpha: uint8, sRGB-encoded, or float32, scene-linear. NaN is unknown.
+
+        Raises:
+            FileError: the file cannot be read.
+        """
+
+
+@dataclass(frozen=True)
+class PlacedImage:
+    """An image on the field.
+
+    Attributes:
+        source: the pixels.
+        corner: grid coordinates (x, y) of the outer corner of pixel (row 0, column 0).
+        step: cells from one column to the next along x, and from one row to the next along y; negative where rows or columns run
+            downwards. Images of files whose row 0 is the northern one have a negative step along y.
+    """
+
+    source: ImageSource
+    corner: tuple[float, float]
+    step: tuple[float, float]
 
 
 def resample(
@@ -53,7 +88,7 @@ def _weigh(grid: TextureGrid, level: int, axis: int, texels: np.ndarray, image: 
     """Return the weights of an image's pixels along an axis, or None if no texel lies in it. Pixels beyond its border do not count."""
     count, step = image.source.shape[1 - axis], image.step[axis]
     positions = (grid.centers(level, axis, texels) - image.corner[axis]) / step  # in pixels from the corner
-    tolerance = 1e-9 * count  # of rounding: the field ends where the last pixel ends
+    tolerance = EDGE_TOLERANCE * count
     is_inside = (positions >= -tolerance) & (positions <= count + tolerance)
     if not is_inside.any():
         return None

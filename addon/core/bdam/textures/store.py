@@ -1,6 +1,6 @@
 """The texture tiles of a finished terrain store.
 
-`textures.tiles` is a file of blocks (`store/blocks.py`, kind TEXTURES): the tiles, coded as `tile_blocks` describes, by level from the
+`textures.tiles` is a file of blocks (`files/blocks.py`, kind TEXTURES): the tiles, coded as `tile_blocks` describes, by level from the
 coarsest on and along Morton's curve. `textures.structure` is a file of blocks of kind TEXTREE:
 
 | block | content, little-endian |
@@ -9,16 +9,16 @@ coarsest on and along Morton's curve. `textures.structure` is a file of blocks o
 | 1 | levels of the tiles, N int32, ascending |
 | 2 | positions of the tiles, N x 2 int32: i, j |
 | 3 | own errors in meters, N float32 |
-| 4 | nested errors in meters, N float32, see `nesting` |
+| 4 | nested errors in meters, N float32, see `tile_index` |
 | 5 | CRC-32 of the index of `textures.tiles`, uint32 |
 
-Tile n of these arrays is block n of the other file. Backups (see `store/backups.py`) are those of the index of `textures.tiles` and of the
+Tile n of these arrays is block n of the other file. Backups (see `files/backups.py`) are those of the index of `textures.tiles` and of the
 whole `textures.structure`.
 """
 
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
-from types import TracebackType
 from typing import TypeVar
 
 import numpy as np
@@ -29,26 +29,24 @@ from ..files.backups import FileDamage, copy_to_backup, read_either
 from ..files.blocks import BlockReader, BlockWriter
 from .build import TILE_KIND, list_tiles, tile_path
 from .grid import TILE_SIZE, TextureGrid
-from .nesting import nest_errors
-from .plan import TexturePlan, parse_plan, read_plan
+from .plan import TexturePlan, parse_plan
 from .tile_blocks import CodedTile, decode_tile, split_block
 from .tile_index import TileIndex
 
 TILES_FILE, STRUCTURE_FILE = "textures.tiles", "textures.structure"
 PROGRESS_TILES = 128  # between two steps of `write_textures`
 TILES_KIND, STRUCTURE_KIND, STRUCTURE_BLOCKS = "TEXTURES", "TEXTREE", 6
-MIN_FEATURE_CONTRAST = 6.0  # of detail that counts as a feature, in units of 1/255; about twice what can be told apart
+MIN_FEATURE_CONTRAST = 6.0  # contrast that counts as a feature, in units of 1/255; about twice what can be told apart
 
 Decoded = TypeVar("Decoded")
 
 
-def write_textures(folder: Path, out: Path) -> Steps[int]:
-    """Write the files of a store to the existing folder `out` from the finished build in `folder`. Returns the number of tiles.
+def write_textures(folder: Path, plan: TexturePlan, out: Path) -> Steps[int]:
+    """Write the files of a store to the existing folder `out` from the finished build of a plan in `folder`. Returns the number of tiles.
 
     Raises:
         FileError: a tile is missing or damaged, or a file cannot be written.
     """
-    plan = read_plan(folder)
     levels, tiles, details = [], [], []
     with BlockWriter(out / TILES_FILE, TILES_KIND) as writer:
         for level in range(plan.grid.level_count):
@@ -67,7 +65,7 @@ def write_textures(folder: Path, out: Path) -> Steps[int]:
         checksum = writer.finish(backs_up_index=True)
     index = TileIndex(np.array(levels, np.int32), np.array(tiles, np.int32).reshape(-1, 2), plan.grid.level_count)
     own = measure_own_errors(index, plan.grid, np.array(details, np.float32))
-    nested = nest_errors(index, own)
+    nested = index.nest(own)
     with BlockWriter(out / STRUCTURE_FILE, STRUCTURE_KIND) as writer:
         writer.append(plan.to_json())
         for array, dtype in ((index.levels, "<i4"), (index.tiles, "<i4"), (own, "<f4"), (nested, "<f4")):
@@ -98,14 +96,14 @@ def measure_own_errors(index: TileIndex, grid: TextureGrid, details: np.ndarray)
     return errors
 
 
-class TextureStore:
+class TextureStore(AbstractContextManager):
     """The texture tiles of a store, read by number. Threads may share it.
 
     Attributes:
         plan: the settings and the grid of the build.
         index: levels and positions of the tiles.
         own_errors, errors: (N,) float32, meters, without and with nesting.
-        damages: of files that have a backup.
+        damages: damages of files that have a backup.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -122,10 +120,7 @@ class TextureStore:
             self._blocks.close()
             raise FileError(f'"{folder / TILES_FILE}" and "{STRUCTURE_FILE}" belong to different textures; build the terrain again.')
 
-    def __enter__(self) -> "TextureStore":
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(self, *_error: object) -> None:
         self.close()
 
     def __len__(self) -> int:

@@ -24,6 +24,11 @@ class CodedTile(NamedTuple):
     color: bytes
     alpha: bytes | None
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of both images."""
+        return len(self.color) + len(self.alpha or b"")
+
 
 def encode_tile(colors: np.ndarray, alpha: np.ndarray, image_format: ImageFormat, quality: int) -> bytes:
     """Return a tile as a block: `colors` (H, W, 3) and `alpha` (H, W) uint8. Alpha is left out where it is 255 everywhere."""

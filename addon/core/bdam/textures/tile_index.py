@@ -1,13 +1,19 @@
-"""Lists of tiles of a quadtree, found by level and position."""
+"""Lists of tiles of a quadtree, found by level and position, and errors that are nested so that every cut is valid.
+
+A cut refines a tile if its error exceeds a threshold. Let P be a refined tile of level t + 1, N a tile of that level that shares an edge
+with it, and Q the parent of N. If error(Q) >= error(P), Q is refined, too. So every tile that shares an edge with a refined tile is in the
+cut or refined, and no tile of the cut touches one that is two levels finer along an edge.
+
+Hence the error of a tile is at least those of its four children and of the eight tiles that share an edge with a child. The errors may be
+those of a store or what these cover in an image, as long as all tiles of a cut are tested with the same threshold.
+"""
+
+from functools import cached_property
 
 import numpy as np
 
-EDGE_NEIGHBORHOOD = np.array([(i, j) for i in range(-1, 3) for j in range(-1, 3) if i in (0, 1) or j in (0, 1)])  # see `relatives`
-
-
-def order_along_curve(tiles: np.ndarray) -> np.ndarray:
-    """Return the order (N,) int64 of `tiles` (N, 2), columns i and j, along Morton's curve: near tiles are near in files."""
-    return np.argsort(morton_keys(tiles), kind="stable")
+# Positions of the four children of a tile and of the eight tiles that share an edge with a child, from twice the position of the tile.
+EDGE_NEIGHBORHOOD = np.array([(i, j) for i in range(-1, 3) for j in range(-1, 3) if i in (0, 1) or j in (0, 1)])
 
 
 class TileIndex:
@@ -46,12 +52,38 @@ class TileIndex:
         """Return the number of the parent of every tile, (N,) int64, -1 for the root and where it does not exist."""
         return self.find(self.levels - 1, self.tiles >> 1)
 
-    def relatives(self, level: int) -> np.ndarray:
-        """Return for the tiles of a level the numbers (M, 12) int64 of their four children and the eight tiles that share an edge with a
-        child; -1 where one does not exist."""
-        tiles = self.tiles[self.numbers(level)]
-        around = 2 * tiles[:, None, :] + EDGE_NEIGHBORHOOD
-        return self.find(level + 1, around.reshape(-1, 2)).reshape(len(tiles), len(EDGE_NEIGHBORHOOD))
+    @cached_property
+    def relatives(self) -> list[np.ndarray]:
+        """For the tiles of each level but the finest, the numbers (M, 12) int64 of their four children and of the eight tiles that share an
+        edge with a child; -1 where one does not exist."""
+        around = [2 * self.tiles[self.numbers(level)][:, None, :] + EDGE_NEIGHBORHOOD for level in range(self.level_count - 1)]
+        return [self.find(level + 1, tiles.reshape(-1, 2)).reshape(tiles.shape[:2]) for level, tiles in enumerate(around)]
+
+    def nest(self, errors: np.ndarray) -> np.ndarray:
+        """Return the errors (N,) of the tiles raised to the largest of the `errors` (N,) of the tiles that their refinement depends on."""
+        errors = errors.copy()
+        for level in range(self.level_count - 2, -1, -1):
+            numbers, relatives = self.numbers(level), self.relatives[level]
+            if relatives.size:
+                below = np.where(relatives >= 0, errors[relatives], 0.0).max(axis=1)
+                errors[numbers] = np.maximum(errors[numbers], below)
+        return errors
+
+    def select_cut(self, is_refined: np.ndarray) -> np.ndarray:
+        """Return the numbers of the tiles of the cut: those below refined ancestors that are not refined, (N,) bool, or of the finest
+        level.
+
+        Where children of a refined tile do not exist, nothing is known, and the cut has no tile there.
+        """
+        parents = self.parents()
+        is_open = np.zeros(len(self), bool)
+        is_visited = parents < 0
+        for level in range(self.level_count):
+            numbers = self.numbers(level)
+            if level:
+                is_visited[numbers] = is_open[parents[numbers]] & (parents[numbers] >= 0)
+            is_open[numbers] = is_visited[numbers] & is_refined[numbers] & (level < self.level_count - 1)
+        return np.flatnonzero(is_visited & ~is_open)
 
 
 def _tile_keys(levels: np.ndarray, tiles: np.ndarray) -> np.ndarray:

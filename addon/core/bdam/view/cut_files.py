@@ -9,9 +9,9 @@ from ...errors import FileError
 from ...geometry.viewers import Viewer
 from ...jobs.progress import Progress, Steps
 from ..store.terrain_store import TerrainStore
-from .cut_meshes import CutMesh, PatchCache, PatchMesh, merge_patches, remove_unused
+from .caches import PatchCache
+from .cut_meshes import CutMesh, PatchMesh, merge_patches, remove_unused
 from .extraction import Cut, CutSettings, extract_cut
-from .patch_squares import find_leaf_squares
 from .texture_cuts import TextureSelector
 from .tiles import MAX_TILES, TileGrouping
 
@@ -22,8 +22,12 @@ PROGRESS_PATCHES = 64  # between two steps
 class ExtractedMesh:
     """The mesh of a cut, without holes, and figures about it.
 
-    mesh: all of its vertices are used. patches: number of patches. tiles: the number of objects that show the same in a scene. max_error:
-    pixels. warnings: sentences about damaged parts, which are replaced or missing.
+    Attributes:
+        mesh: the mesh, all of whose vertices are used.
+        patches: number of patches.
+        tiles: number of objects that show the same in a scene.
+        max_error: pixels.
+        warnings: sentences about damaged parts, which are replaced or missing.
     """
 
     mesh: CutMesh
@@ -40,21 +44,14 @@ def extract_mesh(store: TerrainStore, viewer: Viewer, settings: CutSettings) -> 
         FileError: no patch can be read.
     """
     yield Progress(0.0, "Choosing patches")
-    leaf_squares = find_leaf_squares(store)
-    selector = None if store.textures is None else TextureSelector(store, leaf_squares)
-    cache, known_damages = PatchCache(store, max_bytes=0), -1
-    while known_damages != store.damage_count:
-        known_damages = store.damage_count
-        squares: dict[tuple[int, int, int], int | None] = {(0, 0, 0): None}
-        is_forced = None
-        if selector is not None:
-            texture_cut = selector.choose(viewer, settings, MAX_TILES)
-            squares, is_forced = texture_cut.numbers, selector.is_forced(texture_cut)
-        cut = extract_cut(store, viewer, settings, is_forced)
+    selector, cache = TextureSelector(store), PatchCache(store, max_bytes=0)
+    for _ in store.attempts():
+        texture_cut = selector.choose(viewer, settings, MAX_TILES)
+        cut = extract_cut(store, viewer, settings, selector.is_forced(texture_cut))
         meshes, levels = yield from _read_patches(cache, cut)
     if not meshes:
         raise FileError(f'No patch of "{store.folder}" can be read; build the terrain again.')
-    tiles = TileGrouping(store, leaf_squares).group(cut, squares)
+    tiles = TileGrouping(store).group(cut, texture_cut.numbers)
     return ExtractedMesh(remove_unused(merge_patches(meshes, levels)), len(meshes), len(tiles), cut.max_error, store.damages)
 
 
@@ -65,6 +62,6 @@ def _read_patches(cache: PatchCache, cut: Cut) -> Steps[tuple[list[PatchMesh], n
         if index % PROGRESS_PATCHES == 0:
             yield Progress(index / len(cut), "Reading patches")
         with suppress(FileError):  # the store keeps the sentence
-            meshes.append(cache.get(*key))
+            meshes.append(cache.read(key))
             levels.append(key[0])
     return meshes, np.array(levels)

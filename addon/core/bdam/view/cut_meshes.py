@@ -1,27 +1,24 @@
 """Meshes of cuts: patches with normals, and their union."""
 
-import threading
-from collections import OrderedDict
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..height_meshes import weigh_gradients
+from ..height_meshes import find_used, sum_gradients
 from ..store.patch_codec import Patch
-from ..store.patch_outlines import triangulate_outline
 from ..store.terrain_store import TerrainStore
-from .extraction import Cut
-
-DEFAULT_CACHE_BYTES = 48 << 20  # more than what a cut of a million triangles needs
 
 
 @dataclass(frozen=True)
 class PatchMesh:
     """A patch ready to be shown, without holes.
 
-    ids: (V,) int32, or int64 in large grids, numbers of the vertices in the grid: row * columns + column. positions: (V, 3) float64, local
-    meters without exaggeration. normals: (V, 3) float32. triangles: (T, 3) int32, counterclockwise seen from above. boundary: (B,) int32,
-    the vertices that other patches may have, too.
+    Attributes:
+        ids: (V,) int32, or int64 in large grids, numbers of the vertices in the grid: row * columns + column.
+        positions: (V, 3) float64, local meters without exaggeration.
+        normals: (V, 3) float32, unit vectors.
+        triangles: (T, 3) int32, counterclockwise seen from above.
+        boundary: (B,) int32, the vertices that other patches may have, too.
     """
 
     ids: np.ndarray
@@ -31,7 +28,7 @@ class PatchMesh:
     boundary: np.ndarray
 
     @property
-    def byte_count(self) -> int:
+    def nbytes(self) -> int:
         """Bytes of the arrays."""
         return sum(array.nbytes for array in (self.ids, self.positions, self.normals, self.triangles, self.boundary))
 
@@ -40,7 +37,11 @@ class PatchMesh:
 class CutMesh:
     """The union of patches, whose common vertices are merged.
 
-    ids: (V,) int64. positions, normals: see `PatchMesh`. triangles: (T, 3) int32. levels: (T,) int8, levels of the patches.
+    Attributes:
+        ids: (V,) int64, see `PatchMesh`.
+        positions, normals: see `PatchMesh`.
+        triangles: (T, 3) int32, counterclockwise seen from above.
+        levels: (T,) int8, levels of the patches.
     """
 
     ids: np.ndarray
@@ -48,58 +49,6 @@ class CutMesh:
     normals: np.ndarray
     triangles: np.ndarray
     levels: np.ndarray
-
-
-class PatchCache:
-    """Reads patches and keeps those used last, up to a number of bytes. Threads may share it."""
-
-    def __init__(self, store: TerrainStore, max_bytes: int = DEFAULT_CACHE_BYTES) -> None:
-        self._store, self._max_bytes = store, max_bytes
-        self._meshes: OrderedDict[tuple[int, int, bool], PatchMesh] = OrderedDict()
-        self._bytes = 0
-        self._lock = threading.Lock()
-
-    @property
-    def byte_count(self) -> int:
-        """Bytes of the patches that are kept."""
-        return self._bytes
-
-    @property
-    def max_bytes(self) -> int:
-        """Bytes of patches that may be kept."""
-        return self._max_bytes
-
-    def touch(self, level: int, row: int, is_outline: bool = False) -> int | None:
-        """Keep a patch as if it had just been used. Returns its bytes, None if it is not there."""
-        key = (level, row, is_outline)
-        with self._lock:
-            mesh = self._meshes.get(key)
-            if mesh is None:
-                return None
-            self._meshes.move_to_end(key)
-            return mesh.byte_count
-
-    def get(self, level: int, row: int, is_outline: bool = False) -> PatchMesh:
-        """Return the mesh of a patch, or of its outline.
-
-        Raises:
-            FileError: the patch is damaged.
-        """
-        key = (level, row, is_outline)
-        with self._lock:
-            if key in self._meshes:
-                self._meshes.move_to_end(key)
-                return self._meshes[key]
-        patch = self._store.read(level, row)
-        outline = triangulate_outline(patch, self._store.corners_of(level, row)) if is_outline else None
-        mesh = build_patch_mesh(self._store, patch) if outline is None else build_outline_mesh(self._store, patch, outline)
-        with self._lock:
-            if key not in self._meshes:
-                self._meshes[key] = mesh
-                self._bytes += mesh.byte_count
-            while self._bytes > self._max_bytes and len(self._meshes) > 1:
-                self._bytes -= self._meshes.popitem(last=False)[1].byte_count
-        return mesh
 
 
 def build_patch_mesh(store: TerrainStore, patch: Patch) -> PatchMesh:
@@ -141,10 +90,7 @@ def _to_normals(gradients: np.ndarray) -> np.ndarray:
 
 def vertex_gradients(positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Return the derivatives (2, V) float64 of z along x and y at vertices (V, 3): means of triangles (T, 3) weighted by area."""
-    vertices = triangles.T.astype(np.intp, order="C")
-    axes = positions.T.copy()
-    weights = weigh_gradients(*axes.take(vertices, axis=1))
-    sums = [np.bincount(vertices.ravel(), np.concatenate([values] * 3), len(positions)) for values in weights]
+    sums = sum_gradients(positions.T.copy(), triangles.T.astype(np.intp, order="C"))
     return np.stack(sums[:2]) / np.maximum(sums[2], np.finfo(np.float64).tiny)
 
 
@@ -172,18 +118,7 @@ def merge_patches(meshes: list[PatchMesh], levels: np.ndarray) -> CutMesh:
 
 def remove_unused(mesh: CutMesh) -> CutMesh:
     """Return a mesh without vertices that only triangles in holes have used."""
-    is_used = np.zeros(len(mesh.ids), bool)
-    is_used[mesh.triangles] = True
-    if is_used.all():
+    is_used, triangles = find_used(mesh.triangles, len(mesh.ids))
+    if triangles is mesh.triangles:
         return mesh
-    numbers = np.cumsum(is_used, dtype=np.int32) - 1
-    return CutMesh(mesh.ids[is_used], mesh.positions[is_used], mesh.normals[is_used], numbers[mesh.triangles], mesh.levels)
-
-
-def build_cut_mesh(cache: PatchCache, cut: Cut) -> CutMesh:
-    """Return the mesh of a whole cut.
-
-    Raises:
-        FileError: a patch is damaged.
-    """
-    return merge_patches([cache.get(*key) for key in cut.list_patches()], cut.levels)
+    return CutMesh(mesh.ids[is_used], mesh.positions[is_used], mesh.normals[is_used], triangles, mesh.levels)

@@ -16,17 +16,16 @@ from ..settings import ViewSettings
 from ..store.structure import find_structure
 from ..store.terrain_store import TerrainStore
 from ..textures.tile_blocks import CodedTile
-from .cut_meshes import PatchCache
+from .caches import PatchCache, Prefetch, TextureFiles
 from .extraction import Cut, CutSettings, IsForced, extract_cut
-from .patch_squares import find_leaf_squares
-from .prefetching import PatchesAhead, Prefetch, TexturesAhead
-from .texture_cuts import TextureCut, TextureSelector
-from .texture_files import TextureFiles
+from .texture_cuts import NO_TEXTURES, TextureCut, TextureSelector
 from .tiles import MAX_TILES, Tile, TileGrouping, TileKey, TileMesh, build_tile_mesh
 
-SETTLED_FRACTION = 0.02  # of the distance to the terrain, and of the image, by which the viewer may move before the cut changes
-CULLING_MARGIN = 0.15  # of the image
-STEPS_PER_OCTAVE, MAX_OCTAVES = 8, 44  # of the tolerances that a triangle budget chooses from: up to errors of a mountain at `MIN_DEPTH`
+# The cut stays as it is until the viewer has moved by this fraction of the distance to the terrain, or of the image.
+SETTLED_FRACTION = 0.02
+CULLING_MARGIN = 0.15  # fraction of the image
+# A triangle budget chooses from a series of tolerances, up to the errors of a mountain at `MIN_DEPTH`.
+STEPS_PER_OCTAVE, MAX_OCTAVES = 8, 44
 MIN_TEXTURE_TILES = 4
 PREFETCH_SECONDS, PREFETCH_CUTS = 0.5, 4  # how far and how often it is predicted what a moving viewer needs
 
@@ -41,8 +40,14 @@ class TileBlock:
 
 @dataclass(frozen=True)
 class Figures:
-    """Figures of what is shown. tolerance: pixels, raised by a triangle budget. max_error: pixels. byte_count: of patches and textures that
-    the engine keeps in memory."""
+    """Figures of what is shown.
+
+    Attributes:
+        triangles, patches, tiles: numbers of what is shown.
+        tolerance: pixels, raised by a triangle budget.
+        max_error: pixels.
+        byte_count: bytes of patches and textures that the engine keeps in memory.
+    """
 
     triangles: int
     patches: int
@@ -54,7 +59,7 @@ class Figures:
 
 @dataclass(frozen=True)
 class Update:
-    """The changes of a move, beside the tiles in `BdamEngine.finished_blocks`.
+    """The changes of a move, in addition to the tiles in `BdamEngine.finished_blocks`.
 
     tiles: all that are shown afterwards, with the number of their texture. is_complete: whether all of them were finished by this move,
     since nothing is known of what was shown before. warnings: sentences about damaged parts, which are replaced or missing.
@@ -69,8 +74,13 @@ class Update:
 class BdamEngine:
     """Computes the tiles of one store for viewers in its local frame. Only one thread at a time may use it.
 
-    settings: how the terrain is shown; if they are replaced, `invalidate` must be called. finished_blocks: tiles that the current move has
-    finished; every move starts with an empty queue. figures: of the last move, None before it.
+    Attributes:
+        folder: the folder of the store.
+        settings: how the terrain is shown; if they are replaced, `invalidate` must be called.
+        store: the open store.
+        identity: identifies the store and its content.
+        finished_blocks: tiles that the current move has finished; every move starts with an empty queue.
+        figures: figures of the last move, None before it.
     """
 
     def __init__(self, folder: Path, settings: ViewSettings, clock: Callable[[], float] = time.perf_counter) -> None:
@@ -81,14 +91,12 @@ class BdamEngine:
         """
         self.folder, self.settings = folder, settings
         self.store = TerrainStore(folder)
-        self._identity = f"{folder}|{find_structure(folder).stat().st_mtime_ns}"
+        self.identity = f"{folder}|{find_structure(folder).stat().st_mtime_ns}"
         self.finished_blocks: SimpleQueue[tuple[TileKey, TileBlock]] = SimpleQueue()
         self.figures: Figures | None = None
         self._cache = PatchCache(self.store)
-        self._leaf_squares = find_leaf_squares(self.store)
-        self._grouping = TileGrouping(self.store, self._leaf_squares)
-        self._textures = TextureSelector(self.store, self._leaf_squares) if self.store.textures is not None else None
-        self._texture_files = TextureFiles(self.store.textures) if self.store.textures is not None else None
+        self._grouping, self._textures = TileGrouping(self.store), TextureSelector(self.store)
+        self._texture_files = TextureFiles(self.store.textures)
         self._motion, self._clock = ViewerMotion(), clock
         self._present: tuple[TextureCut, Cut] | None = None
         self._budget_step = 0
@@ -96,11 +104,6 @@ class BdamEngine:
         self._viewer: Viewer | None = None
         self._clearance = 0.0
         self._warnings: dict[TileKey, tuple[str, ...]] = {}
-
-    @property
-    def identity(self) -> str:
-        """Identifies the store and its content."""
-        return self._identity
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
@@ -127,9 +130,8 @@ class BdamEngine:
         self.finished_blocks = SimpleQueue()
         self._motion.record(viewer, self._clock())
         yield Progress(0.0, "Choosing patches")
-        shown, warnings, known_damages = self._shown, self._warnings, -1
-        while known_damages != self.store.damage_count:
-            known_damages = self.store.damage_count
+        shown, warnings = self._shown, self._warnings
+        for _ in self.store.attempts():
             texture_cut, cut, tolerance = self._choose(viewer)
             tiles = self._grouping.group(cut, texture_cut.numbers)
             changed = [key for key, tile in tiles.items() if shown.get(key) != tile.signature]
@@ -143,9 +145,8 @@ class BdamEngine:
         self._shown = {key: tile.signature for key, tile in tiles.items()}
         self._present = texture_cut, cut
         self._viewer, self._clearance, self._warnings = viewer, self._measure_clearance(cut, viewer), warnings
-        self.figures = Figures(
-            self._count_triangles(cut), len(cut), len(tiles), tolerance, cut.max_error, self._cache.byte_count + self._texture_bytes()
-        )
+        byte_count = self._cache.byte_count + self._texture_files.byte_count
+        self.figures = Figures(self._count_triangles(cut), len(cut), len(tiles), tolerance, cut.max_error, byte_count)
         of_tiles = [sentence for key in tiles for sentence in warnings.get(key, ())]
         sentences = tuple(dict.fromkeys([*self.store.damages, *of_tiles]))
         return Update({key: tile.texture for key, tile in tiles.items()}, is_complete, self.figures, sentences)
@@ -159,18 +160,17 @@ class BdamEngine:
         if self._present is None or self._motion.predict(seconds) is None:
             return
         texture_cut, cut = self._present
-        patches = Prefetch(PatchesAhead(self.store, self._cache), cut.list_patches())
-        textures = Prefetch(TexturesAhead(self._texture_files), _texture_keys(texture_cut)) if self._texture_files is not None else None
+        patches = Prefetch(self._cache, cut.list_patches())
+        textures = Prefetch(self._texture_files, _texture_keys(texture_cut))
         for number in range(1, PREFETCH_CUTS + 1):
             yield Progress((number - 1) / PREFETCH_CUTS, "Reading ahead")
             viewer = self._motion.predict(seconds * number / PREFETCH_CUTS)
             settings = self._cut_settings(viewer)
             texture_cut, is_forced = self._choose_textures(viewer, settings)
-            # with the tolerance that the triangle budget has led to, which changes slowly
+            # The tolerance is the one that the triangle budget has led to, which changes slowly.
             cut = extract_cut(self.store, viewer, replace(settings, tolerance=self.figures.tolerance), is_forced)
             yield from patches.read(cut.list_patches())
-            if textures is not None:
-                yield from textures.read(_texture_keys(texture_cut))
+            yield from textures.read(_texture_keys(texture_cut))
 
     def is_settled_at(self, viewer: Viewer) -> bool:
         """Return whether what is shown is right for a viewer in the local frame: whether it has hardly moved since the last move."""
@@ -207,8 +207,8 @@ class BdamEngine:
 
     def _choose_textures(self, viewer: Viewer, settings: CutSettings) -> tuple[TextureCut, IsForced | None]:
         """Return the texture cut, and which patches must be refined for it."""
-        if self._textures is None or self.settings.shading != "texture":
-            return TextureCut({(0, 0, 0): None}), None
+        if self.settings.shading != "texture":
+            return NO_TEXTURES, None
         texture_cut = self._textures.choose(viewer, settings, self._max_texture_tiles())
         return texture_cut, self._textures.is_forced(texture_cut)
 
@@ -216,7 +216,7 @@ class BdamEngine:
         """Return how many texture tiles may be shown: those whose smallest cut has half the triangles of the budget."""
         if not self.settings.triangle_budget:
             return MAX_TILES
-        triangles = 2 * self.store.tree.leaf_cells**2  # of the two patches of a tile
+        triangles = 2 * self.store.tree.leaf_cells**2  # those of the two patches of a tile
         return min(max(self.settings.triangle_budget // (2 * triangles), MIN_TEXTURE_TILES), MAX_TILES)
 
     def _fit_budget(self, viewer: Viewer, settings: CutSettings, is_forced: IsForced | None) -> tuple[Cut, float]:
@@ -266,10 +266,7 @@ class BdamEngine:
         Raises:
             FileError, ImageError: it is damaged.
         """
-        return self._texture_files.get(number)
-
-    def _texture_bytes(self) -> int:
-        return self._texture_files.byte_count if self._texture_files is not None else 0
+        return self._texture_files.read(number)
 
     def _count_triangles(self, cut: Cut) -> int:
         """Return the number of triangles of a cut, holes included."""

@@ -4,7 +4,7 @@ A patch is refined if its error covers more pixels than the tolerance, see `proj
 if the two patches of a diamond are refined together. The paper achieves that by errors and spheres which are nested across diamonds; here,
 refinement spreads to the other patches of diamonds instead, which needs fewer patches because bounding boxes stay small.
 
-Cuts avoid patches that could not be read, see `store.damaged_patches`. Their errors may then be larger than the tolerance.
+Cuts avoid patches that could not be read, see `store.patch_links`. Their errors may then be larger than the tolerance.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,8 +24,10 @@ from .projected_errors import CutSettings, ProjectedErrors
 class Cut:
     """Patches that cover the terrain once.
 
-    levels, rows: (N,) int64, the patches, see `TerrainStore.levels`. is_outline: (N,) bool, patches of which only the outline is shown,
-    because the view culls all of them. max_error: pixels, the largest error of a patch that could be refined.
+    Attributes:
+        levels, rows: (N,) int64, the patches, see `TerrainStore.levels`.
+        is_outline: (N,) bool, patches of which only the outline is shown, because the view culls all of them.
+        max_error: pixels, the largest error of a patch that could be refined.
     """
 
     levels: np.ndarray

@@ -9,10 +9,9 @@ from ...geometry.viewers import Viewer
 from ...jobs.progress import Progress, Steps, subprogress
 from ..settings import ViewSettings
 from ..store.terrain_store import TerrainStore
-from .cut_meshes import PatchCache
+from .caches import PatchCache
 from .extraction import Cut, CutSettings, extract_union_cut
-from .patch_squares import find_leaf_squares
-from .texture_cuts import TextureCut, TextureSelector
+from .texture_cuts import NO_TEXTURES, TextureCut, TextureSelector
 from .tiles import MAX_TILES, TileGrouping, TileMesh, build_tile_mesh
 
 
@@ -20,9 +19,15 @@ from .tiles import MAX_TILES, TileGrouping, TileMesh, build_tile_mesh
 class FrozenMesh:
     """A mesh that no longer changes.
 
-    location: (3,) float64, position of the mesh in local meters with exaggeration. vertices: (V, 3) float32, relative to it. normals:
-    (V, 3) float32. triangles: (T, 3) int32. uvs: (T, 3, 2) float32, None without texture. levels: (T,) int8 of the patches. materials:
-    keys of the material slots. slots: (T,) int32, the slot of each triangle.
+    Attributes:
+        location: (3,) float64, position of the mesh in local meters with exaggeration.
+        vertices: (V, 3) float32, relative to the location.
+        normals: (V, 3) float32, unit vectors.
+        triangles: (T, 3) int32, counterclockwise seen from above.
+        uvs: (T, 3, 2) float32, None without texture.
+        levels: (T,) int8, levels of the patches.
+        materials: keys of the material slots.
+        slots: (T,) int32, the slot of each triangle.
     """
 
     location: np.ndarray
@@ -42,9 +47,9 @@ def choose_path_cut(store: TerrainStore, viewers: Sequence[Viewer], settings: Vi
     textures are used for the whole path; `describe_limit` tells whether they are too few for the tolerance.
     """
     cut_settings = CutSettings(settings.tolerance, settings.exaggeration)
-    if store.textures is None or settings.shading != "texture":
-        return TextureCut({(0, 0, 0): None}), (yield from extract_union_cut(store, viewers, cut_settings))
-    selector = TextureSelector(store, find_leaf_squares(store))
+    if settings.shading != "texture":
+        return NO_TEXTURES, (yield from extract_union_cut(store, viewers, cut_settings))
+    selector = TextureSelector(store)
     textures = yield from subprogress(selector.choose_for_path(viewers, cut_settings, MAX_TILES), 0.0, 0.5)
     return textures, (yield from subprogress(extract_union_cut(store, viewers, cut_settings, selector.is_forced(textures)), 0.5, 1.0))
 
@@ -63,7 +68,7 @@ def freeze_cut(store: TerrainStore, textures: TextureCut, cut: Cut, exaggeration
     """Return the meshes of the tiles of a cut, whose materials are the numbers of texture tiles or None, and sentences about damaged
     parts, which are missing unless `cut` avoids them."""
     cache = PatchCache(store)
-    tiles = TileGrouping(store, find_leaf_squares(store)).group(cut, textures.numbers)
+    tiles = TileGrouping(store).group(cut, textures.numbers)
     meshes, damages = [], []
     for number, (key, tile) in enumerate(tiles.items()):
         yield Progress(number / len(tiles), "Reading patches")

@@ -1,8 +1,8 @@
 """Cuts through the quadtree of texture tiles for a viewer (BDAM, section 4), of a limited number of tiles.
 
 Each tile has the number of pixels that its texels cover where the viewer is nearest to it, and is refined if that exceeds the tolerance.
-The number is raised to those of the tiles that `textures.nesting` names, so that every threshold gives a valid cut; the one that gives few
-enough tiles is found by sorting.
+The number is raised to those of the tiles that `textures.tile_index` names, so that every threshold gives a valid cut; the one that gives
+few enough tiles is found by sorting.
 """
 
 from collections.abc import Sequence
@@ -12,19 +12,17 @@ import numpy as np
 
 from ...geometry.viewers import Viewer
 from ...jobs.progress import Progress, Steps
-from ..store.damaged_patches import PatchLimits
+from ..store.patch_links import PatchLimits
 from ..store.terrain_store import TerrainStore
-from ..textures.nesting import select_cut
-from .culling import Culling
 from .extraction import CutSettings, IsForced
-from .patch_squares import contains_squares, square_boxes
+from .projected_errors import Culling
 
 
 @dataclass(frozen=True)
 class TextureCut:
     """Squares of the quadtree that cover the terrain once.
 
-    numbers: of their tiles by (level, i, j); None where there is no texture. refined: for each level from 0, the squares (M, 2) int32 that
+    numbers: texture tiles by (level, i, j); None where there is no texture. refined: for each level from 0, the squares (M, 2) int32 that
     are refined. tolerance: the largest number of pixels that texels cover, unless they are the finest ones; None without a choice.
     """
 
@@ -33,21 +31,24 @@ class TextureCut:
     tolerance: float | None = None
 
 
-class TextureSelector:
-    """Chooses the texture tiles of one store. leaf_squares: see `patch_squares.find_leaf_squares`."""
+NO_TEXTURES = TextureCut({(0, 0, 0): None})
 
-    def __init__(self, store: TerrainStore, leaf_squares: list[np.ndarray]) -> None:
+
+class TextureSelector:
+    """Chooses the texture tiles of one store, if it has any."""
+
+    def __init__(self, store: TerrainStore) -> None:
         self._store = store
+        self._has_texture = store.textures is not None and bool((store.textures.index.levels == 0).any())
+        if not self._has_texture:
+            return
         self._index, self._errors = store.textures.index, store.textures.errors.astype(np.float64)
-        self._has_texture = bool((self._index.levels == 0).any())
-        self._leaf_squares, self._depth = leaf_squares, store.tree.depth
+        self._depth = store.tree.depth
         self._min_distance = store.header.cell_size
-        self._relatives = [self._index.relatives(level) for level in range(self._index.level_count - 1)]
         self._low, self._high = np.empty((len(self._index), 3)), np.empty((len(self._index), 3))
         for level in range(self._index.level_count):
             numbers = self._index.numbers(level)
-            boxes = square_boxes(store, leaf_squares, level, self._index.tiles[numbers])
-            self._low[numbers], self._high[numbers] = boxes
+            self._low[numbers], self._high[numbers] = square_boxes(store, level, self._index.tiles[numbers])
         self._squares = [self._find_squares(level) for level in range(self._index.level_count)]
         self._added = self._count_added()
 
@@ -55,7 +56,7 @@ class TextureSelector:
         """Return the cut for a viewer in the local frame, with at most `max_count` tiles, whose texels cover at most `settings.tolerance`
         pixels as far as that number allows."""
         if not self._has_texture:
-            return TextureCut({(0, 0, 0): None})
+            return NO_TEXTURES
         return self._choose(self._measure(viewer, settings), settings, max_count)
 
     def choose_for_path(self, viewers: Sequence[Viewer], settings: CutSettings, max_count: int) -> Steps[TextureCut]:
@@ -64,7 +65,7 @@ class TextureSelector:
         If `max_count` tiles are too few, the tiles that cover the fewest pixels, in the frame where they cover most, stay coarse.
         """
         if not self._has_texture:
-            return TextureCut({(0, 0, 0): None})
+            return NO_TEXTURES
         pixels = np.zeros(len(self._index))
         for number, viewer in enumerate(viewers):
             yield Progress(number / len(viewers), "Choosing textures")
@@ -72,7 +73,7 @@ class TextureSelector:
         return self._choose(pixels, settings, max_count)
 
     def _choose(self, pixels: np.ndarray, settings: CutSettings, max_count: int) -> TextureCut:
-        """Return the cut for tiles that cover `pixels` (N,), which are overwritten."""
+        """Return the cut for tiles that cover `pixels` (N,)."""
         pixels = self._nest(pixels)
         threshold = max(settings.tolerance, self._find_threshold(pixels, max_count))
         return replace(self._cut_below(pixels > threshold), tolerance=threshold)
@@ -81,8 +82,7 @@ class TextureSelector:
         """Return the cut below the tiles (N,) bool that are refined, with their ancestors and relatives."""
         numbers: dict[tuple[int, int, int], int | None] = {}
         refined = []
-        chosen = select_cut(self._index, is_refined)
-        for number in chosen.tolist():
+        for number in self._index.select_cut(is_refined).tolist():
             numbers[int(self._index.levels[number]), *self._index.tiles[number].tolist()] = number
         for level in range(self._index.level_count - 1):
             tiles = self._index.tiles[self._index.numbers(level)][is_refined[self._index.numbers(level)]]
@@ -92,20 +92,22 @@ class TextureSelector:
             numbers.update({(level + 1, i, j): None for i, j in children[is_unknown].tolist()})
         return TextureCut(numbers, tuple(refined))
 
-    def is_forced(self, cut: TextureCut) -> IsForced:
-        """Return the criterion that patches must be refined until each one lies within one square of the cut."""
+    def is_forced(self, cut: TextureCut) -> IsForced | None:
+        """Return the criterion that patches must be refined until each one lies within one square of the cut, None if all of them do."""
+        if not cut.refined:
+            return None
 
         def test(level: int, rows: np.ndarray) -> np.ndarray:
             square_level = level // 2
             if square_level >= len(cut.refined) or not len(cut.refined[square_level]):
                 return np.zeros(len(rows), bool)
-            return contains_squares(self._leaf_squares[level][rows] >> (self._depth - square_level), cut.refined[square_level])
+            return contains_squares(self._store.leaf_squares[level][rows] >> (self._depth - square_level), cut.refined[square_level])
 
         return test
 
     def _find_squares(self, level: int) -> np.ndarray:
         """Return the squares (M, 2) of a level that contain terrain."""
-        return np.unique(self._leaf_squares[2 * level] >> (self._depth - level), axis=0)
+        return np.unique(self._store.leaf_squares[2 * level] >> (self._depth - level), axis=0)
 
     def _count_added(self) -> np.ndarray:
         """Return by how many squares a cut grows when each tile is refined, (N,) int64."""
@@ -130,13 +132,8 @@ class TextureSelector:
         return pixels
 
     def _nest(self, pixels: np.ndarray) -> np.ndarray:
-        """Return the pixels (N,) raised to the largest of the tiles that refinement depends on; see `nesting.balance`. Those of tiles that
-        cannot be refined, because patches are damaged, become 0."""
-        for level in range(self._index.level_count - 2, -1, -1):
-            numbers, relatives = self._index.numbers(level), self._relatives[level]
-            if relatives.size:
-                below = np.where(relatives >= 0, pixels[relatives], 0.0).max(axis=1)
-                pixels[numbers] = np.maximum(pixels[numbers], below)
+        """Return the nested pixels (N,). Those of tiles that cannot be refined, because patches are damaged, become 0."""
+        pixels = self._index.nest(pixels)
         if self._store.limits is not None:
             pixels[self._find_blocked(self._store.limits)] = 0.0
         return pixels
@@ -145,11 +142,11 @@ class TextureSelector:
         """Return which tiles cannot be refined, (N,) bool: those around patches that cannot, since a patch needs one texture; and what may
         only be refined together with these."""
         is_blocked = np.zeros(len(self._index), bool)
-        for level, relatives in enumerate(self._relatives):
+        for level, relatives in enumerate(self._index.relatives):
             for patch_level in (2 * level, 2 * level + 1):
                 start, stop = (int(number) for number in self._store.links.starts[patch_level : patch_level + 2])
                 rows = np.flatnonzero(limits.is_blocked[start:stop])
-                found = self._index.find(level, self._leaf_squares[patch_level][rows] >> (self._depth - level))
+                found = self._index.find(level, self._store.leaf_squares[patch_level][rows] >> (self._depth - level))
                 is_blocked[found[found >= 0]] = True
             below = relatives[is_blocked[self._index.numbers(level)]]
             is_blocked[below[below >= 0]] = True
@@ -166,3 +163,30 @@ class TextureSelector:
 def _children(squares: np.ndarray) -> np.ndarray:
     """Return the four children (4 N, 2) of each of `squares` (N, 2)."""
     return (2 * squares[:, None] + np.array([(0, 0), (1, 0), (0, 1), (1, 1)])).reshape(-1, 2)
+
+
+def square_boxes(store: TerrainStore, level: int, squares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the bounding boxes, low and high (M, 3) float64 in local meters, of the terrain in `squares` (M, 2) of a level of the
+    quadtree; low is infinite and high minus infinity where there is no terrain."""
+    patches = store.levels[2 * level]
+    keys = _keys(store.leaf_squares[2 * level] >> (store.tree.depth - level))
+    wanted = _keys(squares)
+    order = np.argsort(wanted, kind="stable")
+    places = np.searchsorted(wanted[order], keys)
+    is_wanted = places < len(wanted)
+    is_wanted[is_wanted] = wanted[order][places[is_wanted]] == keys[is_wanted]
+    targets = order[places[is_wanted]]
+    low, high = np.full((len(squares), 3), np.inf), np.full((len(squares), 3), -np.inf)
+    np.minimum.at(low, targets, patches.low[is_wanted])
+    np.maximum.at(high, targets, patches.high[is_wanted])
+    return low, high
+
+
+def contains_squares(squares: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return which of `squares` (N, 2) int are among `others` (M, 2), (N,) bool."""
+    return np.isin(_keys(squares), _keys(others))
+
+
+def _keys(squares: np.ndarray) -> np.ndarray:
+    """Return a number (N,) int64 for each square of one level."""
+    return (squares[:, 1].astype(np.int64) << 32) | squares[:, 0]

@@ -13,11 +13,12 @@ from ...errors import FileError
 from ..store.terrain_store import TerrainStore
 from ..textures.grid import BORDER, STEP, TILE_SIZE
 from ..textures.tile_index import morton_keys
-from .cut_meshes import CutMesh, PatchCache, merge_patches, remove_unused
+from .caches import PatchCache
+from .cut_meshes import CutMesh, merge_patches, remove_unused
 from .extraction import Cut
 
 MAX_TILES = 64
-MAX_TILE_TRIANGLES = 6000  # of tiles that are not split
+MAX_TILE_TRIANGLES = 6000  # larger tiles are split
 KEPT_SPLIT = 2.0  # factor of the triangles of squares that were split before, so that few tiles change
 LATTICE = 2.0**-14  # cells between two positions that vertices can have, so that tiles meet exactly in single precision
 
@@ -28,8 +29,11 @@ TileKey = tuple[int, int, int]  # level of the quadtree, i along x, j along y
 class Tile:
     """Which patches a tile shows, and its texture.
 
-    levels, rows: (N,) int64, patches in the order of the bintrees. is_outline: (N,) bool, see `Cut`. texture: the number of its texture
-    tile, None without. square: of the texture tile.
+    Attributes:
+        levels, rows: (N,) int64, patches in the order of the bintrees.
+        is_outline: (N,) bool, see `Cut`.
+        texture: number of its texture tile, None without.
+        square: square of the texture tile.
     """
 
     levels: np.ndarray
@@ -48,9 +52,15 @@ class Tile:
 class TileMesh:
     """The mesh of a tile, without holes.
 
-    location: (3,) float64, position of the mesh in local meters with exaggeration. vertices: (V, 3) float32, relative to it. normals:
-    (V, 3) float32. triangles: (T, 3) int32. uvs: (V, 2) float32 in the texture tile, None without texture. levels: (T,) int8, of the
-    patches. ids: (V,) int64, see `PatchMesh`. damages: sentences about patches that cannot be read and are missing in the mesh.
+    Attributes:
+        location: (3,) float64, position of the mesh in local meters with exaggeration.
+        vertices: (V, 3) float32, relative to the location.
+        normals: (V, 3) float32, unit vectors.
+        triangles: (T, 3) int32, counterclockwise seen from above.
+        uvs: (V, 2) float32 in the texture tile, None without texture.
+        levels: (T,) int8, levels of the patches.
+        ids: (V,) int64, see `PatchMesh`.
+        damages: sentences about patches that cannot be read and are missing in the mesh.
     """
 
     location: np.ndarray
@@ -64,13 +74,10 @@ class TileMesh:
 
 
 class TileGrouping:
-    """Groups the patches of cuts into tiles. It remembers the last grouping, so that the next one differs little.
+    """Groups the patches of cuts into tiles. It remembers the last grouping, so that the next one differs little."""
 
-    leaf_squares: see `patch_squares.find_leaf_squares`.
-    """
-
-    def __init__(self, store: TerrainStore, leaf_squares: list[np.ndarray]) -> None:
-        self._store, self._leaf_squares = store, leaf_squares
+    def __init__(self, store: TerrainStore) -> None:
+        self._store = store
         self._split: set[TileKey] = set()
 
     def group(self, cut: Cut, textures: dict[TileKey, int | None]) -> dict[TileKey, Tile]:
@@ -79,7 +86,7 @@ class TileGrouping:
         squares = np.empty((len(cut), 2), np.int64)
         for level in np.unique(cut.levels).tolist():
             is_level = cut.levels == level
-            squares[is_level] = self._leaf_squares[level][cut.rows[is_level]]
+            squares[is_level] = self._store.leaf_squares[level][cut.rows[is_level]]
         counts = cut.count_triangles(self._store)
         codes = morton_keys(squares)
         order = np.lexsort((cut.rows, cut.levels, codes))
@@ -114,7 +121,7 @@ def build_tile_mesh(store: TerrainStore, cache: PatchCache, key: TileKey, tile: 
     patches, levels, damages = [], [], []
     for level, row, is_outline in zip(tile.levels.tolist(), tile.rows.tolist(), tile.is_outline.tolist(), strict=True):
         try:
-            patches.append(cache.get(level, row, is_outline))
+            patches.append(cache.read((level, row, is_outline)))
             levels.append(level)
         except FileError as error:
             damages.append(str(error))

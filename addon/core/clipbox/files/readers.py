@@ -10,15 +10,17 @@ import numpy as np
 from ...errors import FileError, SettingsError
 from ...files.array_files import map_array
 from ...files.file_access import check_readable, check_unicode
-from ...files.height_maps import HEIGHT_BYTES, check_size, to_native_byte_order
+from ...files.geotiff import GEOGRAPHIC, GeoReference
+from ...files.height_maps import HEIGHT_BYTES, are_valid_sizes, check_size, to_native_byte_order
+from ...files.tiffs import TiffImage, open_tiff
 from .file_data import FileData, HeightMap, Voxels
-from .height_tiffs import read_tiff
 from .nifti import read_nifti
 
 Readers = Mapping[str, Callable[[Path], FileData]]  # by lower-case extension
-
 BLEND_PREFIX = "//"  # of paths relative to the folder of the .blend file
 RAW_NAME = re.compile(r"(?:^|_)(\d+)x(\d+)x(\d+)_(u?int(?:8|16|32)|float(?:32|64))$")
+METERS_PER_DEGREE = 111_320.0  # along the equator, and about that along a meridian
+MAX_LATITUDE = math.radians(89.9)  # closer to a pole, a degree of longitude has almost no length
 
 
 def read_array(path: Path) -> FileData:
@@ -54,6 +56,48 @@ def read_raw(path: Path) -> Voxels:
     if size != expected_size:
         raise FileError(f'"{path}" has {size:,} bytes; according to its name it must have {expected_size:,}.')
     return Voxels(to_native_byte_order(path, np.fromfile(path, dtype)).reshape(shape, order="F"))
+
+
+def read_tiff(path: Path) -> HeightMap:
+    """Read the first image of a TIFF file.
+
+    Unsigned integers without any GeoTIFF tag are gray values, 0 to 1; of color images the mean of the first three channels is used. All
+    other samples are elevations, in meters unless a tag gives a unit. A pixel without a scale is as wide as one unit of height.
+
+    Raises:
+        FileError: it is not a TIFF file, is truncated, or has an unsupported compression.
+    """
+    tiff = open_tiff(path)
+    check_size(path, math.prod(tiff.shape) * tiff.channels, tiff.dtype.itemsize)
+    check_size(path, math.prod(tiff.shape), HEIGHT_BYTES)
+    tiff.check_complete()
+    samples = tiff.read(slice(0, tiff.shape[0]), slice(0, tiff.shape[1]))
+    with np.errstate(all="ignore"):  # of damaged floats, which become missing heights
+        return _to_height_map(tiff, samples)
+
+
+def _to_height_map(tiff: TiffImage, samples: np.ndarray) -> HeightMap:
+    image = samples[:, :, 0] if tiff.channels < 3 else samples[:, :, :3].mean(axis=2, dtype=np.float32)
+    if samples.dtype.kind in "bu" and not tiff.is_map:
+        white = 1.0 if samples.dtype == bool else float(np.iinfo(samples.dtype).max)
+        gray = np.empty(image.shape, np.float32)
+        np.divide(image, np.float32(white), out=gray, casting="same_kind")
+        return HeightMap(gray[::-1])
+    return HeightMap(image[::-1], _pixel_size(tiff.georeference, tiff.shape[0]), tiff.georeference.no_data)
+
+
+def _pixel_size(reference: GeoReference, rows: int) -> tuple[float, float]:
+    """Return the width and depth of a pixel, in the unit of its heights."""
+    if reference.affine is None:
+        return 1.0, 1.0
+    a, b, _, d, e, y = reference.affine
+    unit = (reference.horizontal_unit or 1.0) / reference.vertical_unit
+    width, depth = math.hypot(a, d) * unit, math.hypot(b, e) * unit
+    if reference.model_type == GEOGRAPHIC:
+        latitude = math.radians((y + (rows - 1) / 2.0 * e) * (reference.horizontal_unit or 1.0))
+        latitude = min(max(latitude, -MAX_LATITUDE), MAX_LATITUDE)
+        width, depth = width * METERS_PER_DEGREE * math.cos(latitude), depth * METERS_PER_DEGREE
+    return (width, depth) if are_valid_sizes((width, depth)) else (1.0, 1.0)
 
 
 READERS: Readers = {

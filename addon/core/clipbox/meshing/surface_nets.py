@@ -8,6 +8,7 @@ therefore gives exactly the same vertices as the whole. Corners have flat indice
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import combinations
 
 import numpy as np
 
@@ -15,7 +16,6 @@ from ...arrays import concatenate_ranges
 from .case_table import AXES, DIRECTIONS, HIGH, LOW, OCTANTS, PAIR_AXIS, case_table, pair_index
 
 OCTANT_CENTERS = (OCTANTS - 0.5).astype(np.float32)  # (8, 3) relative to the corner, in voxels
-
 # Corners of a face, for normals down and up the axis: bit 0 is 1 on the high side of the next axis, bit 1 on that of the axis after it.
 FACE_CORNERS = np.array([(0, 2, 3, 1), (0, 1, 3, 2)])
 _FACE_PAIRS = [  # per axis, the pair of octants of each corner of a face that lie on both sides of the face
@@ -29,6 +29,9 @@ _FACE_PAIRS = [  # per axis, the pair of octants of each corner of a face that l
     for axis in range(AXES)
 ]
 _PAIR_CENTERS = np.array([np.where(axis == PAIR_AXIS, 0.0, OCTANT_CENTERS[LOW, axis]) for axis in range(AXES)], np.float32)  # (3, 12)
+MARGIN = 1  # voxels around the repaired ones that the repair depends on
+MAX_SPIKE_NEIGHBORS = 1  # a solid voxel with no more solid face neighbors is the tip of a spike, which smoothing turns into a needle
+MIN_PIT_NEIGHBORS = 5  # an empty voxel with as many solid face neighbors is a pit
 
 
 @dataclass(frozen=True)
@@ -281,3 +284,31 @@ def _fit_gradients(values: np.ndarray, centers: np.ndarray) -> np.ndarray:
     normal_matrix = np.stack([[(offsets[:, row] * offsets[:, column]).sum(axis=0) for column in range(AXES)] for row in range(AXES)])
     rhs = np.stack([(offsets[:, row] * differences).sum(axis=0) for row in range(AXES)])
     return np.linalg.solve(normal_matrix.transpose(2, 0, 1), rhs.T[:, :, None])[:, :, 0].T
+
+
+def repair_voxels(solid: np.ndarray) -> np.ndarray:
+    """Remove spikes, fill pits and join voxels that touch only along an edge.
+
+    Smoothing would leave a bridge of zero width where two voxels touch only along an edge. One of the two empty voxels beside the edge is
+    filled instead. The result of a voxel depends only on its 26 neighbors, so parts of a volume are repaired like the whole.
+
+    Takes voxels (X, Y, Z) bool. Returns all but the outermost layer, (X - 2, Y - 2, Z - 2) bool.
+    """
+    inner = solid[1:-1, 1:-1, 1:-1]
+    face_neighbors = [_shift(solid, axis, step) for axis in range(3) for step in (-1, 1)]
+    neighbor_counts = sum(neighbor.astype(np.uint8) for neighbor in face_neighbors)
+    repaired = (inner & (neighbor_counts > MAX_SPIKE_NEIGHBORS)) | (neighbor_counts >= MIN_PIT_NEIGHBORS)
+    for first, second in combinations(range(3), 2):
+        for step in (-1, 1):  # the empty voxel that is filled is the lower one along the second axis
+            diagonal = _shift(solid, first, step) & _shift(solid, second, 1)
+            repaired |= ~inner & diagonal & ~_shift(solid, first, step, second, 1)
+    return repaired
+
+
+def _shift(solid: np.ndarray, axis: int, step: int, second_axis: int = -1, second_step: int = 0) -> np.ndarray:
+    """Return the neighbors of the inner voxels at `step` along `axis` and `second_step` along `second_axis`."""
+    offsets = [1, 1, 1]
+    offsets[axis] += step
+    if second_axis >= 0:
+        offsets[second_axis] += second_step
+    return solid[tuple(slice(offset, offset + count - 2) for offset, count in zip(offsets, solid.shape, strict=True))]

@@ -13,8 +13,7 @@ import numpy as np
 from ...errors import FileError, GeometryError
 from ...settings import Choice
 from ..files.readers import READERS, Readers
-from ..meshing.repair import MARGIN, repair_voxels
-from ..meshing.surface_nets import is_solid
+from ..meshing.surface_nets import MARGIN, is_solid, repair_voxels
 from .forest import build_forest
 from .formulas import Formula
 from .grids import DensityFunction, Grid
