@@ -1,12 +1,15 @@
 """The examples in docs/python-api.md run and do what the page says."""
 
 import re
+import runpy
 
+import bpy
 import numpy as np
 import pytest
 
 from lib import environment
 
+update_tables = runpy.run_path(str(environment.ROOT / "docs" / "tables.py"))["update_tables"]
 PAGE = (environment.ROOT / "docs" / "python-api.md").read_text(encoding="utf-8")
 EXAMPLES = dict(re.findall(r"```python\n# example: (\w+)\n(.*?)```", PAGE, re.DOTALL))
 
@@ -20,6 +23,13 @@ def run(name: str) -> dict:
 def test_every_example_of_the_page_is_run_here():
     assert PAGE.count("```python") == len(EXAMPLES)
     assert set(EXAMPLES) == {"operators", "billboards", "unwrap", "restore", "texmesh", "progress"}
+
+
+def test_the_table_lists_every_registered_operator_and_a_button_for_each(extension):
+    rows = dict(re.findall(r"^\| `bpy\.ops\.farfield\.(\w+)` \| [^|]+ \| ([^|]+) \|$", PAGE, re.MULTILINE))
+    assert set(rows) == set(dir(bpy.ops.farfield)) - {"cancel_job", "finish_job"}, "run `python3 docs/tables.py`"
+    assert not [name for name, buttons in rows.items() if buttons == "none"]
+    assert update_tables(PAGE) == PAGE
 
 
 def test_operators(empty_scene, capsys):
