@@ -83,7 +83,7 @@ def test_a_package_of_three_levels():
     assert all(package.contents.values())
 
 
-def test_heights_of_a_slope():
+def test_heights_of_an_inclined_plane():
     example = run("bdam")
     (first, second), (normal, _) = example["heights"], example["normals"]
     assert second - first == pytest.approx(0.25 * 10.0 - 0.125 * 4.0, abs=0.02)  # rows grow towards the south
