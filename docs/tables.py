@@ -1,6 +1,7 @@
-"""Update the tables of settings in the docs from their declarations in the core: `python3 docs/tables.py`.
+"""Update the tables of settings and operators in the docs from their declarations: `python3 docs/tables.py`.
 
-A table is between a line `<!-- settings: NAME -->` and a line `<!-- end of settings -->`; see `find_settings` for the names.
+A table is between a line `<!-- settings: NAME -->` and a line `<!-- end of settings -->`; see `find_settings` for the names. That of all
+operators is between `<!-- operators -->` and `<!-- end of operators -->`.
 """
 
 import importlib
@@ -16,9 +17,15 @@ from lib import environment
 environment.ensure()
 environment.import_farfield()
 
+sys.path.insert(0, str(FOLDER))
+importlib.import_module("farfield.addon.registration")  # It imports all operators and panels.
+
+from operator_table import operator_table
+
 from farfield.addon.core.settings import Description, Settings, describe
 
 TABLE = re.compile(r"(<!-- settings: (\w+) -->\n).*?(<!-- end of settings -->)", re.DOTALL)
+OPERATORS = re.compile(r"(<!-- operators -->\n).*?(<!-- end of operators -->)", re.DOTALL)
 
 
 def find_settings() -> dict[str, type[Settings]]:
@@ -41,8 +48,10 @@ def find_settings() -> dict[str, type[Settings]]:
 
 
 def update_tables(text: str) -> str:
-    """Return the page `text` with every table of settings replaced by the current declarations."""
+    """Return the page `text` with every table replaced by the current declarations."""
     tables = find_settings()
+    if OPERATORS.search(text):
+        text = OPERATORS.sub(lambda match: f"{match[1]}{operator_table()}\n{match[2]}", text)
     return TABLE.sub(lambda match: f"{match[1]}{markdown_table(tables[match[2]])}\n{match[3]}", text)
 
 

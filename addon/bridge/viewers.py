@@ -11,7 +11,7 @@ from ..core.geometry.viewers import FULL_SPHERE, Projection, Viewer, camera_wind
 from .cameras import render_size, sensor_spans_width
 
 DEFAULT_EXTENT = 36.0 / 50.0  # sensor width divided by focal length of a new camera
-DEFAULT_NEAR, DEFAULT_FAR = 0.1, 1000.0  # of a new camera
+DEFAULT_NEAR, DEFAULT_FAR = 0.1, 1000.0  # Those of a new camera.
 
 
 def viewer_matrix(scene: bpy.types.Scene, region: bpy.types.RegionView3D | None) -> mathutils.Matrix:
@@ -34,7 +34,7 @@ def viewer_projection(scene: bpy.types.Scene, area: bpy.types.Area | None) -> Pr
     if area is None:
         return camera_projection(scene, scene.camera)
     space = area.spaces.active
-    window = [region for region in area.regions if region.type == "WINDOW"][-1]  # of four in a quad view, the one of region_3d
+    window = [region for region in area.regions if region.type == "WINDOW"][-1]  # A quad view has four; region_3d belongs to the last one.
     camera = scene.camera if space.region_3d.view_perspective == "CAMERA" else None
     lens = camera.data if camera is not None and camera.type == "CAMERA" else space
     size = max(window.width, 1), max(window.height, 1)

@@ -15,7 +15,7 @@ class EngineCache:
 
     def __init__(self) -> None:
         self._engines: dict[Key, Engine] = {}
-        self._names: dict[Key, str] = {}  # of the roots, to find them quickly
+        self._names: dict[Key, str] = {}  # Names of the roots, to find them quickly.
 
     def __len__(self) -> int:
         return len(self._engines)

@@ -44,7 +44,7 @@ def reports_errors(method: Callable[..., set[str]]) -> Callable[..., set[str]]:
         def run(self: bpy.types.Operator, context: bpy.types.Context) -> set[str]:
             try:
                 return method(self, context)
-            except Exception as error:  # noqa: BLE001 the last resort, see CONTRIBUTING.md
+            except Exception as error:  # noqa: BLE001 catch-all, see CONTRIBUTING.md
                 return report_error(self, error)
 
     else:

@@ -43,7 +43,7 @@ def follow_active_camera(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph 
             if follows_camera(terrain):
                 try:
                     following.recenter(terrain, tool.to_terrain(terrain, viewers.camera_viewer(scene, camera)))
-                except Exception as error:  # noqa: BLE001 the last resort: nobody else catches the errors of a handler
+                except Exception as error:  # noqa: BLE001 catch-all: nobody else catches the errors of a handler
                     _print_once(error)
 
 
@@ -98,7 +98,7 @@ def _show_again(terrain: TerrainRoot) -> None:
     viewer = view_following.view_of_area(bpy.context.scene, view_following.context_viewport(bpy.context))
     try:
         following.recenter(terrain, follow_tools.tool_of(terrain).to_terrain(terrain, viewer))
-    except Exception as error:  # noqa: BLE001 the last resort: nobody else catches the errors of a handler
+    except Exception as error:  # noqa: BLE001 catch-all: nobody else catches the errors of a handler
         _print_once(error)
 
 

@@ -15,7 +15,7 @@ from . import follow_tools, long_work
 from .engine_cache import cache, discard_finished_blocks
 from .follow_tools import Engine, PrefetchingEngine
 
-MAX_TICK_SECONDS = 0.008  # of the main thread
+MAX_TICK_SECONDS = 0.008  # Time of the main thread per tick.
 
 
 class Following:
@@ -109,7 +109,7 @@ class _Move:
         self._change = follow_tools.tool_of(terrain).start_change(terrain, engine)
         self._filling: Iterator[None] | None = None
         self._showing: Iterator[None] | None = None
-        discard_finished_blocks(engine)  # of a move that was shown in another way
+        discard_finished_blocks(engine)  # They belong to a move that was shown in another way.
         if prefetch is not None:
             prefetch.cancel()
         self._thread = BackgroundThread(_move_after(prefetch, engine.move(viewer)))

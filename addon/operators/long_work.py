@@ -106,7 +106,7 @@ class FARFIELD_OT_finish_job(bpy.types.Operator):
         elif event.type == "TIMER":
             try:
                 finished = run.advance()
-            except Exception as error:  # noqa: BLE001 the last resort, see CONTRIBUTING.md
+            except Exception as error:  # noqa: BLE001 catch-all, see CONTRIBUTING.md
                 self.cancel(context)
                 return report_error(self, error, run.title)
             if finished:

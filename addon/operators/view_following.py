@@ -14,7 +14,7 @@ from .error_reports import describe_error, reports_errors
 from .following import MAX_TICK_SECONDS, Following
 
 TICK = 1.0 / 60.0  # seconds between two calls of the timer
-BLOCKING_JOBS = ("RENDER", "OBJECT_BAKE")  # of Blender; they read the meshes in a thread
+BLOCKING_JOBS = ("RENDER", "OBJECT_BAKE")  # Blender's jobs that read the meshes in a thread.
 
 
 class ViewFollowing:
@@ -63,7 +63,7 @@ class ViewFollowing:
         continues = False
         try:
             continues = self._advance()
-        except Exception as error:  # noqa: BLE001 the last resort: nobody else catches the errors of a timer
+        except Exception as error:  # noqa: BLE001 catch-all: nobody else catches the errors of a timer
             self._end(describe_error(error, "Follow View"))
         finally:
             if not continues and self._following is not None:

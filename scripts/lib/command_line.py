@@ -196,7 +196,7 @@ def _run(main: Callable[[list[str], ProgressLine], str | None], arguments: list[
     except KeyboardInterrupt:
         print_message("Cancelled.")
         return CANCELLED
-    except Exception as error:  # noqa: BLE001 - the last net: a defect ends in one sentence too
+    except Exception as error:  # noqa: BLE001 catch-all: a defect ends in one sentence, too
         log = write_defect_log(script, error, [f"Blender {blender_version()}", f"Arguments: {arguments}"])
         if verbose:
             traceback.print_exception(error)

@@ -24,7 +24,7 @@ def make_grid(side: int) -> np.ndarray:
     return np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
 
 
-def test_selected_vertices_share_no_triangle_and_leave_no_cheaper_neighbor_out():
+def test_selected_vertices_have_no_common_triangle_and_leave_no_cheaper_neighbor_out():
     triangles = make_grid(12)
     keys = np.random.default_rng(0).permutation(144)
     selected = select_independent(np.arange(144), keys, np.ascontiguousarray(triangles.T), 144, passes=144)
@@ -44,7 +44,7 @@ def test_selected_operations_touch_no_triangle_twice_and_are_the_cheapest_first(
     assert select_disjoint(np.array([1.0, 2.0, 3.0, 4.0]), owners, touched, 6, 2).tolist() == [0, 2]
 
 
-def test_an_edge_collapses_only_where_its_ends_share_nothing_else():
+def test_an_edge_collapses_only_where_its_ends_have_no_other_common_neighbor():
     fan = np.array([(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 1)], np.int32)
     edges = find_edges(fan)
     satisfied = {tuple(pair) for pair in edges.ends[satisfies_link_condition(edges)].tolist()}

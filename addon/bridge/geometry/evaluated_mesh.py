@@ -23,10 +23,16 @@ class MeshAttribute:
 class EvaluatedMesh:
     """A triangulated mesh in object space; several objects may share one.
 
-    vertices (V, 3) float32. triangles, loops (T, 3) int32: vertices and loops at the corners; polygons (T,) int32.
-    normals (L, 3) float32: the shading normal at every loop. generated (V, 3) float32: the Generated texture coordinates.
-    material_indices (T,) int32 into materials: keys of bpy.data.materials (names, since long jobs must not hold pointers), or None.
-    uv_map, color: names of the layers that render by default, or "".
+    Attributes:
+        vertices: (V, 3) float32.
+        triangles, loops: (T, 3) int32, vertices and loops at the corners.
+        polygons: (T,) int32.
+        normals: (L, 3) float32, the shading normal at every loop.
+        generated: (V, 3) float32, the Generated texture coordinates.
+        material_indices: (T,) int32 into `materials`.
+        materials: keys of bpy.data.materials (names, since long jobs must not hold pointers), or None.
+        attributes: what materials can read, by name.
+        uv_map, color: names of the layers that render by default, or "".
     """
 
     vertices: np.ndarray

@@ -13,7 +13,7 @@ from ...core.geometry.transforms import frames_from_normals, transform_points
 from .evaluated_mesh import EvaluatedMesh, MaterialKey, MeshAttribute, read_evaluated_mesh
 
 SURFACE_TYPES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
-NORMAL_ATTRIBUTES = ("normal", "Normal", "normals", "N")  # of point clouds, the first one found counts
+NORMAL_ATTRIBUTES = ("normal", "Normal", "normals", "N")  # A point cloud's normals: the first one found counts.
 DISC_CORNERS = 6
 
 
@@ -21,9 +21,13 @@ DISC_CORNERS = 6
 class SourceInstance:
     """One object, or one instance made by an object, and its primitives in the source.
 
-    name: the selected object. matrix (4, 4) float64: object to world. first_primitive: index of its first primitive in the source; it has
-    `len(mesh.triangles) / triangles_per_primitive` of them. random: the value of Object Info > Random, 0..1. object_uid: session UID of the
-    selected object, which stays when it is renamed.
+    Attributes:
+        name: the selected object.
+        mesh: its mesh in object space.
+        matrix: (4, 4) float64, object to world.
+        first_primitive: index of its first primitive in the source; it has `len(mesh.triangles) / triangles_per_primitive` of them.
+        random: the value of Object Info > Random, 0..1.
+        object_uid: session UID of the selected object, which stays when it is renamed.
     """
 
     name: str
@@ -41,10 +45,14 @@ class SourceInstance:
 
 @dataclass(frozen=True)
 class Source:
-    """The source of one cloud, in world space. Either `mesh` or `points` is set.
+    """The source of one cloud, in world space. A triangle keeps its index in `mesh`, `instances` and the cloud's `Quads.drawn`.
 
-    A triangle keeps its index in `mesh`, `instances` and the cloud's `Quads.drawn`. skipped: names of skipped objects, with the reason.
-    origin (3,): that of the first object. triangles_per_primitive: 1, or the number of triangles of the disc drawn for a point.
+    Attributes:
+        mesh, points: the surface; one of them is set.
+        instances: the objects that it consists of.
+        name: that of the cloud.
+        skipped: names of skipped objects, with the reason.
+        origin: (3,), that of the first object.
     """
 
     mesh: TriangleMesh | None

@@ -24,12 +24,12 @@ SIGNATURES = {
 }  # fmt: skip
 DTYPES = {"uint8": np.uint8, "uint16": np.uint16, "half": np.float16, "float": np.float32}
 MAX_CHANNELS = 4
-MAX_BYTES = 2**32  # of the pixels in memory, as float32: 16384 x 16384 pixels with four channels
+MAX_BYTES = 2**32  # Pixels in memory, as float32: 16384 x 16384 with four channels.
 MAX_RATIO = 35_000  # decoded to file size: deflate reaches 1032, and one bit of a palette image becomes four bytes
 UNLIMITED_COMPRESSIONS = ("ccitt", "dwa")  # may reach any ratio in uniform images
 PNG_END = b"IEND\xaeB`\x82"  # its absence is no error of the reader
 JPEG_HEADER_BYTES = 1 << 20  # room for color profiles and other metadata
-HARMLESS_WARNING = "extraneous bytes before marker"  # of some cameras' JPEG files
+HARMLESS_WARNING = "extraneous bytes before marker"  # Some cameras' JPEG files cause it.
 NO_CMYK = ("CMYK", "YCbCrK", "YCCK")
 TIFF_SEPARATED, TIFF_CIELAB = 5, 8  # photometric interpretations
 
@@ -53,13 +53,13 @@ def read_image_file(path: Path, *, is_color: bool = True) -> ImageFile:
         _check_size(path, spec)
         if file.seek_subimage(1, 0) or file.seek_subimage(0, 1):
             raise FileError(f'"{path}" contains several images or resolutions; save one image per file.')
-        file.geterror()  # of the search for further images
+        file.geterror()  # Clears that of the search for further images.
         if not file.seek_subimage(0, 0):
             raise _damaged(path)
         dtype = np.dtype(DTYPES[str(spec.format)])
         stored = file.read_image(0, 0, 0, spec.nchannels, spec.format)
         warning = file.geterror()
-    except UnicodeDecodeError as error:  # of an attribute
+    except UnicodeDecodeError as error:  # An attribute is no text.
         raise _damaged(path) from error
     finally:
         file.close()

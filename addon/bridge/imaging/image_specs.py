@@ -18,10 +18,10 @@ NEAREST_DTYPES = {  # by format and by the type in the file that was read, where
     "openexr": {"uint8": np.float16, "uint16": np.float32},
     "tiff": {},
 }
-TYPE_NAMES = {"uint8": "uint8", "uint16": "uint16", "float16": "half", "float32": "float"}  # of OpenImageIO
+TYPE_NAMES = {"uint8": "uint8", "uint16": "uint16", "float16": "half", "float32": "float"}  # OpenImageIO's names.
 CHANNEL_NAMES = {1: ("Y",), 2: ("Y", "A"), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}
 JPEG_QUALITY = 97
-PNG_COMPRESSION = 3  # of 9: six times as fast as the usual 6, for files that are a few percent larger
+PNG_COMPRESSION = 3  # 1 to 9; six times as fast as the usual 6, for files that are a few percent larger.
 LOSSY_COMPRESSIONS = {"openexr": ("b44", "b44a", "dwaa", "dwab"), "tiff": ("jpeg",)}  # would change every pixel again
 # Attributes that describe the storage in the file that was read, or the color profile in words: PNG would keep them as comments.
 STORAGE_PREFIXES = ("oiio:BitsPerSample", "oiio:subimages", "ICCProfile:", "tiff:PhotometricInterpretation", "tiff:ColorSpace")

@@ -34,9 +34,13 @@ class Storage:
 class ImageFile:
     """An image read from a file.
 
-    pixels: (H, W, C) float32 with 1 to 4 channels, row 0 at the bottom: colors encoded for display (sRGB) with straight alpha, or data as
-    stored. storage: how the file holds them. stored: (H, W, C) array of the file, row 0 at the top. format: png, tiff, jpeg or openexr.
-    is_color: whether the pixels were read as colors. spec: the header, an OpenImageIO.ImageSpec.
+    Attributes:
+        pixels: (H, W, C) float32, 1 to 4 channels, row 0 at the bottom: colors encoded for display (sRGB) with straight alpha, or data.
+        storage: how the file holds them.
+        stored: (H, W, C), the array of the file, row 0 at the top.
+        format: png, tiff, jpeg or openexr.
+        is_color: whether the pixels were read as colors.
+        spec: the header, an OpenImageIO.ImageSpec.
     """
 
     pixels: np.ndarray

@@ -12,8 +12,8 @@ from gpu_extras.batch import batch_for_shader
 from ..blender import redraw_areas
 
 OPACITY = 0.85
-SURFACE_OFFSET = 2e-3  # of the longest bounding-box side: distance of the overlay from the faces
-CHANGES = ("undo_post", "redo_post", "load_pre")  # handlers, beside `depsgraph_update_post`, that replace data
+SURFACE_OFFSET = 2e-3  # Distance from the faces, as a fraction of the longest bounding-box side.
+CHANGES = ("undo_post", "redo_post", "load_pre")  # Handlers that replace data, in addition to `depsgraph_update_post`.
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ PROPERTIES = (  # those that a version of Blender lacks are left out
 )
 CYCLES_PROPERTIES = ("use_camera_cull", "use_distance_cull", "ao_distance", "is_caustics_caster", "is_caustics_receiver")
 LINKED_COLLECTIONS = ("receiver_collection", "blocker_collection")
-OWN_PREFIX = "farfield_"  # of custom properties that describe the object itself
+OWN_PREFIX = "farfield_"  # Custom properties that describe the object itself begin with it.
 
 
 def copy_render_properties(source: bpy.types.Object, target: bpy.types.Object) -> None:

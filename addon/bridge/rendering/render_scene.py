@@ -105,7 +105,7 @@ class RenderScene:
 
 @contextmanager
 def render_scene(name: str) -> Iterator[RenderScene]:
-    """Create a scene beside the user's scenes, which are not touched; remove it with all its data at the end of the block.
+    """Create a scene next to the user's scenes, which are not touched; remove it with all its data at the end of the block.
 
     Raises:
         FileError: temporary files cannot be created.

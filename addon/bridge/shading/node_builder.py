@@ -7,7 +7,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-COLUMN_WIDTH, ROW_HEIGHT, TALL_ROW_HEIGHT = 260.0, 190.0, 300.0  # of the layout by `NodeBuilder.arrange`
+COLUMN_WIDTH, ROW_HEIGHT, TALL_ROW_HEIGHT = 260.0, 190.0, 300.0  # Units of the node editor, see `NodeBuilder.arrange`.
 TALL_NODES = {"TEX_IMAGE", "BSDF_PRINCIPLED"}
 
 SocketOrValue = bpy.types.NodeSocket | float | Sequence[float]

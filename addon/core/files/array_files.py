@@ -27,7 +27,7 @@ def map_array(path: Path) -> np.ndarray:
     return mapped
 
 
-MIN_WINDOW_FRACTION = 0.5  # of a row; narrower windows are read row by row, so that the rest of the rows is not
+MIN_WINDOW_FRACTION = 0.5  # Part of a row below which windows are read row by row, without the rest of the rows.
 
 
 def read_raw_window(file: BinaryIO, offset: int, dtype: np.dtype, width: int, rows: slice, columns: slice) -> np.ndarray:

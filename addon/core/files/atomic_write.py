@@ -57,7 +57,7 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
 
 
 def write_bytes_atomically(path: Path, content: bytes) -> None:
-    """Write `content` to a temporary file beside `path`, then to the disk, and rename it. Raises OSError.
+    """Write `content` to a temporary file next to `path`, then to the disk, and rename it. Raises OSError.
 
     The temporary file has the suffix TEMPORARY_SUFFIX; a killed process leaves it behind.
     """

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 MAX_FILENAME_BYTES = 100  # UTF-8; leaves room for prefixes and suffixes below the 255 that file systems allow
 RESERVED_CHARACTERS = frozenset('<>:"/\\|?*')  # separators, and characters that Windows does not allow
 UNPRINTABLE_CATEGORIES = frozenset(("Cc", "Cf", "Cs", "Zl", "Zp"))  # control, format, surrogate, line and paragraph separators
-DEVICE_NAMES = frozenset(  # of Windows, with any extension
+DEVICE_NAMES = frozenset(  # Windows reserves these names, with any extension.
     ["con", "prn", "aux", "nul", "conin$", "conout$"] + [f"{port}{digit}" for port in ("com", "lpt") for digit in "0123456789¹²³"]
 )
 REPLACEMENT = "_"

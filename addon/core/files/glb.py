@@ -1,7 +1,9 @@
 """Binary glTF 2.0 files (.glb): textured meshes, plain or quantized (KHR_mesh_quantization), with levels of detail (MSFT_lod).
 
-The same scene gives the same bytes. Texture coordinates have v upwards here, as in Blender, and downwards in the file. `glb_reader` reads
-these files.
+The same scene gives the same bytes. Texture coordinates have v upwards here, as in Blender, and downwards in the file.
+
+Blender's own exporter writes no levels of detail, and packages for glTF leave quantization, which must not open cracks between meshes, to
+their callers.
 """
 
 import json
@@ -32,9 +34,13 @@ IMAGE_TYPES = {b"\x89PNG\r\n\x1a\n": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 class GlbPrimitive:
     """Triangles with one material.
 
-    positions: (V, 3) floats, y upwards as in glTF, in any unit (meters by its convention). triangles: (T, 3) integers into the vertices,
-    counter-clockwise seen from outside. normals: (V, 3), unit vectors. uvs: (V, 2), v upwards. colors: (V, 3 or 4), scene-linear.
-    material: index into the materials of the scene.
+    Attributes:
+        positions: (V, 3) floats, y upwards as in glTF, in any unit (meters by its convention).
+        triangles: (T, 3) integers into the vertices, counter-clockwise seen from outside.
+        normals: (V, 3), unit vectors.
+        uvs: (V, 2), v upwards.
+        colors: (V, 3 or 4), scene-linear.
+        material: index into the materials of the scene.
     """
 
     positions: np.ndarray
@@ -68,10 +74,14 @@ class GlbMaterial:
 
 @dataclass(frozen=True, eq=False)
 class GlbNode:
-    """A mesh in the scene. matrix: (4, 4), from the mesh to the world; None if they are the same.
+    """A mesh in the scene.
 
-    levels: indices of the nodes that replace this one as it covers less of the image, finest first. coverages: one per level and one for
-    the node itself, which comes first: the fraction of the image down to which it shows.
+    Attributes:
+        name: any text.
+        mesh: index into the meshes of the scene.
+        matrix: (4, 4), from the mesh to the world; None if they are the same.
+        levels: indices of the nodes that replace this one as it covers less of the image, finest first.
+        coverages: of the node itself and of each level, the fraction of the image down to which it shows.
     """
 
     name: str

@@ -6,9 +6,9 @@ import numpy as np
 
 from ..errors import FileError
 
-MAX_BYTES = 2**31  # of samples in memory; more would not fit beside a scene. Readers by window have no such limit
+MAX_BYTES = 2**31  # Samples in memory; more would not fit next to a scene. Readers by window have no such limit.
 MAX_PRINTED_BYTES = 2**50  # larger sizes come from damaged headers and may have hundreds of digits
-HEIGHT_BYTES = 4  # of a height in memory, whatever its type in the file
+HEIGHT_BYTES = 4  # A height in memory has them, whatever its type in the file.
 CHUNK_SAMPLES = 1 << 20  # samples that are converted at once, so that temporary arrays stay small
 NO_DATA_MAGNITUDE = 1e30  # some programs write numbers this large for unknown values without declaring it
 NO_DATA_INT16 = (-32768, -32767)  # SRTM and DTED write these for unknown elevations, often without declaring it

@@ -1,7 +1,8 @@
 """Pixels of TIFF files by window: only the strips or tiles that a window touches are read and decoded (TIFF Revision 6.0; BigTIFF).
 
 tifffile parses the header. Uncompressed files, deflate, LZW, PackBits and Zstandard with the predictors 1 to 3 are decoded here, everything
-else by tifffile, as far as it can without the package imagecodecs.
+else by tifffile, as far as it can without the package imagecodecs. imagecodecs would add 26 MB and rasterio 36 MB to the zip of every
+platform, and neither limits memory by window and cache as terrain of any size needs it.
 """
 
 import logging
@@ -34,7 +35,7 @@ except ImportError:  # Python can be built without it
 
 PREDICTORS = (1, 2, 3)
 PALETTE = 3  # value of the tag PhotometricInterpretation
-AXES = ("YX", "YXS", "SYX")  # of a single image, with its channels last or first
+AXES = ("YX", "YXS", "SYX")  # Axes of a single image, with its channels last or first.
 TIFFFILE_ERRORS = (  # raised by tifffile and by decompression for damaged files
     *(ArithmeticError, AttributeError, EOFError, LookupError, RuntimeError, TypeError, ValueError),
     *(LZMAError, struct.error, zlib.error),
@@ -47,9 +48,19 @@ logging.getLogger("tifffile").addHandler(logging.NullHandler())  # its remarks o
 class TiffImage:
     """The first image of a TIFF file. The file is open only while a window is read.
 
-    shape: rows and columns; row 0 is the first of the file, in the north. dtype: of the samples, in the byte order of this machine. is_map:
-    whether GeoTIFF tags declare it a map. segment_shape: rows and columns of a strip or tile; offsets, byte_counts: (N,) int64, where the
-    segments are, row by row, plane after plane; 0, 0 for one that is not stored (GDAL's sparse files).
+    Attributes:
+        path, file_size: the file and its bytes.
+        shape: rows and columns; row 0 is the first of the file, in the north.
+        channels: samples per pixel.
+        dtype: type of the samples, in the byte order of this machine.
+        is_palette: whether samples are indices of colors.
+        is_map: whether GeoTIFF tags declare it a map.
+        georeference: where it lies.
+        segment_shape: rows and columns of a strip or tile.
+        is_tiled, is_planar, is_big_endian: tiles rather than strips; a plane per channel; byte order of the file.
+        compression, predictor: values of these tags.
+        offsets, byte_counts: (N,) int64, where the segments are, row by row, plane after plane; 0, 0 for one that is not stored.
+        decode_other: tifffile's decoder, for segments that `tiff_codecs` does not decode.
     """
 
     path: Path
@@ -114,7 +125,7 @@ class TiffImage:
 
     @property
     def _segment_counts(self) -> tuple[int, int]:
-        """Return how many segments lie beside and below each other."""
+        """Return how many segments lie next to and below each other."""
         rows, columns = (-(-length // side) for length, side in zip(self.shape, self.segment_shape, strict=True))
         return columns, rows
 
@@ -185,7 +196,7 @@ def open_tiff(path: Path) -> TiffImage:
 def convert_tiff_errors(path: Path) -> Iterator[None]:
     """Raise a FileError instead of what tifffile and decompression raise for damaged files."""
     try:
-        with np.errstate(all="ignore"):  # of damaged floats, which become missing heights
+        with np.errstate(all="ignore"):  # Damaged floats become missing heights.
             yield
     except TIFFFILE_ERRORS as error:
         if any(word in str(error) for word in ("imagecodecs", "COMPRESSION", "PREDICTOR")):

@@ -9,7 +9,7 @@ from ..jobs.chunks import slices
 MAX_LEAF_TRIANGLES = 4
 CHUNK_POINTS = 4096  # points or tests at once: fits the cache of a CPU core
 MAX_PIECES = 400_000
-MIN_SQUARED_SINE = 1e-14  # of a triangle's corner; below, it counts as a segment, since dot products cannot resolve its plane
+MIN_SQUARED_SINE = 1e-14  # Corners below make a triangle a segment: dot products cannot resolve its plane.
 
 
 def closest_on_mesh(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,7 +1,8 @@
 """Cameras of photographs, with lenses that distort.
 
 Camera space is that of computer vision: x to the right, y down, z forward. A lens maps tangents (u, v) = (x, y) / z to distorted ones, and
-these to pixels by focal lengths and a center. The models and the order of their coefficients are those of COLMAP.
+these to pixels by focal lengths and a center. The models and the order of their coefficients are those of COLMAP, whose package pycolmap
+would add 38 MB to the zip of every platform.
 """
 
 from collections.abc import Callable
@@ -13,9 +14,9 @@ import numpy as np
 from ..errors import FileError
 
 ITERATIONS = 50
-MAX_RESIDUAL = 1e-12  # of tangents, at which the inverse has converged
+MAX_RESIDUAL = 1e-12  # Difference of tangents at which the inverse has converged.
 DERIVATIVE_STEP = 1e-6
-RADII = np.tan(np.linspace(0.0, 0.5 * np.pi, 4097)[:-1])  # of tangents, where growth of the distorted radius is checked
+RADII = np.tan(np.linspace(0.0, 0.5 * np.pi, 4097)[:-1])  # Tangents where growth of the distorted radius is checked.
 MIN_RADIUS = 1e-9  # below, the direction of a tangent does not matter
 
 Distortion = Callable[[np.ndarray, np.ndarray, tuple[float, ...]], tuple[np.ndarray, np.ndarray]]
@@ -120,7 +121,7 @@ MODELS = {
     "SIMPLE_RADIAL_FISHEYE": LensModel(True, 1, _distort_fisheye),
     "RADIAL_FISHEYE": LensModel(True, 2, _distort_fisheye),
     "THIN_PRISM_FISHEYE": LensModel(False, 8, _distort_thin_prism),
-    "INVERSE_RADIAL": LensModel(True, 1, _distort_inversely),  # of VisualSFM, not of COLMAP
+    "INVERSE_RADIAL": LensModel(True, 1, _distort_inversely),  # VisualSFM has it, COLMAP does not.
 }
 
 
@@ -128,8 +129,12 @@ MODELS = {
 class Lens:
     """How camera space is projected to the pixels of a photograph.
 
-    model: one of MODELS. size: width and height in pixels. focal: (fx, fy) in pixels. center: (cx, cy) in pixels from the upper left corner
-    of the image. coefficients: those of the model, in the order of COLMAP.
+    Attributes:
+        model: one of MODELS.
+        size: width and height in pixels.
+        focal: (fx, fy) in pixels.
+        center: (cx, cy) in pixels from the upper left corner of the image.
+        coefficients: those of the model, in the order of COLMAP.
     """
 
     model: str

@@ -8,15 +8,15 @@ from scipy.sparse import coo_matrix, csgraph
 
 from ..errors import GeometryError
 
-MIN_HEIGHT = 2e-14  # of a triangle relative to its longest edge: below, its direction is lost in double precision
+MIN_HEIGHT = 2e-14  # Relative to a triangle's longest edge; below, its direction is lost in double precision.
 MAX_COORDINATE = 1e37  # leaves room for results that are larger than their source: single precision ends at 3.4e38
-COORDINATE_ROUNDING = 2e-15  # of the largest coordinate: a lower triangle owes its height to rounding
+COORDINATE_ROUNDING = 2e-15  # Relative to the largest coordinate; the height of a lower triangle is rounding.
 
 MAX_SOLID_BOUNDARY = 0.5  # boundary length of a solid relative to the square root of its area
-MAX_LOOSE_AREA = 0.05  # of the whole: a component with more is not a leaf
+MAX_LOOSE_AREA = 0.05  # A component with a larger fraction of the whole area is not a leaf.
 MAX_LOOSE_TRIANGLES = 32
-MAX_LOOSE_SIDE = 0.05  # of the longest side of the whole
-MIN_VOLUME = 1e-3  # of area**1.5 (a ball has 0.094): anything flatter is a folded sheet
+MAX_LOOSE_SIDE = 0.05  # Relative to the longest side of the whole.
+MIN_VOLUME = 1e-3  # Relative to area**1.5 (a ball has 0.094); anything flatter is a folded sheet.
 
 
 @dataclass(frozen=True)

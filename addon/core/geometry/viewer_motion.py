@@ -9,7 +9,7 @@ from .viewers import Viewer
 
 MAX_PAUSE = 1.0  # seconds between two views; after a longer one, a viewer is not expected to go on
 MAX_TURN = 0.5 * np.pi  # between two views, and ahead of the last one; who turns farther hardly goes on turning
-MAX_SHEAR = 1e-4  # of the change between two views, which is a rigid motion unless the space of the terrain changes as well
+MAX_SHEAR = 1e-4  # Two views differ by a rigid motion unless the space of the terrain changes as well.
 
 
 @dataclass(frozen=True)

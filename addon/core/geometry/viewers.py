@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import SettingsError
 
 Kind = Literal["perspective", "orthographic", "panoramic"]
-MIN_HORIZONTAL = 1e-9  # of the direction of a camera; a smaller part does not tell where its right is
+MIN_HORIZONTAL = 1e-9  # A smaller horizontal part of a camera's direction does not tell where its right is.
 FULL_SPHERE = (-math.pi, math.pi, -0.5 * math.pi, 0.5 * math.pi)  # radians
 
 
@@ -21,8 +21,12 @@ FULL_SPHERE = (-math.pi, math.pi, -0.5 * math.pi, 0.5 * math.pi)  # radians
 class Projection:
     """How camera space is mapped to an image.
 
-    window: left, right, bottom and top border of the image: at depth 1 if perspective, in camera-space units if orthographic, and as
-    angles in radians if panoramic. size: width and height of the image in pixels. near, far: range of depths that are visible.
+    Attributes:
+        kind: perspective, orthographic or panoramic.
+        window: left, right, bottom and top border of the image: at depth 1 if perspective, in camera-space units if orthographic, and as
+            angles in radians if panoramic.
+        size: width and height of the image in pixels.
+        near, far: range of depths that are visible.
     """
 
     kind: Kind

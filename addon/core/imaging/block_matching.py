@@ -5,6 +5,7 @@ image is warped by what coarser levels have found before its blocks are compared
 comparison at the finest level removes the bias of windows and of the interpolated peak.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -14,20 +15,29 @@ from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter
 from .pyramids import reduce_weighted
 
 BLOCK, STRIDE = 64, 32  # pixels of a block and between two of them, at every level
-MAX_LEVELS = 3  # with MAX_STEP, displacements of up to about 64 pixels are found
-MAX_STEP = 16  # pixels at a level
-FINE_PASSES = 2  # at the finest level
-HIGH_PASS = 8.0  # standard deviation in pixels of what is subtracted from blocks
-PEAK_WIDTH = 0.9  # standard deviation in pixels of the peak of a perfect match
-WHITENING = 10.0  # times the mean spectrum is added to it, so that frequencies with little but noise count little
-MIN_ROUNDNESS = 0.03  # smallest relative to largest curvature of a peak: along an edge, a displacement is not certain
-MAX_SECOND = 0.8  # of the highest peak: with a higher second one, the displacement is ambiguous
-MIN_CORRELATION = 0.4  # normalized, of a match
-MIN_COVERAGE = 0.4  # of a block, weighted by its window
-MIN_CONTRAST = 2e-3  # standard deviation of a high-passed block; less is rounding
-MAX_RESIDUAL = 2.0  # pixels between a displacement and those around it
-SMOOTHING = 1.0  # standard deviation, in blocks, of the displacements by which the image is warped
 CHUNK = 256  # blocks at once
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Numbers of the method; lengths are pixels of a level."""
+
+    max_levels: int = 3  # With max_step, displacements of up to about 64 pixels are found.
+    max_step: int = 16  # Largest shift that a level finds.
+    fine_passes: int = 2  # Comparisons at the finest level.
+    high_pass: float = 8.0  # Standard deviation of what is subtracted from blocks.
+    peak_width: float = 0.9  # Standard deviation of the peak of a perfect match.
+    whitening: float = 10.0  # Times the mean spectrum is added to it, so that frequencies with little but noise count little.
+    min_roundness: float = 0.03  # Smallest relative to largest curvature of a peak: along an edge, a displacement is not certain.
+    max_second: float = 0.8  # A second peak that is higher, relative to the highest one, makes the displacement ambiguous.
+    min_correlation: float = 0.4  # Normalized correlation of a match.
+    min_coverage: float = 0.4  # Known part of a block, weighted by its window.
+    min_contrast: float = 2e-3  # Standard deviation of a high-passed block; less is rounding.
+    max_residual: float = 2.0  # Largest difference between a displacement and those around it.
+    smoothing: float = 1.0  # Standard deviation, in blocks, of the displacements by which the image is warped.
+
+
+TUNING = Tuning()
 
 
 class BlockMatches(NamedTuple):
@@ -52,14 +62,14 @@ def match_blocks(reference: np.ndarray, image: np.ndarray, known: np.ndarray, im
     known, image_known: (H, W) bool, the usable pixels of both.
     """
     levels = [(reference, known.astype(np.float32), image, image_known.astype(np.float32))]
-    while len(levels) < MAX_LEVELS and min(levels[-1][0].shape) >= BLOCK:
+    while len(levels) < TUNING.max_levels and min(levels[-1][0].shape) >= BLOCK:
         levels.append(_reduce(*levels[-1]))
     field = np.zeros((*levels[-1][0].shape, 2), np.float32)
     for index in reversed(range(len(levels))):
         shape = levels[index][0].shape
         if field.shape[:2] != shape:
             field = 2.0 * _sample(field, *(0.5 * np.mgrid[: shape[0], : shape[1]]))
-        for _ in range(1 if index else FINE_PASSES):
+        for _ in range(1 if index else TUNING.fine_passes):
             grid = _measure(*levels[index], field)
             field = _sample(_smooth(grid), *((np.mgrid[: shape[0], : shape[1]] - STRIDE // 2) / STRIDE))
     rows, columns = _block_centers(reference.shape)
@@ -96,14 +106,14 @@ def _measure(reference: np.ndarray, known: np.ndarray, image: np.ndarray, image_
     displacements = _sample(field, *centers) + shifts.reshape(*centers[0].shape, 2)
     weights = confidences.reshape(centers[0].shape)
     expected = _smooth(_Grid(displacements, weights))
-    is_near = np.linalg.norm(displacements - expected, axis=-1) <= MAX_RESIDUAL
+    is_near = np.linalg.norm(displacements - expected, axis=-1) <= TUNING.max_residual
     return _Grid(displacements, np.where(is_near, weights, np.float32(0.0)))
 
 
 def _high_pass(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Return an image minus the means of the usable pixels around each; zero where it is not usable."""
-    weights = gaussian_filter(mask, HIGH_PASS, mode="constant")
-    return mask * (image - gaussian_filter(mask * image, HIGH_PASS, mode="constant") / np.maximum(weights, 1e-6))
+    weights = gaussian_filter(mask, TUNING.high_pass, mode="constant")
+    return mask * (image - gaussian_filter(mask * image, TUNING.high_pass, mode="constant") / np.maximum(weights, 1e-6))
 
 
 def _correlate(
@@ -118,7 +128,7 @@ def _correlate(
     coverage = np.array(
         [(window * stack[2][row : row + BLOCK, column : column + BLOCK]).sum() for row, column in zip(rows, columns, strict=True)]
     )
-    used = np.flatnonzero(coverage >= MIN_COVERAGE * window.sum())
+    used = np.flatnonzero(coverage >= TUNING.min_coverage * window.sum())
     for start in range(0, len(used), CHUNK):
         part = used[start : start + CHUNK]
         a, b = (
@@ -136,18 +146,18 @@ def _find_peaks(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.n
     spectrum = np.conj(rfft2(first)) * rfft2(second)
     magnitude = np.abs(spectrum)
     frequencies = np.square(np.fft.fftfreq(BLOCK))[:, None] + np.square(np.fft.rfftfreq(BLOCK))
-    low_pass = np.exp(-2.0 * np.square(np.pi * PEAK_WIDTH) * frequencies).astype(np.float32)
-    floor = WHITENING * magnitude.mean(axis=(1, 2), keepdims=True)
+    low_pass = np.exp(-2.0 * np.square(np.pi * TUNING.peak_width) * frequencies).astype(np.float32)
+    floor = TUNING.whitening * magnitude.mean(axis=(1, 2), keepdims=True)
     phases = _search(irfft2(spectrum * low_pass / np.maximum(magnitude + floor, 1e-20), (BLOCK, BLOCK)))
     inner = phases[:, 1:-1, 1:-1].reshape(len(phases), -1)
     best = inner.argmax(axis=1)
-    rows, columns = best // (2 * MAX_STEP - 1) + 1, best % (2 * MAX_STEP - 1) + 1
+    rows, columns = best // (2 * TUNING.max_step - 1) + 1, best % (2 * TUNING.max_step - 1) + 1
     index = np.arange(len(phases))
     peak = phases[index, rows, columns]
     is_maximum = phases == maximum_filter(phases, (1, 3, 3), mode="constant", cval=-np.inf)
     is_maximum[index, rows, columns] = False
     second_peak = np.where(is_maximum, phases, 0.0).max(axis=(1, 2))
-    shifts = np.stack([columns, rows], axis=1) - float(MAX_STEP)
+    shifts = np.stack([columns, rows], axis=1) - float(TUNING.max_step)
     for axis, (before, after) in enumerate(
         (
             (phases[index, rows, columns - 1], phases[index, rows, columns + 1]),
@@ -156,10 +166,10 @@ def _find_peaks(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.n
     ):
         curvature = 2.0 * peak - before - after
         shifts[:, axis] += np.clip(0.5 * (after - before) / np.maximum(curvature, 1e-12), -0.5, 0.5)
-    is_round = _roundness(phases, index, rows, columns) > MIN_ROUNDNESS
+    is_round = _roundness(phases, index, rows, columns) > TUNING.min_roundness
     correlation = _search(irfft2(spectrum, (BLOCK, BLOCK)))[index, rows, columns] / np.maximum(energy, 1e-12)
-    is_certain = (peak > 0.0) & is_round & (second_peak < MAX_SECOND * peak) & (correlation > MIN_CORRELATION)
-    has_contrast = energy > np.square(MIN_CONTRAST * BLOCK)
+    is_certain = (peak > 0.0) & is_round & (second_peak < TUNING.max_second * peak) & (correlation > TUNING.min_correlation)
+    has_contrast = energy > np.square(TUNING.min_contrast * BLOCK)
     return shifts, np.where(is_certain & has_contrast, np.clip(correlation, 0.0, 1.0), 0.0)
 
 
@@ -173,8 +183,8 @@ def _roundness(values: np.ndarray, index: np.ndarray, rows: np.ndarray, columns:
 
 
 def _search(correlations: np.ndarray) -> np.ndarray:
-    """Return the part (N, 2 S + 1, 2 S + 1) of cyclic correlations (N, B, B) with shifts of up to S = MAX_STEP, the smallest ones first."""
-    steps = np.arange(-MAX_STEP, MAX_STEP + 1)
+    """Return the part (N, 2 S + 1, 2 S + 1) of cyclic correlations (N, B, B) with shifts of up to S = max_step, the smallest ones first."""
+    steps = np.arange(-TUNING.max_step, TUNING.max_step + 1)
     return correlations[:, steps[:, None], steps]
 
 
@@ -182,7 +192,7 @@ def _smooth(grid: _Grid) -> np.ndarray:
     """Return displacements (R, C, 2) everywhere, smoothed; those of blocks without a match come from farther and farther around."""
     result, total = np.zeros_like(grid.displacements), np.full((*grid.weights.shape, 1), 1e-9)
     values = np.concatenate([grid.displacements * grid.weights[..., None], grid.weights[..., None]], axis=-1)
-    for deviation, fraction in ((SMOOTHING, 1.0), (4.0 * SMOOTHING, 1e-2), (16.0 * SMOOTHING, 1e-4)):
+    for deviation, fraction in ((TUNING.smoothing, 1.0), (4.0 * TUNING.smoothing, 1e-2), (16.0 * TUNING.smoothing, 1e-4)):
         sums = fraction * gaussian_filter(values, (deviation, deviation, 0.0), mode="constant")
         result, total = result + sums[..., :2], total + sums[..., 2:]
     return (result / total).astype(np.float32)

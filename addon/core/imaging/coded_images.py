@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 ImageFormat = Literal["jpeg", "webp", "png", "raw"]
 FORMATS: tuple[ImageFormat, ...] = get_args(ImageFormat)
 DEFAULT_QUALITY = 85
-MAX_PIXELS = 2**29  # of an image that is decoded at once: 23,170 x 23,170 pixels
-MAX_RATIO = 35_000  # of decoded bytes to those of a JPEG or PNG file, see image_files.py
-MAX_CODED_RATIO = 2  # of the bytes of a coded image to those of its pixels
+MAX_PIXELS = 2**29  # An image of 23,170 x 23,170 pixels is decoded at once.
+MAX_RATIO = 35_000  # Decoded bytes per byte of a JPEG or PNG file, see image_files.py.
+MAX_CODED_RATIO = 2  # Bytes of a coded image per byte of its pixels.
 PNG_COMPRESSION = 3  # zlib level; higher ones cost much time and save little in photographs
 WEBP_METHOD = 0  # the fastest; method 4 takes two to three times as long for files that are a few percent smaller
 RAW_MAGIC, RAW_HEADER = b"FFPIXELS", struct.Struct("<8sHHI")

@@ -1,7 +1,8 @@
 """LDR-FLIP: the error that a viewer perceives when two images are shown alternately in the same place.
 
 P. Andersson, J. Nilsson, T. Akenine-Möller, M. Oskarsson, K. Åström, M. D. Fairchild: FLIP: A Difference Evaluator for Alternating Images,
-2020. All constants are those of the authors' program.
+2020. All constants are those of the authors' program. Their package flip-evaluator is compiled for each platform and version of Python, and
+filters both images in every comparison; here an image that is compared with many others is filtered once. Tests compare both.
 """
 
 import math
@@ -32,7 +33,7 @@ XYZ_OF_RGB = np.array(
 WHITE = XYZ_OF_RGB.sum(axis=1)
 RELATIVE_OF_RGB = XYZ_OF_RGB / WHITE[:, None]  # X / X_n, Y / Y_n, Z / Z_n
 OPPONENT_OF_RGB = np.array([[0.0, 1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, -1.0]]) @ RELATIVE_OF_RGB
-CUBE_ROOT_LIMIT = (6.0 / 29.0) ** 3  # of CIELAB; below, a straight line replaces the cube root
+CUBE_ROOT_LIMIT = (6.0 / 29.0) ** 3  # Below, CIELAB has a straight line in place of the cube root.
 LINE_FACTOR, LINE_OFFSET = (29.0 / 6.0) ** 2 / 3.0, 4.0 / 29.0
 
 

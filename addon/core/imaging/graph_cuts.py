@@ -4,7 +4,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
-MAX_CAPACITY = 1 << 24  # of an edge, so that sums of many edges are still integers of 32 bits
+MAX_CAPACITY = 1 << 24  # Sums of the capacities of many edges are still integers of 32 bits.
 
 
 def minimize_binary(linear: np.ndarray, first: np.ndarray, second: np.ndarray, weights: np.ndarray) -> np.ndarray:

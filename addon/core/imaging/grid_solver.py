@@ -14,7 +14,7 @@ from scipy.sparse.linalg import SuperLU, splu
 MAX_DIRECT_UNKNOWNS = 60_000  # above this, a factorization takes more memory and time than conjugate gradients
 MAX_ITERATIONS = 500
 SMOOTHING = 0.7  # damping of a Jacobi step
-OVERCORRECTION = 1.6  # of a coarse correction; piecewise constant corrections are too small by about this factor
+OVERCORRECTION = 1.6  # Piecewise constant corrections are too small by about this factor.
 
 
 def solve_linked(

@@ -6,7 +6,7 @@ Images are (H, W, C) float32, row 0 at the bottom; colors are scene-linear.
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-STRIP_ROWS = 256  # of an image, reduced at once; even
+STRIP_ROWS = 256  # Rows that are reduced at once; even.
 NEIGHBORS = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1) if row or column]
 MIN_ALPHA = 1e-6  # coverage below this counts as zero: a color divided by it would be noise
 

@@ -8,8 +8,8 @@ from scipy.sparse import csr_array
 from ..arrays import concatenate_ranges
 from ..geometry.transforms import cross
 
-STRIP_ROWS = 512  # of a texture, halved at once; even
-CHUNK_SAMPLES = 1 << 16  # at once, so that intermediate arrays stay in the cache
+STRIP_ROWS = 512  # Rows that are halved at once; even.
+CHUNK_SAMPLES = 1 << 16  # Sampled at once, so that intermediate arrays stay in the cache.
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ def rasterize(corners: np.ndarray, size: tuple[int, int]) -> Iterator[tuple[np.n
         a, b, c = corners[triangles].transpose(1, 2, 0)
         area = _cross(b - a, c - a)
         opposite = ((b, c), (c, a), (a, b))
-        gradients = [(start[1] - end[1]) / area for start, end in opposite]  # of barycentric coordinates, per column
+        gradients = [(start[1] - end[1]) / area for start, end in opposite]  # Change of barycentric coordinates per column.
         center = np.stack([left + 0.5, y + 0.5])
         values = [_cross(start - center, end - center) / area for start, end in opposite]
         for rows, steps, pixels in _fill_spans(y * size[0] + left, lengths):

@@ -17,7 +17,7 @@ try:
 except ImportError:  # a Blender without the wheels of the extension: slower, with the same results
     ThreadpoolController = None
 
-MAX_THREADS = 4  # of `map_ordered`: each holds the memory of its item, and finished results are queued as well
+MAX_THREADS = 4  # Each thread holds the memory of its item, and finished results are queued as well.
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

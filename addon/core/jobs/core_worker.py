@@ -15,7 +15,7 @@ from ..errors import FarfieldError
 
 START_SCRIPT = Path(__file__).with_name("core_worker_start.py")
 WHEELS = ("scipy", "fast_simplification", "threadpoolctl", "tifffile", "xatlas")  # packages of the extension, which Blender's Python lacks
-PACKAGE_PARTS = 4  # of the name of this module below the extension's package: addon.core.jobs.core_worker
+PACKAGE_PARTS = 4  # Parts of this module's name below the extension's package: addon.core.jobs.core_worker.
 
 
 def core_command(module: str, arguments: list[str]) -> list[str]:
@@ -67,7 +67,7 @@ def _wheel_folders() -> list[str]:
     """Return the folders that hold the packages of the extension."""
     folders = set()
     for spec in filter(None, map(find_spec, WHEELS)):
-        paths = spec.submodule_search_locations or [spec.origin]  # of a package, or of a single file
+        paths = spec.submodule_search_locations or [spec.origin]  # A package has folders, a module of one file has none.
         folders |= {str(Path(path).resolve().parent) for path in paths}
     return sorted(folders)
 

@@ -14,7 +14,7 @@ from .progress import Progress, Steps
 from .subprocess_pool import SubprocessPool, open_subprocess_pool, wait_for_exit
 
 POLL_SECONDS = 0.1  # between two progress updates
-CHECK_FRACTION = 0.02  # of the progress bar
+CHECK_FRACTION = 0.02  # Part of the progress bar that the check of finished items takes.
 
 Item = TypeVar("Item")
 

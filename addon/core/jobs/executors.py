@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 
 from ..errors import FarfieldError, SettingsError
 
-MAX_DEFAULT_PROCESSES = 8  # of the spec `processes`: each process holds the scene in memory
+MAX_DEFAULT_PROCESSES = 8  # For the spec `processes`: each process holds the scene in memory.
 CONNECT_SECONDS = 5.0  # timeout of a Dask scheduler
 EXECUTOR_PATTERN = re.compile(r"(serial)|processes(?::([1-9]\d{0,3}))?|dask:((?:tcp|tls|ucx|wss?)://[^\s/]+:\d+)")
 

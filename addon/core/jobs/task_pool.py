@@ -53,7 +53,7 @@ def open_task_pool(executor_spec: str, module: str, arguments: list[str], held: 
 
     executor_spec: see `executors.parse_executor`. `serial` calls the function in this process and thread. `processes:N` starts up to N
     worker processes as items need them; they live until the end of the block. `dask:...` starts a process per run and slot, and passes
-    items and replies through files beside the heartbeat file, whose folder all machines must be able to reach. held: heartbeat of the
+    items and replies through files next to the heartbeat file, whose folder all machines must be able to reach. held: heartbeat of the
     job; `run` renews it, and workers exit when it ends. items_name: what error messages call the items, in plural.
 
     Raises:
