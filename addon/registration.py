@@ -11,10 +11,9 @@ from .operators.btf import operators as btf_operators
 from .operators.clipbox import convert_to_mesh as clipbox_convert
 from .operators.clipbox import operators as clipbox_operators
 from .operators.packages import operators as packages_operators
-from .operators.photos import coverage as photos_coverage
 from .operators.photos import import_cameras as photos_import
 from .operators.photos import operators as photos_operators
-from .operators.photos import overlays as photos_overlays
+from .operators.photos import previews as photos_previews
 from .operators.photos import refinement as photos_refinement
 from .operators.photos import registration as photos_registration
 from .operators.restore import operators as restore_operators
@@ -44,8 +43,7 @@ MODULES = (
     unwrap_operators,
     photos_operators,
     photos_import,
-    photos_overlays,
-    photos_coverage,
+    photos_previews,
     photos_refinement,
     photos_registration,
     restore_operators,

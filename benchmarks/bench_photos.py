@@ -34,7 +34,7 @@ from photos_scores import find_truth, score_render, score_seams, score_truth
 
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.photos.merging import merge
-from farfield.addon.core.photos.photographs import Photograph
+from farfield.addon.core.photos.photographs.photograph import Photograph
 from farfield.addon.core.photos.settings import PhotosSettings
 from lib import command_line
 from lib.contact_sheet import write_png

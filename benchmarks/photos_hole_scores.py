@@ -11,11 +11,10 @@ from scipy import ndimage
 
 from farfield.addon.core.geometry.edges import find_edges
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.photos.face_visibility import order_by_corner
-from farfield.addon.core.photos.hole_borders import interpolate_holes
-from farfield.addon.core.photos.hole_filling import HoleFiller
-from farfield.addon.core.photos.surface import interpolate_colors
-from farfield.addon.core.photos.texels import TexelMap
+from farfield.addon.core.photos.texels.face_visibility import order_by_corner
+from farfield.addon.core.photos.texels.hole_filling import HoleFiller
+from farfield.addon.core.photos.texels.hole_interpolation import interpolate_colors, interpolate_holes
+from farfield.addon.core.photos.texels.texel_map import TexelMap
 from lib.contact_sheet import write_png
 from lib.flip_metric import mean_flip
 

@@ -13,7 +13,7 @@ from farfield.addon.core.errors import FileError
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.photos.importers import read_cameras
-from farfield.addon.core.photos.photographs import Photograph
+from farfield.addon.core.photos.photographs.photograph import Photograph
 from farfield.addon.core.unwrap.settings import UnwrapSettings
 from farfield.addon.core.unwrap.unwrapping import unwrap
 from lib import scene_files

@@ -17,7 +17,7 @@ from farfield.addon.core.errors import FarfieldError
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.photos.merging import merge
-from farfield.addon.core.photos.photographs import Photograph
+from farfield.addon.core.photos.photographs.photograph import Photograph
 from farfield.addon.core.photos.settings import METHODS, PhotosSettings
 
 PEERS = ("lagrange", "pymeshlab")

@@ -10,7 +10,7 @@ from farfield.addon.core.geometry.lenses import Lens, PhotoCamera
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.imaging.colors import decode_signed_srgb, encode_signed_srgb
 from farfield.addon.core.imaging.raster import locate_pixels
-from farfield.addon.core.photos.photographs import Photograph
+from farfield.addon.core.photos.photographs.photograph import Photograph
 
 Paint = Callable[[np.ndarray], np.ndarray]
 

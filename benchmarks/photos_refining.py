@@ -14,10 +14,10 @@ from farfield.addon.core.geometry.lenses import PhotoCamera
 from farfield.addon.core.geometry.mesh import TriangleMesh, vertex_normals
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.photos.merging import merge
-from farfield.addon.core.photos.refinement import refine
-from farfield.addon.core.photos.registration import register
+from farfield.addon.core.photos.photographs.views import View
+from farfield.addon.core.photos.registration.refinement import refine
+from farfield.addon.core.photos.registration.registration import register
 from farfield.addon.core.photos.settings import PhotosSettings
-from farfield.addon.core.photos.views import View
 
 MODELS = {"rock": make_rock, "knot": make_knot}
 SHOOTS = 3  # of each model

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from farfield.addon.core.geometry.lenses import Lens, PhotoCamera
-from farfield.addon.core.photos.registration import register
+from farfield.addon.core.photos.registration.registration import register
 
 SIZE = (1600, 1200)
 CASES = 40

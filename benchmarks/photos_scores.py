@@ -13,9 +13,9 @@ from farfield.addon.core.imaging.colors import decode_signed_srgb, encode_signed
 from farfield.addon.core.imaging.images import sample_bilinear
 from farfield.addon.core.imaging.metrics import psnr, ssim_map
 from farfield.addon.core.imaging.raster import locate_pixels
-from farfield.addon.core.photos.photographs import Photograph
-from farfield.addon.core.photos.texels import TexelMap
-from farfield.addon.core.photos.views import View
+from farfield.addon.core.photos.photographs.photograph import Photograph
+from farfield.addon.core.photos.photographs.views import View
+from farfield.addon.core.photos.texels.texel_map import TexelMap
 
 STEP = 1.0  # texels from an edge to each side
 MIN_EDGE_TEXELS = 1.0

@@ -23,11 +23,9 @@ import bpy
 import numpy as np
 
 from farfield.addon.bridge.geometry.meshes import read_instances
-from farfield.addon.bridge.photos.mask_files import apply_mask_file, check_mask_folder
 from farfield.addon.bridge.photos.material_groups import MaterialGroups, assign_to_materials, read_material_groups
-from farfield.addon.bridge.photos.page_images import create_textures
-from farfield.addon.bridge.photos.photo_files import read_photograph, size_reader
-from farfield.addon.bridge.photos.results import assign_texture
+from farfield.addon.bridge.photos.photo_files import apply_mask_file, check_mask_folder, read_photograph, size_reader
+from farfield.addon.bridge.photos.results import assign_texture, create_textures
 from farfield.addon.bridge.photos.surfaces import read_surface
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.files.scratch import Scratch
@@ -37,12 +35,12 @@ from farfield.addon.core.jobs.progress import StageClock, run_to_end, subprogres
 from farfield.addon.core.messages import format_count
 from farfield.addon.core.photos.importers import read_cameras
 from farfield.addon.core.photos.merging import merge
-from farfield.addon.core.photos.overlays import draw_overlay
-from farfield.addon.core.photos.pages import PageLayout, lay_out_pages
 from farfield.addon.core.photos.photo_texture import PhotoTexture
-from farfield.addon.core.photos.photographs import Photograph
-from farfield.addon.core.photos.refinement import refine
+from farfield.addon.core.photos.photographs.overlays import draw_overlay
+from farfield.addon.core.photos.photographs.photograph import Photograph
+from farfield.addon.core.photos.registration.refinement import refine
 from farfield.addon.core.photos.settings import PhotosSettings
+from farfield.addon.core.photos.texels.pages import PageLayout, lay_out_pages
 from farfield.addon.core.settings import add_flags
 from farfield.addon.core.unwrap.settings import UnwrapSettings
 from farfield.addon.operators.job_run import run_job

@@ -8,8 +8,8 @@ from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.imaging.colors import decode_signed_srgb, encode_signed_srgb
 from farfield.addon.core.imaging.images import sample_bilinear
 from farfield.addon.core.imaging.raster import locate_pixels
-from farfield.addon.core.photos.observations import Observations
-from farfield.addon.core.photos.photographs import Photograph
+from farfield.addon.core.photos.photographs.observations import Observations
+from farfield.addon.core.photos.photographs.photograph import Photograph
 
 SIZE = 128
 

@@ -9,14 +9,13 @@ from ..bridge.photos.photo_images import is_missing
 from ..bridge.photos.point_pairs import PROPERTY, read_pairs
 from ..bridge.photos.scene_cameras import find_background
 from ..core.messages import format_count
-from ..core.photos.registration import MIN_PAIRS, MIN_PAIRS_WITH_LENS
+from ..core.photos.registration.registration import MIN_PAIRS, MIN_PAIRS_WITH_LENS
 from ..core.photos.settings import PhotosSettings
 from ..core.settings import describe
 from ..operators import image_editors
-from ..operators.photos.coverage import FARFIELD_OT_photos_show_coverage
 from ..operators.photos.import_cameras import FARFIELD_OT_photos_import_cameras
 from ..operators.photos.operators import FARFIELD_OT_photos_merge
-from ..operators.photos.overlays import FARFIELD_OT_photos_draw_overlays
+from ..operators.photos.previews import FARFIELD_OT_photos_draw_overlays, FARFIELD_OT_photos_show_coverage
 from ..operators.photos.refinement import FARFIELD_OT_photos_refine
 from ..operators.photos.registration import (
     FARFIELD_OT_photos_add_pairs,

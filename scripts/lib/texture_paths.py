@@ -9,7 +9,7 @@ environment.import_farfield()
 
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.files.filenames import unique_filenames
-from farfield.addon.core.photos.pages import FIRST_TILE, PageLayout
+from farfield.addon.core.photos.texels.pages import FIRST_TILE, PageLayout
 from lib.numbered_files import UDIM, numbered_path
 
 MATERIAL = "<MATERIAL>"

@@ -10,7 +10,7 @@ environment.import_farfield()
 from farfield.addon.bridge.geometry.mesh_arrays import read_uvs, read_values, write_uvs
 from farfield.addon.bridge.imaging.images import tile_paths
 from farfield.addon.bridge.imaging.tiled_images import load_image
-from farfield.addon.core.photos.pages import FIRST_TILE, TILE_COLUMNS
+from farfield.addon.core.photos.texels.pages import FIRST_TILE, TILE_COLUMNS
 
 
 def split_tiles(objects: list[bpy.types.Object]) -> None:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from farfield.addon.core.photos import merging, overlaps
+from farfield.addon.core.photos import merging
 
 OBSERVED_POINTS = 12_000
 OVERLAP_SIZE = 256

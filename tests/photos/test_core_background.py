@@ -7,9 +7,9 @@ import pytest
 from scipy.ndimage import binary_erosion, median_filter
 
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.photos.background import _median_3x3, find_background, find_covered, find_surface
 from farfield.addon.core.photos.merging import merge
-from farfield.addon.core.photos.photographs import Photograph
+from farfield.addon.core.photos.photographs.background import _median_3x3, find_background, find_covered, find_surface
+from farfield.addon.core.photos.photographs.photograph import Photograph
 from farfield.addon.core.photos.settings import PhotosSettings
 from photo_scenes import SIZE, camera_at, grid, photograph, smooth_texture
 

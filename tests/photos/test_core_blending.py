@@ -5,9 +5,9 @@ import pytest
 
 from farfield.addon.core.errors import GeometryError
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.photos.blending import shrink_masks
 from farfield.addon.core.photos.merging import merge
 from farfield.addon.core.photos.settings import BLENDINGS, PhotosSettings
+from farfield.addon.core.photos.texels.blending import shrink_masks
 from photo_scenes import SIZE, box, camera_at, grid, photograph, ring, smooth_texture
 
 pytestmark = pytest.mark.usefixtures("quick_merges")

@@ -5,7 +5,7 @@ import pytest
 
 from farfield.addon.core.geometry.lenses import Lens
 from farfield.addon.core.imaging.colors import decode_signed_srgb, encode_signed_srgb
-from farfield.addon.core.photos.color_correction import ColorCorrection, estimate_corrections, radius_powers
+from farfield.addon.core.photos.photographs.color_correction import ColorCorrection, estimate_corrections, radius_powers
 from photo_scenes import observations
 
 LENS = Lens("SIMPLE_PINHOLE", (300, 240), (300.0, 300.0), (140.0, 110.0))

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from farfield.addon.core.imaging.colors import decode_signed_srgb
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.photos.consistency import count_cells, rate_photographs
 from farfield.addon.core.photos.merging import merge
-from farfield.addon.core.photos.photographs import Photograph
+from farfield.addon.core.photos.photographs.consistency import count_cells, rate_photographs
+from farfield.addon.core.photos.photographs.photograph import Photograph
 from farfield.addon.core.photos.settings import METHODS, PhotosSettings
 from photo_scenes import SIZE, grid, observations, photograph, ring, smooth_texture
 

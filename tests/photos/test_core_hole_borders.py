@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from farfield.addon.core.photos.hole_borders import continue_differences, interpolate_holes
-from farfield.addon.core.photos.texels import TexelMap
+from farfield.addon.core.photos.texels.hole_interpolation import continue_differences, interpolate_holes
+from farfield.addon.core.photos.texels.texel_map import TexelMap
 from photo_scenes import grid
 
 SIZE = 64

@@ -6,8 +6,8 @@ import pytest
 from farfield.addon.core.geometry.edges import find_edges
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.photos.hole_filling import MIN_TEXELS, HoleFiller
-from farfield.addon.core.photos.texels import TexelMap
+from farfield.addon.core.photos.texels.hole_filling import MIN_TEXELS, HoleFiller
+from farfield.addon.core.photos.texels.texel_map import TexelMap
 
 SIZE = 256
 

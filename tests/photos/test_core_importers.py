@@ -235,7 +235,7 @@ def test_missing_cameras_are_one_sentence(tmp_path):
     with pytest.raises(FileError, match="There are no cameras in"):
         read_cameras(tmp_path)
     write_text(tmp_path, [])
-    with pytest.raises(FileError, match="no registered image"):
+    with pytest.raises(FileError, match="no registered camera"):
         read_cameras(tmp_path)
     write_text(tmp_path, [(1, np.ones(4), np.zeros(3), 5, "a.jpg")])
     with pytest.raises(FileError, match="has the camera 5, which does not exist"):

@@ -12,16 +12,15 @@ from farfield.addon.core.geometry.mesh import TriangleMesh, vertex_normals
 from farfield.addon.core.imaging.colors import decode_signed_srgb, encode_signed_srgb
 from farfield.addon.core.imaging.raster import draw_ids
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.photos.exposure import estimate_gains
-from farfield.addon.core.photos.face_visibility import HIDDEN, MIXED, VISIBLE, FaceVisibility, prepare_surface
-from farfield.addon.core.photos.labels import choose_labels
-from farfield.addon.core.photos.leveling import find_vertex_labels, solve_corrections
 from farfield.addon.core.photos.merging import merge
-from farfield.addon.core.photos.photographs import Photograph, apply_gain
+from farfield.addon.core.photos.photographs.color_correction import estimate_gains
+from farfield.addon.core.photos.photographs.photograph import Photograph, apply_gain
+from farfield.addon.core.photos.photographs.views import View
 from farfield.addon.core.photos.settings import METHODS, PhotosSettings
-from farfield.addon.core.photos.surface import interpolate_colors
-from farfield.addon.core.photos.texels import TexelMap, corner_normals
-from farfield.addon.core.photos.views import View
+from farfield.addon.core.photos.texels.face_visibility import HIDDEN, MIXED, VISIBLE, FaceVisibility, prepare_surface
+from farfield.addon.core.photos.texels.hole_interpolation import interpolate_colors
+from farfield.addon.core.photos.texels.regions import choose_labels, find_vertex_labels, solve_corrections
+from farfield.addon.core.photos.texels.texel_map import TexelMap, corner_normals
 from photo_scenes import SIZE, box, camera_at, grid, observations, photograph, ring, smooth_texture
 
 pytestmark = pytest.mark.usefixtures("quick_merges")

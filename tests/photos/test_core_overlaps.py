@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from farfield.addon.core.errors import GeometryError
-from farfield.addon.core.photos.overlaps import check_overlaps, find_overlapping
+from farfield.addon.core.photos.texels.pages import check_overlaps, find_overlapping
 from photo_scenes import box, grid
 
 

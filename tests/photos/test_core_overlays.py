@@ -4,8 +4,8 @@ import numpy as np
 
 from farfield.addon.core.geometry.lenses import Lens, PhotoCamera
 from farfield.addon.core.geometry.mesh import TriangleMesh
-from farfield.addon.core.photos.overlays import DIMMED, LINE_COLOR, MAX_SIDE, draw_overlay
-from farfield.addon.core.photos.photographs import Photograph
+from farfield.addon.core.photos.photographs.overlays import DIMMED, LINE_COLOR, MAX_SIDE, draw_overlay
+from farfield.addon.core.photos.photographs.photograph import Photograph
 
 SQUARE = TriangleMesh(
     np.array([[-1.0, -1.0, 4.0], [1.0, -1.0, 4.0], [1.0, 1.0, 4.0], [-1.0, 1.0, 4.0]]), np.array([[0, 1, 2], [0, 2, 3]], np.int32)

@@ -9,12 +9,11 @@ from farfield.addon.core.errors import GeometryError
 from farfield.addon.core.geometry.edges import find_edges
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.photos.hole_filling import HoleFiller
 from farfield.addon.core.photos.merging import merge
-from farfield.addon.core.photos.overlaps import find_overlapping
-from farfield.addon.core.photos.pages import MAX_PAGES, NO_PAGE, lay_out_pages
 from farfield.addon.core.photos.settings import PhotosSettings
-from farfield.addon.core.photos.texels import TexelMap
+from farfield.addon.core.photos.texels.hole_filling import HoleFiller
+from farfield.addon.core.photos.texels.pages import MAX_PAGES, NO_PAGE, find_overlapping, lay_out_pages
+from farfield.addon.core.photos.texels.texel_map import TexelMap
 from photo_scenes import SIZE, camera_at, grid, photograph, ring, smooth_texture
 
 pytestmark = pytest.mark.usefixtures("quick_merges")

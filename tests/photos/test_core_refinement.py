@@ -11,12 +11,12 @@ from farfield.addon.core.files.scratch import Scratch
 from farfield.addon.core.geometry.lenses import Lens
 from farfield.addon.core.geometry.mesh import TriangleMesh, vertex_normals
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.photos.matching import Matches, Surface, make_gray, match_photograph
 from farfield.addon.core.photos.merging import merge
-from farfield.addon.core.photos.refinement import MIN_MATCHES, fit_camera, refine
+from farfield.addon.core.photos.photographs.views import View
+from farfield.addon.core.photos.registration.matching import Matches, Surface, make_gray, match_photograph
+from farfield.addon.core.photos.registration.refinement import MIN_MATCHES, fit_camera, refine
 from farfield.addon.core.photos.settings import PhotosSettings
-from farfield.addon.core.photos.texels import corner_normals
-from farfield.addon.core.photos.views import View
+from farfield.addon.core.photos.texels.texel_map import corner_normals
 from photo_scenes import SIZE, detailed_texture, distance_in_pixels, grid, photograph, ring
 
 pytestmark = pytest.mark.usefixtures("quick_merges")

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from farfield.addon.core.errors import GeometryError
 from farfield.addon.core.geometry.lenses import Lens, PhotoCamera
-from farfield.addon.core.photos.registration import register, solve_p3p
+from farfield.addon.core.photos.registration.registration import register, solve_p3p
 
 SIZE = (1600, 1200)
 OTHERS = 100  # points that the registration does not know

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from farfield.addon.core.photos.photographs import Photograph
-from farfield.addon.core.photos.stages import INTERPOLATED, MAX_SIDE, PHOTOGRAPHED, UNBOUND, UNCOVERED, classify_texels, draw_trust
+from farfield.addon.core.photos.coverage import INTERPOLATED, MAX_SIDE, PHOTOGRAPHED, UNBOUND, UNCOVERED, classify_texels, draw_trust
+from farfield.addon.core.photos.photographs.photograph import Photograph
 from photo_scenes import camera_at
 
 

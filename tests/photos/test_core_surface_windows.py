@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from farfield.addon.core.geometry.edges import find_edges
-from farfield.addon.core.photos.surface_windows import SurfaceWindows
-from farfield.addon.core.photos.texels import TexelMap
+from farfield.addon.core.photos.texels.surface_windows import SurfaceWindows
+from farfield.addon.core.photos.texels.texel_map import TexelMap
 from photo_scenes import box, grid
 
 

@@ -12,7 +12,7 @@ from mathutils import Euler, Matrix, Vector
 from farfield.addon.bridge.photos import photo_images
 from farfield.addon.bridge.photos.camera_objects import create_cameras, set_render_size
 from farfield.addon.bridge.photos.photo_images import is_missing, open_background
-from farfield.addon.bridge.photos.scene_cameras import LENS_PROPERTY, camera_frame, find_background, has_photograph, read_photo_camera
+from farfield.addon.bridge.photos.scene_cameras import LENS_PROPERTY, _read_frame, find_background, has_photograph, read_photo_camera
 from farfield.addon.core.errors import FileError, ImageError, SettingsError
 from farfield.addon.core.geometry.lenses import Lens, PhotoCamera
 from farfield.addon.core.imaging.colors import encode_signed_srgb
@@ -84,7 +84,8 @@ def test_the_frame_is_that_of_blender(render_size, sensor):
     bpy.context.scene.render.pixel_aspect_x = 1.3
     corners = np.array(item.data.view_frame(scene=bpy.context.scene))
     corners = corners[:, :2] / -corners[:, 2:]
-    size, center = camera_frame(item.data, bpy.context.scene)
+    frame, _ = _read_frame(item.data, bpy.context.scene)
+    size, center = np.array([frame.width, frame.height]), frame.center
     assert size == pytest.approx(np.ptp(corners, axis=0), rel=1e-5)
     assert center == pytest.approx(corners.mean(axis=0), abs=1e-6)
 

@@ -8,7 +8,7 @@ from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.restore import regions, texture
 from farfield.addon.core.restore.labeling import Candidate, Labeling, measure_contrast
 from farfield.addon.core.restore.levels import Page, build_levels
-from farfield.addon.core.restore.patch_statistics import PatchStatistics
+from farfield.addon.core.restore.regions import PatchStatistics
 from farfield.addon.core.restore.settings import RestoreSettings
 from farfield.addon.core.restore.shifts import Surroundings, find_shifts
 from farfield.addon.core.restore.texture import fill_texture

@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 from farfield.addon.core.errors import ImageError
 from farfield.addon.core.imaging.diffusion import diffuse
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.restore import kernels, synthesis
+from farfield.addon.core.restore import synthesis
 from farfield.addon.core.restore.levels import Page, build_levels
 from farfield.addon.core.restore.restoration import restore
 from farfield.addon.core.restore.settings import METHODS, ORDERS, RestoreSettings

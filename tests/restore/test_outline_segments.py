@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from farfield.addon.bridge.restore import outline_segments
-from farfield.addon.bridge.restore.outline_segments import find_segments
+from farfield.addon.bridge.restore.outline import find_segments
 
 
 def rasterize_outline(segments, height, width):

@@ -1,4 +1,4 @@
-"""Cameras of photographs as camera objects, whose background images are the photographs."""
+"""Cameras of photographs as camera objects, whose background images are the photographs: new ones, and such that move when refined."""
 
 import contextlib
 import math
@@ -8,13 +8,12 @@ import bpy
 import mathutils
 import numpy as np
 
-from ...core.errors import FileError
+from ...core.errors import FileError, SettingsError
 from ...core.geometry.lenses import Lens, PhotoCamera
 from .photo_files import find_photograph
-from .scene_cameras import TO_PHOTO_AXES, find_background, has_photograph, store_lens
+from .scene_cameras import TO_PHOTO_AXES, find_background, has_photograph, read_lens, store_lens
 
 SENSOR_SIZE = 36.0  # millimeters, along the side that the sensor spans
-OPACITY = 1.0  # of background images
 DISPLAY_FRACTION = 0.04  # size of cameras in the view relative to the diagonal of the box around all of them
 VIEW_DISTANCE = 10.0  # cameras show what is nearer than this multiple of the diagonal
 
@@ -62,7 +61,6 @@ def place_registered_camera(camera: PhotoCamera, image: bpy.types.Image, scene: 
         scene.collection.objects.link(item)
         return item
     show_lens(item.data, camera.lens, scene)
-    store_lens(item.data, camera.lens)
     item.matrix_world = _world_matrix(camera)
     return item
 
@@ -75,8 +73,9 @@ def set_render_size(scene: bpy.types.Scene, size: tuple[int, int]) -> None:
 
 
 def show_lens(data: bpy.types.Camera, lens: Lens, scene: bpy.types.Scene) -> None:
-    """Set focal length, sensor and shift of a camera like `lens` without its distortion, so that the camera view shows the photograph,
-    fitted into the render size of `scene`, where it belongs."""
+    """Store `lens` with a camera, and set its focal length, sensor and shift like those of `lens` without its distortion, so that the camera
+    view shows the photograph, fitted into the render size of `scene`, where it belongs."""
+    store_lens(data, lens)
     (width, height), (focal_x, focal_y) = lens.size, lens.focal
     render = scene.render
     frame_aspect = render.resolution_x * render.pixel_aspect_x / (render.resolution_y * render.pixel_aspect_y)
@@ -90,15 +89,47 @@ def show_lens(data: bpy.types.Camera, lens: Lens, scene: bpy.types.Scene) -> Non
     data.shift_y = (lens.center[1] - 0.5 * height) / focal_y / side
 
 
+def check_movable(item: bpy.types.Object) -> None:
+    """Check that nothing but its own transform and its parent place a camera object.
+
+    Raises:
+        SettingsError: it is linked, constrained or animated.
+    """
+    if not item.is_editable:
+        raise SettingsError(f'The camera "{item.name}" is linked from a library; make it local.')
+    animation = item.animation_data
+    is_animated = animation is not None and (animation.action is not None or len(animation.drivers) or len(animation.nla_tracks))
+    if is_animated or any(not constraint.mute for constraint in item.constraints):
+        raise SettingsError(
+            f'The camera "{item.name}" is animated or has constraints, which would move it back; remove them, or bake them.'
+        )
+
+
+def has_own_lens(item: bpy.types.Object) -> bool:
+    """Return whether the lens of a camera object may be changed: its camera data is local and belongs to no other object."""
+    return item.data.is_editable and item.data.users == 1
+
+
+def move_camera(item: bpy.types.Object, given: PhotoCamera, refined: PhotoCamera, scene: bpy.types.Scene) -> None:
+    """Move a camera object as the camera of its photograph moved from `given` to `refined`, and change its lens if that differs."""
+    motion = _world_matrix(refined) @ _world_matrix(given).inverted()
+    item.matrix_world = motion @ item.matrix_world
+    if refined.lens == given.lens:
+        return
+    if read_lens(item.data) is None:
+        item.data.lens *= refined.lens.focal[0] / given.lens.focal[0]
+    else:
+        show_lens(item.data, refined.lens, scene)
+
+
 def _create_camera(camera: PhotoCamera, image: bpy.types.Image, scene: bpy.types.Scene) -> bpy.types.Object:
     name = Path(camera.name).stem
     data = bpy.data.cameras.new(name)
     show_lens(data, camera.lens, scene)
-    store_lens(data, camera.lens)
     focal_x, focal_y = camera.lens.focal
     image.display_aspect = (focal_y / focal_x, 1.0) if focal_y > focal_x else (1.0, focal_x / focal_y)
     background = data.background_images.new()
-    background.image, background.frame_method, background.alpha = image, "FIT", OPACITY
+    background.image, background.frame_method, background.alpha = image, "FIT", 1.0
     data.show_background_images = True
     item = bpy.data.objects.new(name, data)
     item.rotation_mode = "QUATERNION"  # Euler angles lose digits near the poles

@@ -4,7 +4,7 @@ import bpy
 import numpy as np
 
 from ...core.geometry.mesh import TriangleMesh, vertex_normals
-from ...core.photos.stages import CLASS_COLORS
+from ...core.photos.coverage import CLASS_COLORS
 from ..geometry.meshes import SourceInstance
 from ..overlays.face_overlay import FaceColors, FaceOverlay, offset_from_faces
 

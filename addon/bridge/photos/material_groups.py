@@ -11,7 +11,7 @@ from ...core.errors import GeometryError
 from ..geometry.evaluated_mesh import MaterialKey
 from ..geometry.meshes import SourceInstance, find_material
 from ..shading.node_builder import NodeBuilder
-from .results import IMAGE_NODE_OFFSET, TEXTURE_PROPERTY, create_material, keep_unused
+from .results import TEXTURE_PROPERTY, add_texture, create_material, keep_unused
 
 SUFFIX = " Photo Texture"
 
@@ -134,14 +134,11 @@ def _copy_with_texture(material: bpy.types.Material, shader_name: str, image: bp
     shader = tree.nodes[shader_name]
     former = next((link.from_node for link in shader.inputs["Base Color"].links), None)
     if TEXTURE_PROPERTY in material and former is not None and former.type == "TEX_IMAGE":
-        former.image = image  # of an earlier merge
+        former.image = image  # An earlier merge made this node.
         texture = former
     else:
         copy[TEXTURE_PROPERTY] = True
-        texture = tree.nodes.new("ShaderNodeTexImage")
-        texture.image = image
-        texture.location = [origin + offset for origin, offset in zip(shader.location, IMAGE_NODE_OFFSET, strict=True)]
-        tree.links.new(texture.outputs["Color"], shader.inputs["Base Color"])
+        texture = add_texture(tree, shader, image)
     if has_alpha and not texture.outputs["Alpha"].links:
         own = next((link.from_socket for link in shader.inputs["Alpha"].links), shader.inputs["Alpha"].default_value)
         builder = NodeBuilder(tree)

@@ -7,9 +7,9 @@ import bpy
 import gpu
 import numpy as np
 from bpy_extras.view3d_utils import location_3d_to_region_2d
-from gpu_extras.batch import batch_for_shader
 
 from ..blender import redraw_areas
+from ..restore.outline import build_lines, draw_lines
 from .point_pairs import PROPERTY
 
 ARROW_SCALE = 10.0  # arrows are longer than the residuals
@@ -104,13 +104,6 @@ def _draw_arrow(start: np.ndarray, end: np.ndarray) -> None:
 
 def _draw_lines(ends: np.ndarray, color: tuple[float, float, float, float]) -> None:
     """Draw lines between pairs of `ends` (N, 2) in pixels of the region, with a shadow."""
-    shader = gpu.shader.from_builtin("POLYLINE_UNIFORM_COLOR")
-    batch = batch_for_shader(shader, "LINES", {"pos": np.ascontiguousarray(np.pad(ends, ((0, 0), (0, 1))), np.float32)})
-    shader.bind()
     gpu.state.blend_set("ALPHA")
-    shader.uniform_float("viewportSize", gpu.state.viewport_get()[2:])
-    for width, line_color in ((SHADOW_WIDTH, SHADOW), (WIDTH, color)):
-        shader.uniform_float("lineWidth", width * bpy.context.preferences.system.pixel_size)
-        shader.uniform_float("color", line_color)
-        batch.draw(shader)
+    draw_lines(build_lines(ends), ((SHADOW_WIDTH, SHADOW), (WIDTH, color)))
     gpu.state.blend_set("NONE")

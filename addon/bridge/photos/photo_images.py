@@ -12,7 +12,7 @@ from ...core.errors import FileError, ImageError
 from ...core.files.file_access import check_readable
 from ...core.geometry.lenses import PhotoCamera
 from ...core.imaging.colors import encode_signed_srgb
-from ...core.photos.photographs import Photograph
+from ...core.photos.photographs.photograph import Photograph
 from ..blender import import_blender_module
 from ..imaging.color_spaces import convert_to_linear
 from ..imaging.image_files import EXTENSIONS
@@ -21,7 +21,7 @@ from ..restore.image_pixels import read_format, to_display
 from ..restore.image_sources import check_image
 from .photo_files import read_photograph_file
 
-MIN_ALPHA = 0.5  # of usable pixels
+MIN_ALPHA = 0.5  # Pixels with less are not usable.
 BYTE_COLOR_SPACE = "sRGB"  # which Blender gives to files with integers
 FLOAT_COLOR_SPACES = {"Linear Rec.709", "Linear"}  # and to files with floats
 

@@ -4,9 +4,9 @@ import bpy
 import numpy as np
 
 from ...core.geometry.lenses import Lens
-from ...core.photos.registration import Registration, register
+from ...core.photos.registration.registration import Registration, register
 
-PROPERTY = "farfield_registration"  # of images
+PROPERTY = "farfield_registration"  # the property of images that holds the pairs
 
 
 class FARFIELD_PG_photo_pair(bpy.types.PropertyGroup):

@@ -1,46 +1,32 @@
 """Textures from photographs as images and materials."""
 
-from collections.abc import Iterable
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
 
 import bpy
 import numpy as np
 
 from ...compat import enable_nodes
+from ...core.photos.photo_texture import PhotoTexture
+from ...core.photos.texels.pages import FIRST_TILE, PageLayout
 from ..imaging.images import create_image
+from ..imaging.tiled_images import EXTENSIONS, open_tiles, pack_tiles, save_pixels
 
 IMAGE_NODE_OFFSET = (-330, 0)  # from the shader
 OVERLAY_PROPERTY = "farfield_photo_overlay"  # custom property of images that `create_overlay_image` made
 TEXTURE_PROPERTY = "farfield_photo_texture"  # custom property of materials that `assign_texture` made
-
-
-def create_texture_image(name: str, colors: np.ndarray, transparent: np.ndarray | None = None) -> bpy.types.Image:
-    """Create an 8-bit image of sRGB-encoded `colors` (H, W, 3).
-
-    transparent: (H, W) bool, texels with zero alpha.
-    """
-    return create_image(name, texture_pixels(colors, transparent), is_data=False)
-
-
-def texture_pixels(colors: np.ndarray, transparent: np.ndarray | None = None) -> np.ndarray:
-    """Return pixels (H, W, 4) float32 of `colors` (H, W, 3) with zero alpha where they are `transparent` (H, W) bool."""
-    pixels = np.ones((*colors.shape[:2], 4), np.float32)
-    pixels[..., :3] = colors
-    if transparent is not None:
-        pixels[transparent, 3] = 0.0
-    return pixels
-
-
-def map_pixels(values: np.ndarray) -> np.ndarray:
-    """Return opaque gray pixels (H, W, 4) float32 of `values` (H, W)."""
-    pixels = np.ones((*values.shape, 4), np.float32)
-    pixels[..., :3] = values[..., None]
-    return pixels
+MAPS = {
+    "Confidence": lambda page, _: page.confidence,
+    "Source": lambda page, photograph_count: (page.source + 1.0) / photograph_count,
+    "Holes": lambda page, _: page.holes,
+}
 
 
 def create_overlay_image(name: str, colors: np.ndarray) -> bpy.types.Image:
     """Create an 8-bit image of sRGB-encoded `colors` (H, W, 3) that files keep, in place of an earlier overlay with this name."""
     former = bpy.data.images.get(name)
-    image = create_texture_image(name, colors)
+    image = create_image(name, _to_pixels(colors), is_data=False)
     image[OVERLAY_PROPERTY] = True
     if former is not None and OVERLAY_PROPERTY in former and former.library is None:
         former.user_remap(image)
@@ -84,12 +70,63 @@ def create_material(name: str, image: bpy.types.Image, has_alpha: bool) -> bpy.t
     enable_nodes(material)
     tree = material.node_tree
     shader = next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED")
-    texture = tree.nodes.new("ShaderNodeTexImage")
-    texture.image = image
-    texture.location = [origin + offset for origin, offset in zip(shader.location, IMAGE_NODE_OFFSET, strict=True)]
-    tree.links.new(texture.outputs["Color"], shader.inputs["Base Color"])
+    texture = add_texture(tree, shader, image)
     if has_alpha:
         tree.links.new(texture.outputs["Alpha"], shader.inputs["Alpha"])
     shader.inputs["Roughness"].default_value = 1.0
     shader.inputs["Specular IOR Level"].default_value = 0.0
     return material
+
+
+def add_texture(tree: bpy.types.NodeTree, shader: bpy.types.Node, image: bpy.types.Image) -> bpy.types.Node:
+    """Add a node of `image` to a node tree as the base color of its `shader`."""
+    texture = tree.nodes.new("ShaderNodeTexImage")
+    texture.image = image
+    texture.location = [origin + offset for origin, offset in zip(shader.location, IMAGE_NODE_OFFSET, strict=True)]
+    tree.links.new(texture.outputs["Color"], shader.inputs["Base Color"])
+    return texture
+
+
+def create_textures(
+    layout: PageLayout, texture: PhotoTexture, names: Sequence[str], *, has_alpha: bool = False
+) -> dict[int, bpy.types.Image]:
+    """Create a packed 8-bit image for each group of pages; `names` by group. With `has_alpha`, holes are transparent."""
+    images = {}
+    for group in dict.fromkeys(layout.groups):
+        tiles = layout.find_tiles(group)
+        pages = map(texture.page, tiles.values())
+        pictures = (_to_pixels(page.colors, page.holes if has_alpha else None) for page in pages)
+        images[group] = _create_tiles(names[group], list(tiles), pictures, is_data=False)
+    return images
+
+
+def create_maps(layout: PageLayout, texture: PhotoTexture, names: Sequence[str], photograph_count: int) -> None:
+    """Create the images of confidence, source and holes of each group, which files keep although nothing uses them."""
+    for group in dict.fromkeys(layout.groups):
+        tiles = layout.find_tiles(group)
+        for name, read in MAPS.items():
+            pages = map(texture.page, tiles.values())
+            pictures = (_to_pixels(read(page, photograph_count)[..., None]) for page in pages)
+            _create_tiles(f"{names[group]} {name}", list(tiles), pictures, is_data=True).use_fake_user = True
+
+
+def _create_tiles(name: str, tiles: list[int], pictures: Iterator[np.ndarray], *, is_data: bool) -> bpy.types.Image:
+    """Create a packed image with pixels (H, W, 4) of each tile; a tiled one unless tile 1001 is the only one."""
+    if tiles == [FIRST_TILE]:
+        return create_image(name, next(pictures), is_data=is_data)
+    with tempfile.TemporaryDirectory() as folder:
+        paths = {tile: Path(folder, f"tile.{tile}.{EXTENSIONS[False]}") for tile in tiles}
+        for path, picture in zip(paths.values(), pictures, strict=True):
+            save_pixels(picture, path, is_float=False)
+        image = open_tiles(name, paths, "Non-Color" if is_data else "sRGB", "CHANNEL_PACKED")
+        pack_tiles(image, EXTENSIONS[False])
+    return image
+
+
+def _to_pixels(values: np.ndarray, transparent: np.ndarray | None = None) -> np.ndarray:
+    """Return pixels (H, W, 4) float32 of colors (H, W, 3) or gray values (H, W, 1), with zero alpha where they are `transparent` (H, W)."""
+    pixels = np.ones((*values.shape[:2], 4), np.float32)
+    pixels[..., :3] = values
+    if transparent is not None:
+        pixels[transparent, 3] = 0.0
+    return pixels

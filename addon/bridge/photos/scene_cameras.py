@@ -61,12 +61,6 @@ def read_photo_camera(item: bpy.types.Object, scene: bpy.types.Scene, depsgraph:
     return PhotoCamera(background.image.name, lens, rotation, -rotation @ position)
 
 
-def camera_frame(data: bpy.types.Camera, scene: bpy.types.Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return size (2,) and center (2,) of what a perspective camera renders, in its image plane at distance 1, y up."""
-    frame, _ = _read_frame(data, scene)
-    return np.array([frame.width, frame.height]), frame.center
-
-
 def store_lens(data: bpy.types.Camera, lens: Lens) -> None:
     """Store `lens` with a camera."""
     data[LENS_PROPERTY] = json.dumps(asdict(lens))

@@ -10,13 +10,13 @@ from ...core.errors import GeometryError
 from ...core.geometry.cameras import CameraProjection
 from ...core.geometry.lenses import PhotoCamera
 from ...core.geometry.mesh import TriangleMesh
-from ...core.photos.pages import PageLayout
-from ...core.photos.texels import TexelMap
+from ...core.photos.texels.pages import PageLayout
+from ...core.photos.texels.texel_map import TexelMap
 from ..geometry.mesh_arrays import read_loop_vertices, read_values
 from ..geometry.meshes import SourceInstance, concatenate_in_world_space
 
 OVERLAP_SIZE = 256  # texels per side in which the UV maps of objects are compared
-MAX_OVERLAP = 0.02  # of the texels of one of the objects; islands may touch
+MAX_OVERLAP = 0.02  # fraction of the texels of an object that others may cover: islands may touch
 NEAR_FRACTION = 1e-4  # nearest depth relative to the farthest
 
 

@@ -1,11 +1,15 @@
-"""Where an image is used: normal maps, replacement in materials, and links between original, mask and restored image."""
+"""Where an image is used: normal maps, replacement in materials, new masks, and links between original, mask and restored image."""
 
 from collections.abc import Iterator
 
 import bpy
 
-ORIGINAL_PROPERTY = "farfield_original"  # of a restored image
-MASKED_PROPERTY = "farfield_masked"  # of a mask image
+from ...compat import image_paint_settings
+
+ORIGINAL_PROPERTY = "farfield_original"  # the property of a restored image that points to its original
+MASKED_PROPERTY = "farfield_masked"  # the property of a mask that points to its image
+MASK_SUFFIX = " mask"
+BLACK, WHITE = (0.0, 0.0, 0.0, 1.0), (1.0, 1.0, 1.0)
 
 
 def read_image_property(image: bpy.types.Image | None, name: str) -> bpy.types.Image | None:
@@ -47,6 +51,28 @@ def replace_image(original: bpy.types.Image, new: bpy.types.Image) -> list[str]:
     return skipped
 
 
+def create_mask(source: bpy.types.Image) -> bpy.types.Image:
+    """Create a packed black image with the size and the tiles of `source`, for which it is the mask from then on."""
+    is_tiled = source.source == "TILED"
+    width, height = source.size
+    mask = bpy.data.images.new(source.name + MASK_SUFFIX, width, height, alpha=False, is_data=True, tiled=is_tiled)
+    if is_tiled:
+        mask.tiles[0].number = min(tile.number for tile in source.tiles)
+        for tile in source.tiles:
+            _fill_tile(mask, tile)
+    mask.pack()
+    mask[MASKED_PROPERTY] = source
+    return mask
+
+
+def set_brush_color(tools: bpy.types.ToolSettings, color: tuple[float, float, float]) -> None:
+    """Give the brushes that paint images this color: the one that they share, and that of the active brush."""
+    image_paint_settings(tools).color = color
+    brush = tools.image_paint.brush
+    if brush is not None and brush.is_editable:
+        brush.color = color
+
+
 def _all_restored(original: bpy.types.Image) -> list[bpy.types.Image]:
     return [image for image in bpy.data.images if read_image_property(image, ORIGINAL_PROPERTY) == original]
 
@@ -76,3 +102,10 @@ def _feeds_normal_map(node: bpy.types.Node) -> bool:
                 seen.add(link.to_node)
                 pending.extend(link.to_node.outputs)
     return False
+
+
+def _fill_tile(mask: bpy.types.Image, tile: bpy.types.UDIMTile) -> None:
+    """Add a black tile to `mask`, or make an existing one black, with the number and the size of `tile`."""
+    mask.tiles.active = mask.tiles.get(tile.number) or mask.tiles.new(tile.number)
+    with bpy.context.temp_override(edit_image=mask):
+        bpy.ops.image.tile_fill(color=BLACK, width=tile.size[0], height=tile.size[1], float=False, alpha=False)

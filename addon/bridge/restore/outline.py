@@ -17,12 +17,12 @@ from gpu_extras.batch import batch_for_shader
 from ..blender import redraw_areas
 from ..objects import find_by_uid
 from .image_users import MASKED_PROPERTY, read_image_property
-from .outline_segments import find_segments
 
 MIN_PAUSE = 0.2  # seconds between two updates
 PAUSE_FACTOR = 6.0  # pause after an update, relative to its duration
 MAX_OUTLINES = 16  # kept for images that are not shown at the moment
-OPACITY = 0.7  # of the image over its mask
+OPACITY = 0.7  # An image is drawn over its mask with this opacity.
+MAX_EDGES = 1_000_000  # between pixels; masks with more, such as noise, get a coarser outline
 LINES = ((4.0, (0.0, 0.0, 0.0, 1.0)), (1.8, (1.0, 0.85, 0.1, 1.0)))  # widths in pixels and colors, which are seen on every background
 
 FindMasks = Callable[[bpy.types.Image, bpy.types.Scene], dict[int, np.ndarray]]
@@ -118,7 +118,9 @@ class MaskOutline:
             _draw_image(masked)
         found = self._outlines.get(image.session_uid)
         if found is not None and len(found.segments):
-            _draw_outline(found)
+            if found.batch is None:
+                found.batch = build_lines(found.segments.reshape(-1, 2))
+            draw_lines(found.batch, LINES)
         gpu.state.blend_set("NONE")
 
 
@@ -134,23 +136,55 @@ def _clear(*_: Any) -> None:
     outline.clear()
 
 
+def find_segments(mask: np.ndarray) -> np.ndarray:
+    """Return the outline of `mask` (H, W) bool as line segments (N, 2, 2) float32 with ends x, y, where the image is the unit square.
+
+    Edges of pixels along one line are one segment. The outline runs along the border of the image where masked pixels touch it.
+    """
+    height, width = mask.shape
+    padded = np.pad(mask, 1)
+    rows, columns = np.nonzero(padded[1:, 1:-1] != padded[:-1, 1:-1])  # horizontal edges
+    edge_rows, edge_columns = np.nonzero(padded[1:-1, 1:] != padded[1:-1, :-1])  # vertical edges
+    if len(rows) + len(edge_rows) > MAX_EDGES:
+        even = np.pad(mask, ((0, height % 2), (0, width % 2)))
+        halved = even[0::2, 0::2] | even[1::2, 0::2] | even[0::2, 1::2] | even[1::2, 1::2]
+        return np.minimum(find_segments(halved) * np.float32([even.shape[1] / width, even.shape[0] / height]), np.float32(1.0))
+    segments = np.concatenate([_join(rows, columns), _join(edge_columns, edge_rows)[:, :, ::-1]])
+    return (segments / [width, height]).astype(np.float32)
+
+
+def _join(lines: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Join edges from `positions` to `positions` + 1 on `lines` (N,) where they touch: segments (R, 2, 2) with ends position, line."""
+    order = np.lexsort((positions, lines))
+    lines, positions = lines[order], positions[order]
+    is_start = np.ones(len(lines), bool)
+    is_start[1:] = (np.diff(lines) != 0) | (np.diff(positions) != 1)
+    is_end = np.append(is_start[1:], True)[: len(lines)]
+    starts = np.column_stack([positions[is_start], lines[is_start]])
+    return np.stack([starts, np.column_stack([positions[is_end] + 1, lines[is_end]])], axis=1)
+
+
 def _tile_offset(number: int) -> np.ndarray:
     """Return the position (2,) of a UDIM tile in UV space; that of an image without tiles, with the number 0, is the origin."""
     row, column = divmod(number - 1001, 10) if number else (0, 0)
     return np.float32([column, row])
 
 
-def _draw_outline(found: _Outline) -> None:
+def build_lines(ends: np.ndarray) -> Any:
+    """Return a batch of lines between pairs of `ends` (N, 2)."""
+    content = {"pos": np.ascontiguousarray(np.pad(ends, ((0, 0), (0, 1))), np.float32)}
+    return batch_for_shader(gpu.shader.from_builtin("POLYLINE_UNIFORM_COLOR"), "LINES", content)
+
+
+def draw_lines(batch: Any, lines: tuple[tuple[float, tuple[float, float, float, float]], ...]) -> None:
+    """Draw a batch of lines several times, with widths in pixels and colors: the first ones are the shadows of the others."""
     shader = gpu.shader.from_builtin("POLYLINE_UNIFORM_COLOR")
-    if found.batch is None:
-        positions = np.pad(found.segments.reshape(-1, 2), ((0, 0), (0, 1)))
-        found.batch = batch_for_shader(shader, "LINES", {"pos": np.ascontiguousarray(positions, np.float32)})
     shader.bind()
     shader.uniform_float("viewportSize", gpu.state.viewport_get()[2:])
-    for width, color in LINES:
+    for width, color in lines:
         shader.uniform_float("lineWidth", width * bpy.context.preferences.system.pixel_size)
         shader.uniform_float("color", color)
-        found.batch.draw(shader)
+        batch.draw(shader)
 
 
 def _draw_image(image: bpy.types.Image) -> None:

@@ -26,13 +26,8 @@ def create_result(source: bpy.types.Image, tiles: dict[int, np.ndarray]) -> bpy.
     return image
 
 
-def save_frame(source: bpy.types.Image, pixels: np.ndarray, path: Path) -> None:
-    """Write the stored values (H, W, 4) of a frame that was loaded as `source` to a file, without loss. Raises FileError."""
-    save_pixels(pixels, path, is_float=source.is_float)
-
-
 def load_sequence(source: bpy.types.Image, path: Path) -> bpy.types.Image:
-    """Return a new image sequence of the files numbered like `path`, which `save_frame` has written, with the properties of `source`."""
+    """Return a new image sequence of the files numbered like `path`, which `save_pixels` has written, with the properties of `source`."""
     image = load_image(path)
     image.name = source.name + SUFFIX
     if path.suffix == f".{EXTENSIONS[False]}" or source.colorspace_settings.is_data:  # EXR files are scene-linear, as Blender assumes
@@ -41,11 +36,6 @@ def load_sequence(source: bpy.types.Image, path: Path) -> bpy.types.Image:
     image.source = "SEQUENCE"
     _copy_display_properties(source, image)
     return image
-
-
-def frame_filename(base: str, number: int, digits: int, is_float: bool) -> str:
-    """Return the name of the file of a restored frame: `base` and the frame number with at least `digits` digits."""
-    return f"{base}_{number:0{digits}}.{EXTENSIONS[is_float]}"
 
 
 def _create_image(source: bpy.types.Image, pixels: np.ndarray) -> bpy.types.Image:
@@ -66,7 +56,7 @@ def _create_tiled_image(source: bpy.types.Image, tiles: dict[int, np.ndarray]) -
     with tempfile.TemporaryDirectory() as folder:
         paths = {number: Path(folder, f"tile.{number}.{EXTENSIONS[source.is_float]}") for number in sorted(tiles)}
         for number, path in paths.items():
-            save_frame(source, tiles[number], path)
+            save_pixels(tiles[number], path, is_float=source.is_float)
         alpha_mode = lossless_alpha_mode(source.alpha_mode, source.is_float)
         image = open_tiles(source.name + SUFFIX, paths, default_color_space(source), alpha_mode)
         for tile in source.tiles:

@@ -1,17 +1,22 @@
-"""Which triangles photographs show, before anything is merged (Textures Revisited, section 4.1 and Figure 7)."""
+"""Which triangles and texels photographs show, before and after a merge (Textures Revisited, section 4.1 and Figures 7 to 9)."""
 
 from collections.abc import Iterable
 
 import numpy as np
 
-from ..geometry.mesh import TriangleMesh, check_points, face_areas_and_normals, vertex_normals
+from ..geometry.mesh import TriangleMesh, face_areas_and_normals
+from ..imaging.images import sample_bilinear
 from ..jobs.progress import Progress, Steps
-from .photographs import Photograph
-from .stages import INTERPOLATED, PHOTOGRAPHED, UNBOUND
-from .texels import corner_normals
-from .views import View
+from .photographs.photograph import Photograph
+from .photographs.surface import Surface
+from .photographs.views import MIN_TRUST, View
 
 CORNER_SAMPLES = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4]]) / 6.0  # barycentric
+MAX_SIDE = 800  # pixels of pictures of photographs
+UNUSED_COLOR = np.array([0.9, 0.1, 0.1], np.float32)
+UNUSED_OPACITY = 0.6
+CLASS_COLORS = np.array([[0.0, 0.0, 0.0], [0.25, 0.65, 0.3], [0.2, 0.4, 0.85], [0.85, 0.2, 0.2]], np.float32)
+UNCOVERED, PHOTOGRAPHED, INTERPOLATED, UNBOUND = range(4)
 
 
 def classify_triangles(mesh: TriangleMesh, photographs: Iterable[Photograph], count: int) -> Steps[np.ndarray]:
@@ -26,20 +31,16 @@ def classify_triangles(mesh: TriangleMesh, photographs: Iterable[Photograph], co
         GeometryError: the mesh is not finite.
         ImageError: a photograph or mask does not have the size that its camera says.
     """
-    check_points(mesh.vertices, "mesh")
-    origin = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))  # float32 is exact enough near it
-    mesh = TriangleMesh(mesh.vertices - origin, mesh.triangles)
-    corners, normals = mesh.corners, corner_normals(mesh, vertex_normals(mesh.vertices, mesh.triangles))
-    points = [np.einsum("i,tic->tc", weights, corners) for weights in CORNER_SAMPLES]
-    directions = [_unit(np.einsum("i,tic->tc", weights, normals)) for weights in CORNER_SAMPLES]
-    bound, is_shown = np.zeros((3, len(corners)), bool), np.zeros(len(corners), bool)
+    surface = Surface.around_origin(mesh)
+    samples = [surface.locate(weights) for weights in CORNER_SAMPLES]
+    bound, is_shown = np.zeros((3, len(mesh.triangles)), bool), np.zeros(len(mesh.triangles), bool)
     for index, photograph in enumerate(photographs):
         yield Progress(index / count, "Finding visible faces")
         photograph.check()
-        view = View(photograph.camera.relative_to(origin), mesh, photograph.mask)
+        view = View(photograph.camera.relative_to(surface.origin), surface.mesh, photograph.mask)
         is_visible = np.zeros_like(bound)
-        for corner in range(3):
-            is_visible[corner, view.see(points[corner], directions[corner]).indices] = True
+        for corner, (points, normals) in enumerate(samples):
+            is_visible[corner, view.see(points, normals).indices] = True
         bound |= is_visible
         is_shown |= is_visible.all(axis=0)
     classes = np.where(bound.all(axis=0), INTERPOLATED, UNBOUND).astype(np.uint8)
@@ -54,6 +55,29 @@ def measure_classes(mesh: TriangleMesh, classes: np.ndarray) -> dict[int, float]
     return {each: float(areas[classes == each].sum()) / total for each in (PHOTOGRAPHED, INTERPOLATED, UNBOUND)}
 
 
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return vectors / np.where(lengths > 0.0, lengths, 1.0)
+def draw_trust(photograph: Photograph, cells: np.ndarray) -> np.ndarray:
+    """Return the photograph as a small picture (H, W, 3), red where its cells (h, w), evenly divided, or its mask say that it shows
+    something else than the surface."""
+    image, area = photograph.shrink(MAX_SIDE)
+    rows, columns = np.mgrid[: image.shape[0], : image.shape[1]]
+    positions = np.stack([(columns.ravel() + 0.5) / image.shape[1], (rows.ravel() + 0.5) / image.shape[0]], axis=1)
+    trust = sample_bilinear(cells[..., None], positions * cells.shape[::-1])[:, 0].reshape(image.shape[:2])
+    is_unused = trust <= MIN_TRUST
+    if photograph.mask is not None:
+        is_unused |= ~photograph.mask[area]
+    image[is_unused] += np.float32(UNUSED_OPACITY) * (UNUSED_COLOR - image[is_unused])
+    return np.clip(image, 0.0, 1.0)
+
+
+def classify_texels(triangles: np.ndarray, found: np.ndarray, corners: np.ndarray, bound: np.ndarray) -> np.ndarray:
+    """Return the class (N,) uint8 of each texel: UNCOVERED, PHOTOGRAPHED, INTERPOLATED between vertices that photographs show, or UNBOUND.
+
+    Args:
+        triangles: (N,) of the texels, -1 for none. found: (N,) bool, a photograph shows them. corners: (T, 3) vertices of the triangles.
+        bound: (V,) bool, a photograph shows the vertex.
+    """
+    is_bound = np.append(bound[corners].all(axis=1), True)
+    classes = np.where(is_bound[triangles], INTERPOLATED, UNBOUND).astype(np.uint8)
+    classes[found] = PHOTOGRAPHED
+    classes[triangles < 0] = UNCOVERED
+    return classes

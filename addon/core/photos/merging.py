@@ -5,44 +5,39 @@ weighted average of the photographs that show it, or each triangle is textured f
 between such regions are blended. Details are sharpened by comparison with the photographs, and texels that none shows are filled.
 """
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
 
 from ..errors import GeometryError, ImageError
 from ..files.scratch import Scratch
-from ..geometry.edges import Edges, find_edges
-from ..geometry.mesh import TriangleMesh, check_points, face_areas_and_normals, vertex_normals
+from ..geometry.mesh import TriangleMesh
 from ..geometry.transforms import signed_areas
 from ..imaging.images import dilate_in_place, sample_bilinear
 from ..jobs.chunks import map_ordered
 from ..jobs.progress import Progress, StageClock, Steps, subprogress
-from .alignment import align
-from .background import find_surface
-from .blending import BlendedSurface, blend_gradients, blend_labels, blend_masks, shrink_masks
-from .color_correction import ColorCorrection, estimate_corrections
-from .consistency import rate_photographs
-from .face_visibility import VISIBLE, order_by_corner, prepare_surface
-from .hole_borders import interpolate_holes
-from .hole_filling import HoleCounts, HoleFiller
-from .labels import choose_labels
-from .leveling import VertexLabels, find_vertex_labels
-from .matching import Surface
-from .observations import MAX_OBSERVATIONS, POINTS, Observations, observe, sample_surface
-from .overlaps import check_overlaps
-from .pages import check_texel_count
+from .coverage import CLASS_COLORS, classify_texels, draw_trust
 from .photo_texture import PhotoTexture
-from .photographs import Photograph
-from .regions import VertexSurface, color_vertices, rate_faces
+from .photographs.background import find_surface
+from .photographs.color_correction import EXPOSURE_POINTS, ColorCorrection, estimate_corrections
+from .photographs.consistency import rate_photographs
+from .photographs.observations import MAX_OBSERVATIONS, POINTS, Observations, observe, sample_surface
+from .photographs.photograph import Photograph
+from .photographs.surface import Surface
+from .photographs.views import View
+from .registration.alignment import align
 from .settings import PhotosSettings
-from .sharpening import estimate_noise, find_residuals, sharpen_colors
-from .stages import CLASS_COLORS, classify_texels, draw_trust
-from .surface import interpolate_colors
-from .texel_colors import NO_PHOTOGRAPH, TexelPainter
-from .texels import TexelMap, corner_normals
-from .views import View
+from .texels.blending import BlendedSurface, blend_gradients, blend_labels, blend_masks, shrink_masks
+from .texels.face_visibility import VISIBLE, order_by_corner, prepare_surface
+from .texels.hole_filling import HoleCounts, HoleFiller
+from .texels.hole_interpolation import interpolate_colors, interpolate_holes
+from .texels.pages import check_overlaps, check_texel_count
+from .texels.painter import NO_PHOTOGRAPH, TexelPainter
+from .texels.regions import VertexLabels, choose_labels, color_vertices, find_vertex_labels, rate_faces
+from .texels.sharpening import estimate_noise, find_residuals, sharpen_colors
+from .texels.texel_map import TexelMap
 
-EXPOSURE_POINTS = 20_000
 GUTTER = 8  # texels around covered ones that get the mean of their neighbors
 
 
@@ -71,15 +66,13 @@ def merge(
         raise ImageError("There are no photographs; name a folder with the images that the cameras refer to.")
     for photograph in photographs:
         photograph.check()
-    check_points(mesh.vertices, "mesh")
+    surface = Surface.around_origin(mesh)
     if not np.isfinite(corner_uvs).all():
         raise GeometryError("The UV map has coordinates that are not finite; unwrap the mesh again.")
     check_overlaps(corner_uvs, pages)
     check_texel_count(pages, settings.size)
-    if scratch is not None:
-        return (yield from _merge(_Merger(mesh, corner_uvs, pages, photographs, settings, scratch, keep_stages)))
-    with Scratch() as own:
-        return (yield from _merge(_Merger(mesh, corner_uvs, pages, photographs, settings, own, keep_stages)))
+    with Scratch() if scratch is None else nullcontext(scratch) as used:
+        return (yield from _merge(_Merger(surface, corner_uvs, pages, photographs, settings, used, keep_stages)))
 
 
 def _merge(merger: "_Merger") -> Steps[PhotoTexture]:
@@ -104,18 +97,19 @@ def _merge(merger: "_Merger") -> Steps[PhotoTexture]:
         yield from subprogress(merger.blend(), 0.9, 1.0)
     holes = None
     if settings.fill == "restore":
+        filler = HoleFiller(merger.surface, merger.map, merger.colors, merger.source != NO_PHOTOGRAPH)
         with clock.stage("restore"):
-            holes = yield from subprogress(merger.restore_holes(), 0.9, 1.0)
+            holes = yield from subprogress(filler.fill(), 0.9, 1.0)
     with clock.stage("gutter"):
         return merger.finish(holes)
 
 
 class _Merger:
-    """The state between the steps of `merge`. The surface and the cameras are moved to the origin, where float32 is exact enough."""
+    """The state between the steps of `merge`. The cameras are moved to the origin with the surface."""
 
     def __init__(
         self,
-        mesh: TriangleMesh,
+        surface: Surface,
         corner_uvs: np.ndarray,
         pages: np.ndarray | None,
         photographs: list[Photograph],
@@ -124,22 +118,16 @@ class _Merger:
         keep_stages: bool,
     ) -> None:
         self.keep_stages, self.stages = keep_stages, dict[str, np.ndarray]()
-        self.settings, self.clock, self.corner_uvs, self.scratch = settings, StageClock(), corner_uvs, scratch
+        self.settings, self.clock, self.scratch = settings, StageClock(), scratch
         with self.clock.stage("texels"):
             self.map = TexelMap(corner_uvs, settings.size, pages)
             if not (self.map.triangles >= 0).any():
                 raise GeometryError("The UV map covers no pixel of the texture; unwrap the mesh, or move its UVs into the range 0 to 1.")
-        self.areas, _ = face_areas_and_normals(mesh.corners)
-        if not self.areas.any():
-            raise GeometryError("The faces of the mesh have no area; scale it up.")
+        surface.check_areas()
         uv_areas = np.abs(signed_areas(corner_uvs.astype(np.float64))) * settings.size**2
-        self.texel_areas = (self.areas / np.maximum(uv_areas, 1e-12)).astype(np.float32)  # of the surface, per triangle
-        origin = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
-        self.mesh = TriangleMesh(mesh.vertices - origin, mesh.triangles)
-        self.photographs = [replace(photograph, camera=photograph.camera.relative_to(origin)) for photograph in photographs]
-        self.normals = vertex_normals(self.mesh.vertices, self.mesh.triangles)
-        self.corner_normals = corner_normals(self.mesh, self.normals)
-        self.edges: Edges = find_edges(mesh.triangles, len(mesh.vertices))
+        self.surface, self.mesh = surface, surface.mesh
+        self.texel_areas = (surface.areas / np.maximum(uv_areas, 1e-12)).astype(np.float32)  # per triangle, on the surface
+        self.photographs = [replace(photograph, camera=photograph.camera.relative_to(surface.origin)) for photograph in photographs]
         self.views: list[View] = []
         self.color_corrections = [ColorCorrection(photograph.camera.lens, np.ones(3)) for photograph in photographs]
 
@@ -164,8 +152,7 @@ class _Merger:
     def compare(self) -> None:
         """Estimate the gains of the photographs, and which of their parts show something else than the surface."""
         count = min(POINTS, MAX_OBSERVATIONS // len(self.photographs))
-        points = sample_surface(self.mesh, self.corner_normals, self.areas, count)
-        observed = observe(points, self.photographs, self.views, self.scratch)
+        observed = observe(sample_surface(self.surface, count), self.photographs, self.views, self.scratch)
         self._estimate_colors(observed, None)
         colors = np.empty_like(observed.colors)
         for index, correction in enumerate(self.color_corrections):
@@ -196,20 +183,17 @@ class _Merger:
 
     def align(self) -> Steps[None]:
         """Make the photographs show the surface at the same places."""
-        surface = Surface(self.mesh, self.corner_normals)
-        self.photographs = yield from align(
-            self.photographs, self.views, [each.gain for each in self.color_corrections], surface, self.scratch
-        )
+        gains = [each.gain for each in self.color_corrections]
+        self.photographs = yield from align(self.photographs, self.views, gains, self.surface, self.scratch)
 
     def label(self) -> None:
         """Choose the photograph of each triangle, and compute the colors of vertices."""
         self.labels = np.full(len(self.mesh.triangles), NO_PHOTOGRAPH, np.int32)
-        surface = VertexSurface(self.mesh, self.normals, self.corner_normals, self.edges)
         if self.settings.method == "best":
-            self.labels = choose_labels(rate_faces(surface, self.views, self.scratch), self.edges)
-        self.pairs: VertexLabels = find_vertex_labels(self.mesh.triangles, self.labels, self.areas, len(self.photographs))
+            self.labels = choose_labels(rate_faces(self.surface, self.views, self.scratch), self.surface.edges)
+        self.pairs: VertexLabels = find_vertex_labels(self.mesh.triangles, self.labels, self.surface.areas, len(self.photographs))
         self.vertex_colors = color_vertices(
-            surface,
+            self.surface,
             self.pairs,
             self.photographs,
             self.views,
@@ -222,7 +206,7 @@ class _Merger:
         """Compute the texels, tile by tile."""
         count = len(self.map.triangles)
         with self.clock.stage("faces"):
-            surface = prepare_surface(self.mesh, self.normals, self.corner_normals)
+            surface = prepare_surface(self.surface)
             is_cosine = self.settings.method == "paper"
             self.painter = TexelPainter(surface, self.photographs, self.views, self.color_corrections, self.scratch, is_cosine=is_cosine)
             if self.settings.reduce_highlights:
@@ -271,7 +255,7 @@ class _Merger:
             self._keep_stage("classes", CLASS_COLORS[classes])
             self._keep_stage("photographed", self.colors)
         if self.settings.fill != "none":
-            colors, known = interpolate_colors(self.vertex_colors.colors, self.vertex_colors.bound, self.edges)
+            colors, known = interpolate_colors(self.vertex_colors.colors, self.vertex_colors.bound, self.surface.edges)
             colors[~known] = self.colors[found].mean(axis=0, dtype=np.float64)
             interpolate_holes(self.map, self.colors, found, order_by_corner(colors[self.mesh.triangles]))
             if self.keep_stages:
@@ -284,7 +268,7 @@ class _Merger:
         if method in ("none", "level"):
             return
         known = self.source != NO_PHOTOGRAPH if self.settings.fill == "none" else self.map.triangles >= 0
-        surface = BlendedSurface(self.painter, self.map, self.mesh.triangles, self.edges, self.colors, known)
+        surface = BlendedSurface(self.painter, self.map, self.mesh.triangles, self.surface.edges, self.colors, known)
         if method == "masks":
             masks = np.stack([faces.status == VISIBLE for faces in self.painter.faces])
             shrunken = shrink_masks(masks, self.mesh.triangles, len(self.mesh.vertices))
@@ -298,23 +282,13 @@ class _Merger:
     def _keep_stage(self, name: str, colors: np.ndarray) -> None:
         self.stages[name] = np.clip(colors, 0.0, 1.0).reshape(-1, self.settings.size, 3)
 
-    def _fill_gutter(self, texture: np.ndarray, known: np.ndarray) -> None:
-        """Fill what lies around the `known` texels (N,) of a texture (H, W, 3), page by page."""
-        size = self.settings.size
-        for start in range(0, len(texture), size):
-            rows = slice(start, start + size)
-            dilate_in_place(texture[rows], known.reshape(-1, size)[rows], GUTTER)
-
-    def restore_holes(self) -> Steps[HoleCounts]:
-        """Continue the texture into the holes."""
-        return HoleFiller(self.mesh, self.edges, self.corner_uvs, self.map, self.colors, self.source != NO_PHOTOGRAPH).fill()
-
     def finish(self, holes: HoleCounts | None) -> PhotoTexture:
         """Fill what lies around the islands of the UV map, and return the result."""
         size = self.settings.size
         covered, found = self.map.triangles >= 0, self.source != NO_PHOTOGRAPH
         known = found if self.settings.fill == "none" else covered
-        self._fill_gutter(self.colors.reshape(-1, size, 3), known)
+        for page_colors, page_known in zip(self.colors.reshape(-1, size, size, 3), known.reshape(-1, size, size), strict=True):
+            dilate_in_place(page_colors, page_known, GUTTER)
         return PhotoTexture(
             colors=self.colors.reshape(-1, size, 3),
             confidence=self.confidence.reshape(-1, size),
@@ -326,12 +300,6 @@ class _Merger:
             seconds=self.clock.seconds,
             stages=self.stages,
         )
-
-
-def _move(photograph: Photograph, origin: np.ndarray) -> Photograph:
-    """Return the photograph with a camera in coordinates relative to `origin` (3,)."""
-    camera = photograph.camera
-    return replace(photograph, camera=replace(camera, translation=camera.translation + camera.rotation @ origin))
 
 
 def _explain_blindness(mesh: TriangleMesh, photographs: list[Photograph], is_paper: bool) -> str:

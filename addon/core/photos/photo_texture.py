@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .color_correction import ColorCorrection
-from .hole_filling import HoleCounts
-from .texel_colors import NO_PHOTOGRAPH
+from .photographs.color_correction import ColorCorrection
+from .texels.hole_filling import HoleCounts
+from .texels.painter import NO_PHOTOGRAPH
 
 
 class TexturePage(NamedTuple):
@@ -28,11 +28,16 @@ class TexturePage(NamedTuple):
 class PhotoTexture:
     """The result of `merge`. Images stack the pages, the first at the bottom: H = P * W.
 
-    colors: (H, W, 3) float32, sRGB-encoded, row 0 at the bottom. confidence: (H, W) float32, 0 to 1, the pixels per texel along one axis of
-    the best photograph. source: (H, W) int16, the photograph with the largest weight, -1 for none. holes: (H, W) bool, covered texels that
-    no photograph shows. color_corrections: K. labels: (T,) the photograph of each triangle, -1 for none.
-    hole_counts: if they were restored. stages: pictures by name, if they were requested: `used NAME` for each photograph, and
-    `classes`, `photographed` and `interpolated` (H, W, 3).
+    Attributes:
+        colors: (H, W, 3) float32, sRGB-encoded, row 0 at the bottom.
+        confidence: (H, W) float32, 0 to 1, the pixels per texel along one axis of the best photograph.
+        source: (H, W) int16, the photograph with the largest weight, -1 for none.
+        holes: (H, W) bool, covered texels that no photograph shows.
+        color_corrections: those of the K photographs.
+        labels: (T,) the photograph of each triangle, -1 for none.
+        hole_counts: if they were restored.
+        seconds: by stage.
+        stages: pictures (H, W, 3) by name, if requested: `used NAME` for each photograph, `classes`, `photographed`, `interpolated`.
     """
 
     colors: np.ndarray

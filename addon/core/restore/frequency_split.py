@@ -14,9 +14,9 @@ from ..imaging.colors import LUMINANCE, decode_signed_srgb
 from ..imaging.pyramids import reduce_image
 from ..jobs.chunks import slices
 
-MAX_DEVIATION = 0.001  # of the autocorrelation of luminance 0..1; the paper's limit
+MAX_DEVIATION = 0.001  # standard deviation of the autocorrelation of luminance 0..1; the paper's limit
 MAX_AUTO_KAPPA = 10  # finer patterns are texture; the paper uses 4 to 6
-PATTERN_RATIO = 1.5  # of the deviation that remains at MAX_AUTO_KAPPA
+PATTERN_RATIO = 1.5  # times the deviation that remains at MAX_AUTO_KAPPA is enough, too
 MAX_ANALYSIS_PIXELS = 512  # per side: larger images are halved before the analysis, which only concerns low frequencies
 
 

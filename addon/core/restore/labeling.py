@@ -11,17 +11,15 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from ..imaging.graph_cuts import minimize_binary
-from .levels import Level
+from .levels import SIDES, Level
 
-BOUNDARY_WEIGHT = 2.0  # of differences across the boundary of the hole
+BOUNDARY_WEIGHT = 2.0  # weight of differences across the boundary of the hole
 RESOLUTION = 2000.0  # integer capacity of the deviation of the texture
 BLOCK = 4  # pixels per side
 BLOCK_CYCLES = 2  # over all shifts
 NEAR_SEAM = 3  # pixels
 CONTRAST_SIZE = 5  # pixels
 MIN_CONTRAST = 0.3  # added to contrasts, relative to their mean
-SIDES = np.array([(0, 1), (1, 0), (0, -1), (-1, 0)])
-FORWARD = 2  # of SIDES reach each pair of neighbors once
 
 
 def measure_contrast(level: Level) -> np.ndarray:
@@ -113,9 +111,9 @@ class Labeling:
             other = self._neighbors[members, side]
             is_free = (other >= 0) & (place[other] >= 0)
             at = np.flatnonzero((other >= 0) & ~is_free)
-            beside = self.sources[other[at]]
-            linear += np.bincount(nodes[at], self._seam(targets[at], beside, offset) - self._seam(current[at], beside, offset), count)
-            if side < FORWARD:
+            fixed = self.sources[other[at]]
+            linear += np.bincount(nodes[at], self._seam(targets[at], fixed, offset) - self._seam(current[at], fixed, offset), count)
+            if side < 2:  # The first two sides reach each pair of neighbors once.
                 at = np.flatnonzero(is_free)
                 to = place[other[at]]
                 both_stay = self._seam(current[at], current[to], offset)

@@ -12,16 +12,21 @@ from scipy.ndimage import minimum_filter
 
 from ..imaging.pyramids import reduce_image, reduce_mask
 
-RADIUS = 2  # of the 5 x 5 neighborhoods of the finest level
+RADIUS = 2  # Neighborhoods at the finest level have 5 x 5 pixels.
 SEPARATOR = 2 * RADIUS + 2  # pixels of padding between two pages at the coarsest level
+SIDES = np.array([(0, 1), (1, 0), (0, -1), (-1, 0)])  # rows and columns to the neighbors of a pixel
 
 
 @dataclass(frozen=True)
 class Page:
     """A part of an image.
 
-    texture: (H, W, C) float32. hole, known, usable: (H, W) bool, pixels to fill, pixels that are not missing, and those of them that may be
-    copied. wrap: whether opposite borders are neighbors, along rows and columns.
+    Attributes:
+        texture: (H, W, C) float32.
+        hole: (H, W) bool, pixels to fill.
+        known: (H, W) bool, pixels that are not missing.
+        usable: (H, W) bool, those of them that may be copied.
+        wrap: whether opposite borders are neighbors, along rows and columns.
     """
 
     texture: np.ndarray
@@ -33,12 +38,19 @@ class Page:
 
 @dataclass
 class Level:
-    """One level of the pyramid of all pages.
+    """One level of the pyramid of all P pages.
 
-    shape: (H, W) of the canvas. page_of_row: (H,) int. tops: (P,) first row of each page; sizes: (P, 2) its rows and columns without
-    padding; wraps: (P, 2) bool. texture: (H * W, C) float32, changed by synthesis. hole: (H * W) bool, pixels to fill. filled: (H * W)
-    bool, pixels whose texture is known or synthesized. valid: (H * W) bool, pixels that may be copied and whose 5 x 5 neighborhood may be,
-    too. source: (H * W) int64, the pixel that was copied to a pixel of the hole, -1 for none.
+    Attributes:
+        shape: (H, W) of the canvas.
+        page_of_row: (H,) int.
+        tops: (P,) first row of each page.
+        sizes: (P, 2) rows and columns of each page without padding.
+        wraps: (P, 2) bool, whether opposite borders of the page are neighbors.
+        texture: (H * W, C) float32, changed by synthesis.
+        hole: (H * W,) bool, pixels to fill.
+        filled: (H * W,) bool, pixels whose texture is known or synthesized.
+        valid: (H * W,) bool, pixels that may be copied and whose 5 x 5 neighborhood may be, too.
+        source: (H * W,) int64, the pixel that was copied to a pixel of the hole, -1 for none.
     """
 
     shape: tuple[int, int]

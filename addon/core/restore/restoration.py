@@ -16,7 +16,7 @@ from .texture import fill_texture
 from .windows import Window, choose_areas, find_windows, group_windows
 
 MIN_SIDE = 2 * RADIUS + 1
-ROWS = 256  # of an image that are examined at once
+ROWS = 256  # rows of an image that are examined at once
 MIN_SOURCES = 64  # pixels with a neighborhood that may be copied
 
 
@@ -24,9 +24,13 @@ MIN_SOURCES = 64  # pixels with a neighborhood that may be copied
 class Restoration:
     """The result of `restore`.
 
-    pixels: (H, W, C) float32, equal to the image outside the mask. kappa: number of sub-bands of the structure, -1 if all were.
-    deviations: (K,) standard deviation of the autocorrelation for each kappa from 0 that was examined, empty if none was.
-    hole_count: connected parts of the mask. seconds: by stage. stages: images (H, W, C) by name, if they were requested.
+    Attributes:
+        pixels: (H, W, C) float32, equal to the image outside the mask.
+        kappa: number of sub-bands of the structure, -1 if all were.
+        deviations: (K,) standard deviation of the autocorrelation for each kappa from 0 that was examined, empty if none was.
+        hole_count: connected parts of the mask.
+        seconds: by stage.
+        stages: images (H, W, C) by name, if they were requested.
     """
 
     pixels: np.ndarray

@@ -5,24 +5,34 @@ The cost of a shift is the sum of squared differences between the pixels around 
 more similar to any of its parts than these are to each other.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import binary_dilation, distance_transform_edt
 
-RING = 3  # pixels around the hole that a shift continues
-SECTION_PIXELS = 200  # of the ring; each section has shifts of its own
-SECTION_SHIFTS, RING_SHIFTS = 4, 8  # shifts for one section, and for all of the ring
-MIN_DISTANCE = 2  # pixels between two shifts for the same pixels
-MAX_UNCOVERED = 0.7  # of the part of the hole next to a section may have no source
-CHOICE = 3  # times as many shifts are found as an attempt uses
-MIN_VARIANCE = 0.2  # added to the variance of what is compared, relative to that of the texture
-MIN_COST = 1e-4
-JITTER = 0.3  # relative deviation of costs, so that each attempt uses other shifts
-REACH = 80  # pixels around a section within which its shifts are used
-MAX_SEARCH = 256  # pixels around a section within which shifts are looked for
-GRID = 64  # corners of the searched areas are multiples of it, so that sections share areas
+
+@dataclass(frozen=True)
+class Tuning:
+    """Numbers of the method."""
+
+    ring: int = 3  # pixels around the hole that a shift continues
+    section_pixels: int = 200  # pixels of the ring in one section, which has shifts of its own
+    section_shifts: int = 4  # shifts for one section
+    ring_shifts: int = 8  # shifts for all of the ring
+    min_distance: int = 2  # pixels between two shifts for the same pixels
+    max_uncovered: float = 0.7  # fraction of the part of the hole next to a section that may have no source
+    choice: int = 3  # times as many shifts are found as an attempt uses
+    min_variance: float = 0.2  # added to the variance of what is compared, relative to that of the texture
+    min_cost: float = 1e-4
+    jitter: float = 0.3  # relative deviation of costs, so that each attempt uses other shifts
+    reach: int = 80  # pixels around a section within which its shifts are used
+    max_search: int = 256  # pixels around a section within which shifts are looked for
+    grid: int = 64  # corners of the searched areas are multiples of it, so that sections share areas
+
+
+TUNING = Tuning()
 
 
 class Area(NamedTuple):
@@ -49,8 +59,12 @@ class Shift(NamedTuple):
 class Surroundings(NamedTuple):
     """A window with a hole.
 
-    texture: (H, W, C) float32. hole, filled, valid: (H, W) bool, the pixels to fill, those whose texture is known, and those that may be
-    copied. wrap: whether opposite borders are neighbors, along rows and columns.
+    Attributes:
+        texture: (H, W, C) float32.
+        hole: (H, W) bool, the pixels to fill.
+        filled: (H, W) bool, those whose texture is known.
+        valid: (H, W) bool, those that may be copied.
+        wrap: whether opposite borders are neighbors, along rows and columns.
     """
 
     texture: np.ndarray
@@ -62,7 +76,7 @@ class Surroundings(NamedTuple):
 
 def find_shifts(window: Surroundings, attempts: int, generator: np.random.Generator) -> list[list[Shift]]:
     """Return as many lists of shifts as `attempts`; each may differ, since costs are varied at random."""
-    ring = binary_dilation(window.hole, iterations=RING) & window.filled
+    ring = binary_dilation(window.hole, iterations=TUNING.ring) & window.filled
     if not ring.any():
         return [[] for _ in range(attempts)]
     numbers, count = _divide(ring)
@@ -77,12 +91,12 @@ def find_shifts(window: Surroundings, attempts: int, generator: np.random.Genera
         searched = _search_area(part | near, window.wrap)
         if searched not in areas:
             areas[searched] = _Correlations(window, searched.index)
-        used = Area(0, ring.shape[0], 0, ring.shape[1]) if number < 0 else _grow(part | near, REACH, window.wrap)
+        used = Area(0, ring.shape[0], 0, ring.shape[1]) if number < 0 else _grow(part | near, TUNING.reach, window.wrap)
         costs = areas[searched].costs(part[searched.index], near[searched.index])
-        wanted = RING_SHIFTS if number < 0 else SECTION_SHIFTS
-        steps, lowest = _best_steps(costs, areas[searched], part[searched.index], wanted * CHOICE)
+        wanted = TUNING.ring_shifts if number < 0 else TUNING.section_shifts
+        steps, lowest = _best_steps(costs, areas[searched], part[searched.index], wanted * TUNING.choice)
         for shifts in found:
-            varied = lowest * np.exp(JITTER * generator.standard_normal(len(steps)))
+            varied = lowest * np.exp(TUNING.jitter * generator.standard_normal(len(steps)))
             shifts |= {Shift(steps[index], used): None for index in np.argsort(varied)[:wanted]}
     return [list(shifts) for shifts in found]
 
@@ -92,7 +106,7 @@ class _Correlations:
 
     def __init__(self, window: Surroundings, area: tuple[slice, slice]) -> None:
         filled, valid, hole = (values[area] for values in (window.filled, window.valid, window.hole))
-        rows, columns = np.nonzero(binary_dilation(hole, iterations=RING))
+        rows, columns = np.nonzero(binary_dilation(hole, iterations=TUNING.ring))
         extents = (np.ptp(rows) + 1, np.ptp(columns) + 1)
         self.size = [
             side if wraps else next_fast_len(int(side + extent), real=True)
@@ -117,9 +131,9 @@ class _Correlations:
         differences = energies - 2.0 * irfft2(product, self.size)
         missing = irfft2(spectrum * self._unknown, self.size)
         uncovered = irfft2(np.conj(rfft2(near.astype(np.float32), self.size)) * self._unusable, self.size) / near.sum()
-        relative = np.maximum(differences, 0.0) / np.maximum(energies + MIN_VARIANCE * count * self._variance, 1e-9)
-        costs = (relative + MIN_COST) * (1.0 + uncovered)
-        costs[(uncovered > MAX_UNCOVERED) | (missing > 0.5)] = np.inf
+        relative = np.maximum(differences, 0.0) / np.maximum(energies + TUNING.min_variance * count * self._variance, 1e-9)
+        costs = (relative + TUNING.min_cost) * (1.0 + uncovered)
+        costs[(uncovered > TUNING.max_uncovered) | (missing > 0.5)] = np.inf
         return costs
 
     def _outside(self, inside: np.ndarray) -> np.ndarray:
@@ -131,7 +145,7 @@ class _Correlations:
 def _best_steps(costs: np.ndarray, correlations: _Correlations, part: np.ndarray, count: int) -> tuple[list[tuple[int, int]], np.ndarray]:
     """Return the rows and columns of the `count` shifts with the lowest `costs`, which are overwritten, and these costs (count,)."""
     steps, lowest, positions = [], [], np.nonzero(part)
-    around = np.arange(-MIN_DISTANCE, MIN_DISTANCE + 1)
+    around = np.arange(-TUNING.min_distance, TUNING.min_distance + 1)
     for _ in range(count):
         best = np.unravel_index(int(costs.argmin()), costs.shape)
         if not np.isfinite(costs[best]):
@@ -147,7 +161,7 @@ def _divide(ring: np.ndarray) -> tuple[np.ndarray, int]:
     """Return the number (H, W) of the section of each pixel of the ring, -1 elsewhere, and the number of sections."""
     positions = np.argwhere(ring)
     parts = [np.arange(len(positions))]
-    for _ in range(round(len(positions) / SECTION_PIXELS) - 1):
+    for _ in range(round(len(positions) / TUNING.section_pixels) - 1):
         part = parts.pop(int(np.argmax([len(each) for each in parts])))
         axis = int(np.argmax(np.ptp(positions[part], axis=0)))
         part = part[np.argsort(positions[part, axis], kind="stable")]
@@ -160,9 +174,9 @@ def _divide(ring: np.ndarray) -> tuple[np.ndarray, int]:
 
 def _search_area(used: np.ndarray, wrap: tuple[bool, bool]) -> Area:
     """Return the area around the pixels `used` (H, W) in which shifts are looked for."""
-    top, bottom, left, right = _grow(used, MAX_SEARCH, wrap)
-    height, width = used.shape
-    return Area(top // GRID * GRID, min(height, -(-bottom // GRID) * GRID), left // GRID * GRID, min(width, -(-right // GRID) * GRID))
+    top, bottom, left, right = _grow(used, TUNING.max_search, wrap)
+    (height, width), grid = used.shape, TUNING.grid
+    return Area(top // grid * grid, min(height, -(-bottom // grid) * grid), left // grid * grid, min(width, -(-right // grid) * grid))
 
 
 def _grow(used: np.ndarray, margin: int, wrap: tuple[bool, bool]) -> Area:

@@ -11,15 +11,14 @@ import numpy as np
 from scipy.ndimage import distance_transform_cdt
 
 from ..jobs.progress import Progress, Steps
-from .candidates import compare
-from .kernels import CAUSAL_STEPS, FULL_STEPS, SearchTrees
 from .levels import Level
+from .neighborhoods import CAUSAL_STEPS, FULL_STEPS, SearchTrees, compare
 from .settings import RestoreSettings
 
 MATCHES = 2  # best matches that are compared per pixel
-MIN_KNOWN = 10  # of the 12 pixels of a causal kernel that must be known for the kernel to fit
+MIN_KNOWN = 10  # A causal kernel fits if so many of its 12 pixels are known.
 CLASSES = 3  # per axis: pixels of one batch are this far apart, so that they do not ignore each other
-COHERENCE_FALLOFF = 0.5  # of the preference for coherence, per coarser level
+COHERENCE_FALLOFF = 0.5  # factor of the preference for coherence, per coarser level
 SWEEPS = 2  # per level
 ADJACENT = np.array([step for step in FULL_STEPS if np.abs(step).max() == 1])
 

@@ -6,11 +6,11 @@ import numpy as np
 from scipy.ndimage import binary_dilation, find_objects, label
 
 MIN_MARGIN = 48  # pixels around a hole
-MARGIN_FRACTION = 0.75  # of the longer side of the hole, if that is more
+MARGIN_FRACTION = 0.75  # the same relative to the longer side of the hole, if that is more
 MAX_GAP = 6  # pixels between parts of the mask that are restored together
 MIN_SOURCE_PIXELS = 40_000  # in a window; parts of the rest of the image are added to smaller ones
 MAX_AREAS = 4  # such parts
-MAX_GROUP_PIXELS = 1_000_000  # of windows that are restored together
+MAX_GROUP_PIXELS = 1_000_000  # in windows that are restored together
 
 
 @dataclass(frozen=True)

@@ -17,12 +17,12 @@ from ...core.photos.importers import read_cameras
 from .. import long_work
 from ..error_reports import report_message, reports_errors
 from ..job_run import run_job
-from . import overlays
-from .sources import open_photographs_of, selected_meshes
+from .previews import FARFIELD_OT_photos_draw_overlays, OverlayJob
+from .sources import open_photographs, read_targets, selected_meshes
 
 COLLECTION_NAME = "Photo Cameras"
 IMAGES_FOLDER = "images"  # searched for next to the cameras and in the two folders above
-MODEL_FILES = {"cameras", "images", "points3D", "frames", "rigs"}  # of COLMAP, with these extensions; their folder is read
+MODEL_FILES = {"cameras", "images", "points3D", "frames", "rigs"}  # files of COLMAP with these extensions, whose folder is read
 MODEL_EXTENSIONS = {".txt", ".bin"}
 FILTER = "*.txt;*.bin;*.json;*.sfm;*.out;*.nvm;*.mvs;*.xml;*.pairs"
 
@@ -68,8 +68,6 @@ class FARFIELD_OT_photos_import_cameras(bpy.types.Operator):
         folder = _absolute(self.images) if self.images else find_images(path if path.is_dir() else path.parent)
         is_model = path.stem in MODEL_FILES and path.suffix.lower() in MODEL_EXTENSIONS and path.is_file()
         cameras = read_cameras(path.parent if is_model else path, size_reader(folder))
-        if not cameras:
-            raise FileError(f'"{path}" holds no registered camera; align the photographs and export it again.')
         if self.set_render_size:
             set_render_size(context.scene, cameras[0].lens.size)
         parent, missing = create_cameras(cameras, folder, COLLECTION_NAME, context.scene, is_y_up=self.y_up)
@@ -98,12 +96,13 @@ def _draw_overlays(context: bpy.types.Context, cameras: Sequence[bpy.types.Objec
     if not usable or not selected_meshes(context) or context.mode != "OBJECT":
         return ""
     context.view_layer.update()
-    job = overlays.prepare(context, open_photographs_of(context, usable))
+    _, instances, _ = read_targets(context)
+    job = OverlayJob(instances, open_photographs(context, usable))
     if bpy.app.background or context.window is None:
         return f" {run_to_end(run_job(job))}"
     if long_work.running_job_message():
         return f" Overlays were not drawn: {long_work.running_job_message()}."
-    long_work.start_in_background(job, overlays.FARFIELD_OT_photos_draw_overlays.bl_label)
+    long_work.start_in_background(job, FARFIELD_OT_photos_draw_overlays.bl_label)
     return " Overlays are being drawn; open them in the Image Editor."
 
 

@@ -6,12 +6,11 @@ from dataclasses import dataclass, replace
 import bpy
 import numpy as np
 
-from ...bridge.geometry.meshes import SourceInstance, concatenate_in_world_space, read_instances
+from ...bridge.geometry.meshes import SourceInstance, concatenate_in_world_space
 from ...bridge.objects import find_by_uid
 from ...bridge.photos.material_groups import SUFFIX, MaterialGroups, assign_to_materials, read_material_groups
-from ...bridge.photos.page_images import create_maps, create_textures
 from ...bridge.photos.photo_images import PhotoSource
-from ...bridge.photos.results import assign_texture
+from ...bridge.photos.results import assign_texture, create_maps, create_textures
 from ...bridge.photos.surfaces import check_separate_uvs, read_surface, select_faces, split_layout, to_projection
 from ...core.errors import GeometryError
 from ...core.files.scratch import Scratch
@@ -21,20 +20,18 @@ from ...core.geometry.transforms import signed_areas
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.messages import format_count
 from ...core.photos.merging import merge
-from ...core.photos.overlaps import describe_overlaps, find_overlapping
-from ...core.photos.pages import PageLayout, lay_out_pages
 from ...core.photos.photo_texture import PhotoTexture
 from ...core.photos.settings import PhotosSettings
+from ...core.photos.texels.pages import PageLayout, describe_overlaps, find_overlapping, lay_out_pages
 from ...core.unwrap.packing import pack_charts
 from ...core.unwrap.settings import UnwrapSettings
 from ...core.unwrap.unwrapping import UnwrapResult
 from ..unwrap import job as unwrap_job
-from .sources import divide_targets, open_photographs
+from .sources import open_photographs, read_photographs, read_targets
 
 READING_END, UNWRAPPING_END = 0.15, 0.5  # fractions of the progress bar
-DENSITY_RATIO = 5.0**0.5  # of importance 1 / (<N, V> + 1.5) (Textures Revisited, section 6)
+DENSITY_RATIO = 5.0**0.5  # from the importance 1 / (<N, V> + 1.5) (Textures Revisited, section 6)
 MIN_QUALITY = 0.05
-
 
 CoreResult = tuple[list[UnwrapResult], PageLayout, PhotoTexture]
 
@@ -43,9 +40,15 @@ CoreResult = tuple[list[UnwrapResult], PageLayout, PhotoTexture]
 class MergeJob:
     """Merges photographs into one texture for all targets, or for each of their materials.
 
-    targets: session UIDs and names of the objects. instances: their surfaces. unwrapping: the job that unwraps all of them, None if they
-    have UV maps. groups: the materials of all triangles, if each gets its own texture. has_maps: also create images of confidence, source
-    and holes. skipped: other objects with the reason.
+    Attributes:
+        targets: session UIDs and names of the objects.
+        instances: their surfaces.
+        sources: the photographs.
+        settings: how they are merged.
+        unwrapping: the job that unwraps all targets, None if they have UV maps.
+        groups: the materials of all triangles, if each gets its own texture.
+        has_maps: whether to create images of confidence, source and holes, too.
+        skipped: other objects with the reason.
     """
 
     core_fraction = 0.95
@@ -65,10 +68,8 @@ class MergeJob:
             return (yield from self._merge(scratch))
 
     def _merge(self, scratch: Scratch) -> Steps[CoreResult]:
-        photographs, unwrapped, new_uvs, end = [], [], {}, READING_END
-        for index, source in enumerate(self.sources):
-            yield Progress(READING_END * index / len(self.sources), "Reading photographs")
-            photographs.append(source.read().keep_in(scratch, index))
+        photographs = yield from subprogress(read_photographs(self.sources, scratch), 0.0, READING_END)
+        unwrapped, new_uvs, end = [], {}, READING_END
         if self.unwrapping is not None:
             results = yield from subprogress(self.unwrapping.core_steps(), READING_END, UNWRAPPING_END)
             yield Progress(UNWRAPPING_END, "Packing")
@@ -135,11 +136,8 @@ def prepare(context: bpy.types.Context, settings: PhotosSettings, *, has_maps: b
         SettingsError: there are no cameras, or one cannot be used.
         FileError, ImageError: a photograph cannot be used.
     """
-    objects, skipped = divide_targets(context)
+    objects, instances, skipped = read_targets(context)
     sources = open_photographs(context)
-    instances = read_instances(objects, context.evaluated_depsgraph_get())
-    if not instances:
-        raise GeometryError(f'"{objects[0].name}" has no faces after its modifiers; select another object.')
     missing = [instance for instance in instances if not instance.mesh.uv_map]
     groups = read_material_groups(objects, instances) if settings.materials == "keep" else None
     unwrapping = None

@@ -7,17 +7,17 @@ import numpy as np
 
 from ...bridge.geometry.meshes import SourceInstance, concatenate_in_world_space, read_instances
 from ...bridge.objects import find_by_uid
-from ...bridge.photos.camera_moves import check_movable, has_own_lens, move_camera
+from ...bridge.photos.camera_objects import check_movable, has_own_lens, move_camera
 from ...bridge.photos.photo_images import PhotoSource
 from ...bridge.photos.scene_cameras import find_background, has_photograph
 from ...core.errors import GeometryError, SettingsError
 from ...core.files.scratch import Scratch
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.messages import format_count
-from ...core.photos.refinement import Refinement, refine
+from ...core.photos.registration.refinement import Refinement, refine
 from .. import long_work, start_job
 from .registration import IMAGE_PROPERTY
-from .sources import NO_CAMERAS, find_cameras, open_photographs, selected_meshes
+from .sources import NO_CAMERAS, find_cameras, open_photographs, read_photographs, selected_meshes
 
 READING_END = 0.1  # fraction of the progress bar
 
@@ -26,8 +26,13 @@ READING_END = 0.1  # fraction of the progress bar
 class RefineJob:
     """Refines cameras.
 
-    instances: the surfaces. sources: all photographs. chosen: the indices of those whose cameras are refined, has_free_lens: whether their
-    lenses change, too, and targets: session UIDs and names of their camera objects. scene: the name of the scene.
+    Attributes:
+        instances: the surfaces.
+        sources: all photographs.
+        chosen: the indices of those whose cameras are refined.
+        has_free_lens: for each of these, whether its lens changes, too.
+        targets: session UIDs and names of their camera objects.
+        scene: the name of the scene.
     """
 
     core_fraction = 0.98
@@ -42,10 +47,7 @@ class RefineJob:
     def core_steps(self) -> Steps[list[Refinement]]:
         """Read the photographs and refine. Raises GeometryError if no camera could be refined."""
         with Scratch() as scratch:
-            photographs = []
-            for index, source in enumerate(self.sources):
-                yield Progress(READING_END * index / len(self.sources), "Reading photographs")
-                photographs.append(source.read().keep_in(scratch, index))
+            photographs = yield from subprogress(read_photographs(self.sources, scratch), 0.0, READING_END)
             mesh = concatenate_in_world_space(self.instances)
             steps = refine(mesh, photographs, self.chosen, scratch, has_free_lens=self.has_free_lens)
             found = yield from subprogress(steps, READING_END, 1.0)

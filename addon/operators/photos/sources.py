@@ -2,10 +2,13 @@
 
 import bpy
 
-from ...bridge.geometry.meshes import describe_type
+from ...bridge.geometry.meshes import SourceInstance, describe_type, read_instances
 from ...bridge.photos.photo_images import PhotoSource, open_background
 from ...bridge.photos.scene_cameras import find_background, has_photograph, read_photo_camera
 from ...core.errors import GeometryError, SettingsError
+from ...core.files.scratch import Scratch
+from ...core.jobs.progress import Progress, Steps
+from ...core.photos.photographs.photograph import Photograph
 
 NO_CAMERAS = "Import cameras, or give cameras background images"
 NO_MESH = "Select a mesh object"
@@ -44,16 +47,6 @@ def open_photographs(context: bpy.types.Context, cameras: list[bpy.types.Object]
     cameras = find_cameras(context) if cameras is None else cameras
     if not cameras:
         raise SettingsError(f"There is no camera with a photograph; {NO_CAMERAS.lower()}.")
-    return open_photographs_of(context, cameras)
-
-
-def open_photographs_of(context: bpy.types.Context, cameras: list[bpy.types.Object]) -> list[PhotoSource]:
-    """Return the photographs of `cameras`, which have background images.
-
-    Raises:
-        SettingsError: a camera cannot be used.
-        FileError, ImageError: a photograph cannot be used.
-    """
     depsgraph = context.evaluated_depsgraph_get()
     return [
         open_background(read_photo_camera(item, context.scene, depsgraph), find_background(item.evaluated_get(depsgraph).data))
@@ -61,11 +54,21 @@ def open_photographs_of(context: bpy.types.Context, cameras: list[bpy.types.Obje
     ]
 
 
-def divide_targets(context: bpy.types.Context) -> tuple[list[bpy.types.Object], list[str]]:
-    """Return the selected meshes that can get a texture, and the other selected objects but cameras and Empties, with the reason.
+def read_photographs(sources: list[PhotoSource], scratch: Scratch) -> Steps[list[Photograph]]:
+    """Read photographs, which `scratch` keeps, each in the group of its index. Raises FileError or ImageError."""
+    photographs = []
+    for index, source in enumerate(sources):
+        yield Progress(index / len(sources), "Reading photographs")
+        photographs.append(source.read().keep_in(scratch, index))
+    return photographs
+
+
+def read_targets(context: bpy.types.Context) -> tuple[list[bpy.types.Object], list[SourceInstance], list[str]]:
+    """Return the selected meshes that can get a texture, their surfaces, and the other selected objects but cameras and Empties, with the
+    reason.
 
     Raises:
-        GeometryError: there is no such mesh.
+        GeometryError: there is no such mesh, or it has no faces.
     """
     targets, skipped = [], []
     for item in context.selected_objects:
@@ -78,7 +81,10 @@ def divide_targets(context: bpy.types.Context) -> tuple[list[bpy.types.Object], 
             targets.append(item)
     if not targets:
         raise GeometryError(f"There is nothing to texture: {'; '.join(skipped) or 'no object is selected'}. Select a local mesh object.")
-    return targets, skipped
+    instances = read_instances(targets, context.evaluated_depsgraph_get())
+    if not instances:
+        raise GeometryError(f'"{targets[0].name}" has no faces after its modifiers; select another object.')
+    return targets, instances, skipped
 
 
 def _skip_reason(item: bpy.types.Object) -> str:

@@ -1,27 +1,40 @@
-"""The jobs of the operator: what they have in common, and the job for images and their UDIM tiles."""
+"""The jobs of the operator: what they have in common, the job for images and their UDIM tiles, and the job for image sequences."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import bpy
 import numpy as np
 
+from ...bridge.imaging.images import read_pixels
+from ...bridge.imaging.tiled_images import EXTENSIONS, save_pixels
 from ...bridge.objects import find_by_uid
 from ...bridge.restore import image_users, results
-from ...bridge.restore.image_pixels import PixelFormat, to_display, to_stored
+from ...bridge.restore.image_pixels import PixelFormat, read_format, to_display, to_stored
+from ...bridge.restore.image_sources import load_frame
 from ...core.errors import ImageError
+from ...core.files.atomic_write import atomic_folder
+from ...core.files.filenames import safe_filename
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.restore.restoration import restore
 from ...core.restore.settings import MaskSettings, RestoreSettings
 from .. import image_editors
-from .guides import UNTILED, Guides, find_missing
+from .guides import UNTILED, GuideReader, Guides, find_missing
+
+MIN_DIGITS = 4  # digits of the frame numbers in names of files
 
 
 @dataclass
 class RestoreJob:
     """What restorations of all kinds of images have in common.
 
-    name, uid: of the image. editor: the Image Editor that shows the result, see `image_editors`.
+    Attributes:
+        name, uid: those of the image.
+        settings: how it is restored.
+        masks: where pixels are missing, and where the result goes.
+        is_normal_map: whether it holds normals.
+        editor: the Image Editor that shows the result, see `image_editors`.
     """
 
     name: str
@@ -67,6 +80,11 @@ class RestoreJob:
         result[mask] = to_stored(filled, pixel_format)
         return result, len(filled)
 
+    def check_any_missing(self, missing_count: int) -> None:
+        """Raise ImageError if no pixel of the image is missing."""
+        if missing_count == 0:
+            raise ImageError(f'No pixel of "{self.name}" is marked as missing; paint the mask or change the settings of the mask.')
+
     def finish(self, source: bpy.types.Image, image: bpy.types.Image, missing_count: int) -> str:
         """Connect the new `image` with its `source`, replace and show it; return the message for the user."""
         image[image_users.ORIGINAL_PROPERTY] = source
@@ -104,7 +122,7 @@ class ImageJob(RestoreJob):
                 steps = self.restore_pixels(stored, self.pixel_format, self.guides[number], part)
                 restored[number], count = yield from subprogress(steps, index / len(self.tiles), (index + 1) / len(self.tiles))
                 missing_count += count
-        check_any_missing(self.name, missing_count)
+        self.check_any_missing(missing_count)
         return restored, missing_count
 
     def scene_steps(self, core_result: tuple[dict[int, np.ndarray], int]) -> Steps[str]:
@@ -115,7 +133,48 @@ class ImageJob(RestoreJob):
         return self.finish(source, image, core_result[1])
 
 
-def check_any_missing(name: str, missing_count: int) -> None:
-    """Raise ImageError if no pixel of the image `name` is missing."""
-    if missing_count == 0:
-        raise ImageError(f'No pixel of "{name}" is marked as missing; paint the mask or change the settings of the mask.')
+@dataclass
+class SequenceJob(RestoreJob):
+    """Restores the frames of an image sequence into files, completely or not at all, which a new sequence reads.
+
+    Frames are loaded and saved by Blender, so all of the work is done on the main thread. frames: files by number.
+    """
+
+    core_fraction = 0.0
+
+    frames: dict[int, Path]
+    guides: GuideReader
+    folder: Path
+
+    def core_steps(self) -> Steps[None]:
+        """Do nothing; loading files needs Blender."""
+        yield Progress(0.0, "Reading frames")
+
+    def scene_steps(self, core_result: None) -> Steps[str]:
+        """Restore all frames into the folder, completely or not at all, and load them."""
+        base, missing_count, filenames = safe_filename(self.name + results.SUFFIX), 0, []
+        with atomic_folder(self.folder) as folder:
+            for index, number in enumerate(self.frames):
+                steps = self._restore_frame(number, folder, base)
+                filename, count = yield from subprogress(steps, index / len(self.frames), (index + 1) / len(self.frames))
+                filenames.append(filename)
+                missing_count += count
+            self.check_any_missing(missing_count)
+        source = self.find_source()
+        image = results.load_sequence(source, self.folder / filenames[0])
+        return self.finish(source, image, missing_count)
+
+    def _restore_frame(self, number: int, folder: Path, base: str) -> Steps[tuple[str, int]]:
+        """Restore one frame into a file; return the file's name and the number of missing pixels."""
+        label, path, count = f"Frame {number}", self.frames[number], 0
+        yield Progress(0.0, label)
+        with load_frame(self.find_source(), path) as frame:
+            stored, pixel_format = read_pixels(frame), read_format(frame)
+        guides = self.guides.read(number, stored.shape, label)
+        if guides is not None:
+            steps = self.restore_pixels(stored, pixel_format, guides, label)
+            stored, count = yield from subprogress(steps, 0.0, 0.95)
+        digits = max(MIN_DIGITS, len(str(max(self.frames))))
+        filename = f"{base}_{number:0{digits}}.{EXTENSIONS[pixel_format.is_float]}"
+        save_pixels(stored, folder / filename, is_float=pixel_format.is_float)
+        return filename, count

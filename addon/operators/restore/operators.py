@@ -7,7 +7,7 @@ import numpy as np
 
 from ...bridge.blender import redraw_areas
 from ...bridge.restore import image_users
-from ...bridge.restore.mask_images import WHITE, create_mask, set_brush_color
+from ...bridge.restore.image_users import WHITE, create_mask, set_brush_color
 from ...bridge.restore.outline import outline
 from ...core.restore.settings import MaskSettings, RestoreSettings
 from .. import image_editors, long_work, properties, start_job

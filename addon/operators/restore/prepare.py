@@ -12,8 +12,7 @@ from ...core.files.file_access import check_unicode
 from ...core.restore.settings import MaskSettings, RestoreSettings
 from .. import image_editors
 from .guides import GuideReader
-from .job import ImageJob, RestoreJob
-from .sequence_job import SequenceJob
+from .job import ImageJob, RestoreJob, SequenceJob
 
 
 def edited_image(context: bpy.types.Context) -> bpy.types.Image | None:

@@ -1,46 +1,32 @@
 """Cameras of COLMAP: the files `cameras` and `images` of a sparse model, as text or binary."""
 
-import struct
 from pathlib import Path
 
 import numpy as np
 
 from ...errors import FileError
-from ...files.file_access import check_readable, convert_os_errors
 from ...geometry.lenses import MODELS, Lens, PhotoCamera
-from .binary import BinaryReader
-from .rotations import rotation_of_quaternion
-from .text_files import read_text_lines
+from .reading import BinaryReader, ReadSize, read_file, read_text_lines, rotation_of_quaternion
 
 EXTENSIONS = (".bin", ".txt")
 MODEL_NUMBERS = (  # in binary files
     "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV", "SIMPLE_RADIAL_FISHEYE",
     "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE",
 )  # fmt: skip
-POINT_BYTES = 24  # of one 2D point of an image
+POINT_BYTES = 24  # A 2D point of an image has two coordinates and an ID of 8 bytes each.
 IMAGE_VALUES = 10  # ID, quaternion, translation, camera and name
 CAMERA_VALUES = 4  # ID, model and size, before the parameters
 
 
-def read_folder(folder: Path) -> list[PhotoCamera]:
-    """Read the cameras of all registered images in `folder`, in the order of their names.
-
-    Raises:
-        FileError: a file is missing, damaged, or refers to something that does not exist.
-    """
+def read_folder(folder: Path, _read_size: ReadSize) -> list[PhotoCamera]:
+    """Read the cameras of all registered images in `folder`, in the order of their names. Raises FileError if a file is missing, cannot be
+    read, or refers to something that does not exist."""
     extension = next(each for each in EXTENSIONS if (folder / f"images{each}").is_file())
     cameras_path, images_path = folder / f"cameras{extension}", folder / f"images{extension}"
-    for path in (cameras_path, images_path):
-        check_readable(path)
-    try:
-        if extension == ".bin":
-            lenses, poses = _read_binary_cameras(cameras_path), _read_binary_images(images_path)
-        else:
-            lenses, poses = _read_text_cameras(cameras_path), _read_text_images(images_path)
-    except (ValueError, IndexError, struct.error, OverflowError) as error:
-        raise FileError(f'The cameras in "{folder}" are damaged or truncated; export them again.') from error
-    if not poses:
-        raise FileError(f'There is no registered image in "{images_path}"; align the photographs first.')
+    if extension == ".bin":
+        lenses, poses = _read_binary_cameras(cameras_path), _read_binary_images(images_path)
+    else:
+        lenses, poses = _read_text_cameras(cameras_path), _read_text_images(images_path)
     cameras = []
     for name, lens_id, quaternion, translation in sorted(poses, key=lambda pose: pose[0]):
         if lens_id not in lenses:
@@ -85,7 +71,7 @@ def _read_text_images(path: Path) -> list[tuple[str, int, tuple[float, ...], tup
 
 
 def _read_binary_cameras(path: Path) -> dict[int, Lens]:
-    reader, lenses = _open(path), {}
+    reader, lenses = BinaryReader(read_file(path)), {}
     for _ in range(reader.read_count(24)):
         number, model_number, width, height = reader.read("iiQQ")
         if not 0 <= model_number < len(MODEL_NUMBERS):
@@ -98,15 +84,10 @@ def _read_binary_cameras(path: Path) -> dict[int, Lens]:
 
 def _read_binary_images(path: Path) -> list[tuple[str, int, tuple[float, ...], tuple[float, ...]]]:
     """Return name, camera, quaternion and translation of each image."""
-    reader, poses = _open(path), []
+    reader, poses = BinaryReader(read_file(path)), []
     for _ in range(reader.read_count(64)):
         _, *numbers, lens_id = reader.read("i7di")
         name = reader.read_text()
         reader.skip(POINT_BYTES * reader.read_count(POINT_BYTES))
         poses.append((name, lens_id, tuple(numbers[:4]), tuple(numbers[4:])))
     return poses
-
-
-def _open(path: Path) -> BinaryReader:
-    with convert_os_errors(f'Cannot read "{path}"'):
-        return BinaryReader(path.read_bytes())

@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 
 from ...errors import FileError
-from ...files.file_access import check_readable, convert_os_errors
 from ...geometry.lenses import Lens, PhotoCamera
-from .rotations import is_rotation
+from .reading import ReadSize, check_rotation, read_file
 
-EXTENSION = ".sfm"
 OFFSET_VERSION = (1, 2, 1)  # from here on, principal points are offsets from the center of the image
 LENSES = {  # model of the distortion to that of the lens, and the places of its parameters among the coefficients
     "none": ("PINHOLE", ()),
@@ -21,38 +19,23 @@ LENSES = {  # model of the distortion to that of the lens, and the places of its
     "fisheye4": ("OPENCV_FISHEYE", (0, 1, 2, 3)),
     "fisheye1": ("FOV", (0,)),
 }
-OLD_TYPES = {
-    "pinhole": "none",
-    "radial1": "radialk1",
-    "radial3": "radialk3",
-    "brown": "brown",
-    "fisheye4": "fisheye4",
-    "fisheye1": "fisheye1",
-}
+OLD_TYPES = {"pinhole": "none", "radial1": "radialk1", "radial3": "radialk3"}  # other names are the same in old files
 COEFFICIENT_COUNTS = {"PINHOLE": 0, "FULL_OPENCV": 8, "OPENCV_FISHEYE": 4, "FOV": 1}
 MAX_RATIO_ERROR = 1e-6
 
 
-def read_meshroom(path: Path) -> list[PhotoCamera]:
+def read_meshroom(path: Path, _read_size: ReadSize) -> list[PhotoCamera]:
     """Read the cameras of all views with a pose, in the order of their names.
 
     Raises:
-        FileError: the file cannot be read, has no pose, or has a rig, anamorphic pixels, or a distortion that no lens model here has.
+        FileError: the file cannot be read, or has a rig, anamorphic pixels, or a distortion that no lens model here has.
     """
-    check_readable(path)
-    with convert_os_errors(f'Cannot read "{path}"'):
-        data = path.read_bytes()
-    try:
-        document = json.loads(data)
-        version = tuple(int(part) for part in document.get("version", ("1", "0", "0")))
-        intrinsics = {item["intrinsicId"]: item for item in document.get("intrinsics", [])}
-        poses = {item["poseId"]: item["pose"]["transform"] for item in document.get("poses", [])}
-        views = [view for view in document.get("views", []) if view["poseId"] in poses]
-        cameras = [_build_camera(view, intrinsics[view["intrinsicId"]], poses[view["poseId"]], version, path) for view in views]
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError, RecursionError) as error:
-        raise FileError(f'The cameras in "{path}" are damaged or incomplete; export them again.') from error
-    if not cameras:
-        raise FileError(f'There is no view with a pose in "{path}"; run the node StructureFromMotion first.')
+    document = json.loads(read_file(path))
+    version = tuple(int(part) for part in document.get("version", ("1", "0", "0")))
+    intrinsics = {item["intrinsicId"]: item for item in document.get("intrinsics", [])}
+    poses = {item["poseId"]: item["pose"]["transform"] for item in document.get("poses", [])}
+    views = [view for view in document.get("views", []) if view["poseId"] in poses]
+    cameras = [_build_camera(view, intrinsics[view["intrinsicId"]], poses[view["poseId"]], version, path) for view in views]
     return sorted(cameras, key=lambda camera: camera.name)
 
 
@@ -63,8 +46,7 @@ def _build_camera(
         raise FileError(f'"{path}" has a rig of cameras, which Farfield does not know; export the cameras without rigs.')
     rotation = np.array([float(value) for value in pose["rotation"]]).reshape(3, 3).T
     center = np.array([float(value) for value in pose["center"]]).reshape(3)
-    if not is_rotation(rotation) or not np.isfinite(center).all():
-        raise ValueError("not a rotation")
+    check_rotation(rotation, center)
     return PhotoCamera(str(view["path"]).replace("\\", "/"), _build_lens(intrinsic, version, path), rotation, -rotation @ center)
 
 

@@ -6,39 +6,28 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from ...errors import FileError
-from ...files.file_access import check_readable, convert_os_errors
 from ...geometry.lenses import Lens, PhotoCamera
-from .rotations import is_rotation
+from .reading import ReadSize, check_rotation, read_file
 
-EXTENSION = ".xml"
 FORBIDDEN = (b"<!DOCTYPE", b"<!ENTITY")  # entities may expand without limit
 FRAME_TYPES = {"frame": "FULL_OPENCV", "fisheye": "OPENCV_FISHEYE"}
 
 
-def read_metashape(path: Path) -> list[PhotoCamera]:
+def read_metashape(path: Path, _read_size: ReadSize) -> list[PhotoCamera]:
     """Read the aligned cameras of the first chunk, in its world coordinates.
 
     Raises:
-        FileError: the file cannot be read, has no aligned camera, or has a lens with skew, spherical projection or other coefficients that
-            no lens model here has.
+        FileError: the file cannot be read, or has a lens with skew, spherical projection or other coefficients that no lens model here has.
     """
-    check_readable(path)
-    with convert_os_errors(f'Cannot read "{path}"'):
-        data = path.read_bytes()
-    try:
-        if any(word in data for word in FORBIDDEN):
-            raise ValueError("declares entities")
-        chunk = ET.fromstring(data).find("chunk")
-        if chunk is None:
-            raise ValueError("no chunk")
-        lenses = {sensor.get("id"): _read_lens(sensor, path) for sensor in chunk.iterfind("sensors/sensor")}
-        matrix = _read_chunk_matrix(chunk)
-        cameras = [_build_camera(camera, lenses, matrix) for camera in chunk.iterfind(".//camera") if camera.find("transform") is not None]
-    except (ValueError, KeyError, TypeError, AttributeError, ET.ParseError, OverflowError, RecursionError) as error:
-        raise FileError(f'The cameras in "{path}" are damaged or incomplete; export them again.') from error
-    if not cameras:
-        raise FileError(f'There is no aligned camera in "{path}"; align the photographs first.')
-    return cameras
+    data = read_file(path)
+    if any(word in data for word in FORBIDDEN):
+        raise ValueError("declares entities")
+    chunk = ET.fromstring(data).find("chunk")
+    if chunk is None:
+        raise ValueError("no chunk")
+    lenses = {sensor.get("id"): _read_lens(sensor, path) for sensor in chunk.iterfind("sensors/sensor")}
+    matrix = _read_chunk_matrix(chunk)
+    return [_build_camera(camera, lenses, matrix) for camera in chunk.iterfind(".//camera") if camera.find("transform") is not None]
 
 
 def _read_lens(sensor: ET.Element, path: Path) -> Lens | None:
@@ -79,8 +68,9 @@ def _build_camera(camera: ET.Element, lenses: dict, matrix: tuple[np.ndarray, np
     rotation = (chunk_rotation @ pose[:3, :3]).T
     center = scale * chunk_rotation @ pose[:3, 3] + chunk_translation
     lens = lenses[camera.get("sensor_id")]
-    if lens is None or not is_rotation(rotation) or not np.isfinite(center).all():
-        raise ValueError("no lens or no rotation")
+    if lens is None:
+        raise ValueError("no lens")
+    check_rotation(rotation, center)
     return PhotoCamera(camera.get("label", ""), lens, rotation, -rotation @ center)
 
 

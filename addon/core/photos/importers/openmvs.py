@@ -1,19 +1,14 @@
 """Cameras of OpenMVS: interface files `.mvs` (signature MVSI, versions 1 to 7), whose photographs are undistorted."""
 
-import struct
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ...errors import FileError
-from ...files.file_access import check_readable, convert_os_errors
 from ...geometry.lenses import Lens, PhotoCamera
-from .binary import BinaryReader
-from .rotations import is_rotation
+from .reading import BinaryReader, ReadSize, check_rotation, read_file
 
-EXTENSION = ".mvs"
 SIGNATURE = b"MVSI"
 MAX_VERSION = 7
 NO_ID = 2**32 - 1
@@ -33,29 +28,17 @@ class _Mount:
     position: np.ndarray
 
 
-def read_openmvs(path: Path, read_size: Callable[[str], tuple[int, int]]) -> list[PhotoCamera]:
+def read_openmvs(path: Path, read_size: ReadSize) -> list[PhotoCamera]:
     """Read the cameras of all images with a pose.
 
     read_size: returns width and height of a photograph; called if the file does not contain them.
 
     Raises:
-        FileError: the file cannot be read, is damaged or of another kind, or has no image with a pose.
+        FileError: the file cannot be read, or is of another kind or version.
     """
-    check_readable(path)
-    with convert_os_errors(f'Cannot read "{path}"'):
-        data = path.read_bytes()
-    if data[:4] != SIGNATURE:
+    reader = BinaryReader(read_file(path))
+    if reader.read_bytes(len(SIGNATURE)) != SIGNATURE:
         raise FileError(f'"{path}" is not an interface file of OpenMVS; save the project as one (archive type 2).')
-    try:
-        cameras = _read_document(BinaryReader(data, 4), path, read_size)
-    except (ValueError, IndexError, struct.error, UnicodeDecodeError, OverflowError) as error:
-        raise FileError(f'The cameras in "{path}" are damaged or truncated; export them again.') from error
-    if not cameras:
-        raise FileError(f'There is no image with a pose in "{path}"; align the photographs first.')
-    return cameras
-
-
-def _read_document(reader: BinaryReader, path: Path, read_size: Callable[[str], tuple[int, int]]) -> list[PhotoCamera]:
     version, _ = reader.read("II")
     if version < 1:
         raise ValueError("no version")
@@ -79,8 +62,7 @@ def _read_document(reader: BinaryReader, path: Path, read_size: Callable[[str], 
         mount, (rotation, position) = mounts[camera_id], poses[pose_id]
         to_camera = mount.rotation @ rotation
         center = rotation.T @ mount.position + position
-        if not is_rotation(to_camera) or not np.isfinite(center).all():
-            raise ValueError("not a rotation")
+        check_rotation(to_camera, center)
         name = name.replace("\\", "/")
         cameras.append(PhotoCamera(name, _build_lens(mount, name, read_size), to_camera, -to_camera @ center))
     return cameras
@@ -104,7 +86,7 @@ def _read_pose(reader: BinaryReader) -> tuple[np.ndarray, np.ndarray]:
     return np.array(reader.read("9d")).reshape(3, 3), np.array(reader.read("3d"))
 
 
-def _build_lens(mount: _Mount, name: str, read_size: Callable[[str], tuple[int, int]]) -> Lens:
+def _build_lens(mount: _Mount, name: str, read_size: ReadSize) -> Lens:
     """Return the lens of a photograph. OpenMVS counts positions from the center of the first pixel."""
     size, scale = mount.size, 1.0
     if min(size) == 0:

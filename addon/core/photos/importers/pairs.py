@@ -2,21 +2,19 @@
 upper left corner of a photograph, and the name of the photograph. Lines that begin with # are comments.
 """
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from ...errors import FileError
 from ...geometry.lenses import PhotoCamera
-from ..registration import register
-from .text_files import read_text_lines
+from ..registration.registration import register
+from .reading import ReadSize, read_text_lines
 
-EXTENSION = ".pairs"
 NUMBERS = 5  # x, y, z, column and row
 
 
-def read_pairs(path: Path, read_size: Callable[[str], tuple[int, int]]) -> list[PhotoCamera]:
+def read_pairs(path: Path, read_size: ReadSize) -> list[PhotoCamera]:
     """Register all photographs in a file, in the order in which they appear.
 
     read_size: returns width and height of a photograph.

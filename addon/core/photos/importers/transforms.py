@@ -11,32 +11,21 @@ from typing import Any
 import numpy as np
 
 from ...errors import FileError
-from ...files.file_access import check_readable, convert_os_errors
 from ...geometry.lenses import Lens, PhotoCamera
+from .reading import FLIP, ReadSize, read_file
 
 NAME = "transforms.json"
-FLIP = np.diag([1.0, -1.0, -1.0])  # from camera space of OpenGL to that of computer vision
-MAX_SCALE_ERROR = 1e-3  # of the columns of a rotation
+MAX_SCALE_ERROR = 1e-3  # between products of the columns of a matrix and those of perpendicular vectors, relative
 
 
-def read_transforms(path: Path) -> list[PhotoCamera]:
+def read_transforms(path: Path, _read_size: ReadSize) -> list[PhotoCamera]:
     """Read the cameras of all frames, in the order of the file.
 
     Raises:
-        FileError: the file cannot be read, has no frames, or lacks a size or a focal length.
+        FileError: the file cannot be read, or lacks a size or a focal length.
     """
-    check_readable(path)
-    with convert_os_errors(f'Cannot read "{path}"'):
-        data = path.read_bytes()
-    try:
-        document = json.loads(data)
-        frames = document["frames"]
-        cameras = [_build_camera({**document, **frame}, path) for frame in frames]
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError, RecursionError) as error:
-        raise FileError(f'The cameras in "{path}" are damaged or incomplete; export them again.') from error
-    if not cameras:
-        raise FileError(f'There is no frame in "{path}"; align the photographs first.')
-    return cameras
+    document = json.loads(read_file(path))
+    return [_build_camera({**document, **frame}, path) for frame in document["frames"]]
 
 
 def _build_camera(values: dict[str, Any], path: Path) -> PhotoCamera:

@@ -1,0 +1,1 @@
+"""Cameras from pairs of points, and cameras and photographs that are fitted to the other photographs."""
