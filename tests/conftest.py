@@ -6,11 +6,13 @@ import shutil
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import hypothesis
 import pytest
 
 from lib import blender_window, environment
+from programs import describe_missing
 
 NEEDS_MORE_THAN_CORE = re.compile(r"\b(bpy|empty_scene|environment|extension|gui|scheduler|subprocess)\b")
 
@@ -64,6 +66,12 @@ def scheduler(tmp_path) -> Iterator:
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the option that includes the variants marked `exhaustive`."""
     parser.addoption("--all", action="store_true", dest="exhaustive", help="also run the tests marked exhaustive")
+
+
+def pytest_report_header(config: pytest.Config) -> list[str]:
+    """Say at the top which tests will be skipped because a program is missing, and how to install it."""
+    paths = {Path(config.invocation_params.dir, argument.partition("::")[0]) for argument in config.args}
+    return list(describe_missing(paths))
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
