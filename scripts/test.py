@@ -1,11 +1,13 @@
-"""Run all tests that this machine can run, the fast ones first, and list the skipped tests with the reasons.
+"""Run all tests that this machine can run, and list the skipped tests with the reasons.
 
-    python3 scripts/test.py [--window] [arguments of pytest]
+    python3 scripts/test.py [--all] [--window] [--record] [arguments of pytest]
 
-Tests that open a Blender window (tests/gui) run only with `--window`, or if they are named: `python3 scripts/test.py tests/gui`.
+`--all` adds the exhaustive variants and more random examples. Tests that open a Blender window (tests/gui) run only with `--window`, or if
+they are named: `python3 scripts/test.py tests/gui`. `--record` writes how long the tests took, see lib/durations.py.
 
-Test files run in parallel, one per core but at most four, since each process loads a Blender; `-n 0` runs them one after the other. If
-Blender crashes in one of the processes, the test files that have no result are run once more, in a new process.
+Test files run in parallel, the longest ones first, one per core but at most four, since each process loads a Blender; `-n 0` runs them one
+after the other, the fast ones first. If Blender crashes in one of the processes, the test files that have no result are run once more, in a
+new process.
 
 The first run creates an environment, see lib/environment.py. FARFIELD_BPY=4.5, 5.0 or 5.2 selects the Blender to test with.
 """
@@ -28,11 +30,11 @@ environment.ensure(extra_modules=("pytest", "pytest_timeout", "xdist", "hypothes
 from lib import crash_recorder, window_tests  # which need pytest
 
 # A crash of Blender ends the run: xdist may wait forever for the replacement of a worker.
-PARALLEL_OPTIONS = ("-n", "auto", "--maxprocesses", "4", "--dist", "loadfile", "--no-loadscope-reorder", "--max-worker-restart", "0")
+PARALLEL_OPTIONS = ("-n", "auto", "--maxprocesses", "4", "--dist", "loadfile", "--max-worker-restart", "0")
 
 
 MEMORY_DISK = Path("/dev/shm")  # a file system in memory, on Linux
-MEMORY_DISK_BYTES = 8 * 10**9  # of which must be free: the tests write 2 GB altogether
+MEMORY_DISK_BYTES = 8 * 10**9  # This much of it must be free: the tests write 2 GB altogether.
 
 
 def use_memory_disk() -> None:
@@ -47,7 +49,7 @@ def use_memory_disk() -> None:
 
 @contextmanager
 def use_bytecode_folder() -> Iterator[None]:
-    """Where Python may write no compiled modules beside the modules, keep them in the folder of the environments. Otherwise each of the
+    """Where Python may write no compiled modules next to the modules, keep them in the folder of the environments. Otherwise each of the
     processes, some hundreds, compiles everything again. Nothing is kept of modules in temporary folders."""
     if not sys.dont_write_bytecode or sys.pycache_prefix:
         yield
@@ -76,7 +78,8 @@ def main() -> int:
         use_memory_disk()
     variables = dict(os.environ)  # conftest.py changes them
     print(f"Farfield's tests with bpy {version('bpy')}, Python {platform.python_version()}, NumPy {version('numpy')}", flush=True)
-    code = pytest.main(["-p", "lib.rerun_selection", *PARALLEL_OPTIONS, *window.arguments], plugins=[recorder, window])
+    options = ["-p", "lib.rerun_selection", "-p", "lib.schedule", *PARALLEL_OPTIONS]
+    code = pytest.main([*options, *window.arguments], plugins=[recorder, window])
     if not recorder.crashed or crash_recorder.SELECTION_VARIABLE in variables:
         return code
     tests = recorder.tests_to_repeat()

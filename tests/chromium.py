@@ -3,8 +3,6 @@
 import asyncio
 import base64
 import json
-import os
-import shutil
 import subprocess
 import time
 from collections.abc import Iterator
@@ -15,9 +13,9 @@ from typing import Any
 from tornado.httpclient import AsyncHTTPClient
 from tornado.websocket import WebSocketClientConnection, websocket_connect
 
-VARIABLE = "FARFIELD_CHROMIUM"
-NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome", "chromium-headless-shell", "headless_shell")
-SKIP_REASON = f"needs Chromium: install it, for instance the Debian package chromium, or set {VARIABLE} to its program"
+from programs import CHROMIUM_VARIABLE, find_chromium
+
+SKIP_REASON = f"needs Chromium: install it, for instance the Debian package chromium, or set {CHROMIUM_VARIABLE} to its program"
 FLAGS = (
     *("--headless=new", "--no-sandbox", "--remote-debugging-port=0", "--no-first-run", "--disable-extensions", "--disable-sync"),
     *("--disable-background-networking", "--disable-component-update", "--disable-default-apps", "--no-default-browser-check"),
@@ -26,11 +24,6 @@ FLAGS = (
 )
 START_SECONDS, REPLY_SECONDS, STOP_SECONDS = 60.0, 120.0, 10.0
 MAX_MESSAGE_BYTES = 2**28
-
-
-def find_chromium() -> str | None:
-    """Return the program, None if there is none."""
-    return os.environ.get(VARIABLE) or next(filter(None, map(shutil.which, NAMES)), None)
 
 
 class Page:

@@ -5,12 +5,14 @@ import re
 import shutil
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import hypothesis
 import pytest
 
 from lib import blender_window, environment
+from programs import describe_missing
 
 NEEDS_MORE_THAN_CORE = re.compile(r"\b(bpy|empty_scene|environment|extension|gui|scheduler|subprocess)\b")
 
@@ -26,6 +28,8 @@ environment.import_farfield()
 # Machines are shared: no test fails for being slow.
 hypothesis.settings.register_profile("no_deadline", hypothesis.settings.default, deadline=None)
 hypothesis.settings.load_profile("no_deadline")
+# Without --all, a test takes this fraction of the random examples that it asks for, but MIN_EXAMPLES if it asks for as many.
+EXAMPLES_FRACTION, MIN_EXAMPLES = 0.25, 5
 
 
 @pytest.fixture(scope="session")
@@ -64,18 +68,34 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--all", action="store_true", dest="exhaustive", help="also run the tests marked exhaustive")
 
 
+def pytest_report_header(config: pytest.Config) -> list[str]:
+    """Say at the top which tests will be skipped because a program is missing, and how to install it."""
+    paths = {Path(config.invocation_params.dir, argument.partition("::")[0]) for argument in config.args}
+    return list(describe_missing(paths))
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Run fast tests first, so that failures show early. In parallel runs, files start in this order and are not split, because their tests
-    share fixtures. Files that need nothing outside the core get the marker `core`. Tests marked `exhaustive` need the option --all."""
+    """Run fast tests first, so that failures show early; in parallel runs, `lib.schedule` orders the files. Files that need nothing outside
+    the core get the marker `core`. Tests marked `exhaustive`, and many random examples, need the option --all."""
     if not config.option.exhaustive:
         left_out = [item for item in items if item.get_closest_marker("exhaustive")]
         config.hook.pytest_deselected(items=left_out)
         items[:] = [item for item in items if not item.get_closest_marker("exhaustive")]
+        for test in {item.function for item in items}:
+            take_fewer_examples(test)
     is_core = {path: not NEEDS_MORE_THAN_CORE.search(path.read_text(encoding="utf-8")) for path in {item.path for item in items}}
     for item in items:
         if is_core[item.path]:
             item.add_marker("core")
     items.sort(key=lambda item: 2 if item.get_closest_marker("gui") else 1 if item.get_closest_marker("slow") else 0)
+
+
+def take_fewer_examples(test: Callable) -> None:
+    """Reduce the number of random examples. Hypothesis has no public way to do so once the test is decorated."""
+    if hypothesis.is_hypothesis_test(test):
+        settings = test._hypothesis_internal_use_settings
+        fewer = max(int(EXAMPLES_FRACTION * settings.max_examples), min(settings.max_examples, MIN_EXAMPLES))
+        test._hypothesis_internal_use_settings = hypothesis.settings(settings, max_examples=fewer)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -31,10 +31,12 @@ def record(name):
     with pathlib.Path(__file__).with_name("log").open("a") as log:
         log.write(name + "\\n")
 """
-PASSES = """
-import pathlib
+LONGER = """
+import pathlib, pytest
 
-def test_passes():
+@pytest.mark.parametrize("number", range(5))
+def test_in_a_file_that_runs_first(number):
+    assert number not in FAILING
     with pathlib.Path(__file__).with_name("log").open("a") as log:
         log.write("passes\\n")
 """
@@ -64,11 +66,11 @@ def run(tmp_path):
 
 
 def test_a_file_that_crashed_once_runs_again_in_a_new_process(run):
-    done, log = run(1, test_a=PASSES)
+    done, log = run(1, test_a=LONGER.replace("FAILING", "[]"))
     assert done.returncode == 0, done.stdout + done.stderr
     assert "BLENDER CRASHED in" in done.stdout and "3 tests without a result are run again" in done.stdout
     assert [name for name in log if name != "passes"] == ["before", "before", "crashes", "after"]
-    assert log.count("passes") == 1, "files with a result do not run again"
+    assert log.count("passes") == 5, "files with a result do not run again"
 
 
 def test_two_crashes_fail(run):
@@ -78,9 +80,9 @@ def test_two_crashes_fail(run):
 
 
 def test_a_failure_before_the_crash_is_not_forgotten(run):
-    done, _ = run(1, test_a="def test_fails():\n    assert False\n")
+    done, _ = run(1, test_a=LONGER.replace("FAILING", "[3]"))
     assert done.returncode != 0
-    assert "Before the crash these tests failed" in done.stdout and "test_a.py::test_fails" in done.stdout
+    assert "Before the crash these tests failed" in done.stdout and "test_a.py::test_in_a_file_that_runs_first[3]" in done.stdout
 
 
 def test_without_a_crash_nothing_runs_twice_and_all_runs_in_the_checkout(run):
