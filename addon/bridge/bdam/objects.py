@@ -39,6 +39,7 @@ class SceneTerrain(TerrainRoot):
     """A terrain in the scene."""
 
     tool: ClassVar[str] = "bdam"
+    label: ClassVar[str] = "large terrain"
 
     @property
     def settings(self) -> ViewSettings:
