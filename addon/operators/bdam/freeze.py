@@ -22,7 +22,7 @@ from .. import follow_handlers, properties, start_job
 from ..engine_cache import cache
 from ..view_following import ActiveTerrainOperator
 
-VIEWERS_FRACTION, CUT_FRACTION, MESHES_FRACTION = 0.4, 0.5, 0.8  # of the progress bar, where each part ends
+VIEWERS_FRACTION, CUT_FRACTION, MESHES_FRACTION = 0.4, 0.5, 0.8  # progress at which each part ends
 Key = int | str | None
 
 
@@ -54,9 +54,18 @@ class FreezeJob:
 
 @dataclass
 class FreezePathJob:
-    """Makes objects that are fine enough for the active camera in all of `frames`. Afterwards `object_names` has their names.
+    """Makes objects that are fine enough for the active camera in a range of frames.
 
     It steps through the frames, so nearly all of it needs the scene. The frame, and what follows the camera, is restored.
+
+    Attributes:
+        terrain: the terrain.
+        folder: its store.
+        view_settings: how it is shown.
+        settings: the objects to create.
+        frames: the frames.
+        object_names: afterwards the names of the objects.
+        viewers: the camera in the frames, as far as it was read, in the local frame of the store.
     """
 
     core_fraction = 0.01

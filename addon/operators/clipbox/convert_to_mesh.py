@@ -20,7 +20,15 @@ from ..view_following import ActiveTerrainOperator
 
 @dataclass
 class ConvertJob:
-    """Converts `terrain` to meshes. Afterwards `object_names` has the names of the new objects."""
+    """Converts a terrain to meshes.
+
+    Attributes:
+        terrain: the terrain.
+        engine: computes the terrain again.
+        viewer: (3,) float64, terrain position.
+        settings: settings of the conversion.
+        object_names: afterwards the names of the new objects.
+    """
 
     core_fraction = 0.95
 
