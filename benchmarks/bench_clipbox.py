@@ -28,7 +28,6 @@ import numpy as np
 
 from farfield.addon.core.clipbox.blocks import BlockMesh
 from farfield.addon.core.clipbox.engine import TerrainEngine, weld
-from farfield.addon.core.clipbox.meshing.surface_nets import extract_surface
 from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.clipbox.terrains import spheres
 from farfield.addon.core.clipbox.terrains.generators import build_sampler
@@ -38,6 +37,10 @@ from farfield.addon.operators.clipbox.job import prepare
 from farfield.addon.operators.following import Following
 from farfield.addon.operators.job_run import run_job
 from lib import command_line
+
+sys.path.append(str(environment.ROOT / "tests"))
+
+from surface_extraction import extract_surface
 
 START = np.array([0.0, 0.0, 40.0])
 FRAME_SECONDS = 1.0 / 60.0  # between two timer events of a window

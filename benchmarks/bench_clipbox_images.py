@@ -29,7 +29,6 @@ from farfield.addon.bridge.rendering.render_scene import RenderScene, render_sce
 from farfield.addon.bridge.shading.node_builder import NodeBuilder
 from farfield.addon.compat import enable_nodes
 from farfield.addon.core.clipbox.engine import TerrainEngine, WeldedMesh, weld
-from farfield.addon.core.clipbox.meshing.surface_nets import extract_surface
 from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.clipbox.terrains.generators import build_sampler
 from farfield.addon.core.clipbox.terrains.grids import Grid
@@ -37,6 +36,10 @@ from farfield.addon.core.jobs.progress import run_to_end
 from lib import command_line
 from lib.contact_sheet import draw_contact_sheet, write_png
 from lib.studio import look_at_matrix
+
+sys.path.append(str(environment.ROOT / "tests"))
+
+from surface_extraction import extract_surface
 
 EXTENT = 128.0  # side of the innermost box, scene units
 BOXES = 7

@@ -18,10 +18,10 @@ def camera_at(*position):
 
 
 def create(**settings):
-    before = {terrain.name for terrain in terrain_objects.scene_terrains(bpy.context.scene)}
+    before = {terrain.name for terrain in terrain_objects.SceneTerrain.in_scene(bpy.context.scene)}
     assert bpy.ops.farfield.clipbox_create(**(SMALL | settings)) == {"FINISHED"}
     bpy.context.view_layer.update()
-    [created] = [terrain for terrain in terrain_objects.scene_terrains(bpy.context.scene) if terrain.name not in before]
+    [created] = [terrain for terrain in terrain_objects.SceneTerrain.in_scene(bpy.context.scene) if terrain.name not in before]
     return created
 
 

@@ -23,11 +23,13 @@ Settings = TypeVar("Settings")
 class TerrainRoot:
     """A terrain in the scene. References to objects must not be kept while the user works, so it is identified by the name of its root.
 
-    tool: identifier of the tool, which a subclass sets; it is part of the names of custom properties. library_path: the file that the
-    terrain is linked from, None for a terrain of this file. Both can have terrains of the same name.
+    tool: identifier of the tool, which a subclass sets; it is part of the names of custom properties. label: what messages call its
+    terrains. library_path: the file that the terrain is linked from, None for a terrain of this file. Both can have terrains of the same
+    name.
     """
 
     tool: ClassVar[str] = ""
+    label: ClassVar[str] = "terrain"
 
     name: str
     library_path: str | None = None
@@ -66,11 +68,9 @@ class TerrainRoot:
 
         origin: (3,) float64, terrain position at the root. settings: a dataclass of values that JSON can store.
         """
-        collection = bpy.data.collections.new(name)
-        scene.collection.children.link(collection)
         root = bpy.data.objects.new(name, None)
         root.empty_display_size = display_size
-        collection.objects.link(root)
+        link_collection(scene, name).objects.link(root)
         root[cls.origin_key()] = origin.tolist()
         root[cls.settings_key()] = json.dumps(asdict(settings))
         return cls(root.name)
@@ -179,6 +179,24 @@ class TerrainRoot:
             item.select_set(False, view_layer=view_layer)
         self.root.select_set(True, view_layer=view_layer)
         view_layer.objects.active = self.root
+
+
+def link_collection(scene: bpy.types.Scene, name: str) -> bpy.types.Collection:
+    """Return a new collection of a scene."""
+    collection = bpy.data.collections.new(name)
+    scene.collection.children.link(collection)
+    return collection
+
+
+def copy_material(material: bpy.types.Material | None, root: bpy.types.Object) -> bpy.types.Material | None:
+    """Return a copy of the material of a terrain for objects that have the frame of its root themselves."""
+    if material is None:
+        return None
+    copy = material.copy()
+    for node in copy.node_tree.nodes if copy.node_tree is not None else ():
+        if node.type == "TEX_COORD" and node.object == root:
+            node.object = None
+    return copy
 
 
 def remove_terrain(terrain: TerrainRoot, children: list[bpy.types.Object]) -> None:

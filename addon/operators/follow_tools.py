@@ -53,12 +53,18 @@ class Change(Protocol):
 
 
 class FollowTool(Protocol):
-    """A tool whose terrains follow. identifier: as in `TerrainRoot.tool`."""
+    """A tool whose terrains follow. terrain_type: its terrains."""
 
-    identifier: str
+    terrain_type: type[TerrainRoot]
+
+    @property
+    def identifier(self) -> str:
+        """The identifier of the tool."""
+        return self.terrain_type.tool
 
     def scene_terrains(self, scene: bpy.types.Scene) -> Iterable[TerrainRoot]:
         """Return all terrains of a scene, linked ones included."""
+        return self.terrain_type.in_scene(scene)
 
     def create_engine(self, terrain: TerrainRoot) -> Engine:
         """Create an engine for a terrain.
@@ -71,11 +77,13 @@ class FollowTool(Protocol):
         """Return whether an engine has the current settings of its terrain."""
 
     def to_terrain(self, terrain: TerrainRoot, viewer: Viewer) -> Any:
-        """Return a viewer in world space as engines take it, such as `terrain.to_terrain_space(viewer)`."""
+        """Return a viewer in world space as engines take it, by default a viewer in terrain space."""
+        return terrain.to_terrain_space(viewer)
 
     def is_shown_at(self, terrain: TerrainRoot, viewer: Any) -> bool:
         """Return whether the scene, which undo or another file may have changed, already shows what a move to `viewer` would show. False if
         that is known to an engine only."""
+        return False
 
     def start_change(self, terrain: TerrainRoot, engine: Engine) -> Change:
         """Return the change of a new move."""

@@ -94,10 +94,33 @@ class ViewFollowing:
 current = ViewFollowing()
 
 
-class FollowViewOperator:
+class ActiveTerrainOperator:
+    """Base of operators of the active terrain of a tool.
+
+    terrain_type: terrains of the tool. changes_terrain: whether terrains that are linked or overridden are refused.
+    """
+
+    terrain_type: type[TerrainRoot]
+    changes_terrain = True
+
+    @classmethod
+    def active_terrain(cls, context: bpy.types.Context) -> TerrainRoot | None:
+        """Return the tool's terrain that the active object belongs to."""
+        return cls.terrain_type.of_object(context.active_object)
+
+    @classmethod
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
+        """Return why the operator cannot run now, or an empty string."""
+        reason, terrain = following.disabled_reason(context), cls.active_terrain(context)
+        if reason or terrain is None:
+            return reason or f"Select a {cls.terrain_type.label}"
+        return terrain.read_only_reason if cls.changes_terrain else ""
+
+
+class FollowViewOperator(ActiveTerrainOperator):
     """Base of the operator *Follow View* of a tool: starts and stops `current`, or recenters the terrain once without a window.
 
-    A tool adds `bpy.types.Operator`, the identifier, the label and the two class methods below.
+    A tool adds `bpy.types.Operator`, the identifier, the label and the type of its terrains.
     """
 
     bl_options = {"REGISTER"}
@@ -108,16 +131,6 @@ class FollowViewOperator:
         min=1.0,
         max=100.0,
     )
-
-    @classmethod
-    def active_terrain(cls, context: bpy.types.Context) -> TerrainRoot | None:
-        """Return the tool's terrain that the active object belongs to."""
-        raise NotImplementedError
-
-    @classmethod
-    def disabled_reason(cls, context: bpy.types.Context) -> str:
-        """Return why the active terrain cannot follow now, or an empty string."""
-        raise NotImplementedError
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

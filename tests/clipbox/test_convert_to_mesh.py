@@ -38,7 +38,7 @@ def test_the_ground_is_watertight_and_encloses_a_volume(variant):
     vertices, triangles = read_geometry(ground)
     assert len(open_edges(triangles)) == 0 and (directed_edge_counts(triangles) == 1).all()
     assert enclosed_volume(vertices, triangles) > 1e4 and np.abs(vertices).max() <= 64.0 + 12.0
-    assert not ground.data.validate() and ground.modifiers.keys() == [] and not terrain_objects.scene_terrains(bpy.context.scene)
+    assert not ground.data.validate() and ground.modifiers.keys() == [] and not terrain_objects.SceneTerrain.in_scene(bpy.context.scene)
 
 
 def test_a_plane_encloses_the_volume_below_it():

@@ -93,7 +93,7 @@ def test_too_little_memory_beyond_the_reader_is_a_sentence(tmp_path, monkeypatch
         raise MemoryError
 
     np.save(tmp_path / "map.npy", np.eye(4))
-    monkeypatch.setattr(generators, "GENERATORS", (generators.Generator("heights", generators.CHOICES["heights"], fail),))
+    monkeypatch.setitem(generators.BUILDERS, "heights", fail)
     with pytest.raises(FileError, match=r'map\.npy" needs more memory than is available; reduce its size'):
         build_sampler(ClipboxSettings(terrain="heights", source=str(tmp_path / "map.npy")))
 

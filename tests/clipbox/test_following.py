@@ -152,7 +152,7 @@ def test_terrains_that_swap_names_keep_their_engines():
     first.root.name = "Other"
     second.root.name, bpy.data.objects["Other"].name = names
     bpy.context.view_layer.update()
-    for terrain in terrain_objects.scene_terrains(bpy.context.scene):
+    for terrain in terrain_objects.SceneTerrain.in_scene(bpy.context.scene):
         following.recenter(terrain, terrain.viewer + mathutils.Vector((9.0, 0.0, 0.0)))
         move_camera(*terrain.viewer)
         assert geometry_bytes(terrain) == geometry_bytes(create())

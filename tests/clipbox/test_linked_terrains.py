@@ -63,7 +63,7 @@ def record(kind):
         for item in list(collection.all_objects):
             item.make_local()
         assert all(item.data.library is not None for item in collection.all_objects if item.type == "MESH")
-    linked = terrain_objects.scene_terrains(scene)[0]
+    linked = terrain_objects.SceneTerrain.in_scene(scene)[0]
     results["reason"], before = linked.read_only_reason, geometry()
     fly(5)
     operators = bpy.ops.farfield
@@ -75,11 +75,11 @@ def record(kind):
     run(results, linked, "create", operators.clipbox_create, boxes=2, resolution=32)
     fly(25)
     results["unchanged"] = geometry() == before
-    results["own terrains"] = sum(not terrain.read_only_reason for terrain in terrain_objects.scene_terrains(scene))
+    results["own terrains"] = sum(not terrain.read_only_reason for terrain in terrain_objects.SceneTerrain.in_scene(scene))
     results["converted"] = len(bpy.data.collections["Terrain Mesh"].objects) if "Terrain Mesh" in bpy.data.collections else 0
     bpy.ops.object.select_all(action="SELECT")
     bpy.ops.object.make_local(type="ALL")
-    results["reasons when local"] = [terrain.read_only_reason for terrain in terrain_objects.scene_terrains(scene)]
+    results["reasons when local"] = [terrain.read_only_reason for terrain in terrain_objects.SceneTerrain.in_scene(scene)]
     fly(35)
     print(f"RESULTS {kind}: {json.dumps(results)}", file=sys.stderr, flush=True)
 

@@ -180,7 +180,7 @@ class TestMoves:
         engine, _ = build({}, (0.0, 0.0, 9.0))
         update = run_to_end(engine.move(np.array([0.2, 0.1, 9.3])))
         assert not update.meshes and not update.removed and not update.is_complete
-        assert engine.is_centered_on(np.array([0.4, 0.0, 9.9])) and not engine.is_centered_on(np.array([1.4, 0.0, 9.0]))
+        assert engine.is_settled_at(np.array([0.4, 0.0, 9.9])) and not engine.is_settled_at(np.array([1.4, 0.0, 9.0]))
 
     def test_a_move_can_be_repeated_after_cancelling(self):
         engine, first = build({}, (0.0, 0.0, 9.0))

@@ -78,7 +78,7 @@ def test_unset_properties_come_from_the_panel():
     panel = bpy.context.scene.farfield_clipbox
     panel.terrain, panel.resolution, panel.boxes, panel.seed = "islands", 32, 2, 9
     assert bpy.ops.farfield.clipbox_create() == {"FINISHED"}
-    [terrain] = terrain_objects.scene_terrains(bpy.context.scene)
+    [terrain] = terrain_objects.SceneTerrain.in_scene(bpy.context.scene)
     assert (terrain.settings.terrain, terrain.settings.boxes, terrain.settings.seed) == ("islands", 2, 9)
 
 
@@ -92,7 +92,7 @@ def test_update_rebuilds_the_terrain_and_keeps_its_material():
     bpy.context.view_layer.objects.active = terrain.root
     assert bpy.ops.farfield.clipbox_update(**(SMALL | {"seed": 5})) == {"FINISHED"}
     after = geometry_bytes(terrain)
-    assert before != after and terrain.settings.seed == 5 and len(terrain_objects.scene_terrains(bpy.context.scene)) == 1
+    assert before != after and terrain.settings.seed == 5 and len(terrain_objects.SceneTerrain.in_scene(bpy.context.scene)) == 1
     assert all(block.data.materials[0] == material for block in terrain.blocks().values())
 
 
@@ -319,7 +319,7 @@ class TestErrors:
         camera_at(0.0, 0.0, 2.0)
         with pytest.raises(RuntimeError, match="no surface"):
             bpy.ops.farfield.clipbox_create(**(SMALL | {"terrain": "formula", "formula": "-1"}))
-        assert not terrain_objects.scene_terrains(bpy.context.scene) and not bpy.data.meshes
+        assert not terrain_objects.SceneTerrain.in_scene(bpy.context.scene) and not bpy.data.meshes
 
     def test_an_invalid_formula_is_an_error(self):
         with pytest.raises(RuntimeError, match="not allowed"):

@@ -77,7 +77,7 @@ def test_an_obj_far_from_the_origin_is_relative_to_a_near_position(folder):
 def test_a_blend_can_contain_regular_meshes_instead(folder):
     run("--convert-to-mesh", "--per-box", "--collider-fraction", "20%", "--at", "10,0,20", "--out", folder / "meshes.blend")
     bpy.ops.wm.open_mainfile(filepath=str(folder / "meshes.blend"))
-    assert not terrain_objects.scene_terrains(bpy.context.scene)
+    assert not terrain_objects.SceneTerrain.in_scene(bpy.context.scene)
     parts = {item.name: len(item.data.polygons) for item in bpy.data.collections["Terrain Mesh"].objects}
     assert set(parts) == {"Box 1", "Box 2", "Box 3", "Collider"}
     total = sum(count for name, count in parts.items() if name != "Collider")
@@ -88,7 +88,7 @@ def test_a_blend_contains_a_terrain_that_can_follow(folder):
     out = folder / "ground.blend"
     run("--terrain", "cascades", "--seed", "4", "--at", "10,0,20", "--out", out)
     bpy.ops.wm.open_mainfile(filepath=str(out))
-    [terrain] = terrain_objects.scene_terrains(bpy.context.scene)
+    [terrain] = terrain_objects.SceneTerrain.in_scene(bpy.context.scene)
     assert terrain.settings == ClipboxSettings(terrain="cascades", seed=4, boxes=3, resolution=32, threshold=1)
     assert terrain.viewer.tolist() == [10.0, 0.0, 20.0] and terrain.origin.tolist() == [0.0, 0.0, 0.0]
     blocks = terrain.blocks().values()
@@ -104,7 +104,7 @@ def test_the_end_of_a_path_equals_a_build_from_scratch(folder):
     report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     assert report["moves"] == 21 and report["reused_fraction"] > 0.9
     run("--at", "0,0,20", "--path", path, "--out", folder / "path.blend")
-    [terrain] = terrain_objects.scene_terrains(bpy.context.scene)
+    [terrain] = terrain_objects.SceneTerrain.in_scene(bpy.context.scene)
     assert terrain.viewer.tolist() == [20.0, 10.0, 20.0]
     assert sum(len(block.data.polygons) for block in terrain.blocks().values()) == report["triangles"]
 
@@ -154,7 +154,7 @@ def test_sources_stay_where_they_are_for_the_saved_scene(folder, monkeypatch):
     monkeypatch.chdir(folder)
     run("--terrain", "heights", "--source", "dem.npy", "--at", "0,0,9", "--out", "ground.blend")
     bpy.ops.wm.open_mainfile(filepath=str(folder / "ground.blend"))
-    [terrain] = terrain_objects.scene_terrains(bpy.context.scene)
+    [terrain] = terrain_objects.SceneTerrain.in_scene(bpy.context.scene)
     assert terrain.settings.source == str(folder / "dem.npy")
 
 

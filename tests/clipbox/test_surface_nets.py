@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from farfield.addon.core.clipbox.meshing.case_table import HIGH, LOW, OCTANTS, case_table, edge_octants
-from farfield.addon.core.clipbox.meshing.surface_nets import extract_surface, repair_voxels
+from farfield.addon.core.clipbox.meshing.surface_nets import repair_voxels
 from farfield.addon.core.clipbox.meshing.triangulation import vertex_neighbors
+from surface_extraction import extract_surface
 from watertight import directed_edge_counts, open_edges
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.clipbox.terrains import noise
 from farfield.addon.core.clipbox.terrains.formulas import Formula
-from farfield.addon.core.clipbox.terrains.generators import GENERATORS, Sampler, build_sampler
+from farfield.addon.core.clipbox.terrains.generators import BUILDERS, Sampler, build_sampler
 from farfield.addon.core.clipbox.terrains.grids import Grid
 from farfield.addon.core.clipbox.terrains.hashing import hash_lattice, uniform_random
 from farfield.addon.core.clipbox.terrains.spheres import (
@@ -23,7 +23,7 @@ from farfield.addon.core.clipbox.terrains.spheres import (
 )
 from farfield.addon.core.errors import GeometryError, SettingsError
 
-PROCEDURAL = [generator.name for generator in GENERATORS if generator.name not in ("heights", "volume", "forest")]
+PROCEDURAL = [name for name in BUILDERS if name not in ("heights", "volume", "forest")]
 FIELD = SphereField(max_radius=12.0, class_count=3, spheres_per_cell=3, subtracted_fraction=0.4, max_height=20.0, seed=5)
 
 

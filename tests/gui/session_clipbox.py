@@ -16,7 +16,7 @@ BUTTON, FOLLOW = "farfield.clipbox_create", "farfield.clipbox_follow_view"
 
 def terrain_names() -> list[str]:
     """Return the names of the terrains of the scene."""
-    return [terrain.name for terrain in module("addon.bridge.clipbox.objects").scene_terrains(bpy.context.scene)]
+    return [terrain.name for terrain in module("addon.bridge.clipbox.objects").SceneTerrain.in_scene(bpy.context.scene)]
 
 
 def session() -> Iterator[float]:

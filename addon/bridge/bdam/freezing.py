@@ -9,12 +9,12 @@ import numpy as np
 from ...core.bdam.view.freezing import FrozenMesh
 from ..geometry.mesh_arrays import read_attribute, read_loop_vertices, read_positions, read_uvs
 from ..geometry.mesh_pool import fill_mesh
-from ..terrain_roots import soften_terminator
+from ..terrain_roots import copy_material, link_collection, soften_terminator
 from .materials import LEVEL_ATTRIBUTE
 from .objects import SceneTerrain
 
 FROZEN_NAME = "Frozen Terrain"
-PROPERTY_PREFIX = "farfield_"  # of the custom properties of Farfield
+PROPERTY_PREFIX = "farfield_"  # start of the names of Farfield's custom properties
 
 
 def read_tiles(terrain: SceneTerrain) -> list[FrozenMesh]:
@@ -51,8 +51,7 @@ def add_frozen_meshes(
 
     find_material: returns the material of the terrain for a key in `FrozenMesh.materials`; the objects have copies.
     """
-    collection = bpy.data.collections.new(FROZEN_NAME)
-    scene.collection.children.link(collection)
+    collection = link_collection(scene, FROZEN_NAME)
     copies: dict[int | str | None, bpy.types.Material | None] = {}
     names = []
     for source in meshes:
@@ -73,12 +72,7 @@ def add_frozen_meshes(
 
 def _copy_material(material: bpy.types.Material | None, root: bpy.types.Object) -> bpy.types.Material | None:
     """Return a copy of a material that belongs to no terrain. Heights are those of the objects, whose origins are at height 0."""
-    if material is None:
-        return None
-    copy = material.copy()
-    for key in [key for key in copy.keys() if key.startswith(PROPERTY_PREFIX)]:  # noqa: SIM118 not a dictionary
+    copy = copy_material(material, root)
+    for key in [key for key in copy.keys() if key.startswith(PROPERTY_PREFIX)] if copy is not None else ():  # noqa: SIM118 no dictionary
         del copy[key]
-    for node in copy.node_tree.nodes if copy.node_tree is not None else ():
-        if node.type == "TEX_COORD" and node.object == root:
-            node.object = None
     return copy

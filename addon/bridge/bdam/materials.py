@@ -1,4 +1,7 @@
-"""Materials of large terrain: images of the ground, colors by slope, height or level of detail. All are shader nodes of Blender."""
+"""Materials of large terrain: images of the ground, colors by slope, height or level of detail. All are shader nodes of Blender.
+
+The material of a texture tile has one or two packed images, as coded in the store, and is kept for a while after its last use.
+"""
 
 import bpy
 
@@ -8,7 +11,7 @@ from ..shading.node_builder import NodeBuilder
 from ..shading.node_groups import ensure_shared_group
 
 GROUND_GROUP, GROUND_VERSION = "Farfield Terrain Ground", 1
-LEVEL_ATTRIBUTE = "terrain_level"  # of faces: the level of the patch
+LEVEL_ATTRIBUTE = "terrain_level"  # attribute of faces: the level of the patch
 MATERIAL_KEY = "farfield_bdam_material"  # custom property of the material of a terrain: its shading
 ROUGHNESS = 0.95
 LEVEL_COLOR_STEP = 0.381966  # between two levels; multiples of the golden ratio are far from each other
@@ -16,7 +19,7 @@ ROCK, GRASS, SNOW = (0.17, 0.14, 0.115), (0.075, 0.11, 0.03), (0.8, 0.83, 0.88)
 MAX_GRASS_NORMAL, MIN_ROCK_NORMAL = 0.85, 0.7  # z of the normal, between which grass becomes rock
 MIN_SNOW_NORMAL = 0.6  # steeper ground has no snow
 SNOW_HEIGHTS = 0.6, 0.72  # fractions of the height range, between which snow begins
-MAP_COLORS = (  # of a map by height: fraction of the height range and scene-linear color
+MAP_COLORS = (  # colors by height: fraction of the height range and scene-linear color
     (0.0, (0.03, 0.13, 0.04)), (0.15, (0.13, 0.28, 0.07)), (0.35, (0.6, 0.55, 0.22)), (0.55, (0.42, 0.21, 0.07)),
     (0.75, (0.24, 0.13, 0.08)), (0.9, (0.55, 0.52, 0.5)), (1.0, (0.9, 0.9, 0.92)),
 )  # fmt: skip

@@ -25,9 +25,9 @@ from ..terrain_roots import TerrainRoot, remove_terrain
 from .materials import LEVEL_ATTRIBUTE, MATERIAL_KEY, TextureMaterials, create_material, mark_used, remove_unused
 
 STORE_KEY = "farfield_bdam_store"  # custom property of the root: the folder of the store
-FIGURES_KEY, WARNINGS_KEY = "farfield_bdam_figures", "farfield_bdam_warnings"  # of the root: of the last change, as JSON text
-TILE_KEY = "farfield_bdam_tile"  # of the objects of tiles
-MATERIAL_NAMES = "farfield_bdam_material_"  # of the root, followed by a shading: the name of the material
+FIGURES_KEY, WARNINGS_KEY = "farfield_bdam_figures", "farfield_bdam_warnings"  # custom properties of the root: the last change as JSON text
+TILE_KEY = "farfield_bdam_tile"  # custom property of the objects of tiles
+MATERIAL_NAMES = "farfield_bdam_material_"  # custom properties of the root, followed by a shading: the name of the material
 TERRAIN_NAME = "Large Terrain"
 POOL = "bdam"
 BLEND_PREFIX = "//"
@@ -39,6 +39,7 @@ class SceneTerrain(TerrainRoot):
     """A terrain in the scene."""
 
     tool: ClassVar[str] = "bdam"
+    label: ClassVar[str] = "large terrain"
 
     @property
     def settings(self) -> ViewSettings:

@@ -15,12 +15,6 @@ from ..shading.node_groups import ensure_shared_group
 GROUP_NAME = "Farfield Ground"
 GROUP_VERSION = 1
 GRAIN_IMAGE = "Farfield Grain"
-GRAIN_RESOLUTION = 256  # pixels per side
-GRAIN_MIN_FREQUENCY = 3.0  # per image; lower frequencies have the amplitude of this one
-GRAIN_FALLOFF = 0.9  # exponent of the spectrum
-GRAIN_DEVIATION = 0.22  # standard deviation of the gray values
-GRAIN_TILE_SIZE = 0.12  # side of one repetition, relative to the size of the terrain
-GRAIN_BLEND = 0.35  # between the three projections
 SNOW_LINE = 0.3  # default height of snow above the upper height, relative to the size of the terrain
 MIN_SIZE = 1e-3  # scene units, for a flat terrain
 INPUTS = (
@@ -48,6 +42,30 @@ DEFAULTS = {
 FOREST_DEFAULTS = {  # in forests steep ground is foliage
     "Rock": (0.045, 0.075, 0.018, 1.0), "Snow": (0.06, 0.09, 0.025, 1.0), "Sand": (0.12, 0.105, 0.05, 1.0)
 }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Grain:
+    """The image of grains.
+
+    Attributes:
+        resolution: pixels per side.
+        min_frequency: waves per image; lower frequencies have the amplitude of this one.
+        falloff: exponent of the spectrum.
+        deviation: standard deviation of the gray values.
+        tile_size: side of one repetition, relative to the size of the terrain.
+        blend: width of the blend between the three projections.
+    """
+
+    resolution: int = 256
+    min_frequency: float = 3.0
+    falloff: float = 0.9
+    deviation: float = 0.22
+    tile_size: float = 0.12
+    blend: float = 0.35
+
+
+GRAIN = Grain()
 
 
 @dataclass(frozen=True)
@@ -79,12 +97,12 @@ def create_terrain_material(
     tree.nodes.clear()
     builder = NodeBuilder(tree)
     position = builder.node("ShaderNodeTexCoord", {"object": root}).outputs["Object"]
-    grain_position = builder.vector("SCALE", position, 1.0 / (GRAIN_TILE_SIZE * size))
+    grain_position = builder.vector("SCALE", position, 1.0 / (GRAIN.tile_size * size))
     grain_position.node.label = "Grain Scale"
     grain = builder.node(
         "ShaderNodeTexImage",
         {
-            "image": _ensure_grain_image(), "projection": "BOX", "projection_blend": GRAIN_BLEND, "extension": "REPEAT", "label": "Grain"
+            "image": _ensure_grain_image(), "projection": "BOX", "projection_blend": GRAIN.blend, "extension": "REPEAT", "label": "Grain"
         },
     )  # fmt: skip
     builder.connect(grain_position, grain.inputs["Vector"])
@@ -164,12 +182,12 @@ def _ramp(builder: NodeBuilder, value: SocketOrValue, center: SocketOrValue, hal
 def _ensure_grain_image() -> bpy.types.Image:
     """Return a tileable gray image of grains of all sizes, which all terrains of the file share."""
     for image in bpy.data.images:
-        if image.name.startswith(GRAIN_IMAGE) and image.library is None and image.size[0] == GRAIN_RESOLUTION:
+        if image.name.startswith(GRAIN_IMAGE) and image.library is None and image.size[0] == GRAIN.resolution:
             return image
-    spectrum = np.fft.rfft2(np.random.default_rng(1).normal(size=(GRAIN_RESOLUTION, GRAIN_RESOLUTION)))
-    frequency = np.hypot(np.fft.fftfreq(GRAIN_RESOLUTION)[:, None], np.fft.rfftfreq(GRAIN_RESOLUTION)) * GRAIN_RESOLUTION
-    gray = np.fft.irfft2(spectrum / np.maximum(frequency, GRAIN_MIN_FREQUENCY) ** GRAIN_FALLOFF)
-    gray = np.clip(0.5 + GRAIN_DEVIATION * (gray - gray.mean()) / gray.std(), 0.0, 1.0)
-    pixels = np.ones((GRAIN_RESOLUTION, GRAIN_RESOLUTION, 4), np.float32)
+    spectrum = np.fft.rfft2(np.random.default_rng(1).normal(size=(GRAIN.resolution, GRAIN.resolution)))
+    frequency = np.hypot(np.fft.fftfreq(GRAIN.resolution)[:, None], np.fft.rfftfreq(GRAIN.resolution)) * GRAIN.resolution
+    gray = np.fft.irfft2(spectrum / np.maximum(frequency, GRAIN.min_frequency) ** GRAIN.falloff)
+    gray = np.clip(0.5 + GRAIN.deviation * (gray - gray.mean()) / gray.std(), 0.0, 1.0)
+    pixels = np.ones((GRAIN.resolution, GRAIN.resolution, 4), np.float32)
     pixels[..., :3] = gray[..., None]
     return create_image(GRAIN_IMAGE, pixels, is_data=True)

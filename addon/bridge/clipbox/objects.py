@@ -16,7 +16,7 @@ from ...core.clipbox.to_mesh import ConvertedMesh
 from ...core.jobs.progress import Progress, Steps
 from ..geometry.mesh_arrays import write_uvs
 from ..geometry.mesh_pool import PendingMeshes, claim, fill_mesh, mark_spare
-from ..terrain_roots import TerrainRoot, remove_terrain
+from ..terrain_roots import TerrainRoot, copy_material, link_collection, remove_terrain
 
 # custom properties of the root and of blocks
 SETTINGS_KEY, ORIGIN_KEY, VIEWER_KEY = "farfield_clipbox_settings", "farfield_clipbox_origin", "farfield_clipbox_viewer"
@@ -30,6 +30,7 @@ class SceneTerrain(TerrainRoot):
     """A terrain in the scene."""
 
     tool: ClassVar[str] = "clipbox"
+    label: ClassVar[str] = "clip-box terrain"
 
     @property
     def settings(self) -> ClipboxSettings:
@@ -60,16 +61,6 @@ class SceneTerrain(TerrainRoot):
             if block.data.materials:
                 return block.data.materials[0]
         return None
-
-
-def scene_terrains(scene: bpy.types.Scene) -> list[SceneTerrain]:
-    """Return all terrains of a scene, linked ones included."""
-    return SceneTerrain.in_scene(scene)
-
-
-def terrain_of_object(item: bpy.types.Object | None) -> SceneTerrain | None:
-    """Return the terrain that an object is the root or a block of."""
-    return SceneTerrain.of_object(item)
 
 
 def create_root(scene: bpy.types.Scene, settings: ClipboxSettings, viewer: np.ndarray, origin: np.ndarray) -> SceneTerrain:
@@ -139,12 +130,7 @@ def show_meshes(terrain: SceneTerrain, mesh_names: dict[BlockKey, str], update: 
 def add_converted_meshes(scene: bpy.types.Scene, terrain: SceneTerrain, parts: list[ConvertedMesh]) -> tuple[str, ...]:
     """Create objects of converted meshes at the terrain's position, in a new collection. Returns their names."""
     origin = terrain.origin
-    collection = bpy.data.collections.new(CONVERTED_NAME)
-    scene.collection.children.link(collection)
-    material = terrain.material.copy() if terrain.material is not None else None
-    for node in material.node_tree.nodes if material is not None and material.node_tree is not None else ():
-        if node.type == "TEX_COORD" and node.object == terrain.root:
-            node.object = None  # the new objects have the frame of the root themselves
+    collection, material = link_collection(scene, CONVERTED_NAME), copy_material(terrain.material, terrain.root)
     names = []
     for part in parts:
         mesh, source = bpy.data.meshes.new(part.name), part.mesh

@@ -1,1 +1,27 @@
-"""Height-field terrain of any size: BDAM, batched dynamic adaptive meshes (Cignoni et al., Eurographics 2003)."""
+"""Height-field terrain of any size: BDAM, batched dynamic adaptive meshes (Cignoni et al., Eurographics 2003).
+
+`open_field` opens elevation models, `build_terrain` builds the store of a field, and `TerrainStore` opens it; `height_at` returns heights
+of the ground, and `extract_mesh` the mesh that a viewer needs.
+"""
+
+from .building.terrain_build import BuildReport, build_terrain
+from .fields.terrain_field import FieldSettings, TerrainField, open_field
+from .ground.heights import height_at
+from .settings import BdamSettings
+from .store.terrain_store import TerrainStore
+from .view.cut_files import ExtractedMesh, extract_mesh
+from .view.projected_errors import CutSettings
+
+__all__ = [
+    "BdamSettings",
+    "BuildReport",
+    "CutSettings",
+    "ExtractedMesh",
+    "FieldSettings",
+    "TerrainField",
+    "TerrainStore",
+    "build_terrain",
+    "extract_mesh",
+    "height_at",
+    "open_field",
+]

@@ -24,9 +24,12 @@ BlockIndex = tuple[int, int, int]  # position of a block among the blocks of its
 class BlockMesh:
     """The surface of a block.
 
-    corners (V, 3) int64 and cycles (V,) int8: lattice corner of level 0 that a vertex belongs to, and its cycle there. The same pair is the
-    same vertex in every block. vertices (V, 3) float64, scene units. normals (V, 3) float32, outward unit vectors. triangles (T, 3) int32,
-    counter-clockwise as seen from outside.
+    Attributes:
+        corners: (V, 3) int64, lattice corner of level 0 that a vertex belongs to.
+        cycles: (V,) int8, cycle at this corner. The same corner and cycle are the same vertex in every block.
+        vertices: (V, 3) float64, scene units.
+        normals: (V, 3) float32, outward unit vectors.
+        triangles: (T, 3) int32, counter-clockwise as seen from outside.
     """
 
     corners: np.ndarray
@@ -40,8 +43,13 @@ class BlockMesh:
 class _Corners:
     """Lattice corners that have vertices.
 
-    positions (K, 3) int64 in units (K,) int64 of voxels of level 0. on_boundary (K,): whether a corner is on the boundary of two levels.
-    values (8, K): densities of the octants. centers (8, 3, B): centers of the octants of boundary corners, in units. cases (K,).
+    Attributes:
+        positions: (K, 3) int64, in units.
+        units: (K,) int64, voxels of level 0.
+        on_boundary: (K,) bool, whether a corner is on the boundary of two levels.
+        values: (8, K), densities of the octants.
+        centers: (8, 3, B) float32, centers of the octants of boundary corners, in units.
+        cases: (K,) int64, see `case_table`.
     """
 
     positions: np.ndarray
@@ -132,7 +140,12 @@ def extract_blocks(boxes: NestedBoxes, level: int, blocks: list[BlockIndex], sid
 class _WindowStack:
     """The windows of blocks, stacked along x.
 
-    lows (B, 3) int64: first voxel of each window. margin: voxels that windows extend beyond their blocks. values and solid (B * N, N, N).
+    Attributes:
+        blocks: the blocks.
+        lows: (B, 3) int64, first voxel of each window.
+        margin: voxels that windows extend beyond their blocks.
+        values: (B * N, N, N), densities.
+        solid: (B * N, N, N) bool.
     """
 
     blocks: list[BlockIndex]

@@ -18,7 +18,7 @@ from .terrains.generators import build_sampler
 
 BLOCK_SIZE = 32  # voxels per side; smaller blocks cost more overhead than work
 MAX_BATCH_BLOCKS = 32  # blocks that are processed at once
-VOXELS_FRACTION = 0.5  # of the progress bar
+VOXELS_FRACTION = 0.5  # progress at which all voxels are computed
 MAX_COORDINATE = 2.0**46  # voxels from the origin; beyond it double precision does not resolve voxels well
 NO_SURFACE = "The boxes contain no surface. Move closer to the ground, or increase Boxes or Voxel Size."
 OUT_OF_MEMORY = "The boxes need more memory than is available; reduce Resolution or Boxes."
@@ -30,9 +30,12 @@ BlockKey = tuple[int, BlockIndex]  # level and index
 class Update:
     """The changes of a move.
 
-    viewer: (3,) float64 scene units, around whom the boxes lie. meshes: surfaces of new and changed blocks; blocks without a surface are
-    left out. removed: blocks whose surface is to be removed. is_complete: whether `meshes` holds all blocks of the terrain. changed_count:
-    number of blocks that were polygonized.
+    Attributes:
+        viewer: (3,) float64, scene units, around whom the boxes lie.
+        meshes: surfaces of new and changed blocks; blocks without a surface are left out.
+        removed: blocks whose surface is to be removed.
+        is_complete: whether `meshes` holds all blocks of the terrain.
+        changed_count: number of blocks that were polygonized.
     """
 
     viewer: np.ndarray
@@ -45,8 +48,13 @@ class Update:
 class TerrainEngine:
     """Nested boxes that follow a viewer. Only one thread at a time may use it.
 
-    finished_blocks: blocks that the current move has finished, which may be shown early; every move starts with an empty queue. clock:
-    seconds of all moves by stage. moves: number of moves. initial_voxels: voxels computed by the first move.
+    Attributes:
+        settings: how the terrain is made.
+        clock: seconds of all moves by stage.
+        boxes: the voxels.
+        finished_blocks: blocks that the current move has finished, which may be shown early; every move starts with an empty queue.
+        moves: number of moves.
+        initial_voxels: voxels computed by the first move.
     """
 
     def __init__(self, settings: ClipboxSettings, readers: Readers = READERS, closed: bool = False) -> None:
@@ -85,13 +93,9 @@ class TerrainEngine:
         with self.clock.stage("surface"):
             return (yield from subprogress(self._polygonize(viewer), VOXELS_FRACTION, 1.0))
 
-    def is_centered_on(self, viewer: np.ndarray) -> bool:
+    def is_settled_at(self, viewer: np.ndarray) -> bool:
         """Return whether a move to `viewer` (3,) would change nothing."""
         return bool(self._signatures) and self.boxes.is_centered_on(viewer)
-
-    def is_settled_at(self, viewer: np.ndarray) -> bool:
-        """Return the same as `is_centered_on`, under the name that all engines of terrains share."""
-        return self.is_centered_on(viewer)
 
     @staticmethod
     def has_same_layout(settings: ClipboxSettings, viewer: np.ndarray, other: np.ndarray) -> bool:

@@ -5,13 +5,24 @@ from functools import partial
 
 from ..errors import SettingsError
 from ..settings import Choice, Settings, Unit, setting
-from .terrains.generators import CHOICES
 
 TERRAIN = "Terrain"
 in_terrain, in_boxes, in_detail = (partial(setting, group=group) for group in (TERRAIN, "Boxes", "Detail"))
 for_spheres, for_forest, for_heights = (partial(in_terrain, used_if={"terrain": (kind,)}) for kind in ("spheres", "forest", "heights"))
 for_files = partial(in_terrain, used_if={"terrain": ("heights", "volume", "forest")})
 MIN_RESOLUTION_PER_THRESHOLD = 8  # voxels; with a larger threshold a box could leave the next coarser one
+TERRAINS = {
+    "cascades": Choice("Cascades", "Ridged mountains with overhangs, arches and caves"),
+    "islands": Choice("Islands", "Layers of floating rocks"),
+    "spheres": Choice("Spheres", "Spheres of several sizes, added and subtracted"),
+    "formula": Choice("Formula", "A density function typed as a formula"),
+    "xor": Choice("XOR", "Steps whose height is the exclusive or of x and y"),
+    "sawtooth": Choice("Sawtooth", "Sawtooth waves along every axis"),
+    "sine": Choice("Sine", "Crossing sine waves with overhangs"),
+    "volume": Choice("Volume", "A voxel model from a file"),
+    "forest": Choice("Forest", "Copies of a voxel model from a file, scattered over hills"),
+    "heights": Choice("Heights", "A height map from a file: an image, a GeoTIFF or an array"),
+}
 SURFACES = {
     "smooth": Choice("Smooth", "Surface nets: vertices lie where the density is 0"),
     "blocky": Choice("Blocky", "Cuberille: the faces of the voxels, which Smoothing rounds off"),
@@ -20,9 +31,9 @@ SURFACES = {
 
 @dataclass(frozen=True, kw_only=True)
 class ClipboxSettings(Settings):
-    """Settings of a terrain in nested boxes. Implements `TerrainSource`."""
+    """Settings of a terrain in nested boxes."""
 
-    terrain: str = in_terrain("cascades", "Shape of the terrain", choices=CHOICES)
+    terrain: str = in_terrain("cascades", "Shape of the terrain", choices=TERRAINS)
     formula: str = in_terrain(
         "30*sin(x/40)*sin(y/40) - z",
         "Density as a function of x, y and z in scene units; positive values are solid",

@@ -19,7 +19,7 @@ from .. import long_work, properties, start_job
 from ..error_reports import reports_errors
 from ..properties import BLEND_PREFIX, absolute_path
 
-MAX_KEPT_BYTES = 64 << 20  # of images of heights that stay in memory
+MAX_KEPT_BYTES = 64 << 20  # bytes of images of heights that stay in memory
 KINDS = [
     ("SOURCES", "Elevation Models", "Files with heights: GeoTIFF, .hgt, .asc, .npy or images"),
     ("IMAGES", "Images", "Images of the ground: GeoTIFF, JPEG, PNG or WebP"),
@@ -111,7 +111,15 @@ class FARFIELD_OT_bdam_remove_file(bpy.types.Operator):
 
 @dataclass
 class BuildJob:
-    """Builds a terrain. It does not change the scene."""
+    """Builds a terrain. It does not change the scene.
+
+    Attributes:
+        field: the elevation models.
+        sources, images: their files, and those of images of the ground.
+        store: the folder to write.
+        settings: settings of the build.
+        scratch: images of heights that Blender has decoded.
+    """
 
     core_fraction = 0.999
 

@@ -20,10 +20,9 @@ from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.messages import format_count
 from .. import follow_handlers, properties, start_job
 from ..engine_cache import cache
-from ..following import disabled_reason
-from . import operators
+from ..view_following import ActiveTerrainOperator
 
-VIEWERS_FRACTION, CUT_FRACTION, MESHES_FRACTION = 0.4, 0.5, 0.8  # of the progress bar, where each part ends
+VIEWERS_FRACTION, CUT_FRACTION, MESHES_FRACTION = 0.4, 0.5, 0.8  # progress at which each part ends
 Key = int | str | None
 
 
@@ -55,9 +54,18 @@ class FreezeJob:
 
 @dataclass
 class FreezePathJob:
-    """Makes objects that are fine enough for the active camera in all of `frames`. Afterwards `object_names` has their names.
+    """Makes objects that are fine enough for the active camera in a range of frames.
 
     It steps through the frames, so nearly all of it needs the scene. The frame, and what follows the camera, is restored.
+
+    Attributes:
+        terrain: the terrain.
+        folder: its store.
+        view_settings: how it is shown.
+        settings: the objects to create.
+        frames: the frames.
+        object_names: afterwards the names of the objects.
+        viewers: the camera in the frames, as far as it was read, in the local frame of the store.
     """
 
     core_fraction = 0.01
@@ -155,16 +163,11 @@ def create_objects(
     return names, f'Froze "{name}" to {format_count(len(names), "object")} with {triangles:,} triangles.'
 
 
-class FreezeOperator(start_job.StartJob):
+class FreezeOperator(ActiveTerrainOperator, start_job.StartJob):
     """What *Freeze* and *Freeze Camera Path* have in common."""
 
+    terrain_type, changes_terrain = SceneTerrain, False
     panel_property = "farfield_bdam_freeze"
-
-    @classmethod
-    def disabled_reason(cls, context: bpy.types.Context) -> str:
-        """Return why no terrain can be frozen now, or an empty string."""
-        is_terrain = SceneTerrain.of_object(context.active_object) is not None
-        return disabled_reason(context) or ("" if is_terrain else operators.disabled_reason_of_active(context))
 
 
 class FARFIELD_OT_bdam_freeze(FreezeOperator, bpy.types.Operator):
@@ -178,7 +181,7 @@ class FARFIELD_OT_bdam_freeze(FreezeOperator, bpy.types.Operator):
 
     def prepare(self, context: bpy.types.Context) -> FreezeJob:
         """Read the tiles of the active terrain."""
-        terrain, settings = SceneTerrain.of_object(context.active_object), self.read_settings(context)[FreezeSettings]
+        terrain, settings = self.active_terrain(context), self.read_settings(context)[FreezeSettings]
         check_removal(terrain, settings)
         meshes = freezing_bridge.read_tiles(terrain)
         if not meshes:
@@ -202,7 +205,7 @@ class FARFIELD_OT_bdam_freeze_path(FreezeOperator, bpy.types.Operator):
 
     def prepare(self, context: bpy.types.Context) -> FreezePathJob:
         """Read the settings and the frames."""
-        terrain, settings = SceneTerrain.of_object(context.active_object), self.read_settings(context)
+        terrain, settings = self.active_terrain(context), self.read_settings(context)
         check_removal(terrain, settings[FreezeSettings])
         _ = terrain.origin  # raises SettingsError before the frame changes
         frames = choose_frames(context.scene, settings[FreezePathSettings])

@@ -27,8 +27,15 @@ LOCKED = "kept in place by constraints or animation"
 class DropJob:
     """Puts objects, or their points, on a terrain.
 
-    names: of the objects. starts: (N + 1,) int, where the points of each object begin in `points` (P, 3) float64, terrain space; objects
-    have one point each. skipped: the number of objects by reason.
+    Attributes:
+        surface: the ground.
+        space: the space of the terrain.
+        settings: how objects are placed.
+        names: names of the objects.
+        starts: (N + 1,) int64, where the points of each object begin in `points`; objects have one point each.
+        points: (P, 3) float64, terrain space.
+        skipped: number of objects by reason.
+        store: the store that is closed at the end, None without.
     """
 
     core_fraction = 0.8

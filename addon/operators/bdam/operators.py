@@ -11,13 +11,13 @@ from ...bridge.bdam.objects import SceneTerrain, TerrainChange
 from ...core.bdam.settings import ViewSettings
 from ...core.bdam.view.engine import BdamEngine
 from ...core.errors import FileError
-from ...core.geometry.viewers import Viewer
 from .. import follow_handlers, properties, start_job
 from ..engine_cache import cache
 from ..error_reports import report_message, reports_errors
+from ..follow_tools import FollowTool
 from ..following import disabled_reason
 from ..long_work import poll_with_reason
-from ..view_following import FollowViewOperator, context_viewport, view_of_area
+from ..view_following import ActiveTerrainOperator, FollowViewOperator, context_viewport, view_of_area
 from .job import ShowJob, prepare_update
 
 MIN_CLIP_END = 4.0  # relative to the size of the terrain
@@ -54,10 +54,7 @@ class FARFIELD_OT_bdam_load(start_job.StartJob, bpy.types.Operator):
         ),
     }
 
-    @classmethod
-    def disabled_reason(cls, context: bpy.types.Context) -> str:
-        """Return why no terrain can be loaded now, or an empty string."""
-        return disabled_reason(context)
+    disabled_reason = staticmethod(disabled_reason)
 
     @reports_errors
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -81,23 +78,19 @@ class FARFIELD_OT_bdam_load(start_job.StartJob, bpy.types.Operator):
         return ShowJob(engine, view_of_area(context.scene, area), path)
 
 
-class FARFIELD_OT_bdam_update(start_job.StartJob, bpy.types.Operator):
+class FARFIELD_OT_bdam_update(ActiveTerrainOperator, start_job.StartJob, bpy.types.Operator):
     """Show the active terrain as this view needs it, with the current settings"""
 
     bl_idname = "farfield.bdam_update"
     bl_label = "Update Large Terrain"
     bl_options = {"REGISTER", "UNDO"}
+    terrain_type = SceneTerrain
     settings_types, panel_property = (ViewSettings,), "farfield_bdam_view"
     __annotations__ = start_job.setting_properties(*settings_types)
 
-    @classmethod
-    def disabled_reason(cls, context: bpy.types.Context) -> str:
-        """Return why no terrain can be updated now, or an empty string."""
-        return disabled_reason(context) or disabled_reason_of_active(context)
-
     def prepare(self, context: bpy.types.Context) -> ShowJob:
         """Read the settings, the view and the active terrain."""
-        terrain = SceneTerrain.of_object(context.active_object)
+        terrain = self.active_terrain(context)
         settings = self.read_settings(context)[ViewSettings]
         return prepare_update(terrain, settings, view_of_area(context.scene, context_viewport(context)))
 
@@ -107,34 +100,26 @@ class FARFIELD_OT_bdam_follow_view(FollowViewOperator, bpy.types.Operator):
 
     bl_idname = "farfield.bdam_follow_view"
     bl_label = "Follow View with Large Terrain"
-
-    @classmethod
-    def active_terrain(cls, context: bpy.types.Context) -> SceneTerrain | None:
-        """Return the terrain that the active object belongs to."""
-        return SceneTerrain.of_object(context.active_object)
-
-    @classmethod
-    def disabled_reason(cls, context: bpy.types.Context) -> str:
-        """Return why the active terrain cannot follow now, or an empty string."""
-        return disabled_reason(context) or disabled_reason_of_active(context)
+    terrain_type = SceneTerrain
 
 
-class FARFIELD_OT_bdam_remove(bpy.types.Operator):
+class FARFIELD_OT_bdam_remove(ActiveTerrainOperator, bpy.types.Operator):
     """Remove the active terrain from the scene. Its store stays as it is"""
 
     bl_idname = "farfield.bdam_remove"
     bl_label = "Remove Large Terrain"
     bl_options = {"REGISTER", "UNDO"}
+    terrain_type = SceneTerrain
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Return whether a terrain that can be removed is active."""
-        return poll_with_reason(cls, disabled_reason(context) or disabled_reason_of_active(context))
+        return poll_with_reason(cls, cls.disabled_reason(context))
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Remove the terrain with its meshes, materials and images."""
-        terrain = SceneTerrain.of_object(context.active_object)
+        terrain = self.active_terrain(context)
         name = terrain.name
         terrain_objects.remove(terrain)
         cache.evict_missing()
@@ -142,12 +127,47 @@ class FARFIELD_OT_bdam_remove(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def disabled_reason_of_active(context: bpy.types.Context) -> str:
-    """Return why the active object is not a terrain that can be changed, or an empty string."""
-    terrain = SceneTerrain.of_object(context.active_object)
-    return "Select a large terrain" if terrain is None else terrain.read_only_reason
+def frame_terrain(space: bpy.types.SpaceView3D, low: np.ndarray, high: np.ndarray, exaggeration: float) -> None:
+    """Let a 3D Viewport show a terrain between two corners (3,) of its bounding box, and extend its clipping range.
+
+    In Solid shading it no longer outlines objects, which would draw lines between tiles. A view through the camera stays as it is.
+    """
+    space.shading.show_object_outline = False
+    scale = np.array([1.0, 1.0, exaggeration])
+    center, size = 0.5 * (low + high) * scale, float(np.linalg.norm((high - low) * scale))
+    space.clip_end = max(space.clip_end, MIN_CLIP_END * size)
+    space.clip_start = max(space.clip_start, MIN_CLIP_START * space.clip_end)
+    region = space.region_3d
+    if region.view_perspective == "CAMERA":
+        return
+    region.view_location, region.view_distance = center.tolist(), VIEW_DISTANCE * float((high - low)[:2].max())
+    region.view_rotation = ROTATION.to_quaternion()
+    region.update()
 
 
+class BdamFollowTool(FollowTool):
+    """The tool `bdam` among those whose terrains follow. Its engines take viewers in the local frame of the store."""
+
+    terrain_type = SceneTerrain
+
+    def create_engine(self, terrain: SceneTerrain) -> BdamEngine:
+        """Create an engine for a terrain.
+
+        Raises:
+            SettingsError, FileError: the settings or the store cannot be read.
+        """
+        return BdamEngine(terrain.folder, terrain.settings)
+
+    def is_engine_of(self, engine: BdamEngine, terrain: SceneTerrain) -> bool:
+        """Return whether an engine has the current settings and the current store of its terrain."""
+        return engine.settings == terrain.settings and engine.folder == terrain.folder
+
+    def start_change(self, terrain: SceneTerrain, engine: BdamEngine) -> TerrainChange:
+        """Return the change of a new move."""
+        return TerrainChange(terrain, engine)
+
+
+TOOL = BdamFollowTool()
 CLASSES = (
     FARFIELD_PG_bdam_view,
     FARFIELD_OT_bdam_load,
@@ -188,58 +208,3 @@ def unregister() -> None:
     follow_handlers.unregister_tool(TOOL)
     del bpy.types.Object.farfield_bdam_store_path
     unregister_settings()
-
-
-class BdamFollowTool:
-    """The tool `bdam` among those whose terrains follow; see `FollowTool`."""
-
-    identifier = SceneTerrain.tool
-
-    def scene_terrains(self, scene: bpy.types.Scene) -> list[SceneTerrain]:
-        """Return all terrains of a scene, linked ones included."""
-        return SceneTerrain.in_scene(scene)
-
-    def create_engine(self, terrain: SceneTerrain) -> BdamEngine:
-        """Create an engine for a terrain.
-
-        Raises:
-            SettingsError, FileError: the settings or the store cannot be read.
-        """
-        return BdamEngine(terrain.folder, terrain.settings)
-
-    def is_engine_of(self, engine: BdamEngine, terrain: SceneTerrain) -> bool:
-        """Return whether an engine has the current settings and the current store of its terrain."""
-        return engine.settings == terrain.settings and engine.folder == terrain.folder
-
-    def to_terrain(self, terrain: SceneTerrain, viewer: Viewer) -> Viewer:
-        """Return a viewer in world space as a viewer in the local frame of the store."""
-        return terrain.to_terrain_space(viewer)
-
-    def is_shown_at(self, terrain: SceneTerrain, viewer: Viewer) -> bool:
-        """Return False: only the engine knows."""
-        return False
-
-    def start_change(self, terrain: SceneTerrain, engine: BdamEngine) -> TerrainChange:
-        """Return the change of a new move."""
-        return TerrainChange(terrain, engine)
-
-
-TOOL = BdamFollowTool()
-
-
-def frame_terrain(space: bpy.types.SpaceView3D, low: np.ndarray, high: np.ndarray, exaggeration: float) -> None:
-    """Let a 3D Viewport show a terrain between two corners (3,) of its bounding box, and extend its clipping range.
-
-    In Solid shading it no longer outlines objects, which would draw lines between tiles. A view through the camera stays as it is.
-    """
-    space.shading.show_object_outline = False
-    scale = np.array([1.0, 1.0, exaggeration])
-    center, size = 0.5 * (low + high) * scale, float(np.linalg.norm((high - low) * scale))
-    space.clip_end = max(space.clip_end, MIN_CLIP_END * size)
-    space.clip_start = max(space.clip_start, MIN_CLIP_START * space.clip_end)
-    region = space.region_3d
-    if region.view_perspective == "CAMERA":
-        return
-    region.view_location, region.view_distance = center.tolist(), VIEW_DISTANCE * float((high - low)[:2].max())
-    region.view_rotation = ROTATION.to_quaternion()
-    region.update()

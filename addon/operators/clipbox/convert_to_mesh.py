@@ -7,7 +7,7 @@ import numpy as np
 
 from ...bridge.clipbox import objects as terrain_objects
 from ...bridge.clipbox import sources
-from ...bridge.clipbox.objects import SceneTerrain, terrain_of_object
+from ...bridge.clipbox.objects import SceneTerrain
 from ...core.clipbox.engine import TerrainEngine
 from ...core.clipbox.settings import ConvertSettings
 from ...core.clipbox.to_mesh import ConvertedMesh, convert_to_meshes
@@ -15,12 +15,20 @@ from ...core.errors import GeometryError, SettingsError
 from ...core.jobs.progress import Progress, Steps
 from .. import properties, start_job
 from ..engine_cache import cache
-from . import operators
+from ..view_following import ActiveTerrainOperator
 
 
 @dataclass
 class ConvertJob:
-    """Converts `terrain` to meshes. Afterwards `object_names` has the names of the new objects."""
+    """Converts a terrain to meshes.
+
+    Attributes:
+        terrain: the terrain.
+        engine: computes the terrain again.
+        viewer: (3,) float64, terrain position.
+        settings: settings of the conversion.
+        object_names: afterwards the names of the new objects.
+    """
 
     core_fraction = 0.95
 
@@ -52,24 +60,19 @@ class ConvertJob:
         return f'Converted "{self.terrain.name}" to {meshes} with {triangles:,} triangles.'
 
 
-class FARFIELD_OT_clipbox_convert_to_mesh(start_job.StartJob, bpy.types.Operator):
+class FARFIELD_OT_clipbox_convert_to_mesh(ActiveTerrainOperator, start_job.StartJob, bpy.types.Operator):
     """Convert the active terrain to regular mesh objects that do not need Farfield"""
 
     bl_idname = "farfield.clipbox_convert_to_mesh"
     bl_label = "Convert Terrain to Mesh"
     bl_options = {"REGISTER", "UNDO"}
+    terrain_type, changes_terrain = SceneTerrain, False
     settings_types, panel_property = (ConvertSettings,), "farfield_clipbox_convert"
     __annotations__ = start_job.setting_properties(*settings_types)
 
-    @classmethod
-    def disabled_reason(cls, context: bpy.types.Context) -> str:
-        """Return why no terrain can be converted now, or an empty string."""
-        has_terrain = terrain_of_object(context.active_object) is not None
-        return operators.disabled_reason(context) or ("" if has_terrain else operators.disabled_reason_of_active(context))
-
     def prepare(self, context: bpy.types.Context) -> ConvertJob:
         """Prepare the conversion of the active terrain."""
-        return prepare(terrain_of_object(context.active_object), self.read_settings(context)[ConvertSettings])
+        return prepare(self.active_terrain(context), self.read_settings(context)[ConvertSettings])
 
 
 def prepare(terrain: SceneTerrain, settings: ConvertSettings) -> ConvertJob:

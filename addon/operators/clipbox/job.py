@@ -20,12 +20,20 @@ from ...core.files.file_access import check_readable
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ..engine_cache import cache
 
-HEIGHT_PERCENTILES = 10, 90  # of the vertices, between which most ground has the color of grass
+HEIGHT_PERCENTILES = 10, 90  # percentiles of the heights of vertices between which most ground has the color of grass
 
 
 @dataclass
 class TerrainJob:
-    """Builds a terrain around a viewer: a new one, or `terrain` with other settings. Afterwards `terrain` is the result."""
+    """Builds a terrain around a viewer: a new one, or `terrain` with other settings.
+
+    Attributes:
+        engine: computes the terrain.
+        settings: the settings that the scene stores.
+        viewer: (3,) float64, terrain position.
+        terrain: the terrain to rebuild; afterwards the result.
+        update: what was shown, None before.
+    """
 
     core_fraction = 0.9
 

@@ -5,14 +5,15 @@ import numpy as np
 
 from ...bridge.clipbox import objects as terrain_objects
 from ...bridge.clipbox import sources
-from ...bridge.clipbox.objects import PendingBlocks, SceneTerrain, terrain_of_object
+from ...bridge.clipbox.objects import PendingBlocks, SceneTerrain
 from ...core.clipbox.blocks import BlockMesh
 from ...core.clipbox.engine import BlockKey, TerrainEngine, Update
 from ...core.clipbox.settings import ClipboxSettings
 from ...core.geometry.viewers import Viewer
 from .. import follow_handlers, properties, start_job
+from ..follow_tools import FollowTool
 from ..following import disabled_reason
-from ..view_following import FollowViewOperator, context_viewport, view_of_area
+from ..view_following import ActiveTerrainOperator, FollowViewOperator, context_viewport, view_of_area
 from .job import TerrainJob, prepare
 
 
@@ -31,33 +32,26 @@ class FARFIELD_OT_clipbox_create(start_job.StartJob, bpy.types.Operator):
     settings_types, panel_property = (ClipboxSettings,), "farfield_clipbox"
     __annotations__ = start_job.setting_properties(*settings_types)
 
-    @classmethod
-    def disabled_reason(cls, context: bpy.types.Context) -> str:
-        """Return why no terrain can be created now, or an empty string."""
-        return disabled_reason(context)
+    disabled_reason = staticmethod(disabled_reason)
 
     def prepare(self, context: bpy.types.Context) -> TerrainJob:
         """Read the settings and the viewer position."""
         return prepare(self.read_settings(context)[ClipboxSettings], viewer_position(context))
 
 
-class FARFIELD_OT_clipbox_update(start_job.StartJob, bpy.types.Operator):
+class FARFIELD_OT_clipbox_update(ActiveTerrainOperator, start_job.StartJob, bpy.types.Operator):
     """Rebuild the active terrain with the current settings"""
 
     bl_idname = "farfield.clipbox_update"
     bl_label = "Update Terrain"
     bl_options = {"REGISTER", "UNDO"}
+    terrain_type = SceneTerrain
     settings_types, panel_property = (ClipboxSettings,), "farfield_clipbox"
     __annotations__ = start_job.setting_properties(*settings_types)
 
-    @classmethod
-    def disabled_reason(cls, context: bpy.types.Context) -> str:
-        """Return why no terrain can be updated now, or an empty string."""
-        return disabled_reason(context) or disabled_reason_of_active(context)
-
     def prepare(self, context: bpy.types.Context) -> TerrainJob:
         """Read the settings and the active terrain."""
-        terrain = terrain_of_object(context.active_object)
+        terrain = self.active_terrain(context)
         return prepare(self.read_settings(context)[ClipboxSettings], terrain.viewer, terrain)
 
 
@@ -66,45 +60,12 @@ class FARFIELD_OT_clipbox_follow_view(FollowViewOperator, bpy.types.Operator):
 
     bl_idname = "farfield.clipbox_follow_view"
     bl_label = "Follow View with Terrain"
-
-    @classmethod
-    def active_terrain(cls, context: bpy.types.Context) -> SceneTerrain | None:
-        """Return the terrain that the active object belongs to."""
-        return terrain_of_object(context.active_object)
-
-    @classmethod
-    def disabled_reason(cls, context: bpy.types.Context) -> str:
-        """Return why the active terrain cannot follow now, or an empty string."""
-        return disabled_reason(context) or disabled_reason_of_active(context)
-
-
-def disabled_reason_of_active(context: bpy.types.Context) -> str:
-    """Return why the active object is not a terrain that can be changed, or an empty string."""
-    terrain = terrain_of_object(context.active_object)
-    return "Select a clip-box terrain" if terrain is None else terrain.read_only_reason
+    terrain_type = SceneTerrain
 
 
 def viewer_position(context: bpy.types.Context) -> np.ndarray:
     """Return the position (3,) float64 of the viewer in world space: of the 3D Viewport under the pointer, or of the first one."""
     return view_of_area(context.scene, context_viewport(context)).position
-
-
-CLASSES = (FARFIELD_PG_clipbox, FARFIELD_OT_clipbox_create, FARFIELD_OT_clipbox_update, FARFIELD_OT_clipbox_follow_view)
-
-
-register_settings, unregister_settings = properties.scene_settings_factory("farfield_clipbox", FARFIELD_PG_clipbox, CLASSES)
-
-
-def register() -> None:
-    """Register the classes, add the settings to scenes, and let terrains follow."""
-    register_settings()
-    follow_handlers.register_tool(TOOL)
-
-
-def unregister() -> None:
-    """Stop following, remove the settings from scenes, and unregister the classes."""
-    follow_handlers.unregister_tool(TOOL)
-    unregister_settings()
 
 
 class TerrainChange:
@@ -125,14 +86,10 @@ class TerrainChange:
         return ()
 
 
-class ClipboxFollowTool:
-    """The tool `clipbox` among those whose terrains follow; see `FollowTool`."""
+class ClipboxFollowTool(FollowTool):
+    """The tool `clipbox` among those whose terrains follow. Its engines take the terrain position (3,) of the viewer."""
 
-    identifier = SceneTerrain.tool
-
-    def scene_terrains(self, scene: bpy.types.Scene) -> list[SceneTerrain]:
-        """Return all terrains of a scene, linked ones included."""
-        return terrain_objects.scene_terrains(scene)
+    terrain_type = SceneTerrain
 
     def create_engine(self, terrain: SceneTerrain) -> TerrainEngine:
         """Create an engine for a terrain.
@@ -160,3 +117,21 @@ class ClipboxFollowTool:
 
 
 TOOL = ClipboxFollowTool()
+
+
+CLASSES = (FARFIELD_PG_clipbox, FARFIELD_OT_clipbox_create, FARFIELD_OT_clipbox_update, FARFIELD_OT_clipbox_follow_view)
+
+
+register_settings, unregister_settings = properties.scene_settings_factory("farfield_clipbox", FARFIELD_PG_clipbox, CLASSES)
+
+
+def register() -> None:
+    """Register the classes, add the settings to scenes, and let terrains follow."""
+    register_settings()
+    follow_handlers.register_tool(TOOL)
+
+
+def unregister() -> None:
+    """Stop following, remove the settings from scenes, and unregister the classes."""
+    follow_handlers.unregister_tool(TOOL)
+    unregister_settings()

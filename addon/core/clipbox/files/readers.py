@@ -1,4 +1,4 @@
-"""Readers of terrain files, selected by file name extension."""
+"""Readers of terrain files, selected by file name extension. TIFF files may have GeoTIFF tags (OGC 19-008r4)."""
 
 import math
 import re
@@ -17,7 +17,7 @@ from .file_data import FileData, HeightMap, Voxels
 from .nifti import read_nifti
 
 Readers = Mapping[str, Callable[[Path], FileData]]  # by lower-case extension
-BLEND_PREFIX = "//"  # of paths relative to the folder of the .blend file
+BLEND_PREFIX = "//"  # start of paths relative to the folder of the .blend file
 RAW_NAME = re.compile(r"(?:^|_)(\d+)x(\d+)x(\d+)_(u?int(?:8|16|32)|float(?:32|64))$")
 METERS_PER_DEGREE = 111_320.0  # along the equator, and about that along a meridian
 MAX_LATITUDE = math.radians(89.9)  # closer to a pole, a degree of longitude has almost no length
@@ -72,7 +72,7 @@ def read_tiff(path: Path) -> HeightMap:
     check_size(path, math.prod(tiff.shape), HEIGHT_BYTES)
     tiff.check_complete()
     samples = tiff.read(slice(0, tiff.shape[0]), slice(0, tiff.shape[1]))
-    with np.errstate(all="ignore"):  # of damaged floats, which become missing heights
+    with np.errstate(all="ignore"):  # Damaged floats become missing heights.
         return _to_height_map(tiff, samples)
 
 

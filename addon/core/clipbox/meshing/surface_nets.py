@@ -2,7 +2,8 @@
 
 The vertices of a corner depend only on the eight voxels around it (see `case_table`), in a fixed order of summation. Any part of a volume
 therefore gives exactly the same vertices as the whole. Corners have flat indices like voxels: corner (i, j, k) is the low corner of voxel
-(i, j, k). After section 3.4 of the paper; surface nets after Gibson, Constrained Elastic Surface Nets, 1998.
+(i, j, k). After section 3.4 of the paper; surface nets after Gibson, Constrained Elastic Surface Nets, 1998. Voxels that would smooth badly
+are repaired before (section 3.8 and Figure 13).
 """
 
 from collections.abc import Callable
@@ -13,7 +14,7 @@ from itertools import combinations
 import numpy as np
 
 from ...arrays import concatenate_ranges
-from .case_table import AXES, DIRECTIONS, HIGH, LOW, OCTANTS, PAIR_AXIS, case_table, pair_index
+from .case_table import AXES, HIGH, LOW, OCTANTS, PAIR_AXIS, case_table, pair_index
 
 OCTANT_CENTERS = (OCTANTS - 0.5).astype(np.float32)  # (8, 3) relative to the corner, in voxels
 # Corners of a face, for normals down and up the axis: bit 0 is 1 on the high side of the next axis, bit 1 on that of the axis after it.
@@ -29,7 +30,7 @@ _FACE_PAIRS = [  # per axis, the pair of octants of each corner of a face that l
     for axis in range(AXES)
 ]
 _PAIR_CENTERS = np.array([np.where(axis == PAIR_AXIS, 0.0, OCTANT_CENTERS[LOW, axis]) for axis in range(AXES)], np.float32)  # (3, 12)
-MARGIN = 1  # voxels around the repaired ones that the repair depends on
+REPAIR_MARGIN = 1  # voxels around the repaired ones that the repair depends on
 MAX_SPIKE_NEIGHBORS = 1  # a solid voxel with no more solid face neighbors is the tip of a spike, which smoothing turns into a needle
 MIN_PIT_NEIGHBORS = 5  # an empty voxel with as many solid face neighbors is a pit
 
@@ -38,8 +39,10 @@ MIN_PIT_NEIGHBORS = 5  # an empty voxel with as many solid face neighbors is a p
 class Faces:
     """Faces between solid and empty voxels.
 
-    corners (F, 4) int64: flat corner indices, counter-clockwise as seen from the empty voxel. pairs (F, 4) int8: pair of octants of each
-    corner that the face lies between. voxels (F,) int64: the owned voxel at the face, the lower one where both are owned.
+    Attributes:
+        corners: (F, 4) int64, flat corner indices, counter-clockwise as seen from the empty voxel.
+        pairs: (F, 4) int8, pair of octants of each corner that the face lies between.
+        voxels: (F,) int64, the owned voxel at the face, the lower one where both are owned.
     """
 
     corners: np.ndarray
@@ -58,44 +61,6 @@ class CornerVertices:
     corners: np.ndarray
     cycles: np.ndarray
     extra_start: np.ndarray
-
-
-@dataclass(frozen=True)
-class SurfaceNet:
-    """The surface of a volume.
-
-    corners (V, 3) int32: lattice corner of each vertex. vertices (V, 3) float64, in voxels. normals (V, 3) float32, or None for blocky
-    surfaces. quads (F, 4) int32, counter-clockwise as seen from outside.
-    """
-
-    corners: np.ndarray
-    vertices: np.ndarray
-    normals: np.ndarray | None
-    quads: np.ndarray
-
-
-def extract_surface(densities: np.ndarray, blocky: bool = False) -> SurfaceNet:
-    """Extract the surface of `densities` (X, Y, Z), which are positive where solid. Voxel (0, 0, 0) fills the unit cube.
-
-    The surface is open at the boundary of the volume. With `blocky`, vertices are the lattice corners (cuberille). Otherwise they are the
-    means of the zero crossings between the pairs of octants of their cycle.
-    """
-    padded = np.pad(densities > 0 if blocky else densities, 1, mode="edge")
-    solid = is_solid(padded)
-    faces = find_faces(solid, interior_mask(padded.shape))
-    used, rows = compact_indices(faces.corners, padded.size)
-    strides = np.array(voxel_strides(padded.shape))
-    cases = resolve_non_manifold_edges(
-        gather_cases(solid, used), lambda corners, directions: gather_cases(solid, used[corners] + DIRECTIONS[directions] @ strides)
-    )
-    corner_vertices = find_corner_vertices(cases)
-    quads = face_vertices(corner_vertices, cases, rows.take(faces.corners), faces.pairs)
-    corners = (unravel_indices(used, padded.shape) - 1).take(corner_vertices.corners, axis=0)
-    if blocky:
-        return SurfaceNet(corners, corners.astype(np.float64), None, quads)
-    values = gather_octants(padded, used)
-    vertices = corners + vertex_offsets(corner_vertices, cases, values)
-    return SurfaceNet(corners, vertices, corner_normals(values)[corner_vertices.corners], quads)
 
 
 @lru_cache(maxsize=8)
@@ -180,11 +145,6 @@ def gather_octants(voxels: np.ndarray, corners: np.ndarray) -> np.ndarray:
     for octant, step in enumerate(steps):
         np.take(flat, corners + step, out=values[octant], mode="clip")
     return values
-
-
-def gather_cases(solid: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Return the cases (K,) int64 of `corners` (K,) of a mask (X, Y, Z)."""
-    return case_indices(gather_octants(solid, corners))
 
 
 def case_indices(solid: np.ndarray) -> np.ndarray:
@@ -289,7 +249,7 @@ def _fit_gradients(values: np.ndarray, centers: np.ndarray) -> np.ndarray:
 def repair_voxels(solid: np.ndarray) -> np.ndarray:
     """Remove spikes, fill pits and join voxels that touch only along an edge.
 
-    Smoothing would leave a bridge of zero width where two voxels touch only along an edge. One of the two empty voxels beside the edge is
+    Smoothing would leave a bridge of zero width where two voxels touch only along an edge. One of the two empty voxels at the edge is
     filled instead. The result of a voxel depends only on its 26 neighbors, so parts of a volume are repaired like the whole.
 
     Takes voxels (X, Y, Z) bool. Returns all but the outermost layer, (X - 2, Y - 2, Z - 2) bool.

@@ -10,16 +10,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..files.readers import Readers
+from ..settings import ClipboxSettings
 from .grids import DensityFunction, Grid
 from .hashing import hash_lattice, uniform_random
 from .noise import MIN_WAVELENGTH, value_noise
-from .terrain_source import TerrainSource
 from .volume_terrain import VoxelModel, read_voxel_model
 
-MIN_SCALE = 0.6  # of the smallest copies; the largest have scale 1
+MIN_SCALE = 0.6  # scale of the smallest copies; the largest have scale 1
 MEAN_CUBED_SCALE = (1.0 - MIN_SCALE**4) / (4.0 * (1.0 - MIN_SCALE))
 CELL_MARGIN = 0.2  # fraction of a cell along its boundary that contains no copy's center
-WAVELENGTH_PER_HEIGHT = 12.0  # of the longest octave of the hills
+WAVELENGTH_PER_HEIGHT = 12.0  # wavelength of the longest octave of the hills relative to their height
 OCTAVES = 3
 MIN_MODEL_VOXELS = 3.0  # along the longest side of the largest copy; if smaller, copies only raise the ground
 
@@ -28,8 +28,11 @@ MIN_MODEL_VOXELS = 3.0  # along the longest side of the largest copy; if smaller
 class _Copies:
     """Transforms of copies.
 
-    positions (C, 3): centers of the base, float64 scene units. scales (C,). transposed (C,): whether x and y are swapped. signs (C, 2): -1
-    where the model's x or y axis is mirrored.
+    Attributes:
+        positions: (C, 3) float64, centers of the base, scene units.
+        scales: (C,) float64.
+        transposed: (C,) bool, whether x and y are swapped.
+        signs: (C, 2) float64, -1 where the model's x or y axis is mirrored.
     """
 
     positions: np.ndarray
@@ -106,7 +109,7 @@ class Forest:
             np.maximum(window, values.swapaxes(0, 1) if transposed else values, out=window)
 
 
-def build_forest(source: TerrainSource, readers: Readers) -> DensityFunction:
+def build_forest(source: ClipboxSettings, readers: Readers) -> DensityFunction:
     """Return the densities of a forest of the voxel model in the source file.
 
     Raises:

@@ -11,30 +11,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...errors import FileError, GeometryError
-from ...settings import Choice
 from ..files.readers import READERS, Readers
-from ..meshing.surface_nets import MARGIN, is_solid, repair_voxels
+from ..meshing.surface_nets import REPAIR_MARGIN, is_solid, repair_voxels
+from ..settings import ClipboxSettings
 from .forest import build_forest
 from .formulas import Formula
 from .grids import DensityFunction, Grid
 from .heights import build_heights
 from .noise import fbm
 from .spheres import SphereField, csg_density, find_touching_spheres
-from .terrain_source import TerrainSource
 from .volume_terrain import build_volume
 
 MAX_DENSITY = 6.0e4  # close to the maximum of half precision
 MIN_POSITIVE_DENSITY = 6.0e-8  # the smallest positive number of half precision
 FUNCTION_ERRORS = (ArithmeticError, AttributeError, LookupError, MemoryError, OSError, RuntimeError, TypeError, ValueError)
 
-
-@dataclass(frozen=True)
-class Generator:
-    """One kind of terrain. `build` turns settings into a density function; source files are read with the given readers."""
-
-    name: str
-    choice: Choice
-    build: Callable[[TerrainSource, Readers], DensityFunction]
+Builder = Callable[[ClipboxSettings, Readers], DensityFunction]
 
 
 @dataclass(frozen=True)
@@ -53,8 +45,8 @@ class Sampler:
         if not repair:
             solid = is_solid(self.densities(grid))
         else:
-            origin = tuple(index - MARGIN for index in grid.origin)
-            shape = tuple(count + 2 * MARGIN for count in grid.shape)
+            origin = tuple(index - REPAIR_MARGIN for index in grid.origin)
+            shape = tuple(count + 2 * REPAIR_MARGIN for count in grid.shape)
             solid = repair_voxels(is_solid(self.densities(Grid(origin, shape, grid.voxel_size))))
         return np.where(solid, np.int8(1), np.int8(-1))
 
@@ -78,20 +70,19 @@ class Sampler:
         return half
 
 
-def build_sampler(source: TerrainSource, readers: Readers = READERS) -> Sampler:
-    """Build the density function of the terrain described by `source`.
+def build_sampler(source: ClipboxSettings, readers: Readers = READERS) -> Sampler:
+    """Build the density function of a terrain. Source files are read with the given readers.
 
     Raises:
         SettingsError, FileError: its formula or its source file cannot be read.
     """
-    generator = next(generator for generator in GENERATORS if generator.name == source.terrain)
     try:
-        return Sampler(generator.name, generator.build(source, readers))
+        return Sampler(source.terrain, BUILDERS[source.terrain](source, readers))
     except MemoryError:
         raise FileError(f'"{source.source}" needs more memory than is available; reduce its size.') from None
 
 
-def build_cascades(source: TerrainSource, _readers: Readers) -> DensityFunction:
+def build_cascades(source: ClipboxSettings, _readers: Readers) -> DensityFunction:
     """Build mountains of ridged noise with overhangs, arches and winding caves."""
     seed, scale = 16 * source.seed, source.scale
 
@@ -129,7 +120,7 @@ def _smooth_minimum(first: np.ndarray, second: np.ndarray, width: np.float32) ->
     return minimum
 
 
-def build_islands(source: TerrainSource, _readers: Readers) -> DensityFunction:
+def build_islands(source: ClipboxSettings, _readers: Readers) -> DensityFunction:
     """Build layers of floating rocks, rough below and flatter above."""
     seed, scale = 16 * source.seed + 5, source.scale
 
@@ -144,7 +135,7 @@ def build_islands(source: TerrainSource, _readers: Readers) -> DensityFunction:
     return densities
 
 
-def build_spheres(source: TerrainSource, _readers: Readers) -> DensityFunction:
+def build_spheres(source: ClipboxSettings, _readers: Readers) -> DensityFunction:
     """Build terrain from spheres of several size classes that are added and subtracted."""
     scale = source.scale
     field = SphereField(
@@ -158,7 +149,7 @@ def build_spheres(source: TerrainSource, _readers: Readers) -> DensityFunction:
     return lambda grid: csg_density(grid, find_touching_spheres(field, grid))
 
 
-def build_formula(source: TerrainSource, _readers: Readers) -> DensityFunction:
+def build_formula(source: ClipboxSettings, _readers: Readers) -> DensityFunction:
     """Build the formula typed by the user."""
     return _evaluate_scaled(source.formula, source.scale)
 
@@ -168,28 +159,19 @@ def _evaluate_scaled(formula: str, scale: float) -> DensityFunction:
     return lambda grid: function(*(coordinates / scale for coordinates in grid.coordinates()))
 
 
-def _preset(formula: str) -> Callable[[TerrainSource, Readers], DensityFunction]:
+def _preset(formula: str) -> Builder:
     return lambda source, _readers: _evaluate_scaled(formula, source.scale)
 
 
-GENERATORS = (
-    Generator("cascades", Choice("Cascades", "Ridged mountains with overhangs, arches and caves"), build_cascades),
-    Generator("islands", Choice("Islands", "Layers of floating rocks"), build_islands),
-    Generator("spheres", Choice("Spheres", "Spheres of several sizes, added and subtracted"), build_spheres),
-    Generator("formula", Choice("Formula", "A density function typed as a formula"), build_formula),
-    Generator("xor", Choice("XOR", "Steps whose height is the exclusive or of x and y"), _preset("2*mod(xor(x/4, y/4), 32) - 40 - z")),
-    Generator(
-        "sawtooth",
-        Choice("Sawtooth", "Sawtooth waves along every axis"),
-        _preset("mod(x, 48) + mod(y, 64)/2 + 12*mod(z/24, 1) - 70 - z"),
-    ),
-    Generator(
-        "sine",
-        Choice("Sine", "Crossing sine waves with overhangs"),
-        _preset("26*sin(x/40)*sin(y/34) + 14*sin(z/9)*sin((x + y)/30) - z"),
-    ),
-    Generator("volume", Choice("Volume", "A voxel model from a file"), build_volume),
-    Generator("forest", Choice("Forest", "Copies of a voxel model from a file, scattered over hills"), build_forest),
-    Generator("heights", Choice("Heights", "A height map from a file: an image, a GeoTIFF or an array"), build_heights),
-)
-CHOICES = {generator.name: generator.choice for generator in GENERATORS}
+BUILDERS: dict[str, Builder] = {
+    "cascades": build_cascades,
+    "islands": build_islands,
+    "spheres": build_spheres,
+    "formula": build_formula,
+    "xor": _preset("2*mod(xor(x/4, y/4), 32) - 40 - z"),
+    "sawtooth": _preset("mod(x, 48) + mod(y, 64)/2 + 12*mod(z/24, 1) - 70 - z"),
+    "sine": _preset("26*sin(x/40)*sin(y/34) + 14*sin(z/9)*sin((x + y)/30) - z"),
+    "volume": build_volume,
+    "forest": build_forest,
+    "heights": build_heights,
+}

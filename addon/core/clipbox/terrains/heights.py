@@ -15,12 +15,12 @@ from ...files.height_maps import CHUNK_SAMPLES, HEIGHT_BYTES, check_size, find_m
 from ...jobs.chunks import slices
 from ..files.file_data import HeightMap
 from ..files.readers import Readers, read_source
+from ..settings import ClipboxSettings
 from .grids import DensityFunction, Grid
 from .pyramids import build_pyramid, interpolate_axis, locate_samples, pyramid_level
-from .terrain_source import TerrainSource
 
 
-def build_heights(source: TerrainSource, readers: Readers) -> DensityFunction:
+def build_heights(source: ClipboxSettings, readers: Readers) -> DensityFunction:
     """Return densities as the height of the ground minus z, in scene units. Heights are bilinear between pixel centers.
 
     Raises:
@@ -47,7 +47,7 @@ def build_heights(source: TerrainSource, readers: Readers) -> DensityFunction:
     return densities
 
 
-def _scale_to_scene(height_map: HeightMap, source: TerrainSource) -> tuple[np.ndarray, tuple[float, float]]:
+def _scale_to_scene(height_map: HeightMap, source: ClipboxSettings) -> tuple[np.ndarray, tuple[float, float]]:
     """Return heights (W, H) float32 indexed by x and y, and the width and depth of a pixel, all in scene units."""
     values, size = height_map.heights.T, source.source_size * source.scale
     check_size(Path(source.source), values.size, HEIGHT_BYTES)
@@ -62,7 +62,7 @@ def _scale_to_scene(height_map: HeightMap, source: TerrainSource) -> tuple[np.nd
     ground = np.empty(values.shape, np.float32)
     for chunk in columns:
         heights = ground[chunk]
-        with np.errstate(over="ignore", invalid="ignore"):  # of missing heights, which are replaced below
+        with np.errstate(over="ignore", invalid="ignore"):  # Missing heights are replaced below.
             np.subtract(values[chunk], base, out=heights, dtype=np.float64, casting="same_kind")
             heights *= np.float32(factor)
         heights[find_missing(values[chunk], height_map.no_data)] = (lowest - base) * factor

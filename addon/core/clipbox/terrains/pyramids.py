@@ -18,8 +18,10 @@ MAX_CHUNK_SAMPLES = 1 << 22  # samples that are averaged at once
 class AxisSamples:
     """The samples around positions along one axis.
 
-    start, stop: range of the samples that are needed; stop is exclusive. below, above: (N,) int64 samples next to each position, counted
-    from start. weights: (2, N) float64 of these two samples.
+    Attributes:
+        start, stop: range of the samples that are needed; stop is exclusive.
+        below, above: (N,) int64, samples next to each position, counted from start.
+        weights: (2, N) float64, weights of these two samples.
     """
 
     start: int

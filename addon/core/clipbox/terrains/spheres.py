@@ -24,9 +24,13 @@ MAX_CHUNK_VOXELS = 1 << 15  # voxels of all windows of a batch, which stay in th
 class SphereField:
     """A random distribution of spheres.
 
-    max_radius: radius of the largest class, scene units. class_count: number of size classes. spheres_per_cell: spheres in a cell of side
-    4 radii. subtracted_fraction: fraction of the spheres that are subtracted. max_height: centers of the largest class lie within this
-    distance of z = 0. Smaller spheres extend no farther than the largest ones.
+    Attributes:
+        max_radius: radius of the largest class, scene units.
+        class_count: number of size classes.
+        spheres_per_cell: spheres in a cell of side 4 radii.
+        subtracted_fraction: fraction of the spheres that are subtracted.
+        max_height: largest distance of centers of the largest class from z = 0. Smaller spheres extend no farther than the largest ones.
+        seed: random seed.
     """
 
     max_radius: float

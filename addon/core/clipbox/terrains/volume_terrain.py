@@ -15,22 +15,26 @@ from ...files.height_maps import CHUNK_SAMPLES, is_valid
 from ...jobs.chunks import slices
 from ..files.file_data import Voxels, min_max_valid
 from ..files.readers import Readers, read_source
+from ..settings import ClipboxSettings
 from .grids import DensityFunction
 from .pyramids import AxisSamples, build_pyramid, interpolate_axis, locate_samples, pyramid_level
-from .terrain_source import TerrainSource
 
 MIN_VALUE_RANGE = 1e-30  # between values; single precision cannot represent less
 MIN_CONTRAST = 0.05  # between a level's threshold and the surroundings, relative to that of level 0
 MAX_SAMPLED_LAYERS = 32  # along each axis, for the mean gradient
-AXIS_GRADIENT_FRACTION = 2.0 / 3.0  # of the gradient, the mean along the axes over uniformly distributed normals
+AXIS_GRADIENT_FRACTION = 2.0 / 3.0  # mean gradient along the axes relative to the gradient, over uniformly distributed normals
 
 
 @dataclass(frozen=True)
 class VoxelModel:
     """The voxels of a file in scene units, centered on x = y = 0 and standing on z = 0.
 
-    levels: mean pyramid of the voxels, (X, Y, Z) each. voxel_sizes: (3,) of level 0. threshold: value at the surface. outside: value around
-    the model. distance_per_value: scene units per unit of value.
+    Attributes:
+        levels: mean pyramid of the voxels, (X, Y, Z) each.
+        voxel_sizes: (3,) float64, sides of a voxel of level 0.
+        threshold: value at the surface.
+        outside: value around the model.
+        distance_per_value: scene units per unit of value.
     """
 
     levels: list[np.ndarray]
@@ -91,7 +95,7 @@ class VoxelModel:
         return densities
 
 
-def build_volume(source: TerrainSource, readers: Readers) -> DensityFunction:
+def build_volume(source: ClipboxSettings, readers: Readers) -> DensityFunction:
     """Return the densities of the voxel model in the source file.
 
     Raises:
@@ -101,7 +105,7 @@ def build_volume(source: TerrainSource, readers: Readers) -> DensityFunction:
     return lambda grid: model.densities(tuple(grid.coordinates_along(axis) for axis in range(3)), grid.voxel_size)
 
 
-def read_voxel_model(source: TerrainSource, readers: Readers) -> VoxelModel:
+def read_voxel_model(source: ClipboxSettings, readers: Readers) -> VoxelModel:
     """Read the voxel model in the source file.
 
     Raises:
