@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from farfield.addon.core.geometry.direction_grids import DirectionGrid
-from farfield.addon.core.geometry.directions import fibonacci_sphere
+from farfield.addon.core.geometry.directions import DirectionGrid, fibonacci_sphere
 
 GRIDS = [DirectionGrid(8), DirectionGrid(9), DirectionGrid(8, upper=True)]
 NAMES = ["even", "odd", "upper"]
