@@ -14,8 +14,7 @@ from bdam_terrains import FractalTerrain
 from bdam_views import FIELD_OF_VIEW, SIZE, fly_over
 
 from farfield.addon.bridge.geometry.mesh_pool import fill_mesh
-from farfield.addon.bridge.rendering.cycles_renders import prepare_cycles
-from farfield.addon.bridge.rendering.render_scene import RenderScene, render_scene
+from farfield.addon.bridge.rendering.render_scene import RenderScene, prepare_cycles, render_scene
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 from farfield.addon.core.bdam.view.caches import PatchCache
 from farfield.addon.core.bdam.view.extraction import CutSettings, extract_cut

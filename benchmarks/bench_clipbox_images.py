@@ -24,8 +24,7 @@ import bpy
 import numpy as np
 
 from farfield.addon.bridge.geometry.mesh_pool import fill_mesh
-from farfield.addon.bridge.rendering.cycles_renders import prepare_cycles
-from farfield.addon.bridge.rendering.render_scene import RenderScene, render_scene
+from farfield.addon.bridge.rendering.render_scene import RenderScene, prepare_cycles, render_scene
 from farfield.addon.bridge.shading.node_builder import NodeBuilder
 from farfield.addon.compat import enable_nodes
 from farfield.addon.core.clipbox.engine import TerrainEngine, WeldedMesh, weld

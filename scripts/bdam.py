@@ -22,7 +22,7 @@ environment.import_farfield()
 import bpy
 import numpy as np
 
-from farfield.addon.bridge.imaging.height_images import read_gray_image
+from farfield.addon.bridge.imaging.images import read_gray_image
 from farfield.addon.core.bdam.building.terrain_build import build_terrain, folder_bytes
 from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field, warn_of_heights
 from farfield.addon.core.bdam.settings import BdamSettings, ViewSettings

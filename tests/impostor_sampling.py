@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from farfield.addon.core.btf.octahedral import FrameGrid, OctahedralAtlas
-from farfield.addon.core.geometry.direction_grids import DirectionGrid
+from farfield.addon.core.geometry.directions import DirectionGrid
 from farfield.addon.core.imaging.images import MIN_ALPHA, sample_bilinear
 
 PARALLAX_STEPS = 2  # Those of `lib.impostor_rays`, which needs Blender.

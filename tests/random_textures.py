@@ -6,8 +6,7 @@ from farfield.addon.core.btf.decoding import RelightableTexture
 from farfield.addon.core.btf.factorization.factors import Factors
 from farfield.addon.core.btf.factorization.lpca import LocalFactors
 from farfield.addon.core.btf.reflectance.lobes import Lobes, TexelSurface
-from farfield.addon.core.geometry.direction_grids import DirectionGrid
-from farfield.addon.core.geometry.directions import fibonacci_sphere
+from farfield.addon.core.geometry.directions import DirectionGrid, fibonacci_sphere
 
 VIEWS, LIGHTS = DirectionGrid(4), DirectionGrid(3, upper=True)
 

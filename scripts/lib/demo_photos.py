@@ -11,7 +11,7 @@ from lib import environment
 
 environment.import_farfield()
 
-from farfield.addon.bridge.rendering.cycles_renders import prepare_cycles
+from farfield.addon.bridge.rendering.render_scene import prepare_cycles
 from farfield.addon.compat import set_file_format
 from farfield.addon.core.files.temporary_folders import temporary_folder
 from farfield.addon.core.imaging.metrics import crop_to_object, psnr, ssim

@@ -12,8 +12,7 @@ from lib import environment
 environment.import_farfield()
 
 from farfield.addon.bridge.cameras import light_matrix
-from farfield.addon.bridge.rendering.cycles_renders import prepare_cycles
-from farfield.addon.bridge.rendering.render_scene import RenderScene, render_scene
+from farfield.addon.bridge.rendering.render_scene import RenderScene, prepare_cycles, render_scene
 from farfield.addon.compat import enable_nodes
 from lib.shader_nodes import find_node
 

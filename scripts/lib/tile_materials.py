@@ -8,8 +8,7 @@ from lib import environment
 environment.import_farfield()
 
 from farfield.addon.bridge.geometry.mesh_arrays import read_uvs, read_values, write_uvs
-from farfield.addon.bridge.imaging.images import tile_paths
-from farfield.addon.bridge.imaging.tiled_images import load_image
+from farfield.addon.bridge.imaging.images import load_image, tile_paths
 from farfield.addon.core.photos.texels.pages import FIRST_TILE, TILE_COLUMNS
 
 

@@ -14,8 +14,8 @@ from farfield.addon.bridge.billboards.capture import capture_textures
 from farfield.addon.bridge.billboards.clouds import create_cloud
 from farfield.addon.bridge.cameras import read_scene_camera
 from farfield.addon.bridge.imaging.images import create_image
+from farfield.addon.bridge.rendering.render_properties import estimate_transparent_bounces
 from farfield.addon.bridge.rendering.render_scene import render_scene
-from farfield.addon.bridge.rendering.transparent_bounces import estimate_transparent_bounces
 from farfield.addon.core.billboards.settings import BillboardSettings
 from farfield.addon.core.jobs.progress import run_to_end
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 pytest.importorskip("bpy")
@@ -81,6 +81,7 @@ class TestCamera:
     """Cameras with the render settings of the scene."""
 
     def test_the_projection_is_that_of_blender(self, scene):
+        @settings(max_examples=30)
         @given(lens=lenses())
         def check(lens):
             set_lens(scene, lens)
@@ -91,6 +92,7 @@ class TestCamera:
         check()
 
     def test_positions_are_in_the_image_where_blender_says(self, scene):
+        @settings(max_examples=30)
         @given(lens=lenses(), seed=st.integers(0, 2**32 - 1))
         def check(lens, seed):
             lens[1].update(pixel_aspect_x=1.0, pixel_aspect_y=1.0, resolution_percentage=100)  # the function ignores them
@@ -139,6 +141,7 @@ class TestViewport:
     def test_a_view_through_the_camera_agrees_with_the_camera(self, scene):
         """A viewport of the size of the image whose camera frame is neither moved nor zoomed shows the same."""
 
+        @settings(max_examples=30)
         @given(lens=lenses())
         def check(lens):
             lens[1]["pixel_aspect_x"] = lens[1]["pixel_aspect_y"] = 1.0

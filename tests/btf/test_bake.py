@@ -18,7 +18,7 @@ from farfield.addon.bridge.btf.capture.source_renderers import sun_angle
 from farfield.addon.bridge.btf.levels.decode import read_relightable_texture
 from farfield.addon.bridge.btf.levels.emission_levels import link_suns, raise_transparent_bounces
 from farfield.addon.core.btf.settings import BtfSettings
-from farfield.addon.core.geometry.direction_grids import DirectionGrid
+from farfield.addon.core.geometry.directions import DirectionGrid
 from farfield.addon.operators.btf.estimates import EstimateCache
 from lib import scene_files
 from lib.studio import bounding_sphere, open_studio

@@ -25,7 +25,7 @@ from farfield.addon.core.btf.reflectance.lobes import GrazingFresnel, Lobes, Tex
 from farfield.addon.core.btf.reflectance.shadows import Shadows
 from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.geometry.cameras import OrthographicView
-from farfield.addon.core.geometry.direction_grids import DirectionGrid
+from farfield.addon.core.geometry.directions import DirectionGrid
 from random_textures import decode_radiance, random_color_factors
 
 SIDE, PIXELS = 8, 160  # texels along the card, pixels along the image

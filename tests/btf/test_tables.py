@@ -17,8 +17,7 @@ from farfield.addon.core.btf.tables import (
     unpack_weights,
 )
 from farfield.addon.core.errors import SettingsError
-from farfield.addon.core.geometry.direction_grids import DirectionGrid
-from farfield.addon.core.geometry.directions import fibonacci_sphere
+from farfield.addon.core.geometry.directions import DirectionGrid, fibonacci_sphere
 from farfield.addon.core.settings import describe
 from random_textures import random_color_factors
 

@@ -41,15 +41,16 @@ def read_all(path: Path, cache: SegmentCache | None = None) -> np.ndarray:
 
 
 def formats():
-    """Combinations of a compression and a predictor that occur together."""
+    """Combinations of a compression and a predictor that occur together; each of both, with and without tiles, in one that always runs."""
     for compression, predictor, tile in itertools.product(COMPRESSORS, (1, 2, 3), (None, (32, 16))):
         if predictor == 1 or compression in {"deflate", "lzw", "zstd"}:
-            yield compression, predictor, tile
+            is_variant = tile is None if predictor == 1 else compression != "deflate" or (tile is None) == (predictor == 3)
+            yield pytest.param(compression, predictor, tile, marks=pytest.mark.exhaustive if is_variant else ())
 
 
 @pytest.mark.parametrize(("compression", "predictor", "tile"), list(formats()))
 def test_every_format_gives_the_samples_that_were_written(tmp_path, compression, predictor, tile):
-    for dtype, (order, big) in itertools.product(DTYPES, [("<", False), (">", True)]):
+    for dtype, (order, big) in zip(DTYPES, itertools.cycle([("<", False), (">", True)]), strict=False):
         if predictor == 3 and dtype[0] != "f":
             continue
         values = hills(dtype)
@@ -102,7 +103,7 @@ def windowed(tmp_path_factory):
     return values, [open_tiff(write_tiff(folder / f"{index}.tif", values, *kind)) for index, kind in enumerate(kinds)]
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(
     st.tuples(st.integers(0, ROWS), st.integers(0, ROWS)).map(sorted),
     st.tuples(st.integers(0, COLUMNS), st.integers(0, COLUMNS)).map(sorted),
@@ -125,7 +126,7 @@ def test_lzw_and_pack_bits_round_trip(data, max_entries):
 def test_long_lzw_data_fills_the_table_again_and_again():
     generator = np.random.default_rng(5)
     for levels in (1, 2, 16, 256):
-        data = generator.integers(0, levels, 100_000).astype(np.uint8).tobytes()
+        data = generator.integers(0, levels, 30_000).astype(np.uint8).tobytes()
         assert tiff_codecs.decompress_lzw(compress_lzw(data), len(data)) == data
         assert tiff_codecs.decompress_lzw(compress_lzw(data), 777) == data[:777]
         assert tiff_codecs.decompress_lzw(compress_lzw(data, 5000), len(data)) == data, "a full table is not always cleared"
@@ -171,8 +172,8 @@ class CountedFile(io.FileIO):
 
 @pytest.mark.parametrize(("compression", "tile"), [("none", None), ("none", (64, 64)), ("deflate", (64, 64)), ("deflate", None)])
 def test_only_the_window_is_read_and_decoded(tmp_path, monkeypatch, compression, tile):
-    values = np.random.default_rng(1).integers(0, 1000, (2048, 2048)).astype(np.int16)
-    path = write_tiff(tmp_path / "map.tif", values, compression, 1, tile, rows_per_strip=2048 if compression == "none" else 4)
+    values = np.random.default_rng(1).integers(0, 1000, (1536, 2048)).astype(np.int16)
+    path = write_tiff(tmp_path / "map.tif", values, compression, 1, tile, rows_per_strip=1536 if compression == "none" else 4)
     monkeypatch.setattr(Path, "open", lambda path, *_, **__: CountedFile(path, "rb"))
     CountedFile.bytes_read = 0
     tracemalloc.start()
@@ -183,7 +184,7 @@ def test_only_the_window_is_read_and_decoded(tmp_path, monkeypatch, compression,
     assert np.array_equal(window[:, :, 0], values[1000:1064, 700:764])
     touched = 64 * 64 * 2 * 4 if tile or compression == "none" else 72 * 2048 * 2  # at most four tiles, or whole rows
     assert CountedFile.bytes_read <= touched
-    assert peak < 2**20, "the image has 8 MB"
+    assert peak < 2**20, "the image has 6 MB"
 
 
 def test_the_cache_keeps_what_was_used_last_within_its_limit(tmp_path, monkeypatch):
@@ -256,7 +257,7 @@ class TestErrors:
         content = write_tiff(tmp_path / "map.tif", hills("f4"), "lzw", 3, (32, 32), tags=map_tags((30.0, 30.0), (0.0, 0.0))).read_bytes()
         generator = np.random.default_rng(2)
         path = tmp_path / "flipped.tif"
-        for position in generator.integers(0, len(content), 150).tolist() + list(range(len(content) - 300, len(content))):
+        for position in generator.integers(0, len(content), 60).tolist() + list(range(len(content) - 300, len(content), 2)):
             flipped = bytearray(content)
             flipped[position] ^= int(generator.integers(1, 256))
             path.write_bytes(flipped)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from farfield.addon.core.errors import SettingsError
@@ -19,6 +19,7 @@ def test_a_right_angle_spans_twice_the_distance():
     assert pixel_size_at(10.0, math.pi / 2, 20) == pytest.approx(1.0)
 
 
+@settings(max_examples=30)
 @given(error=LENGTHS, angle=ANGLES, pixels=PIXELS)
 def test_switch_distance_is_where_the_error_is_one_pixel(error, angle, pixels):
     assert pixel_size_at(switch_distance(error, angle, pixels), angle, pixels) == pytest.approx(error)
@@ -37,6 +38,7 @@ def test_orthographic_pixels_have_the_same_size_at_any_distance():
     assert camera.switch_distance(0.5) == math.inf
 
 
+@settings(max_examples=30)
 @given(distance=st.floats(0.0, 1e5))
 def test_levels_change_exactly_at_their_switch_distances(distance):
     camera = Camera(np.zeros(3), pixels=1920, field_of_view=0.7)
@@ -45,6 +47,7 @@ def test_levels_change_exactly_at_their_switch_distances(distance):
     assert choose_level(errors, distance, camera) == (max(expected) if expected else None)
 
 
+@settings(max_examples=30)
 @given(
     position=st.lists(st.floats(-10, 10), min_size=3, max_size=3),
     low=st.lists(st.floats(-5, 0), min_size=3, max_size=3),

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
@@ -28,6 +28,7 @@ def derivatives(longitude, latitude, step=1e-3):
     return result
 
 
+@settings(max_examples=30)
 @given(st.floats(-40.0, 40.0), st.floats(-89.9, 89.9))
 def test_round_trip(offset, latitude):
     projection = TransverseMercator(MERIDIAN, 0.9996)
@@ -43,6 +44,7 @@ def test_the_central_meridian_is_as_long_as_on_the_ellipsoid(latitude):
     assert north == pytest.approx(meridian_arc(latitude), abs=1e-6)
 
 
+@settings(max_examples=30)
 @given(st.floats(-6.0, 6.0), st.floats(-84.0, 84.0))
 def test_it_is_conformal(offset, latitude):
     """The derivatives along a parallel and a meridian, per meter on the ellipsoid, have equal lengths and are perpendicular."""
@@ -73,6 +75,7 @@ def test_known_utm_coordinates():
     assert (east + 500_000.0, north) == pytest.approx((423974.6879, 5205649.3477), abs=1e-4)
 
 
+@settings(max_examples=30)
 @given(st.floats(0.0, 30.0), st.floats(0.0, 89.0))
 def test_symmetries(offset, latitude):
     projection = TransverseMercator(0.0)

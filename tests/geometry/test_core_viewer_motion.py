@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -59,6 +59,7 @@ def orbit(start: np.ndarray, pivot, axis, angle: float) -> Viewer:
     return Viewer(rigid(turn, pivot - turn.apply(pivot)) @ start, PERSPECTIVE, True)
 
 
+@settings(max_examples=30)
 @given(
     seed=st.integers(0, 2**32 - 1),
     turn=st.floats(-1.2, 1.2).filter(lambda angle: abs(angle) > 1e-5),

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from farfield.addon.core.errors import SettingsError
@@ -49,6 +49,7 @@ def clip_coordinates(viewer, positions):
     return np.column_stack([positions, np.ones(len(positions))]) @ (viewer.projection.matrix @ np.linalg.inv(viewer.matrix)).T
 
 
+@settings(max_examples=30)
 @given(kind=KINDS, seed=SEEDS)
 def test_positions_are_inside_of_the_planes_where_the_matrix_shows_them(kind, seed):
     random = np.random.default_rng(seed)
@@ -63,6 +64,7 @@ def test_positions_are_inside_of_the_planes_where_the_matrix_shows_them(kind, se
     assert ((distances >= 0.0).all(axis=1) == is_shown)[is_clear].all()
 
 
+@settings(max_examples=30)
 @given(kind=KINDS, seed=SEEDS)
 def test_pixels_are_those_of_the_matrix(kind, seed):
     random = np.random.default_rng(seed)
@@ -75,6 +77,7 @@ def test_pixels_are_those_of_the_matrix(kind, seed):
     assert np.allclose(pixels[is_in_front], expected[is_in_front], rtol=1e-5, atol=1e-3)
 
 
+@settings(max_examples=30)
 @given(kind=KINDS, seed=SEEDS)
 def test_a_projection_is_recovered_from_its_matrix(kind, seed):
     projection = random_projection(kind, np.random.default_rng(seed))
@@ -83,6 +86,7 @@ def test_a_projection_is_recovered_from_its_matrix(kind, seed):
     assert np.allclose([found.near, found.far], [projection.near, projection.far], rtol=1e-6)
 
 
+@settings(max_examples=30)
 @given(kind=KINDS, seed=SEEDS)
 def test_another_space_changes_nothing_in_the_image(kind, seed):
     random = np.random.default_rng(seed)

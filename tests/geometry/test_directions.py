@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from farfield.addon.core.geometry import directions
@@ -37,6 +37,7 @@ def test_fibonacci_directions_integrate_a_quadratic():
     assert vectors.T @ vectors / 2000 == pytest.approx(np.eye(3) / 3.0, abs=1e-3)
 
 
+@settings(max_examples=30)
 @given(COORDINATES, COORDINATES)
 def test_octahedral_maps_round_trip(x, y):
     point = np.array([x, y])
@@ -65,6 +66,7 @@ def test_grids_contain_every_cell_once(size):
     assert len(np.unique(cells, axis=0)) == size * size
 
 
+@settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1))
 def test_held_out_views_are_distributed_and_off_the_axes(seed):
     views = directions.held_out_views(12, seed)
@@ -75,6 +77,7 @@ def test_held_out_views_are_distributed_and_off_the_axes(seed):
     assert (views == directions.held_out_views(12, seed)).all()
 
 
+@settings(max_examples=30)
 @given(st.floats(0.01, np.pi - 0.01), st.floats(0.0, 2.0 * np.pi, exclude_max=True))
 def test_spherical_angles_round_trip(polar, azimuth):
     angles = np.array([[polar, azimuth]])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from farfield.addon.core.errors import GeometryError
@@ -51,6 +51,7 @@ class TestMeasures:
         areas, normals = face_areas_and_normals(np.zeros((1, 3, 3)))
         assert areas == [0.0] and not normals.any()
 
+    @settings(max_examples=30)
     @given(st.integers(0, 2**32 - 1))
     def test_rotation_rotates_normals_and_keeps_areas(self, seed):
         corners, rotation = soup(20, seed=seed).corners, random_rotation(seed)

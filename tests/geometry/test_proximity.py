@@ -51,7 +51,7 @@ class TestTriangleDistances:
         assert triangle_distances(TRIANGLE[None], other[None])[0] == pytest.approx(distance)
         assert triangle_distances(other[None], TRIANGLE[None])[0] == pytest.approx(distance)
 
-    @settings(max_examples=40)
+    @settings(max_examples=20)
     @given(SEEDS)
     def test_distance_bounds_all_samples_and_is_approached(self, seed):
         random = np.random.default_rng(seed)
@@ -63,6 +63,7 @@ class TestTriangleDistances:
         side = np.linalg.norm(first - np.roll(first, 1, axis=0), axis=1).max()
         assert sampled <= exact + side / 40.0
 
+    @settings(max_examples=30)
     @given(SEEDS)
     def test_distance_is_invariant_under_similarity(self, seed):
         corners = soup(20, seed=seed, size=0.3).corners
@@ -75,7 +76,7 @@ class TestTriangleDistances:
 class TestNeighborPairs:
     """Every primitive is paired with its nearest ones."""
 
-    @settings(max_examples=30)
+    @settings(max_examples=15)
     @given(SEEDS, st.integers(2, 20))
     def test_small_soups_equal_brute_force(self, seed, total):
         """With as many candidates as primitives the k-d tree cannot miss any."""
@@ -142,6 +143,7 @@ class TestNeighborPairs:
 class TestPairs:
     """Pair keys and contracted pairs."""
 
+    @settings(max_examples=30)
     @given(SEEDS)
     def test_keys_encode_unordered_pairs(self, seed):
         first, second = np.random.default_rng(seed).integers(0, 12, (2, 60))
@@ -156,6 +158,7 @@ class TestPairs:
         np.testing.assert_array_equal(unique, expected)
         np.testing.assert_array_equal(first, expected_first)
 
+    @settings(max_examples=30)
     @given(SEEDS)
     def test_contracted_pairs_connect_groups(self, seed):
         random = np.random.default_rng(seed)

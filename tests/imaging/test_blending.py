@@ -14,7 +14,7 @@ class TestBands:
     """Multi-resolution splines."""
 
     @given(SHAPES, st.integers(1, 5), st.integers(0, 999))
-    @settings(max_examples=30, deadline=None)
+    @settings(max_examples=15, deadline=None)
     def test_one_image_comes_back_where_it_is_known(self, shape, levels, seed):
         random = np.random.default_rng(seed)
         known = random.random(shape) < 0.6
@@ -23,7 +23,7 @@ class TestBands:
         assert result[known] == pytest.approx(image[known], abs=1e-5)
 
     @given(SHAPES, st.integers(0, 999))
-    @settings(max_examples=30, deadline=None)
+    @settings(max_examples=15, deadline=None)
     def test_equal_images_are_their_blend(self, shape, seed):
         random = np.random.default_rng(seed)
         image, fraction = random.random((*shape, 3), np.float32), random.random(shape, np.float32)

@@ -1,5 +1,7 @@
 """Block matching: known displacements come back, and nothing is found where there is nothing to match."""
 
+import itertools
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
@@ -21,9 +23,15 @@ def shifted(image, x, y):
     return map_coordinates(image, (rows - y, columns - x), np.float32, 3, "grid-wrap")
 
 
-@pytest.mark.parametrize("deviation", [1.0, 3.0, 8.0])
-@pytest.mark.parametrize("x, y", [(0.0, 0.0), (0.37, -0.81), (-7.3, 4.6), (19.5, -22.2)])
-def test_a_shift_is_found_to_a_fraction_of_a_pixel(deviation, x, y):
+def shifts():
+    """Details of each size and shifts of each length, each in one combination that always runs."""
+    lengths, sizes = [(0.0, 0.0), (0.37, -0.81), (-7.3, 4.6), (19.5, -22.2)], [1.0, 3.0, 8.0]
+    for (row, (x, y)), (column, deviation) in itertools.product(enumerate(lengths), enumerate(sizes)):
+        yield pytest.param(x, y, deviation, marks=() if row % len(sizes) == column else pytest.mark.exhaustive)
+
+
+@pytest.mark.parametrize(("x", "y", "deviation"), list(shifts()))
+def test_a_shift_is_found_to_a_fraction_of_a_pixel(x, y, deviation):
     image = details(deviation)
     found = match_blocks(image, shifted(image, x, y), EVERYWHERE, EVERYWHERE)
     errors = np.linalg.norm(found.displacements - (x, y), axis=1)

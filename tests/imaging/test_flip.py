@@ -48,12 +48,13 @@ def test_agrees_with_the_program_of_the_authors(pixels_per_degree):
 
 
 @given(IMAGES)
+@settings(max_examples=15)
 def test_equal_images_do_not_differ(image):
     assert not compute_flip(image, image.copy()).any()
 
 
 @given(st.data())
-@settings(max_examples=30)
+@settings(max_examples=15)
 def test_is_symmetric_and_between_zero_and_one(data):
     first = data.draw(IMAGES)
     second = data.draw(arrays.arrays(np.float32, first.shape, elements=st.floats(0.0, 1.0, width=32)))

@@ -3,7 +3,7 @@
 from itertools import product
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from farfield.addon.core.imaging.graph_cuts import minimize_binary
@@ -13,6 +13,7 @@ def energy(values, linear, first, second, weights):
     return (linear * values).sum() + (weights * ~values[first] * values[second]).sum()
 
 
+@settings(max_examples=30)
 @given(st.integers(0, 2**31), st.integers(1, 7), st.integers(0, 12))
 def test_the_result_is_the_minimum_over_all_values(seed, count, pairs):
     random = np.random.default_rng(seed)

@@ -221,7 +221,7 @@ def test_a_blender_without_a_python_program_is_one_sentence(tmp_path, monkeypatc
         assert run(tmp_path, "serial", "fail", [1]) == [1]
 
 
-@given(st.integers(0, 5000), st.integers(1, 40))
+@given(st.integers(0, 1000), st.integers(1, 40))
 def test_batches_cover_all_items_in_order_and_become_shorter(count, slots):
     batches = split_into_batches(count, slots)
     assert [index for batch in batches for index in batch] == list(range(count))

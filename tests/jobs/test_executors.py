@@ -59,12 +59,7 @@ def test_a_scheduler_without_dask_installed_is_an_error(monkeypatch):
 
 def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr(executors, "CONNECT_SECONDS", 0.5)
+    monkeypatch.setattr(executors, "CONNECT_SECONDS", 0.1)
     timeout = pytest.raises(FarfieldError, match=r"No Dask scheduler answers at .tcp://127\.0\.0\.1:9")
     with timeout, executors.open_executor("dask:tcp://127.0.0.1:9"):
-        pass
-
-
-def test_a_scheduler_without_workers_is_rejected(scheduler):
-    with pytest.raises(FarfieldError, match="has no workers"), executors.open_executor(f"dask:{scheduler.address}"):
         pass

@@ -19,7 +19,7 @@ def python(code: str, *arguments: str) -> list[str]:
 
 @pytest.mark.parametrize(("spec", "slots"), [("serial", 1), ("processes:3", 3)])
 def test_no_more_commands_run_than_there_are_slots(spec, slots, tmp_path):
-    code = "import pathlib, sys, time; p = pathlib.Path(sys.argv[1]); p.touch(); time.sleep(0.3); p.unlink()"
+    code = "import pathlib, sys, time; p = pathlib.Path(sys.argv[1]); p.touch(); time.sleep(0.1); p.unlink()"
     with open_subprocess_pool(spec) as pool:
         pending = [pool.submit(python(code, str(tmp_path / str(index)))) for index in range(2 * slots)]
         max_running = 0
@@ -71,23 +71,3 @@ def test_a_missing_temporary_folder_is_one_sentence(monkeypatch, tmp_path):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
     with pytest.raises(FileError, match="A temporary folder cannot be created: No such file or directory"), open_subprocess_pool("serial"):
         pass
-
-
-def test_dask_runs_commands_without_farfield(scheduler):
-    scheduler.start_workers(2)
-    with open_subprocess_pool(f"dask:{scheduler.address}") as pool:
-        assert (pool.executor.slots, pool.executor.workers_per_machine) == (2, 2)
-        pending = [pool.submit(python(f"import sys; print({code}, file=sys.stderr); sys.exit({code})")) for code in range(4)]
-        assert [wait_for_exit(future) for future in pending] == [(code, f"{code}\n") for code in range(4)]
-        with pytest.raises(FarfieldError, match="cannot be started"):
-            wait_for_exit(pool.submit(["no-such-program"]))
-
-
-def test_a_lost_scheduler_is_reported(scheduler):
-    scheduler.start_workers(1)
-    with open_subprocess_pool(f"dask:{scheduler.address}") as pool:
-        pending = pool.submit(python("import time; time.sleep(20)"))
-        time.sleep(0.5)
-        scheduler.close()
-        with pytest.raises(FarfieldError, match="scheduler stopped"):
-            wait_for_exit(pending)

@@ -1,15 +1,22 @@
-"""Task pools on a Dask scheduler give the same replies as serial ones, survive one crash, and end with their run."""
+"""On a Dask scheduler, commands run, and task pools give the same replies as serial ones, survive one crash, and end with their run.
+
+The tests use one scheduler: the first one before it has workers, the last one ends it.
+"""
 
 import os
+import sys
 import time
 from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
 
+from dask_farm import DaskFarm
 from farfield.addon.core.errors import FarfieldError
 from farfield.addon.core.jobs import heartbeat
+from farfield.addon.core.jobs.executors import open_executor
 from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.jobs.subprocess_pool import open_subprocess_pool, wait_for_exit
 from farfield.addon.core.jobs.task_pool import open_task_pool
 
 MODULE = "tests.jobs.sample_tasks"
@@ -24,13 +31,33 @@ def open_pool(folder: Path, executor_spec: str, task: str):
         yield pool
 
 
-def test_a_scheduler_gives_the_replies_of_a_serial_run(scheduler, tmp_path):
+@pytest.fixture(scope="module")
+def scheduler(tmp_path_factory):
+    """A scheduler without workers."""
+    pytest.importorskip("distributed")
+    farm = DaskFarm(tmp_path_factory.mktemp("farm"))
+    yield farm
+    farm.close()
+
+
+@pytest.fixture(scope="module")
+def farm(scheduler):
+    """The scheduler with two workers."""
     scheduler.start_workers(2)
+    return scheduler
+
+
+def test_a_scheduler_without_workers_is_rejected(scheduler):
+    with pytest.raises(FarfieldError, match="has no workers"), open_executor(f"dask:{scheduler.address}"):
+        pass
+
+
+def test_a_scheduler_gives_the_replies_of_a_serial_run(farm, tmp_path):
     folder = tmp_path / "shared ü"
     folder.mkdir()
     items = [{"number": number, "text": "Höhe \udcff\n"} for number in range(15)]
     replies = []
-    for spec in ("serial", f"dask:{scheduler.address}"):
+    for spec in ("serial", f"dask:{farm.address}"):
         with open_pool(folder, spec, "describe") as pool:
             fractions = []
             replies.append(run_to_end(pool.run(items, "Tiles"), lambda step: fractions.append(step.fraction)))  # noqa: B023
@@ -41,9 +68,8 @@ def test_a_scheduler_gives_the_replies_of_a_serial_run(scheduler, tmp_path):
     assert not list(folder.iterdir())
 
 
-def test_crashes_and_errors_of_workers_on_a_scheduler(scheduler, tmp_path):
-    scheduler.start_workers(2)
-    spec, folder = f"dask:{scheduler.address}", tmp_path / "shared"
+def test_crashes_and_errors_of_workers_on_a_scheduler(farm, tmp_path):
+    spec, folder = f"dask:{farm.address}", tmp_path / "shared"
     folder.mkdir()
     with open_pool(folder, spec, "crash_once") as pool:
         assert run_to_end(pool.run([0, 1, 5, 2, 3, 4], "Tiles")) == [0, -1, -5, -2, -3, -4]
@@ -57,23 +83,47 @@ def test_crashes_and_errors_of_workers_on_a_scheduler(scheduler, tmp_path):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="asks for a process by its number")
-def test_workers_on_a_scheduler_end_with_their_run(scheduler, tmp_path):
-    scheduler.start_workers(1)
+def test_workers_on_a_scheduler_end_with_their_run(farm, tmp_path):
     folder = tmp_path / "shared"
     folder.mkdir()
     started = time.monotonic()
-    with open_pool(folder, f"dask:{scheduler.address}", "hang") as pool:
+    with open_pool(folder, f"dask:{farm.address}", "hang") as pool:
         steps = pool.run([1, 2], "Tiles")
         for _ in steps:
             assert time.monotonic() - started < 60.0
             if (folder / "hangs").exists() and (folder / "hangs").read_text():
                 break
         steps.close()
-    worker = int((folder / "hangs").read_text())
-    while True:
-        try:
-            os.kill(worker, 0)
-        except ProcessLookupError:
-            break
-        assert time.monotonic() - started < 90.0, "the worker outlives its run"
+    while any(map(is_running, (folder / "hangs").read_text().split())):
+        assert time.monotonic() - started < 90.0, "a worker outlives its run"
         time.sleep(0.05)
+
+
+def is_running(process: str) -> bool:
+    try:
+        os.kill(int(process), 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def python(code: str) -> list[str]:
+    return [sys.executable, "-c", code]
+
+
+def test_dask_runs_commands_without_farfield(farm):
+    with open_subprocess_pool(f"dask:{farm.address}") as pool:
+        assert (pool.executor.slots, pool.executor.workers_per_machine) == (2, 2)
+        pending = [pool.submit(python(f"import sys; print({code}, file=sys.stderr); sys.exit({code})")) for code in range(4)]
+        assert [wait_for_exit(future) for future in pending] == [(code, f"{code}\n") for code in range(4)]
+        with pytest.raises(FarfieldError, match="cannot be started"):
+            wait_for_exit(pool.submit(["no-such-program"]))
+
+
+def test_a_lost_scheduler_is_reported(farm):
+    with open_subprocess_pool(f"dask:{farm.address}") as pool:
+        pending = pool.submit(python("import time; time.sleep(20)"))
+        time.sleep(0.5)
+        farm.close()
+        with pytest.raises(FarfieldError, match="scheduler stopped"):
+            wait_for_exit(pending)

@@ -16,8 +16,7 @@ from ...core.billboards.settings import BillboardSettings
 from ...core.jobs.progress import Progress, Steps
 from ..geometry.meshes import Source
 from ..imaging.images import check_images
-from ..rendering.cycles_renders import prepare_channel_render
-from ..rendering.render_scene import RenderScene, render_scene
+from ..rendering.render_scene import RenderScene, prepare_channel_render, render_scene
 from ..shading.material_channels import CHANNELS, CaptureMaterial, build_capture_material
 from .atlas_meshes import (
     add_atlas_mesh,

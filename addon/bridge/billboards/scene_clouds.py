@@ -12,7 +12,7 @@ from ...core.geometry.transforms import transform_points
 from .. import lod_crossfade
 from ..geometry import meshes
 from ..objects import temporarily_visible, world_matrix
-from ..rendering import transparent_bounces
+from ..rendering import render_properties
 from ..source_links import SourceIndex, find_sources
 from . import clouds, source_objects
 from .level_objects import pbr_material
@@ -120,8 +120,8 @@ class SceneCloud:
             start = errors[index] if proxies or index else lod_crossfade.MIN_PIXEL
             lod_crossfade.add_crossfade(level, start, errors[index + 1], fade_range)
             _set_hidden(level, False)
-        bounces = transparent_bounces.estimate_transparent_bounces(self.levels, all_visible=True)
-        transparent_bounces.ensure_transparent_bounces(context.scene, bounces)
+        bounces = render_properties.estimate_transparent_bounces(self.levels, all_visible=True)
+        render_properties.ensure_transparent_bounces(context.scene, bounces)
         self._set_collection_hidden(False)
         self.hide_sources()
 

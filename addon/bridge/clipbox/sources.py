@@ -10,7 +10,7 @@ from ...core.clipbox.files import readers
 from ...core.clipbox.files.file_data import HeightMap
 from ...core.clipbox.files.readers import BLEND_PREFIX, Readers
 from ...core.clipbox.settings import ClipboxSettings
-from ..imaging.height_images import read_gray_image
+from ..imaging.images import read_gray_image
 from .openvdb_files import read_vdb
 
 IMAGE_EXTENSIONS = (".png", ".jpg", ".jpeg", ".exr", ".hdr", ".webp", ".bmp")

@@ -6,8 +6,7 @@ import numpy as np
 from ...compat import set_file_format
 from ...core.files.temporary_folders import temporary_folder
 from ...core.imaging.colors import decode_signed_srgb
-from .images import read_pixels
-from .tiled_images import load_image
+from .images import load_image, read_pixels
 
 SRGB = "sRGB"  # Blender's name of the color space that most images have
 

@@ -1,7 +1,7 @@
-"""Conversion between arrays and Blender images, and checks for missing image files."""
+"""Conversion between arrays and Blender images, UDIM images of several files, and checks for missing image files."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import bpy
@@ -10,11 +10,15 @@ import numpy as np
 from ...core.errors import FileError
 from ...core.files.complete_files import is_complete_png
 from ...core.files.file_access import error_reason
+from ...core.files.filenames import safe_filename
+from ...core.files.height_maps import check_size
 from ..blender import error_sentence
 from ..geometry.meshes import Source
 from ..shading.node_groups import nodes_in
 
 INDEPENDENT_ALPHA = {"CHANNEL_PACKED", "NONE"}  # modes in which colors are not weighted by alpha
+EXTENSIONS = {False: "png", True: "exr"}  # lossless, by whether the pixels are floats
+FILE_FORMATS = {False: "PNG", True: "OPEN_EXR"}
 
 
 def create_image(name: str, pixels: np.ndarray, is_data: bool, half_floats: bool = False) -> bpy.types.Image:
@@ -133,3 +137,75 @@ def _uv_tile(udim: int) -> str:
     """Return the UVTILE name of a UDIM tile number: `u1_v1` for 1001."""
     column, row = (udim - 1001) % 10, (udim - 1001) // 10
     return f"u{column + 1}_v{row + 1}"
+
+
+def load_image(path: Path) -> bpy.types.Image:
+    """Return a new image that shows a file. Raises FileError."""
+    try:
+        return bpy.data.images.load(str(path))
+    except RuntimeError as error:  # raised by Blender
+        raise FileError(f'"{path}" cannot be loaded; check that the file is a complete image.') from error
+
+
+def save_pixels(pixels: np.ndarray, path: Path, *, is_float: bool) -> None:
+    """Write stored values (H, W, 4) to a PNG or, with `is_float`, an OpenEXR file, without loss. Raises FileError."""
+    height, width = pixels.shape[:2]
+    image = bpy.data.images.new("frame", width, height, alpha=True, float_buffer=is_float, is_data=True)
+    try:
+        # Blender writes the values of data as they are; those of colors pass through the color space and back.
+        image.pixels.foreach_set(np.ascontiguousarray(pixels, np.float32).ravel())
+        image.update()
+        image.file_format = FILE_FORMATS[is_float]
+        save_image(image, path)
+    finally:
+        bpy.data.images.remove(image)
+
+
+def open_tiles(name: str, paths: Mapping[int, Path], color_space: str, alpha_mode: str) -> bpy.types.Image:
+    """Return a new tiled image of files by the numbers of their tiles, which are part of their names. `pack_tiles` loads them."""
+    first = min(paths)
+    image = load_image(paths[first])
+    image.name = name
+    image.colorspace_settings.name = color_space
+    image.alpha_mode = alpha_mode
+    image.source = "TILED"
+    image.filepath_raw = str(paths[first].with_name(paths[first].name.replace(str(first), "<UDIM>")))
+    image.tiles[0].number = first
+    present = {tile.number for tile in image.tiles}
+    for number in sorted(set(paths) - present):
+        image.tiles.new(number)
+    return image
+
+
+def pack_tiles(image: bpy.types.Image, extension: str) -> None:
+    """Load the files of a tiled image and pack them."""
+    image.reload()
+    image.pack()
+    image.filepath_raw = f"//{safe_filename(image.name)}.<UDIM>.{extension}"  # where Unpack writes to
+
+
+def read_gray_image(path: Path) -> np.ndarray:
+    """Return heights (H, W) float32, row 0 at the bottom: the mean of the first three channels as stored, without color management.
+
+    Call it on Blender's main thread.
+
+    Raises:
+        FileError: Blender cannot read it.
+    """
+    try:
+        image = bpy.data.images.load(str(path))
+    except RuntimeError as error:
+        raise FileError(f'"{path}" cannot be read: {str(error).strip().rstrip(".")}.') from error
+    try:
+        image.colorspace_settings.name = "Non-Color"
+        image.alpha_mode = "CHANNEL_PACKED"  # other modes lose colors under zero alpha
+        (width, height), channels = image.size, image.channels
+        if width * height * channels == 0:
+            raise FileError(f'"{path}" cannot be read as an image; Blender finds no pixels in it.')
+        check_size(path, width * height * channels, 4)
+        pixels = np.empty(width * height * channels, np.float32)
+        image.pixels.foreach_get(pixels)
+    finally:
+        bpy.data.images.remove(image)
+    pixels = pixels.reshape(height, width, channels)
+    return pixels[..., 0].copy() if channels < 3 else pixels[..., :3].mean(axis=2)

@@ -10,8 +10,7 @@ import numpy as np
 from ...compat import enable_nodes
 from ...core.photos.photo_texture import PhotoTexture
 from ...core.photos.texels.pages import FIRST_TILE, PageLayout
-from ..imaging.images import create_image
-from ..imaging.tiled_images import EXTENSIONS, open_tiles, pack_tiles, save_pixels
+from ..imaging.images import EXTENSIONS, create_image, open_tiles, pack_tiles, save_pixels
 
 IMAGE_NODE_OFFSET = (-330, 0)  # from the shader
 OVERLAY_PROPERTY = "farfield_photo_overlay"  # custom property of images that `create_overlay_image` made

@@ -13,8 +13,7 @@ from ...core.errors import FileError, ImageError
 from ...core.files.file_access import check_readable, convert_os_errors
 from ..blender import error_sentence
 from ..imaging.color_spaces import find_scene_linear_space
-from ..imaging.images import find_path, lossless_alpha_mode, read_pixels, tile_paths
-from ..imaging.tiled_images import EXTENSIONS, FILE_FORMATS, load_image
+from ..imaging.images import EXTENSIONS, FILE_FORMATS, find_path, load_image, lossless_alpha_mode, read_pixels, tile_paths
 
 NUMBERED_FILE = re.compile(r"(.*?)(\d+)(\D*)$", re.DOTALL)  # the last number of a name, as Blender reads image sequences
 

@@ -6,8 +6,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..imaging.images import lossless_alpha_mode
-from ..imaging.tiled_images import EXTENSIONS, load_image, open_tiles, pack_tiles, save_pixels
+from ..imaging.images import EXTENSIONS, load_image, lossless_alpha_mode, open_tiles, pack_tiles, save_pixels
 from .image_sources import default_color_space
 
 SUFFIX = " restored"

@@ -15,7 +15,7 @@ from ...core.geometry.transforms import transform_points
 from .. import lod_crossfade
 from ..geometry.mesh_pool import is_local
 from ..objects import world_matrix
-from ..rendering import transparent_bounces
+from ..rendering import render_properties
 from ..rendering.render_properties import copy_render_properties
 from ..source_links import SourceIndex, find_sources, store_sources
 from .rebaked_images import KIND, find_rebaked_images, use_rebaked_image
@@ -84,7 +84,7 @@ class LevelSet:
         for number, (level, end) in enumerate(zip(self.levels, ends, strict=True)):
             lod_crossfade.add_crossfade(level, self.errors[number] if number else lod_crossfade.MIN_PIXEL, end, fade_range)
             set_hidden(level, False)
-        transparent_bounces.ensure_transparent_bounces(scene, 8 * len(self.levels))
+        render_properties.ensure_transparent_bounces(scene, 8 * len(self.levels))
 
     def remove_crossfade(self) -> None:
         """Let every level show at any distance, and end a temporary visibility."""

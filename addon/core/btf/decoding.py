@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..geometry.direction_grids import DirectionGrid
+from ..geometry.directions import DirectionGrid
 from .factorization.factors import Factors
 from .reflectance.lobes import Lobes
 

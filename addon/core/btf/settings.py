@@ -5,7 +5,7 @@ from functools import partial
 from typing import ClassVar
 
 from ..errors import SettingsError
-from ..geometry.direction_grids import DirectionGrid
+from ..geometry.directions import DirectionGrid
 from ..settings import Choice, Settings, setting
 
 CODECS = {

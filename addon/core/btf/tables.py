@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..geometry.direction_grids import DirectionGrid
+from ..geometry.directions import DirectionGrid
 from .factorization.factors import Factors
 from .reflectance.shadows import Shadows
 from .settings import MAX_IMAGE_SIDE

@@ -7,7 +7,7 @@ from typing import Any
 
 import bpy
 
-from ...bridge.imaging.height_images import read_gray_image
+from ...bridge.imaging.images import read_gray_image
 from ...core.bdam.building.terrain_build import BuildReport, build_terrain
 from ...core.bdam.fields.height_sources import OPENERS
 from ...core.bdam.fields.terrain_field import FieldSettings, TerrainField, open_field, warn_of_heights

@@ -11,7 +11,7 @@ from ...bridge.billboards.scene_clouds import SceneCloud, clouds_of_levels, read
 from ...bridge.geometry import meshes
 from ...bridge.imaging import images
 from ...bridge.objects import find_by_uid
-from ...bridge.rendering import transparent_bounces
+from ...bridge.rendering import render_properties
 from ...bridge.source_links import store_sources
 from ...core.billboards.build import build_cloud
 from ...core.billboards.cloud import Cloud
@@ -91,8 +91,8 @@ class BillboardJob:
             collection = clouds.create_cloud(cloud, level_textures, source, scene.collection)
             store_sources(collection, objects)
             self.built_clouds.append((collection.name, cloud))
-            bounces = transparent_bounces.estimate_transparent_bounces(collection.objects)
-            transparent_bounces.ensure_transparent_bounces(scene, bounces)
+            bounces = render_properties.estimate_transparent_bounces(collection.objects)
+            render_properties.ensure_transparent_bounces(scene, bounces)
             scene_clouds.append(read_cloud(collection))
         self._hide_rebuilt_clouds(scene_clouds)
         for scene_cloud in scene_clouds:

@@ -7,8 +7,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ...bridge.imaging.images import read_pixels
-from ...bridge.imaging.tiled_images import EXTENSIONS, save_pixels
+from ...bridge.imaging.images import EXTENSIONS, read_pixels, save_pixels
 from ...bridge.objects import find_by_uid
 from ...bridge.restore import image_users, results
 from ...bridge.restore.image_pixels import PixelFormat, read_format, to_display, to_stored

@@ -22,7 +22,7 @@ from farfield.addon.core.btf.refinement.refine import (
     shade,
 )
 from farfield.addon.core.geometry.cameras import OrthographicView
-from farfield.addon.core.geometry.direction_grids import DirectionGrid
+from farfield.addon.core.geometry.directions import DirectionGrid
 from farfield.addon.core.jobs.progress import run_to_end
 
 SIZE, STACK_HEIGHT = (22, 10), 16

@@ -7,7 +7,7 @@ import pytest
 
 from farfield.addon.core.btf.reflectance.dome import fit_dome
 from farfield.addon.core.btf.reflectance.lobes import SCHLICK, GrazingFresnel
-from farfield.addon.core.geometry.direction_grids import DirectionGrid
+from farfield.addon.core.geometry.directions import DirectionGrid
 from farfield.addon.core.jobs.progress import run_to_end
 from random_textures import random_lobes
 from synthetic_views import InMemoryView

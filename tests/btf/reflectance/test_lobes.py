@@ -11,8 +11,7 @@ from farfield.addon.core.btf.capture.reference_images import low_order_lights
 from farfield.addon.core.btf.reflectance.disc_lights import DiscLights
 from farfield.addon.core.btf.reflectance.lobe_fit import ROUGHNESS_FACTORS, CapturedRadiance, fit_lobes, fit_responses
 from farfield.addon.core.btf.reflectance.lobes import Lobes, TexelSurface, specular_lobe
-from farfield.addon.core.geometry.direction_grids import DirectionGrid
-from farfield.addon.core.geometry.directions import fibonacci_sphere
+from farfield.addon.core.geometry.directions import DirectionGrid, fibonacci_sphere
 from farfield.addon.core.jobs.progress import run_to_end
 from synthetic_views import InMemoryView
 

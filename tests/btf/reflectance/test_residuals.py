@@ -9,7 +9,7 @@ from farfield.addon.core.btf.capture.shards import ShardStore
 from farfield.addon.core.btf.capture.view_data import RadianceView
 from farfield.addon.core.btf.reflectance.disc_lights import DiscLights
 from farfield.addon.core.btf.reflectance.residuals import MAX_DOME_RESIDUAL, MAX_RESIDUAL, residual_files, write_residuals
-from farfield.addon.core.geometry.direction_grids import DirectionGrid
+from farfield.addon.core.geometry.directions import DirectionGrid
 from farfield.addon.core.jobs.progress import run_to_end
 from random_textures import random_lobes
 

@@ -7,8 +7,7 @@ from farfield.addon.core.btf.capture.shard_files import UNKNOWN, encode_visibili
 from farfield.addon.core.btf.factorization.factors import Factors
 from farfield.addon.core.btf.reflectance.disc_lights import DiscLights
 from farfield.addon.core.btf.reflectance.shadows import MAX_ANGLE, PENUMBRA_ANGLE, Shadows, compute_shadows
-from farfield.addon.core.geometry.direction_grids import DirectionGrid
-from farfield.addon.core.geometry.directions import fibonacci_sphere
+from farfield.addon.core.geometry.directions import DirectionGrid, fibonacci_sphere
 from farfield.addon.core.jobs.progress import run_to_end
 
 GRID = DirectionGrid(16)

@@ -20,8 +20,7 @@ from ...billboards.level_objects import read_quad_flags
 from ...cameras import light_matrix, set_camera_view
 from ...geometry.mesh_arrays import read_positions
 from ...lod_crossfade import CROSSFADE, MAX_PIXEL, MIN_PIXEL, MIN_RANGE, PIXEL_SIZE
-from ...rendering.cycles_renders import MAX_TRANSPARENT_BOUNCES, prepare_cycles
-from ...rendering.render_scene import RenderScene, render_scene
+from ...rendering.render_scene import MAX_TRANSPARENT_BOUNCES, RenderScene, prepare_cycles, render_scene
 from ..materials.surface_material import DEFAULT_LIGHT_COVERAGE, set_light_coverage
 
 CANDIDATES = (0.0, 0.5, 1.0)

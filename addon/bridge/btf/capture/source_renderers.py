@@ -16,12 +16,11 @@ from ....core.btf.estimate import image_resolution
 from ....core.btf.reflectance.disc_lights import disc_radius
 from ....core.btf.settings import BtfSettings
 from ....core.geometry.cameras import OrthographicView
-from ....core.geometry.direction_grids import DirectionGrid
+from ....core.geometry.directions import DirectionGrid
 from ...cameras import light_matrix, set_camera_view
 from ...geometry.mesh_arrays import write_attribute
 from ...geometry.meshes import Source
-from ...rendering.cycles_renders import prepare_channel_render, prepare_cycles
-from ...rendering.render_scene import RenderScene, render_scene
+from ...rendering.render_scene import RenderScene, prepare_channel_render, prepare_cycles, render_scene
 from ...shading.material_channels import CaptureMaterial, build_capture_material
 from ...shading.node_builder import NodeBuilder
 from ...shading.node_groups import has_emission

@@ -19,8 +19,7 @@ from ....core.jobs.progress import Progress, Steps
 from ...cameras import set_camera_view
 from ...geometry.meshes import Source
 from ...imaging.images import check_images
-from ...rendering.cycles_renders import prepare_channel_render
-from ...rendering.render_scene import RenderScene, render_scene
+from ...rendering.render_scene import RenderScene, prepare_channel_render, render_scene
 from ...shading.material_channels import CHANNELS, CaptureMaterial
 from ...shading.node_builder import NodeBuilder
 from ..capture.proxies import add_channel_proxies, single_placement

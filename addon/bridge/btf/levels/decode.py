@@ -16,7 +16,7 @@ from ....core.btf.reflectance.shadows import Shadows
 from ....core.btf.settings import EMISSION as EMISSION_MODEL
 from ....core.btf.tables import unpack_color_basis, unpack_scalar_basis, unpack_weights
 from ....core.errors import GeometryError
-from ....core.geometry.direction_grids import DirectionGrid
+from ....core.geometry.directions import DirectionGrid
 from ....core.imaging.images import decode_normals
 from ...billboards.level_objects import read_level_texels
 from ...imaging.images import read_pixels

@@ -21,7 +21,7 @@ from ...billboards.level_objects import PBR_MATERIAL, pbr_image
 from ...imaging.images import read_pixels
 from ...lod_crossfade import apply_to_materials
 from ...objects import add_object_driver
-from ...rendering.transparent_bounces import ensure_transparent_bounces
+from ...rendering.render_properties import ensure_transparent_bounces
 from ..materials.emission_material import (
     AMBIENT,
     SUNS,

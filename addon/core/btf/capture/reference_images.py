@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...geometry.direction_grids import DirectionGrid
+from ...geometry.directions import DirectionGrid
 from .observations import ViewRender
 
 LOW_ORDER_LIGHTS = 5  # the constant and the three linear spherical harmonics of the suns, and the dome

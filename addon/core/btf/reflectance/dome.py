@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...geometry.direction_grids import DirectionGrid
+from ...geometry.directions import DirectionGrid
 from ...jobs.progress import Progress, Steps, subprogress
 from ..factorization.als import ViewData
 from .lobe_fit import MAX_RADIANCE

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...geometry.direction_grids import DirectionGrid
+from ...geometry.directions import DirectionGrid
 from ...jobs.chunks import map_ordered, slices
 from ...jobs.progress import Progress, Steps, subprogress
 from ..factorization.als import ViewData, split_lights

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...geometry.direction_grids import DirectionGrid
+from ...geometry.directions import DirectionGrid
 from ...jobs.chunks import map_ordered
 from ...jobs.progress import Progress, Steps
 from ..capture.shard_files import ViewFiles, to_half

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...geometry.direction_grids import DirectionGrid
+from ...geometry.directions import DirectionGrid
 from ...jobs.chunks import slices
 from ...jobs.progress import Progress, Steps, subprogress
 from ..capture.shard_files import FULLY_VISIBLE, UNKNOWN
