@@ -11,7 +11,7 @@ from bridge.operator_scenes import build, cube, is_hidden, levels, link_from_lib
 from farfield.addon.bridge.billboards.level_objects import read_level_quads
 from farfield.addon.bridge.billboards.scene_clouds import clouds_in, find_cloud
 from farfield.addon.bridge.cameras import read_scene_camera
-from farfield.addon.core.billboards.settings import BillboardSettings
+from farfield.addon.core.billboards.settings import BillboardSettings, BuildOptions, CrossfadeSettings
 from farfield.addon.core.geometry.cameras import choose_level
 from farfield.addon.core.settings import describe
 from farfield.addon.operators import long_work, properties
@@ -399,7 +399,7 @@ class TestPanel:
         cube()
         build()
         _, drawn = self.draw()
-        assert sorted(drawn) == sorted(item.name for item in panels.BillboardSettingsPanel.settings)
+        assert sorted(drawn) == sorted(item.name for item in describe(BillboardSettings, BuildOptions, CrossfadeSettings))
 
     def test_buttons_follow_the_state(self):
         texts, _ = self.draw()

@@ -43,14 +43,14 @@ def add_source_proxies(sources: Sequence[bpy.types.Object], collection: bpy.type
     The sources must be visible in `depsgraph`. Instances of the same data share one mesh.
     """
     wanted = {item.name_full for item in sources}
-    meshes: dict[int, bpy.types.Mesh] = {}
+    copied_meshes: dict[int, bpy.types.Mesh] = {}
     copies: dict[bpy.types.Material | None, bpy.types.Material] = {}
     for owner, instance in meshes.visible_meshes(wanted, depsgraph):
         evaluated, matrix = instance.object, instance.matrix_world.copy()
         key = evaluated.data.as_pointer()
-        if key not in meshes:
-            meshes[key] = _copy_mesh(evaluated, f"{collection.name} {evaluated.name}", depsgraph, copies)
-        proxy = bpy.data.objects.new(meshes[key].name, meshes[key])
+        if key not in copied_meshes:
+            copied_meshes[key] = _copy_mesh(evaluated, f"{collection.name} {evaluated.name}", depsgraph, copies)
+        proxy = bpy.data.objects.new(copied_meshes[key].name, copied_meshes[key])
         copy_render_properties(owner, proxy)
         proxy[KIND] = SOURCE_PROXY
         proxy.matrix_world = matrix
