@@ -36,12 +36,21 @@ NAME = "Monkey"
 
 @dataclass(frozen=True)
 class PhotosPreset:
-    """The amount of work. photograph_width: pixels. texture_size: texels per side. view_pixels: per side of the compared views."""
+    """The amount of work.
+
+    Attributes:
+        photograph_width: pixels.
+        samples: of Cycles, in photographs and compared views.
+        texture_size: texels per side.
+        view_pixels: per side of the compared views.
+        subdivisions: of the model.
+    """
 
     photograph_width: int
     samples: int
     texture_size: int
     view_pixels: int
+    subdivisions: int = 2
 
 
 @dataclass
@@ -87,7 +96,7 @@ def photograph_and_merge(preset: PhotosPreset) -> Steps[PhotosDemo]:
     """
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     scene = bpy.context.scene
-    model = create_model()
+    model = create_model(preset.subdivisions)
     scene.camera = cameras_at(scene, [(0.0, 0.0)], "Viewpoint")[0]
     prepare_cycles(scene, preset.samples, 8)
     scene.camera.data.type = "PERSP"
@@ -118,13 +127,13 @@ def photograph_and_merge(preset: PhotosPreset) -> Steps[PhotosDemo]:
     return demo
 
 
-def create_model() -> bpy.types.Object:
+def create_model(subdivisions: int) -> bpy.types.Object:
     """Create a subdivided monkey without UV map that emits what a procedural material shows: the truth has no highlights."""
     bpy.ops.mesh.primitive_monkey_add()
     model = bpy.context.object
     model.name = NAME
     subdivision = model.modifiers.new("Subdivision", "SUBSURF")
-    subdivision.levels = subdivision.render_levels = 2
+    subdivision.levels = subdivision.render_levels = subdivisions
     bpy.ops.object.modifier_apply(modifier=subdivision.name)
     while model.data.uv_layers:
         model.data.uv_layers.remove(model.data.uv_layers[0])

@@ -47,7 +47,7 @@ def main() -> None:
             results["wheel_folders"] = [wheel_folders()]
             results["clouds"] = sum(item.get("farfield_kind") == "cloud" for item in bpy.data.objects)
             bpy.ops.farfield.btf_bake(
-                views_per_side=2, lights_per_side=2, samples=1, components=1, alpha_components=1, shadows_per_side=4, executor="processes:2"
+                views_per_side=2, lights_per_side=2, samples=1, components=1, alpha_components=1, shadows_per_side=4, executor="processes:1"
             )
             results["wheel_folders"].append(wheel_folders())
             results["baked"] = [item.data.materials[0].name for item in bpy.data.objects if item.get("farfield_kind") == "cloud"]

@@ -136,10 +136,9 @@ def test_a_cancelled_run_may_leave_complete_outputs(tmp_path):
     assert campaign_checks.check_written(tmp_path, after, after, outputs) == []
 
 
-@pytest.mark.parametrize("script", ["campaign_disk", "campaign_session", "campaign_worker"])
-def test_the_processes_of_a_campaign_find_their_modules(script):
+def test_the_processes_of_a_campaign_find_their_modules():
     """They are started as scripts, without the search path of the tests."""
-    command = f"import sys; sys.path.insert(0, {str(FUZZ.parent)!r}); import {script}"
+    command = f"import sys; sys.path.insert(0, {str(FUZZ.parent)!r}); import campaign_disk, campaign_session, campaign_worker"
     outcome = subprocess.run([sys.executable, "-c", command], capture_output=True, encoding="utf-8", cwd=FUZZ.anchor, check=False)
     assert outcome.returncode == 0, outcome.stderr
 
@@ -229,9 +228,9 @@ def test_a_stopped_campaign_leaves_no_process(tmp_path):
 @pytest.mark.once
 def test_a_campaign_prints_what_it_did(tmp_path):
     report = tmp_path / "report.json"
-    command = [sys.executable, str(FUZZ), "--tool", "clipbox", "--case", "3", "4", "--seed", "1", "--report", str(report)]
+    command = [sys.executable, str(FUZZ), "--tool", "clipbox", "--case", "3", "--seed", "1", "--report", str(report)]
     outcome = subprocess.run(command, capture_output=True, encoding="utf-8", check=False)
     assert outcome.returncode == 0, outcome.stderr
     results = json.loads(outcome.stdout)
     assert results == json.loads(report.read_text(encoding="utf-8")) and results["seed"] == 1
-    assert results["tools"]["clipbox"]["cases"] == 2
+    assert results["tools"]["clipbox"]["cases"] == 1

@@ -23,7 +23,8 @@ from pathlib import Path
 sys.path.insert(0, SCRIPTS)
 from lib import environment
 environment.ensure()
-environment.import_farfield()
+farfield = environment.import_farfield()
+farfield.register = farfield.unregister = lambda: None  # it uses no operator; importing them all takes most of the time
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.files.temporary_folders import temporary_folder
 from farfield.addon.core.jobs.progress import Progress

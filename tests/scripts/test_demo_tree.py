@@ -1,5 +1,7 @@
 """The demo's tree: equal seeds give equal trees, branches are connected, leaves have an image with alpha."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -75,7 +77,8 @@ def test_sprigs_have_leaves_and_transparent_pixels():
     assert (atlas[..., 1] >= atlas[..., 2]).all()  # green, also where transparent
 
 
-def test_growing_twice_gives_the_same_objects():
+def test_growing_twice_gives_the_same_objects(monkeypatch):
+    monkeypatch.setattr(demo_materials, "paint_sprig_atlas", cache(demo_materials.paint_sprig_atlas))
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     trees = [demo_tree.grow_tree(seed, leaves) for seed, leaves in ((1, 200), (1, 200), (2, 200), (1, 50))]
     arrays = [[positions(item) for item in tree] for tree in trees]

@@ -17,7 +17,8 @@ SCRIPT = """
 import os, subprocess, sys
 sys.path.insert(0, {scripts!r})
 from lib import environment
-environment.import_farfield()
+farfield = environment.import_farfield()
+farfield.register = farfield.unregister = lambda: None  # it uses no operator; importing them all takes most of the time
 import bpy
 from lib import command_line
 from farfield.addon.core.errors import GeometryError
