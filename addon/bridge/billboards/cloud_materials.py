@@ -25,12 +25,8 @@ def create_cloud_material(name: str, images: dict[tuple[str, str], bpy.types.Ima
 
     shadowless_distance: the material blocks no light from within this length, in units of the cloud's objects.
     """
-    material = bpy.data.materials.new(name)
-    set_two_sided(material)
-    enable_nodes(material)
-    tree = material.node_tree
-    tree.nodes.clear()
-    builder = NodeBuilder(tree)
+    material = create_two_sided_material(name)
+    builder = NodeBuilder(material.node_tree)
     group = builder.node("ShaderNodeGroup", {"node_tree": _cloud_group(), "width": 220.0})
     group.inputs[SHADOWLESS_DISTANCE].default_value = shadowless_distance
     output = builder.node("ShaderNodeOutputMaterial")
@@ -63,6 +59,15 @@ def create_gray_material(name: str) -> bpy.types.Material:
     """Create a material with Blender's default gray, for clouds without textures."""
     material = bpy.data.materials.new(name)
     set_two_sided(material)
+    return material
+
+
+def create_two_sided_material(name: str) -> bpy.types.Material:
+    """Create a two-sided material without nodes, for a node tree to be filled."""
+    material = bpy.data.materials.new(name)
+    set_two_sided(material)
+    enable_nodes(material)
+    material.node_tree.nodes.clear()
     return material
 
 

@@ -53,8 +53,7 @@ def check_level(level_object: bpy.types.Object, source: Source) -> None:
     if not problem:
         quads = read_level_quads(level_object, built_center(level_object, source.origin))
         problem = _quads_problem(quads, level_object) or _distance_problem(quads, level_object, source)
-    if problem:
-        raise GeometryError(f'The level "{level_object.name}" was changed after the cloud was built: {problem}. Rebuild the cloud.')
+    _raise_problem(level_object, problem)
 
 
 def check_quads(level_object: bpy.types.Object) -> None:
@@ -65,7 +64,10 @@ def check_quads(level_object: bpy.types.Object) -> None:
     """
     _check_mode(level_object)
     problem = _numbers_problem(level_object) or _mesh_problem(level_object.data) or _atlas_problem(level_object)
-    problem = problem or _corners_problem(read_level_quads(level_object), level_object)
+    _raise_problem(level_object, problem or _corners_problem(read_level_quads(level_object), level_object))
+
+
+def _raise_problem(level_object: bpy.types.Object, problem: str) -> None:
     if problem:
         raise GeometryError(f'The level "{level_object.name}" was changed after the cloud was built: {problem}. Rebuild the cloud.')
 

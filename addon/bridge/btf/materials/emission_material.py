@@ -10,10 +10,9 @@ from dataclasses import dataclass
 
 import bpy
 
-from ....compat import enable_nodes
 from ....core.btf.reflectance.lobes import GrazingFresnel
 from ....core.btf.tables import LookupTables
-from ...billboards.cloud_materials import set_two_sided
+from ...billboards.cloud_materials import create_two_sided_material
 from ...shading.node_builder import NodeBuilder, SocketOrValue
 from .nodes.lobe_nodes import TexelLobes, add_dome_response, add_sun_response, decode_facing_normal
 from .nodes.parallax_nodes import parallax_uv
@@ -21,6 +20,7 @@ from .nodes.radiance_nodes import build_sun_group
 from .nodes.shadow_nodes import build_visibility_lookup
 from .nodes.table_nodes import (
     BLACK,
+    call_group,
     flatten_pairs,
     map_uv,
     offset_to_cluster,
@@ -140,13 +140,10 @@ def build_relightable_material(name: str, images: BtfImages, tables: LookupTable
 
 def _new_material(name: str, images: BtfImages, tables: LookupTables) -> bpy.types.Material:
     """Create a two-sided material with the layout of the images as custom properties, and without nodes."""
-    material = bpy.data.materials.new(name)
+    material = create_two_sided_material(name)
     material[LAYOUT] = {"version": VERSION, **{name: int(getattr(tables, name)) for name in LAYOUT_KEYS}}
     material[DOME_FRESNEL] = [images.dome_fresnel.strength, images.dome_fresnel.power]
-    set_two_sided(material)
     material.cycles.emission_sampling = "NONE"
-    enable_nodes(material)
-    material.node_tree.nodes.clear()
     return material
 
 
@@ -181,11 +178,8 @@ def _add_suns(
     add_visibility = build_visibility_lookup(builder, name, tables, images.shadow_weights, images.chromaticity.size[1], images.shadow_basis)
     for index, sun in enumerate(suns):
         sun_label, lobes_label, shadow_label = sun_node_labels(index)
-        node = builder.node("ShaderNodeGroup", {"node_tree": sun_group, "label": sun_label})
         operands = (texel.view, sun, *flatten_pairs(texel.weights), *([] if texel.cluster_offset is None else [texel.cluster_offset]))
-        for operand, target in zip(operands, node.inputs, strict=True):
-            builder.connect(operand, target)
-        radiance = builder.vector("MULTIPLY", node.outputs[0], texel.chromaticity)
+        radiance = builder.vector("MULTIPLY", call_group(builder, sun_group, operands, sun_label), texel.chromaticity)
         visibility = 1.0 if add_visibility is None else add_visibility(sun, shadow_label)
         if texel.lobes is not None:
             radiance = add_sun_response(builder, texel.lobes, sun, visibility, radiance, lobes_label)

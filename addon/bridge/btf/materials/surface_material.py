@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import bpy
 
-from ....compat import enable_nodes
 from ....core.btf.tables import ViewTable
 from ...billboards.cloud_materials import (
     COLOR,
@@ -21,8 +20,8 @@ from ...billboards.cloud_materials import (
     SIDES,
     SOLID_ATTRIBUTE,
     add_quad_shader,
+    create_two_sided_material,
     sample_map,
-    set_two_sided,
 )
 from ...shading.node_builder import NodeBuilder, SocketOrValue
 from ...shading.node_groups import create_group
@@ -61,10 +60,7 @@ def build_surface_material(
 
     shadowless_distance: see `create_cloud_material`. parameters: see `read_shared_parameters`.
     """
-    material = bpy.data.materials.new(name)
-    set_two_sided(material)
-    enable_nodes(material)
-    material.node_tree.nodes.clear()
+    material = create_two_sided_material(name)
     group = create_group(f"{name} Surface", [(SHADOW_RAYS_LEAVE, "Float"), (LIGHT_COVERAGE, "Float")], [("BSDF", "Shader")])
     _fill_group(NodeBuilder(group), images, shadowless_distance, parameters)
     builder = NodeBuilder(material.node_tree)

@@ -70,6 +70,12 @@ def enclosing_rectangle(bounds: np.ndarray) -> np.ndarray:
     return np.array([bounds[:, 0].min(), bounds[:, 1].max(), bounds[:, 2].min(), bounds[:, 3].max()])
 
 
+def fit_rectangle(positions: np.ndarray, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the axes (2, 3) and bounds (4,) of the smallest rectangle around `positions` (K, C, 3) in the plane of `frame` (2, 3)."""
+    axes = min_area_axes(positions.reshape(-1, 3) @ frame.T) @ frame
+    return axes, enclosing_rectangle(compute_bounds(positions, axes))
+
+
 def rectangle_area(rectangle: np.ndarray) -> float:
     """Return the area of `rectangle` (4,)."""
     return float((rectangle[1] - rectangle[0]) * (rectangle[3] - rectangle[2]))

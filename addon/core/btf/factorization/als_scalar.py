@@ -47,7 +47,7 @@ class InMemoryScalarData:
 
 
 class ScalarAlternatingLeastSquares:
-    """The `als.AlsProblem` of a matrix with one column per view (D = 1). Create it with `build_scalar_als`."""
+    """As `AlternatingLeastSquares`, for a matrix with one column per view (D = 1). Create it with `build_scalar_als`."""
 
     def __init__(self, data: ScalarData, known: np.ndarray, view_weights: np.ndarray) -> None:
         self._data, self.known, self.view_weights = data, known, view_weights

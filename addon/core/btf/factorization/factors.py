@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...jobs.progress import Steps, subprogress
-from .als import AlsProblem, AlternatingLeastSquares, SampledView, ViewMatrix
-from .als_scalar import InMemoryScalarData, ScalarData, build_scalar_als
+from .als import AlternatingLeastSquares, SampledView, ViewMatrix
+from .als_scalar import InMemoryScalarData, ScalarAlternatingLeastSquares, ScalarData, build_scalar_als
+
+LeastSquares = AlternatingLeastSquares | ScalarAlternatingLeastSquares
 
 SAMPLE_SWEEPS = 8  # over a sample of the rows, which is kept in memory
 SAMPLE_ROWS = 8192
@@ -84,7 +86,7 @@ def _sample_rows(row_count: int) -> np.ndarray:
     return np.unique(np.linspace(0, row_count - 1, min(row_count, SAMPLE_ROWS)).round().astype(np.int64))
 
 
-def _factorize(full: AlsProblem, sampled: AlsProblem, sample_count: int, components: int, seed: int) -> Steps[Factors]:
+def _factorize(full: LeastSquares, sampled: LeastSquares, sample_count: int, components: int, seed: int) -> Steps[Factors]:
     """Factorize `full`, starting with the problem `sampled` of a subset of its rows, or with `full` itself."""
     weights = np.random.default_rng(seed).standard_normal((sample_count, components)).astype(np.float32)
     weights[:, 0] = 1.0

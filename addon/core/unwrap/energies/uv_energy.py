@@ -50,9 +50,10 @@ class Assembly:
 
 
 class UvEnergy:
-    """Implements `newton.Energy`.
+    """Energy of uv (V, 2), which are never changed in place. The N degrees of freedom are the coordinates of the free vertices.
 
-    assembly: of the triangles of `stretch`. boundary: None where the boundary is fixed. relax_worst_vertices: see `newton.Energy`.
+    assembly: of the triangles of `stretch`. boundary: None where the boundary is fixed. relax_worst_vertices: returns uv with fewer
+    strongly distorted triangles, which would limit the next step; the same array where there are none.
     """
 
     def __init__(

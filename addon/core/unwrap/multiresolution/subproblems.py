@@ -24,11 +24,18 @@ FLOOR_FRACTION = 0.95  # of its ratio: a triangle below the quality limit may no
 
 
 @dataclass(frozen=True)
-class MultigridLevel:
-    """A level of a chart.
+class LevelTriangles:
+    """Triangles of a level of a chart, with what their energy depends on.
 
-    vertices (V, 3): of the whole chart. triangles (T, 3), with their rest shapes and weights (T,). vertex_weights (V,). boundary (B, 2):
-    edges. is_free (V,) bool: vertices that may move. activation_distance: see `BoundaryBarrier`.
+    Attributes:
+        vertices: (V, 3) float64, on the surface.
+        triangles: (T, 3) int32, indices into `vertices`.
+        shapes: Rest shapes of the triangles.
+        weights: (T,) importance of the triangles.
+        vertex_weights: (V,) the same, per vertex.
+        boundary: (B, 2) edges.
+        is_free: (V,) bool, vertices that may move.
+        activation_distance: Distance in the UV map at which the boundary barrier sets in.
     """
 
     vertices: np.ndarray
@@ -39,6 +46,10 @@ class MultigridLevel:
     boundary: np.ndarray
     is_free: np.ndarray
     activation_distance: float
+
+
+class MultigridLevel(LevelTriangles):
+    """A level with all its triangles. Its vertices are those of the whole chart."""
 
     def subproblems(self, uv: np.ndarray, sweep: int, is_changed: np.ndarray) -> Iterator[tuple[float, "Subproblem | None"]]:
         """Yield the subproblems to solve where the energy has changed, each with the fraction of the level that was done before.
@@ -107,24 +118,16 @@ class MultigridLevel:
 
 
 @dataclass(frozen=True)
-class Subproblem:
+class Subproblem(LevelTriangles):
     """K triangles of a level and the N vertices of these triangles and of the boundary, with their own indices.
 
     vertex_indices (N,): in the chart. triangle_indices (K,): in the level. is_relaxation_fixed (N,) bool: vertices that are not relaxed
-    on their own. The other fields are as in `MultigridLevel`.
+    on their own.
     """
 
     vertex_indices: np.ndarray
     triangle_indices: np.ndarray
-    vertices: np.ndarray
-    triangles: np.ndarray
-    shapes: RestShapes
-    weights: np.ndarray
-    vertex_weights: np.ndarray
-    boundary: np.ndarray
-    is_free: np.ndarray
     is_relaxation_fixed: np.ndarray
-    activation_distance: float
 
     def energy(self, uv: np.ndarray, min_quality: float, penalties: np.ndarray) -> UvEnergy:
         """Return the energy to minimize from `uv` (N, 2).

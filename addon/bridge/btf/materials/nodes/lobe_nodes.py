@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 from .....core.btf.reflectance.lobes import MIN_COSINE, MIN_FRESNEL_COSINE, MIN_ROUGHNESS, SCHLICK, GrazingFresnel
 from ....shading.node_builder import NodeBuilder, SocketOrValue
 from ....shading.node_groups import ensure_shared_group
+from .table_nodes import call_group
 
 GROUP_NAME, GROUP_VERSION = "Farfield Lobes", 3
 INPUTS = [  # the residual radiance, the Sun and its visibility, and a texel's lobes in the order of `TexelLobes`
@@ -58,11 +59,7 @@ def add_sun_response(
     sun: direction to the Sun in world space. visibility: of the Sun, 0..1.
     """
     group = ensure_shared_group(GROUP_NAME, GROUP_VERSION, INPUTS, OUTPUTS, _fill)
-    node = builder.node("ShaderNodeGroup", {"node_tree": group, "label": label})
-    operands = (residual, sun, visibility, *(getattr(lobes, field.name) for field in fields(lobes)))
-    for operand, target in zip(operands, node.inputs, strict=True):
-        builder.connect(operand, target)
-    return node.outputs[0]
+    return call_group(builder, group, (residual, sun, visibility, *(getattr(lobes, field.name) for field in fields(lobes))), label)
 
 
 def _fill(builder: NodeBuilder) -> None:
