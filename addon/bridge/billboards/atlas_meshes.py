@@ -53,7 +53,7 @@ def compute_placement(level: Level) -> AtlasPlacement:
     rectangles = level.atlas.rectangles.astype(np.float64)
     rectangle_centers = rectangles[:, :2] + 0.5 * rectangles[:, 2:] - 0.5 * np.array(level.atlas.size, np.float64)
     positions = np.column_stack([level.texel_size * rectangle_centers, np.zeros(len(rectangle_centers))])
-    half_texel = 0.5 * level.texel_size  # a quad that is smaller than its one texel is not enlarged
+    half_texel = 0.5 * level.texel_size  # A quad that is smaller than its one texel is not enlarged.
     scales = half_texel * rectangles[:, 2:] / np.maximum(level.quads.half_sizes, half_texel)
     return AtlasPlacement(level.quads.centers, level.quads.frames, positions, np.minimum(scales.min(axis=1), 1.0))
 

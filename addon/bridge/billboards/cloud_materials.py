@@ -10,14 +10,14 @@ from ..shading.node_groups import ensure_shared_group
 
 GROUP_NAME = "Farfield Cloud"
 GROUP_VERSION = 1
-JOINED_ATTRIBUTE = "farfield_joined"  # per face: 1 if the quad shows part of a surface that continues on other quads
-SOLID_ATTRIBUTE = "farfield_solid"  # per face: 1 if no camera sees the back, because it is the inside of a solid
+JOINED_ATTRIBUTE = "farfield_joined"  # Per face: 1 if the quad shows part of a surface that continues on other quads.
+SOLID_ATTRIBUTE = "farfield_solid"  # Per face: 1 if no camera sees the back, because it is the inside of a solid.
 COLOR, NORMAL, ROUGHNESS_METALLIC_DEPTH = MAPS = ("Color", "Normal", "Roughness Metallic Depth")
 SIDES = ("Front", "Back")
-SHADOWLESS_DISTANCE = "Shadowless Distance"  # input of the group
-FRONT_COLOR = "Front color"  # label of the node with the color and alpha of the fronts
-FRONT_NORMAL = "Front normal"  # label of the node with their normals in object space, encoded as colors
-FRONT_ROUGHNESS_METALLIC_DEPTH = "Front roughness metallic depth"  # label of the node with their roughness, metallic and depth
+SHADOWLESS_DISTANCE = "Shadowless Distance"  # Input of the group.
+FRONT_COLOR = "Front color"  # Label of the node with the color and alpha of the fronts.
+FRONT_NORMAL = "Front normal"  # Label of the node with their normals in object space, encoded as colors.
+FRONT_ROUGHNESS_METALLIC_DEPTH = "Front roughness metallic depth"  # Label of the node with their roughness, metallic and depth.
 
 
 def create_cloud_material(name: str, images: dict[tuple[str, str], bpy.types.Image], shadowless_distance: float) -> bpy.types.Material:

@@ -87,7 +87,7 @@ class Cloud:
     source_triangles: int
     dropped_triangles: int
     longest_side: float
-    max_plane_distance: float  # maximum distance of a vertex to the plane of a quad that shows it, over the level's error
+    max_plane_distance: float  # Maximum distance of a vertex to the plane of a quad that shows it, over the level's error.
     faces_beyond_normal_bound: int
     uncovered_faces: int
     seconds: dict[str, float] = field(default_factory=dict)

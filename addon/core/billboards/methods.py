@@ -21,12 +21,12 @@ from .decimation.triangle_patches import build_triangle_patches, cover_flat_surf
 from .primitives import Components, Primitives
 from .settings import BillboardSettings
 
-REGION_NEIGHBORS = 12  # per primitive, in the graph over which the region of a quad grows
-QUAD_COST = 4.0  # of one more quad, in mean areas of a cluster
-MAX_COVER_ROUNDS = 4  # at the finest level
-MAX_COARSE_COVER_ROUNDS = 2  # at other levels, which start from the quads of the finer one
-NEIGHBORS_FRACTION = 0.1  # of the progress bar of `cover_by_clustering`, for the proximity graph
-UNASSIGNED_FRACTION = 0.1  # of the progress of a level of `cover_by_decimation`, for clustering unassigned faces
+REGION_NEIGHBORS = 12  # Per primitive, in the graph over which the region of a quad grows.
+QUAD_COST = 4.0  # Cost of one more quad, in mean areas of a cluster.
+MAX_COVER_ROUNDS = 4  # At the finest level.
+MAX_COARSE_COVER_ROUNDS = 2  # At other levels, which start from the quads of the finer one.
+NEIGHBORS_FRACTION = 0.1  # The proximity graph takes this fraction of the progress bar of `cover_by_clustering`.
+UNASSIGNED_FRACTION = 0.1  # Clustering unassigned faces takes this fraction of the progress of a level of `cover_by_decimation`.
 
 
 def cover_by_clustering(

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..arrays import TINY
 
-BOUNDARY_TOLERANCE = 1e-6  # of a texel: for corners that lie on the boundary between two texels
+BOUNDARY_TOLERANCE = 1e-6  # In texels, for corners that lie on the boundary between two texels.
 
 
 @dataclass(frozen=True)

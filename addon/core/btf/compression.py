@@ -27,7 +27,7 @@ from .reflectance.residuals import residual_files, write_residuals
 from .reflectance.shadows import Shadows, compute_shadows
 from .settings import BtfSettings
 
-MIN_COSINE = 0.03  # minimum weight of a texel in a view that sees its quad edge-on
+MIN_COSINE = 0.03  # Minimum weight of a texel in a view that sees its quad edge-on.
 # Ends of the stages in the progress bar of `compress`.
 WEIGHTS_END, CHROMATICITY_END, SHADOWS_END, LOBES_END, RESIDUALS_END, COLOR_END, SILHOUETTES_END = 0.02, 0.05, 0.2, 0.6, 0.75, 0.95, 0.97
 

@@ -32,8 +32,8 @@ class RelightableTexture:
         """Return the color basis (V, components of all clusters, L, 3) float32, interpolated at the unit directions `views` (V, 3) and
         `lights` (L, 3)."""
         values = self.color.basis.reshape(len(self.views), -1, len(self.lights) + 1, 3)
-        by_light = self.lights.interpolate(np.moveaxis(values[:, :, :-1], 2, 0), lights)  # light, view, component, channel
-        return np.moveaxis(self.views.interpolate(np.moveaxis(by_light, 1, 0), views), 1, 2)  # view, component, light, channel
+        by_light = self.lights.interpolate(np.moveaxis(values[:, :, :-1], 2, 0), lights)  # Light, view, component, channel.
+        return np.moveaxis(self.views.interpolate(np.moveaxis(by_light, 1, 0), views), 1, 2)  # View, component, light, channel.
 
     def radiance(self, basis: np.ndarray, view: np.ndarray, light: np.ndarray) -> np.ndarray:
         """Return the texture (H, W, 3) float32 for a view (3,) and a light (3,): straight scene-linear radiance under a sun of unit

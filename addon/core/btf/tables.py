@@ -67,11 +67,11 @@ def build_tables(
     """Build the lookup tables. The columns of `color` are lights, the dome last, times channels; `alpha` has one column."""
     count, components, clusters = len(lights), color.components, color.clusters
     values = color.basis.reshape(len(views), clusters, components, count + 1, 3)
-    tiles = lights.pad(np.moveaxis(values[..., :count, :], 3, 0))  # light row, light column, view, cluster, component, channel
-    blocks = views.pad(np.moveaxis(tiles, 2, 0))  # view row, view column, light row, light column, cluster, component, channel
+    tiles = lights.pad(np.moveaxis(values[..., :count, :], 3, 0))  # Light row, light column, view, cluster, component, channel.
+    blocks = views.pad(np.moveaxis(tiles, 2, 0))  # View row, view column, light row, light column, cluster, component, channel.
     view_side, light_side = blocks.shape[0], blocks.shape[2]
     width, height = clusters * view_side * light_side, components * view_side * light_side
-    # component, view row, light row; cluster, view column, light column
+    # Component, view row, light row; cluster, view column, light column.
     basis = blocks.transpose(5, 0, 2, 4, 1, 3, 6).reshape(height, width, 3)
     return LookupTables(
         views_per_side=views.size,
@@ -108,7 +108,7 @@ def unpack_color_basis(
     view_side, light_side = views.size + 2, lights.size + 2
     blocks = basis[..., :3].reshape(components, view_side, light_side, clusters, view_side, light_side, 3)
     blocks = blocks[:, 1:-1, 1:-1, :, 1:-1, 1:-1]
-    # view row, view column, cluster, component, light row, light column, channel
+    # View row, view column, cluster, component, light row, light column, channel.
     suns = blocks.transpose(1, 4, 3, 0, 2, 5, 6).reshape(len(views), clusters * components, len(lights), 3)
     dome_basis = _unpack_view_table(dome, views, clusters, components)[..., :3]
     return np.concatenate([suns, dome_basis[:, :, None]], axis=2).reshape(len(views), clusters * components, -1)

@@ -14,11 +14,11 @@ from .energies.stretch_energy import compute_jacobians
 from .overlaps import count_overlaps
 from .parameterization.density_control import compute_density_ratio
 
-NEGLIGIBLE_AREA = 1e-9  # of the mean area: the stretch of smaller triangles is rounding noise
+NEGLIGIBLE_AREA = 1e-9  # The stretch of triangles below this fraction of the mean area is rounding noise.
 PERCENTILES = 95.0, 99.0
 IMPORTANCE_BINS = 4
 NEUTRAL, STRETCHED, COMPRESSED = np.array([0.93, 0.93, 0.90]), np.array([0.75, 0.10, 0.08]), np.array([0.10, 0.28, 0.70])
-SATURATION_STRETCH = 2.0  # stretch, or its inverse, that gets the full color
+SATURATION_STRETCH = 2.0  # Stretch, or its inverse, that gets the full color.
 BACKGROUND = 0.16
 
 
@@ -69,7 +69,7 @@ def compute_stretches(mesh: TriangleMesh, corner_uvs: np.ndarray) -> Steps[Stret
     areas, _ = face_areas_and_normals(mesh.corners)
     yield Progress(0.0, "Measuring")
     scale = np.sqrt(areas @ np.abs(determinants) / areas.sum())
-    # singular values s1 >= s2 from s1^2 + s2^2 and s1 s2; s2 = determinant / s1 keeps precision
+    # Singular values s1 >= s2 from s1^2 + s2^2 and s1 s2; s2 = determinant / s1 keeps precision.
     half_difference = np.sqrt(np.maximum(jacobians.frobenius_squared**2 - 4.0 * determinants**2, 0.0))
     largest = np.sqrt(0.5 * (jacobians.frobenius_squared + half_difference))
     absolute = np.abs(determinants)

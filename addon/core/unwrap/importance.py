@@ -10,7 +10,7 @@ from ..geometry.mesh import TriangleMesh, face_areas_and_normals
 from .settings import UnwrapSettings
 from .visibility import visible_pixel_areas
 
-REFERENCE_PERCENTILE = 95.0  # of the visible area: the pixel density that gets importance 1; the few denser triangles get no more
+REFERENCE_PERCENTILE = 95.0  # The pixel density at this percentile of the visible area gets importance 1; denser triangles get no more.
 
 
 def compute_importance(

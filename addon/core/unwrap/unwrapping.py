@@ -18,8 +18,8 @@ from .parameterization.developable import unfold_developable
 from .parameterization.parameterize import Boundary, parameterize
 from .settings import UnwrapSettings
 
-CUTTING_END, PARAMETERIZATION_END, PACKING_END = 0.1, 0.9, 0.95  # fractions of the progress bar
-MIN_CHART_AREA = 1e-7  # of the total area
+CUTTING_END, PARAMETERIZATION_END, PACKING_END = 0.1, 0.9, 0.95  # Fractions of the progress bar.
+MIN_CHART_AREA = 1e-7  # As a fraction of the total area.
 
 
 @dataclass(frozen=True)

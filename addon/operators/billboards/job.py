@@ -21,7 +21,7 @@ from ...core.jobs.progress import Progress, Steps, subprogress
 from .messages import linked_sources_message
 from .sources import read_sources
 
-CAPTURE_FRACTION = 0.95  # of the progress of the scene steps
+CAPTURE_FRACTION = 0.95  # End of the capture in the progress of the scene steps.
 
 
 @dataclass
@@ -31,7 +31,7 @@ class BillboardJob:
     scene_uid, rebuilt_uids: session UIDs of the scene and of the collections of clouds that are built again.
     """
 
-    core_fraction = 0.35  # renders take longer than the search for planes
+    core_fraction = 0.35  # Renders take longer than the search for planes.
 
     sources: list[meshes.Source]
     settings: BillboardSettings
@@ -85,7 +85,7 @@ class BillboardJob:
             raise GeometryError("The scene was removed while the cloud was being built; build it again.")
         objects_of_sources = [_find_objects(source) for source in self.sources]
         if bpy.context.mode != "OBJECT":
-            bpy.ops.object.mode_set(mode="OBJECT")  # undo in Edit Mode covers only the edited mesh, not the objects created here
+            bpy.ops.object.mode_set(mode="OBJECT")  # Undo in Edit Mode covers only the edited mesh, not the objects created here.
         scene_clouds = []
         for source, cloud, level_textures, objects in zip(self.sources, built, textures, objects_of_sources, strict=True):
             collection = clouds.create_cloud(cloud, level_textures, source, scene.collection)

@@ -24,7 +24,7 @@ from ...core.geometry.directions import bonn_directions
 from ...core.jobs.progress import Progress, Steps, subprogress
 
 GLB, FMF, OCTAHEDRAL_FOLDER, IMAGE_FOLDER = ".glb", ".btf", ".octahedral", ""
-RADIANCE_SUFFIXES = (FMF, IMAGE_FOLDER)  # need the model *emission*
+RADIANCE_SUFFIXES = (FMF, IMAGE_FOLDER)  # Need the model *emission*
 FORMATS = {
     GLB: "quads, colors and normals",
     FMF: "full matrix factorization",
@@ -109,7 +109,7 @@ class BtfExportJob:
 
 
 def prepare_export(levels: list[bpy.types.Object], target: Path, settings: ExportSettings) -> BtfExportJob:
-    """Prepare the export of `levels`. A .glb contains them all; other formats write one file or folder per level, beside or in `target`.
+    """Prepare the export of `levels`. A .glb contains them all; other formats write one file or folder per level, next to or in `target`.
 
     Raises:
         FileError: see `check_target`.

@@ -49,8 +49,8 @@ from ...core.jobs.executors import parse_executor
 from ...core.jobs.progress import StageClock, Steps, subprogress
 from . import estimates
 
-CAPTURE_FRACTION = 0.8  # of the progress bar
-COMPRESS_END, REFINE_END = 0.5, 0.9  # fractions of the remaining progress of a level
+CAPTURE_FRACTION = 0.8  # End of the capture in the progress bar.
+COMPRESS_END, REFINE_END = 0.5, 0.9  # Fractions of the remaining progress of a level.
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ class BakeJob:
                 yield from self._calibrate(cloud)
         if self.temporary_folder is not None:
             self.temporary_folder.cleanup()
-        elif not self.keep_finished_views and not heartbeat.is_alive(self.folder):  # another Blender may have started the same bake
+        elif not self.keep_finished_views and not heartbeat.is_alive(self.folder):  # Another Blender may have started the same bake.
             shutil.rmtree(self.folder, ignore_errors=True)
         return f'Baked "{self.collection}": {sum(figure["renders"] for figure in self.figures):,} renders.'
 
@@ -262,12 +262,12 @@ def prepare_bake(
     levels = [_read_level(level_object, source, settings, folder, index) for index, level_object in enumerate(cloud.levels)]
     for level in levels:
         level.store.open(f"{source.fingerprint} {settings.capture_fingerprint} {len(level.spec.texels)} {level.spec.error:.9g}")
-    run = CaptureRun(folder)  # from here on, no other run writes to the folder
+    run = CaptureRun(folder)  # From here on, no other run writes to the folder.
     try:
         btf_snapshot.write_snapshot(run.snapshot_folder, context.scene, source_objects, source, [level.spec for level in levels], settings)
     except FarfieldError:
         with closing(run):
-            run.heartbeat.renew()  # the error may be that another run has taken over
+            run.heartbeat.renew()  # The error may be that another run has taken over.
         raise
     return BakeJob(
         collection=name,

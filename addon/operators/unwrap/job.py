@@ -55,7 +55,7 @@ class UnwrapJob:
         yield Progress(0.0, "Writing UV maps")
         is_editing = bpy.context.mode == "EDIT_MESH"
         if is_editing:
-            bpy.ops.object.mode_set(mode="OBJECT")  # mesh data can only be written outside of Edit Mode
+            bpy.ops.object.mode_set(mode="OBJECT")  # Mesh data can only be written outside of Edit Mode.
         try:
             for target in self.targets:
                 uv_maps.find_mesh(target, self.settings.uv_map)
@@ -93,7 +93,7 @@ def prepare(context: bpy.types.Context, objects: Sequence[bpy.types.Object], set
     """
     cameras = _read_cameras(context, settings)
     if settings.importance in ("direction", "gradual"):
-        from_direction(np.zeros((0, 3)), np.array(settings.direction))  # reports an invalid direction early
+        from_direction(np.zeros((0, 3)), np.array(settings.direction))  # Reports an invalid direction early.
     targets, skipped, meshes, errors = [], [], set(), []
     for item in objects:
         reason = uv_maps.skip_reason(item, settings.uv_map)

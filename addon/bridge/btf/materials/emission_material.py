@@ -33,11 +33,11 @@ from .nodes.table_nodes import (
 )
 
 SUNS = 4
-MIN_SUN_COSINE = 0.99  # a shadow ray within this cosine of a Sun direction belongs to that Sun, whose disc has some width
-AMBIENT = "farfield_ambient"  # custom property of the level object: radiance of uniform World lighting
-LAYOUT = "farfield_btf_layout"  # custom property of the material: LAYOUT_KEYS of `core.btf.tables.LookupTables`, and a version
-VERSION = 2  # of the layout of the images
-DOME_FRESNEL = "farfield_dome_fresnel"  # custom property of the material: strength and power of the Fresnel term under the dome
+MIN_SUN_COSINE = 0.99  # A shadow ray within this cosine of a Sun direction belongs to that Sun, whose disc has some width.
+AMBIENT = "farfield_ambient"  # Custom property of the level object: radiance of uniform World lighting.
+LAYOUT = "farfield_btf_layout"  # Custom property of the material: LAYOUT_KEYS of `core.btf.tables.LookupTables`, and a version.
+VERSION = 2  # Version of the layout of the images.
+DOME_FRESNEL = "farfield_dome_fresnel"  # Custom property of the material: strength and power of the Fresnel term under the dome.
 LAYOUT_KEYS = (
     *("views_per_side", "views_upper", "lights_per_side", "lights_upper", "clusters", "components", "alpha_components"),
     *("shadows_per_side", "shadows_upper", "shadow_components"),

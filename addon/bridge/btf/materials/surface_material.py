@@ -30,11 +30,11 @@ from .nodes.parallax_nodes import depth_uv
 from .nodes.table_nodes import map_uv, sample_image, sample_weights, weighted_scalar_sum
 from .shared_parameters import Value, write_parameters
 
-SHADOW_RAYS_LEAVE = "Shadow Rays Leave"  # input of the group: 1 if shadow rays start at the shaded point, 0 if they start at the light
-LIGHT_COVERAGE = "Light Coverage"  # input of the group: 0 to 1, see `_light_alpha`
-DEFAULT_LIGHT_COVERAGE = 0.5  # until it is calibrated
-CONTRAST, PIVOT = 2.0, 0.4  # of the silhouettes of joined quads: alpha above the pivot grows, alpha below it shrinks
-SHARPNESS = 2.0  # factor of the alpha of joined quads for light: two that meet with half coverage each let none through
+SHADOW_RAYS_LEAVE = "Shadow Rays Leave"  # Input of the group: 1 if shadow rays start at the shaded point, 0 if they start at the light.
+LIGHT_COVERAGE = "Light Coverage"  # Input of the group: 0 to 1, see `_light_alpha`.
+DEFAULT_LIGHT_COVERAGE = 0.5  # Until it is calibrated.
+CONTRAST, PIVOT = 2.0, 0.4  # For the silhouettes of joined quads: alpha above the pivot grows, alpha below it shrinks.
+SHARPNESS = 2.0  # Factor of the alpha of joined quads for light: two that meet with half coverage each let none through.
 
 
 @dataclass(frozen=True)

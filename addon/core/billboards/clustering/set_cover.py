@@ -19,7 +19,7 @@ from .rectangles import (
     rectangle_area,
 )
 
-ROUNDING = 1e-9  # relative difference that counts as equal
+ROUNDING = 1e-9  # Relative difference that counts as equal.
 MAX_SHRINK_PASSES = 3
 
 
@@ -37,7 +37,7 @@ class _Candidate:
         """Find the rectangle with the most uncovered area per cost. Returns False if nothing is left to cover."""
         is_uncovered = uncovered[self.region]
         count = int(is_uncovered.sum())
-        if count in (0, self.uncovered_count):  # covered primitives stay covered: an equal count means an equal set
+        if count in (0, self.uncovered_count):  # Covered primitives stay covered: an equal count means an equal set.
             return count > 0
         local = self.local[is_uncovered]
         self.uncovered_count = count

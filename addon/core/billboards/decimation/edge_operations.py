@@ -15,11 +15,11 @@ from ...geometry.distance import closest_on_mesh, closest_on_triangles, segment_
 from ...geometry.edges import Edges, find_edges
 from ...geometry.mesh import face_areas_and_normals
 
-MIN_ROTATION_COSINE = 0.2  # between the normals of a triangle before and after an operation: below it, it has folded over
-TESTS_PER_CHUNK = 20_000  # of a sample against a triangle: so that temporary arrays fit into the cache of a CPU core
+MIN_ROTATION_COSINE = 0.2  # Between the normals of a triangle before and after an operation: below it, it has folded over.
+TESTS_PER_CHUNK = 20_000  # Tests of samples against triangles at once: temporary arrays fit into the cache of a CPU core.
 PLACEMENT_POWERS = (2.0, 4.0)
-PLACEMENT_DAMPING = 1e-3  # of the trace
-MIN_DIRECTION_DISTANCE = 1e-6  # of the maximum distance: closer samples use the triangle's normal as their direction
+PLACEMENT_DAMPING = 1e-3  # Relative to the trace of the normal matrix.
+MIN_DIRECTION_DISTANCE = 1e-6  # Relative to the maximum distance. Closer samples use the triangle's normal as their direction.
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from ..clustering.rectangles import compute_bounds, enclosing_rectangle, fit_rec
 from ..primitives import Components, Primitives
 from .reference_mesh import DecimatedMesh
 
-FLAT_TOLERANCE = 0.05  # of the error: triangles with corners within this distance of each other's planes are in one plane
+FLAT_TOLERANCE = 0.05  # In errors: triangles with corners within this distance of each other's planes are in one plane.
 
 
 def build_triangle_patches(

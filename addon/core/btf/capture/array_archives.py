@@ -10,7 +10,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-MAX_DEFLATE_RATIO = 1032  # of the size of data to its compressed size
+MAX_DEFLATE_RATIO = 1032  # The largest possible ratio of the size of data to its compressed size.
 READ_ERRORS = (
     OSError,
     ValueError,
@@ -18,7 +18,7 @@ READ_ERRORS = (
     ArithmeticError,
     EOFError,
     MemoryError,
-    RuntimeError,  # an encrypted file, or an unknown compression method
+    RuntimeError,  # An encrypted file, or an unknown compression method.
     struct.error,
     zipfile.BadZipFile,
     zlib.error,

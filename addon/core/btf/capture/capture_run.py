@@ -11,7 +11,7 @@ from ...files.user_folders import open_private_folder
 from ...jobs import heartbeat
 
 SNAPSHOT_SUFFIX = ".snapshot"
-MAX_AGE_DAYS = 30.0  # of the finished views of a bake that was cancelled
+MAX_AGE_DAYS = 30.0  # Age at which the finished views of a cancelled bake are deleted.
 SECONDS_PER_DAY = 86400.0
 
 

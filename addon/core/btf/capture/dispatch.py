@@ -8,7 +8,7 @@ from ...jobs.heartbeat import Heartbeat
 from ...jobs.progress import Steps
 from .shards import ShardStore
 
-MAX_SHARD_VIEWS = 64  # per worker process: Blender's memory grows slowly with the number of renders
+MAX_SHARD_VIEWS = 64  # Per worker process: Blender's memory grows slowly with the number of renders.
 VIEWS = dispatch.ItemName("view", "views")
 
 
@@ -42,7 +42,7 @@ class _ViewFiles:
         return len(self.stores)
 
     def validate_or_remove(self, view: int) -> bool:
-        is_valid = [store.validate_or_remove(view) for store in self.stores]  # a list: every damaged file is removed
+        is_valid = [store.validate_or_remove(view) for store in self.stores]  # A list: every damaged file is removed.
         return all(is_valid)
 
     def count_parts(self, views: Sequence[int]) -> list[int]:

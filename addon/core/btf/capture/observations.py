@@ -8,10 +8,10 @@ import numpy as np
 from ...billboards.texels import Texels
 from ...geometry.cameras import OrthographicView
 
-ID_BUFFER_SCALE = 3  # resolution of the ID buffer relative to the other renders of a view
-SUBSAMPLES = 3  # per side of a texel
-MAX_TABLE_BYTES = 10**8  # of a dense quad-face table
-MIN_COVERAGE = 0.1  # summed over the subsamples of a texel; below it, its color is noise
+ID_BUFFER_SCALE = 3  # Resolution of the ID buffer relative to the other renders of a view.
+SUBSAMPLES = 3  # Per side of a texel.
+MAX_TABLE_BYTES = 10**8  # Larger dense tables of quads and faces are replaced by sorted keys.
+MIN_COVERAGE = 0.1  # Summed over the subsamples of a texel; below it, its color is noise.
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import numpy as np
 from ...geometry.direction_grids import DirectionGrid
 from .observations import ViewRender
 
-LOW_ORDER_LIGHTS = 5  # the constant and the three linear spherical harmonics of the suns, and the dome
+LOW_ORDER_LIGHTS = 5  # The constant and the three linear spherical harmonics of the suns, and the dome.
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ ARRAYS = (
     "reference_coverage",
     "visibility",
 )
-HALF_FLOAT_EXPONENT = 0x7C00  # all bits of the exponent are set in infinities and NaN
+HALF_FLOAT_EXPONENT = 0x7C00  # All bits of the exponent are set in infinities and NaN.
 
 
 @dataclass(frozen=True)

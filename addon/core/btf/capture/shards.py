@@ -15,7 +15,7 @@ from .reference_images import ReferenceImage
 from .shard_files import ViewFiles, to_bytes, to_half, write_view_file
 from .shard_layout import ARRAYS, ShardLayout
 
-FORMAT_VERSION = 7  # of the files; a folder written with another version belongs to another bake
+FORMAT_VERSION = 7  # A folder written with another version of the files belongs to another bake.
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class ShardStore:
         """Return the Cycles render time of all finished views, those of earlier runs included, as far as it is known."""
         total = 0.0
         for path in (self._timing_path(view) for view in range(view_count) if self.exists(view)):
-            with suppress(OSError, KeyError, TypeError, ValueError, RecursionError):  # a missing time is not an error
+            with suppress(OSError, KeyError, TypeError, ValueError, RecursionError):  # A missing time is not an error.
                 seconds = float(json.loads(path.read_bytes())["render_seconds"])
                 total += seconds if math.isfinite(seconds) else 0.0
         return total

@@ -14,8 +14,8 @@ import numpy as np
 from ...jobs.chunks import map_ordered, slices
 from ...jobs.progress import Progress, Steps
 
-RIDGE = 1e-3  # regularization relative to the mean diagonal of the normal matrices: keeps rows known from few views bounded
-CHUNK_ROWS = 4096  # rows solved at once
+RIDGE = 1e-3  # Regularization relative to the mean diagonal of the normal matrices: keeps rows known from few views bounded.
+CHUNK_ROWS = 4096  # Rows solved at once.
 
 
 class ViewData(Protocol):

@@ -13,7 +13,7 @@ from ...jobs.chunks import map_ordered, slices
 from ...jobs.progress import Progress, Steps
 from .als import RIDGE, solve_basis
 
-CHUNK_ROWS = 4096  # rows processed at once
+CHUNK_ROWS = 4096  # Rows processed at once.
 
 Result = TypeVar("Result")
 

@@ -11,8 +11,8 @@ from ...jobs.progress import Progress, Steps
 from .als import ViewMatrix
 from .factors import Factors
 
-PEAK_QUANTILE = 0.99  # of the captured values; the peak signal of the PSNR
-SAMPLE_TEXELS = 8192  # about
+PEAK_QUANTILE = 0.99  # This quantile of the captured values is the peak signal of the PSNR.
+SAMPLE_TEXELS = 8192  # About.
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from .als_scalar import InMemoryScalarData, ScalarAlternatingLeastSquares, Scala
 
 LeastSquares = AlternatingLeastSquares | ScalarAlternatingLeastSquares
 
-SAMPLE_SWEEPS = 8  # over a sample of the rows, which is kept in memory
+SAMPLE_SWEEPS = 8  # Over a sample of the rows, which is kept in memory.
 SAMPLE_ROWS = 8192
-SAMPLE_END, WEIGHTS_END, SWEEP_END = 0.3, 0.6, 0.85  # of the progress bar of `_factorize`
+SAMPLE_END, WEIGHTS_END, SWEEP_END = 0.3, 0.6, 0.85  # Ends of the stages in the progress bar of `_factorize`.
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def _orthogonalize(weights: np.ndarray, basis: np.ndarray, view_weights: np.ndar
     # Both Gram matrices are diagonalized at once: with basis_gram = R R', the eigenvectors of R' weight_gram R diagonalize the weights
     # and turn the basis into an orthonormal one.
     values, vectors = np.linalg.eigh(basis_gram)
-    values = np.maximum(values, max(1e-12 * values.max(initial=0.0), 1e-30))  # all may be 0
+    values = np.maximum(values, max(1e-12 * values.max(initial=0.0), 1e-30))  # All may be 0.
     root, inverse = vectors * np.sqrt(values), vectors / np.sqrt(values)
     _, rotation = np.linalg.eigh(root.T @ weight_gram @ root)
     rotation = rotation[:, ::-1]

@@ -16,9 +16,9 @@ from .lobe_fit import MAX_RADIANCE
 from .lobes import SCHLICK, GrazingFresnel, Lobes
 
 POWERS = (1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
-MAX_STRENGTH = 4.0  # relative to Schlick's formula: coats and the layers below add up
-PRIOR = 0.01  # weight of full sky visibility, relative to a mean texel
-MAX_SKY_VISIBILITY = 2.0  # dome and interreflection together
+MAX_STRENGTH = 4.0  # Relative to Schlick's formula: coats and the layers below add up.
+PRIOR = 0.01  # Weight of full sky visibility, relative to a mean texel.
+MAX_SKY_VISIBILITY = 2.0  # Dome and interreflection together.
 
 
 def fit_dome(views: Sequence[ViewData], lobes: Lobes, grid: DirectionGrid, weights: np.ndarray) -> Steps[Lobes]:

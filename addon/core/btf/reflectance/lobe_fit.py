@@ -12,13 +12,13 @@ from ..factorization.als import ViewData, split_lights
 from .disc_lights import DiscLights
 from .lobes import CHUNK_TEXELS, DIFFUSE, GRAZING, SPECULAR, Lobes, TexelSurface, lobe_responses
 
-SUN_OFFSET, DOME_OFFSET = 3, 4  # coefficients of radiance that no lobe explains, under suns and under the dome; they are dropped
+SUN_OFFSET, DOME_OFFSET = 3, 4  # Coefficients of radiance that no lobe explains, under suns and under the dome; they are dropped.
 MAX_COEFFICIENTS = np.array([1.0, 1.0, 1.0, 10.0, 10.0])
-MAX_RADIANCE = 1.0  # captured radiance is clamped to it
-QUAD_PRIOR, LEVEL_PRIOR = 0.1, 1.0  # weight of the quad for its texels, and of the level for its quads, relative to a mean texel
-MAX_ITERATIONS, TOLERANCE = 60, 1e-6  # of coordinate descent
-ROUGHNESS_FACTORS = (0.5, 0.7, 1.0, 1.4)  # of the roughness in the PBR maps: a coat is smoother, bumps and large texels are rougher
-SAMPLE_TEXELS = 2000  # by which the factor is chosen
+MAX_RADIANCE = 1.0  # Captured radiance is clamped to it.
+QUAD_PRIOR, LEVEL_PRIOR = 0.1, 1.0  # Weight of the quad for its texels, and of the level for its quads, relative to a mean texel.
+MAX_ITERATIONS, TOLERANCE = 60, 1e-6  # They end the coordinate descent.
+ROUGHNESS_FACTORS = (0.5, 0.7, 1.0, 1.4)  # Times the roughness in the PBR maps: a coat is smoother, bumps and large texels are rougher.
+SAMPLE_TEXELS = 2000  # By which the factor is chosen.
 
 
 @dataclass(frozen=True)

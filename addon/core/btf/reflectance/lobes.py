@@ -14,12 +14,12 @@ from .parallax import ParallaxMap
 from .shadows import Shadows
 
 MIN_ROUGHNESS = 0.05
-MIN_COSINE = 1e-3  # between normal and view
-MIN_FRESNEL_COSINE = 0.2  # the Fresnel term is constant below: a quad shows texels that a smooth surface would hide
-DIFFUSE, SPECULAR, GRAZING = range(3)  # coefficients of the model
+MIN_COSINE = 1e-3  # Between normal and view.
+MIN_FRESNEL_COSINE = 0.2  # The Fresnel term is constant below: a quad shows texels that a smooth surface would hide.
+DIFFUSE, SPECULAR, GRAZING = range(3)  # Coefficients of the model.
 LOBE_COUNT = 3
 ALL = slice(None)
-CHUNK_TEXELS = 1024  # processed at once, so that intermediate arrays stay in the CPU cache
+CHUNK_TEXELS = 1024  # Processed at once, so that intermediate arrays stay in the CPU cache.
 
 
 @dataclass(frozen=True)

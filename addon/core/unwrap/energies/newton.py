@@ -7,15 +7,15 @@ from scipy.sparse.linalg import splu
 from ...jobs.progress import Progress, Steps
 from .uv_energy import UvEnergy
 
-REGULARIZATION = 1e-8  # of the median diagonal, added to it: rotations and translations of a free map cost nothing
-REGULARIZATION_GROWTH = 1e3  # factor where the factorization fails
-MAX_STEP_FRACTION = 0.7  # of the step at which a triangle would have no area left
-ARMIJO = 1e-4  # of the decrease that the gradient predicts
+REGULARIZATION = 1e-8  # This multiple of the median is added to the diagonal: rotations and translations of a free map cost nothing.
+REGULARIZATION_GROWTH = 1e3  # Factor where the factorization fails.
+MAX_STEP_FRACTION = 0.7  # As a fraction of the step at which a triangle would have no area left.
+ARMIJO = 1e-4  # A step must reach this fraction of the decrease that the gradient predicts.
 MIN_STEP = 1e-10
-MAX_FACTOR_REUSE = 14  # steps per factorization; each costs a tenth of a new one
-RELAX_BELOW_STEP = 0.5  # after a shorter step the worst vertices are relaxed
-REFACTOR_BELOW_STEP = 0.1  # after a shorter step the Hessian is factorized again
-NEGLIGIBLE_ENERGY = 1e-3  # of the lower bound: an excess below it is not reduced further
+MAX_FACTOR_REUSE = 14  # Steps per factorization; each costs a tenth of a new one.
+RELAX_BELOW_STEP = 0.5  # After a shorter step the worst vertices are relaxed.
+REFACTOR_BELOW_STEP = 0.1  # After a shorter step the Hessian is factorized again.
+NEGLIGIBLE_ENERGY = 1e-3  # An excess below this fraction of the lower bound is not reduced further.
 
 
 def minimize(energy: UvEnergy, uv: np.ndarray, tolerance: float, max_steps: int) -> Steps[np.ndarray]:
@@ -66,7 +66,7 @@ def _line_search(
             return None
         new_uv = uv + step * displacement
         new_value = energy.value(new_uv)
-    while 1.0 <= step < 0.5 * max_step:  # far from the minimum a Newton step is too short where triangles expand
+    while 1.0 <= step < 0.5 * max_step:  # Far from the minimum a Newton step is too short where triangles expand.
         longer_uv = uv + 2.0 * step * displacement
         longer_value = energy.value(longer_uv)
         if longer_value >= new_value:

@@ -16,11 +16,11 @@ from ..energies.stretch_energy import StretchEnergy
 from ..energies.uv_energy import Assembly, UvEnergy
 from .relaxation import relax_worst_vertices
 
-MAX_DIRECT_VERTICES = 20_000  # levels with more are divided into patches
+MAX_DIRECT_VERTICES = 20_000  # Levels with more are divided into patches.
 MAX_PATCH_VERTICES = 8_000
-ODD_SWEEP_SPLIT = 0.36  # fraction of the vertices in the first cut of every other sweep, so that patch boundaries differ
-UPDATE_RINGS = 8  # of triangles around changed ones that are updated with them
-FLOOR_FRACTION = 0.95  # of its ratio: a triangle below the quality limit may not get worse than this in a subproblem
+ODD_SWEEP_SPLIT = 0.36  # Fraction of the vertices in the first cut of every other sweep, so that patch boundaries differ.
+UPDATE_RINGS = 8  # So many rings of triangles around changed ones are updated with them.
+FLOOR_FRACTION = 0.95  # A triangle below the quality limit may not fall below this fraction of its ratio in a subproblem.
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ class Subproblem(LevelTriangles):
         """
         barriers = []
         if min_quality > 0.0:
-            weights = self.shapes.areas * np.sqrt(self.weights)  # half of the stretch energy without stretch
+            weights = self.shapes.areas * np.sqrt(self.weights)  # Half of the stretch energy without stretch.
             ratios = min_height_to_base(uv[self.triangles])
             floors = np.where(ratios > min_quality, min_quality, FLOOR_FRACTION * ratios)
             barriers.append(ShapeBarrier(self.triangles, np.arange(len(self.triangle_indices)), weights, floors, False))

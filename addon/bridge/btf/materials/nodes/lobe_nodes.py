@@ -9,7 +9,7 @@ from ....shading.node_groups import ensure_shared_group
 from .table_nodes import call_group
 
 GROUP_NAME, GROUP_VERSION = "Farfield Lobes", 3
-INPUTS = [  # the residual radiance, the Sun and its visibility, and a texel's lobes in the order of `TexelLobes`
+INPUTS = [  # The residual radiance, the Sun and its visibility, and a texel's lobes in the order of `TexelLobes`.
     *(("Residual", "Color"), ("Sun", "Vector"), ("Visibility", "Float"), ("Viewer", "Vector"), ("Normal", "Vector")),
     *(("View Cosine", "Float"), ("Roughness", "Float"), ("Diffuse", "Color"), ("F0", "Color"), ("F90 - F0", "Float")),
 ]
