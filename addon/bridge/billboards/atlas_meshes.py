@@ -66,10 +66,16 @@ def compute_uvs(level: Level, placement: AtlasPlacement, quad: int, cutout: np.n
 
 @dataclass(frozen=True)
 class DrawnTriangles:
-    """K triangles of one mesh, each drawn on one quad for one instance of the mesh.
+    """K triangles of one mesh, each drawn on one quad for one of the source's P instances of the mesh.
 
-    primitives, triangles, quads, instances (K,) int: indices into the source's primitives, the mesh's triangles, the level's quads and the
-    source's P instances. matrices (P, 4, 4), instance_randoms (P,): of the instances.
+    Attributes:
+        mesh: The mesh.
+        primitives: (K,) int, indices into the source's primitives.
+        triangles: (K,) int, indices into the mesh's triangles.
+        quads: (K,) int, indices into the level's quads.
+        instances: (K,) int, indices into the source's instances.
+        matrices: (P, 4, 4) of the instances.
+        instance_randoms: (P,) random numbers of the instances, 0 to 1.
     """
 
     mesh: EvaluatedMesh

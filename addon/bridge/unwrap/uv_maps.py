@@ -23,10 +23,16 @@ MAX_UV_MAPS = 8  # Per mesh.
 class UvTarget:
     """A mesh, or some polygons of it, to unwrap. Holds no pointers into Blender.
 
-    mesh_uid: session UID of the mesh, which stays when it is renamed. object_name: of the object. mesh: in world space, wound as in
-    Blender. other_triangles (R, 3): of polygons that are not unwrapped. loops (T, 3), polygon_ids (T,): of the triangles of `mesh`. seams
-    (S, 2): vertices. normal_sign: -1 where the object's matrix mirrors, so that normals of `mesh` point inwards, else 1. group_weights
-    (V,): weights of the vertex group, 0 without one.
+    Attributes:
+        mesh_uid: Session UID of the mesh, which stays when it is renamed.
+        object_name: Name of the object.
+        mesh: The triangles to unwrap, in world space, wound as in Blender.
+        other_triangles: (R, 3) of polygons that are not unwrapped.
+        loops: (T, 3) of the triangles of `mesh`.
+        polygon_ids: (T,) polygon of each triangle.
+        seams: (S, 2) vertices.
+        normal_sign: -1 where the object's matrix mirrors, so that normals of `mesh` point inwards, else 1.
+        group_weights: (V,) weights of the vertex group, 0 without one.
     """
 
     mesh_uid: int

@@ -49,9 +49,15 @@ CALIBRATIONS = {
 class SurfaceSample:
     """A surface relative to S seed faces, with N faces each, ordered by distance from the seed; lengths and areas in scene units.
 
-    min_heights, max_heights (S, N): of a face's corners over the seed's plane. positions (S, N, 2): face centers in that plane, relative
-    to the seed. cosines (S, N): between the normals. areas (S, N): of the faces, or of the surface that each represents. total_area,
-    longest_side, face_count: of the whole surface.
+    Attributes:
+        min_heights: (S, N) of a face's corners over the seed's plane.
+        max_heights: (S, N) the same.
+        positions: (S, N, 2) face centers in that plane, relative to the seed.
+        cosines: (S, N) between the normals.
+        areas: (S, N) of the faces, or of the surface that each represents.
+        total_area: Area of the whole surface.
+        longest_side: Longest bounding-box side of the whole surface.
+        face_count: Number of its faces.
     """
 
     min_heights: np.ndarray

@@ -36,7 +36,12 @@ WEIGHTS_END, CHROMATICITY_END, SHADOWS_END, LOBES_END, RESIDUALS_END, COLOR_END,
 class CompressedTextures:
     """Compressed textures of a level with N texels.
 
-    lobes: None when the PBR maps contain no surface. chromaticity (N, 3). color, alpha: factors. emission (N, 3): None without emission.
+    Attributes:
+        lobes: None when the PBR maps contain no surface.
+        chromaticity: (N, 3).
+        color: Factors of the residual colors.
+        alpha: Factors of the coverage.
+        emission: (N, 3); None without emission.
     """
 
     lobes: Lobes | None

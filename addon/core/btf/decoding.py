@@ -11,12 +11,17 @@ from .reflectance.lobes import Lobes
 
 @dataclass(frozen=True)
 class RelightableTexture:
-    """The relightable texture of one level, as stored in its images.
+    """The relightable texture of one level, as stored in its images. The rows of all arrays are its P pixels, row 0 at the bottom.
 
-    size: (width, height) in pixels; its P pixels are the rows of all arrays below, texture row 0 at the bottom. chromaticity (P, 3): factor
-    of the decoded residual colors. color: factors with one column per light and channel, the dome last. alpha: factors with one column,
-    added to `pbr_alpha` (P,), the coverage in the PBR maps. views, lights: the baked directions in object space. lobes: the reflectance
-    model that is added to the residual colors; None without one.
+    Attributes:
+        size: (width, height) in pixels.
+        chromaticity: (P, 3) factor of the decoded residual colors.
+        color: Factors with one column per light and channel, the dome last.
+        alpha: Factors with one column, added to `pbr_alpha`.
+        pbr_alpha: (P,) coverage in the PBR maps.
+        views: Baked view directions in object space.
+        lights: Baked light directions in object space.
+        lobes: Reflectance model that is added to the residual colors; None without one.
     """
 
     size: tuple[int, int]

@@ -19,6 +19,13 @@ class ViewTable:
 
     The texel coordinate of map position p, component k and cluster c is p * scale + offset + (c * cluster_step, k * component_step).
     Scalar components are stored in groups of four, in red, green, blue and alpha; k is then the group.
+
+    Attributes:
+        image: (H, W, 4) float32.
+        scale: Factor of the map position.
+        offset: Added to it.
+        component_step: Step from one component to the next.
+        cluster_step: Step from one cluster to the next.
     """
 
     image: np.ndarray
@@ -32,12 +39,21 @@ class ViewTable:
 class LookupTables:
     """Images (H, W, 4) float32, row 0 at the bottom, and the coordinates to sample them at. Map positions are (x, y) in 0..1.
 
-    basis: blocks of (views_per_side + 2)^2 tiles of (lights_per_side + 2)^2 lights; a row of blocks for every component and a column of
-    blocks for every cluster; tile (0, 0) is padding. The texel of map position `light` under tap t of view cell c and component k is at
+    `basis` has blocks of (views_per_side + 2)^2 tiles of (lights_per_side + 2)^2 lights; a row of blocks for every component and a column
+    of blocks for every cluster; tile (0, 0) is padding. The texel of map position `light` under tap t of view cell c and component k is at
     (c + t) * tile_scale + light * light_scale + light_offset + (cluster * cluster_step, k * component_step), where
     c = floor(view * views_per_side + 0.5).
 
-    dome, alpha: tables by view. shadow: table by light direction; None, with shadows_per_side 0, without self-shadowing.
+    Attributes:
+        views_per_side, views_upper: Grid of the views.
+        lights_per_side, lights_upper: Grid of the lights.
+        clusters, components, alpha_components: Numbers of clusters, and of components of color and alpha.
+        basis: Image of the colors.
+        tile_scale, light_scale, light_offset, component_step, cluster_step: Coordinates in `basis`.
+        dome: Table of the colors under the dome, by view.
+        alpha: Table of alpha, by view.
+        shadows_per_side, shadows_upper, shadow_components: Grid and components of self-shadowing; shadows_per_side is 0 without it.
+        shadow: Table of the visibility of lights, by light direction; None without self-shadowing.
     """
 
     views_per_side: int

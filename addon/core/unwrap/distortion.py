@@ -39,11 +39,17 @@ class Stretches:
 class DistortionMetrics:
     """Metrics of a UV map. For an isometry the stretches are 1 and symmetric_dirichlet is 4.
 
-    l2, linf: geometric stretch, mean and maximum (Sander et al. 2001, section 3). p95, p99: percentiles of the maximum stretch of
-    triangles, weighted by area. flips: flipped triangles. overlaps: overlapping pairs of triangles. min_quality: minimum
-    height-to-base ratio of UV triangles. fill: covered fraction of the unit square. densities: texel density over the mean density, for
-    triangles with importance in the first to the fourth quarter of 0..1; 0 for empty quarters. density_ratio: texel density of triangles
-    with an importance above 0.5 over that of the others; 0 where either set is empty.
+    Attributes:
+        l2, linf: Geometric stretch, mean and maximum (Sander et al. 2001, section 3).
+        p95, p99: Percentiles of the maximum stretch of triangles, weighted by area.
+        symmetric_dirichlet: Mean symmetric Dirichlet energy.
+        flips: Number of flipped triangles.
+        overlaps: Number of overlapping pairs of triangles.
+        min_quality: Minimum height-to-base ratio of UV triangles.
+        fill: Covered fraction of the unit square.
+        densities: Texel density over the mean density, for triangles with importance in the first to the fourth quarter of 0..1; 0
+            for empty quarters.
+        density_ratio: Texel density of triangles with an importance above 0.5 over that of the others; 0 where either set is empty.
     """
 
     l2: float

@@ -26,7 +26,12 @@ MIN_CHART_AREA = 1e-7  # As a fraction of the total area.
 class UnwrapResult:
     """A UV map.
 
-    corner_uvs: (T, 3, 2) float64 in the unit square. stretches: per triangle. chart_count: number of charts. seconds: run time per stage.
+    Attributes:
+        corner_uvs: (T, 3, 2) float64 in the unit square.
+        stretches: Stretch of each triangle.
+        metrics: Quality of the map.
+        chart_count: Number of charts.
+        seconds: Run time per stage.
     """
 
     corner_uvs: np.ndarray

@@ -26,9 +26,19 @@ CAPTURE_FRACTION = 0.95  # End of the capture in the progress of the scene steps
 
 @dataclass
 class BillboardJob:
-    """Builds one cloud per source. When the job is done, `built_clouds` holds each cloud with the name of its collection.
+    """Builds one cloud per source.
 
-    scene_uid, rebuilt_uids: session UIDs of the scene and of the collections of clouds that are built again.
+    Attributes:
+        sources: What to build clouds of.
+        settings: Settings of the clouds.
+        options: Settings that concern the selected objects.
+        scene_uid: Session UID of the scene.
+        rebuilt_uids: Session UIDs of the collections of clouds that are built again.
+        skipped: Names of other objects with the reason.
+        built_clouds: Each cloud with the name of its collection, once the job is done.
+        linked_sources: Names of source objects whose visibility cannot be changed.
+        hidden_clouds: Names of clouds that were hidden.
+        seconds: Run time per stage.
     """
 
     core_fraction = 0.35  # Renders take longer than the search for planes.

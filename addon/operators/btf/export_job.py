@@ -47,8 +47,13 @@ class ExportItem:
 class BtfExportJob:
     """Writes levels to `target`, whose suffix selects the format; see `prepare_export`.
 
-    level_uids, source_uids: session UIDs of the level objects and of the source objects, since the user may rename them. upper_hemisphere:
-    whether only directions above the horizon were baked.
+    Attributes:
+        level_uids: Session UIDs of the level objects, since the user may rename them.
+        target: File or folder.
+        settings: Settings of the export.
+        items: Levels with radiance, to write one by one.
+        source_uids: Session UIDs of the source objects.
+        upper_hemisphere: Whether only directions above the horizon were baked.
     """
 
     core_fraction = 0.5

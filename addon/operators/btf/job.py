@@ -57,8 +57,14 @@ COMPRESS_END, REFINE_END = 0.5, 0.9  # Fractions of the remaining progress of a 
 class LevelBake:
     """One level to bake.
 
-    spec: input of its capture. quads: its polygons. views: captured views. has_maps: whether it has PBR maps. center (3,): the mean of its
-    vertices when it was built. store: finished views. open_compressor: creates the compressor of its model, which takes memory.
+    Attributes:
+        spec: Input of its capture.
+        quads: Its polygons.
+        views: Captured views.
+        has_maps: Whether it has PBR maps.
+        center: (3,) mean of its vertices when it was built.
+        store: Finished views.
+        open_compressor: Creates the compressor of its model, which takes memory.
     """
 
     spec: LevelCaptureSpec
@@ -81,12 +87,22 @@ class BakedLevel:
 
 @dataclass
 class BakeJob:
-    """Bakes all levels of one cloud. `figures` describes each of them when the job is finished.
+    """Bakes all levels of one cloud.
 
-    collection: its name; collection_uid: its session UID, since the user may rename it. folder: for finished views. run: the run that
-    writes there. run_drivers: whether drivers in the source may run any Python. parameters: see `read_shared_parameters`.
-    keep_finished_views: whether views stay when the job is finished; when it is cancelled they always stay. temporary_folder: deletes the
-    folder together with the job.
+    Attributes:
+        collection: Name of the cloud's collection.
+        collection_uid: Its session UID, since the user may rename it.
+        fingerprint: Fingerprint of the source.
+        settings: Settings of the bake.
+        levels: Levels to bake.
+        folder: Folder for finished views.
+        run: The run that writes there.
+        run_drivers: Whether drivers in the source may run any Python.
+        parameters: Shared parameters of the source's shaders, see `read_shared_parameters`.
+        keep_finished_views: Whether views stay when the job is finished; when it is cancelled they always stay.
+        temporary_folder: Deletes the folder together with the job.
+        figures: Description of each level, once the job is finished.
+        clock: Run time per stage.
     """
 
     core_fraction = 0.9

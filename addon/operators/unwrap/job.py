@@ -22,7 +22,16 @@ from ...core.unwrap.unwrapping import UnwrapResult, check_surface, unwrap
 
 @dataclass
 class UnwrapJob:
-    """Unwraps every target. `results` holds targets and UV maps once the job is done; `skipped` the other objects with the reason."""
+    """Unwraps every target.
+
+    Attributes:
+        targets: Meshes to unwrap.
+        cameras: Cameras that determine importance.
+        occluders: Surfaces that may hide a target.
+        settings: Settings of the unwrap.
+        skipped: Names of other objects with the reason.
+        results: Targets and UV maps, once the job is done.
+    """
 
     core_fraction = 0.98
 

@@ -138,7 +138,15 @@ def _capture_emission(snapshot: Snapshot, jobs: list["_ViewJob"], threads: int) 
 
 @dataclass(frozen=True)
 class _ViewJob:
-    """One view of a level, with the views from those Suns whose visibility is captured along with it."""
+    """One view of a level, with the views from those Suns whose visibility is captured along with it.
+
+    Attributes:
+        store: Finished views of the level.
+        spec: Specification of the level.
+        index: Index of the view.
+        view: The view.
+        suns: Views from the Suns.
+    """
 
     store: ShardStore
     spec: LevelCaptureSpec

@@ -68,17 +68,23 @@ def sun_node_labels(index: int) -> tuple[str, str, str]:
 class BtfImages:
     """Images of a relightable material.
 
-    weights, alpha_weights: images of blocks with four components each.
-    clusters: cluster index of each texel, in all channels; None if all texels have the same components.
-    chromaticity: factor of the decoded radiance; its alpha is the sky visibility of the lobes.
-    emission: None if nothing emits light.
-    basis, dome, alpha_basis: lookup tables, see `core.btf.tables`.
-    pbr_color: PBR base color map, to whose alpha the decoded alpha is added; None if there is none.
-    diffuse: albedo of the diffuse lobe, and roughness as alpha. specular: F0 of the specular lobe, and F90 - F0 as alpha. normals: PBR
-    normal map. All None if there are no lobes.
-    depth: PBR map with depth in its third channel, for parallax mapping; None if there is none.
-    dome_fresnel: grazing reflectance under uniform World lighting.
-    shadow_weights: images of blocks; shadow_basis: lookup table. Empty and None if Suns are always visible to the lobes.
+    Attributes:
+        weights: Images of blocks with four components each.
+        clusters: Cluster index of each texel, in all channels; None if all texels have the same components.
+        chromaticity: Factor of the decoded radiance; its alpha is the sky visibility of the lobes.
+        emission: Emitted radiance; None if nothing emits light.
+        basis: Lookup table of the color components, see `core.btf.tables`.
+        dome: The same under the dome.
+        alpha_weights: Images of blocks with four components of alpha each.
+        alpha_basis: Lookup table of the components of alpha.
+        pbr_color: PBR base color map, to whose alpha the decoded alpha is added; None if there is none.
+        diffuse: Albedo of the diffuse lobe, and roughness as alpha; None if there are no lobes.
+        specular: F0 of the specular lobe, and F90 - F0 as alpha; None if there are no lobes.
+        normals: PBR normal map; None if there are no lobes.
+        depth: PBR map with depth in its third channel, for parallax mapping; None if there is none.
+        dome_fresnel: Grazing reflectance under uniform World lighting.
+        shadow_weights: Images of blocks; empty if Suns are always visible to the lobes.
+        shadow_basis: Lookup table of the visibility of Suns; None if they are always visible.
     """
 
     weights: list[bpy.types.Image]
@@ -101,7 +107,15 @@ class BtfImages:
 
 @dataclass(frozen=True)
 class _TexelInputs:
-    """Sockets that all lights share. weights: pairs of color and alpha. cluster_offset: None without clusters."""
+    """Sockets that all lights share.
+
+    Attributes:
+        view: UV of the view on its octahedral map.
+        weights: Pairs of color and alpha, per block.
+        cluster_offset: Offset to the column of the cluster; None without clusters.
+        chromaticity: Factor of the decoded radiance.
+        lobes: Lobes of the texel; None if there are none.
+    """
 
     view: SocketOrValue
     weights: list[tuple[SocketOrValue, SocketOrValue]]

@@ -41,8 +41,13 @@ SHARPNESS = 2.0  # Factor of the alpha of joined quads for light: two that meet 
 class SurfaceImages:
     """Images of the material.
 
-    maps: PBR maps by side (SIDES) and map (MAPS), without backs if nobody sees them. alpha_weights: images of blocks with four components
-    each. alpha_basis: lookup table `alpha`, for views in the hemi-octahedral map if `upper`. emission: None if nothing emits light.
+    Attributes:
+        maps: PBR maps by side (SIDES) and map (MAPS), without backs if nobody sees them.
+        alpha_weights: Images of blocks with four components each.
+        alpha_basis: Image of the lookup table `alpha`.
+        alpha: Lookup table by view.
+        upper: Whether its views are in the hemi-octahedral map.
+        emission: Emitted radiance; None if nothing emits light.
     """
 
     maps: dict[tuple[str, str], bpy.types.Image]

@@ -26,9 +26,12 @@ MIN_DIRECTION_DISTANCE = 1e-6  # Relative to the maximum distance. Closer sample
 class EdgeCollapses:
     """All edges of a mesh that may be collapsed, with their evaluation.
 
-    edges (E, 2) int; targets (E, 3): positions of the merged vertices; costs (E,): largest distance of a sample around the edge to the
-    remaining triangles, infinite if one of them would fold over. candidates, touched (N,): pairs of an edge, ascending, and a triangle at
-    one of its ends.
+    Attributes:
+        edges: (E, 2) int.
+        targets: (E, 3) positions of the merged vertices.
+        costs: (E,) largest distance of a sample around the edge to the remaining triangles, infinite if one of them would fold over.
+        candidates: (N,) edges, ascending, of the pairs of an edge and a triangle at one of its ends.
+        touched: (N,) triangles of these pairs.
     """
 
     edges: np.ndarray
@@ -179,10 +182,14 @@ class _Star:
 
 @dataclass(frozen=True)
 class _Tests:
-    """Tests of each sample around the candidates `rows` (R,) against each triangle that its candidate keeps.
+    """Tests of each sample around some candidates against each triangle that its candidate keeps.
 
-    sample, pair (N,): one test each; the pair is one of a star's. starts (M,): first test of each combination of candidate and sample.
-    row (M,): index into `rows` of that candidate, ascending; every row has at least one test.
+    Attributes:
+        rows: (R,) the candidates.
+        sample: (N,) sample of each test.
+        pair: (N,) pair of a star of each test.
+        starts: (M,) first test of each combination of candidate and sample.
+        row: (M,) index into `rows` of that candidate, ascending; every row has at least one test.
     """
 
     rows: np.ndarray

@@ -42,12 +42,15 @@ NEAREST_PREFERENCE = 0.1  # Maximum penalty for a triangle that is not the neare
 class DecimatedMesh:
     """A coarse mesh in the space of the fine mesh.
 
-    vertices (V, 3) float64, triangles (T, 3) int32.
-    assignment (S,) int32: the coarse triangle whose plane replaces each fine face. All corners of the face are within the error of that
-    plane, and its normal is within the normal bound if a nearby triangle satisfies both. -1 for the few unassigned faces, across a crease
-    of the coarse mesh, which no single triangle approximates within the error: they need planes of their own.
-    distance: upper bound of the one-sided distance from the assigned faces to the coarse mesh, in the unit of the vertices; at least half
-    the error. normal_violations: number of faces beyond the normal bound.
+    All corners of an assigned face are within the error of the plane of its triangle, and its normal is within the normal bound if a nearby
+    triangle satisfies both. Unassigned faces, across a crease of the coarse mesh, need planes of their own.
+
+    Attributes:
+        vertices: (V, 3) float64.
+        triangles: (T, 3) int32.
+        assignment: (S,) int32, coarse triangle whose plane replaces each fine face; -1 for the few unassigned faces.
+        distance: Upper bound of the one-sided distance from the assigned faces to the coarse mesh; at least half the error.
+        normal_violations: Number of faces beyond the normal bound.
     """
 
     vertices: np.ndarray

@@ -24,8 +24,12 @@ MIN_DIRECTION_DISTANCE = 1e-6  # Relative to the maximum distance. Closer sample
 class FitTargets:
     """N points of a mesh and the displacements that they should get.
 
-    triangles (N,): triangle of each point. barycentric (N, 3): its coordinates there. directions (N, 3): unit vectors. residuals (N,):
-    desired displacement along the direction, a length. weights (N,): of the residuals in the least-squares sum.
+    Attributes:
+        triangles: (N,) triangle of each point.
+        barycentric: (N, 3) its coordinates there.
+        directions: (N, 3) unit vectors.
+        residuals: (N,) desired displacement along the direction, a length.
+        weights: (N,) of the residuals in the least-squares sum.
     """
 
     triangles: np.ndarray

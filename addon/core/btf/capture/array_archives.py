@@ -23,8 +23,8 @@ READ_ERRORS = (
     zipfile.BadZipFile,
     zlib.error,
 )
-# The header of a .npy file of version 1.0 with a plain data type. NumPy parses it with `ast`, which at times fails in several threads
-# of Python 3.11 (CPython issue 106905).
+# The header of a .npy file of version 1.0 with a plain data type. NumPy parses it with `ast`, which at times fails in several threads of
+# Python 3.11 (CPython issue 106905).
 HEADER = re.compile(
     rb"\x93NUMPY\x01\x00..\{'descr': '([<>|]?[a-zA-Z]\d{0,3})', 'fortran_order': (True|False), 'shape': \(([\d, ]*)\), \} *\n", re.DOTALL
 )

@@ -16,12 +16,14 @@ MIN_COVERAGE = 0.1  # Summed over the subsamples of a texel; below it, its color
 
 @dataclass(frozen=True)
 class ViewRender:
-    """The Cycles renders of one view.
+    """The Cycles renders of one view. S is ID_BUFFER_SCALE.
 
-    radiance (L, H, W, 3) float32: premultiplied, one image per light, without emission; or one per
-    material channel. coverage (H, W): alpha. With S = ID_BUFFER_SCALE:
-    face_ids (S H, S W) int32: the face at the center of each pixel, -1 for none; heights (S H, S W): height of that point above the view's
-    center, towards the viewer. emission (H, W, 3): emitted radiance; None when no material emits.
+    Attributes:
+        radiance: (L, H, W, 3) float32, premultiplied, one image per light, without emission; or one per material channel.
+        coverage: (H, W) alpha.
+        face_ids: (S H, S W) int32, the face at the center of each pixel, -1 for none.
+        heights: (S H, S W) height of that point above the view's center, towards the viewer.
+        emission: (H, W, 3) emitted radiance; None when no material emits.
     """
 
     radiance: np.ndarray
@@ -35,9 +37,13 @@ class ViewRender:
 class Observation:
     """Radiance and coverage of N texels from one view.
 
-    known (N,) bool: not hidden by other surfaces. coverage (N,) float32: alpha of the known texels, 0 for the others. visible (M,) int32:
-    texels with a color. subsample_counts (M,) uint8: how many of their SUBSAMPLES x SUBSAMPLES subsamples were seen. radiance (L, M, 3)
-    float32: straight colors. emission (M, 3): see `ViewRender`.
+    Attributes:
+        known: (N,) bool, not hidden by other surfaces.
+        coverage: (N,) float32, alpha of the known texels, 0 for the others.
+        visible: (M,) int32, texels with a color.
+        subsample_counts: (M,) uint8, how many of their SUBSAMPLES x SUBSAMPLES subsamples were seen.
+        radiance: (L, M, 3) float32, straight colors.
+        emission: (M, 3), see `ViewRender`.
     """
 
     known: np.ndarray

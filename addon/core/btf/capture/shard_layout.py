@@ -25,8 +25,13 @@ HALF_FLOAT_EXPONENT = 0x7C00  # All bits of the exponent are set in infinities a
 class ShardLayout:
     """What determines the shapes of the arrays of a finished view.
 
-    texel_count N; image_count L: renders that are stored per texel; reference_count: colors of the reference image; resolution: pixels per
-    side of a render; view_count and shadow_count: numbers of directions of the whole bake.
+    Attributes:
+        texel_count: Number of texels.
+        image_count: Number of renders that are stored per texel.
+        reference_count: Number of colors of the reference image.
+        resolution: Pixels per side of a render.
+        view_count: Number of view directions of the whole bake.
+        shadow_count: Number of its shadow directions.
     """
 
     texel_count: int

@@ -42,7 +42,16 @@ class _Cache:
 
 @dataclass(frozen=True)
 class StoredTrainingView:
-    """A finished view of a bake; see `refine.TrainingViewSource`."""
+    """A finished view of a bake; see `refine.TrainingViewSource`.
+
+    Attributes:
+        quads: Polygons of the level.
+        texels: Texels of the level.
+        view: The view.
+        store: Finished views of the level.
+        index: Index of the view.
+        cache: Fragments of all views that are in memory.
+    """
 
     quads: QuadPolygons
     texels: Texels

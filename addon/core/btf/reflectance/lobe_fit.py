@@ -25,8 +25,12 @@ SAMPLE_TEXELS = 2000  # By which the factor is chosen.
 class CapturedRadiance:
     """Captured radiance and its weights.
 
-    views: columns light by light, the dome last, three channels each. grid: the view directions. suns: the lights. weights (V, N): of each
-    texel in each view. light_weights (L + 1,).
+    Attributes:
+        views: Columns light by light, the dome last, three channels each.
+        grid: The view directions.
+        suns: The lights.
+        weights: (V, N) of each texel in each view.
+        light_weights: (L + 1,).
     """
 
     views: Sequence[ViewData]

@@ -57,11 +57,16 @@ class TexelSurface:
 
 @dataclass(frozen=True)
 class Lobes:
-    """Lobes of N texels, float32.
+    """Lobes of N texels, float32, all in 0..1.
 
-    diffuse (N, 3): albedo. f0 (N, 3): specular reflectance at normal incidence. f90_minus_f0 (N,): added reflectance at grazing incidence.
-    All in 0..1. shadows: visibility of suns; None without self-shadowing. sky_visibility (N,): reflected fraction of a dome, including
-    interreflection; None for 1. dome_fresnel: scales `f90_minus_f0` under a dome.
+    Attributes:
+        surface: Normals and roughness.
+        diffuse: (N, 3) albedo.
+        f0: (N, 3) specular reflectance at normal incidence.
+        f90_minus_f0: (N,) added reflectance at grazing incidence.
+        shadows: Visibility of suns; None without self-shadowing.
+        sky_visibility: (N,) reflected fraction of a dome, including interreflection; None for 1.
+        dome_fresnel: Scales `f90_minus_f0` under a dome.
     """
 
     surface: TexelSurface

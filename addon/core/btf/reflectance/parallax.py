@@ -22,8 +22,12 @@ ALL = slice(None)
 class ParallaxMap:
     """Depths and normals of N texels on Q quads.
 
-    pixels (N, 2), quad_indices (N,): see `Texels`. axes (Q, 2, 3): see `parallax_axes`. depths (N,): heights above the quad along its
-    normal, -1..1, as fractions of the level's error. normals (H, W, 3): the normal map, unit vectors in object space, row 0 at the bottom.
+    Attributes:
+        pixels: (N, 2), see `Texels`.
+        quad_indices: (N,), see `Texels`.
+        axes: (Q, 2, 3), see `parallax_axes`.
+        depths: (N,) heights above the quad along its normal, -1..1, as fractions of the level's error.
+        normals: (H, W, 3) the normal map, unit vectors in object space, row 0 at the bottom.
     """
 
     pixels: np.ndarray

@@ -30,10 +30,14 @@ def _height_to_base(corner_uvs: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ShapeBarrier:
-    """Barrier energy of uv (V, 2) for `triangles` (T, 3).
+    """Barrier energy of uv (V, 2).
 
-    indices (T,): indices of the triangles in the results. weights (T,). min_ratios (T,): lower limits of the minimum height-to-base ratio.
-    is_soft: triangles may be below their limit and are pulled up.
+    Attributes:
+        triangles: (T, 3).
+        indices: (T,) indices of the triangles in the results.
+        weights: (T,).
+        min_ratios: (T,) lower limits of the minimum height-to-base ratio.
+        is_soft: Triangles may be below their limit and are pulled up.
     """
 
     triangles: np.ndarray

@@ -19,7 +19,17 @@ WHITE = (1.0, 1.0, 1.0, 1.0)
 
 @dataclass(frozen=True)
 class TexelLobes:
-    """Lobes at a texel. viewer: direction to the viewer; normal: on the same side; both unit, world space. cosine: between them."""
+    """Lobes at a texel; directions are unit vectors in world space.
+
+    Attributes:
+        viewer: Direction to the viewer.
+        normal: Surface normal on the side of the viewer.
+        cosine: Cosine between both.
+        roughness: As in a Principled BSDF.
+        diffuse: Albedo.
+        f0: Specular reflectance at normal incidence.
+        f90_minus_f0: Added reflectance at grazing incidence.
+    """
 
     viewer: SocketOrValue
     normal: SocketOrValue
