@@ -8,19 +8,16 @@ import numpy as np
 from ..billboards.texels import Texels
 from ..jobs.chunks import map_ordered
 from ..jobs.progress import Progress, Steps, subprogress
-from .capture.observations import SUBSAMPLES
-from .capture.reference_images import low_order_lights
+from .capture.observations import SUBSAMPLES, low_order_lights
 from .capture.shards import ShardStore
 from .capture.view_data import DomeView, RadianceView, read_silhouettes
 from .factorization.als import ViewMatrix, split_lights
-from .factorization.compression_error import ComponentError, error_by_components
-from .factorization.factors import Factors, factorize, factorize_scalar
+from .factorization.factors import ComponentError, Factors, error_by_components, factorize, factorize_scalar
 from .factorization.lpca import factorize_lpca
 from .refinement.refine import compute_texel_colors
 from .refinement.training import StoredTrainingView, refine_stored_views
 from .reflectance.disc_lights import DiscLights
-from .reflectance.dome import fit_dome
-from .reflectance.lobe_fit import CapturedRadiance, fit_lobes
+from .reflectance.lobe_fit import CapturedRadiance, fit_dome, fit_lobes
 from .reflectance.lobes import Lobes, TexelSurface
 from .reflectance.mean_colors import compute_chromaticity, mean_emission
 from .reflectance.residuals import residual_files, write_residuals

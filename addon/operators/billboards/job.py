@@ -18,8 +18,7 @@ from ...core.billboards.cloud import Cloud
 from ...core.billboards.settings import BillboardSettings, BuildOptions
 from ...core.errors import GeometryError
 from ...core.jobs.progress import Progress, Steps, subprogress
-from .messages import linked_sources_message
-from .sources import read_sources
+from .sources import linked_sources_message, read_sources
 
 CAPTURE_FRACTION = 0.95  # End of the capture in the progress of the scene steps.
 

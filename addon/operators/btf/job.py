@@ -29,12 +29,10 @@ from ...bridge.geometry import meshes
 from ...bridge.imaging import images
 from ...bridge.objects import find_by_uid
 from ...core.billboards.texels import QuadPolygons, Texels
-from ...core.btf.capture.capture_run import CaptureRun
+from ...core.btf.capture.capture_run import CaptureRun, render_missing_views
 from ...core.btf.capture.capture_spec import LevelCaptureSpec
-from ...core.btf.capture.dispatch import render_missing_views
-from ...core.btf.capture.reference_images import LOW_ORDER_LIGHTS
-from ...core.btf.capture.shard_layout import ShardLayout
-from ...core.btf.capture.shards import ShardStore
+from ...core.btf.capture.observations import LOW_ORDER_LIGHTS
+from ...core.btf.capture.shards import ShardLayout, ShardStore
 from ...core.btf.compression import CompressedTextures, LevelCompressor
 from ...core.btf.refinement.training import training_views
 from ...core.btf.settings import SURFACE_CHANNELS, BtfSettings

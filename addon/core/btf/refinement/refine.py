@@ -20,7 +20,7 @@ from scipy.ndimage import gaussian_filter
 
 from ...jobs.chunks import map_ordered
 from ...jobs.progress import Progress, Steps, subprogress
-from ..capture.reference_images import ReferenceImage
+from ..capture.observations import ReferenceImage
 from ..factorization.als import solve_rows
 from ..factorization.factors import Factors
 from .fragments import Fragments
