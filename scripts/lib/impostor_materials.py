@@ -14,9 +14,8 @@ from lib import environment
 
 environment.import_farfield()
 
-from farfield.addon.bridge.billboards.cloud_materials import set_two_sided
+from farfield.addon.bridge.billboards.cloud_materials import create_two_sided_material
 from farfield.addon.bridge.shading.node_builder import NodeBuilder, SocketOrValue
-from farfield.addon.compat import enable_nodes
 from lib.impostor_rays import RaySockets, sample_ray
 
 FACING = "farfield_facing"  # attribute of all vertices: unit direction to the viewer, object space
@@ -91,10 +90,7 @@ def shell_material(name: str, ray_groups: Mapping[str, bpy.types.NodeTree], half
 
 
 def _new_material(name: str) -> tuple[bpy.types.Material, NodeBuilder]:
-    material = bpy.data.materials.new(name)
-    set_two_sided(material)
-    enable_nodes(material)
-    material.node_tree.nodes.clear()
+    material = create_two_sided_material(name)
     return material, NodeBuilder(material.node_tree)
 
 

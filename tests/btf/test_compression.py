@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from farfield.addon.core.billboards.texels import QuadPolygons, Texels, texels_under_quads
-from farfield.addon.core.btf.capture.observations import SUBSAMPLES, Observation
-from farfield.addon.core.btf.capture.reference_images import ReferenceImage
+from farfield.addon.core.btf.capture.observations import SUBSAMPLES, Observation, ReferenceImage
 from farfield.addon.core.btf.capture.shards import ShardStore
 from farfield.addon.core.btf.compression import LevelCompressor
 from farfield.addon.core.btf.settings import BtfSettings

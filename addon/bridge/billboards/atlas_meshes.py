@@ -53,7 +53,7 @@ def compute_placement(level: Level) -> AtlasPlacement:
     rectangles = level.atlas.rectangles.astype(np.float64)
     rectangle_centers = rectangles[:, :2] + 0.5 * rectangles[:, 2:] - 0.5 * np.array(level.atlas.size, np.float64)
     positions = np.column_stack([level.texel_size * rectangle_centers, np.zeros(len(rectangle_centers))])
-    half_texel = 0.5 * level.texel_size  # a quad that is smaller than its one texel is not enlarged
+    half_texel = 0.5 * level.texel_size  # A quad that is smaller than its one texel is not enlarged.
     scales = half_texel * rectangles[:, 2:] / np.maximum(level.quads.half_sizes, half_texel)
     return AtlasPlacement(level.quads.centers, level.quads.frames, positions, np.minimum(scales.min(axis=1), 1.0))
 
@@ -66,10 +66,16 @@ def compute_uvs(level: Level, placement: AtlasPlacement, quad: int, cutout: np.n
 
 @dataclass(frozen=True)
 class DrawnTriangles:
-    """K triangles of one mesh, each drawn on one quad for one instance of the mesh.
+    """K triangles of one mesh, each drawn on one quad for one of the source's P instances of the mesh.
 
-    primitives, triangles, quads, instances (K,) int: indices into the source's primitives, the mesh's triangles, the level's quads and the
-    source's P instances. matrices (P, 4, 4), instance_randoms (P,): of the instances.
+    Attributes:
+        mesh: The mesh.
+        primitives: (K,) int, indices into the source's primitives.
+        triangles: (K,) int, indices into the mesh's triangles.
+        quads: (K,) int, indices into the level's quads.
+        instances: (K,) int, indices into the source's instances.
+        matrices: (P, 4, 4) of the instances.
+        instance_randoms: (P,) random numbers of the instances, 0 to 1.
     """
 
     mesh: EvaluatedMesh

@@ -30,8 +30,8 @@ from .level_maps import LevelTextures, compute_maps
 from .silhouettes import SurfaceContinuation
 
 SIDES = ("front", "back")
-MIN_SAMPLES = 4  # of the channels other than color
-MIN_UNSCALED_TEXEL, MAX_UNSCALED_TEXEL = 1e-3, 1e3  # texel sizes that single precision and the camera's clipping handle without scaling
+MIN_SAMPLES = 4  # Minimum samples of the channels other than color.
+MIN_UNSCALED_TEXEL, MAX_UNSCALED_TEXEL = 1e-3, 1e3  # Texel sizes that single precision and the camera's clipping handle without scaling.
 
 
 def capture_textures(source: Source, cloud: Cloud, settings: BillboardSettings) -> Steps[list[LevelTextures]]:

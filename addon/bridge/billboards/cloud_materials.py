@@ -10,14 +10,14 @@ from ..shading.node_groups import ensure_shared_group
 
 GROUP_NAME = "Farfield Cloud"
 GROUP_VERSION = 1
-JOINED_ATTRIBUTE = "farfield_joined"  # per face: 1 if the quad shows part of a surface that continues on other quads
-SOLID_ATTRIBUTE = "farfield_solid"  # per face: 1 if no camera sees the back, because it is the inside of a solid
+JOINED_ATTRIBUTE = "farfield_joined"  # Per face: 1 if the quad shows part of a surface that continues on other quads.
+SOLID_ATTRIBUTE = "farfield_solid"  # Per face: 1 if no camera sees the back, because it is the inside of a solid.
 COLOR, NORMAL, ROUGHNESS_METALLIC_DEPTH = MAPS = ("Color", "Normal", "Roughness Metallic Depth")
 SIDES = ("Front", "Back")
-SHADOWLESS_DISTANCE = "Shadowless Distance"  # input of the group
-FRONT_COLOR = "Front color"  # label of the node with the color and alpha of the fronts
-FRONT_NORMAL = "Front normal"  # label of the node with their normals in object space, encoded as colors
-FRONT_ROUGHNESS_METALLIC_DEPTH = "Front roughness metallic depth"  # label of the node with their roughness, metallic and depth
+SHADOWLESS_DISTANCE = "Shadowless Distance"  # Input of the group.
+FRONT_COLOR = "Front color"  # Label of the node with the color and alpha of the fronts.
+FRONT_NORMAL = "Front normal"  # Label of the node with their normals in object space, encoded as colors.
+FRONT_ROUGHNESS_METALLIC_DEPTH = "Front roughness metallic depth"  # Label of the node with their roughness, metallic and depth.
 
 
 def create_cloud_material(name: str, images: dict[tuple[str, str], bpy.types.Image], shadowless_distance: float) -> bpy.types.Material:
@@ -25,12 +25,8 @@ def create_cloud_material(name: str, images: dict[tuple[str, str], bpy.types.Ima
 
     shadowless_distance: the material blocks no light from within this length, in units of the cloud's objects.
     """
-    material = bpy.data.materials.new(name)
-    set_two_sided(material)
-    enable_nodes(material)
-    tree = material.node_tree
-    tree.nodes.clear()
-    builder = NodeBuilder(tree)
+    material = create_two_sided_material(name)
+    builder = NodeBuilder(material.node_tree)
     group = builder.node("ShaderNodeGroup", {"node_tree": _cloud_group(), "width": 220.0})
     group.inputs[SHADOWLESS_DISTANCE].default_value = shadowless_distance
     output = builder.node("ShaderNodeOutputMaterial")
@@ -63,6 +59,15 @@ def create_gray_material(name: str) -> bpy.types.Material:
     """Create a material with Blender's default gray, for clouds without textures."""
     material = bpy.data.materials.new(name)
     set_two_sided(material)
+    return material
+
+
+def create_two_sided_material(name: str) -> bpy.types.Material:
+    """Create a two-sided material without nodes, for a node tree to be filled."""
+    material = bpy.data.materials.new(name)
+    set_two_sided(material)
+    enable_nodes(material)
+    material.node_tree.nodes.clear()
     return material
 
 

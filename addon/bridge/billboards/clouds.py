@@ -16,11 +16,11 @@ from .cloud_materials import JOINED_ATTRIBUTE, SOLID_ATTRIBUTE, create_gray_mate
 from .level_maps import LevelTextures, PbrMaps, compute_corner_normals, create_textured_material
 from .level_objects import CENTER
 
-KIND, CLOUD = "farfield_kind", "cloud"  # custom property of all objects that Farfield creates, and its value on levels of a cloud
-FINGERPRINT = "farfield_source_fingerprint"  # custom property of a cloud's collection, see `Source.fingerprint`
-CORNER_NORMALS = "custom_normal"  # Blender's built-in attribute of custom normals
-DRAWN_OFFSETS, DRAWN = "farfield_drawn_offsets", "farfield_drawn"  # custom properties of a level's mesh, see `cloud.Quads`
-DEFAULT_CAMERA = Camera(np.zeros(3), 1920, math.radians(39.6))  # Blender's default, for scenes without a camera
+KIND, CLOUD = "farfield_kind", "cloud"  # Custom property of all objects that Farfield creates, and its value on levels of a cloud.
+FINGERPRINT = "farfield_source_fingerprint"  # Custom property of a cloud's collection, see `Source.fingerprint`.
+CORNER_NORMALS = "custom_normal"  # Blender's built-in attribute of custom normals.
+DRAWN_OFFSETS, DRAWN = "farfield_drawn_offsets", "farfield_drawn"  # Custom properties of a level's mesh, see `cloud.Quads`.
+DEFAULT_CAMERA = Camera(np.zeros(3), 1920, math.radians(39.6))  # Blender's default, for scenes without a camera.
 
 
 def create_cloud(

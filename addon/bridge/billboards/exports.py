@@ -16,7 +16,7 @@ from .cloud_materials import FRONT_COLOR, FRONT_NORMAL
 from .clouds import CORNER_NORMALS
 from .level_objects import labeled_image, pbr_image, read_level_texels
 
-FLAT_NORMAL = np.float32([0.0, 0.0, 1.0])  # in tangent space
+FLAT_NORMAL = np.float32([0.0, 0.0, 1.0])  # In tangent space.
 
 
 def write_obj(levels: list[bpy.types.Object], path: Path) -> None:
@@ -27,8 +27,8 @@ def write_obj(levels: list[bpy.types.Object], path: Path) -> None:
     """
     mtl = material_path(path)
     shapes, materials = [f"mtllib {mtl.name}"], []
-    first_vertex = 1  # vertices are numbered from 1 through the whole file
-    names = unique_filenames([level.name.replace(" ", "_") for level in levels])  # also one word each, without line breaks
+    first_vertex = 1  # Vertices are numbered from 1 through the whole file.
+    names = unique_filenames([level.name.replace(" ", "_") for level in levels])  # Also one word each, without line breaks.
     for level, name in zip(levels, names, strict=True):
         materials += [f"newmtl {name}", "Kd 1 1 1", "Ks 0 0 0", "illum 1"]
         image = front_color_image(level)
@@ -116,7 +116,7 @@ def compute_tangent_normals(level: bpy.types.Object) -> np.ndarray | None:
 def _format_shape(level: bpy.types.Object, material: str, first_vertex: int) -> list[str]:
     """Return vertices, UVs and polygons of one level as lines of an `.obj`."""
     mesh = level.data
-    matrix = np.array(level.matrix_basis)  # levels have no parent; world matrices of hidden objects are not up to date
+    matrix = np.array(level.matrix_basis)  # Levels have no parent; world matrices of hidden objects are not up to date.
     positions = transform_points(matrix, read_positions(mesh))
     lines = [f"v {x:.9g} {z:.9g} {-y:.9g}" for x, y, z in positions]
     lines += [f"vt {u:.7g} {v:.7g}" for u, v in read_uvs(mesh.uv_layers[0])]

@@ -16,8 +16,8 @@ from ...core.imaging.metrics import encode_srgb
 from ..imaging.images import create_image
 from .cloud_materials import COLOR, NORMAL, ROUGHNESS_METALLIC_DEPTH, create_cloud_material
 
-MIN_COSINE = 0.2  # between a corner's normal and the quad's; with less a corner would face away
-RIDGE = 1e-3  # Tikhonov regularization of the slopes, relative to the total weight: keeps the fit of one row of texels well posed
+MIN_COSINE = 0.2  # Between a corner's normal and the quad's; with less a corner would face away.
+RIDGE = 1e-3  # Tikhonov regularization of the slopes, relative to the total weight: keeps the fit of one row of texels well posed.
 # Quads cast no shadow on surfaces within this many errors: quads of one surface overlap within that distance.
 SHADOWLESS_ERRORS = 4.0
 
@@ -74,7 +74,7 @@ def compute_corner_normals(level: Level, maps: PbrMaps, quad: int, cutout: np.nd
     if weights.sum() <= 0.0:
         return np.tile(quad_normal, (len(cutout), 1))
     rows, columns = np.divmod(np.arange(width * height), width)
-    half_texel = 0.5 * level.texel_size  # smaller quads have one texel, at their center
+    half_texel = 0.5 * level.texel_size  # Smaller quads have one texel, at their center.
     scale = half_texel / np.maximum(level.quads.half_sizes[quad], half_texel)
     design = np.column_stack([(2 * columns + 1 - width) * scale[0], (2 * rows + 1 - height) * scale[1], np.ones(width * height)])
     ridge = RIDGE * weights.sum() * np.diag([1.0, 1.0, 0.0]) + 1e-9 * np.eye(3)

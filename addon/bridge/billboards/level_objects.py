@@ -10,8 +10,8 @@ from ..imaging.images import read_pixels
 from ..objects import world_matrix
 from .cloud_materials import FRONT_COLOR
 
-CENTER = "farfield_center"  # custom property of a level object: the mean of its vertices in world space when the cloud was built
-PBR_MATERIAL = "farfield_pbr_material"  # custom property of a level object: the name of the material with the PBR maps
+CENTER = "farfield_center"  # Custom property of a level object: the mean of its vertices in world space when the cloud was built.
+PBR_MATERIAL = "farfield_pbr_material"  # Custom property of a level object: the name of the material with the PBR maps.
 
 
 def read_level_texels(level_object: bpy.types.Object, center: np.ndarray | None = None) -> Texels:

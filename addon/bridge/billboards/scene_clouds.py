@@ -17,7 +17,7 @@ from ..source_links import SourceIndex, find_sources
 from . import clouds, source_objects
 from .level_objects import pbr_material
 
-LEVEL_NUMBERS = ("farfield_level", "farfield_error", "farfield_quads", "farfield_texels")  # without them an object is no level
+LEVEL_NUMBERS = ("farfield_level", "farfield_error", "farfield_quads", "farfield_texels")  # Without them an object is no level.
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ class SceneCloud:
         self.remove_crossfade()
         shown_level = choose_level(self.errors, self.distance(camera.position), camera)
         if shown_level is None and not self.sources_in(view_layer):
-            shown_level = 0  # the sources cannot be shown: the finest level is the best substitute
+            shown_level = 0  # The sources cannot be shown: the finest level is the best substitute.
         for index, level in enumerate(self.levels):
             _set_hidden(level, index != shown_level)
         self._set_collection_hidden(False)

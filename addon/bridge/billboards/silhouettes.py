@@ -12,7 +12,7 @@ from ...core.imaging.images import MIN_ALPHA, max_of_neighbors
 from ..geometry.meshes import Source
 from .atlas_meshes import compute_placement
 
-MAX_HEIGHT = 2.0  # errors above and below the plane of a quad in which its surface is searched
+MAX_HEIGHT = 2.0  # Errors above and below the plane of a quad in which its surface is searched.
 
 
 class SurfaceContinuation:
@@ -30,7 +30,7 @@ class SurfaceContinuation:
             candidates |= (alpha < 1.0 - MIN_ALPHA) & (max_of_neighbors(alpha) > MIN_ALPHA)
         quads = _rasterize_joined_quads(level)
         row, column = np.nonzero(candidates & (quads >= 0))
-        if self._mesh is None or len(row) == 0:  # the discs of a point cloud have no silhouette of their own
+        if self._mesh is None or len(row) == 0:  # The discs of a point cloud have no silhouette of their own.
             return quads >= 0
         quad = quads[row, column]
         points = level.texel_size * (np.column_stack([column, row]) + 0.5 - 0.5 * np.array(level.atlas.size, np.float64))

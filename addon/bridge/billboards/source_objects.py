@@ -14,7 +14,7 @@ from ..rendering.render_properties import copy_render_properties
 from .cloud_materials import create_gray_material
 from .clouds import KIND
 
-SOURCE_PROXY = "source_proxy"  # value of farfield_kind
+SOURCE_PROXY = "source_proxy"  # Value of farfield_kind.
 
 
 def read_source_objects(context: bpy.types.Context, sources: Sequence[bpy.types.Object]) -> meshes.Source:

@@ -13,20 +13,26 @@ from ..geometry.mesh_arrays import read_attribute, read_loop_triangles, read_loo
 from ..geometry.meshes import describe_type, is_in_view_layer
 from ..objects import find_by_uid
 
-STRETCH_ATTRIBUTE = "farfield_stretch"  # face attribute: maximum stretch of the triangles of a polygon
-PIN_PREFIX = ".pn."  # of the attribute with the pinned corners of a UV map, before its name
-METRICS_PROPERTY = "farfield_unwrap"  # custom property of a mesh
-MAX_UV_MAPS = 8  # per mesh
+STRETCH_ATTRIBUTE = "farfield_stretch"  # Face attribute: maximum stretch of the triangles of a polygon.
+PIN_PREFIX = ".pn."  # The attribute with the pinned corners of a UV map has this before the map's name.
+METRICS_PROPERTY = "farfield_unwrap"  # Custom property of a mesh.
+MAX_UV_MAPS = 8  # Per mesh.
 
 
 @dataclass(frozen=True)
 class UvTarget:
     """A mesh, or some polygons of it, to unwrap. Holds no pointers into Blender.
 
-    mesh_uid: session UID of the mesh, which stays when it is renamed. object_name: of the object. mesh: in world space, wound as in
-    Blender. other_triangles (R, 3): of polygons that are not unwrapped. loops (T, 3), polygon_ids (T,): of the triangles of `mesh`. seams
-    (S, 2): vertices. normal_sign: -1 where the object's matrix mirrors, so that normals of `mesh` point inwards, else 1. group_weights
-    (V,): weights of the vertex group, 0 without one.
+    Attributes:
+        mesh_uid: Session UID of the mesh, which stays when it is renamed.
+        object_name: Name of the object.
+        mesh: The triangles to unwrap, in world space, wound as in Blender.
+        other_triangles: (R, 3) of polygons that are not unwrapped.
+        loops: (T, 3) of the triangles of `mesh`.
+        polygon_ids: (T,) polygon of each triangle.
+        seams: (S, 2) vertices.
+        normal_sign: -1 where the object's matrix mirrors, so that normals of `mesh` point inwards, else 1.
+        group_weights: (V,) weights of the vertex group, 0 without one.
     """
 
     mesh_uid: int
@@ -60,7 +66,7 @@ def read_uv_target(item: bpy.types.Object, vertex_group: str | None) -> UvTarget
     if not is_selected.any():
         raise GeometryError(f'"{item.name}" has no {"selected " if is_editing else ""}faces to unwrap; select some.')
     matrix = np.array(item.matrix_world, np.float64)
-    with np.errstate(invalid="ignore"):  # a later check reports coordinates that are not finite
+    with np.errstate(invalid="ignore"):  # A later check reports coordinates that are not finite.
         positions = transform_points(matrix, read_positions(mesh))
         is_mirrored = np.linalg.det(matrix[:3, :3]) < 0.0
     return UvTarget(
@@ -151,7 +157,7 @@ def read_uv_stretch(mesh: bpy.types.Mesh) -> UvStretch | None:
     """Read the active UV map and the stretch stored by `write_uv_map`; None for a mesh not unwrapped or in Edit Mode."""
     attribute, layer = mesh.attributes.get(STRETCH_ATTRIBUTE), mesh.uv_layers.active
     if attribute is None or layer is None or not _is_stretch(attribute) or len(attribute.data) != len(mesh.polygons):
-        return None  # the data of a mesh in Edit Mode are elsewhere
+        return None  # The data of a mesh in Edit Mode are elsewhere.
     loops, polygons = read_loop_triangles(mesh)
     stretches = read_attribute(attribute)
     return UvStretch(loops, read_uvs(layer), stretches[polygons])

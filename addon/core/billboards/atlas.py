@@ -5,11 +5,11 @@ import numpy as np
 from ..errors import SettingsError
 from .cloud import AtlasLayout
 
-MAX_SIDE = 16384  # texels; the largest texture that common GPUs accept
-MAX_TEXELS = 2**24  # of the whole texture, as many as in 4096 x 4096; their capture takes about 5 GB of memory
-GUTTER = 4  # texels between quads: keeps two mip levels separate and is filled by dilation
-SIZE_MULTIPLE = 8  # width and height are multiples of this, so that the first mip levels halve evenly
-PACKING_SLACK = 1.05  # times the total area of the rectangles: the area of the square whose side is the first choice of width
+MAX_SIDE = 16384  # Texels; the largest texture that common GPUs accept.
+MAX_TEXELS = 2**24  # A whole texture has at most as many texels as 4096 x 4096; their capture takes about 5 GB of memory.
+GUTTER = 4  # Texels between quads: keeps two mip levels separate and is filled by dilation.
+SIZE_MULTIPLE = 8  # Width and height are multiples of this, so that the first mip levels halve evenly.
+PACKING_SLACK = 1.05  # Times the total area of the rectangles: the area of the square whose side is the first choice of width.
 
 
 def pack(half_sizes: np.ndarray, texel_size: float, gutter: int = GUTTER) -> AtlasLayout:
@@ -26,7 +26,7 @@ def pack(half_sizes: np.ndarray, texel_size: float, gutter: int = GUTTER) -> Atl
     width += -width % SIZE_MULTIPLE
     area = int(padded.prod(axis=1).sum())
     height = area // width
-    if width <= MAX_SIDE and area <= MAX_TEXELS:  # packing into a wider strip would take minutes
+    if width <= MAX_SIDE and area <= MAX_TEXELS:  # Packing into a wider strip would take minutes.
         positions, height = pack_skyline(padded, width - gutter)
         height += gutter + -(height + gutter) % SIZE_MULTIPLE
     if max(width, height) > MAX_SIDE:

@@ -23,14 +23,14 @@ from .levels import LevelBuilder
 from .primitives import Components, Primitives
 from .settings import BillboardSettings
 
-MAX_REMAINING_BUILDS = 4  # of the group that gets the unused rest of the budget
-MIN_AREA_FRACTION = 0.05  # of the total area: lower bound of the area against which the quads of a group are weighed
-MIN_BUDGET_FRACTION = 1e-9  # of the budget: replaces 0 as a divisor
-QUADS_EXPONENT = 1.2  # of 1 / error: growth of the number of quads, measured on heads and trees
-TEXTURE_EXPONENT = 2.0  # of 1 / error: texels have two sides
-MIN_TEXEL_LIMIT, TEXELS_PER_QUAD = 2**22, 2**16  # of a texture with a budget of quads: a few more quads are not worth any texture
-GROUP_PROGRESS = 0.3  # of the progress of the allocation, for the search of one group; the rest is for the second search
-COARSE_LEVELS_PROGRESS = 0.2  # of the progress, for the levels above those that count for the budget
+MAX_REMAINING_BUILDS = 4  # Maximum builds of the group that gets the unused rest of the budget.
+MIN_AREA_FRACTION = 0.05  # The quads of a group are weighed against at least this fraction of the total area.
+MIN_BUDGET_FRACTION = 1e-9  # Replaces 0 as a divisor.
+QUADS_EXPONENT = 1.2  # The number of quads grows with this power of 1 / error, measured on heads and trees.
+TEXTURE_EXPONENT = 2.0  # The same for texels, which have two sides.
+MIN_TEXEL_LIMIT, TEXELS_PER_QUAD = 2**22, 2**16  # Limits of a texture with a budget of quads: a few more quads are not worth any texture.
+GROUP_PROGRESS = 0.3  # The search of one group takes this fraction of the allocation's progress; the second search takes the rest.
+COARSE_LEVELS_PROGRESS = 0.2  # Levels above those that count for the budget take this fraction of the progress.
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ def cover_within_budget(
     return search.combine(complete), max_relative_error(complete)
 
 
-Allocation = list[tuple[BudgetGroup, Attempt]]  # the groups contain every primitive once
+Allocation = list[tuple[BudgetGroup, Attempt]]  # The groups contain every primitive once.
 
 
 def max_relative_error(allocation: Allocation) -> float:

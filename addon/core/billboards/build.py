@@ -11,7 +11,7 @@ from .levels import LevelBuilder
 from .primitives import Primitives, drop_incomplete_points, find_components, from_mesh, from_points
 from .settings import BillboardSettings
 
-PACKING_START = 0.95  # fraction of the progress bar; the rest is for packing the atlas
+PACKING_START = 0.95  # Fraction of the progress bar; the rest is for packing the atlas.
 
 
 def build_cloud(source: TriangleMesh | PointCloud, settings: BillboardSettings, name: str = "mesh") -> Steps[Cloud]:

@@ -9,9 +9,13 @@ import numpy as np
 class Quads:
     """Q rectangles in world space and the primitives (triangles or points) that they replace.
 
-    centers (Q, 3); frames (Q, 3, 3): rows are the unit axes u, v and the normal n = u x v; half_sizes (Q, 2) along u and v. float64.
-    drawn_offsets (Q + 1,), drawn (K,) int32: quad q shows the primitives drawn[drawn_offsets[q]:drawn_offsets[q + 1]], ascending;
-    a primitive may be drawn on several quads. owner (P,) int32: the single quad that owns each primitive.
+    Attributes:
+        centers: (Q, 3) float64.
+        frames: (Q, 3, 3) float64, rows are the unit axes u, v and the normal n = u x v.
+        half_sizes: (Q, 2) float64, along u and v.
+        drawn_offsets: (Q + 1,) int32, quad q shows the primitives drawn[drawn_offsets[q]:drawn_offsets[q + 1]].
+        drawn: (K,) int32, ascending per quad; a primitive may be drawn on several quads.
+        owner: (P,) int32, the single quad that owns each primitive.
     """
 
     centers: np.ndarray
@@ -58,9 +62,15 @@ class AtlasLayout:
 class Level:
     """One level of detail of a cloud.
 
-    error and texel_size are lengths in scene units. cutouts: per quad a (C, 2) polygon, in -1..1 of its half sizes.
-    joined (Q,) bool: the quad shows part of a surface that continues on other quads. Its textures are extended by one texel, so that no
-    crack opens between the two. solid (Q,) bool: the quad shows only the outside of solids, whose inside no camera sees.
+    Attributes:
+        error: A length in scene units.
+        texel_size: Side length of a texel in scene units.
+        quads: The quads.
+        atlas: Layout of their textures.
+        cutouts: (C, 2) polygon per quad, in -1..1 of its half sizes.
+        joined: (Q,) bool, the quad shows part of a surface that continues on other quads; its textures are extended by one texel,
+            so that no crack opens.
+        solid: (Q,) bool, the quad shows only the outside of solids, whose inside no camera sees.
     """
 
     error: float
@@ -81,13 +91,24 @@ class Level:
 
 @dataclass(frozen=True)
 class Cloud:
-    """A billboard cloud, finest level first, and statistics of its construction."""
+    """A billboard cloud and statistics of its construction.
+
+    Attributes:
+        levels: Finest first.
+        source_triangles: Number of primitives of the source.
+        dropped_triangles: Number of those without area.
+        longest_side: Longest bounding-box side of the source.
+        max_plane_distance: Maximum distance of a vertex to the plane of a quad that shows it, over the level's error.
+        faces_beyond_normal_bound: Number of faces of the finest level beyond the normal bound of their owner.
+        uncovered_faces: Number of faces that no quad shows.
+        seconds: Run time per stage.
+    """
 
     levels: list[Level]
     source_triangles: int
     dropped_triangles: int
     longest_side: float
-    max_plane_distance: float  # maximum distance of a vertex to the plane of a quad that shows it, over the level's error
+    max_plane_distance: float
     faces_beyond_normal_bound: int
     uncovered_faces: int
     seconds: dict[str, float] = field(default_factory=dict)

@@ -10,15 +10,15 @@ from .clustering.patches import Covering
 from .settings import BillboardSettings
 
 MAX_BUILDS = 6
-MIN_FRACTION = 0.9  # of the limit: the search ends when this much is used
-TARGET_FRACTION = 0.955  # of the limit: the center of the accepted range
-MAX_COARSENING = 6.0  # maximum factor of the error in one step
-MAX_REFINEMENT = 4.0  # maximum divisor of the error in one step
-MIN_STEP = 1.05  # factor of the error: below it, a count changes more by chance than by intent
+MIN_FRACTION = 0.9  # The search ends when this fraction of the limit is used.
+TARGET_FRACTION = 0.955  # The center of the accepted range, as a fraction of the limit.
+MAX_COARSENING = 6.0  # Maximum factor of the error in one step.
+MAX_REFINEMENT = 4.0  # Maximum divisor of the error in one step.
+MIN_STEP = 1.05  # Factor of the error: below it, a count changes more by chance than by intent.
 MIN_EXPONENT, MAX_EXPONENT = 0.3, 3.0
-SATURATION_RATIO = 2.0  # an error smaller by this factor without more usage: even smaller errors would only enlarge the texture
-MIN_BRACKET_STEPS = 0.1  # of MIN_STEP, on a logarithmic scale: a narrower bracket is not searched
-MIN_T, MAX_T = 0.15, 0.85  # interpolation factors in a bracket: keep each try away from its ends, so that the bracket shrinks either way
+SATURATION_RATIO = 2.0  # An error smaller by this factor without more usage: even smaller errors would only enlarge the texture.
+MIN_BRACKET_STEPS = 0.1  # A bracket narrower than this many MIN_STEPs, on a logarithmic scale, is not searched.
+MIN_T, MAX_T = 0.15, 0.85  # Interpolation factors in a bracket: keep each try away from its ends, so that the bracket shrinks either way.
 MIN_ERROR, MAX_ERROR = next((item.minimum, item.maximum) for item in describe(BillboardSettings) if item.name == "error")
 
 

@@ -16,12 +16,12 @@ from ..settings import describe
 from .primitives import Primitives, drop_incomplete_points
 from .settings import BillboardSettings
 
-SEED_COUNT = 64  # faces whose clusters are guessed
-NEAREST_COUNT = 300  # nearest faces of each seed, used individually
-DISTANT_COUNT = 900  # faces that represent all others, sampled proportionally to area
-BISECTION_STEPS = 10  # of the error range on a logarithmic scale: final width below one percent
-BYTES_PER_TEXEL = 24  # three maps of four bytes, front and back
-UNIFORM_RECTANGLE_FACTOR = 12.0  # area of a uniformly filled rectangle over sqrt(det covariance)
+SEED_COUNT = 64  # Faces whose clusters are guessed.
+NEAREST_COUNT = 300  # Nearest faces of each seed, used individually.
+DISTANT_COUNT = 900  # Faces that represent all others, sampled proportionally to area.
+BISECTION_STEPS = 10  # The final error range is less than one percent wide on a logarithmic scale.
+BYTES_PER_TEXEL = 24  # Three maps of four bytes, front and back.
+UNIFORM_RECTANGLE_FACTOR = 12.0  # Area of a uniformly filled rectangle over sqrt(det covariance).
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,15 @@ CALIBRATIONS = {
 class SurfaceSample:
     """A surface relative to S seed faces, with N faces each, ordered by distance from the seed; lengths and areas in scene units.
 
-    min_heights, max_heights (S, N): of a face's corners over the seed's plane. positions (S, N, 2): face centers in that plane, relative
-    to the seed. cosines (S, N): between the normals. areas (S, N): of the faces, or of the surface that each represents. total_area,
-    longest_side, face_count: of the whole surface.
+    Attributes:
+        min_heights: (S, N) of a face's corners over the seed's plane.
+        max_heights: (S, N) the same.
+        positions: (S, N, 2) face centers in that plane, relative to the seed.
+        cosines: (S, N) between the normals.
+        areas: (S, N) of the faces, or of the surface that each represents.
+        total_area: Area of the whole surface.
+        longest_side: Longest bounding-box side of the whole surface.
+        face_count: Number of its faces.
     """
 
     min_heights: np.ndarray
@@ -155,9 +161,9 @@ def _estimate_clusters(sample: SurfaceSample, error: float, min_cosine: float, c
     rows = np.arange(len(sample.min_heights))
     is_facing = (sample.cosines >= min_cosine) | (not calibration.bounds_normals)
     best_area, waste = np.zeros(len(rows)), np.ones(len(rows))
-    for shift in (-1.0, 0.0, 1.0):  # the seed may be anywhere between the two sides of the slab that the error allows
+    for shift in (-1.0, 0.0, 1.0):  # The seed may be anywhere between the two sides of the slab that the error allows.
         fits = is_facing & (sample.min_heights >= (shift - 1.0) * error) & (sample.max_heights <= (shift + 1.0) * error)
-        fits[:, 0] = True  # the seed itself, whatever its slope
+        fits[:, 0] = True  # The seed itself, whatever its slope.
         fitting_areas = np.where(fits, sample.areas, 0.0)
         cluster_areas = np.maximum(np.cumsum(fitting_areas, axis=1), np.finfo(float).tiny)
         ratio = np.maximum(_rectangle_areas(fitting_areas, cluster_areas, sample.positions) / cluster_areas, 1.0)

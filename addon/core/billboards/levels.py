@@ -19,12 +19,12 @@ METHODS = {
     "hough": methods.cover_by_hough,
     "decimate": methods.cover_by_decimation,
 }
-OVERLAP_MARGIN = 0.25  # of the error: quads of a convex surface that meet at 30 degrees leave a gap of about this width
-ROUNDING_MARGIN = 1e-4  # of the error: reserve for rounding to single precision in Blender and in files
-MIN_HALF_SIZE = 1e-12  # of a texel: replaces the half size 0 of a quad without height, a divisor
-CLIP_TOLERANCE = 1e-6  # of a half size: primitives that exceed the rectangle by less are not clipped
-CORNER_CUT_DIRECTIONS = np.linspace(0.1, 0.9, 17)  # x component of the normal of a corner cut; its y component is the rest to 1
-MIN_CUT_FRACTION = 0.005  # of the rectangle's area; smaller cuts are not made
+OVERLAP_MARGIN = 0.25  # In errors: quads of a convex surface that meet at 30 degrees leave a gap of about this width.
+ROUNDING_MARGIN = 1e-4  # In errors: reserve for rounding to single precision in Blender and in files.
+MIN_HALF_SIZE = 1e-12  # In texels: replaces the half size 0 of a quad without height, a divisor.
+CLIP_TOLERANCE = 1e-6  # In half sizes: primitives that exceed the rectangle by less are not clipped.
+CORNER_CUT_DIRECTIONS = np.linspace(0.1, 0.9, 17)  # x component of the normal of a corner cut; its y component is the rest to 1.
+MIN_CUT_FRACTION = 0.005  # Cuts that save less of the rectangle's area are not made.
 
 
 @dataclass(frozen=True)

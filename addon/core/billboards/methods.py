@@ -16,17 +16,17 @@ from .clustering.cover import CoverSettings, cover_with_rectangles
 from .clustering.hierarchy import ClusterBounds, merge_in_rounds
 from .clustering.patches import Covering, Patch, assign_groups, best_facing_patch, group_by_label, merge_coverings
 from .clustering.planes import PlaneBounds, Planes
-from .clustering.rectangles import compute_bounds, enclosing_rectangle, min_area_axes
+from .clustering.rectangles import fit_rectangle
 from .decimation.triangle_patches import build_triangle_patches, cover_flat_surfaces
 from .primitives import Components, Primitives
 from .settings import BillboardSettings
 
-REGION_NEIGHBORS = 12  # per primitive, in the graph over which the region of a quad grows
-QUAD_COST = 4.0  # of one more quad, in mean areas of a cluster
-MAX_COVER_ROUNDS = 4  # at the finest level
-MAX_COARSE_COVER_ROUNDS = 2  # at other levels, which start from the quads of the finer one
-NEIGHBORS_FRACTION = 0.1  # of the progress bar of `cover_by_clustering`, for the proximity graph
-UNASSIGNED_FRACTION = 0.1  # of the progress of a level of `cover_by_decimation`, for clustering unassigned faces
+REGION_NEIGHBORS = 12  # Per primitive, in the graph over which the region of a quad grows.
+QUAD_COST = 4.0  # Cost of one more quad, in mean areas of a cluster.
+MAX_COVER_ROUNDS = 4  # At the finest level.
+MAX_COARSE_COVER_ROUNDS = 2  # At other levels, which start from the quads of the finer one.
+NEIGHBORS_FRACTION = 0.1  # The proximity graph takes this fraction of the progress bar of `cover_by_clustering`.
+UNASSIGNED_FRACTION = 0.1  # Clustering unassigned faces takes this fraction of the progress of a level of `cover_by_decimation`.
 
 
 def cover_by_clustering(
@@ -108,10 +108,7 @@ def cover_by_hough(
         frames = frames_from_normals(planes.normals)
         patches = []
         for normal, offset, frame, drawn in zip(planes.normals, planes.offsets, frames, planes.drawn, strict=True):
-            positions = primitives.positions[drawn]
-            axes = min_area_axes(positions.reshape(-1, 3) @ frame[:2].T) @ frame[:2]
-            rectangle = enclosing_rectangle(compute_bounds(positions, axes))
-            patches.append(Patch(normal, float(offset), axes, rectangle, drawn, drawn))
+            patches.append(Patch(normal, float(offset), *fit_rectangle(primitives.positions[drawn], frame[:2]), drawn, drawn))
         coverings.append(Covering(patches, planes.owner))
     return coverings
 

@@ -18,10 +18,10 @@ from ..geometry.mesh import (
 from ..geometry.proximity import neighbor_pairs
 from ..geometry.transforms import frames_from_normals
 
-MAX_NORMAL_LENGTH_ERROR = 1e-3  # of a point's normal; others count as missing
-NEIGHBOR_COUNT = 50  # n of section 4.3.1
-TRIANGLE_COVARIANCE_SCALE = 1.0 / 4.0  # covariance of a triangle's area over the mean covariance of its corners
-SQUARE_COVARIANCE_SCALE = 1.0 / 3.0  # the same for a square
+MAX_NORMAL_LENGTH_ERROR = 1e-3  # Normals of points whose length differs more from 1 count as missing.
+NEIGHBOR_COUNT = 50  # n of section 4.3.1.
+TRIANGLE_COVARIANCE_SCALE = 1.0 / 4.0  # Covariance of a triangle's area over the mean covariance of its corners.
+SQUARE_COVARIANCE_SCALE = 1.0 / 3.0  # The same for a square.
 
 
 @dataclass(frozen=True)

@@ -9,15 +9,19 @@ import numpy as np
 
 from ..arrays import TINY
 
-BOUNDARY_TOLERANCE = 1e-6  # of a texel: for corners that lie on the boundary between two texels
+BOUNDARY_TOLERANCE = 1e-6  # In texels, for corners that lie on the boundary between two texels.
 
 
 @dataclass(frozen=True)
 class Texels:
     """N texels on Q quads.
 
-    texture_size: (width, height). pixels (N, 2) int32: x, y in the texture, row 0 at the bottom. quad_indices (N,) int32. positions (N, 3)
-    float64: texel centers in the space of the quads' corners. steps (Q, 2, 3): vectors from one texel to the next along x and y.
+    Attributes:
+        texture_size: (width, height).
+        pixels: (N, 2) int32, x and y in the texture, row 0 at the bottom.
+        quad_indices: (N,) int32.
+        positions: (N, 3) float64, texel centers in the space of the quads' corners.
+        steps: (Q, 2, 3) vectors from one texel to the next along x and y.
     """
 
     texture_size: tuple[int, int]

@@ -8,26 +8,23 @@ import numpy as np
 from ..billboards.texels import Texels
 from ..jobs.chunks import map_ordered
 from ..jobs.progress import Progress, Steps, subprogress
-from .capture.observations import SUBSAMPLES
-from .capture.reference_images import low_order_lights
+from .capture.observations import SUBSAMPLES, low_order_lights
 from .capture.shards import ShardStore
 from .capture.view_data import DomeView, RadianceView, read_silhouettes
 from .factorization.als import ViewMatrix, split_lights
-from .factorization.compression_error import ComponentError, error_by_components
-from .factorization.factors import Factors, factorize, factorize_scalar
+from .factorization.factors import ComponentError, Factors, error_by_components, factorize, factorize_scalar
 from .factorization.lpca import factorize_lpca
 from .refinement.refine import compute_texel_colors
 from .refinement.training import StoredTrainingView, refine_stored_views
 from .reflectance.disc_lights import DiscLights
-from .reflectance.dome import fit_dome
-from .reflectance.lobe_fit import CapturedRadiance, fit_lobes
+from .reflectance.lobe_fit import CapturedRadiance, fit_dome, fit_lobes
 from .reflectance.lobes import Lobes, TexelSurface
 from .reflectance.mean_colors import compute_chromaticity, mean_emission
 from .reflectance.residuals import residual_files, write_residuals
 from .reflectance.shadows import Shadows, compute_shadows
 from .settings import BtfSettings
 
-MIN_COSINE = 0.03  # minimum weight of a texel in a view that sees its quad edge-on
+MIN_COSINE = 0.03  # Minimum weight of a texel in a view that sees its quad edge-on.
 # Ends of the stages in the progress bar of `compress`.
 WEIGHTS_END, CHROMATICITY_END, SHADOWS_END, LOBES_END, RESIDUALS_END, COLOR_END, SILHOUETTES_END = 0.02, 0.05, 0.2, 0.6, 0.75, 0.95, 0.97
 
@@ -36,7 +33,12 @@ WEIGHTS_END, CHROMATICITY_END, SHADOWS_END, LOBES_END, RESIDUALS_END, COLOR_END,
 class CompressedTextures:
     """Compressed textures of a level with N texels.
 
-    lobes: None when the PBR maps contain no surface. chromaticity (N, 3). color, alpha: factors. emission (N, 3): None without emission.
+    Attributes:
+        lobes: None when the PBR maps contain no surface.
+        chromaticity: (N, 3).
+        color: Factors of the residual colors.
+        alpha: Factors of the coverage.
+        emission: (N, 3); None without emission.
     """
 
     lobes: Lobes | None

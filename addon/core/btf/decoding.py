@@ -11,12 +11,17 @@ from .reflectance.lobes import Lobes
 
 @dataclass(frozen=True)
 class RelightableTexture:
-    """The relightable texture of one level, as stored in its images.
+    """The relightable texture of one level, as stored in its images. The rows of all arrays are its P pixels, row 0 at the bottom.
 
-    size: (width, height) in pixels; its P pixels are the rows of all arrays below, texture row 0 at the bottom. chromaticity (P, 3): factor
-    of the decoded residual colors. color: factors with one column per light and channel, the dome last. alpha: factors with one column,
-    added to `pbr_alpha` (P,), the coverage in the PBR maps. views, lights: the baked directions in object space. lobes: the reflectance
-    model that is added to the residual colors; None without one.
+    Attributes:
+        size: (width, height) in pixels.
+        chromaticity: (P, 3) factor of the decoded residual colors.
+        color: Factors with one column per light and channel, the dome last.
+        alpha: Factors with one column, added to `pbr_alpha`.
+        pbr_alpha: (P,) coverage in the PBR maps.
+        views: Baked view directions in object space.
+        lights: Baked light directions in object space.
+        lobes: Reflectance model that is added to the residual colors; None without one.
     """
 
     size: tuple[int, int]
@@ -32,8 +37,8 @@ class RelightableTexture:
         """Return the color basis (V, components of all clusters, L, 3) float32, interpolated at the unit directions `views` (V, 3) and
         `lights` (L, 3)."""
         values = self.color.basis.reshape(len(self.views), -1, len(self.lights) + 1, 3)
-        by_light = self.lights.interpolate(np.moveaxis(values[:, :, :-1], 2, 0), lights)  # light, view, component, channel
-        return np.moveaxis(self.views.interpolate(np.moveaxis(by_light, 1, 0), views), 1, 2)  # view, component, light, channel
+        by_light = self.lights.interpolate(np.moveaxis(values[:, :, :-1], 2, 0), lights)  # Light, view, component, channel.
+        return np.moveaxis(self.views.interpolate(np.moveaxis(by_light, 1, 0), views), 1, 2)  # View, component, light, channel.
 
     def radiance(self, basis: np.ndarray, view: np.ndarray, light: np.ndarray) -> np.ndarray:
         """Return the texture (H, W, 3) float32 for a view (3,) and a light (3,): straight scene-linear radiance under a sun of unit

@@ -9,15 +9,15 @@ from .settings import BtfSettings
 
 # Seconds on one core of 2020s server hardware, measured on a tree with alpha-mapped leaves. Other sources differ by some factor, which the
 # first bake measures. Fitting, factorizing and refining use all cores; the constants are for two.
-SECONDS_PER_RENDER = 0.008  # independent of its size
-SECONDS_PER_PIXEL, SECONDS_PER_SAMPLE = 1.0e-6, 3.3e-6  # per pixel of a render, and per sample of a pixel
-SECONDS_PER_ID_PIXEL = 14e-6  # per pixel of a view, for its ID buffer
-SECONDS_PER_OBSERVED_TEXEL = 4e-6  # to look up one texel in one view
-SECONDS_PER_SHADOW_TEXEL = 1.2e-6  # to look up one texel from one light, and to find its shadow boundary
-SECONDS_PER_FITTED_ENTRY = 2e-8  # per matrix entry, to fit and subtract the lobes
-SECONDS_PER_FACTOR_ENTRY = 1e-9  # per matrix entry and component
-SECONDS_PER_REFINED_TEXEL = 10e-6  # per texel and reference image, over all iterations
-LOBE_VALUES = 9  # per texel
+SECONDS_PER_RENDER = 0.008  # Independent of its size.
+SECONDS_PER_PIXEL, SECONDS_PER_SAMPLE = 1.0e-6, 3.3e-6  # Per pixel of a render, and per sample of a pixel.
+SECONDS_PER_ID_PIXEL = 14e-6  # Per pixel of a view, for its ID buffer.
+SECONDS_PER_OBSERVED_TEXEL = 4e-6  # To look up one texel in one view.
+SECONDS_PER_SHADOW_TEXEL = 1.2e-6  # To look up one texel from one light, and to find its shadow boundary.
+SECONDS_PER_FITTED_ENTRY = 2e-8  # Per matrix entry, to fit and subtract the lobes.
+SECONDS_PER_FACTOR_ENTRY = 1e-9  # Per matrix entry and component.
+SECONDS_PER_REFINED_TEXEL = 10e-6  # Per texel and reference image, over all iterations.
+LOBE_VALUES = 9  # Per texel.
 WORKER_START_SECONDS = 3.0
 
 

@@ -17,8 +17,8 @@ from ..geometry.cameras import OrthographicView
 from ..geometry.directions import from_hemi_octahedral, from_octahedral
 from ..imaging.metrics import encode_srgb
 
-MIN_FRAMES, MAX_FRAMES = 2, 64  # per side
-MIN_FRAME_RESOLUTION = 8  # pixels; smaller frames show nothing
+MIN_FRAMES, MAX_FRAMES = 2, 64  # Per side.
+MIN_FRAME_RESOLUTION = 8  # Pixels; smaller frames show nothing.
 MAX_UNIFORM_DEVIATION = 1.5 / 255.0  # Roughness and metallic within this of their mean need no image.
 
 

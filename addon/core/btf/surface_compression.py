@@ -40,8 +40,12 @@ class SurfaceTextures:
 class TwoSidedTexels:
     """Texels with the maps of both of their sides.
 
-    front, back (N, 6) float32: straight color and encoded normal, 0..1, of each side. alpha (N,): coverage in the PBR maps. solid (Q,)
-    bool: the quad shows only the outside of solids, and its back is not drawn.
+    Attributes:
+        texels: The texels.
+        front: (N, 6) float32, straight color and encoded normal of the front, 0..1.
+        back: (N, 6) float32, the same of the back.
+        alpha: (N,) coverage in the PBR maps.
+        solid: (Q,) bool, the quad shows only the outside of solids, and its back is not drawn.
     """
 
     texels: Texels

@@ -19,6 +19,13 @@ class ViewTable:
 
     The texel coordinate of map position p, component k and cluster c is p * scale + offset + (c * cluster_step, k * component_step).
     Scalar components are stored in groups of four, in red, green, blue and alpha; k is then the group.
+
+    Attributes:
+        image: (H, W, 4) float32.
+        scale: Factor of the map position.
+        offset: Added to it.
+        component_step: Step from one component to the next.
+        cluster_step: Step from one cluster to the next.
     """
 
     image: np.ndarray
@@ -32,12 +39,21 @@ class ViewTable:
 class LookupTables:
     """Images (H, W, 4) float32, row 0 at the bottom, and the coordinates to sample them at. Map positions are (x, y) in 0..1.
 
-    basis: blocks of (views_per_side + 2)^2 tiles of (lights_per_side + 2)^2 lights; a row of blocks for every component and a column of
-    blocks for every cluster; tile (0, 0) is padding. The texel of map position `light` under tap t of view cell c and component k is at
+    `basis` has blocks of (views_per_side + 2)^2 tiles of (lights_per_side + 2)^2 lights; a row of blocks for every component and a column
+    of blocks for every cluster; tile (0, 0) is padding. The texel of map position `light` under tap t of view cell c and component k is at
     (c + t) * tile_scale + light * light_scale + light_offset + (cluster * cluster_step, k * component_step), where
     c = floor(view * views_per_side + 0.5).
 
-    dome, alpha: tables by view. shadow: table by light direction; None, with shadows_per_side 0, without self-shadowing.
+    Attributes:
+        views_per_side, views_upper: Grid of the views.
+        lights_per_side, lights_upper: Grid of the lights.
+        clusters, components, alpha_components: Numbers of clusters, and of components of color and alpha.
+        basis: Image of the colors.
+        tile_scale, light_scale, light_offset, component_step, cluster_step: Coordinates in `basis`.
+        dome: Table of the colors under the dome, by view.
+        alpha: Table of alpha, by view.
+        shadows_per_side, shadows_upper, shadow_components: Grid and components of self-shadowing; shadows_per_side is 0 without it.
+        shadow: Table of the visibility of lights, by light direction; None without self-shadowing.
     """
 
     views_per_side: int
@@ -67,11 +83,11 @@ def build_tables(
     """Build the lookup tables. The columns of `color` are lights, the dome last, times channels; `alpha` has one column."""
     count, components, clusters = len(lights), color.components, color.clusters
     values = color.basis.reshape(len(views), clusters, components, count + 1, 3)
-    tiles = lights.pad(np.moveaxis(values[..., :count, :], 3, 0))  # light row, light column, view, cluster, component, channel
-    blocks = views.pad(np.moveaxis(tiles, 2, 0))  # view row, view column, light row, light column, cluster, component, channel
+    tiles = lights.pad(np.moveaxis(values[..., :count, :], 3, 0))  # Light row, light column, view, cluster, component, channel.
+    blocks = views.pad(np.moveaxis(tiles, 2, 0))  # View row, view column, light row, light column, cluster, component, channel.
     view_side, light_side = blocks.shape[0], blocks.shape[2]
     width, height = clusters * view_side * light_side, components * view_side * light_side
-    # component, view row, light row; cluster, view column, light column
+    # Component, view row, light row; cluster, view column, light column.
     basis = blocks.transpose(5, 0, 2, 4, 1, 3, 6).reshape(height, width, 3)
     return LookupTables(
         views_per_side=views.size,
@@ -108,7 +124,7 @@ def unpack_color_basis(
     view_side, light_side = views.size + 2, lights.size + 2
     blocks = basis[..., :3].reshape(components, view_side, light_side, clusters, view_side, light_side, 3)
     blocks = blocks[:, 1:-1, 1:-1, :, 1:-1, 1:-1]
-    # view row, view column, cluster, component, light row, light column, channel
+    # View row, view column, cluster, component, light row, light column, channel.
     suns = blocks.transpose(1, 4, 3, 0, 2, 5, 6).reshape(len(views), clusters * components, len(lights), 3)
     dome_basis = _unpack_view_table(dome, views, clusters, components)[..., :3]
     return np.concatenate([suns, dome_basis[:, :, None]], axis=2).reshape(len(views), clusters * components, -1)

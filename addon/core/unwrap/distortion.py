@@ -14,11 +14,11 @@ from .energies.stretch_energy import compute_jacobians
 from .overlaps import count_overlaps
 from .parameterization.density_control import compute_density_ratio
 
-NEGLIGIBLE_AREA = 1e-9  # of the mean area: the stretch of smaller triangles is rounding noise
+NEGLIGIBLE_AREA = 1e-9  # The stretch of triangles below this fraction of the mean area is rounding noise.
 PERCENTILES = 95.0, 99.0
 IMPORTANCE_BINS = 4
 NEUTRAL, STRETCHED, COMPRESSED = np.array([0.93, 0.93, 0.90]), np.array([0.75, 0.10, 0.08]), np.array([0.10, 0.28, 0.70])
-SATURATION_STRETCH = 2.0  # stretch, or its inverse, that gets the full color
+SATURATION_STRETCH = 2.0  # Stretch, or its inverse, that gets the full color.
 BACKGROUND = 0.16
 
 
@@ -39,11 +39,17 @@ class Stretches:
 class DistortionMetrics:
     """Metrics of a UV map. For an isometry the stretches are 1 and symmetric_dirichlet is 4.
 
-    l2, linf: geometric stretch, mean and maximum (Sander et al. 2001, section 3). p95, p99: percentiles of the maximum stretch of
-    triangles, weighted by area. flips: flipped triangles. overlaps: overlapping pairs of triangles. min_quality: minimum
-    height-to-base ratio of UV triangles. fill: covered fraction of the unit square. densities: texel density over the mean density, for
-    triangles with importance in the first to the fourth quarter of 0..1; 0 for empty quarters. density_ratio: texel density of triangles
-    with an importance above 0.5 over that of the others; 0 where either set is empty.
+    Attributes:
+        l2, linf: Geometric stretch, mean and maximum (Sander et al. 2001, section 3).
+        p95, p99: Percentiles of the maximum stretch of triangles, weighted by area.
+        symmetric_dirichlet: Mean symmetric Dirichlet energy.
+        flips: Number of flipped triangles.
+        overlaps: Number of overlapping pairs of triangles.
+        min_quality: Minimum height-to-base ratio of UV triangles.
+        fill: Covered fraction of the unit square.
+        densities: Texel density over the mean density, for triangles with importance in the first to the fourth quarter of 0..1; 0
+            for empty quarters.
+        density_ratio: Texel density of triangles with an importance above 0.5 over that of the others; 0 where either set is empty.
     """
 
     l2: float
@@ -69,7 +75,7 @@ def compute_stretches(mesh: TriangleMesh, corner_uvs: np.ndarray) -> Steps[Stret
     areas, _ = face_areas_and_normals(mesh.corners)
     yield Progress(0.0, "Measuring")
     scale = np.sqrt(areas @ np.abs(determinants) / areas.sum())
-    # singular values s1 >= s2 from s1^2 + s2^2 and s1 s2; s2 = determinant / s1 keeps precision
+    # Singular values s1 >= s2 from s1^2 + s2^2 and s1 s2; s2 = determinant / s1 keeps precision.
     half_difference = np.sqrt(np.maximum(jacobians.frobenius_squared**2 - 4.0 * determinants**2, 0.0))
     largest = np.sqrt(0.5 * (jacobians.frobenius_squared + half_difference))
     absolute = np.abs(determinants)

@@ -1,10 +1,48 @@
 """Importance of surface triangles: their desired relative texel density, from 0 (lowest) to 1 (highest)."""
 
+from collections.abc import Callable, Iterable, Sequence
+
 import numpy as np
 
 from ..errors import SettingsError
+from ..geometry.cameras import CameraProjection
+from ..geometry.mesh import TriangleMesh, face_areas_and_normals
+from .settings import UnwrapSettings
+from .visibility import visible_pixel_areas
 
-REFERENCE_PERCENTILE = 95.0  # of the visible area: the pixel density that gets importance 1; the few denser triangles get no more
+REFERENCE_PERCENTILE = 95.0  # The pixel density at this percentile of the visible area gets importance 1; denser triangles get no more.
+
+
+def compute_importance(
+    mesh: TriangleMesh,
+    settings: UnwrapSettings,
+    cameras: Sequence[CameraProjection],
+    occluders: Callable[[], Iterable[TriangleMesh]],
+    normal_sign: float,
+    group_weights: np.ndarray,
+) -> np.ndarray:
+    """Return the importance (T,) of the triangles of `mesh`, in world space, of the kind in `settings`.
+
+    Args:
+        cameras: those whose pixels count.
+        occluders: returns other meshes that may hide the surface, in world space.
+        normal_sign: -1 where the normals of `mesh` point inwards, else 1.
+        group_weights: (V,) weights of the vertex group, 0 without one.
+
+    Raises:
+        SettingsError: the direction has no length or is not finite.
+    """
+    areas, normals = face_areas_and_normals(mesh.corners)
+    if settings.importance == "direction":
+        return from_direction(normal_sign * normals, np.array(settings.direction))
+    if settings.importance == "gradual":
+        return from_direction_gradual(normal_sign * normals, np.array(settings.direction), settings.density_ratio)
+    if settings.importance in ("camera", "cameras"):
+        pixel_areas = np.max([visible_pixel_areas(mesh, camera, occluders()) for camera in cameras], axis=0)
+        return from_visible_pixels(pixel_areas, areas, settings.density_ratio)
+    if settings.importance == "vertex_group":
+        return group_weights[mesh.triangles].mean(axis=1)
+    return np.zeros(len(mesh.triangles))
 
 
 def from_direction(normals: np.ndarray, direction: np.ndarray) -> np.ndarray:

@@ -14,9 +14,9 @@ from ..geometry.transforms import cross, signed_areas
 from ..jobs.chunks import slices
 from ..jobs.progress import Progress, Steps
 
-MAX_LEVELS = 24  # of grids; the cell size halves per level, starting at the largest triangle
-CONTACT_TOLERANCE = 1e-9  # of the extent of the map: triangles that penetrate each other by no more than this only touch
-CHUNK_SIZE = 1 << 13  # triangles per query
+MAX_LEVELS = 24  # Maximum number of grids; the cell size halves per level, starting at the largest triangle.
+CONTACT_TOLERANCE = 1e-9  # Triangles that penetrate each other by no more than this fraction of the map's extent only touch.
+CHUNK_SIZE = 1 << 13  # Triangles per query.
 
 
 def count_overlaps(corner_uvs: np.ndarray) -> Steps[int]:

@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-PACKING_RESOLUTION = 1024  # texels per side of the square that xatlas packs into
-MAX_CHART_SIDE = 8 * PACKING_RESOLUTION  # texels; the time of xatlas grows with the bounding boxes of charts, however thin they are
+PACKING_RESOLUTION = 1024  # Texels per side of the square that xatlas packs into.
+MAX_CHART_SIDE = 8 * PACKING_RESOLUTION  # Texels; the time of xatlas grows with the bounding boxes of charts, however thin they are.
 
 
 def pack_charts(uvs: list[np.ndarray], triangles: list[np.ndarray], margin: float) -> list[np.ndarray]:
@@ -25,7 +25,7 @@ def _min_area_orientation(uv: np.ndarray) -> np.ndarray:
     """Return `uv` (V, 2) rotated to the bounding box of minimum area, with the longer side along u."""
     try:
         hull = uv[ConvexHull(uv).vertices]
-    except QhullError:  # a degenerate chart, close to a line
+    except QhullError:  # A degenerate chart, close to a line.
         hull = uv
     edges = np.roll(hull, -1, axis=0) - hull
     angles = np.arctan2(edges[:, 1], edges[:, 0]) % (0.5 * np.pi)
@@ -42,7 +42,7 @@ def _pack_with_xatlas(uvs: list[np.ndarray], triangles: list[np.ndarray], margin
     Only translations are taken from xatlas: its coordinates are single precision, and its rotations may mirror a chart. It gets texels as
     units, because it never ends where the squares of coordinates are infinite.
     """
-    import xatlas  # here, so that importing the core needs only NumPy and SciPy
+    import xatlas  # Here, so that importing the core needs only NumPy and SciPy.
 
     extents = np.array([np.ptp(uv, axis=0) for uv in uvs])
     texel_size = max(float(np.sqrt(extents.prod(axis=1).sum())) / PACKING_RESOLUTION, float(extents.max()) / MAX_CHART_SIDE)
@@ -52,7 +52,7 @@ def _pack_with_xatlas(uvs: list[np.ndarray], triangles: list[np.ndarray], margin
     options.rotate_charts = options.rotate_charts_to_axis = False
     atlas = xatlas.Atlas()
     meshes = [_to_xatlas(uv / texel_size, faces) for uv, faces in zip(uvs, triangles, strict=True)]
-    for uv, faces in meshes:  # all arrays stay alive: xatlas takes data at the same address for the same chart
+    for uv, faces in meshes:  # All arrays stay alive: xatlas takes data at the same address for the same chart.
         atlas.add_uv_mesh(uv, faces)
     atlas.generate(pack_options=options)
     size = np.array([atlas.width, atlas.height], np.float64) * texel_size

@@ -18,15 +18,20 @@ from .parameterization.developable import unfold_developable
 from .parameterization.parameterize import Boundary, parameterize
 from .settings import UnwrapSettings
 
-CUTTING_END, PARAMETERIZATION_END, PACKING_END = 0.1, 0.9, 0.95  # fractions of the progress bar
-MIN_CHART_AREA = 1e-7  # of the total area
+CUTTING_END, PARAMETERIZATION_END, PACKING_END = 0.1, 0.9, 0.95  # Fractions of the progress bar.
+MIN_CHART_AREA = 1e-7  # As a fraction of the total area.
 
 
 @dataclass(frozen=True)
 class UnwrapResult:
     """A UV map.
 
-    corner_uvs: (T, 3, 2) float64 in the unit square. stretches: per triangle. chart_count: number of charts. seconds: run time per stage.
+    Attributes:
+        corner_uvs: (T, 3, 2) float64 in the unit square.
+        stretches: Stretch of each triangle.
+        metrics: Quality of the map.
+        chart_count: Number of charts.
+        seconds: Run time per stage.
     """
 
     corner_uvs: np.ndarray

@@ -12,8 +12,8 @@ from ..geometry.transforms import signed_areas
 from ..imaging.raster import depth_buffer
 
 BARYCENTRIC_SAMPLES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])
-DEPTH_TOLERANCE = 1e-4  # of the depth range: samples no farther behind the nearest surface than this are visible
-MAX_DEPTH_BUFFER_SIZE = 2048  # pixels along the longer side
+DEPTH_TOLERANCE = 1e-4  # Samples no farther behind the nearest surface than this fraction of the depth range are visible.
+MAX_DEPTH_BUFFER_SIZE = 2048  # Pixels along the longer side.
 
 
 def visible_pixel_areas(mesh: TriangleMesh, camera: CameraProjection, occluders: Iterable[TriangleMesh] = ()) -> np.ndarray:
@@ -60,6 +60,6 @@ def _visible_fractions(corners: np.ndarray, depths: np.ndarray, buffer: np.ndarr
     pixels = np.floor(positions).astype(np.int64)
     in_image = ((pixels >= 0) & (pixels < size)).all(axis=2)
     x, y = np.clip(pixels, 0, np.array(size) - 1).transpose(2, 0, 1)
-    nearest = deepest[y, x]  # -inf where triangles are too small to cover a pixel center: nothing hides them
+    nearest = deepest[y, x]  # -inf where triangles are too small to cover a pixel center: nothing hides them.
     tolerance = DEPTH_TOLERANCE * max(float(np.ptp(depths)), 1e-12)
     return (in_image & ((sample_depths <= nearest + tolerance) | ~np.isfinite(nearest))).mean(axis=1)

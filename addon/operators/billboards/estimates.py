@@ -12,8 +12,8 @@ from ...core.errors import FarfieldError
 from .. import long_work
 from .sources import read_sources
 
-MAX_AUTOMATIC_FACES = 200_000  # larger selections are estimated only on request: reading them would block the interface too long
-DELAY = 0.3  # seconds without a change before an automatic estimate starts
+MAX_AUTOMATIC_FACES = 200_000  # Larger selections are estimated only on request: reading them would block the interface too long.
+DELAY = 0.3  # Seconds without a change before an automatic estimate starts.
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class EstimateCache:
         self._result: tuple[EstimateKey, EstimateResult] | None = None
         self._samples: tuple[tuple, list[SurfaceSample]] | None = None
         self._pending: EstimateKey | None = None
-        self._timer = self._compute_pending  # one bound method: Blender recognizes a timer by the identity of its function
+        self._timer = self._compute_pending  # One bound method: Blender recognizes a timer by the identity of its function.
 
     def find(self, key: EstimateKey) -> EstimateResult | None:
         """Return the result for `key` if it is known."""

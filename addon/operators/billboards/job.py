@@ -18,20 +18,29 @@ from ...core.billboards.cloud import Cloud
 from ...core.billboards.settings import BillboardSettings, BuildOptions
 from ...core.errors import GeometryError
 from ...core.jobs.progress import Progress, Steps, subprogress
-from .messages import linked_sources_message
-from .sources import read_sources
+from .sources import linked_sources_message, read_sources
 
-CAPTURE_FRACTION = 0.95  # of the progress of the scene steps
+CAPTURE_FRACTION = 0.95  # End of the capture in the progress of the scene steps.
 
 
 @dataclass
 class BillboardJob:
-    """Builds one cloud per source. When the job is done, `built_clouds` holds each cloud with the name of its collection.
+    """Builds one cloud per source.
 
-    scene_uid, rebuilt_uids: session UIDs of the scene and of the collections of clouds that are built again.
+    Attributes:
+        sources: What to build clouds of.
+        settings: Settings of the clouds.
+        options: Settings that concern the selected objects.
+        scene_uid: Session UID of the scene.
+        rebuilt_uids: Session UIDs of the collections of clouds that are built again.
+        skipped: Names of other objects with the reason.
+        built_clouds: Each cloud with the name of its collection, once the job is done.
+        linked_sources: Names of source objects whose visibility cannot be changed.
+        hidden_clouds: Names of clouds that were hidden.
+        seconds: Run time per stage.
     """
 
-    core_fraction = 0.35  # renders take longer than the search for planes
+    core_fraction = 0.35  # Renders take longer than the search for planes.
 
     sources: list[meshes.Source]
     settings: BillboardSettings
@@ -85,7 +94,7 @@ class BillboardJob:
             raise GeometryError("The scene was removed while the cloud was being built; build it again.")
         objects_of_sources = [_find_objects(source) for source in self.sources]
         if bpy.context.mode != "OBJECT":
-            bpy.ops.object.mode_set(mode="OBJECT")  # undo in Edit Mode covers only the edited mesh, not the objects created here
+            bpy.ops.object.mode_set(mode="OBJECT")  # Undo in Edit Mode covers only the edited mesh, not the objects created here.
         scene_clouds = []
         for source, cloud, level_textures, objects in zip(self.sources, built, textures, objects_of_sources, strict=True):
             collection = clouds.create_cloud(cloud, level_textures, source, scene.collection)

@@ -100,7 +100,7 @@ def count_finished_views(cloud: SceneCloud, settings: BtfSettings) -> int:
     try:
         folder = capture_folder(cloud, settings)
     except FileError:
-        return 0  # a bake reports it
+        return 0  # A bake reports it.
     if not folder.is_dir():
         return 0
     stores = [ShardStore(store_folder(folder, index)) for index in range(len(cloud.levels))]

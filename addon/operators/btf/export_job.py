@@ -24,7 +24,7 @@ from ...core.geometry.directions import bonn_directions
 from ...core.jobs.progress import Progress, Steps, subprogress
 
 GLB, FMF, OCTAHEDRAL_FOLDER, IMAGE_FOLDER = ".glb", ".btf", ".octahedral", ""
-RADIANCE_SUFFIXES = (FMF, IMAGE_FOLDER)  # need the model *emission*
+RADIANCE_SUFFIXES = (FMF, IMAGE_FOLDER)  # Need the model *emission*
 FORMATS = {
     GLB: "quads, colors and normals",
     FMF: "full matrix factorization",
@@ -47,8 +47,13 @@ class ExportItem:
 class BtfExportJob:
     """Writes levels to `target`, whose suffix selects the format; see `prepare_export`.
 
-    level_uids, source_uids: session UIDs of the level objects and of the source objects, since the user may rename them. upper_hemisphere:
-    whether only directions above the horizon were baked.
+    Attributes:
+        level_uids: Session UIDs of the level objects, since the user may rename them.
+        target: File or folder.
+        settings: Settings of the export.
+        items: Levels with radiance, to write one by one.
+        source_uids: Session UIDs of the source objects.
+        upper_hemisphere: Whether only directions above the horizon were baked.
     """
 
     core_fraction = 0.5
@@ -109,7 +114,7 @@ class BtfExportJob:
 
 
 def prepare_export(levels: list[bpy.types.Object], target: Path, settings: ExportSettings) -> BtfExportJob:
-    """Prepare the export of `levels`. A .glb contains them all; other formats write one file or folder per level, beside or in `target`.
+    """Prepare the export of `levels`. A .glb contains them all; other formats write one file or folder per level, next to or in `target`.
 
     Raises:
         FileError: see `check_target`.

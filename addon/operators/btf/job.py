@@ -29,12 +29,10 @@ from ...bridge.geometry import meshes
 from ...bridge.imaging import images
 from ...bridge.objects import find_by_uid
 from ...core.billboards.texels import QuadPolygons, Texels
-from ...core.btf.capture.capture_run import CaptureRun
+from ...core.btf.capture.capture_run import CaptureRun, render_missing_views
 from ...core.btf.capture.capture_spec import LevelCaptureSpec
-from ...core.btf.capture.dispatch import render_missing_views
-from ...core.btf.capture.reference_images import LOW_ORDER_LIGHTS
-from ...core.btf.capture.shard_layout import ShardLayout
-from ...core.btf.capture.shards import ShardStore
+from ...core.btf.capture.observations import LOW_ORDER_LIGHTS
+from ...core.btf.capture.shards import ShardLayout, ShardStore
 from ...core.btf.compression import CompressedTextures, LevelCompressor
 from ...core.btf.refinement.training import training_views
 from ...core.btf.settings import SURFACE_CHANNELS, BtfSettings
@@ -49,16 +47,22 @@ from ...core.jobs.executors import parse_executor
 from ...core.jobs.progress import StageClock, Steps, subprogress
 from . import estimates
 
-CAPTURE_FRACTION = 0.8  # of the progress bar
-COMPRESS_END, REFINE_END = 0.5, 0.9  # fractions of the remaining progress of a level
+CAPTURE_FRACTION = 0.8  # End of the capture in the progress bar.
+COMPRESS_END, REFINE_END = 0.5, 0.9  # Fractions of the remaining progress of a level.
 
 
 @dataclass(frozen=True)
 class LevelBake:
     """One level to bake.
 
-    spec: input of its capture. quads: its polygons. views: captured views. has_maps: whether it has PBR maps. center (3,): the mean of its
-    vertices when it was built. store: finished views. open_compressor: creates the compressor of its model, which takes memory.
+    Attributes:
+        spec: Input of its capture.
+        quads: Its polygons.
+        views: Captured views.
+        has_maps: Whether it has PBR maps.
+        center: (3,) mean of its vertices when it was built.
+        store: Finished views.
+        open_compressor: Creates the compressor of its model, which takes memory.
     """
 
     spec: LevelCaptureSpec
@@ -81,12 +85,22 @@ class BakedLevel:
 
 @dataclass
 class BakeJob:
-    """Bakes all levels of one cloud. `figures` describes each of them when the job is finished.
+    """Bakes all levels of one cloud.
 
-    collection: its name; collection_uid: its session UID, since the user may rename it. folder: for finished views. run: the run that
-    writes there. run_drivers: whether drivers in the source may run any Python. parameters: see `read_shared_parameters`.
-    keep_finished_views: whether views stay when the job is finished; when it is cancelled they always stay. temporary_folder: deletes the
-    folder together with the job.
+    Attributes:
+        collection: Name of the cloud's collection.
+        collection_uid: Its session UID, since the user may rename it.
+        fingerprint: Fingerprint of the source.
+        settings: Settings of the bake.
+        levels: Levels to bake.
+        folder: Folder for finished views.
+        run: The run that writes there.
+        run_drivers: Whether drivers in the source may run any Python.
+        parameters: Shared parameters of the source's shaders, see `read_shared_parameters`.
+        keep_finished_views: Whether views stay when the job is finished; when it is cancelled they always stay.
+        temporary_folder: Deletes the folder together with the job.
+        figures: Description of each level, once the job is finished.
+        clock: Run time per stage.
     """
 
     core_fraction = 0.9
@@ -143,7 +157,7 @@ class BakeJob:
                 yield from self._calibrate(cloud)
         if self.temporary_folder is not None:
             self.temporary_folder.cleanup()
-        elif not self.keep_finished_views and not heartbeat.is_alive(self.folder):  # another Blender may have started the same bake
+        elif not self.keep_finished_views and not heartbeat.is_alive(self.folder):  # Another Blender may have started the same bake.
             shutil.rmtree(self.folder, ignore_errors=True)
         return f'Baked "{self.collection}": {sum(figure["renders"] for figure in self.figures):,} renders.'
 
@@ -262,12 +276,12 @@ def prepare_bake(
     levels = [_read_level(level_object, source, settings, folder, index) for index, level_object in enumerate(cloud.levels)]
     for level in levels:
         level.store.open(f"{source.fingerprint} {settings.capture_fingerprint} {len(level.spec.texels)} {level.spec.error:.9g}")
-    run = CaptureRun(folder)  # from here on, no other run writes to the folder
+    run = CaptureRun(folder)  # From here on, no other run writes to the folder.
     try:
         btf_snapshot.write_snapshot(run.snapshot_folder, context.scene, source_objects, source, [level.spec for level in levels], settings)
     except FarfieldError:
         with closing(run):
-            run.heartbeat.renew()  # the error may be that another run has taken over
+            run.heartbeat.renew()  # The error may be that another run has taken over.
         raise
     return BakeJob(
         collection=name,

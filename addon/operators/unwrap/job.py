@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 
 import bpy
 import numpy as np
@@ -11,18 +12,26 @@ from ...bridge.geometry.meshes import SourceInstance, concatenate_in_world_space
 from ...bridge.unwrap import uv_maps
 from ...core.errors import GeometryError, SettingsError
 from ...core.geometry.cameras import CameraProjection
-from ...core.geometry.mesh import TriangleMesh, face_areas_and_normals
+from ...core.geometry.mesh import TriangleMesh
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.messages import format_count
-from ...core.unwrap import importance
+from ...core.unwrap.importance import compute_importance, from_direction
 from ...core.unwrap.settings import UnwrapSettings
 from ...core.unwrap.unwrapping import UnwrapResult, check_surface, unwrap
-from ...core.unwrap.visibility import visible_pixel_areas
 
 
 @dataclass
 class UnwrapJob:
-    """Unwraps every target. `results` holds targets and UV maps once the job is done; `skipped` the other objects with the reason."""
+    """Unwraps every target.
+
+    Attributes:
+        targets: Meshes to unwrap.
+        cameras: Cameras that determine importance.
+        occluders: Surfaces that may hide a target.
+        settings: Settings of the unwrap.
+        skipped: Names of other objects with the reason.
+        results: Targets and UV maps, once the job is done.
+    """
 
     core_fraction = 0.98
 
@@ -39,7 +48,8 @@ class UnwrapJob:
         for target in self.targets:
             fraction = len(target.mesh.triangles) / total
             yield Progress(done, "Computing importance")
-            weights = self._compute_importance(target)
+            occluders = partial(self._occluders, target)
+            weights = compute_importance(target.mesh, self.settings, self.cameras, occluders, target.normal_sign, target.group_weights)
             steps = unwrap(target.mesh, target.polygon_ids, target.seams, weights, self.settings, target.object_name)
             results.append((yield from subprogress(steps, done, done + fraction)))
             done += fraction
@@ -54,7 +64,7 @@ class UnwrapJob:
         yield Progress(0.0, "Writing UV maps")
         is_editing = bpy.context.mode == "EDIT_MESH"
         if is_editing:
-            bpy.ops.object.mode_set(mode="OBJECT")  # mesh data can only be written outside of Edit Mode
+            bpy.ops.object.mode_set(mode="OBJECT")  # Mesh data can only be written outside of Edit Mode.
         try:
             for target in self.targets:
                 uv_maps.find_mesh(target, self.settings.uv_map)
@@ -66,21 +76,6 @@ class UnwrapJob:
             if is_editing:
                 bpy.ops.object.mode_set(mode="EDIT")
         return self._summarize()
-
-    def _compute_importance(self, target: uv_maps.UvTarget) -> np.ndarray:
-        """Return the importance (T,) of the triangles, 0 to 1."""
-        settings, mesh = self.settings, target.mesh
-        areas, normals = face_areas_and_normals(mesh.corners)
-        if settings.importance == "direction":
-            return importance.from_direction(target.normal_sign * normals, np.array(settings.direction))
-        if settings.importance == "gradual":
-            return importance.from_direction_gradual(target.normal_sign * normals, np.array(settings.direction), settings.density_ratio)
-        if settings.importance in ("camera", "cameras"):
-            pixel_areas = np.max([visible_pixel_areas(mesh, camera, self._occluders(target)) for camera in self.cameras], axis=0)
-            return importance.from_visible_pixels(pixel_areas, areas, settings.density_ratio)
-        if settings.importance == "vertex_group":
-            return target.group_weights[mesh.triangles].mean(axis=1)
-        return np.zeros(len(mesh.triangles))
 
     def _occluders(self, target: uv_maps.UvTarget) -> Iterator[TriangleMesh]:
         """Yield the meshes that may hide a target: its polygons that are not unwrapped, and all other visible objects."""
@@ -107,7 +102,7 @@ def prepare(context: bpy.types.Context, objects: Sequence[bpy.types.Object], set
     """
     cameras = _read_cameras(context, settings)
     if settings.importance in ("direction", "gradual"):
-        importance.from_direction(np.zeros((0, 3)), np.array(settings.direction))  # reports an invalid direction early
+        from_direction(np.zeros((0, 3)), np.array(settings.direction))  # Reports an invalid direction early.
     targets, skipped, meshes, errors = [], [], set(), []
     for item in objects:
         reason = uv_maps.skip_reason(item, settings.uv_map)

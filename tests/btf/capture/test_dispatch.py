@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from farfield.addon.core.btf.capture.dispatch import MAX_SHARD_VIEWS, render_missing_views, split_views
+from farfield.addon.core.btf.capture.capture_run import MAX_SHARD_VIEWS, render_missing_views, split_views
 from farfield.addon.core.btf.capture.shards import ShardStore
 from farfield.addon.core.errors import FarfieldError, FileError
 from farfield.addon.core.jobs import heartbeat

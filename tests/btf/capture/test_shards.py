@@ -11,10 +11,8 @@ import numpy as np
 import pytest
 
 from farfield.addon.core.btf.capture import shard_files
-from farfield.addon.core.btf.capture.observations import Observation
-from farfield.addon.core.btf.capture.reference_images import ReferenceImage
-from farfield.addon.core.btf.capture.shard_layout import ShardLayout
-from farfield.addon.core.btf.capture.shards import ShardStore
+from farfield.addon.core.btf.capture.observations import Observation, ReferenceImage
+from farfield.addon.core.btf.capture.shards import ShardLayout, ShardStore
 from farfield.addon.core.btf.capture.view_data import DomeView, RadianceView, read_silhouettes
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.jobs.progress import run_to_end

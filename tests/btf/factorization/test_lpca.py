@@ -5,8 +5,7 @@ import pytest
 
 from farfield.addon.core.btf.factorization import lpca
 from farfield.addon.core.btf.factorization.als import ViewMatrix
-from farfield.addon.core.btf.factorization.compression_error import error_by_components
-from farfield.addon.core.btf.factorization.factors import factorize
+from farfield.addon.core.btf.factorization.factors import error_by_components, factorize
 from farfield.addon.core.btf.factorization.lpca import cluster_subspaces, factorize_lpca
 from farfield.addon.core.jobs.progress import run_to_end
 from synthetic_views import InMemoryView, sample_views

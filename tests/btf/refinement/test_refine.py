@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from farfield.addon.core.billboards.texels import QuadPolygons, Texels, texels_under_quads
-from farfield.addon.core.btf.capture.observations import ViewRender
-from farfield.addon.core.btf.capture.reference_images import ReferenceImage, compute_reference_image, low_order_lights
+from farfield.addon.core.btf.capture.observations import ReferenceImage, ViewRender, compute_reference_image, low_order_lights
 from farfield.addon.core.btf.capture.shards import ShardStore
 from farfield.addon.core.btf.factorization.factors import Factors
 from farfield.addon.core.btf.refinement import training

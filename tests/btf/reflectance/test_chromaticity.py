@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from farfield.addon.core.btf.factorization.als import ViewMatrix
-from farfield.addon.core.btf.factorization.compression_error import error_by_components
-from farfield.addon.core.btf.factorization.factors import factorize
+from farfield.addon.core.btf.factorization.factors import error_by_components, factorize
 from farfield.addon.core.btf.reflectance.mean_colors import compute_chromaticity
 from farfield.addon.core.jobs.progress import run_to_end
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from farfield.addon.core.btf.reflectance.dome import fit_dome
+from farfield.addon.core.btf.reflectance.lobe_fit import fit_dome
 from farfield.addon.core.btf.reflectance.lobes import SCHLICK, GrazingFresnel
 from farfield.addon.core.geometry.directions import DirectionGrid
 from farfield.addon.core.jobs.progress import run_to_end

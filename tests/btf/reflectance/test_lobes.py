@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from farfield.addon.core.btf.capture.reference_images import low_order_lights
+from farfield.addon.core.btf.capture.observations import low_order_lights
 from farfield.addon.core.btf.reflectance.disc_lights import DiscLights
 from farfield.addon.core.btf.reflectance.lobe_fit import ROUGHNESS_FACTORS, CapturedRadiance, fit_lobes, fit_responses
 from farfield.addon.core.btf.reflectance.lobes import Lobes, TexelSurface, specular_lobe

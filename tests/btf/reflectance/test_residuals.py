@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from farfield.addon.core.btf.capture.observations import Observation
-from farfield.addon.core.btf.capture.reference_images import ReferenceImage
+from farfield.addon.core.btf.capture.observations import Observation, ReferenceImage
 from farfield.addon.core.btf.capture.shards import ShardStore
 from farfield.addon.core.btf.capture.view_data import RadianceView
 from farfield.addon.core.btf.reflectance.disc_lights import DiscLights

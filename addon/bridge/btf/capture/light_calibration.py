@@ -1,4 +1,4 @@
-"""Calibration of how much light the loose quads of a surface material block, by renders beside the source.
+"""Calibration of how much light the loose quads of a surface material block, by renders compared with the source.
 
 A quad shows all leaves within one error of its plane, so they no longer shade each other, and a crown would get too bright. How much
 depends on the model: in some crowns the silhouettes block as much light as the leaves did, in others it takes all that the PBR maps cover.
@@ -24,9 +24,9 @@ from ...rendering.render_scene import MAX_TRANSPARENT_BOUNCES, RenderScene, prep
 from ..materials.surface_material import DEFAULT_LIGHT_COVERAGE, set_light_coverage
 
 CANDIDATES = (0.0, 0.5, 1.0)
-PAIR_COUNT = 3  # of view and Sun
+PAIR_COUNT = 3  # Number of pairs of view and Sun.
 SOURCE_SAMPLES, SAMPLES = 32, 16
-SHOW_ALWAYS = [MIN_PIXEL, MAX_PIXEL, MIN_RANGE], [0.0, 1.0, 0.0]  # for a material with a cross-fade
+SHOW_ALWAYS = [MIN_PIXEL, MAX_PIXEL, MIN_RANGE], [0.0, 1.0, 0.0]  # For a material with a cross-fade.
 SUN_STRENGTH, SUN_ANGLE, SKY_RADIANCE = 3.0, 0.05, 0.3
 
 

@@ -22,7 +22,7 @@ from ...imaging.images import find_images, read_pixels
 
 BLEND_FILE, METADATA_FILE = "snapshot.blend", "snapshot.json"
 SCENE_PROPERTIES = ("frame_subframe", "use_gravity")
-RENDER_PROPERTIES = ("fps", "fps_base", "use_simplify", "simplify_subdivision", "simplify_child_particles")  # they affect evaluated meshes
+RENDER_PROPERTIES = ("fps", "fps_base", "use_simplify", "simplify_subdivision", "simplify_child_particles")  # They affect evaluated meshes.
 UNIT_PROPERTIES = ("scale_length",)
 PROBE = "farfield_driver_probe"
 
@@ -71,7 +71,7 @@ def write_snapshot(
             metadata["images"][image.name] = f"image-{index}.npy"
             np.save(folder / f"image-{index}.npy", read_pixels(image), allow_pickle=False)
         metadata["collection"] = _write_blend(folder / BLEND_FILE, objects)
-        if not is_complete_blend(folder / BLEND_FILE):  # Blender does not always notice a full disk
+        if not is_complete_blend(folder / BLEND_FILE):  # Blender does not always notice a full disk.
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         for index, spec in enumerate(specs):
             spec.save(_spec_path(folder, index))

@@ -27,10 +27,10 @@ from ...shading.node_groups import has_emission
 from .proxies import add_channel_proxies, add_proxies, single_placement
 
 MAX_TRANSPARENT_BOUNCES = 256
-MIN_FILTER_WIDTH = 0.01  # pixels: the narrowest filter of Cycles
-FACE_ID = "farfield_face_id"  # face attribute (id // BASE, id % BASE, 1): single precision holds each component exactly
+MIN_FILTER_WIDTH = 0.01  # Pixels: the narrowest filter of Cycles.
+FACE_ID = "farfield_face_id"  # Face attribute (id // BASE, id % BASE, 1): single precision holds each component exactly.
 BASE = 4096
-MIN_OPAQUE_ALPHA = 0.5  # a face with less alpha is transparent
+MIN_OPAQUE_ALPHA = 0.5  # A face with less alpha is transparent.
 
 
 class FaceIdRenderer:
@@ -138,7 +138,7 @@ def open_face_id_renderer(source: Source, settings: BtfSettings, threads: int) -
         _prepare_scene(work, settings, threads)
         cycles = work.scene.cycles
         cycles.samples, cycles.max_bounces = 1, 0
-        cycles.pixel_filter_type = "BLACKMAN_HARRIS"  # its width can be set
+        cycles.pixel_filter_type = "BLACKMAN_HARRIS"  # Its width can be set.
         cycles.filter_width = MIN_FILTER_WIDTH
         yield FaceIdRenderer(work)
 

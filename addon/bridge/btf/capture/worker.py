@@ -9,8 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from ....core.btf.capture.capture_spec import LevelCaptureSpec
-from ....core.btf.capture.observations import ID_BUFFER_SCALE, ViewRender, observe, visible_subsamples
-from ....core.btf.capture.reference_images import compute_reference_image, low_order_lights
+from ....core.btf.capture.observations import (
+    ID_BUFFER_SCALE,
+    ViewRender,
+    compute_reference_image,
+    low_order_lights,
+    observe,
+    visible_subsamples,
+)
 from ....core.btf.capture.shard_files import ViewFiles, encode_visibility, to_half
 from ....core.btf.capture.shards import ShardStore
 from ....core.errors import FarfieldError
@@ -138,7 +144,15 @@ def _capture_emission(snapshot: Snapshot, jobs: list["_ViewJob"], threads: int) 
 
 @dataclass(frozen=True)
 class _ViewJob:
-    """One view of a level, with the views from those Suns whose visibility is captured along with it."""
+    """One view of a level, with the views from those Suns whose visibility is captured along with it.
+
+    Attributes:
+        store: Finished views of the level.
+        spec: Specification of the level.
+        index: Index of the view.
+        view: The view.
+        suns: Views from the Suns.
+    """
 
     store: ShardStore
     spec: LevelCaptureSpec

@@ -24,11 +24,11 @@ from ...shading.material_channels import CHANNELS, CaptureMaterial
 from ...shading.node_builder import NodeBuilder
 from ..capture.proxies import add_channel_proxies, single_placement
 
-MIN_UNSCALED_LENGTH, MAX_UNSCALED_LENGTH = 1e-3, 1e3  # half sides that single precision and camera clipping handle without scaling
+MIN_UNSCALED_LENGTH, MAX_UNSCALED_LENGTH = 1e-3, 1e3  # Half sides that single precision and camera clipping handle without scaling.
 POSITION = "position"
 ATLAS_CHANNELS = (*CHANNELS, POSITION)
-MAX_MATERIAL_SAMPLES = 4  # material parameters vary less within a pixel than coverage at edges
-MARGIN_PIXELS = 1.0  # between the object and the border of a frame
+MAX_MATERIAL_SAMPLES = 4  # Material parameters vary less within a pixel than coverage at edges.
+MARGIN_PIXELS = 1.0  # Between the object and the border of a frame.
 
 
 @dataclass(frozen=True)

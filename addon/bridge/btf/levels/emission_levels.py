@@ -35,7 +35,7 @@ from ..materials.nodes.parallax_nodes import write_texel_axes
 from ..materials.texture_images import DILATION_TEXELS, create_color_image, create_half_float_image, create_weight_images
 from .level_checks import PBR_LABELS
 
-OTHER_TRANSPARENT_SURFACES = 8  # allowance for the rest of a scene
+OTHER_TRANSPARENT_SURFACES = 8  # Allowance for the rest of a scene.
 
 
 def read_texel_surface(level_object: bpy.types.Object, texels: Texels) -> TexelSurface | None:

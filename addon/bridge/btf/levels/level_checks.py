@@ -16,10 +16,10 @@ from ...billboards.scene_clouds import SceneCloud
 from ...geometry.meshes import Source
 
 PBR_LABELS = (FRONT_COLOR, FRONT_NORMAL, FRONT_ROUGHNESS_METALLIC_DEPTH)
-MAX_UV_EXCESS = 1e-3  # beyond 0..1
-MAX_RESIDUAL = 0.1  # of the corners of a quad from an affine map of the texture, over the level's error; about 0 in a new cloud
-MAX_TEXEL_SHARING = 4.0  # texels of all quads over those of the atlas; about 1 when quads do not overlap
-MAX_PLANE_DISTANCE = 1.5  # of a vertex to the plane of a quad that shows it, over the level's error; at most 1 in a new cloud
+MAX_UV_EXCESS = 1e-3  # Beyond 0..1.
+MAX_RESIDUAL = 0.1  # In errors, between the corners of a quad and an affine map of the texture; about 0 in a new cloud.
+MAX_TEXEL_SHARING = 4.0  # Texels of all quads over those of the atlas; about 1 when quads do not overlap.
+MAX_PLANE_DISTANCE = 1.5  # In errors, between a vertex and the plane of a quad that shows it; at most 1 in a new cloud.
 
 
 def is_editable(cloud: SceneCloud) -> bool:
@@ -53,8 +53,7 @@ def check_level(level_object: bpy.types.Object, source: Source) -> None:
     if not problem:
         quads = read_level_quads(level_object, built_center(level_object, source.origin))
         problem = _quads_problem(quads, level_object) or _distance_problem(quads, level_object, source)
-    if problem:
-        raise GeometryError(f'The level "{level_object.name}" was changed after the cloud was built: {problem}. Rebuild the cloud.')
+    _raise_problem(level_object, problem)
 
 
 def check_quads(level_object: bpy.types.Object) -> None:
@@ -65,7 +64,10 @@ def check_quads(level_object: bpy.types.Object) -> None:
     """
     _check_mode(level_object)
     problem = _numbers_problem(level_object) or _mesh_problem(level_object.data) or _atlas_problem(level_object)
-    problem = problem or _corners_problem(read_level_quads(level_object), level_object)
+    _raise_problem(level_object, problem or _corners_problem(read_level_quads(level_object), level_object))
+
+
+def _raise_problem(level_object: bpy.types.Object, problem: str) -> None:
     if problem:
         raise GeometryError(f'The level "{level_object.name}" was changed after the cloud was built: {problem}. Rebuild the cloud.')
 

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 
 import bpy
 
-from ....compat import enable_nodes
 from ....core.btf.reflectance.lobes import GrazingFresnel
 from ....core.btf.tables import LookupTables
-from ...billboards.cloud_materials import set_two_sided
+from ...billboards.cloud_materials import create_two_sided_material
 from ...shading.node_builder import NodeBuilder, SocketOrValue
 from .nodes.lobe_nodes import TexelLobes, add_dome_response, add_sun_response, decode_facing_normal
 from .nodes.parallax_nodes import parallax_uv
@@ -21,6 +20,7 @@ from .nodes.radiance_nodes import build_sun_group
 from .nodes.shadow_nodes import build_visibility_lookup
 from .nodes.table_nodes import (
     BLACK,
+    call_group,
     flatten_pairs,
     map_uv,
     offset_to_cluster,
@@ -33,11 +33,11 @@ from .nodes.table_nodes import (
 )
 
 SUNS = 4
-MIN_SUN_COSINE = 0.99  # a shadow ray within this cosine of a Sun direction belongs to that Sun, whose disc has some width
-AMBIENT = "farfield_ambient"  # custom property of the level object: radiance of uniform World lighting
-LAYOUT = "farfield_btf_layout"  # custom property of the material: LAYOUT_KEYS of `core.btf.tables.LookupTables`, and a version
-VERSION = 2  # of the layout of the images
-DOME_FRESNEL = "farfield_dome_fresnel"  # custom property of the material: strength and power of the Fresnel term under the dome
+MIN_SUN_COSINE = 0.99  # A shadow ray within this cosine of a Sun direction belongs to that Sun, whose disc has some width.
+AMBIENT = "farfield_ambient"  # Custom property of the level object: radiance of uniform World lighting.
+LAYOUT = "farfield_btf_layout"  # Custom property of the material: LAYOUT_KEYS of `core.btf.tables.LookupTables`, and a version.
+VERSION = 2  # Version of the layout of the images.
+DOME_FRESNEL = "farfield_dome_fresnel"  # Custom property of the material: strength and power of the Fresnel term under the dome.
 LAYOUT_KEYS = (
     *("views_per_side", "views_upper", "lights_per_side", "lights_upper", "clusters", "components", "alpha_components"),
     *("shadows_per_side", "shadows_upper", "shadow_components"),
@@ -68,17 +68,23 @@ def sun_node_labels(index: int) -> tuple[str, str, str]:
 class BtfImages:
     """Images of a relightable material.
 
-    weights, alpha_weights: images of blocks with four components each.
-    clusters: cluster index of each texel, in all channels; None if all texels have the same components.
-    chromaticity: factor of the decoded radiance; its alpha is the sky visibility of the lobes.
-    emission: None if nothing emits light.
-    basis, dome, alpha_basis: lookup tables, see `core.btf.tables`.
-    pbr_color: PBR base color map, to whose alpha the decoded alpha is added; None if there is none.
-    diffuse: albedo of the diffuse lobe, and roughness as alpha. specular: F0 of the specular lobe, and F90 - F0 as alpha. normals: PBR
-    normal map. All None if there are no lobes.
-    depth: PBR map with depth in its third channel, for parallax mapping; None if there is none.
-    dome_fresnel: grazing reflectance under uniform World lighting.
-    shadow_weights: images of blocks; shadow_basis: lookup table. Empty and None if Suns are always visible to the lobes.
+    Attributes:
+        weights: Images of blocks with four components each.
+        clusters: Cluster index of each texel, in all channels; None if all texels have the same components.
+        chromaticity: Factor of the decoded radiance; its alpha is the sky visibility of the lobes.
+        emission: Emitted radiance; None if nothing emits light.
+        basis: Lookup table of the color components, see `core.btf.tables`.
+        dome: The same under the dome.
+        alpha_weights: Images of blocks with four components of alpha each.
+        alpha_basis: Lookup table of the components of alpha.
+        pbr_color: PBR base color map, to whose alpha the decoded alpha is added; None if there is none.
+        diffuse: Albedo of the diffuse lobe, and roughness as alpha; None if there are no lobes.
+        specular: F0 of the specular lobe, and F90 - F0 as alpha; None if there are no lobes.
+        normals: PBR normal map; None if there are no lobes.
+        depth: PBR map with depth in its third channel, for parallax mapping; None if there is none.
+        dome_fresnel: Grazing reflectance under uniform World lighting.
+        shadow_weights: Images of blocks; empty if Suns are always visible to the lobes.
+        shadow_basis: Lookup table of the visibility of Suns; None if they are always visible.
     """
 
     weights: list[bpy.types.Image]
@@ -101,7 +107,15 @@ class BtfImages:
 
 @dataclass(frozen=True)
 class _TexelInputs:
-    """Sockets that all lights share. weights: pairs of color and alpha. cluster_offset: None without clusters."""
+    """Sockets that all lights share.
+
+    Attributes:
+        view: UV of the view on its octahedral map.
+        weights: Pairs of color and alpha, per block.
+        cluster_offset: Offset to the column of the cluster; None without clusters.
+        chromaticity: Factor of the decoded radiance.
+        lobes: Lobes of the texel; None if there are none.
+    """
 
     view: SocketOrValue
     weights: list[tuple[SocketOrValue, SocketOrValue]]
@@ -140,13 +154,10 @@ def build_relightable_material(name: str, images: BtfImages, tables: LookupTable
 
 def _new_material(name: str, images: BtfImages, tables: LookupTables) -> bpy.types.Material:
     """Create a two-sided material with the layout of the images as custom properties, and without nodes."""
-    material = bpy.data.materials.new(name)
+    material = create_two_sided_material(name)
     material[LAYOUT] = {"version": VERSION, **{name: int(getattr(tables, name)) for name in LAYOUT_KEYS}}
     material[DOME_FRESNEL] = [images.dome_fresnel.strength, images.dome_fresnel.power]
-    set_two_sided(material)
     material.cycles.emission_sampling = "NONE"
-    enable_nodes(material)
-    material.node_tree.nodes.clear()
     return material
 
 
@@ -181,11 +192,8 @@ def _add_suns(
     add_visibility = build_visibility_lookup(builder, name, tables, images.shadow_weights, images.chromaticity.size[1], images.shadow_basis)
     for index, sun in enumerate(suns):
         sun_label, lobes_label, shadow_label = sun_node_labels(index)
-        node = builder.node("ShaderNodeGroup", {"node_tree": sun_group, "label": sun_label})
         operands = (texel.view, sun, *flatten_pairs(texel.weights), *([] if texel.cluster_offset is None else [texel.cluster_offset]))
-        for operand, target in zip(operands, node.inputs, strict=True):
-            builder.connect(operand, target)
-        radiance = builder.vector("MULTIPLY", node.outputs[0], texel.chromaticity)
+        radiance = builder.vector("MULTIPLY", call_group(builder, sun_group, operands, sun_label), texel.chromaticity)
         visibility = 1.0 if add_visibility is None else add_visibility(sun, shadow_label)
         if texel.lobes is not None:
             radiance = add_sun_response(builder, texel.lobes, sun, visibility, radiance, lobes_label)

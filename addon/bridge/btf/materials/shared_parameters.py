@@ -7,7 +7,7 @@ import bpy
 PARAMETERS = (
     *("Diffuse Roughness", "IOR", "Specular IOR Level", "Specular Tint"),
     *("Coat Weight", "Coat Roughness", "Coat IOR", "Coat Tint", "Sheen Weight", "Sheen Roughness", "Sheen Tint"),
-)  # inputs of the Principled shader
+)  # Inputs of the Principled shader.
 
 Value = float | tuple[float, ...]
 

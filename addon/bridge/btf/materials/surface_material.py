@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import bpy
 
-from ....compat import enable_nodes
 from ....core.btf.tables import ViewTable
 from ...billboards.cloud_materials import (
     COLOR,
@@ -21,8 +20,8 @@ from ...billboards.cloud_materials import (
     SIDES,
     SOLID_ATTRIBUTE,
     add_quad_shader,
+    create_two_sided_material,
     sample_map,
-    set_two_sided,
 )
 from ...shading.node_builder import NodeBuilder, SocketOrValue
 from ...shading.node_groups import create_group
@@ -31,19 +30,24 @@ from .nodes.parallax_nodes import depth_uv
 from .nodes.table_nodes import map_uv, sample_image, sample_weights, weighted_scalar_sum
 from .shared_parameters import Value, write_parameters
 
-SHADOW_RAYS_LEAVE = "Shadow Rays Leave"  # input of the group: 1 if shadow rays start at the shaded point, 0 if they start at the light
-LIGHT_COVERAGE = "Light Coverage"  # input of the group: 0 to 1, see `_light_alpha`
-DEFAULT_LIGHT_COVERAGE = 0.5  # until it is calibrated
-CONTRAST, PIVOT = 2.0, 0.4  # of the silhouettes of joined quads: alpha above the pivot grows, alpha below it shrinks
-SHARPNESS = 2.0  # factor of the alpha of joined quads for light: two that meet with half coverage each let none through
+SHADOW_RAYS_LEAVE = "Shadow Rays Leave"  # Input of the group: 1 if shadow rays start at the shaded point, 0 if they start at the light.
+LIGHT_COVERAGE = "Light Coverage"  # Input of the group: 0 to 1, see `_light_alpha`.
+DEFAULT_LIGHT_COVERAGE = 0.5  # Until it is calibrated.
+CONTRAST, PIVOT = 2.0, 0.4  # For the silhouettes of joined quads: alpha above the pivot grows, alpha below it shrinks.
+SHARPNESS = 2.0  # Factor of the alpha of joined quads for light: two that meet with half coverage each let none through.
 
 
 @dataclass(frozen=True)
 class SurfaceImages:
     """Images of the material.
 
-    maps: PBR maps by side (SIDES) and map (MAPS), without backs if nobody sees them. alpha_weights: images of blocks with four components
-    each. alpha_basis: lookup table `alpha`, for views in the hemi-octahedral map if `upper`. emission: None if nothing emits light.
+    Attributes:
+        maps: PBR maps by side (SIDES) and map (MAPS), without backs if nobody sees them.
+        alpha_weights: Images of blocks with four components each.
+        alpha_basis: Image of the lookup table `alpha`.
+        alpha: Lookup table by view.
+        upper: Whether its views are in the hemi-octahedral map.
+        emission: Emitted radiance; None if nothing emits light.
     """
 
     maps: dict[tuple[str, str], bpy.types.Image]
@@ -61,10 +65,7 @@ def build_surface_material(
 
     shadowless_distance: see `create_cloud_material`. parameters: see `read_shared_parameters`.
     """
-    material = bpy.data.materials.new(name)
-    set_two_sided(material)
-    enable_nodes(material)
-    material.node_tree.nodes.clear()
+    material = create_two_sided_material(name)
     group = create_group(f"{name} Surface", [(SHADOW_RAYS_LEAVE, "Float"), (LIGHT_COVERAGE, "Float")], [("BSDF", "Shader")])
     _fill_group(NodeBuilder(group), images, shadowless_distance, parameters)
     builder = NodeBuilder(material.node_tree)

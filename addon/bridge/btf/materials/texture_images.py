@@ -8,7 +8,7 @@ from ....core.btf.tables import pack_weights
 from ....core.imaging.images import dilate
 from ...imaging.images import create_image
 
-DILATION_TEXELS = 3  # width of the margin around known texels
+DILATION_TEXELS = 3  # Width of the margin around known texels.
 
 
 def create_half_float_image(name: str, pixels: np.ndarray) -> bpy.types.Image:

@@ -18,8 +18,8 @@ from .rectangles import rectangle_area
 from .region_growing import PrimitiveGroups, build_groups, grow_regions
 from .set_cover import choose_rectangles, shrink_patches
 
-MIN_GAIN = 0.005  # of the cost: a smaller gain ends the rounds
-FITS_PER_ROUND = 2  # of planes: to the candidate sets, then to their uncovered rest
+MIN_GAIN = 0.005  # A smaller relative gain of the cost ends the rounds.
+FITS_PER_ROUND = 2  # Planes are fitted to the candidate sets, then to their uncovered rest.
 
 
 @dataclass(frozen=True)

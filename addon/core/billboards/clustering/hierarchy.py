@@ -18,9 +18,9 @@ from ...jobs.chunks import map_chunks
 from ...jobs.progress import Progress, Steps, subprogress
 from ..primitives import Primitives
 
-DIRECTION_COUNT = 32  # of the extreme points kept per cluster: about 28 degrees apart
-PAIRS_PER_CHUNK = 1 << 11  # so that temporary arrays fit into the cache of a CPU core
-INITIAL_NEIGHBORS = 10  # per primitive, until the number of clusters has fallen to INITIAL_FRACTION: cheap early merges
+DIRECTION_COUNT = 32  # Extreme points are kept per cluster in so many directions, about 28 degrees apart.
+PAIRS_PER_CHUNK = 1 << 11  # So that temporary arrays fit into the cache of a CPU core.
+INITIAL_NEIGHBORS = 10  # Per primitive, until the number of clusters has fallen to INITIAL_FRACTION: cheap early merges.
 INITIAL_FRACTION = 0.25
 
 

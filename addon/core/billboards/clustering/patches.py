@@ -11,11 +11,16 @@ from .rectangles import compute_bounds
 
 @dataclass(frozen=True)
 class Patch:
-    """A planned quad.
+    """A planned quad in the plane normal . x = offset.
 
-    normal (3,) unit and offset: the plane normal . x = offset. axes (2, 3): unit u and v in it, u x v = normal. rectangle (4,): u_min,
-    u_max, v_min, v_max along them. drawn (K,): primitives drawn on it. region (R,): primitives that it could show within its bounds.
-    outline: (C, 2) polygon in the rectangle, in -1..1 of its half sizes, if the method determines it; otherwise None.
+    Attributes:
+        normal: (3,) unit vector.
+        offset: Offset of the plane.
+        axes: (2, 3) unit u and v in the plane, u x v = normal.
+        rectangle: (4,) u_min, u_max, v_min, v_max along the axes.
+        drawn: (K,) primitives drawn on it.
+        region: (R,) primitives that it could show within its bounds.
+        outline: (C, 2) polygon in the rectangle, in -1..1 of its half sizes, if the method determines it; otherwise None.
     """
 
     normal: np.ndarray

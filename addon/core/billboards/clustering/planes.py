@@ -9,12 +9,12 @@ from ...geometry.directions import fibonacci_sphere
 from ...geometry.transforms import frames_from_normals
 from ..primitives import Primitives
 
-SUPPORT_COUNT = 64  # extreme points of a set that the fit uses
-LAWSON_STEPS = 30  # reweighting gains little after that
-LAWSON_FLOOR = 1e-3  # of the thickness, added to the distances: keeps the weights of points on the plane above zero
-FLAT_TOLERANCE = 1e-6  # of its extent: a thinner set needs no better plane than the least-squares one
-CANCELLED_NORMAL = 1e-9  # length of the area-weighted mean normal, below which it has no direction
-STEEP_SCALE = 0.25  # of the horizontal components of half of the support directions: within about 25 degrees of the set's normal
+SUPPORT_COUNT = 64  # Extreme points of a set that the fit uses.
+LAWSON_STEPS = 30  # Reweighting gains little after that.
+LAWSON_FLOOR = 1e-3  # This fraction of the thickness is added to the distances, so that the weights of points on the plane stay above zero.
+FLAT_TOLERANCE = 1e-6  # A set thinner than this fraction of its extent needs no better plane than the least-squares one.
+CANCELLED_NORMAL = 1e-9  # Length of the area-weighted mean normal, below which it has no direction.
+STEEP_SCALE = 0.25  # Scales horizontal components of half of the support directions: within about 25 degrees of the set's normal.
 
 
 @dataclass(frozen=True)

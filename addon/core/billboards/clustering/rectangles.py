@@ -8,10 +8,10 @@ from functools import reduce
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-ANGLE_COUNT = 24  # rotations that `approximate_min_area_axes` tests, over a quarter turn
-INSIDE_TOLERANCE = 1e-9  # of the longer side of a rectangle, for rounding
-MIN_WORTH_GAIN = 1e-9  # relative gain of a crop that is not just rounding
-OUTWARD = np.array([[-1.0], [1.0], [-1.0], [1.0]])  # signs of u_min, u_max, v_min, v_max: a rectangle grows if these products grow
+ANGLE_COUNT = 24  # Rotations that `approximate_min_area_axes` tests, over a quarter turn.
+INSIDE_TOLERANCE = 1e-9  # Tolerance for rounding, relative to the longer side of a rectangle.
+MIN_WORTH_GAIN = 1e-9  # Relative gain of a crop that is not just rounding.
+OUTWARD = np.array([[-1.0], [1.0], [-1.0], [1.0]])  # Signs of u_min, u_max, v_min, v_max: a rectangle grows if these products grow.
 
 
 def convex_hull(points: np.ndarray) -> np.ndarray:
@@ -58,7 +58,7 @@ _AXES = np.stack([np.concatenate([np.cos(_ANGLES), -np.sin(_ANGLES)]), np.concat
 def compute_bounds(positions: np.ndarray, axes: np.ndarray) -> np.ndarray:
     """Compute the bounds (K, 4) u_min, u_max, v_min, v_max along `axes` (2, 3) of primitives with corner `positions` (K, C, 3)."""
     local = positions @ axes.T
-    corners = [local[:, corner] for corner in range(local.shape[1])]  # separately, because NumPy is slow along short axes
+    corners = [local[:, corner] for corner in range(local.shape[1])]  # Separately, because NumPy is slow along short axes.
     bounds = np.empty((len(local), 4))
     bounds[:, 0::2] = reduce(np.minimum, corners)
     bounds[:, 1::2] = reduce(np.maximum, corners)
@@ -68,6 +68,12 @@ def compute_bounds(positions: np.ndarray, axes: np.ndarray) -> np.ndarray:
 def enclosing_rectangle(bounds: np.ndarray) -> np.ndarray:
     """Return the rectangle (4,) around all `bounds` (K, 4)."""
     return np.array([bounds[:, 0].min(), bounds[:, 1].max(), bounds[:, 2].min(), bounds[:, 3].max()])
+
+
+def fit_rectangle(positions: np.ndarray, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the axes (2, 3) and bounds (4,) of the smallest rectangle around `positions` (K, C, 3) in the plane of `frame` (2, 3)."""
+    axes = min_area_axes(positions.reshape(-1, 3) @ frame.T) @ frame
+    return axes, enclosing_rectangle(compute_bounds(positions, axes))
 
 
 def rectangle_area(rectangle: np.ndarray) -> float:
@@ -118,7 +124,7 @@ def _find_best_cut(keys: np.ndarray, orders: np.ndarray, areas: np.ndarray, fixe
 
     keys (4, K): extent of each primitive towards each side. orders (4, L): the primitives still inside, sorted by each of them.
     """
-    extents = np.maximum.accumulate(keys[:, orders], axis=2)  # [side of the rectangle, side that moves, number of primitives kept]
+    extents = np.maximum.accumulate(keys[:, orders], axis=2)  # [side of the rectangle, side that moves, number of primitives kept].
     worth = np.cumsum(areas[orders], axis=1) / (fixed_cost + (extents[0] + extents[1]) * (extents[2] + extents[3]))
     side, last = divmod(int(worth.argmax()), orders.shape[1])
     return float(worth[side, last]), orders[side, : last + 1]

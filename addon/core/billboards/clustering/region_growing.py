@@ -10,7 +10,7 @@ from ..primitives import Primitives
 from .patches import group_by_label
 from .planes import PlaneBounds, Planes
 
-PLANES_PER_BATCH = 256  # bounds the memory of the flags per plane and group
+PLANES_PER_BATCH = 256  # Bounds the memory of the flags per plane and group.
 
 
 @dataclass(frozen=True)

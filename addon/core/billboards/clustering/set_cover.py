@@ -14,12 +14,12 @@ from .rectangles import (
     compute_bounds,
     crop_rectangle,
     enclosing_rectangle,
+    fit_rectangle,
     is_inside,
-    min_area_axes,
     rectangle_area,
 )
 
-ROUNDING = 1e-9  # relative difference that counts as equal
+ROUNDING = 1e-9  # Relative difference that counts as equal.
 MAX_SHRINK_PASSES = 3
 
 
@@ -37,7 +37,7 @@ class _Candidate:
         """Find the rectangle with the most uncovered area per cost. Returns False if nothing is left to cover."""
         is_uncovered = uncovered[self.region]
         count = int(is_uncovered.sum())
-        if count in (0, self.uncovered_count):  # covered primitives stay covered: an equal count means an equal set
+        if count in (0, self.uncovered_count):  # Covered primitives stay covered: an equal count means an equal set.
             return count > 0
         local = self.local[is_uncovered]
         self.uncovered_count = count
@@ -108,9 +108,7 @@ def shrink_patches(primitives: Primitives, patches: list[Patch], quad_cost: floa
 
 def _fit_rectangle(primitives: Primitives, patch: Patch, required: np.ndarray) -> Patch:
     """Return `patch` with the smallest rectangle around the primitives `required`, showing all primitives of its region inside."""
-    positions = primitives.positions[required]
-    axes = min_area_axes(positions.reshape(-1, 3) @ patch.axes.T) @ patch.axes
-    rectangle = enclosing_rectangle(compute_bounds(positions, axes))
+    axes, rectangle = fit_rectangle(primitives.positions[required], patch.axes)
     if rectangle_area(rectangle) >= rectangle_area(patch.rectangle) * (1.0 - ROUNDING):
         return patch
     drawn = patch.region[is_inside(compute_bounds(primitives.positions[patch.region], axes), rectangle)]

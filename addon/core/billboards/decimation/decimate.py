@@ -21,28 +21,28 @@ from .vertex_fit import fit_vertices
 
 Result = TypeVar("Result")
 
-MAX_PROPOSAL_DISTANCE = 0.7  # in errors, of the quantile PROPOSAL_QUANTILE of the samples, after moving the vertices
+MAX_PROPOSAL_DISTANCE = 0.7  # In errors, of the quantile PROPOSAL_QUANTILE of the samples, after moving the vertices.
 PROPOSAL_QUANTILE = 0.995
-BISECTION_RATIO = 1.15  # of the upper to the lower bound of a triangle count at which the bisection ends
-MAX_COLLAPSE_COST = 0.9  # in errors, of a collapse before vertices are moved again
-MAX_DESCENT_COST = 2.0  # in errors, in the descent, where the result of every collapse is measured
-MAX_PROMISING_DISTANCE = 1.1  # in errors, of the samples: the final optimization may still correct it
-COLLAPSES_PER_TRIANGLE = 0.5  # a collapse removes two triangles
-ROUND_FRACTION = 0.12  # of the triangles that one round may remove
-MAX_ROUND_FRACTION = 0.4  # the same while all samples are within CLOSE_DISTANCE
-CLOSE_DISTANCE = 0.4  # in errors
-MAX_REMAINING_FRACTION = 0.985  # of the triangles after a round: more ends the rounds
-ROUND_WORK = 6_000  # sum of the triangle counts of all rounds
-DESCENT_FRACTION = 0.06  # of the triangles of the coarsest accepted mesh that one trial of the descent may remove
-MAX_TRIALS = 10  # of meshes from the rounds, and of the descent
-TRIAL_WORK = 4_000  # sum of the triangle counts of all trials of each kind
-MIN_FLIP_GAIN = 0.02  # in errors: smaller gains are not worth an edge flip
+BISECTION_RATIO = 1.15  # The bisection ends at this ratio of the upper to the lower bound of a triangle count.
+MAX_COLLAPSE_COST = 0.9  # In errors, of a collapse before vertices are moved again.
+MAX_DESCENT_COST = 2.0  # In errors, in the descent, where the result of every collapse is measured.
+MAX_PROMISING_DISTANCE = 1.1  # In errors, of the samples: the final optimization may still correct it.
+COLLAPSES_PER_TRIANGLE = 0.5  # A collapse removes two triangles.
+ROUND_FRACTION = 0.12  # One round may remove this fraction of the triangles.
+MAX_ROUND_FRACTION = 0.4  # The same while all samples are within CLOSE_DISTANCE.
+CLOSE_DISTANCE = 0.4  # In errors.
+MAX_REMAINING_FRACTION = 0.985  # The rounds end when more than this fraction of the triangles remains after one.
+ROUND_WORK = 6_000  # Sum of the triangle counts of all rounds.
+DESCENT_FRACTION = 0.06  # One trial of the descent may remove this fraction of the triangles of the coarsest accepted mesh.
+MAX_TRIALS = 10  # Maximum trials of meshes from the rounds, and of the descent.
+TRIAL_WORK = 4_000  # Sum of the triangle counts of all trials of each kind.
+MIN_FLIP_GAIN = 0.02  # In errors: smaller gains are not worth an edge flip.
 PROPOSAL_POWERS = (2.0, 3.0, 4.0)
 FIT_POWERS = (3.0, 4.0, 6.0, 6.0, 8.0, 8.0)
-UNASSIGNED_COST = 0.4  # quads per unassigned face: some share one
-MAX_OPTIMIZATIONS = 2  # of a mesh before it is measured, each with the far points of the one before
-MAX_HOPELESS_VIOLATIONS = 2.0  # times MAX_UNASSIGNED: more violations are not optimized again
-PROPOSAL_PROGRESS, ROUNDS_PROGRESS, TRIALS_PROGRESS = 0.1, 0.6, 0.8  # where each stage ends
+UNASSIGNED_COST = 0.4  # Quads per unassigned face: some share one.
+MAX_OPTIMIZATIONS = 2  # Optimizations of a mesh before it is measured, each with the far points of the one before.
+MAX_HOPELESS_VIOLATIONS = 2.0  # Times MAX_UNASSIGNED: more violations are not optimized again.
+PROPOSAL_PROGRESS, ROUNDS_PROGRESS, TRIALS_PROGRESS = 0.1, 0.6, 0.8  # Where each stage ends.
 
 
 def decimate_to_error(vertices: np.ndarray, triangles: np.ndarray, error: float, max_normal_deviation: float) -> Steps[DecimatedMesh]:

@@ -16,20 +16,23 @@ from ...geometry.distance import closest_on_mesh, closest_on_triangles, segment_
 from ...geometry.edges import find_edges
 from ...geometry.mesh import face_areas_and_normals
 
-MIN_ROTATION_COSINE = 0.2  # between the normals of a triangle before and after an operation: below it, it has folded over
-TESTS_PER_CHUNK = 20_000  # of a sample against a triangle: so that temporary arrays fit into the cache of a CPU core
+MIN_ROTATION_COSINE = 0.2  # Between the normals of a triangle before and after an operation: below it, it has folded over.
+TESTS_PER_CHUNK = 20_000  # Tests of samples against triangles at once: temporary arrays fit into the cache of a CPU core.
 PLACEMENT_POWERS = (2.0, 4.0)
-PLACEMENT_DAMPING = 1e-3  # of the trace
-MIN_DIRECTION_DISTANCE = 1e-6  # of the maximum distance: closer samples use the triangle's normal as their direction
+PLACEMENT_DAMPING = 1e-3  # Relative to the trace of the normal matrix.
+MIN_DIRECTION_DISTANCE = 1e-6  # Relative to the maximum distance. Closer samples use the triangle's normal as their direction.
 
 
 @dataclass(frozen=True)
 class EdgeCollapses:
     """All edges of a mesh that may be collapsed, with their evaluation.
 
-    edges (E, 2) int; targets (E, 3): positions of the merged vertices; costs (E,): largest distance of a sample around the edge to the
-    remaining triangles, infinite if one of them would fold over. candidates, touched (N,): pairs of an edge, ascending, and a triangle at
-    one of its ends.
+    Attributes:
+        edges: (E, 2) int.
+        targets: (E, 3) positions of the merged vertices.
+        costs: (E,) largest distance of a sample around the edge to the remaining triangles, infinite if one of them would fold over.
+        candidates: (N,) edges, ascending, of the pairs of an edge and a triangle at one of its ends.
+        touched: (N,) triangles of these pairs.
     """
 
     edges: np.ndarray
@@ -171,10 +174,14 @@ class _Star:
 
 @dataclass(frozen=True)
 class _Tests:
-    """Tests of each sample around the candidates `rows` (R,) against each triangle that its candidate keeps.
+    """Tests of each sample around some candidates against each triangle that its candidate keeps.
 
-    sample, pair (N,): one test each; the pair is one of a star's. starts (M,): first test of each combination of candidate and sample.
-    row (M,): index into `rows` of that candidate, ascending; every row has at least one test.
+    Attributes:
+        rows: (R,) the candidates.
+        sample: (N,) sample of each test.
+        pair: (N,) pair of a star of each test.
+        starts: (M,) first test of each combination of candidate and sample.
+        row: (M,) index into `rows` of that candidate, ascending; every row has at least one test.
     """
 
     rows: np.ndarray

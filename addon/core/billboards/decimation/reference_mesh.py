@@ -18,36 +18,39 @@ from .vertex_fit import EDGE_REGULARIZATION, MIN_WEIGHT, FitTargets, solve_displ
 
 MAX_SAMPLES = 16_000
 MIN_SAMPLES = 1_000
-SAMPLES_PER_TRIANGLE = 16  # of the coarse mesh, for moving its vertices and evaluating its collapses and flips
-FAR_DISTANCE = 0.5  # in errors: all samples farther than this are used, even those not among the few per triangle
-PAIRS_PER_CHUNK = 1_000_000  # of a face and a candidate triangle: bounds the memory of an assignment
-MAX_STEPS = 10  # of the final optimization
+SAMPLES_PER_TRIANGLE = 16  # Samples per coarse triangle, for moving its vertices and evaluating its collapses and flips.
+FAR_DISTANCE = 0.5  # In errors: all samples farther than this are used, even those not among the few per triangle.
+PAIRS_PER_CHUNK = 1_000_000  # Pairs of a face and a candidate triangle at once: bounds the memory of an assignment.
+MAX_STEPS = 10  # Maximum steps of the final optimization.
 MAX_STEPS_WITHOUT_GAIN = 3
-POWER = 8.0  # of the distances that the final optimization lowers
-NEWTON_STEP = 1.0 / (POWER - 1.0)  # fraction of a reweighted step that is the Newton step for this power
-STRONG_REGULARIZATION = 0.3  # while the area is too large and the distances are small enough
-TARGET_DISTANCE = 0.96  # in errors; the rest is a margin for points between the samples
-MAX_WEIGHTED_DISTANCE = 1.1  # in errors: larger residuals get no more weight, because some faces fit no plane
-AREA_WEIGHT = 1_000.0  # number of violated faces and samples that count as much as twice the allowed area
-MIN_DIRECTION_DISTANCE = 1e-6  # in errors: closer samples have no direction and no effect
-MAX_UNASSIGNED = 0.25  # unassigned faces over coarse triangles
-MAX_VIOLATING_AREA = 0.02  # fraction of the area beyond the normal bound of every nearby triangle; rounded creases need it
-MAX_AREA_GROWTH = 1.02  # over the area of the fine mesh; folds and spikes exceed it, and area is what texture costs
-TOLERANCE = 0.01  # in errors, of the measured distance
-BEYOND_ERROR_RANK = 4.0  # rank of a triangle that exceeds the error; the ranks within it are 0 (both bounds) and 1 (wrong normal)
-NEAREST_PREFERENCE = 0.1  # maximum penalty for a triangle that is not the nearest one: decides only between equal ranks
+POWER = 8.0  # The final optimization lowers distances to this power.
+NEWTON_STEP = 1.0 / (POWER - 1.0)  # Fraction of a reweighted step that is the Newton step for this power.
+STRONG_REGULARIZATION = 0.3  # While the area is too large and the distances are small enough.
+TARGET_DISTANCE = 0.96  # In errors; the rest is a margin for points between the samples.
+MAX_WEIGHTED_DISTANCE = 1.1  # In errors: larger residuals get no more weight, because some faces fit no plane.
+AREA_WEIGHT = 1_000.0  # Number of violated faces and samples that count as much as twice the allowed area.
+MIN_DIRECTION_DISTANCE = 1e-6  # In errors: closer samples have no direction and no effect.
+MAX_UNASSIGNED = 0.25  # Unassigned faces over coarse triangles.
+MAX_VIOLATING_AREA = 0.02  # Fraction of the area beyond the normal bound of every nearby triangle; rounded creases need it.
+MAX_AREA_GROWTH = 1.02  # Over the area of the fine mesh; folds and spikes exceed it, and area is what texture costs.
+TOLERANCE = 0.01  # In errors, of the measured distance.
+BEYOND_ERROR_RANK = 4.0  # Rank of a triangle that exceeds the error; the ranks within it are 0 (both bounds) and 1 (wrong normal).
+NEAREST_PREFERENCE = 0.1  # Maximum penalty for a triangle that is not the nearest one: decides only between equal ranks.
 
 
 @dataclass(frozen=True)
 class DecimatedMesh:
     """A coarse mesh in the space of the fine mesh.
 
-    vertices (V, 3) float64, triangles (T, 3) int32.
-    assignment (S,) int32: the coarse triangle whose plane replaces each fine face. All corners of the face are within the error of that
-    plane, and its normal is within the normal bound if a nearby triangle satisfies both. -1 for the few unassigned faces, across a crease
-    of the coarse mesh, which no single triangle approximates within the error: they need planes of their own.
-    distance: upper bound of the one-sided distance from the assigned faces to the coarse mesh, in the unit of the vertices; at least half
-    the error. normal_violations: number of faces beyond the normal bound.
+    All corners of an assigned face are within the error of the plane of its triangle, and its normal is within the normal bound if a nearby
+    triangle satisfies both. Unassigned faces, across a crease of the coarse mesh, need planes of their own.
+
+    Attributes:
+        vertices: (V, 3) float64.
+        triangles: (T, 3) int32.
+        assignment: (S,) int32, coarse triangle whose plane replaces each fine face; -1 for the few unassigned faces.
+        distance: Upper bound of the one-sided distance from the assigned faces to the coarse mesh; at least half the error.
+        normal_violations: Number of faces beyond the normal bound.
     """
 
     vertices: np.ndarray

@@ -9,11 +9,11 @@ from ...geometry.mesh import face_areas_and_normals
 from ...geometry.transforms import frames_from_normals
 from ..clustering.patches import Covering, Patch, group_by_label
 from ..clustering.planes import PlaneBounds, fit_planes
-from ..clustering.rectangles import compute_bounds, enclosing_rectangle, min_area_axes, rectangle_area
+from ..clustering.rectangles import compute_bounds, enclosing_rectangle, fit_rectangle, rectangle_area
 from ..primitives import Components, Primitives
 from .reference_mesh import DecimatedMesh
 
-FLAT_TOLERANCE = 0.05  # of the error: triangles with corners within this distance of each other's planes are in one plane
+FLAT_TOLERANCE = 0.05  # In errors: triangles with corners within this distance of each other's planes are in one plane.
 
 
 def build_triangle_patches(
@@ -84,8 +84,7 @@ class _PatchBuilder:
             return None
         frame = frames_from_normals(normal[None])[0, :2]
         points = np.concatenate([corners.reshape(-1, 3), positions.reshape(-1, 3)])
-        axes = min_area_axes(points @ frame.T) @ frame
-        rectangle = enclosing_rectangle(compute_bounds(points[:, None], axes))
+        axes, rectangle = fit_rectangle(points[:, None], frame)
         region = np.union1d(faces, self._find_touching(normal, offset, axes, rectangle))
         return Patch(normal, offset, axes, rectangle, faces, region)
 
@@ -134,7 +133,8 @@ def cover_flat_surfaces(
     for members in surfaces:
         sign = 1.0 if cosines[members[0]] > 0.0 else -1.0
         first = sum(len(other) for other in indices)
-        patch = _build_patch(primitives.positions[members], sign * normal, sign * offset, np.arange(first, first + len(members)))
+        drawn, frame = np.arange(first, first + len(members)), frames_from_normals(sign * normal[None])[0, :2]
+        patch = Patch(sign * normal, sign * offset, *fit_rectangle(primitives.positions[members], frame), drawn, drawn)
         areas = primitives.areas[members]
         if rectangle_area(patch.rectangle) <= areas.sum() + quad_cost * areas.mean() * (len(members) - 1):
             indices.append(members)
@@ -147,10 +147,3 @@ def _find_surfaces(components: Components, is_front: np.ndarray) -> list[np.ndar
     """Return the primitives of each connected surface, without loose parts, front and back faces separately."""
     labels = np.unique(2 * components.labels + is_front, return_inverse=True)[1].reshape(-1)
     return [members for members in group_by_label(labels) if not components.loose[members].any()]
-
-
-def _build_patch(positions: np.ndarray, normal: np.ndarray, offset: float, drawn: np.ndarray) -> Patch:
-    """Build the patch with the smallest rectangle around the primitives `drawn` with corner `positions` (K, 3, 3)."""
-    frame = frames_from_normals(normal[None])[0, :2]
-    axes = min_area_axes(positions.reshape(-1, 3) @ frame.T) @ frame
-    return Patch(normal, offset, axes, enclosing_rectangle(compute_bounds(positions, axes)), drawn, drawn)

@@ -13,19 +13,23 @@ from ...arrays import TINY
 from ...geometry.distance import closest_barycentric, closest_on_mesh
 from ...geometry.mesh import face_areas_and_normals
 
-DAMPING = 1e-2  # of the mean diagonal of the normal equations
-EDGE_REGULARIZATION = 3e-3  # of the same
-MIN_WEIGHT = 3e-2  # added to the weight of every sample, so that those already close keep the mesh in place
-EXACT_FIT = 1e-12  # of the longest side: a maximum distance that displacements cannot lower
-MIN_DIRECTION_DISTANCE = 1e-6  # of the maximum distance: closer samples use the triangle's normal as their direction
+DAMPING = 1e-2  # Relative to the mean diagonal of the normal equations.
+EDGE_REGULARIZATION = 3e-3  # Relative to the same.
+MIN_WEIGHT = 3e-2  # Added to the weight of every sample, so that those already close keep the mesh in place.
+EXACT_FIT = 1e-12  # A maximum distance below this fraction of the longest side cannot be lowered by displacements.
+MIN_DIRECTION_DISTANCE = 1e-6  # Relative to the maximum distance. Closer samples use the triangle's normal as their direction.
 
 
 @dataclass(frozen=True)
 class FitTargets:
     """N points of a mesh and the displacements that they should get.
 
-    triangles (N,): triangle of each point. barycentric (N, 3): its coordinates there. directions (N, 3): unit vectors. residuals (N,):
-    desired displacement along the direction, a length. weights (N,): of the residuals in the least-squares sum.
+    Attributes:
+        triangles: (N,) triangle of each point.
+        barycentric: (N, 3) its coordinates there.
+        directions: (N, 3) unit vectors.
+        residuals: (N,) desired displacement along the direction, a length.
+        weights: (N,) of the residuals in the least-squares sum.
     """
 
     triangles: np.ndarray

@@ -17,19 +17,19 @@ from ...jobs.progress import Progress, Steps
 from ..clustering.planes import PlaneBounds
 from .regions import split_into_regions
 
-DIRECTION_SPACING = 1.4  # of sqrt(error / extent): the rotation within the error of a surface patch of mean curvature
-DIRECTION_COUNTS = (96, 2048)  # minimum and maximum
+DIRECTION_SPACING = 1.4  # Times sqrt(error / extent): the rotation within the error of a surface patch of mean curvature.
+DIRECTION_COUNTS = (96, 2048)  # Minimum and maximum.
 MAX_EXTRA_DIRECTIONS = 512
-NORMAL_STEPS = 200.0  # per unit: normals of large faces that round to the same multiples share an extra direction
+NORMAL_STEPS = 200.0  # Per unit: normals of large faces that round to the same multiples share an extra direction.
 MAX_CELLS = 4_000_000
-MIN_CELL_WIDTH = 0.5  # in errors; the refinement finds the exact offset inside a cell
-PAIRS_PER_CHUNK = 1_000_000  # of a primitive and a direction
-MISSED_WIDTH = 1.0  # e_m, in errors
+MIN_CELL_WIDTH = 0.5  # In errors; the refinement finds the exact offset inside a cell.
+PAIRS_PER_CHUNK = 1_000_000  # Pairs of a primitive and a direction at once.
+MISSED_WIDTH = 1.0  # e_m, in errors.
 MISSED_WEIGHT = 0.5
-REFINEMENTS = 4  # halvings of the direction grid around the best cell
-REFINEMENT_REACH = 1.5  # of the direction spacing: more than the 1.33 by which the halved grids can rotate a plane
-EDGE_ON_WEIGHT = 0.01  # of its area: a face seen edge-on must still be covered by some plane
-FILL_PROGRESS, PLANES_PROGRESS, SPLIT_PROGRESS = 0.3, 0.6, 0.1  # fractions of the progress of the three stages
+REFINEMENTS = 4  # Halvings of the direction grid around the best cell.
+REFINEMENT_REACH = 1.5  # In direction spacings: more than the 1.33 by which the halved grids can rotate a plane.
+EDGE_ON_WEIGHT = 0.01  # Fraction of its area with which a face counts that is seen edge-on: some plane must still cover it.
+FILL_PROGRESS, PLANES_PROGRESS, SPLIT_PROGRESS = 0.3, 0.6, 0.1  # Fractions of the progress of the three stages.
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def find_planes(corners: np.ndarray, areas: np.ndarray, normals: np.ndarray, err
     primitives = _CenteredPrimitives(corners - center, areas, normals, error)
     space = _HoughSpace(primitives, _choose_directions(primitives, seed))
     yield from space.fill()
-    first_plane = np.full(len(corners), -1, np.int32)  # that covers each primitive
+    first_plane = np.full(len(corners), -1, np.int32)  # That covers each primitive.
     planes: list[tuple[np.ndarray, float]] = []
     remaining, total = len(corners), len(corners)
     while remaining:

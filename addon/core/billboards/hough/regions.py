@@ -5,9 +5,9 @@ from scipy.ndimage import label
 
 from ...geometry.transforms import frame_from_normal
 
-MAX_GRID_CELLS = 384  # along the longer side of a plane
-MAX_COMPONENTS = 192  # bounds the time of joining them, which is quadratic
-MIN_SAVED_FRACTION = 0.5  # of a rectangle's area that a split must save
+MAX_GRID_CELLS = 384  # Cells along the longer side of a plane.
+MAX_COMPONENTS = 192  # Bounds the time of joining components, which is quadratic.
+MIN_SAVED_FRACTION = 0.5  # A split must save this fraction of a rectangle's area.
 
 
 def split_into_regions(corners: np.ndarray, owned: np.ndarray, normal: np.ndarray, error: float) -> list[np.ndarray]:

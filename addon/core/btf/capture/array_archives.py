@@ -10,7 +10,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-MAX_DEFLATE_RATIO = 1032  # of the size of data to its compressed size
+MAX_DEFLATE_RATIO = 1032  # The largest possible ratio of the size of data to its compressed size.
 READ_ERRORS = (
     OSError,
     ValueError,
@@ -18,13 +18,13 @@ READ_ERRORS = (
     ArithmeticError,
     EOFError,
     MemoryError,
-    RuntimeError,  # an encrypted file, or an unknown compression method
+    RuntimeError,  # An encrypted file, or an unknown compression method.
     struct.error,
     zipfile.BadZipFile,
     zlib.error,
 )
-# The header of a .npy file of version 1.0 with a plain data type. NumPy parses it with `ast`, which at times fails in several threads
-# of Python 3.11 (CPython issue 106905).
+# The header of a .npy file of version 1.0 with a plain data type. NumPy parses it with `ast`, which at times fails in several threads of
+# Python 3.11 (CPython issue 106905).
 HEADER = re.compile(
     rb"\x93NUMPY\x01\x00..\{'descr': '([<>|]?[a-zA-Z]\d{0,3})', 'fortran_order': (True|False), 'shape': \(([\d, ]*)\), \} *\n", re.DOTALL
 )

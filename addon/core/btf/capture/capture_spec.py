@@ -11,7 +11,7 @@ from ...errors import FileError
 from .array_archives import READ_ERRORS, read_archive, write_archive
 from .observations import QuadFaceTable
 
-ARRAYS = ("texture_size", "pixels", "quad_indices", "positions", "steps", "shown_face_offsets", "shown_faces", "error")  # of the file
+ARRAYS = ("texture_size", "pixels", "quad_indices", "positions", "steps", "shown_face_offsets", "shown_faces", "error")
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,7 @@
-"""Observations: the radiance and coverage of a level's texels, sampled from the renders of one view."""
+"""Observations: the radiance and coverage of a level's texels, sampled from the renders of one view, and reference images of the view.
+
+Silhouettes are refined against reference images, which show the source under low-order lights.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -7,21 +10,25 @@ import numpy as np
 
 from ...billboards.texels import Texels
 from ...geometry.cameras import OrthographicView
+from ...geometry.directions import DirectionGrid
 
-ID_BUFFER_SCALE = 3  # resolution of the ID buffer relative to the other renders of a view
-SUBSAMPLES = 3  # per side of a texel
-MAX_TABLE_BYTES = 10**8  # of a dense quad-face table
-MIN_COVERAGE = 0.1  # summed over the subsamples of a texel; below it, its color is noise
+ID_BUFFER_SCALE = 3  # Resolution of the ID buffer relative to the other renders of a view.
+SUBSAMPLES = 3  # Per side of a texel.
+MAX_TABLE_BYTES = 10**8  # Larger dense tables of quads and faces are replaced by sorted keys.
+MIN_COVERAGE = 0.1  # Summed over the subsamples of a texel; below it, its color is noise.
+LOW_ORDER_LIGHTS = 5  # The constant and the three linear spherical harmonics of the suns, and the dome.
 
 
 @dataclass(frozen=True)
 class ViewRender:
-    """The Cycles renders of one view.
+    """The Cycles renders of one view. S is ID_BUFFER_SCALE.
 
-    radiance (L, H, W, 3) float32: premultiplied, one image per light, without emission; or one per
-    material channel. coverage (H, W): alpha. With S = ID_BUFFER_SCALE:
-    face_ids (S H, S W) int32: the face at the center of each pixel, -1 for none; heights (S H, S W): height of that point above the view's
-    center, towards the viewer. emission (H, W, 3): emitted radiance; None when no material emits.
+    Attributes:
+        radiance: (L, H, W, 3) float32, premultiplied, one image per light, without emission; or one per material channel.
+        coverage: (H, W) alpha.
+        face_ids: (S H, S W) int32, the face at the center of each pixel, -1 for none.
+        heights: (S H, S W) height of that point above the view's center, towards the viewer.
+        emission: (H, W, 3) emitted radiance; None when no material emits.
     """
 
     radiance: np.ndarray
@@ -35,9 +42,13 @@ class ViewRender:
 class Observation:
     """Radiance and coverage of N texels from one view.
 
-    known (N,) bool: not hidden by other surfaces. coverage (N,) float32: alpha of the known texels, 0 for the others. visible (M,) int32:
-    texels with a color. subsample_counts (M,) uint8: how many of their SUBSAMPLES x SUBSAMPLES subsamples were seen. radiance (L, M, 3)
-    float32: straight colors. emission (M, 3): see `ViewRender`.
+    Attributes:
+        known: (N,) bool, not hidden by other surfaces.
+        coverage: (N,) float32, alpha of the known texels, 0 for the others.
+        visible: (M,) int32, texels with a color.
+        subsample_counts: (M,) uint8, how many of their SUBSAMPLES x SUBSAMPLES subsamples were seen.
+        radiance: (L, M, 3) float32, straight colors.
+        emission: (M, 3), see `ViewRender`.
     """
 
     known: np.ndarray
@@ -137,3 +148,27 @@ def _subsample_visibility(
         is_visible = quad_faces.contains(texels.quad_indices, faces)
         is_in_front = flat_heights[pixel] > center_heights + (height_steps @ offset)[texels.quad_indices] + error
         yield row, column, is_visible, ~is_visible & (faces >= 0) & is_in_front
+
+
+@dataclass(frozen=True)
+class ReferenceImage:
+    """The source from one view. colors (M, H, W, 3) float32: premultiplied, under M low-order lights. coverage (H, W) float32."""
+
+    colors: np.ndarray
+    coverage: np.ndarray
+
+
+def low_order_lights(grid: DirectionGrid) -> np.ndarray:
+    """Return five lights (L + 1, 5) as weights of the suns of `grid` and of the dome. Such sums hardly contain noise.
+
+    The columns are the constant and the three linear spherical harmonics of the suns (negative weights subtract), and the dome.
+    """
+    lights = np.zeros((len(grid) + 1, LOW_ORDER_LIGHTS), np.float32)
+    lights[:-1, :4] = grid.solid_angles[:, None] * np.column_stack([np.ones(len(grid)), grid.directions])
+    lights[-1, 4] = 1.0
+    return lights
+
+
+def compute_reference_image(render: ViewRender, lights: np.ndarray) -> ReferenceImage:
+    """Return `render` under `lights` (L, M), weights of its images; see `low_order_lights`."""
+    return ReferenceImage(np.einsum("lhwc,lm->mhwc", render.radiance, lights, optimize=True), render.coverage)

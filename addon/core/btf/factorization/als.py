@@ -14,8 +14,8 @@ import numpy as np
 from ...jobs.chunks import map_ordered, slices
 from ...jobs.progress import Progress, Steps
 
-RIDGE = 1e-3  # regularization relative to the mean diagonal of the normal matrices: keeps rows known from few views bounded
-CHUNK_ROWS = 4096  # rows solved at once
+RIDGE = 1e-3  # Regularization relative to the mean diagonal of the normal matrices: keeps rows known from few views bounded.
+CHUNK_ROWS = 4096  # Rows solved at once.
 
 
 class ViewData(Protocol):
@@ -44,27 +44,6 @@ class ViewMatrix:
         return np.broadcast_to(self.weights.T, (self.row_count, len(self.weights))).T
 
 
-class AlsProblem(Protocol):
-    """A matrix of N rows, partially known from V views, and the two half steps of a sweep: weights (N, K) and basis (V, K, D), float32."""
-
-    @property
-    def known(self) -> np.ndarray:
-        """Rows (N,) bool that are known from any view. Valid after the first `fit_weights` or `sweep`."""
-
-    @property
-    def view_weights(self) -> np.ndarray:
-        """Relative weight (V,) of each view."""
-
-    def fit_basis(self, weights: np.ndarray) -> Steps[np.ndarray]:
-        """Return the best basis for given `weights`."""
-
-    def fit_weights(self, basis: np.ndarray) -> Steps[np.ndarray]:
-        """Return the best weights for a given `basis`; 0 for rows that are unknown in all views."""
-
-    def sweep(self, weights: np.ndarray) -> Steps[np.ndarray]:
-        """Fit the basis to `weights`, then return the best weights for that basis."""
-
-
 def split_lights(values: np.ndarray) -> np.ndarray:
     """Reshape colors (M, L * 3) to (M, L, 3)."""
     return values.reshape(len(values), values.shape[1] // 3, 3)
@@ -87,7 +66,9 @@ class SampledView:
 
 
 class AlternatingLeastSquares:
-    """The `AlsProblem` of a matrix with groups of columns.
+    """A matrix of N rows with groups of columns, partially known from V views, and the two half steps of a sweep.
+
+    They find weights (N, K) and basis (V, K, D), float32, for each other.
 
     row_weights (V, N): weight of each row in each of V `views`. sqrt_column_weights (D,): factor of the values, and thus of the basis.
     """
@@ -98,7 +79,7 @@ class AlternatingLeastSquares:
 
     @property
     def known(self) -> np.ndarray:
-        """Rows (N,) bool that are known from any view; see `AlsProblem`."""
+        """Rows (N,) bool that are known from any view. Valid after the first `fit_weights` or `sweep`."""
         return self._known_weights.any(axis=0)
 
     @property
@@ -120,7 +101,7 @@ class AlternatingLeastSquares:
         return basis
 
     def fit_weights(self, basis: np.ndarray) -> Steps[np.ndarray]:
-        """Return the best weights for a given `basis`."""
+        """Return the best weights for a given `basis`; 0 for rows that are unknown in all views."""
         return (yield from self._fit_weights(basis, None))
 
     def sweep(self, weights: np.ndarray) -> Steps[np.ndarray]:

@@ -13,7 +13,7 @@ from ...jobs.chunks import map_ordered, slices
 from ...jobs.progress import Progress, Steps
 from .als import RIDGE, solve_basis
 
-CHUNK_ROWS = 4096  # rows processed at once
+CHUNK_ROWS = 4096  # Rows processed at once.
 
 Result = TypeVar("Result")
 
@@ -47,7 +47,7 @@ class InMemoryScalarData:
 
 
 class ScalarAlternatingLeastSquares:
-    """The `als.AlsProblem` of a matrix with one column per view (D = 1). Create it with `build_scalar_als`."""
+    """As `AlternatingLeastSquares`, for a matrix with one column per view (D = 1). Create it with `build_scalar_als`."""
 
     def __init__(self, data: ScalarData, known: np.ndarray, view_weights: np.ndarray) -> None:
         self._data, self.known, self.view_weights = data, known, view_weights

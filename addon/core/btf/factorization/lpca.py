@@ -14,13 +14,13 @@ from ...jobs.progress import Progress, Steps, subprogress
 from .als import ViewData, ViewMatrix
 from .factors import Factors, factorize
 
-GLOBAL_COMPONENTS = 3  # components of the global factorization per component of a cluster
-RESTARTS = 3  # of the clustering, with different seed rows; the best result is kept
-MAX_ITERATIONS = 30  # per restart
-MIN_ROWS_PER_COMPONENT = 3  # in views that show fewer rows of a cluster, its basis follows from the global factors
-MEMORY_BUDGET = 384e6  # bytes of captured values in memory at once
-GLOBAL_END = 0.4  # of the progress bar
-READ_FRACTION = 0.3  # of the progress bar of clusters that are read together
+GLOBAL_COMPONENTS = 3  # Components of the global factorization per component of a cluster.
+RESTARTS = 3  # The clustering starts so often with different seed rows; the best result is kept.
+MAX_ITERATIONS = 30  # Per restart.
+MIN_ROWS_PER_COMPONENT = 3  # In views that show fewer rows of a cluster, its basis follows from the global factors.
+MEMORY_BUDGET = 384e6  # Bytes of captured values in memory at once.
+GLOBAL_END = 0.4  # End of the global factorization in the progress bar.
+READ_FRACTION = 0.3  # Reading takes this fraction of the progress of clusters that are read together.
 
 
 @dataclass(frozen=True)

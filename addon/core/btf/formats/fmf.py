@@ -18,14 +18,14 @@ from ...jobs.progress import Progress, Steps, subprogress
 from ..decoding import RelightableTexture
 
 SIGNATURE = b"!DFMF08FC"
-VERSION = 4  # of the header; the first one with named channels
+VERSION = 4  # The first version of the header with named channels.
 CHANNELS = ("R", "G", "B")
 NOTE = b"<farfield>radiance under a sun of unit irradiance, scene-linear Rec.709, angles in object space</farfield>"
-MAX_PART_BYTES = 2**32 - 1  # readers count the parts of the file with 32 bits
+MAX_PART_BYTES = 2**32 - 1  # Readers count the parts of the file with 32 bits.
 SCALAR = np.dtype("<f4")
-MAX_CHUNK_VALUES = 30_000_000  # matrix entries in memory at once
-LOBE_COMPONENTS = 52  # additional components for lobes
-OVERSAMPLING, POWER_ITERATIONS = 8, 1  # of the range finder
+MAX_CHUNK_VALUES = 30_000_000  # Matrix entries in memory at once.
+LOBE_COMPONENTS = 52  # Additional components for lobes.
+OVERSAMPLING, POWER_ITERATIONS = 8, 1  # Parameters of the range finder.
 DECODING_LABEL = "Decoding the textures for all views"
 
 
@@ -56,7 +56,7 @@ def write_fmf(
     stream.write(_header(pixels_per_millimeter))
     stream.write(_encode_directions(views, lights))
     stream.write(struct.pack("<II", width, height))
-    stream.write(struct.pack("<II12f", components, 0, 0.0, 0.0, 0.0, *np.eye(3).ravel()))  # no mean, no color transform
+    stream.write(struct.pack("<II12f", components, 0, 0.0, 0.0, 0.0, *np.eye(3).ravel()))  # No mean, no color transform.
     projected = np.empty((len(CHANNELS), bases.shape[2], width * height), np.float32)
     for index, (pixels, columns) in enumerate(matrix.chunks()):
         yield Progress(0.6 + 0.3 * index / matrix.chunk_count, DECODING_LABEL)

@@ -12,9 +12,9 @@ from ...errors import SettingsError
 from ...geometry.directions import to_spherical
 
 MAGIC = b"\x76\x2f\x31\x01"
-CHUNK_HEADER = struct.Struct("<ii")  # first line of a chunk, and its size in bytes
+CHUNK_HEADER = struct.Struct("<ii")  # First line of a chunk, and its size in bytes.
 DATA_WINDOW, COMPRESSION = b"dataWindow", b"compression"
-LINES_PER_CHUNK = {0: 1, 1: 1, 2: 1, 3: 16}  # by compression: none, RLE, ZIP of single lines, ZIP
+LINES_PER_CHUNK = {0: 1, 1: 1, 2: 1, 3: 16}  # By compression: none, RLE, ZIP of single lines, ZIP.
 
 
 def direction_names(directions: np.ndarray, letter: str) -> list[str]:
@@ -53,7 +53,7 @@ def is_complete_exr(path: Path) -> bool:
         offsets = np.frombuffer(content, "<u8", chunk_count, table_start)
         last = int(offsets.max())
         _, size = CHUNK_HEADER.unpack_from(content, last)
-    except (struct.error, ValueError, KeyError, IndexError):  # a part of the header or of the table is missing
+    except (struct.error, ValueError, KeyError, IndexError):  # A part of the header or of the table is missing.
         return False
     return bool((offsets >= table_start + offsets.nbytes).all()) and last + CHUNK_HEADER.size + size == len(content)
 

@@ -9,7 +9,7 @@ from ...arrays import concatenate_ranges
 from ...billboards.texels import QuadPolygons, Texels
 from ...geometry.cameras import OrthographicView
 
-MIN_PROJECTED_AREA = 1e-3  # in rays; quads with a smaller projection are skipped
+MIN_PROJECTED_AREA = 1e-3  # In rays; quads with a smaller projection are skipped.
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ def _fit_affine(outlines: np.ndarray, values: np.ndarray, is_corner: np.ndarray)
     centered_outlines, centered_values = (
         (array - offset[:, None]) * is_corner[..., None] for array, offset in ((outlines, center), (values, mean))
     )
-    linear_part = np.linalg.pinv(centered_outlines, rcond=1e-14) @ centered_values  # normal equations would degrade thin oblique polygons
+    linear_part = np.linalg.pinv(centered_outlines, rcond=1e-14) @ centered_values  # Normal equations would degrade thin oblique polygons.
     return np.concatenate([linear_part, (mean - np.einsum("qi,qid->qd", center, linear_part))[:, None]], axis=1)
 
 

@@ -20,23 +20,23 @@ from scipy.ndimage import gaussian_filter
 
 from ...jobs.chunks import map_ordered
 from ...jobs.progress import Progress, Steps, subprogress
-from ..capture.reference_images import ReferenceImage
+from ..capture.observations import ReferenceImage
 from ..factorization.als import solve_rows
 from ..factorization.factors import Factors
 from .fragments import Fragments
 
-RAYS_PER_SIDE = 2  # of a pixel
+RAYS_PER_SIDE = 2  # Rays per side of a pixel.
 ITERATIONS = 10
-GRADIENT_PROGRESS = 0.6  # of an iteration's time; the rest goes to the step length
-DAMPING = 0.005  # relative to the mean curvature, for the component that is the same in every view
-VARYING_DAMPING = 12.0  # the same for view-dependent components, which have less data
-FINITE_DIFFERENCE_STEP = 0.05  # change of alpha to measure the curvature
-COVERAGE_WEIGHT = 4.0  # of the coverage of an image relative to its colors
-MIN_TRANSMITTANCE = 0.01  # fragments behind less transmittance are dropped
-ALPHA_SLACK = 0.02  # alpha this far outside 0..1 has no gradient
-LUMINANCE_SIGMA = 1.5  # pixels; errors are perceived relative to the local luminance
-LUMINANCE_POWER = 1.2  # 2 would make the squared error fully relative
-LUMINANCE_FLOOR = 0.05  # of the maximum luminance, added to the local one
+GRADIENT_PROGRESS = 0.6  # The gradient takes this fraction of an iteration's time; the rest goes to the step length.
+DAMPING = 0.005  # Relative to the mean curvature, for the component that is the same in every view.
+VARYING_DAMPING = 12.0  # The same for view-dependent components, which have less data.
+FINITE_DIFFERENCE_STEP = 0.05  # Change of alpha to measure the curvature.
+COVERAGE_WEIGHT = 4.0  # Weight of the coverage of an image relative to its colors.
+MIN_TRANSMITTANCE = 0.01  # Fragments behind less transmittance are dropped.
+ALPHA_SLACK = 0.02  # Alpha this far outside 0..1 has no gradient.
+LUMINANCE_SIGMA = 1.5  # Pixels; errors are perceived relative to the local luminance.
+LUMINANCE_POWER = 1.2  # 2 would make the squared error fully relative.
+LUMINANCE_FLOOR = 0.05  # This fraction of the maximum luminance is added to the local one.
 
 
 @dataclass(frozen=True)

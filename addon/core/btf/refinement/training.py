@@ -16,9 +16,9 @@ from ..factorization.factors import Factors
 from .fragments import Fragments, find_fragments
 from .refine import RAYS_PER_SIDE, TrainingView, cull_hidden, refine_alpha, shade
 
-SHADING_END = 0.3  # of the progress of a refinement
+SHADING_END = 0.3  # End of shading in the progress of a refinement.
 FRAGMENT_ARRAYS = ("ray_count", "ray_indices", "texel_indices", "weights", "colors")
-MAX_MEMORY_BYTES = 4e8  # of fragments and colors; those of further views go to files
+MAX_MEMORY_BYTES = 4e8  # Memory for fragments and colors; those of further views go to files.
 
 
 @dataclass
@@ -42,7 +42,16 @@ class _Cache:
 
 @dataclass(frozen=True)
 class StoredTrainingView:
-    """A finished view of a bake; see `refine.TrainingViewSource`."""
+    """A finished view of a bake; see `refine.TrainingViewSource`.
+
+    Attributes:
+        quads: Polygons of the level.
+        texels: Texels of the level.
+        view: The view.
+        store: Finished views of the level.
+        index: Index of the view.
+        cache: Fragments of all views that are in memory.
+    """
 
     quads: QuadPolygons
     texels: Texels

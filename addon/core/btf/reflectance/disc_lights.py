@@ -5,10 +5,10 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-TABLE_ROUGHNESSES = np.geomspace(0.04, 1.0, 65)  # rows of the specular table
-TABLE_COSINES = 4097  # columns of both tables, from -1 to 1
-RING_COUNT = 1000  # rings around the mirror direction that the specular lobe is integrated over
-DISC_SAMPLES = 256  # on a spiral, for the diffuse table
+TABLE_ROUGHNESSES = np.geomspace(0.04, 1.0, 65)  # Rows of the specular table.
+TABLE_COSINES = 4097  # Columns of both tables, from -1 to 1.
+RING_COUNT = 1000  # Rings around the mirror direction that the specular lobe is integrated over.
+DISC_SAMPLES = 256  # On a spiral, for the diffuse table.
 
 
 def disc_radius(solid_angle: float) -> float:
@@ -79,9 +79,9 @@ class DiscLights:
         return _build_specular_table(self._solid_angle)
 
 
-@lru_cache(maxsize=2)  # a bake uses one, for all levels of a cloud
+@lru_cache(maxsize=2)  # A bake uses one, for all levels of a cloud.
 def _build_specular_table(solid_angle: float) -> np.ndarray:
-    ring_angles = np.pi * ((np.arange(RING_COUNT) + 0.5) / RING_COUNT) ** 2  # dense near the mirror direction, for smooth lobes
+    ring_angles = np.pi * ((np.arange(RING_COUNT) + 0.5) / RING_COUNT) ** 2  # Dense near the mirror direction, for smooth lobes.
     ring_widths = np.pi * np.diff((np.arange(RING_COUNT + 1) / RING_COUNT) ** 2)
     angles = _table_angles()[:, None]
     # A point of a ring around the mirror direction is inside the disc where its angle to the disc's center is at most the radius.

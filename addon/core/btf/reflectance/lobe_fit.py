@@ -1,4 +1,9 @@
-"""Fit of the reflectance model to captured radiance: bounded linear least squares per texel, with priors from its quad and its level."""
+"""Fit of the reflectance model to captured radiance: bounded linear least squares per texel, with priors from its quad and its level.
+
+The response to a uniform dome is fitted last. A dome is reflected from all directions at once, by coats and the layers below, so the
+Fresnel effect is broader than under a sun; its shape is found by trial. Crevices see less of a dome, but receive light from other surfaces
+instead: one number per texel covers both.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,23 +15,31 @@ from ...jobs.chunks import map_ordered, slices
 from ...jobs.progress import Progress, Steps, subprogress
 from ..factorization.als import ViewData, split_lights
 from .disc_lights import DiscLights
-from .lobes import CHUNK_TEXELS, DIFFUSE, GRAZING, SPECULAR, Lobes, TexelSurface, lobe_responses
+from .lobes import CHUNK_TEXELS, DIFFUSE, GRAZING, SCHLICK, SPECULAR, GrazingFresnel, Lobes, TexelSurface, lobe_responses
 
-SUN_OFFSET, DOME_OFFSET = 3, 4  # coefficients of radiance that no lobe explains, under suns and under the dome; they are dropped
+SUN_OFFSET, DOME_OFFSET = 3, 4  # Coefficients of radiance that no lobe explains, under suns and under the dome; they are dropped.
 MAX_COEFFICIENTS = np.array([1.0, 1.0, 1.0, 10.0, 10.0])
-MAX_RADIANCE = 1.0  # captured radiance is clamped to it
-QUAD_PRIOR, LEVEL_PRIOR = 0.1, 1.0  # weight of the quad for its texels, and of the level for its quads, relative to a mean texel
-MAX_ITERATIONS, TOLERANCE = 60, 1e-6  # of coordinate descent
-ROUGHNESS_FACTORS = (0.5, 0.7, 1.0, 1.4)  # of the roughness in the PBR maps: a coat is smoother, bumps and large texels are rougher
-SAMPLE_TEXELS = 2000  # by which the factor is chosen
+MAX_RADIANCE = 1.0  # Captured radiance is clamped to it.
+QUAD_PRIOR, LEVEL_PRIOR = 0.1, 1.0  # Weight of the quad for its texels, and of the level for its quads, relative to a mean texel.
+MAX_ITERATIONS, TOLERANCE = 60, 1e-6  # They end the coordinate descent.
+ROUGHNESS_FACTORS = (0.5, 0.7, 1.0, 1.4)  # Times the roughness in the PBR maps: a coat is smoother, bumps and large texels are rougher.
+SAMPLE_TEXELS = 2000  # By which the factor is chosen.
+FRESNEL_POWERS = (1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
+MAX_FRESNEL_STRENGTH = 4.0  # Relative to Schlick's formula: coats and the layers below add up.
+SKY_PRIOR = 0.01  # Weight of full sky visibility, relative to a mean texel.
+MAX_SKY_VISIBILITY = 2.0  # Dome and interreflection together.
 
 
 @dataclass(frozen=True)
 class CapturedRadiance:
     """Captured radiance and its weights.
 
-    views: columns light by light, the dome last, three channels each. grid: the view directions. suns: the lights. weights (V, N): of each
-    texel in each view. light_weights (L + 1,).
+    Attributes:
+        views: Columns light by light, the dome last, three channels each.
+        grid: The view directions.
+        suns: The lights.
+        weights: (V, N) of each texel in each view.
+        light_weights: (L + 1,).
     """
 
     views: Sequence[ViewData]
@@ -158,3 +171,58 @@ def _sum_by_quad(values: np.ndarray, quad_indices: np.ndarray) -> np.ndarray:
     sums = np.zeros((int(quad_indices.max()) + 1, *values.shape[1:]))
     np.add.at(sums, quad_indices, values)
     return sums
+
+
+def fit_dome(views: Sequence[ViewData], lobes: Lobes, grid: DirectionGrid, weights: np.ndarray) -> Steps[Lobes]:
+    """Return `lobes` with the sky visibility and dome Fresnel shape that fit `views` best, by least squares.
+
+    Args:
+        views: captured from the directions of `grid` under the dome alone, one column per channel. weights: (V, N) weight of each texel.
+    """
+    dome_fresnel = yield from subprogress(_fit_fresnel(views, lobes, grid, weights), 0.0, 0.5)
+    lobes = replace(lobes, dome_fresnel=dome_fresnel)
+    sky_visibility = yield from subprogress(_fit_sky_visibility(views, lobes, grid, weights), 0.5, 1.0)
+    return replace(lobes, sky_visibility=sky_visibility)
+
+
+def _fit_fresnel(views: Sequence[ViewData], lobes: Lobes, grid: DirectionGrid, weights: np.ndarray) -> Steps[GrazingFresnel]:
+    """Return the power in FRESNEL_POWERS, with its best strength, that has the least error over all texels."""
+    without_grazing = replace(lobes, f90_minus_f0=np.zeros_like(lobes.f90_minus_f0))
+    correlations, energies = np.zeros((2, len(FRESNEL_POWERS)))
+    for index, view in enumerate(views):
+        yield Progress(index / len(views), "Fitting grazing reflection")
+        direction = grid.directions[index]
+        rows, values = view.read()
+        residual = (_clamp_radiance(values) - without_grazing.radiance_under_dome(direction, rows)).mean(axis=1)
+        grazing = lobes.f90_minus_f0[rows]
+        if lobes.sky_visibility is not None:
+            grazing = grazing * lobes.sky_visibility[rows]
+        cosines = lobes.surface.normals_facing(direction, rows) @ direction
+        row_weights = weights[index, rows].astype(np.float64)
+        for candidate, power in enumerate(FRESNEL_POWERS):
+            response = grazing * GrazingFresnel(1.0, power)(cosines)
+            correlations[candidate] += float(row_weights @ (response * residual))
+            energies[candidate] += float(row_weights @ response**2)
+    if not energies.all():
+        return SCHLICK
+    strengths = np.clip(correlations / energies, 0.0, MAX_FRESNEL_STRENGTH)
+    best = int(np.argmin(strengths * (strengths * energies - 2.0 * correlations)))
+    return GrazingFresnel(float(strengths[best]), FRESNEL_POWERS[best])
+
+
+def _fit_sky_visibility(views: Sequence[ViewData], lobes: Lobes, grid: DirectionGrid, weights: np.ndarray) -> Steps[np.ndarray]:
+    """Return the reflected fraction (N,) float32 of the dome."""
+    unoccluded = replace(lobes, sky_visibility=None)
+    correlations, energies = np.zeros((2, len(lobes.f90_minus_f0)))
+    for index, view in enumerate(views):
+        yield Progress(index / len(views), "Fitting sky visibility")
+        rows, values = view.read()
+        radiance = unoccluded.radiance_under_dome(grid.directions[index], rows)
+        correlations[rows] += weights[index, rows] * (radiance * _clamp_radiance(values)).sum(axis=1)
+        energies[rows] += weights[index, rows] * (radiance**2).sum(axis=1)
+    prior = SKY_PRIOR * energies.mean()
+    return np.clip((correlations + prior) / np.maximum(energies + prior, 1e-12), 0.0, MAX_SKY_VISIBILITY).astype(np.float32)
+
+
+def _clamp_radiance(values: np.ndarray) -> np.ndarray:
+    return np.clip(values, 0.0, MAX_RADIANCE)

@@ -14,12 +14,12 @@ from .parallax import ParallaxMap
 from .shadows import Shadows
 
 MIN_ROUGHNESS = 0.05
-MIN_COSINE = 1e-3  # between normal and view
-MIN_FRESNEL_COSINE = 0.2  # the Fresnel term is constant below: a quad shows texels that a smooth surface would hide
-DIFFUSE, SPECULAR, GRAZING = range(3)  # coefficients of the model
+MIN_COSINE = 1e-3  # Between normal and view.
+MIN_FRESNEL_COSINE = 0.2  # The Fresnel term is constant below: a quad shows texels that a smooth surface would hide.
+DIFFUSE, SPECULAR, GRAZING = range(3)  # Coefficients of the model.
 LOBE_COUNT = 3
 ALL = slice(None)
-CHUNK_TEXELS = 1024  # processed at once, so that intermediate arrays stay in the CPU cache
+CHUNK_TEXELS = 1024  # Processed at once, so that intermediate arrays stay in the CPU cache.
 
 
 @dataclass(frozen=True)
@@ -57,11 +57,16 @@ class TexelSurface:
 
 @dataclass(frozen=True)
 class Lobes:
-    """Lobes of N texels, float32.
+    """Lobes of N texels, float32, all in 0..1.
 
-    diffuse (N, 3): albedo. f0 (N, 3): specular reflectance at normal incidence. f90_minus_f0 (N,): added reflectance at grazing incidence.
-    All in 0..1. shadows: visibility of suns; None without self-shadowing. sky_visibility (N,): reflected fraction of a dome, including
-    interreflection; None for 1. dome_fresnel: scales `f90_minus_f0` under a dome.
+    Attributes:
+        surface: Normals and roughness.
+        diffuse: (N, 3) albedo.
+        f0: (N, 3) specular reflectance at normal incidence.
+        f90_minus_f0: (N,) added reflectance at grazing incidence.
+        shadows: Visibility of suns; None without self-shadowing.
+        sky_visibility: (N,) reflected fraction of a dome, including interreflection; None for 1.
+        dome_fresnel: Scales `f90_minus_f0` under a dome.
     """
 
     surface: TexelSurface

@@ -12,8 +12,8 @@ from ...jobs.chunks import map_ordered
 from ...jobs.progress import Progress, Steps
 from ..factorization.als import ViewData, split_lights
 
-MIN_CHROMATICITY = 1e-3  # division by a smaller value would amplify noise
-MIN_EMISSION = 1e-3  # radiance; when no texel emits more, the level has no emission
+MIN_CHROMATICITY = 1e-3  # Division by a smaller value would amplify noise.
+MIN_EMISSION = 1e-3  # Radiance; when no texel emits more, the level has no emission.
 
 
 def compute_chromaticity(

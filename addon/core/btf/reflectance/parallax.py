@@ -1,6 +1,6 @@
 """Parallax mapping: offsets of the normal lookup at oblique views, because quads are flat and the surfaces they replace are not.
 
-At an oblique view, a texel shows a surface point up to one error in front of or behind its quad, and thus beside the texel. The normal is
+At an oblique view, a texel shows a surface point up to one error in front of or behind its quad, and thus next to the texel. The normal is
 looked up there. (Parallax mapping after Kaneko et al. 2001: one step with limited offset, using the depths of the PBR maps.)
 """
 
@@ -13,8 +13,8 @@ from ...arrays import TINY
 from ...billboards.texels import Texels
 from ...imaging.images import sample_bilinear
 
-MAX_OFFSET = 2.0  # texels along each axis: no farther than the textures are dilated beyond their quads
-MIN_COSINE = 0.05  # between quad normal and view; below it the offset decreases to 0
+MAX_OFFSET = 2.0  # Texels along each axis: no farther than the textures are dilated beyond their quads.
+MIN_COSINE = 0.05  # Between quad normal and view; below it the offset decreases to 0.
 ALL = slice(None)
 
 
@@ -22,8 +22,12 @@ ALL = slice(None)
 class ParallaxMap:
     """Depths and normals of N texels on Q quads.
 
-    pixels (N, 2), quad_indices (N,): see `Texels`. axes (Q, 2, 3): see `parallax_axes`. depths (N,): heights above the quad along its
-    normal, -1..1, as fractions of the level's error. normals (H, W, 3): the normal map, unit vectors in object space, row 0 at the bottom.
+    Attributes:
+        pixels: (N, 2), see `Texels`.
+        quad_indices: (N,), see `Texels`.
+        axes: (Q, 2, 3), see `parallax_axes`.
+        depths: (N,) heights above the quad along its normal, -1..1, as fractions of the level's error.
+        normals: (H, W, 3) the normal map, unit vectors in object space, row 0 at the bottom.
     """
 
     pixels: np.ndarray

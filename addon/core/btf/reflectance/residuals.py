@@ -14,8 +14,8 @@ from ..factorization.als import split_lights
 from .disc_lights import DiscLights
 from .lobes import Lobes
 
-MAX_RESIDUAL, MAX_DOME_RESIDUAL = 0.5 / np.pi, 1.0  # radiance under a sun and under the dome; larger residuals are misplaced highlights
-MIN_RESIDUAL, MIN_DOME_RESIDUAL = -1.0 / np.pi, -1.0  # a white surface that is in shadow, but not for the lobes
+MAX_RESIDUAL, MAX_DOME_RESIDUAL = 0.5 / np.pi, 1.0  # Radiance under a sun and under the dome; larger residuals are misplaced highlights.
+MIN_RESIDUAL, MIN_DOME_RESIDUAL = -1.0 / np.pi, -1.0  # A white surface that is in shadow, but not for the lobes.
 
 
 @dataclass(frozen=True)

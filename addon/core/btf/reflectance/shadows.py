@@ -17,11 +17,11 @@ from ..capture.shard_files import FULLY_VISIBLE, UNKNOWN
 from ..factorization.factors import Factors, factorize_scalar
 from .disc_lights import DiscLights
 
-PENUMBRA_ANGLE = 0.2  # radians of light movement in which visibility goes from 0 to 1
-MAX_ANGLE = 0.6  # radians; larger angles to the boundary are clamped
-MIN_COSINE = 0.1  # minimum weight of a texel for a grazing light
-MAX_PARTIAL_VISIBILITY = 0.9  # between 1 minus this and this, the visible fraction of a texel itself gives the angle
-CHUNK_TEXELS = 8_192  # processed at once
+PENUMBRA_ANGLE = 0.2  # Radians of light movement in which visibility goes from 0 to 1.
+MAX_ANGLE = 0.6  # Radians; larger angles to the boundary are clamped.
+MIN_COSINE = 0.1  # Minimum weight of a texel for a grazing light.
+MAX_PARTIAL_VISIBILITY = 0.9  # Between 1 minus this and this, the visible fraction of a texel itself gives the angle.
+CHUNK_TEXELS = 8_192  # Processed at once.
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Shadows:
     def mean_visibility(self, suns: DiscLights) -> np.ndarray:
         """Return the visibility (N, L) float32 of each of `suns`: the mean over its disc."""
         angles = np.arccos(np.clip(self.grid.directions @ suns.directions.T, -1.0, 1.0))
-        half_cell = 0.5 * np.sqrt(self.grid.solid_angles.mean())  # a disc ends within cells
+        half_cell = 0.5 * np.sqrt(self.grid.solid_angles.mean())  # A disc ends within cells.
         weights = self.grid.solid_angles[:, None] * np.clip(0.5 + (suns.radius - angles) / (2.0 * half_cell), 0.0, 1.0)
         weights = (weights / np.maximum(weights.sum(axis=0), 1e-12)).astype(np.float32)
         visibility = np.empty((len(self.angles.weights), len(suns.directions)), np.float32)
@@ -111,7 +111,7 @@ def _chunk_signed_angles(visibility: np.ndarray, grid_angles: np.ndarray, neares
     opposite_side = np.where(side == 0, np.int8(2), -side)
     count = nearest.shape[1]
     ranks = np.full(visibility.shape, count, np.min_scalar_type(count))
-    for rank in reversed(range(count)):  # the nearest direction last: it overwrites the others
+    for rank in reversed(range(count)):  # The nearest direction last: it overwrites the others.
         np.copyto(ranks, rank, where=side[nearest[:, rank]] == opposite_side)
     max_angles = np.full((len(grid_angles), 1), MAX_ANGLE)
     by_rank = np.column_stack([np.minimum(np.take_along_axis(grid_angles, nearest, axis=1), MAX_ANGLE), max_angles]).astype(np.float32)

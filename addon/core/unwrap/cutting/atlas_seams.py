@@ -5,7 +5,7 @@ import numpy as np
 from ...geometry.edges import find_edges
 from ...geometry.mesh import TriangleMesh, longest_side
 
-XATLAS_SIDE = 10.0  # longest side of what xatlas gets: it drops faces with areas below 1e-7, and never ends where squares are infinite
+XATLAS_SIDE = 10.0  # Longest side of what xatlas gets: it drops faces with areas below 1e-7, and never ends where squares are infinite.
 
 
 def find_atlas_seams(mesh: TriangleMesh, polygon_ids: np.ndarray) -> np.ndarray:
@@ -13,7 +13,7 @@ def find_atlas_seams(mesh: TriangleMesh, polygon_ids: np.ndarray) -> np.ndarray:
 
     polygon_ids: (T,) the polygon of each triangle.
     """
-    import xatlas  # here, so that importing the core needs only NumPy and SciPy
+    import xatlas  # Here, so that importing the core needs only NumPy and SciPy.
 
     atlas = xatlas.Atlas()
     atlas.add_mesh(_scale_for_xatlas(mesh), mesh.triangles.astype(np.uint32))

@@ -10,8 +10,8 @@ from ...geometry.edges import find_edges
 def boundary_edges(triangles: np.ndarray) -> np.ndarray:
     """Return the boundary edges (B, 2) of `triangles` (T, 3), oriented like their triangle: the interior is to the left."""
     edges = find_edges(triangles)
-    is_boundary = edges.face_counts[edges.face_edges] == 1  # by opposite corner
-    corners = np.flatnonzero(np.roll(is_boundary, 1, axis=1))  # by the corner at the start of the edge
+    is_boundary = edges.face_counts[edges.face_edges] == 1  # By opposite corner.
+    corners = np.flatnonzero(np.roll(is_boundary, 1, axis=1))  # By the corner at the start of the edge.
     return np.stack([triangles.ravel()[corners], np.roll(triangles, -1, axis=1).ravel()[corners]], axis=1)
 
 

@@ -12,7 +12,7 @@ from ...jobs.progress import Progress, Steps, subprogress
 from .chart import Chart, split_into_components
 from .cuts import cut_to_disk_edges
 
-MAX_CUT_ROUNDS = 4  # before a component is cut along the complement of a spanning tree
+MAX_CUT_ROUNDS = 4  # Before a component is cut along the complement of a spanning tree.
 
 
 @dataclass(frozen=True)

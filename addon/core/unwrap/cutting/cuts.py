@@ -24,15 +24,15 @@ from .atlas_seams import find_atlas_seams
 from .boundaries import boundary_loops
 from .chart import Chart, split_into_components
 
-CREASE_DISCOUNT = 0.8  # of the cost of a cut: saved along an edge that is folded by 180 degrees
-BOUNDARY_COST = 100.0  # cost factor of edges at the boundary when handles are cut, so that the rest stays connected
-INSIDE_POLYGON_COST = 1e6  # cost factor of edges inside a polygon
-MAX_FILLED_HOLE = 0.01  # of the area: a hole that encloses more, as a circle, is connected to the boundary instead of filled
-MAX_CLOSED_OPENING = 0.05  # of the area: a part is nearly closed if all its openings enclose less, as circles
-PROXY_VERTICES = 600  # of the decimated mesh
-POOR_STRETCH_EXCESS = 1.0  # above it parameterizations say little about where to cut, and cutting continues in any case
-MAX_ENDPOINTS, MAX_ENDPOINTS_WHILE_POOR = 10, 12  # of cuts, from where the stretch is no longer poor, and until then
-MIN_RELATIVE_GAIN, MIN_GAIN = 0.1, 0.02  # of the stretch excess per cut, relative and absolute, for further cuts
+CREASE_DISCOUNT = 0.8  # A cut along an edge that is folded by 180 degrees saves this fraction of its cost.
+BOUNDARY_COST = 100.0  # Cost factor of edges at the boundary when handles are cut, so that the rest stays connected.
+INSIDE_POLYGON_COST = 1e6  # Cost factor of edges inside a polygon.
+MAX_FILLED_HOLE = 0.01  # A hole that encloses a larger fraction of the area, as a circle, is connected to the boundary instead of filled.
+MAX_CLOSED_OPENING = 0.05  # A part is nearly closed if all its openings enclose a smaller fraction of its area, as circles.
+PROXY_VERTICES = 600  # Vertices of the decimated mesh.
+POOR_STRETCH_EXCESS = 1.0  # Above it parameterizations say little about where to cut, and cutting continues in any case.
+MAX_ENDPOINTS, MAX_ENDPOINTS_WHILE_POOR = 10, 12  # Maximum endpoints of cuts from where the stretch is no longer poor, and until then.
+MIN_RELATIVE_GAIN, MIN_GAIN = 0.1, 0.02  # Further cuts must reduce the stretch excess by so much each, relative and absolute.
 
 
 def cut_to_disk_edges(chart: Chart, edges: Edges, further_cuts: bool) -> Steps[np.ndarray]:
@@ -102,7 +102,7 @@ class _ShortestPaths:
     def connect_loops(self, boundary: np.ndarray, loops: list[np.ndarray]) -> np.ndarray:
         """Return paths that connect `loops` to the `boundary`."""
         cut = np.zeros(len(self._edges.ends), bool)
-        graph = self._graph(np.where(self._edges.face_counts == 1, 1e-9 * self._costs, self._costs))  # following the boundary cuts nothing
+        graph = self._graph(np.where(self._edges.face_counts == 1, 1e-9 * self._costs, self._costs))  # Following the boundary cuts nothing.
         for loop in loops:
             self._add_path(cut, graph, np.union1d(boundary, self._edges.ends[cut].ravel()), int(loop[0]))
         return cut & (self._edges.face_counts == 2)
@@ -169,7 +169,7 @@ class _ShortestPaths:
         ranks = np.empty(len(candidates))
         ranks[np.argsort(-lengths[candidates], kind="stable")] = np.arange(1, len(candidates) + 1)
         low, high = adjacent[candidates].min(axis=1), adjacent[candidates].max(axis=1)
-        order = np.lexsort((ranks, high, low))  # of two edges between the same triangles the longer one
+        order = np.lexsort((ranks, high, low))  # The longer of two edges between the same triangles comes first.
         is_first = np.ones(len(order), bool)
         is_first[1:] = (np.diff(low[order]) != 0) | (np.diff(high[order]) != 0)
         order = order[is_first]

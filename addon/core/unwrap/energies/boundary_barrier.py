@@ -15,9 +15,9 @@ from ...geometry.proximity import sorted_unique
 from ...geometry.transforms import cross
 from .stretch_energy import smallest_positive_root
 
-STIFFNESS = 0.1  # of the squared activation distance, which is close to the stretch energy of a triangle
-MAX_EDGES_FOR_ALL_PAIRS = 100  # up to this number all pairs of edges are tested
-MAX_SAMPLES_PER_EDGE = 16  # on average, to find what is close to long edges
+STIFFNESS = 0.1  # Relative to the squared activation distance, which is close to the stretch energy of a triangle.
+MAX_EDGES_FOR_ALL_PAIRS = 100  # Up to this number all pairs of edges are tested.
+MAX_SAMPLES_PER_EDGE = 16  # On average, to find what is close to long edges.
 
 
 class BoundaryBarrier:
@@ -28,7 +28,7 @@ class BoundaryBarrier:
 
     def __init__(self, boundary: np.ndarray, activation_distance: float) -> None:
         self._boundary, self._activation_distance = boundary, activation_distance
-        self._cache: tuple[np.ndarray, np.ndarray, _Contacts] | None = None  # the same uv is evaluated several times in a row
+        self._cache: tuple[np.ndarray, np.ndarray, _Contacts] | None = None  # The same uv is evaluated several times in a row.
 
     def value(self, uv: np.ndarray) -> float:
         """Return the energy; infinite where the boundary intersects itself."""

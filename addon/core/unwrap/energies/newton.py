@@ -1,50 +1,24 @@
 """Projected Newton minimization of energies of UV maps. Steps never flip a triangle."""
 
-from typing import Protocol
-
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from ...jobs.progress import Progress, Steps
+from .uv_energy import UvEnergy
 
-REGULARIZATION = 1e-8  # of the median diagonal, added to it: rotations and translations of a free map cost nothing
-REGULARIZATION_GROWTH = 1e3  # factor where the factorization fails
-MAX_STEP_FRACTION = 0.7  # of the step at which a triangle would have no area left
-ARMIJO = 1e-4  # of the decrease that the gradient predicts
+REGULARIZATION = 1e-8  # This multiple of the median is added to the diagonal: rotations and translations of a free map cost nothing.
+REGULARIZATION_GROWTH = 1e3  # Factor where the factorization fails.
+MAX_STEP_FRACTION = 0.7  # As a fraction of the step at which a triangle would have no area left.
+ARMIJO = 1e-4  # A step must reach this fraction of the decrease that the gradient predicts.
 MIN_STEP = 1e-10
-MAX_FACTOR_REUSE = 14  # steps per factorization; each costs a tenth of a new one
-RELAX_BELOW_STEP = 0.5  # after a shorter step the worst vertices are relaxed
-REFACTOR_BELOW_STEP = 0.1  # after a shorter step the Hessian is factorized again
-NEGLIGIBLE_ENERGY = 1e-3  # of the lower bound: an excess below it is not reduced further
+MAX_FACTOR_REUSE = 14  # Steps per factorization; each costs a tenth of a new one.
+RELAX_BELOW_STEP = 0.5  # After a shorter step the worst vertices are relaxed.
+REFACTOR_BELOW_STEP = 0.1  # After a shorter step the Hessian is factorized again.
+NEGLIGIBLE_ENERGY = 1e-3  # An excess below this fraction of the lower bound is not reduced further.
 
 
-class Energy(Protocol):
-    """Energy of uv (V, 2), which are never changed in place. The N degrees of freedom are the coordinates of the free vertices."""
-
-    def value(self, uv: np.ndarray) -> float:
-        """Return the energy, infinite where uv is invalid."""
-
-    def lower_bound(self) -> float:
-        """Return a lower bound of the energy of all uv."""
-
-    def max_step(self, uv: np.ndarray, displacement: np.ndarray) -> float:
-        """Return the multiple of `displacement` (V, 2) at which uv would become invalid."""
-
-    def gradient(self, uv: np.ndarray) -> np.ndarray:
-        """Return the gradient (N,)."""
-
-    def hessian(self, uv: np.ndarray) -> sparse.csc_array:
-        """Return the Hessian (N, N), projected to be positive semidefinite."""
-
-    def displacement(self, direction: np.ndarray) -> np.ndarray:
-        """Return the displacement (V, 2) of all vertices from a `direction` (N,)."""
-
-    def relax_worst_vertices(self, uv: np.ndarray) -> np.ndarray:
-        """Return uv with fewer strongly distorted triangles, which would limit the next step; the same array where there are none."""
-
-
-def minimize(energy: Energy, uv: np.ndarray, tolerance: float, max_steps: int) -> Steps[np.ndarray]:
+def minimize(energy: UvEnergy, uv: np.ndarray, tolerance: float, max_steps: int) -> Steps[np.ndarray]:
     """Return the uv (V, 2) at a local minimum of the energy near `uv`; `uv` itself where it is invalid.
 
     Stops after `max_steps`, or when a step with a new factorization decreases the energy by less than `tolerance`, relative to the
@@ -79,7 +53,7 @@ def minimize(energy: Energy, uv: np.ndarray, tolerance: float, max_steps: int) -
 
 
 def _line_search(
-    energy: Energy, uv: np.ndarray, displacement: np.ndarray, value: float, expected_decrease: float
+    energy: UvEnergy, uv: np.ndarray, displacement: np.ndarray, value: float, expected_decrease: float
 ) -> tuple[float, np.ndarray, float] | None:
     """Return step length, new uv and energy along `displacement` (V, 2); None where no step decreases the energy `value` at `uv`."""
     max_step = MAX_STEP_FRACTION * energy.max_step(uv, displacement)
@@ -92,7 +66,7 @@ def _line_search(
             return None
         new_uv = uv + step * displacement
         new_value = energy.value(new_uv)
-    while 1.0 <= step < 0.5 * max_step:  # far from the minimum a Newton step is too short where triangles expand
+    while 1.0 <= step < 0.5 * max_step:  # Far from the minimum a Newton step is too short where triangles expand.
         longer_uv = uv + 2.0 * step * displacement
         longer_value = energy.value(longer_uv)
         if longer_value >= new_value:
@@ -101,7 +75,7 @@ def _line_search(
     return step, new_uv, new_value
 
 
-def _relax_if_better(energy: Energy, uv: np.ndarray, value: float) -> tuple[np.ndarray, float]:
+def _relax_if_better(energy: UvEnergy, uv: np.ndarray, value: float) -> tuple[np.ndarray, float]:
     """Return uv with the worst vertices relaxed, and its energy, if that is lower than `value`."""
     relaxed = energy.relax_worst_vertices(uv)
     if relaxed is uv:

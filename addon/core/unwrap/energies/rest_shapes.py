@@ -6,8 +6,8 @@ import numpy as np
 
 from ...geometry.mesh import scaled_normals
 
-MIN_RELATIVE_HEIGHT = 1e-3  # of the longest side: flatter triangles are treated as this high
-MIN_RELATIVE_AREA = 1e-3  # of the mean area: minimum weight of a triangle
+MIN_RELATIVE_HEIGHT = 1e-3  # Triangles flatter than this fraction of their longest side are treated as this high.
+MIN_RELATIVE_AREA = 1e-3  # Minimum weight of a triangle, as a fraction of the mean area.
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ import numpy as np
 from ...arrays import TINY
 from ...geometry.transforms import cross
 
-ACTIVATION_RATIO = 2.0  # of the limit: the energy sets in below
-STIFFNESS = 0.5  # of the area of the triangle
+ACTIVATION_RATIO = 2.0  # The energy sets in below this multiple of the limit.
+STIFFNESS = 0.5  # Relative to the area of the triangle.
 
 
 def min_height_to_base(corner_uvs: np.ndarray) -> np.ndarray:
@@ -30,10 +30,14 @@ def _height_to_base(corner_uvs: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ShapeBarrier:
-    """Barrier energy of uv (V, 2) for `triangles` (T, 3).
+    """Barrier energy of uv (V, 2).
 
-    indices (T,): indices of the triangles in the results. weights (T,). min_ratios (T,): lower limits of the minimum height-to-base ratio.
-    is_soft: triangles may be below their limit and are pulled up.
+    Attributes:
+        triangles: (T, 3).
+        indices: (T,) indices of the triangles in the results.
+        weights: (T,).
+        min_ratios: (T,) lower limits of the minimum height-to-base ratio.
+        is_soft: Triangles may be below their limit and are pulled up.
     """
 
     triangles: np.ndarray
@@ -129,7 +133,7 @@ def project_to_psd(matrices: np.ndarray) -> np.ndarray:
     return np.matmul(vectors * np.maximum(values, 0.0)[:, None, :], vectors.transpose(0, 2, 1))
 
 
-_AREA_HESSIAN = np.zeros((6, 6))  # of twice the area of a triangle, by x and y of its corners in turn
+_AREA_HESSIAN = np.zeros((6, 6))  # Hessian of twice the area of a triangle, by x and y of its corners in turn.
 for _first, _second in ((0, 1), (1, 2), (2, 0)):
     _AREA_HESSIAN[2 * _first, 2 * _second + 1] = _AREA_HESSIAN[2 * _second + 1, 2 * _first] = 1.0
     _AREA_HESSIAN[2 * _first + 1, 2 * _second] = _AREA_HESSIAN[2 * _second, 2 * _first + 1] = -1.0

@@ -87,8 +87,8 @@ class StretchEnergy:
         jacobians = compute_jacobians(self.shapes, self.triangles, uv)
         xx, xy, yx, yy = jacobians
         determinants = jacobians.determinants
-        a = self.shapes.areas * self.weights / determinants**2  # coefficient of the Jacobian
-        b = self.shapes.areas - a * jacobians.frobenius_squared / determinants  # coefficient of its cofactor matrix
+        a = self.shapes.areas * self.weights / determinants**2  # Coefficient of the Jacobian.
+        b = self.shapes.areas - a * jacobians.frobenius_squared / determinants  # Coefficient of its cofactor matrix.
         by_jacobian = a * xx + b * yy, a * xy - b * yx, a * yx - b * xy, a * yy + b * xx
         first, second = self.shapes.gradients
         gradients = np.empty((len(determinants), 3, 2))
@@ -120,7 +120,7 @@ class StretchEnergy:
         product, square_sum = s1 * s2, s1**2 + s2**2
         twist_value = 1.0 - weights * (square_sum - product) / product**3
         flip_value = weights * (square_sum + product) / product**3 - 1.0
-        # the two scaling modes: eigenvalues of the 2 by 2 matrix of second derivatives by s1 and s2
+        # The two scaling modes: eigenvalues of the 2 by 2 matrix of second derivatives by s1 and s2.
         mean, half_difference = 1.5 * weights * (s1**-4 + s2**-4), 1.5 * weights * (s1**-4 - s2**-4)
         split, angle = np.hypot(half_difference, 1.0), 0.5 * np.arctan2(1.0, half_difference)
         (a, b), (c, d) = (np.cos(left), np.sin(left)), (np.cos(right), np.sin(right))

@@ -50,9 +50,10 @@ class Assembly:
 
 
 class UvEnergy:
-    """Implements `newton.Energy`.
+    """Energy of uv (V, 2), which are never changed in place. The N degrees of freedom are the coordinates of the free vertices.
 
-    assembly: of the triangles of `stretch`. boundary: None where the boundary is fixed. relax_worst_vertices: see `newton.Energy`.
+    assembly: of the triangles of `stretch`. boundary: None where the boundary is fixed. relax_worst_vertices: returns uv with fewer
+    strongly distorted triangles, which would limit the next step; the same array where there are none.
     """
 
     def __init__(
@@ -126,7 +127,7 @@ def _sparsity_pattern(blocks: np.ndarray, count: int) -> tuple[np.ndarray, np.nd
     keys, block = np.unique(columns[is_used].astype(np.int64) * count + rows[is_used], return_inverse=True)
     column, row = np.divmod(keys, max(count, 1))
     block_starts = np.searchsorted(column, np.arange(count + 1))
-    heights = np.diff(block_starts)  # blocks per column
+    heights = np.diff(block_starts)  # Blocks per column.
     down, across = np.meshgrid(np.arange(2), np.arange(2), indexing="ij")
     index_in_column = np.arange(len(keys)) - block_starts[column]
     positions = (4 * block_starts[column] + 2 * index_in_column)[:, None, None] + down + across * (2 * heights[column])[:, None, None]

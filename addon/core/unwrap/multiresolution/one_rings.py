@@ -7,7 +7,7 @@ from ...geometry.transforms import cross
 from ..energies.rest_shapes import compute_rest_shapes
 
 MAX_HALVINGS = 30
-ARMIJO = 1e-4  # of the decrease that the gradient predicts
+ARMIJO = 1e-4  # A step must reach this fraction of the decrease that the gradient predicts.
 
 
 class OneRings:
@@ -38,7 +38,7 @@ class OneRings:
         self._weights = weights[triangles].mean(axis=1)
         gradients = shapes.gradients.transpose(2, 1, 0)
         self._center_gradients = gradients[:, 0]
-        # part of the Jacobians that does not depend on the center
+        # Part of the Jacobians that does not depend on the center.
         self._fixed = np.einsum("ei,ej->eij", self.first, gradients[:, 1]) + np.einsum("ei,ej->eij", self.second, gradients[:, 2])
 
     def relax(self, positions: np.ndarray, steps: int) -> np.ndarray:

@@ -8,8 +8,8 @@ from ..energies.stretch_energy import compute_jacobians
 from .halfedge_decimation import SELECTION_PASSES, vertex_links
 from .one_rings import OneRings
 
-MAX_ENERGY_RATIO = 3.0  # of a triangle's energy to its lower bound; the corners of triangles above it are relaxed
-NEWTON_STEPS = 2  # per vertex
+MAX_ENERGY_RATIO = 3.0  # Corners of triangles with a higher ratio of energy to its lower bound are relaxed.
+NEWTON_STEPS = 2  # Per vertex.
 
 
 def relax_worst_vertices(

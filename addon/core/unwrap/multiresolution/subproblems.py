@@ -16,19 +16,26 @@ from ..energies.stretch_energy import StretchEnergy
 from ..energies.uv_energy import Assembly, UvEnergy
 from .relaxation import relax_worst_vertices
 
-MAX_DIRECT_VERTICES = 20_000  # levels with more are divided into patches
+MAX_DIRECT_VERTICES = 20_000  # Levels with more are divided into patches.
 MAX_PATCH_VERTICES = 8_000
-ODD_SWEEP_SPLIT = 0.36  # fraction of the vertices in the first cut of every other sweep, so that patch boundaries differ
-UPDATE_RINGS = 8  # of triangles around changed ones that are updated with them
-FLOOR_FRACTION = 0.95  # of its ratio: a triangle below the quality limit may not get worse than this in a subproblem
+ODD_SWEEP_SPLIT = 0.36  # Fraction of the vertices in the first cut of every other sweep, so that patch boundaries differ.
+UPDATE_RINGS = 8  # So many rings of triangles around changed ones are updated with them.
+FLOOR_FRACTION = 0.95  # A triangle below the quality limit may not fall below this fraction of its ratio in a subproblem.
 
 
 @dataclass(frozen=True)
-class MultigridLevel:
-    """A level of a chart.
+class LevelTriangles:
+    """Triangles of a level of a chart, with what their energy depends on.
 
-    vertices (V, 3): of the whole chart. triangles (T, 3), with their rest shapes and weights (T,). vertex_weights (V,). boundary (B, 2):
-    edges. is_free (V,) bool: vertices that may move. activation_distance: see `BoundaryBarrier`.
+    Attributes:
+        vertices: (V, 3) float64, on the surface.
+        triangles: (T, 3) int32, indices into `vertices`.
+        shapes: Rest shapes of the triangles.
+        weights: (T,) importance of the triangles.
+        vertex_weights: (V,) the same, per vertex.
+        boundary: (B, 2) edges.
+        is_free: (V,) bool, vertices that may move.
+        activation_distance: Distance in the UV map at which the boundary barrier sets in.
     """
 
     vertices: np.ndarray
@@ -39,6 +46,10 @@ class MultigridLevel:
     boundary: np.ndarray
     is_free: np.ndarray
     activation_distance: float
+
+
+class MultigridLevel(LevelTriangles):
+    """A level with all its triangles. Its vertices are those of the whole chart."""
 
     def subproblems(self, uv: np.ndarray, sweep: int, is_changed: np.ndarray) -> Iterator[tuple[float, "Subproblem | None"]]:
         """Yield the subproblems to solve where the energy has changed, each with the fraction of the level that was done before.
@@ -107,24 +118,16 @@ class MultigridLevel:
 
 
 @dataclass(frozen=True)
-class Subproblem:
+class Subproblem(LevelTriangles):
     """K triangles of a level and the N vertices of these triangles and of the boundary, with their own indices.
 
     vertex_indices (N,): in the chart. triangle_indices (K,): in the level. is_relaxation_fixed (N,) bool: vertices that are not relaxed
-    on their own. The other fields are as in `MultigridLevel`.
+    on their own.
     """
 
     vertex_indices: np.ndarray
     triangle_indices: np.ndarray
-    vertices: np.ndarray
-    triangles: np.ndarray
-    shapes: RestShapes
-    weights: np.ndarray
-    vertex_weights: np.ndarray
-    boundary: np.ndarray
-    is_free: np.ndarray
     is_relaxation_fixed: np.ndarray
-    activation_distance: float
 
     def energy(self, uv: np.ndarray, min_quality: float, penalties: np.ndarray) -> UvEnergy:
         """Return the energy to minimize from `uv` (N, 2).
@@ -133,7 +136,7 @@ class Subproblem:
         """
         barriers = []
         if min_quality > 0.0:
-            weights = self.shapes.areas * np.sqrt(self.weights)  # half of the stretch energy without stretch
+            weights = self.shapes.areas * np.sqrt(self.weights)  # Half of the stretch energy without stretch.
             ratios = min_height_to_base(uv[self.triangles])
             floors = np.where(ratios > min_quality, min_quality, FLOOR_FRACTION * ratios)
             barriers.append(ShapeBarrier(self.triangles, np.arange(len(self.triangle_indices)), weights, floors, False))

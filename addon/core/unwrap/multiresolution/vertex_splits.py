@@ -8,8 +8,8 @@ from ..energies.rest_shapes import half_angle_tangents
 from .halfedge_decimation import CollapseBatch
 from .one_rings import OneRings
 
-MIN_CLEARANCE = 0.05  # of the square root of the ring's area: positions closer to an edge are moved away from it
-MAX_TRIES = 8  # to find a better position
+MIN_CLEARANCE = 0.05  # Positions closer to an edge than this fraction of the square root of the ring's area are moved away from it.
+MAX_TRIES = 8  # To find a better position.
 MAX_HALVINGS = 48
 
 
@@ -30,7 +30,7 @@ def split_vertices(uv: np.ndarray, batch: CollapseBatch, vertices: np.ndarray, b
     first_edges, last_edges = _open_ring_ends(rings.ring, rings.edges, len(vertices))
     open_rings = rings.ring[first_edges]
     is_at_kept = (rings.edges == batch.kept[rings.ring, None]).any(axis=1)
-    # fallback: from the kept vertex into the ring, as short as necessary
+    # Fallback: from the kept vertex into the ring, as short as necessary.
     bases = kept_uv.copy()
     directions = sizes[:, None] * rings.sum_over_rings(np.where(is_at_kept[:, None], rings.inward_normals(), 0.0))
     positions, min_clearance = _mean_value_positions(rings, first_edges, last_edges), MIN_CLEARANCE * sizes

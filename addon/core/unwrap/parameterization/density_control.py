@@ -12,10 +12,10 @@ from ...geometry.transforms import signed_areas
 from ..cutting.chart import Chart
 from ..energies.rest_shapes import compute_rest_shapes
 
-ISOLATED_EXPONENT = 2.0  # gives isolated triangles the requested density
-MAX_EXPONENT = 6.0  # beyond it weights differ by so much that the energy is badly conditioned, for little gain in density
-MAX_EXPONENT_STEP = 1.5  # largest factor of change at once
-FILLED_HOLE_WEIGHT = 0.01  # of the smallest weight: stretch of filled holes
+ISOLATED_EXPONENT = 2.0  # Gives isolated triangles the requested density.
+MAX_EXPONENT = 6.0  # Beyond it weights differ by so much that the energy is badly conditioned, for little gain in density.
+MAX_EXPONENT_STEP = 1.5  # Largest factor of change at once.
+FILLED_HOLE_WEIGHT = 0.01  # Filled holes get this fraction of the smallest weight, since they may stretch.
 
 
 class DensityWeights:

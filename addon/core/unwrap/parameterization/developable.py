@@ -9,10 +9,10 @@ from ..cutting.boundaries import boundary_edges
 from ..cutting.chart import Chart
 from ..energies.boundary_barrier import self_intersects
 
-MAX_ANGLE_DEFECT = 3e-3  # radians: difference of the angle sum around an interior vertex from 2 pi
-MAX_LENGTH_CHANGE = 1e-3  # of an edge's length
-CHUNK_SIZE = 1 << 17  # triangles
-FRONTS_PER_YIELD = 256  # fronts of triangles that are unfolded between two progress reports
+MAX_ANGLE_DEFECT = 3e-3  # Radians: difference of the angle sum around an interior vertex from 2 pi.
+MAX_LENGTH_CHANGE = 1e-3  # Relative to an edge's length.
+CHUNK_SIZE = 1 << 17  # Triangles.
+FRONTS_PER_YIELD = 256  # Fronts of triangles that are unfolded between two progress reports.
 
 
 def unfold_developable(chart: Chart) -> Steps[np.ndarray | None]:
@@ -51,7 +51,7 @@ def _unfold_triangles(chart: Chart, edges: Edges) -> Steps[np.ndarray]:
     first, second, _ = triangles[0]
     uv[second, 0] = np.linalg.norm(chart.vertices[second] - chart.vertices[first])
     is_placed[[first, second]] = True
-    front, front_count = np.array([2]), 0  # halfedges with placed ends, of the triangles to unfold next
+    front, front_count = np.array([2]), 0  # Halfedges with placed ends, of the triangles to unfold next.
     while len(front):
         if front_count % FRONTS_PER_YIELD == 0:
             yield Progress(is_done.mean(), "Unfolding")

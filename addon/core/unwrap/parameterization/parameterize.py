@@ -27,16 +27,16 @@ from .density_control import DensityWeights
 from .tutte import circle_outline, square_outline, tutte_embedding
 
 COARSEST_VERTICES = 2500
-LEVEL_GROWTH = 3.0  # vertices of a level over those of the previous one
-BOUNDARY_BULGES = 0.1, 1e-2, 1e-3, 1e-5, 1e-7, 1e-9  # of split boundary vertices: the next is tried if the boundary intersects itself
-SPLIT_NEWTON_STEPS = 3  # of a split vertex on its own, before all move together
-CHUNK_SIZE = 1 << 13  # vertices that are split at once
-PATCH_SWEEPS = 2  # over the patches of a large level
-PENALTY_GROWTH = 10.0  # of the penalty on a triangle per round in which it stays below the quality limit
-ACTIVATION_DISTANCE = 0.3  # of the mean boundary edge length on the surface: where the boundary barrier sets in
-SQUARE_BULGE = 0.02  # sagitta of the sides of the initial square, where a triangle with all corners on one side would have no area
-ROUNDS, FINAL_ROUNDS = 4, 3  # maximum rounds of adapting penalties and weights per level, and at the end of the last level
-DENSITY_TOLERANCE, FINAL_DENSITY_TOLERANCE = 0.02, 0.05  # of the density ratio, in logarithms
+LEVEL_GROWTH = 3.0  # Vertices of a level over those of the previous one.
+BOUNDARY_BULGES = 0.1, 1e-2, 1e-3, 1e-5, 1e-7, 1e-9  # For split boundary vertices: the next is tried if the boundary intersects itself.
+SPLIT_NEWTON_STEPS = 3  # A split vertex makes so many steps on its own, before all move together.
+CHUNK_SIZE = 1 << 13  # Vertices that are split at once.
+PATCH_SWEEPS = 2  # Sweeps over the patches of a large level.
+PENALTY_GROWTH = 10.0  # The penalty on a triangle grows by this factor per round in which it stays below the quality limit.
+ACTIVATION_DISTANCE = 0.3  # The boundary barrier sets in at this fraction of the mean boundary edge length on the surface.
+SQUARE_BULGE = 0.02  # Sagitta of the sides of the initial square, where a triangle with all corners on one side would have no area.
+ROUNDS, FINAL_ROUNDS = 4, 3  # Maximum rounds of adapting penalties and weights per level, and at the end of the last level.
+DENSITY_TOLERANCE, FINAL_DENSITY_TOLERANCE = 0.02, 0.05  # Differences of the logarithms of density ratios.
 
 
 class Schedule(NamedTuple):
@@ -51,8 +51,8 @@ COARSEST = Schedule(3e-4, 30)
 INTERMEDIATE = Schedule(3e-3, 4, is_intermediate=True)
 FINAL = Schedule(1e-3, 30)
 SINGLE_LEVEL = Schedule(3e-4, 100)
-ROUGH = Schedule(1e-2, 30)  # for the coarsest level, to see where a chart is stretched
-AFTER_CHANGE = Schedule(1e-3, 12)  # after a change of penalties or weights
+ROUGH = Schedule(1e-2, 30)  # For the coarsest level, to see where a chart is stretched.
+AFTER_CHANGE = Schedule(1e-3, 12)  # After a change of penalties or weights.
 
 FAILURE = "Part of the mesh could not be unwrapped. Remove zero-area faces, use Merge by Distance, or set Islands to Atlas."
 

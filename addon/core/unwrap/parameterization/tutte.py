@@ -11,8 +11,8 @@ from ..energies.rest_shapes import compute_rest_shapes, half_angle_tangents
 from ..energies.stretch_energy import squared_stretches
 
 MAX_REWEIGHTINGS = 10
-MIN_SCALE = 1e-6  # of lengths in the map to lengths on the surface
-MIN_RELATIVE_WEIGHT = 1e-6  # of the median: mean value weights may vanish where a triangle has no area
+MIN_SCALE = 1e-6  # Minimum ratio of lengths in the map to lengths on the surface.
+MIN_RELATIVE_WEIGHT = 1e-6  # Relative to the median: mean value weights may vanish where a triangle has no area.
 
 
 def tutte_embedding(vertices: np.ndarray, triangles: np.ndarray, boundary: np.ndarray, outline: np.ndarray) -> np.ndarray | None:
@@ -112,6 +112,6 @@ def _solve(weights: sparse.csr_array, boundary: np.ndarray, outline: np.ndarray)
         system = sparse.eye_array(len(interior), format="csc") - means[:, interior].tocsc()
         try:
             uv[interior] = splu(system.tocsc()).solve(means[:, boundary] @ outline)
-        except RuntimeError:  # singular
+        except RuntimeError:  # Singular.
             return None
     return uv

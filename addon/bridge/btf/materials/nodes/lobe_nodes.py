@@ -6,9 +6,10 @@ from dataclasses import dataclass, fields
 from .....core.btf.reflectance.lobes import MIN_COSINE, MIN_FRESNEL_COSINE, MIN_ROUGHNESS, SCHLICK, GrazingFresnel
 from ....shading.node_builder import NodeBuilder, SocketOrValue
 from ....shading.node_groups import ensure_shared_group
+from .table_nodes import call_group
 
 GROUP_NAME, GROUP_VERSION = "Farfield Lobes", 3
-INPUTS = [  # the residual radiance, the Sun and its visibility, and a texel's lobes in the order of `TexelLobes`
+INPUTS = [  # The residual radiance, the Sun and its visibility, and a texel's lobes in the order of `TexelLobes`.
     *(("Residual", "Color"), ("Sun", "Vector"), ("Visibility", "Float"), ("Viewer", "Vector"), ("Normal", "Vector")),
     *(("View Cosine", "Float"), ("Roughness", "Float"), ("Diffuse", "Color"), ("F0", "Color"), ("F90 - F0", "Float")),
 ]
@@ -18,7 +19,17 @@ WHITE = (1.0, 1.0, 1.0, 1.0)
 
 @dataclass(frozen=True)
 class TexelLobes:
-    """Lobes at a texel. viewer: direction to the viewer; normal: on the same side; both unit, world space. cosine: between them."""
+    """Lobes at a texel; directions are unit vectors in world space.
+
+    Attributes:
+        viewer: Direction to the viewer.
+        normal: Surface normal on the side of the viewer.
+        cosine: Cosine between both.
+        roughness: As in a Principled BSDF.
+        diffuse: Albedo.
+        f0: Specular reflectance at normal incidence.
+        f90_minus_f0: Added reflectance at grazing incidence.
+    """
 
     viewer: SocketOrValue
     normal: SocketOrValue
@@ -58,11 +69,7 @@ def add_sun_response(
     sun: direction to the Sun in world space. visibility: of the Sun, 0..1.
     """
     group = ensure_shared_group(GROUP_NAME, GROUP_VERSION, INPUTS, OUTPUTS, _fill)
-    node = builder.node("ShaderNodeGroup", {"node_tree": group, "label": label})
-    operands = (residual, sun, visibility, *(getattr(lobes, field.name) for field in fields(lobes)))
-    for operand, target in zip(operands, node.inputs, strict=True):
-        builder.connect(operand, target)
-    return node.outputs[0]
+    return call_group(builder, group, (residual, sun, visibility, *(getattr(lobes, field.name) for field in fields(lobes))), label)
 
 
 def _fill(builder: NodeBuilder) -> None:

@@ -10,8 +10,8 @@ from ....geometry.mesh_arrays import write_attribute
 from ....shading.node_builder import NodeBuilder, SocketOrValue
 from .table_nodes import sample_image
 
-TEXEL_AXES = ("farfield_texel_x", "farfield_texel_y")  # face attributes of a level
-DEPTH = "Depth"  # label of the image node of the PBR map with depth
+TEXEL_AXES = ("farfield_texel_x", "farfield_texel_y")  # Face attributes of a level.
+DEPTH = "Depth"  # Label of the image node of the PBR map with depth.
 
 
 def write_texel_axes(mesh: bpy.types.Mesh, axes: np.ndarray) -> None:

@@ -7,7 +7,7 @@ from ....shading.node_builder import NodeBuilder, SocketOrValue
 from ....shading.node_groups import create_group
 from .table_nodes import BLACK, map_uv, offset_to_cluster, split_pairs, split_weights, weight_sockets, weighted_sum
 
-BASIS = "Basis"  # label of image nodes
+BASIS = "Basis"  # Label of image nodes.
 
 
 def build_sun_group(name: str, tables: LookupTables, basis: bpy.types.Image, block_count: int, is_clustered: bool) -> bpy.types.NodeTree:
@@ -17,7 +17,7 @@ def build_sun_group(name: str, tables: LookupTables, basis: bpy.types.Image, blo
         f"{name} Sun", [("View", "Vector"), ("Sun", "Vector"), *weight_sockets(block_count), *cluster_input], [("Color", "Color")]
     )
     builder = NodeBuilder(group)
-    view, sun, *weights = list(builder.node("NodeGroupInput").outputs)[:-1]  # the last output is the virtual socket
+    view, sun, *weights = list(builder.node("NodeGroupInput").outputs)[:-1]  # The last output is the virtual socket.
     cluster_offset = weights.pop() if is_clustered else None
     light = map_uv(builder, tables.lights_upper, sun)
     radiance = _decode_radiance(builder, tables, basis, split_pairs(weights), view, light, cluster_offset)

@@ -8,9 +8,9 @@ from .....core.btf.reflectance.shadows import PENUMBRA_ANGLE
 from .....core.btf.tables import LookupTables
 from ....shading.node_builder import NodeBuilder, SocketOrValue
 from ....shading.node_groups import create_group
-from .table_nodes import flatten_pairs, map_uv, sample_weights, split_pairs, weight_sockets, weighted_scalar_sum
+from .table_nodes import call_group, flatten_pairs, map_uv, sample_weights, split_pairs, weight_sockets, weighted_scalar_sum
 
-SHADOW_WEIGHTS, SHADOW_BASIS = "Shadow Weights", "Shadow Basis"  # labels of image nodes; weights have several, indexed from 0
+SHADOW_WEIGHTS, SHADOW_BASIS = "Shadow Weights", "Shadow Basis"  # Labels of image nodes; weights have several, indexed from 0.
 
 
 def build_visibility_lookup(
@@ -31,11 +31,4 @@ def build_visibility_lookup(
     visibility = inner.math("ADD", inner.math("MULTIPLY", angle, 1.0 / PENUMBRA_ANGLE), 0.5, clamp=True)
     inner.connect(visibility, inner.node("NodeGroupOutput").inputs[0])
     inner.arrange()
-
-    def add_lookup(sun: SocketOrValue, label: str) -> SocketOrValue:
-        node = builder.node("ShaderNodeGroup", {"node_tree": group, "label": label})
-        for operand, target in zip((sun, *flatten_pairs(weights)), node.inputs, strict=True):
-            builder.connect(operand, target)
-        return node.outputs[0]
-
-    return add_lookup
+    return lambda sun, label: call_group(builder, group, (sun, *flatten_pairs(weights)), label)

@@ -1,5 +1,7 @@
 """Shader nodes that sample images, and lookup tables of directions; see `core.btf.tables` and `core.geometry.directions`."""
 
+from collections.abc import Iterable
+
 import bpy
 
 from .....core.btf.tables import ViewTable
@@ -56,11 +58,17 @@ def _image_node(builder: NodeBuilder, image: bpy.types.Image, label: str, uv: So
     return node
 
 
+def call_group(builder: NodeBuilder, group: bpy.types.NodeTree, operands: Iterable[SocketOrValue], label: str = "") -> bpy.types.NodeSocket:
+    """Add a node of `group` with this `label`, connect `operands` to all its inputs, and return its first output."""
+    node = builder.node("ShaderNodeGroup", {"node_tree": group, "label": label})
+    for operand, target in zip(operands, node.inputs, strict=True):
+        builder.connect(operand, target)
+    return node.outputs[0]
+
+
 def map_uv(builder: NodeBuilder, upper: bool, direction: SocketOrValue) -> bpy.types.NodeSocket:
     """Return the UV (x, y, 0) in 0..1 of a world-space `direction` on the octahedral map in the object's space. upper: hemi-octahedral."""
-    node = builder.node("ShaderNodeGroup", {"node_tree": _octahedral_group(upper)})
-    builder.connect(direction, node.inputs[0])
-    return node.outputs[0]
+    return call_group(builder, _octahedral_group(upper), [direction])
 
 
 def _octahedral_group(upper: bool) -> bpy.types.NodeTree:
