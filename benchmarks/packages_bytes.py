@@ -41,11 +41,7 @@ from farfield.addon.core.packages.package import Package, build_package
 from farfield.addon.core.packages.planning import PlanRow
 from farfield.addon.core.packages.settings import PackageSettings
 from farfield.addon.core.packages.textures.decoding import decode_textures
-from farfield.addon.core.texmesh.level_chain import AllSettings
-from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
-from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
-from farfield.addon.core.texmesh.settings import LevelSettings
-from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
+from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 from lib.command_line import peak_memory_mb
 
@@ -147,7 +143,7 @@ def build(
     ]
     linear = {id(image): LINEAR_OF_BYTE[image] for image in model.images if image is not None}
     textures = [None if image is None else linear[id(image)] for image in model.images]
-    settings = AllSettings(LevelSettings(product="subset"), ScaleSpaceSettings(), SimplificationSettings(), PerceptionSettings())
+    settings = TexmeshSettings(vertices="original")
     return run_to_end(build_package(name, model.mesh, materials, textures, settings, PackageSettings(pixels=pixels)), on_progress)
 
 

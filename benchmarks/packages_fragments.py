@@ -27,8 +27,8 @@ from farfield.addon.core.imaging.coded_images import encode
 from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.scale_space.analysis import analyze_scale_space
-from farfield.addon.core.texmesh.scale_space.scale_map import SCALES
-from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
+from farfield.addon.core.texmesh.scale_space.features import SCALES
+from farfield.addon.core.texmesh.settings import AnalysisSettings
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
 MODELS = ("spot", "blub", "fuze", "sceaux")  # and a generated one
@@ -55,7 +55,7 @@ def measure_fragments(given: Namespace) -> dict[str, Any]:
         figure_7[name] = [row for side, qualities in ROWS for row in measure_rows(resize(image, side), qualities)]
         figure_9[name] = np.round(measure_quality_sizes(resize(image, ROWS[0][0]), QUALITIES), 1).tolist()
         if name == TABLE_MODEL:
-            scale_map = run_to_end(analyze_scale_space(model.mesh, [LINEAR_OF_BYTE[image]], ScaleSpaceSettings()))
+            scale_map = run_to_end(analyze_scale_space(model.mesh, [LINEAR_OF_BYTE[image]], AnalysisSettings()))
             lookup = tabulate_scales(model.mesh, image, scale_map.last_scales)
     return {"figure_7": figure_7, "figure_9": {"qualities": QUALITIES, "bytes": figure_9}, "lookup": lookup}
 

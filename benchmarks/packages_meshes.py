@@ -31,8 +31,8 @@ from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.packages.mesh.coding import encode_mesh
 from farfield.addon.core.packages.mesh.order import OrderedMesh, order_mesh
+from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.core.texmesh.simplification.levels import Simplification, simplify_by_cost
-from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
 MODELS = ("spot", "blub", "bunny", "castle", "fuze")
@@ -97,7 +97,7 @@ def measure_meshes(given: Namespace) -> dict[str, Any]:
 def measure_model(mesh: TexturedMesh) -> dict[str, Any]:
     """Return bytes of a mesh alone, of all its levels, and by other programs; CPU seconds; and errors of estimated positions."""
     targets = [max(round(ratio * len(mesh.triangles)), 4) for ratio in RATIOS]
-    result = run_to_end(simplify_by_cost(mesh, None, targets, SimplificationSettings()))
+    result = run_to_end(simplify_by_cost(mesh, None, targets, TexmeshSettings()))
     material_count = int(mesh.materials.max()) + 1
     started = time.process_time()
     ordered = order_mesh(mesh, result.levels, result)

@@ -22,10 +22,10 @@ from farfield.addon.core.imaging.flip import FlipImage, compare, prepare_image
 from farfield.addon.core.imaging.mipmaps import Mipmaps, build_mipmaps, measure_footprints, sample_mipmaps
 from farfield.addon.core.imaging.raster import PixelLocations, draw_ids, locate_positions
 from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.packages.settings import PackageSettings
 from farfield.addon.core.packages.textures.building import assemble_textures, code_textures
 from farfield.addon.core.packages.textures.coding import CodedTexture
 from farfield.addon.core.packages.textures.decoding import decode_textures
-from farfield.addon.core.packages.textures.settings import TextureSettings
 from farfield.addon.core.packages.textures.texture_tiles import TextureSource
 from farfield.addon.core.texmesh.perception.views import BACKGROUND, frame_around, view_axes
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
@@ -50,7 +50,7 @@ def measure_roles(given: Namespace) -> dict[str, Any]:
         mesh, images = texmesh_models.open_model(given.data, name), paint_maps(generator)
         judge = LitJudge(mesh, images, random_directions(VIEWS, generator))
         sources = [TextureSource(role, image, mesh, (0,)) for role, image in zip(ROLES, images, strict=True)]
-        results[name] = measure_weights(run_to_end(code_textures(sources, TextureSettings(pixels=PIXELS))), judge)
+        results[name] = measure_weights(run_to_end(code_textures(sources, PackageSettings(pixels=PIXELS), PIXELS_PER_DEGREE)), judge)
         print(name, results[name], file=sys.stderr)
     return results
 

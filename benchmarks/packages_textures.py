@@ -23,18 +23,18 @@ from sending.fragments import (
     normalize_counts,
     quality_of_scale,
 )
-from texmesh_texture_views import VIEWS, TextureJudge, list_left_out, list_members, random_directions
+from texmesh_texture_views import PIXELS_PER_DEGREE, VIEWS, TextureJudge, list_left_out, list_members, random_directions
 
 from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.packages.increments import encode_increments
+from farfield.addon.core.packages.settings import PackageSettings
 from farfield.addon.core.packages.textures.avif_files import SPEED
 from farfield.addon.core.packages.textures.building import BuiltTextures, build_textures
 from farfield.addon.core.packages.textures.decoding import decode_textures
-from farfield.addon.core.packages.textures.settings import TextureSettings
 from farfield.addon.core.packages.textures.texture_tiles import TextureSource
 from farfield.addon.core.texmesh.scale_space.analysis import analyze_scale_space
-from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
+from farfield.addon.core.texmesh.settings import AnalysisSettings
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
 TARGETS = (0.15, 0.1, 0.07, 0.05, 0.035, 0.025, 0.018)  # mean FLIP errors
@@ -107,7 +107,7 @@ class ModelFiles:
         scales = {}
         for source in self.sources:
             if id(source.mesh) not in scales:
-                scales[id(source.mesh)] = run_to_end(analyze_scale_space(source.mesh, textures, ScaleSpaceSettings())).last_scales
+                scales[id(source.mesh)] = run_to_end(analyze_scale_space(source.mesh, textures, AnalysisSettings())).last_scales
         coded = []
         for source in self.sources:
             grid = make_fragment_grid(source.image.shape[1], source.image.shape[0])
@@ -155,9 +155,9 @@ def encode_image(image: np.ndarray, quality: int, file_format: str) -> bytes:
     return file.getvalue()
 
 
-def build(sources: Sequence[TextureSource], settings: TextureSettings) -> BuiltTextures:
+def build(sources: Sequence[TextureSource], settings: PackageSettings) -> BuiltTextures:
     """Build the textures of a package."""
-    return run_to_end(build_textures(sources, settings))
+    return run_to_end(build_textures(sources, settings, PIXELS_PER_DEGREE))
 
 
 def measure_textures(given: Namespace) -> dict[str, Any]:
@@ -188,7 +188,7 @@ def measure_model(
     judge = TextureJudge(model.mesh, model.images, random_directions(VIEWS[pixels], generator), pixels).measure_flip
     sources, count = files.sources, files.count
     started = time.process_time()
-    built = build(sources, TextureSettings(pixels=pixels))
+    built = build(sources, PackageSettings(pixels=pixels))
     seconds = time.process_time() - started
     curves = {
         "package": measure_built(built, sources, judge, count),

@@ -12,11 +12,8 @@ from texmesh_textured_models import read_images
 from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
 from farfield.addon.core.imaging.mipmaps import Mipmaps, build_mipmaps, resize_by_area
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.texmesh.level_chain import AllSettings, LevelChain, make_levels
-from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
-from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
-from farfield.addon.core.texmesh.settings import LevelSettings
-from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
+from farfield.addon.core.texmesh.level_chain import LevelChain, make_levels
+from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
 PAINTED_SIDE = 512  # pixels of generated textures
@@ -36,9 +33,9 @@ class TexturedModel:
         return [None if texture is None else build_mipmaps(texture) for texture in self.textures]
 
 
-def default_settings() -> AllSettings:
+def default_settings() -> TexmeshSettings:
     """Return the default settings."""
-    return AllSettings(LevelSettings(), ScaleSpaceSettings(), SimplificationSettings(), PerceptionSettings())
+    return TexmeshSettings()
 
 
 def model_names(given: Namespace) -> list[str]:

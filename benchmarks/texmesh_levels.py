@@ -15,10 +15,9 @@ from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.level_chain import LevelChain, make_levels
 from farfield.addon.core.texmesh.perception.level_images import LevelImages, measure_difference
-from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
 from farfield.addon.core.texmesh.perception.views import frame_around, prepare_surface
+from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.core.texmesh.simplification.levels import Simplification, extract_level, simplify_by_cost
-from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 
 MAX_SECONDS, MAX_MEMORY_MB = 40.0, 2000.0
@@ -50,10 +49,10 @@ def measure_switching(given: Namespace) -> dict[str, Any]:
 
 def check_switches(chain: LevelChain, model: TexturedModel, generator: np.random.Generator) -> dict[str, Any]:
     """Return the largest mean FLIP of each switch, in random views."""
-    settings = PerceptionSettings()
+    settings = TexmeshSettings()
     directions, mipmaps, frame = random_directions(VIEWS, generator), model.mipmaps, frame_around(chain.levels[0].mesh.vertices)
     images = [
-        LevelImages(prepare_surface(level.mesh, mipmaps, settings.is_lit), frame, directions, settings.pixels_per_degree)
+        LevelImages(prepare_surface(level.mesh, mipmaps, settings.shaded), frame, directions, settings.pixels_per_degree)
         for level in chain.levels
     ]
     switches = []
@@ -79,7 +78,7 @@ def measure_targets(given: Namespace) -> dict[str, Any]:
     for name in model_names(given):
         fine = texmesh_models.open_model(given.data, name)
         targets = [max(round(fraction * len(fine.triangles)), 1) for fraction in FRACTIONS]
-        simplification = run_to_end(simplify_by_cost(fine, None, targets, SimplificationSettings()))
+        simplification = run_to_end(simplify_by_cost(fine, None, targets, TexmeshSettings()))
         results[name] = {"triangles": len(fine.triangles), **check_subsets(fine, simplification, targets)}
         print(name, json.dumps(results[name]), file=sys.stderr)
     return results

@@ -14,15 +14,13 @@ from texmesh_levels import grid_mesh
 
 from farfield.addon.core.imaging.mipmaps import build_mipmaps
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.texmesh.perception.major_scales import find_red_refinements, find_zones
-from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
+from farfield.addon.core.texmesh.level_choices import find_red_refinements, find_zones
 from farfield.addon.core.texmesh.perception.switch_distances import find_switches
 from farfield.addon.core.texmesh.perception.views import frame_around, prepare_surface
 from farfield.addon.core.texmesh.scale_space.analysis import analyze_scale_space
-from farfield.addon.core.texmesh.scale_space.scale_map import ScaleMap
-from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
+from farfield.addon.core.texmesh.scale_space.features import ScaleMap
+from farfield.addon.core.texmesh.settings import AnalysisSettings, TexmeshSettings
 from farfield.addon.core.texmesh.simplification.levels import extract_level, simplify_in_order
-from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
 PAPER_COUNTS = (1872, 1194, 1135, 1055, 893, 676)  # vertices of the head in Figure 4; those between the first and the last from their faces
@@ -57,7 +55,7 @@ def measure_paper(given: Namespace) -> dict[str, Any]:
     texture = paint(PAINTED_SIDE, np.random.default_rng(given.seed))
     bodies = {name: make_body(name, np.random.default_rng([given.seed, 2])) for name in PROFILES}
     maps = {
-        (name, mode): run_to_end(analyze_scale_space(body, [texture], ScaleSpaceSettings(mode=mode)))
+        (name, mode): run_to_end(analyze_scale_space(body, [texture], AnalysisSettings(analysis=mode)))
         for name, body in bodies.items()
         for mode in ("paper", "surface")
     }
@@ -77,7 +75,7 @@ def measure_convergence(seed: int, texture: np.ndarray) -> dict[str, Any]:
     for name in PROFILES:
         for density in (DENSITY, 1):
             body = make_body(name, np.random.default_rng([seed, 2]), density)
-            scale_map = run_to_end(analyze_scale_space(body, [texture], ScaleSpaceSettings(mode="paper")))
+            scale_map = run_to_end(analyze_scale_space(body, [texture], AnalysisSettings(analysis="range_image")))
             sigma = float(scale_map.sigmas[-1])
             height = float(np.ptp(body.vertices[:, 2]))
             spacing = height / (density * ROWS - 1)
@@ -92,14 +90,14 @@ def measure_convergence(seed: int, texture: np.ndarray) -> dict[str, Any]:
 def measure_distances(body: TexturedMesh, scale_map: ScaleMap, texture: np.ndarray) -> dict[str, Any]:
     """Return, for each scale from 1 on, the triangles, the nearest distance in heights of the body at which it looks like the original, and
     the zones of imperceptible refinements (Figure 11)."""
-    settings, mipmaps = PerceptionSettings(), [build_mipmaps(texture)]
+    settings, mipmaps = TexmeshSettings(), [build_mipmaps(texture)]
     total, vertices = len(body.triangles), len(body.vertices)
     targets = np.minimum.accumulate([max(total - 2 * (vertices - int(count)), 1) for count in scale_map.counts[1:]]).tolist()
     rank = np.argsort(np.argsort(scale_map.strengths, kind="stable"), kind="stable") / vertices
-    simplified = run_to_end(simplify_in_order(body, scale_map.last_scales + rank, targets, SimplificationSettings()))
-    fine = prepare_surface(body, mipmaps, settings.is_lit)
+    simplified = run_to_end(simplify_in_order(body, scale_map.last_scales + rank, targets, TexmeshSettings()))
+    fine = prepare_surface(body, mipmaps, settings.shaded)
     levels = [extract_level(body, level) for level in simplified.levels]
-    switches = [run_to_end(find_switches([fine, prepare_surface(level, mipmaps, settings.is_lit)], settings))[0] for level in levels]
+    switches = [run_to_end(find_switches([fine, prepare_surface(level, mipmaps, settings.shaded)], settings))[0] for level in levels]
     height, growth = float(np.ptp(body.vertices[:, 2])), np.tan(np.radians(1.0 / settings.pixels_per_degree))
     distances = np.array([switch.pixel_size / growth / height for switch in switches])
     nearest = np.maximum.accumulate(np.concatenate([[0.0], distances]))

@@ -16,9 +16,9 @@ from farfield.addon.core.imaging.mipmaps import Mipmaps, build_mipmaps
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.level_chain import LevelChain
 from farfield.addon.core.texmesh.perception.level_images import LevelImages, measure_difference
-from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
 from farfield.addon.core.texmesh.perception.views import frame_around, prepare_surface
 from farfield.addon.core.texmesh.rebaking.rebake import rebake_textures
+from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
 VIEWS = 8
@@ -43,10 +43,10 @@ def compare_textures(model: TexturedModel, chain: LevelChain, directions: np.nda
     steps = rebake_textures(model.mesh, model.textures, [level.mesh for level in levels], [level.pixel_size for level in levels])
     rebaked = run_to_end(steps)
     seconds = time.process_time() - started
-    settings, frame = PerceptionSettings(), frame_around(model.mesh.vertices)
+    settings, frame = TexmeshSettings(), frame_around(model.mesh.vertices)
 
     def view(mesh: TexturedMesh, mipmaps: list[Mipmaps | None]) -> LevelImages:
-        return LevelImages(prepare_surface(mesh, mipmaps, settings.is_lit), frame, directions, settings.pixels_per_degree)
+        return LevelImages(prepare_surface(mesh, mipmaps, settings.shaded), frame, directions, settings.pixels_per_degree)
 
     shared = model.mipmaps
     original = finer = finer_rebaked = view(model.mesh, shared)

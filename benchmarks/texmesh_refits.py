@@ -31,8 +31,7 @@ from PIL import Image
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.refitting.deviation import measure_geometric_deviation, measure_texture_deviation
 from farfield.addon.core.texmesh.refitting.refit import make_refit_levels
-from farfield.addon.core.texmesh.refitting.settings import RefitSettings
-from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
+from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 from lib import command_line
 
@@ -79,7 +78,7 @@ def measure_model(fine: TexturedMesh, folder: Path) -> dict[str, Any]:
     texmesh_files.write_obj(source, fine, textures)
     targets = [max(round(fraction * len(fine.triangles)), 1) for fraction in FRACTIONS]
     started = time.process_time()
-    levels = run_to_end(make_refit_levels(fine, targets, RefitSettings(), SimplificationSettings()))
+    levels = run_to_end(make_refit_levels(fine, targets, TexmeshSettings()))
     result: dict[str, Any] = {"triangles": len(fine.triangles), "cpu_seconds": round(time.process_time() - started, 1)}
     for fraction, target, level in zip(FRACTIONS, targets, levels, strict=True):
         farfield, peers = measure_level(fine, level), {}

@@ -20,8 +20,8 @@ from texmesh_texture_views import random_directions
 
 from farfield.addon.core.texmesh.level_chain import LevelChain
 from farfield.addon.core.texmesh.perception.level_images import LevelImages, measure_difference
-from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
 from farfield.addon.core.texmesh.perception.views import frame_around, prepare_surface
+from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
 VIEWS = 8
@@ -62,9 +62,9 @@ def compare_levels(model: TexturedModel, chain: LevelChain, generator: np.random
 
 def measure_render(model: TexturedModel, original: TexturedMesh, mesh: TexturedMesh, directions: np.ndarray, size: int) -> dict[str, Any]:
     """Return the mean FLIP of `mesh` against the original over all views and in the worst one, and the 95th percentile there."""
-    settings, frame, mipmaps = PerceptionSettings(), frame_around(original.vertices), model.mipmaps
+    settings, frame, mipmaps = TexmeshSettings(), frame_around(original.vertices), model.mipmaps
     images = [
-        LevelImages(prepare_surface(item, mipmaps, settings.is_lit), frame, directions, settings.pixels_per_degree)
+        LevelImages(prepare_surface(item, mipmaps, settings.shaded), frame, directions, settings.pixels_per_degree)
         for item in (original, mesh)
     ]
     difference = measure_difference(*images, size, range(len(directions)))

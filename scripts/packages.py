@@ -25,15 +25,16 @@ from farfield.addon.core.jobs.progress import StageClock, run_to_end
 from farfield.addon.core.packages.files import read_package
 from farfield.addon.core.packages.package import PackageReport
 from farfield.addon.core.packages.settings import PackageSettings
-from farfield.addon.core.settings import add_flags, from_flags
+from farfield.addon.core.settings import add_flags, describe, from_flags
+from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.operators.job_run import run_job
 from farfield.addon.operators.packages.operators import prepare_packages
-from farfield.addon.operators.texmesh.operators import CORE_SETTINGS
 from lib import command_line
 from lib.line_rate import LineRate, parse_rate
-from lib.texmesh_inputs import open_objects, read_all_settings
+from lib.texmesh_inputs import open_objects, read_level_settings
 
 LOOPBACK = "127.0.0.1"
+FIXED = ("vertices", "rebake_textures")  # settings of levels that packages do not leave open
 DEFAULT_PORT = 8765
 
 
@@ -45,8 +46,8 @@ def build_parser() -> command_line.Parser:
     build.add_argument("input", type=command_line.parse_path, help="a .blend .obj .ply .stl .glb .gltf .fbx or .usd file")
     build.add_argument("--out", type=command_line.parse_path, required=True, help="the folder to write; one folder in it per object")
     build.add_argument("--report", type=command_line.parse_path, help="write a report of the run to this JSON file")
-    for settings_type in (*CORE_SETTINGS, PackageSettings):
-        add_flags(build, settings_type)
+    add_flags(build, TexmeshSettings, [item.name for item in describe(TexmeshSettings) if item.name not in FIXED])
+    add_flags(build, PackageSettings)
     verify = commands.add_parser("verify", description="Check every byte of a package.")
     serve = commands.add_parser("serve", description="Serve a package over HTTP, by default on this machine only.")
     view = commands.add_parser("view", description="Serve a package on this machine and show it in the web browser.")
@@ -69,7 +70,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
 
 def build(given: Namespace, line: command_line.ProgressLine) -> str:
     """Build the packages of all objects in the input."""
-    settings = read_all_settings(given, CORE_SETTINGS)
+    settings = read_level_settings(given)
     package_settings = from_flags(PackageSettings, given)
     out = given.out.absolute()
     if out.is_file():
@@ -82,7 +83,7 @@ def build(given: Namespace, line: command_line.ProgressLine) -> str:
     line.clear()
     if given.report is not None:
         report = {
-            "packages": [describe(item) for item in job.reports],
+            "packages": [describe_package(item) for item in job.reports],
             "skipped": job.skipped,
             "seconds": {stage: round(duration, 4) for stage, duration in clock.seconds.items()},
             "peak_memory_mb": round(command_line.peak_memory_mb(), 1),
@@ -91,7 +92,7 @@ def build(given: Namespace, line: command_line.ProgressLine) -> str:
     return summary
 
 
-def describe(report: PackageReport) -> dict[str, Any]:
+def describe_package(report: PackageReport) -> dict[str, Any]:
     """Return the figures of one package."""
     table = report.table
     return {

@@ -2,7 +2,7 @@
 
 INPUT is a .blend, .obj, .ply, .stl, .glb, .gltf, .fbx or .usd file; each mesh that is visible in renders gets levels. The extension of
 --out selects the output: .blend (the whole scene with the levels), or .glb (one file per level, OUT-L0.glb and so on; with --one-file a
-single one). `--levels`, `--max-triangles`, `--max-size`, `--max-pixels` or `--ratio` without `--choice` imply the choice.
+single one). `--number`, `--max-triangles`, `--max-size`, `--max-pixels` or `--ratios` without `--levels` imply it.
 `analyze` finds the features of the meshes at 21 scales, for --report and --plot.
 `blender --background --python scripts/texmesh.py -- levels INPUT --out OUT` does the same.
 """
@@ -28,16 +28,14 @@ from farfield.addon.bridge.texmesh.level_sets import read_level_set
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
 from farfield.addon.core.settings import add_flags, from_flags
-from farfield.addon.core.texmesh.scale_space.scale_map import ScaleMap
-from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
-from farfield.addon.core.texmesh.settings import SceneSettings
+from farfield.addon.core.texmesh.scale_space.features import ScaleMap
+from farfield.addon.core.texmesh.settings import AnalysisSettings, SceneSettings, TexmeshSettings
 from farfield.addon.operators.job_run import run_job
 from farfield.addon.operators.texmesh.job import AnalysisJob, LevelsJob, describe_chain, prepare_analysis, prepare_levels
-from farfield.addon.operators.texmesh.operators import CORE_SETTINGS
 from lib import command_line, scene_files
 from lib.atomic_output import atomic_file, check_outputs
 from lib.contact_sheet import write_png
-from lib.texmesh_inputs import open_objects, read_all_settings
+from lib.texmesh_inputs import open_objects, read_level_settings
 
 EXTENSIONS = (".blend", ".glb")
 
@@ -55,9 +53,9 @@ def build_parser() -> command_line.Parser:
     levels.add_argument("--one-file", action="store_true", help="write one .glb with all levels (MSFT_lod) instead of one per level")
     levels.add_argument("--no-quantized", dest="quantized", action="store_false", help="store numbers in a .glb in single precision")
     analyze.add_argument("--plot", type=command_line.parse_path, help="draw features and ranges of the largest mesh to this PNG file")
-    for settings_type in (*CORE_SETTINGS, SceneSettings):
+    for settings_type in (TexmeshSettings, SceneSettings):
         add_flags(levels, settings_type)
-    add_flags(analyze, ScaleSpaceSettings)
+    add_flags(analyze, AnalysisSettings)
     return parser
 
 
@@ -69,7 +67,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
 
 def make_levels(given: Namespace, line: command_line.ProgressLine) -> str:
     """Make levels and write them."""
-    settings, scene_settings = read_all_settings(given, CORE_SETTINGS), from_flags(SceneSettings, given)
+    settings, scene_settings = read_level_settings(given), from_flags(SceneSettings, given)
     out = given.out.absolute()
     if out.suffix.lower() not in EXTENSIONS:
         raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(EXTENSIONS)}.')
@@ -89,7 +87,7 @@ def make_levels(given: Namespace, line: command_line.ProgressLine) -> str:
 
 def analyze(given: Namespace, line: command_line.ProgressLine) -> str:
     """Find features, and write report and plot."""
-    settings = from_flags(ScaleSpaceSettings, given)
+    settings = from_flags(AnalysisSettings, given)
     if given.plot is not None and given.plot.suffix.lower() != ".png":
         raise FileError(f'--plot is "{given.plot}"; it must end in .png.')
     check_outputs({"--plot": given.plot}, {"the input": given.input}, given.report)

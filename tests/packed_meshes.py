@@ -12,8 +12,8 @@ from farfield.addon.core.packages.manifest import MAX_STEPS, MeshLevel, Section
 from farfield.addon.core.packages.mesh.coding import encode_mesh
 from farfield.addon.core.packages.mesh.order import OrderedMesh, order_mesh
 from farfield.addon.core.packages.mesh.sections import deflate
+from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.core.texmesh.simplification.levels import Simplification, simplify_by_cost
-from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 
 SECTIONS = ("corners", "wedges", "parents", "positions", "uvs")
@@ -35,7 +35,7 @@ def make_random_mesh(seed: int) -> TexturedMesh:
 def order_with_levels(mesh: TexturedMesh, percents: tuple[int, ...] = (40, 15, 5)) -> tuple[Simplification, OrderedMesh]:
     """Return levels with so many percent of the triangles, and the numbering of the mesh."""
     targets = [max(len(mesh.triangles) * percent // 100, 1) for percent in percents]
-    result = run_to_end(simplify_by_cost(mesh, None, targets, SimplificationSettings()))
+    result = run_to_end(simplify_by_cost(mesh, None, targets, TexmeshSettings()))
     return result, order_mesh(mesh, [level for level in result.levels if len(level.triangles)], result)
 
 

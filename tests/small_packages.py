@@ -14,11 +14,11 @@ from farfield.addon.core.packages.manifest import MANIFEST, MESH, TEXTURES, Mani
 from farfield.addon.core.packages.mesh.coding import encode_mesh
 from farfield.addon.core.packages.mesh.order import order_mesh
 from farfield.addon.core.packages.planning import ErrorModel
+from farfield.addon.core.packages.settings import PackageSettings
 from farfield.addon.core.packages.textures.building import build_textures
-from farfield.addon.core.packages.textures.settings import TextureSettings
 from farfield.addon.core.packages.textures.texture_tiles import TextureSource
+from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.core.texmesh.simplification.levels import simplify_by_cost
-from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
 
@@ -70,11 +70,11 @@ def write_textured_package(
     """Write a package of `mesh` with levels of `percents` of its triangles, finest first. images: (H, W, 3) uint8, sRGB, row 0 at the top,
     the base color of each material."""
     targets = [len(mesh.triangles) * percent // 100 for percent in percents]
-    result = run_to_end(simplify_by_cost(mesh, None, targets, SimplificationSettings()))
+    result = run_to_end(simplify_by_cost(mesh, None, targets, TexmeshSettings()))
     ordered = order_mesh(mesh, result.levels, result)
     mesh_content, levels, bounds, uv_bounds = encode_mesh(ordered, (0.0,) * len(ordered.levels), len(images))
     sources = [TextureSource("base_color", image[::-1], mesh, (index,)) for index, image in enumerate(images)]
-    built = run_to_end(build_textures(sources, TextureSettings(tile_size=tile_size, quality=90, views=4)))
+    built = run_to_end(build_textures(sources, PackageSettings(tile_size=tile_size, quality=90), 67.0, views=4))
     sizes, ends = built.increments.sizes, np.cumsum(built.increments.sizes)
     table = encode_increments(built.increments)
     parts = [built.content[end - size : end] for end, size in zip(ends, sizes, strict=True)]

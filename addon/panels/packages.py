@@ -5,16 +5,16 @@ import bpy
 from ..core.packages.settings import PackageSettings
 from ..core.settings import describe
 from ..operators.packages.operators import FARFIELD_OT_packages_export
-from .sidebar import SettingsSubPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, settings_column
+from .sidebar import SettingsPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, settings_column
 
 
-class FARFIELD_PT_packages(SettingsSubPanel, ToolPanel, bpy.types.Panel):
+class FARFIELD_PT_packages(SettingsPanel, ToolPanel, bpy.types.Panel):
     """Where packages for a web page go, what they are made for, and the button or the progress bar."""
 
     bl_idname = "FARFIELD_PT_packages"
     bl_label = "Packages"
     page = "packages"
-    settings, property_name, group_name = describe(PackageSettings), "farfield_packages", ""
+    settings, property_name = describe(PackageSettings), "farfield_packages"
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the folder, the settings and the button. While a job runs, they are disabled and the progress bar replaces the button."""

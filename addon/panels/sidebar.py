@@ -106,34 +106,6 @@ class SettingsPanel(SidebarPanel):
         layout.prop(getattr(context.scene, self.property_name), item.name, text=item.panel_label)
 
 
-class SettingsSubPanel(SettingsPanel):
-    """Mixin of panels whose settings do not yet declare when they count; group_name is by default the label of the panel."""
-
-    group_name: str | None = None
-
-    @staticmethod
-    def is_used(_name: str, _group: bpy.types.PropertyGroup) -> bool:
-        """Return whether the setting of that name belongs to what the other settings choose; others are not drawn."""
-        return True
-
-    @staticmethod
-    def is_active(_name: str, _group: bpy.types.PropertyGroup) -> bool:
-        """Return whether the setting of that name has an effect with the other settings; others are grayed out."""
-        return True
-
-    @classmethod
-    def shown_settings(cls, context: bpy.types.Context) -> list[Description]:
-        """Return the settings of the group that are used."""
-        group, group_name = getattr(context.scene, cls.property_name), cls.bl_label if cls.group_name is None else cls.group_name
-        return [item for item in cls.settings if item.group == group_name and cls.is_used(item.name, group)]
-
-    def draw_setting(self, layout: bpy.types.UILayout, context: bpy.types.Context, item: Description) -> None:
-        """Draw one setting, grayed out where it has no effect."""
-        column = layout.column()
-        column.active = self.is_active(item.name, getattr(context.scene, self.property_name))
-        super().draw_setting(column, context, item)
-
-
 def sub_panels(mixin: type[SettingsPanel], parent: str, open_groups: Sequence[str] = ()) -> tuple[type[bpy.types.Panel], ...]:
     """Return a sub-panel for each group of the settings of `mixin`, named after it, below the panel with the identifier `parent`.
 

@@ -7,7 +7,7 @@ from ..bridge.texmesh.level_sets import ERROR, SWITCH_DISTANCE, TRIANGLES, Level
 from ..core.errors import SettingsError
 from ..core.settings import describe
 from ..core.texmesh.perception.recorded_answers import estimate_recorded
-from ..core.texmesh.settings import BUDGETS, InspectionSettings
+from ..core.texmesh.settings import PRESETS, RESEARCH_GROUP, InspectionSettings, LevelSettings, ResearchSettings, SceneSettings
 from ..operators.texmesh import preview
 from ..operators.texmesh.calibration import (
     FARFIELD_OT_texmesh_calibrate,
@@ -17,46 +17,33 @@ from ..operators.texmesh.calibration import (
 from ..operators.texmesh.calibration_run import ANSWERS, stored_answers
 from ..operators.texmesh.exports import FARFIELD_OT_texmesh_export
 from ..operators.texmesh.operators import (
-    ALL_SETTINGS,
     FARFIELD_OT_texmesh_analyze,
     FARFIELD_OT_texmesh_crossfade,
     FARFIELD_OT_texmesh_levels,
+    FARFIELD_OT_texmesh_preset,
     FARFIELD_OT_texmesh_remove,
     FARFIELD_OT_texmesh_show,
     FARFIELD_OT_texmesh_show_for_camera,
     disabled_reason,
 )
 from ..operators.texmesh.overlays import FARFIELD_OT_texmesh_overlay, FARFIELD_OT_texmesh_plot, overlay
-from .sidebar import SettingsSubPanel, SidebarPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, draw_table
+from .sidebar import SettingsPanel, SidebarPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, draw_table, sub_panels
 
 LEVEL_TITLES = ("Level", "Triangles", "Distance", "Pixels")
 
 
-class TexmeshSettingsPanel(SettingsSubPanel):
-    """Mixin of the panels that show settings of perceptual levels."""
+class TexmeshSettingsPanel(SettingsPanel):
+    """Mixin of the panels that show settings of perceptual levels. Research controls have presets."""
 
-    settings = [item for settings_type in ALL_SETTINGS for item in describe(settings_type)]
-    property_name = "farfield_texmesh"
+    settings, property_name = describe(LevelSettings, SceneSettings, ResearchSettings), "farfield_texmesh"
 
-    @staticmethod
-    def is_used(name: str, group: bpy.types.PropertyGroup) -> bool:
-        """Return whether the setting `name` belongs to the chosen levels, order and analysis."""
-        if name in BUDGETS.values():
-            return BUDGETS.get(group.choice) == name
-        if name == "rebake":
-            return group.product == "refit"
-        if name == "axis":
-            return group.mode == "paper"
-        if name in ("texture_weight", "noise", "spacing"):
-            return group.mode == "surface"
-        return name != "protected_fraction" or group.order == "scale"
-
-    @staticmethod
-    def is_active(name: str, group: bpy.types.PropertyGroup) -> bool:
-        """Return whether the setting `name` has an effect."""
-        if name == "fade_range":
-            return group.crossfade
-        return name != "drastic_size" or group.drastic
+    def draw_settings(self, context: bpy.types.Context) -> None:
+        """Draw the settings of the group that count, below the presets of research controls."""
+        if self.group_name == RESEARCH_GROUP:
+            row = self.layout.row(align=True)
+            for name, (choice, _) in PRESETS.items():
+                row.operator(FARFIELD_OT_texmesh_preset.bl_idname, text=choice.label).preset = name
+        super().draw_settings(context)
 
 
 class FARFIELD_PT_texmesh(TexmeshSettingsPanel, ToolPanel, bpy.types.Panel):
@@ -65,7 +52,6 @@ class FARFIELD_PT_texmesh(TexmeshSettingsPanel, ToolPanel, bpy.types.Panel):
     bl_idname = "FARFIELD_PT_texmesh"
     bl_label = "Perceptual Levels"
     page = "texmesh"
-    group_name = ""
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the settings without a group. While a job runs, they are disabled and the progress bar replaces the buttons."""
@@ -78,34 +64,6 @@ class FARFIELD_PT_texmesh(TexmeshSettingsPanel, ToolPanel, bpy.types.Panel):
             draw_message(layout, reason, "INFO")
         layout.operator(FARFIELD_OT_texmesh_analyze.bl_idname, text="Analyze", icon="VIEWZOOM")
         draw_button(layout, FARFIELD_OT_texmesh_levels, "Make Levels", "MOD_DECIM")
-
-
-class SubPanel(TexmeshSettingsPanel):
-    """A closed sub-panel of settings."""
-
-    bl_parent_id = "FARFIELD_PT_texmesh"
-    bl_options = {"DEFAULT_CLOSED"}
-
-
-class FARFIELD_PT_texmesh_analysis(SubPanel, bpy.types.Panel):
-    """How features are found."""
-
-    bl_idname = "FARFIELD_PT_texmesh_analysis"
-    bl_label = "Analysis"
-
-
-class FARFIELD_PT_texmesh_simplification(SubPanel, bpy.types.Panel):
-    """How vertices are removed."""
-
-    bl_idname = "FARFIELD_PT_texmesh_simplification"
-    bl_label = "Simplification"
-
-
-class FARFIELD_PT_texmesh_perception(SubPanel, bpy.types.Panel):
-    """Which differences are visible."""
-
-    bl_idname = "FARFIELD_PT_texmesh_perception"
-    bl_label = "Perception"
 
 
 class FARFIELD_PT_texmesh_levels(SidebarPanel, bpy.types.Panel):
@@ -149,14 +107,14 @@ def draw_levels(layout: bpy.types.UILayout, levels: LevelSet) -> None:
     draw_table(layout, LEVEL_TITLES, rows)
 
 
-class FARFIELD_PT_texmesh_inspect(SettingsSubPanel, bpy.types.Panel):
+class FARFIELD_PT_texmesh_inspect(SettingsPanel, bpy.types.Panel):
     """What helps to judge features and levels."""
 
     bl_idname = "FARFIELD_PT_texmesh_inspect"
     bl_parent_id = "FARFIELD_PT_texmesh"
     bl_label = "Inspect"
     bl_options = {"DEFAULT_CLOSED"}
-    settings, property_name = describe(InspectionSettings), "farfield_texmesh_inspection"
+    settings, property_name, group_name = describe(InspectionSettings), "farfield_texmesh_inspection", "Inspect"
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the settings and the buttons."""
@@ -199,9 +157,7 @@ class FARFIELD_PT_texmesh_calibration(SidebarPanel, bpy.types.Panel):
 CLASSES = (
     FARFIELD_PT_texmesh,
     FARFIELD_PT_texmesh_levels,
-    FARFIELD_PT_texmesh_analysis,
-    FARFIELD_PT_texmesh_simplification,
-    FARFIELD_PT_texmesh_perception,
+    *sub_panels(TexmeshSettingsPanel, FARFIELD_PT_texmesh.bl_idname),
     FARFIELD_PT_texmesh_inspect,
     FARFIELD_PT_texmesh_calibration,
 )

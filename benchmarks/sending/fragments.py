@@ -12,7 +12,7 @@ import numpy as np
 from farfield.addon.core.errors import SettingsError
 from farfield.addon.core.imaging.coded_images import decode, encode
 from farfield.addon.core.packages.textures.texture_tiles import TileGrid, cut_tiles, join_tiles
-from farfield.addon.core.texmesh.scale_space.scale_map import SCALES
+from farfield.addon.core.texmesh.scale_space.features import SCALES
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
 FRAGMENT_UNIT = 16  # pixels; macroblocks of JPEG

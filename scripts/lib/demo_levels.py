@@ -15,12 +15,9 @@ from farfield.addon.bridge.imaging.images import create_image
 from farfield.addon.core.imaging.colors import encode_signed_srgb
 from farfield.addon.core.imaging.mipmaps import build_mipmaps, resize_by_area
 from farfield.addon.core.jobs.progress import Progress, StageClock, Steps, subprogress
-from farfield.addon.core.texmesh.level_chain import AllSettings, LevelChain
-from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
+from farfield.addon.core.texmesh.level_chain import LevelChain
 from farfield.addon.core.texmesh.perception.views import ViewedSurface, frame_around, prepare_surface, render
-from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
-from farfield.addon.core.texmesh.settings import LevelSettings, SceneSettings
-from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
+from farfield.addon.core.texmesh.settings import SceneSettings, TexmeshSettings
 from farfield.addon.operators.job_run import run_job
 from farfield.addon.operators.texmesh.job import prepare_levels
 from lib.contact_sheet import draw_contact_sheet, enlarge
@@ -74,8 +71,7 @@ def make_and_compare(preset: LevelsPreset) -> Steps[LevelsDemo]:
     clock = StageClock()
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     ring = create_ring(preset.segments)
-    perception = PerceptionSettings(views=preset.views, max_image=CELL)
-    settings = AllSettings(LevelSettings(), ScaleSpaceSettings(), SimplificationSettings(), perception)
+    settings = TexmeshSettings(views=preset.views, max_image=CELL)
     job = prepare_levels(bpy.context, [ring], settings, SceneSettings())
     with clock.stage("levels"):
         yield from subprogress(run_job(job), 0.0, MAKE_END)

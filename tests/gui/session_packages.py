@@ -18,7 +18,7 @@ def session() -> Iterator[float]:
     modifier = cube.modifiers.new("Subdivision", "SUBSURF")
     modifier.levels = 4
     group, package = bpy.context.scene.farfield_texmesh, bpy.context.scene.farfield_packages
-    group.choice, group.levels, group.views, group.max_image, package.pixels = "count", 3, 2, 64, 96
+    group.levels, group.number, group.views, group.max_image, package.pixels = "number", 3, 2, 64, 96
     bpy.ops.ed.undo_push(message="Subdivide Cube")
     open_panel_alone("packages")
     yield from user.open_sidebar()

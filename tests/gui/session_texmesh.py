@@ -70,7 +70,7 @@ def session() -> Iterator[float]:
     bpy.data.objects.remove(bpy.data.objects["Cube"])
     create_ball()
     group = bpy.context.scene.farfield_texmesh
-    group.choice, group.levels, group.views, group.max_image = "count", 4, 2, 128
+    group.levels, group.number, group.views, group.max_image = "number", 4, 2, 128
     bpy.ops.ed.undo_push(message="Create Ball")
     open_panel_alone("texmesh", "inspect", "calibration")
     yield from user.open_sidebar()

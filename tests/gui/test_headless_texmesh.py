@@ -31,7 +31,7 @@ def ball(tmp_path):
 def test_levels_and_analysis(ball):
     report, plot = ball.with_name("report.json"), ball.with_name("plot.png")
     finished = run_in_blender(
-        "levels", ball, "--out", ball.with_name("out.glb"), "--report", report, "--ratio", "0.5,0.2", "--views", "2", "--max-image", "64"
+        "levels", ball, "--out", ball.with_name("out.glb"), "--report", report, "--ratios", "0.5,0.2", "--views", "2", "--max-image", "64"
     )
     assert finished.returncode == 0, finished.stderr
     counts = [level["triangles"] for level in json.loads(report.read_text("utf-8"))["objects"][0]["levels"]]

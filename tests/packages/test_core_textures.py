@@ -14,12 +14,12 @@ from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.packages.increments import decode_increments, encode_increments
 from farfield.addon.core.packages.manifest import Manifest, Section
 from farfield.addon.core.packages.planning import ErrorModel
+from farfield.addon.core.packages.settings import PackageSettings
 from farfield.addon.core.packages.textures.avif_files import decode_tile
 from farfield.addon.core.packages.textures.best_state import Choice, choose_state, measure_error
 from farfield.addon.core.packages.textures.building import BuiltTextures, build_textures
 from farfield.addon.core.packages.textures.coding import COMPLETE, MISSING, VARIANTS, CodedTexture, code_texture
 from farfield.addon.core.packages.textures.decoding import decode_textures
-from farfield.addon.core.packages.textures.settings import TextureSettings
 from farfield.addon.core.packages.textures.texture_errors import TextureErrors, values_of_bytes
 from farfield.addon.core.packages.textures.texture_tiles import TextureSource, TileGrid, check_source, fill_unused, find_used_texels
 from farfield.addon.core.packages.textures.tile_states import choose_states, order_tiles
@@ -28,7 +28,7 @@ from farfield.addon.core.packages.tile_pyramid import TilePyramid, sum_tiles
 from farfield.addon.core.texmesh.textured_mesh import build_textured_mesh
 from tests.shapes import sheet
 
-SETTINGS = TextureSettings(tile_size=32, pixels=64, views=4)
+SETTINGS, DENSITY = PackageSettings(tile_size=32, pixels=64), 67.0  # pixels per degree
 
 
 def make_source(shape: tuple[int, int] = (70, 90), role: str = "base_color") -> TextureSource:
@@ -40,7 +40,7 @@ def make_source(shape: tuple[int, int] = (70, 90), role: str = "base_color") -> 
 
 @pytest.fixture(scope="module")
 def built() -> BuiltTextures:
-    return run_to_end(build_textures([make_source(), make_source((64, 64), "normal")], SETTINGS))
+    return run_to_end(build_textures([make_source(), make_source((64, 64), "normal")], SETTINGS, DENSITY, 4))
 
 
 def test_bytes_add_up(built):
@@ -51,7 +51,7 @@ def test_bytes_add_up(built):
 
 
 def test_same_sources_give_same_bytes(built):
-    again = run_to_end(build_textures([make_source(), make_source((64, 64), "normal")], SETTINGS))
+    again = run_to_end(build_textures([make_source(), make_source((64, 64), "normal")], SETTINGS, DENSITY, 4))
     assert again.content == built.content and again.textures == built.textures
 
 
@@ -60,7 +60,7 @@ def coded() -> CodedTexture:
     source = make_source()
     grid = check_source(source, 32)
     visibility = run_to_end(measure_visibility([source], [grid], 4, 64))[0]
-    return run_to_end(code_texture(source, grid, visibility, SETTINGS))
+    return run_to_end(code_texture(source, grid, visibility, SETTINGS.quality, DENSITY))
 
 
 def test_every_increment_is_a_tile_by_itself(built):
@@ -146,7 +146,7 @@ def test_finer_levels_and_higher_qualities_have_smaller_errors(coded):
     grid = check_source(source, 32)
     image = fill_unused(source, grid, find_used_texels(source, grid))
     visibility = run_to_end(measure_visibility([source], [grid], 4, 64))[0]
-    judge = TextureErrors(source.role, build_mipmaps(image, values_of_bytes(source.role)), visibility, SETTINGS.pixels_per_degree)
+    judge = TextureErrors(source.role, build_mipmaps(image, values_of_bytes(source.role)), visibility, DENSITY)
     assert (sums[is_coded] < judge.measure(np.full_like(image, MISSING), 0).sum()).all()  # before anything has come
 
 
@@ -160,7 +160,7 @@ def test_sharpened_tiles_are_better_and_smaller_where_details_are_everywhere():
         grid = check_source(source, 256)
         visibility = np.zeros((32, 32, FOOTPRINT_LEVELS), np.float32)
         visibility[..., np.flatnonzero(level_footprints() == 2.0)] = 1.0 / 32**2
-        coded = run_to_end(code_texture(source, grid, visibility, SETTINGS))
+        coded = run_to_end(code_texture(source, grid, visibility, SETTINGS.quality, DENSITY))
         errors, sizes = coded.errors[1].sum(axis=(1, 2)), coded.sizes[1].sum(axis=(1, 2))
         is_better.append(
             any(VARIANTS[index].is_sharpened for index in np.flatnonzero(errors < errors[COMPLETE]) if sizes[index] < sizes[COMPLETE])
@@ -219,7 +219,7 @@ def test_last_state_is_the_texture(built):
 def test_gray_textures_have_one_component():
     source = make_source()
     gray = replace(source, image=np.repeat(source.image[..., :1], 3, axis=2), role="roughness")
-    built = run_to_end(build_textures([gray], SETTINGS))
+    built = run_to_end(build_textures([gray], SETTINGS, DENSITY, 4))
     assert len(built.textures[0].headers[0]) < 400
     assert (np.ptp(decode_textures(built.textures, built.increments, built.content)[0].astype(int), axis=2) == 0).all()
 
@@ -254,7 +254,7 @@ def test_unused_texels_are_filled_smoothly():
 @given(st.integers(1, 70), st.integers(1, 70), st.sampled_from([16, 32, 48]))
 def test_textures_of_any_size_can_be_sent(width, height, tile_size):
     source = make_source((height, width))
-    built = run_to_end(build_textures([source], replace(SETTINGS, tile_size=tile_size, views=1)))
+    built = run_to_end(build_textures([source], replace(SETTINGS, tile_size=tile_size), DENSITY, 1))
     assert decode_textures(built.textures, built.increments, built.content)[0].shape == (height, width, 3)
 
 
@@ -268,22 +268,22 @@ def test_textures_of_any_size_can_be_sent(width, height, tile_size):
 )
 def test_other_sources_are_refused(change, message):
     with pytest.raises(ImageError, match=message):
-        run_to_end(build_textures([replace(make_source(), **change)], SETTINGS))
+        run_to_end(build_textures([replace(make_source(), **change)], SETTINGS, DENSITY, 4))
 
 
 def test_tiles_must_consist_of_blocks():
     with pytest.raises(SettingsError):
-        run_to_end(build_textures([make_source()], replace(SETTINGS, tile_size=20)))
+        replace(SETTINGS, tile_size=20)
 
 
 def test_what_cannot_be_coded_is_refused():
     with pytest.raises(ImageError, match="role"):
-        run_to_end(build_textures([make_source(role="height")], SETTINGS))
+        run_to_end(build_textures([make_source(role="height")], SETTINGS, DENSITY, 4))
 
 
 def test_detail_that_no_image_shows_is_coded_once():
     source = make_source((512, 512))
-    built = run_to_end(build_textures([source], replace(SETTINGS, pixels=16)))
+    built = run_to_end(build_textures([source], replace(SETTINGS, pixels=16), DENSITY, 4))
     pyramid = TilePyramid(512, 512, 32)
     levels = [pyramid.locate(int(number))[0] for number in built.increments.tiles]
     assert levels.count(0) == len({int(number) for number in built.increments.tiles if number < pyramid.starts[1]})
@@ -299,7 +299,7 @@ def test_detail_finer_than_images_show_has_the_highest_quality_only_where_tiles_
     grid = check_source(source, tile_size)
     visibility = np.zeros((64, 64, FOOTPRINT_LEVELS), np.float32)
     visibility[..., np.flatnonzero(level_footprints() == 4.0)] = 1.0 / 64**2  # the texture halved twice
-    coded = run_to_end(code_texture(source, grid, visibility, replace(SETTINGS, tile_size=tile_size)))
+    coded = run_to_end(code_texture(source, grid, visibility, SETTINGS.quality, DENSITY))
     variants = {level: {variant for found, variant, _ in coded.tiles if found == level} for level in range(3)}
     assert variants[0] == finest and variants[1] == finer and {0, 1, 2, COMPLETE} <= variants[2]
     assert sum((level, variant) == (0, COMPLETE) for level, variant, _ in coded.tiles) == coded.used.sum()
@@ -311,7 +311,7 @@ def test_progress_of_coding_never_falls(footprint):
     grid = check_source(source, 64)
     visibility = np.zeros((32, 32, FOOTPRINT_LEVELS), np.float32)
     visibility[..., np.flatnonzero(level_footprints() == footprint)] = 1.0 / 32**2
-    fractions = [progress.fraction for progress in code_texture(source, grid, visibility, SETTINGS)]
+    fractions = [progress.fraction for progress in code_texture(source, grid, visibility, SETTINGS.quality, DENSITY)]
     assert fractions == sorted(fractions) and fractions[0] >= 0.0 and 0.9 < fractions[-1] <= 1.0
 
 

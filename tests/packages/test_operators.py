@@ -17,18 +17,14 @@ from farfield.addon.core.packages.manifest import MANIFEST, MESH, TEXTURES
 from farfield.addon.core.packages.package import build_package
 from farfield.addon.core.packages.settings import PackageSettings
 from farfield.addon.core.packages.textures.decoding import decode_textures
-from farfield.addon.core.texmesh.level_chain import AllSettings
-from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
-from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
-from farfield.addon.core.texmesh.settings import LevelSettings
-from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
+from farfield.addon.core.texmesh.settings import TexmeshSettings
 from glb_reader import read_glb
 from lib import command_line, scene_files
 from textured_scenes import textured_ball
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
-SMALL = {"choice": "count", "levels": 3, "views": 2, "max_image": 64, "pixels": 96}
-FLAGS = ("--levels", "3", "--views", "2", "--max-image", "64", "--pixels", "96")
+SMALL = {"levels": "number", "number": 3, "views": 2, "max_image": 64, "pixels": 96}
+FLAGS = ("--number", "3", "--views", "2", "--max-image", "64", "--pixels", "96")
 
 
 @pytest.fixture
@@ -81,7 +77,7 @@ def test_several_objects_have_folders(folder):
     first, second = textured_ball(8, "a/b"), textured_ball(8, "a:b")
     for item in (first, second):
         item.select_set(True)
-    bpy.ops.farfield.packages_export(folder=str(folder), with_glb=False, **SMALL)
+    bpy.ops.farfield.packages_export(folder=str(folder), gltf_file=False, **SMALL)
     assert sorted(path.name for path in folder.iterdir()) == ["a_b", "a_b_2"]
     assert [read_package(path).manifest.name for path in sorted(folder.iterdir())] == ["a/b", "a:b"]
     assert not (folder / "a_b" / LEVELS_GLB).exists()
@@ -128,7 +124,7 @@ def package(extension, tmp_path_factory):
     bpy.ops.wm.read_factory_settings(use_empty=True)
     textured_ball(8)
     folder = tmp_path_factory.mktemp("package")
-    bpy.ops.farfield.packages_export(folder=str(folder), with_glb=False, **SMALL)
+    bpy.ops.farfield.packages_export(folder=str(folder), gltf_file=False, **SMALL)
     return folder
 
 
@@ -158,9 +154,7 @@ def test_incomplete_packages_are_refused(package, tmp_path):
 
 
 def build(source, **properties):
-    settings = AllSettings(
-        LevelSettings(product="subset"), ScaleSpaceSettings(), SimplificationSettings(), PerceptionSettings(views=2, max_image=64)
-    )
+    settings = TexmeshSettings(vertices="original", views=2, max_image=64)
     package_settings = PackageSettings(**{"pixels": 96, **properties})
     return run_to_end(build_package(source.name, source.mesh, source.materials, source.textures, settings, package_settings))
 

@@ -16,7 +16,7 @@ from sending.fragments import (
 
 from farfield.addon.core.errors import SettingsError
 from farfield.addon.core.geometry.mesh import TriangleMesh
-from farfield.addon.core.texmesh.scale_space.scale_map import SCALES
+from farfield.addon.core.texmesh.scale_space.features import SCALES
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 
 

@@ -12,8 +12,8 @@ from farfield.addon.core.texmesh.refitting.deviation_quadrics import BorderDevia
 from farfield.addon.core.texmesh.refitting.edge_splits import split_far_edges
 from farfield.addon.core.texmesh.refitting.level_state import attach
 from farfield.addon.core.texmesh.refitting.outliers import FineSurface, measure_distances
+from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.core.texmesh.simplification.levels import extract_level, simplify_by_cost
-from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
 from farfield.addon.core.texmesh.simplification.topology import find_islands
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 from tests.shapes import sheet
@@ -59,7 +59,7 @@ def test_windows_keep_their_corners():
     mesh = sheet(24, lambda x, y: 0.05 * np.sin(5.0 * x) * np.cos(4.0 * y))
     kept = TriangleMesh(mesh.vertices, mesh.triangles[~is_hole])
     windowed = build_textured_mesh(kept, kept.vertices[kept.triangles][:, :, :2])
-    simplified = run_to_end(simplify_by_cost(windowed, DeviationQuadrics(windowed, 8.0), [120], SimplificationSettings()))
+    simplified = run_to_end(simplify_by_cost(windowed, DeviationQuadrics(windowed, 8.0), [120], TexmeshSettings()))
     level = extract_level(windowed, simplified.levels[0])
     corners = [[x, y] for x in (0.125, 0.375) for y in (0.25, 0.75)]
     distances = np.linalg.norm(level.vertices[:, None, :2] - np.array(corners), axis=2).min(axis=0)

@@ -14,8 +14,7 @@ from farfield.addon.core.texmesh.refitting.level_state import LevelState, attach
 from farfield.addon.core.texmesh.refitting.outlier_repair import approach, avoid_folds, flip_outliers, unfold
 from farfield.addon.core.texmesh.refitting.outliers import ATTRACTED_FRACTION, FineSurface, gather_points, measure_distances
 from farfield.addon.core.texmesh.refitting.refit import make_refit_levels
-from farfield.addon.core.texmesh.refitting.settings import RefitSettings
-from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
+from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.core.texmesh.simplification.topology import find_islands
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 from tests.shapes import sheet
@@ -145,7 +144,7 @@ def test_positions_and_normals_are_those_with_the_same_texture_coordinates(fine)
 def test_no_place_of_a_level_of_a_closed_mesh_is_much_farther_than_the_others(seed):
     ball = build_ball(np.random.default_rng(seed))
     targets = [len(ball.triangles) // 2, len(ball.triangles) // 8]
-    for level in run_to_end(make_refit_levels(ball, targets, RefitSettings(), SimplificationSettings())):
+    for level in run_to_end(make_refit_levels(ball, targets, TexmeshSettings())):
         deviation = measure_geometric_deviation(ball, level, 20_000)
         for side in (deviation.from_fine, deviation.from_level):
             assert side.max <= MAX_PEAK * side.rms

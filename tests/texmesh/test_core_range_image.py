@@ -10,7 +10,7 @@ from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.scale_space.analysis import analyze_scale_space
 from farfield.addon.core.texmesh.scale_space.paper_mode import RangeFilter, find_zero_crossings
 from farfield.addon.core.texmesh.scale_space.range_image import build_range_image
-from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
+from farfield.addon.core.texmesh.settings import AnalysisSettings
 from farfield.addon.core.texmesh.textured_mesh import build_textured_mesh
 
 
@@ -32,7 +32,7 @@ def vase_radius(angles: np.ndarray, heights: np.ndarray) -> np.ndarray:
 
 def analyze(mesh: TriangleMesh, **settings):
     textured = build_textured_mesh(mesh, np.zeros((len(mesh.triangles), 3, 2)))
-    return textured, run_to_end(analyze_scale_space(textured, [None], ScaleSpaceSettings(mode="paper", **settings)))
+    return textured, run_to_end(analyze_scale_space(textured, [None], AnalysisSettings(analysis="range_image", **settings)))
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

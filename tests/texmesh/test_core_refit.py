@@ -17,9 +17,8 @@ from farfield.addon.core.texmesh.refitting.edge_splits import split_edges
 from farfield.addon.core.texmesh.refitting.least_squares import Linearization, compute_moments
 from farfield.addon.core.texmesh.refitting.level_state import LevelState, attach
 from farfield.addon.core.texmesh.refitting.refit import make_refit_levels, refit, sum_costs
-from farfield.addon.core.texmesh.refitting.settings import RefitSettings
+from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.core.texmesh.simplification.levels import extract_level, simplify_by_cost
-from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
 from farfield.addon.core.texmesh.simplification.topology import find_islands
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 from tests.shapes import cylinder, sheet
@@ -39,7 +38,7 @@ def build_hill(side: int = SIDE) -> TexturedMesh:
 
 
 def simplify(fine: TexturedMesh, target: int) -> TexturedMesh:
-    simplified = run_to_end(simplify_by_cost(fine, None, [target], SimplificationSettings()))
+    simplified = run_to_end(simplify_by_cost(fine, None, [target], TexmeshSettings()))
     return extract_level(fine, simplified.levels[0])
 
 
@@ -60,7 +59,7 @@ def level(fine) -> TexturedMesh:
 
 @pytest.fixture(scope="module")
 def refitted(fine, level) -> TexturedMesh:
-    return run_to_end(refit(fine, level, RefitSettings()))
+    return run_to_end(refit(fine, level))
 
 
 def test_both_deviations_get_smaller(fine, level, refitted):
@@ -95,7 +94,7 @@ def test_topology_stays_that_of_a_disk(refitted):
 
 def test_levels_reach_their_targets(fine):
     targets = [400, 100]
-    levels = run_to_end(make_refit_levels(fine, targets, RefitSettings(iterations=6), SimplificationSettings()))
+    levels = run_to_end(make_refit_levels(fine, targets, TexmeshSettings(), iterations=6))
     assert [abs(len(level.triangles) - target) <= 2 for level, target in zip(levels, targets, strict=True)] == [True, True]
     for level in levels:
         assert (signed_areas(level.corner_uvs) > 0.0).all()
@@ -103,7 +102,7 @@ def test_levels_reach_their_targets(fine):
 
 
 def test_a_level_without_deviation_stays(fine):
-    result = run_to_end(refit(fine, fine, RefitSettings(iterations=2)))
+    result = run_to_end(refit(fine, fine, iterations=2))
     assert measure_texture_deviation(fine, result, 4000).from_fine.mean < 1e-6
 
 
@@ -115,7 +114,7 @@ def test_levels_of_overlapping_islands_stay_separate():
     low = uvs[:, :, 0].max(axis=1, keepdims=True) - uvs[:, :, 0] > 0.5
     uvs[:, :, 0] += low
     mesh = build_textured_mesh(both, uvs)
-    levels = run_to_end(make_refit_levels(mesh, [160], RefitSettings(iterations=4), SimplificationSettings()))
+    levels = run_to_end(make_refit_levels(mesh, [160], TexmeshSettings(), iterations=4))
     assert measure_texture_deviation(mesh, levels[0], 4000).from_fine.max < 0.1
 
 

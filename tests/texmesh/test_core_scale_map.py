@@ -9,9 +9,8 @@ import shapes
 from farfield.addon.core.geometry.mesh import TriangleMesh, concatenate
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.scale_space.analysis import analyze_scale_space, encode_lightness, sample_lightness
-from farfield.addon.core.texmesh.scale_space.feature_tracing import rank_coverage, thin_features
-from farfield.addon.core.texmesh.scale_space.scale_map import SCALES, ScaleMap, records
-from farfield.addon.core.texmesh.scale_space.settings import ScaleSpaceSettings
+from farfield.addon.core.texmesh.scale_space.features import SCALES, ScaleMap, rank_coverage, records, thin_features
+from farfield.addon.core.texmesh.settings import AnalysisSettings
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 
 
@@ -20,7 +19,7 @@ def textured(mesh: TriangleMesh, uvs: np.ndarray | None = None) -> TexturedMesh:
 
 
 def analyze(mesh: TexturedMesh, texture: np.ndarray | None = None, **values) -> ScaleMap:
-    return run_to_end(analyze_scale_space(mesh, [texture], ScaleSpaceSettings(**values)))
+    return run_to_end(analyze_scale_space(mesh, [texture], AnalysisSettings(**values)))
 
 
 def irregular_ball(count: int = 800, seed: int = 3) -> TriangleMesh:
@@ -194,10 +193,10 @@ def test_several_materials_and_textures_of_any_content():
     parted = textured(TriangleMesh(mesh.vertices, mesh.triangles, materials))
     wild = np.random.default_rng(2).standard_normal((5, 7, 3)).astype(np.float32) * 100.0
     wild[0, 0] = np.nan, np.inf, -np.inf
-    half = run_to_end(analyze_scale_space(parted, [wild, None], ScaleSpaceSettings()))
+    half = run_to_end(analyze_scale_space(parted, [wild, None], AnalysisSettings()))
     assert half.losses.startswith("50.0% of the area has no texture")
     check(half, parted)
-    both = run_to_end(analyze_scale_space(parted, [np.zeros((2, 2, 3), np.float32), np.ones((1, 1, 3), np.float32)], ScaleSpaceSettings()))
+    both = run_to_end(analyze_scale_space(parted, [np.zeros((2, 2, 3), np.float32), np.ones((1, 1, 3), np.float32)], AnalysisSettings()))
     assert both.losses == ""
     assert both.counts[1] > 0
 

@@ -9,15 +9,15 @@ from farfield.addon.core.errors import SettingsError
 from farfield.addon.core.geometry.edges import find_edges
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.core.texmesh.simplification.levels import Simplification, extract_level, simplify_by_cost, simplify_in_order
-from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 from textured_models import check_no_flips, check_subset, cube, euler_characteristic, plane, torus
 
-STRICT = SimplificationSettings(protected_fraction=0.0, drastic=False)
+STRICT = TexmeshSettings(protected_fraction=0.0, drastic_simplification=False)
 
 
-def random_order(mesh: TexturedMesh, targets: list[int], chosen: SimplificationSettings, seed: int = 0) -> Simplification:
+def random_order(mesh: TexturedMesh, targets: list[int], chosen: TexmeshSettings, seed: int = 0) -> Simplification:
     priorities = np.random.default_rng(seed).uniform(size=len(mesh.vertices))
     return run_to_end(simplify_in_order(mesh, priorities, targets, chosen))
 
@@ -27,7 +27,7 @@ def random_order(mesh: TexturedMesh, targets: list[int], chosen: SimplificationS
 def test_levels_are_subsets_of_a_closed_surface_without_flips(seed, by_cost):
     mesh = torus(seed=seed, has_materials=True)
     targets = [len(mesh.triangles) * percent // 100 for percent in (50, 25, 10)]
-    chosen = SimplificationSettings(drastic=False)
+    chosen = TexmeshSettings(drastic_simplification=False)
     result = run_to_end(simplify_by_cost(mesh, None, targets, chosen)) if by_cost else random_order(mesh, targets, chosen, seed)
     for target, level in zip(targets, result.levels, strict=True):
         assert level.constraint == "" and not level.drastic_steps
@@ -76,14 +76,14 @@ def test_vertices_that_would_be_seen_wait_whatever_their_priority():
     heights[:, :14] = 0.0
     mesh = plane(20, 20, heights)
     priorities = -mesh.vertices[:, 2]
-    kept = run_to_end(simplify_in_order(mesh, priorities, [700], SimplificationSettings(protected_fraction=0.5, drastic=False)))
+    kept = run_to_end(simplify_in_order(mesh, priorities, [700], TexmeshSettings(protected_fraction=0.5, drastic_simplification=False)))
     assert (mesh.vertices[kept.removed][:, 0] < 14.0).all()
 
 
 def test_seams_of_a_cube_collapse_in_pairs_to_its_corners():
     """All 12 triangles of the coarsest cube have the texture of their side, so the texture is that of the fine cube."""
     mesh = cube()
-    result = run_to_end(simplify_by_cost(mesh, None, [200, 12], SimplificationSettings(drastic=False)))
+    result = run_to_end(simplify_by_cost(mesh, None, [200, 12], TexmeshSettings(drastic_simplification=False)))
     for level in result.levels:
         coarse = extract_level(mesh, level)
         corners = coarse.vertices[coarse.triangles]
@@ -126,7 +126,7 @@ def test_perceptual_values_contain_those_of_absorbed_vertices():
 
 
 def test_perceptual_values_are_zero_inside_of_a_plane_and_positive_on_a_rough_surface():
-    chosen = SimplificationSettings(protected_fraction=0.0)
+    chosen = TexmeshSettings(protected_fraction=0.0)
     rough = random_order(torus(), [600], chosen).perceptual_values
     assert np.isfinite(rough).all() and (rough > 0.0).mean() > 0.9
     mesh = plane(12, 12)
@@ -141,7 +141,7 @@ def test_a_tetrahedron_and_a_triangle_remain():
     )
     for mesh in (tetrahedron, TriangleMesh(tetrahedron.vertices, tetrahedron.triangles[:1])):
         textured = build_textured_mesh(mesh, mesh.corners[..., :2] + mesh.corners[..., 2:] * [0.3, 0.7])
-        level = random_order(textured, [1], SimplificationSettings()).levels[0]
+        level = random_order(textured, [1], TexmeshSettings()).levels[0]
         assert len(level.triangles) == len(mesh.triangles)
         assert ("instead of 1" in level.constraint) == (len(mesh.triangles) > 1)
 
@@ -154,8 +154,8 @@ def test_no_input_gives_flips_or_edges_with_more_than_two_triangles(seed, island
         kept = np.random.default_rng(seed).uniform(size=len(mesh.triangles)) < 0.9
         base = TriangleMesh(mesh.vertices, mesh.triangles[kept], mesh.materials[kept])
         mesh = build_textured_mesh(base, mesh.corner_uvs[kept])
-    steps = simplify_by_cost(mesh, None, [100, 40, 4], SimplificationSettings())
-    result = run_to_end(steps) if by_cost else random_order(mesh, [100, 40, 4], SimplificationSettings(), seed)
+    steps = simplify_by_cost(mesh, None, [100, 40, 4], TexmeshSettings())
+    result = run_to_end(steps) if by_cost else random_order(mesh, [100, 40, 4], TexmeshSettings(), seed)
     for target, level in zip([100, 40, 4], result.levels, strict=True):
         assert len(level.triangles)
         assert (level.constraint == "") == (len(level.triangles) <= 1.01 * target)

@@ -5,15 +5,15 @@ import numpy as np
 from farfield.addon.core.geometry.edges import find_edges
 from farfield.addon.core.geometry.mesh import TriangleMesh, face_areas_and_normals
 from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.core.texmesh.simplification.levels import SubsetLevel, simplify_by_cost
-from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
 from farfield.addon.core.texmesh.simplification.topology import divide_into_surfaces
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 from textured_models import check_no_flips, check_subset, plane, torus
 
 
 def coarsest(mesh: TexturedMesh, target: int, drastic: bool, size: float = 1.0) -> SubsetLevel:
-    level = run_to_end(simplify_by_cost(mesh, None, [target], SimplificationSettings(drastic=drastic, drastic_size=size))).levels[0]
+    level = run_to_end(simplify_by_cost(mesh, None, [target], TexmeshSettings(drastic_simplification=drastic, drastic_size=size))).levels[0]
     check_subset(mesh, level)
     if mesh.attributes.shape[1] == 0:
         check_no_flips(mesh, level)

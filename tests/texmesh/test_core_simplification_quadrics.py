@@ -6,10 +6,10 @@ import pytest
 from farfield.addon.core.geometry.distance import closest_on_mesh
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.core.texmesh.simplification.collapse_fans import CollapseFans
 from farfield.addon.core.texmesh.simplification.levels import simplify_by_cost, simplify_in_order
 from farfield.addon.core.texmesh.simplification.removal_orders import LENGTH_WEIGHT, TextureQuadrics
-from farfield.addon.core.texmesh.simplification.settings import SimplificationSettings
 from farfield.addon.core.texmesh.simplification.topology import Collapses, build_topology
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 from textured_models import plane, torus
@@ -63,7 +63,7 @@ def test_seams_straighten_only_where_they_are_straight():
 def test_quadrics_keep_the_shape_better_than_a_random_order():
     mesh = torus(islands=4)
     targets = [len(mesh.triangles) // 10]
-    chosen = SimplificationSettings(protected_fraction=0.0)
+    chosen = TexmeshSettings(protected_fraction=0.0)
     priorities = np.random.default_rng(0).uniform(size=len(mesh.vertices))
     distances = []
     for steps in (simplify_by_cost(mesh, None, targets, chosen), simplify_in_order(mesh, priorities, targets, chosen)):
@@ -89,7 +89,7 @@ class HeightCost:
 def test_a_given_cost_decides_about_order_and_direction():
     mesh = torus(islands=1)
     cost = HeightCost(mesh)
-    result = run_to_end(simplify_by_cost(mesh, cost, [len(mesh.triangles) * 3 // 4], SimplificationSettings(drastic=False)))
+    result = run_to_end(simplify_by_cost(mesh, cost, [len(mesh.triangles) * 3 // 4], TexmeshSettings(drastic_simplification=False)))
     heights = mesh.vertices[:, 2]
     assert cost.merged == len(result.removed) and result.levels[0].constraint == ""
     assert (heights[result.kept] > heights[result.removed]).all()

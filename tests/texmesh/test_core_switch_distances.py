@@ -12,11 +12,11 @@ from farfield.addon.core.imaging.mipmaps import build_mipmaps, resize_by_area
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.perception import switch_distances, views
 from farfield.addon.core.texmesh.perception.level_images import LevelComparison, LevelImages, measure_difference
-from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
 from farfield.addon.core.texmesh.perception.switch_distances import Switch
+from farfield.addon.core.texmesh.settings import TexmeshSettings
 from textured_levels import checkered, textured_sphere
 
-SETTINGS = PerceptionSettings(views=4, max_image=128)
+SETTINGS = TexmeshSettings(views=4, max_image=128)
 TEXTURES = [build_mipmaps(checkered())]
 
 
@@ -24,7 +24,7 @@ def surfaces(*rings: int) -> list[views.ViewedSurface]:
     return [views.prepare_surface(textured_sphere(count), TEXTURES) for count in rings]
 
 
-def find_switches(levels: list[views.ViewedSurface], settings: PerceptionSettings = SETTINGS, gap: int = 0) -> list[Switch]:
+def find_switches(levels: list[views.ViewedSurface], settings: TexmeshSettings = SETTINGS, gap: int = 0) -> list[Switch]:
     return run_to_end(switch_distances.find_switches(switch_distances.open_images(levels, settings), settings, gap))
 
 
@@ -93,7 +93,7 @@ def test_levels_of_opposite_colors_switch_where_the_object_is_smaller_than_a_pix
 def test_a_stricter_limit_moves_switches_away():
     levels = surfaces(24, 8)
     (usual,) = find_switches(levels)
-    strict = PerceptionSettings(views=4, max_image=128, max_difference=0.01)
+    strict = TexmeshSettings(views=4, max_image=128, max_difference=0.01)
     (far,) = find_switches(levels, strict)
     assert far.pixel_size > usual.pixel_size
 

@@ -18,8 +18,8 @@ from farfield.addon.core.texmesh.perception.calibration import (
     next_trial,
     record_answer,
 )
-from farfield.addon.core.texmesh.perception.settings import PERCEPTUAL_VALUES, PerceptionSettings
 from farfield.addon.core.texmesh.perception.weber import Collapses, measure_cross_section, measure_impacts, measure_thickness
+from farfield.addon.core.texmesh.settings import PERCEPTUAL_VALUES, TexmeshSettings
 from shapes import box, sheet, sphere
 
 SPHERE = sphere(30)
@@ -50,7 +50,7 @@ def collapses(values: list[float], scales: list[int]) -> Collapses:
 
 
 def test_the_largest_displacement_of_a_scale_counts_relative_to_the_diameter():
-    impacts = measure_impacts(SPHERE.vertices, SPHERE.triangles, collapses([0.05, 0.1, 0.3, 0.01], [0, 0, 2, 2]), 4, PerceptionSettings())
+    impacts = measure_impacts(SPHERE.vertices, SPHERE.triangles, collapses([0.05, 0.1, 0.3, 0.01], [0, 0, 2, 2]), 4, TexmeshSettings())
     assert np.allclose(impacts.values, [0.1, 0.0, 0.3, 0.0]) and np.allclose(impacts.lengths[[0, 2]], 2.0, atol=0.02)
     assert np.allclose(impacts.fractions, [0.05, 0.0, 0.15, 0.0], atol=2e-3)
     assert impacts.is_noticed.tolist() == [False, False, True, False] and impacts.vertices.tolist()[1] == -1
@@ -59,14 +59,14 @@ def test_the_largest_displacement_of_a_scale_counts_relative_to_the_diameter():
 @pytest.mark.parametrize(("perceptual_value", "factor"), [("center", 2.0), ("skeleton", 2.0)])
 def test_on_a_ball_radius_and_skeleton_give_twice_the_fraction_of_the_diameter(perceptual_value, factor):
     removed = collapses([0.05, 0.1, 0.3, 0.01], [0, 0, 1, 1])
-    usual = measure_impacts(SPHERE.vertices, SPHERE.triangles, removed, 2, PerceptionSettings())
-    other = measure_impacts(SPHERE.vertices, SPHERE.triangles, removed, 2, PerceptionSettings(perceptual_value=perceptual_value))
+    usual = measure_impacts(SPHERE.vertices, SPHERE.triangles, removed, 2, TexmeshSettings())
+    other = measure_impacts(SPHERE.vertices, SPHERE.triangles, removed, 2, TexmeshSettings(perceptual_value=perceptual_value))
     assert np.allclose(other.fractions, factor * usual.fractions, rtol=0.02)
 
 
 @pytest.mark.parametrize("perceptual_value", PERCEPTUAL_VALUES)
 def test_fractions_do_not_depend_on_the_size_of_the_object(perceptual_value):
-    settings = PerceptionSettings(perceptual_value=perceptual_value)
+    settings = TexmeshSettings(perceptual_value=perceptual_value)
     small = measure_impacts(SPHERE.vertices, SPHERE.triangles, collapses([0.05, 0.1], [0, 1]), 2, settings)
     large = measure_impacts(100.0 * SPHERE.vertices, SPHERE.triangles, collapses([5.0, 10.0], [0, 1]), 2, settings)
     assert np.allclose(small.fractions, large.fractions) and (small.fractions > 0.0).all()
@@ -76,7 +76,7 @@ def test_removing_vertices_of_a_plane_has_no_quadric_error():
     flat = sheet(6)
     links = flat.triangles[:4, :2]
     removed = Collapses(links[:, 0], links[:, 1], np.ones(4), np.zeros(4, int))
-    assert measure_impacts(flat.vertices, flat.triangles, removed, 1, PerceptionSettings(perceptual_value="quadric")).fractions[0] < 1e-9
+    assert measure_impacts(flat.vertices, flat.triangles, removed, 1, TexmeshSettings(perceptual_value="quadric")).fractions[0] < 1e-9
 
 
 def simulate(count: int, threshold: float, steepness: float, seed: int, stimuli: np.ndarray) -> list[Answer]:

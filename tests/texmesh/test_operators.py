@@ -10,7 +10,7 @@ from farfield.addon.bridge.texmesh.scale_attributes import SCALE_ATTRIBUTE, read
 from textured_scenes import textured_ball
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
-SMALL = {"choice": "count", "levels": 3, "views": 2, "max_image": 128}
+SMALL = {"levels": "number", "number": 3, "views": 2, "max_image": 128}
 
 
 @pytest.fixture
@@ -25,11 +25,11 @@ def make(**values) -> list[bpy.types.Object]:
     return levels.levels
 
 
-@pytest.mark.parametrize("product", ["subset", "refit"])
-def test_levels_have_fewer_triangles_and_larger_errors(ball, product):
+@pytest.mark.parametrize("vertices", ["original", "optimized"])
+def test_levels_have_fewer_triangles_and_larger_errors(ball, vertices):
     ball.location, ball.scale = (3.0, -2.0, 1.0), (2.0, 2.0, 2.0)
     bpy.context.view_layer.update()
-    levels = make(product=product)
+    levels = make(vertices=vertices)
     counts, errors = [len(level.data.polygons) for level in levels], [level[ERROR] for level in levels]
     assert len(levels) == 3 and counts == sorted(counts, reverse=True) and counts[0] == 960
     assert errors[0] == 0.0 and errors == sorted(errors) and errors[1] > 0.0
@@ -64,7 +64,7 @@ def test_levels_render_with_the_settings_of_their_object(ball):
 
 
 def test_one_level_is_shown_and_the_original_again(ball):
-    levels = make(crossfade=False)
+    levels = make(cross_fade=False)
     assert [level.hide_render for level in levels] == [False, True, True]
     assert bpy.ops.farfield.texmesh_show(level=2) == {"FINISHED"}
     assert [level.hide_viewport for level in levels] == [True, True, False]
@@ -85,7 +85,7 @@ def test_levels_are_removed_with_their_data(ball):
 
 def test_levels_are_made_again_in_place_of_earlier_ones(ball):
     make()
-    levels = make(levels=2)
+    levels = make(number=2)
     assert len(levels) == 2
 
 
@@ -99,7 +99,7 @@ def test_features_become_an_attribute(ball):
 def test_levels_have_the_scales_of_their_own_analysis(ball):
     stale = np.full(len(ball.data.vertices), 99, np.int32)
     ball.data.attributes.new(SCALE_ATTRIBUTE, "INT", "POINT").data.foreach_set("value", stale)
-    levels = make(product="subset")
+    levels = make(vertices="original")
     assert np.array_equal(read_scales(ball.data), stale), "only Analyze changes the original"
     assert bpy.ops.farfield.texmesh_analyze() == {"FINISHED"}
     of_position = {tuple(vertex.co): scale for vertex, scale in zip(ball.data.vertices, read_scales(ball.data).tolist(), strict=True)}
@@ -112,7 +112,7 @@ def test_other_attributes_are_carried(ball):
     values = np.random.default_rng(0).random(len(mesh.vertices)).astype(np.float32)
     mesh.attributes.new("weight", "FLOAT", "POINT").data.foreach_set("value", values)
     mesh.color_attributes.new("Paint", "FLOAT_COLOR", "CORNER")
-    levels = make(product="subset")
+    levels = make(vertices="original")
     of_position = {tuple(vertex.co): value for vertex, value in zip(mesh.vertices, values.tolist(), strict=True)}
     for level in levels:
         carried = [item.value for item in level.data.attributes["weight"].data]

@@ -11,7 +11,7 @@ from farfield.addon.bridge.texmesh.rebaked_images import create_rebaked_image
 from textured_scenes import checker_image, textured_ball, textured_material
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
-SMALL = {"choice": "ratio", "ratio": "0.5,0.1", "views": 2, "max_image": 64, "product": "refit", "rebake": True}
+SMALL = {"levels": "ratios", "ratios": "0.5,0.1", "views": 2, "max_image": 64, "vertices": "optimized", "rebake_textures": True}
 SIDE = 512
 
 
@@ -51,15 +51,15 @@ def test_levels_have_smaller_images_of_their_own(ball, capsys):
 
 
 def test_without_the_setting_levels_have_the_same_image(ball):
-    for values in ({"rebake": False}, {"product": "subset"}):
+    for values in ({"rebake_textures": False}, {"vertices": "original"}):
         assert len(set(images_of(make(**values)))) == 1
 
 
 def test_images_and_materials_are_removed_with_the_levels(ball):
     before = count_data()
-    make(crossfade=False)
+    make(cross_fade=False)
     assert count_data()["images"] == before["images"] + 2
-    make(crossfade=False, ratio="0.2")
+    make(cross_fade=False, ratios="0.2")
     assert count_data()["images"] == before["images"] + 1
     assert bpy.ops.farfield.texmesh_remove() == {"FINISHED"}
     assert count_data() == before and find_color_image(ball.data.materials[0])[0].name == "Squares"

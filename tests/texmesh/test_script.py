@@ -17,7 +17,7 @@ from textured_scenes import checker_image, count_triangles, textured_ball, textu
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 SCRIPT = environment.ROOT / "scripts" / "texmesh.py"
-FAST = ("--views", "2", "--max-image", "64", "--product", "subset")
+FAST = ("--views", "2", "--max-image", "64", "--vertices", "original")
 
 
 @pytest.fixture
@@ -53,7 +53,7 @@ def make(path, *flags, out="out.blend"):
 
 
 def test_a_scene_with_levels(ball):
-    summary, report = make(ball, "--levels", "3")
+    summary, report = make(ball, "--number", "3")
     (figures,) = report["objects"]
     assert '"Bällchen" has 3 levels' in summary and figures["name"] == "Bällchen"
     assert report["seconds"]["levels"] > 0.0 and report["peak_memory_mb"] > 1.0 and report["skipped"] == []
@@ -64,13 +64,13 @@ def test_a_scene_with_levels(ball):
 
 
 def test_ratios_are_reached(ball):
-    _, report = make(ball, "--ratio", "25%, 0.5")
+    _, report = make(ball, "--ratios", "25%, 0.5")
     assert [level["triangles"] for level in report["objects"][0]["levels"]] == [528, 264, 132]
 
 
 @pytest.mark.parametrize("quantized", [True, False])
 def test_a_file_per_level(ball, quantized):
-    _, report = make(ball, "--ratio", "0.5,0.1", *(() if quantized else ("--no-quantized",)), out="out.glb")
+    _, report = make(ball, "--ratios", "0.5,0.1", *(() if quantized else ("--no-quantized",)), out="out.glb")
     assert not ball.with_name("out.glb").exists()
     counts = [level["triangles"] for level in report["objects"][0]["levels"]]
     for number, count in enumerate(counts):
@@ -86,7 +86,7 @@ def test_a_file_per_level(ball, quantized):
 
 
 def test_one_file_with_all_levels(ball):
-    make(ball, "--ratio", "0.5,0.1", "--one-file", out="out.glb")
+    make(ball, "--ratios", "0.5,0.1", "--one-file", out="out.glb")
     document = parse_glb(ball.with_name("out.glb"))
     (root,) = (document["nodes"][index] for index in document["scenes"][0]["nodes"])
     assert root["extensions"]["MSFT_lod"]["ids"] == [1, 2]
@@ -99,7 +99,7 @@ def test_one_file_with_all_levels(ball):
 def test_files_have_rebaked_textures(folder, one_file):
     textured_ball().data.materials[0] = textured_material(checker_image("Large", 512))
     path, flags = save(folder), ("--one-file",) if one_file else ()
-    summary, _ = make(path, "--ratio", "0.5,0.1", "--product", "refit", "--rebake", *flags, out="out.glb")
+    summary, _ = make(path, "--ratios", "0.5,0.1", "--vertices", "optimized", "--rebake-textures", *flags, out="out.glb")
     assert "Textures of the levels" in summary
     names = ["out.glb"] if one_file else [f"out-L{number}.glb" for number in range(3)]
     texmesh.scene_files.open_scene(path.with_name(names[-1]))
@@ -121,7 +121,7 @@ def test_several_materials_become_primitives(folder):
     for polygon in item.data.polygons:
         polygon.material_index = polygon.index % 3 if polygon.center.z > 0.0 else 0
     path = save(folder)
-    make(path, "--ratio", "0.6", out="out.glb")
+    make(path, "--ratios", "0.6", out="out.glb")
     document = parse_glb(path.with_name("out-L1.glb"))
     assert len(document["meshes"][0]["primitives"]) == 3 and len(document["images"]) == 2
     assert all({"NORMAL", "TEXCOORD_0"} <= set(primitive["attributes"]) for primitive in document["meshes"][0]["primitives"])
@@ -224,7 +224,7 @@ def add_armature(item):
 def test_unusual_meshes_have_levels_and_a_sentence(folder, change, sentence):
     change(textured_ball())
     path = save(folder)
-    summary, report = make(path, "--ratio", "0.5", out="out.glb")
+    summary, report = make(path, "--ratios", "0.5", out="out.glb")
     assert sentence in summary
     fine, coarse = report["objects"][0]["levels"]
     assert coarse["constraint"] or coarse["triangles"] == pytest.approx(0.5 * fine["triangles"], rel=0.02)
@@ -233,7 +233,7 @@ def test_unusual_meshes_have_levels_and_a_sentence(folder, change, sentence):
 
 def test_what_a_range_image_loses_is_said(folder):
     bpy.ops.mesh.primitive_torus_add(major_segments=24, minor_segments=12)
-    summary = run("analyze", save(folder), "--mode", "paper")
+    summary = run("analyze", save(folder), "--analysis", "range_image")
     assert "%" in summary and "axis" in summary
 
 
@@ -244,7 +244,7 @@ def test_linked_meshes_have_levels(ball):
     bpy.context.scene.collection.objects.link(target.objects[0])
     path = ball.with_name("linked.blend")
     texmesh.scene_files.save_scene(path)
-    summary, _ = make(path, "--ratio", "0.5")
+    summary, _ = make(path, "--ratios", "0.5")
     assert '"Bällchen" has 2 levels' in summary
     texmesh.scene_files.open_scene(path.with_name("out.blend"))
     assert all(item.library is None for item in level_sets_in(bpy.context.scene)[0].levels)
@@ -266,12 +266,12 @@ def test_a_missing_image_is_named(folder):
         (("--out", "bällchen-L7.glb", "--report", "bällchen.blend"), FileError, "same file"),
         (("--out", "x.glb", "--report", "x-L1.glb"), FileError, "same file"),
         (("--out", "none.blend/x.glb"), FileError, "none.blend"),
-        (("--out", "x.glb", "--ratio", "0.5,2"), SettingsError, "fractions between 0 and 1"),
-        (("--out", "x.glb", "--ratio", "0.5,50%"), SettingsError, "twice"),
-        (("--out", "x.glb", "--ratio", "half"), SettingsError, '"half"'),
-        (("--out", "x.glb", "--ratio", "0.0001"), SettingsError, "no level for every ratio"),
-        (("--out", "x.glb", "--ratio", "0.5", "--levels", "3"), SettingsError, "exclude each other"),
-        (("--out", "x.blend", "--levels", "1"), SettingsError, "--levels"),
+        (("--out", "x.glb", "--ratios", "0.5,2"), SettingsError, "fractions between 0 and 1"),
+        (("--out", "x.glb", "--ratios", "0.5,50%"), SettingsError, "twice"),
+        (("--out", "x.glb", "--ratios", "half"), SettingsError, '"half"'),
+        (("--out", "x.glb", "--ratios", "0.0001"), SettingsError, "no level for every ratio"),
+        (("--out", "x.glb", "--ratios", "0.5", "--number", "3"), SettingsError, "exclude each other"),
+        (("--out", "x.blend", "--number", "1"), SettingsError, "--number"),
         (("--out", "x.blend", "--max-triangles", "4"), SettingsError, "budget"),
     ],
 )
@@ -302,7 +302,7 @@ def test_levels_are_exported_by_the_operator(ball):
     bpy.context.view_layer.objects.active = item = bpy.data.objects["Bällchen"]
     item.select_set(True)
     assert not bpy.ops.farfield.texmesh_export.poll()
-    bpy.ops.farfield.texmesh_levels(choice="ratio", ratio="0.5", views=2, max_image=64, product="subset")
+    bpy.ops.farfield.texmesh_levels(levels="ratios", ratios="0.5", views=2, max_image=64, vertices="original")
     path = ball.with_name("tree.glb")
     assert bpy.ops.farfield.texmesh_export(filepath=str(path), one_file=True) == {"FINISHED"}
     assert len(parse_glb(path)["nodes"]) == 2

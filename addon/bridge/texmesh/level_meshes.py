@@ -4,7 +4,7 @@ import bpy
 import numpy as np
 
 from ...core.geometry.mesh import scaled_normals
-from ...core.texmesh.scale_space.scale_map import ScaleMap
+from ...core.texmesh.scale_space.features import ScaleMap
 from ...core.texmesh.textured_mesh import TexturedMesh
 from ..geometry.evaluated_mesh import EvaluatedMesh, MeshAttribute
 from ..geometry.mesh_arrays import write_attribute, write_triangles

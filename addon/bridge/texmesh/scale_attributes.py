@@ -3,7 +3,7 @@
 import bpy
 import numpy as np
 
-from ...core.texmesh.scale_space.scale_map import ScaleMap
+from ...core.texmesh.scale_space.features import ScaleMap
 from .sources import TexturedSource
 
 SCALE_ATTRIBUTE = "farfield_scale"  # integer attribute of vertices: the last scale at which they are features

@@ -12,11 +12,12 @@ from ..imaging.mipmaps import Mipmaps
 from ..jobs.parallel_steps import run_in_parallel
 from ..jobs.progress import Progress, Steps, subprogress
 from ..messages import format_count
-from ..texmesh.level_chain import AllSettings, LevelChain, make_levels
+from ..texmesh.level_chain import LevelChain, make_levels
 from ..texmesh.scale_space.analysis import analyze_scale_space
+from ..texmesh.settings import TexmeshSettings
 from ..texmesh.textured_mesh import TexturedMesh
 from .files import LEVELS_GLB, describe_file
-from .increments import Increments, encode_increments
+from .increments import encode_increments
 from .levels_glb import encode_levels
 from .manifest import MESH, TEXTURES, Manifest, MeshLevel, PackageMaterial, Section
 from .material_sources import MaterialSource, build_color_mipmaps
@@ -26,14 +27,12 @@ from .planning import ErrorTable, PlanRow, make_plan, measure_errors
 from .settings import PackageSettings
 from .textures.building import BuiltTextures, build_textures
 from .textures.decoding import decode_textures
-from .textures.settings import TextureSettings
 from .textures.texture_tiles import TextureSource
 
 STATES = 6  # of the textures, whose errors are measured
 MIN_BITS, MAX_BITS = 8, 16  # of positions and texture coordinates
 POSITION_BITS, UV_BITS = 4, 2  # below a pixel and a texel
 EncodedMesh = tuple[bytes, tuple[MeshLevel, ...], Bounds, Bounds]
-NO_TEXTURES = BuiltTextures((), Increments(*[np.zeros(0, np.int64)] * 6), b"", np.zeros(1))
 
 
 @dataclass(frozen=True)
@@ -68,19 +67,18 @@ def build_package(
     mesh: TexturedMesh,
     materials: Sequence[MaterialSource],
     textures: Sequence[np.ndarray | None],
-    settings: AllSettings,
+    settings: TexmeshSettings,
     package_settings: PackageSettings,
 ) -> Steps[Package]:
     """Build the package of a mesh.
 
     Args:
         mesh: z upwards. materials: by number. textures: base colors for the analysis by material, (H, W, 3) float32, scene-linear, or None.
-        settings: of the levels; their product must be "subset".
+        settings: of the levels; their vertices must be "original".
 
     Raises:
         GeometryError, SettingsError: see `make_levels`, or a setting of the package cannot be used. ImageError: a texture cannot be coded.
     """
-    texture_settings = package_settings.texture_settings(settings.perception.pixels_per_degree)
     turned = replace(mesh, vertices=mesh.vertices @ Y_UP.T)
     steps = choose_steps(package_settings.pixels, materials)
 
@@ -89,17 +87,14 @@ def build_package(
         return encode_mesh(ordered, _level_pixels(chain), len(materials), steps)
 
     sources, references = _list_sources(mesh, materials)
-    analysis = analyze_scale_space(mesh, textures, settings.analysis)
-    scale_map, built = yield from subprogress(run_in_parallel([analysis, _build_textures(sources, texture_settings)]), 0.0, 0.4)
+    analysis = analyze_scale_space(mesh, textures, settings)
+    textures_steps = build_textures(sources, package_settings, settings.pixels_per_degree)
+    scale_map, built = yield from subprogress(run_in_parallel([analysis, textures_steps]), 0.0, 0.4)
     chain = yield from subprogress(make_levels(mesh, textures, settings, name, scale_map), 0.4, 0.75)
     tasks = [_measure(chain, materials, built, references, settings, package_settings), _encode_in_steps(encode, chain)]
     table, coded = yield from subprogress(run_in_parallel(tasks), 0.75, 0.98)
     yield Progress(0.98, "Writing")
     return _assemble(name, materials, references, chain, coded, steps, built, table, package_settings)
-
-
-def _build_textures(sources: Sequence[TextureSource], settings: TextureSettings) -> Steps[BuiltTextures]:
-    return (yield from build_textures(sources, settings)) if sources else NO_TEXTURES
 
 
 def _encode_in_steps(encode: Callable[[LevelChain], EncodedMesh], chain: LevelChain) -> Steps[EncodedMesh]:
@@ -143,7 +138,7 @@ def _measure(
     materials: Sequence[MaterialSource],
     built: BuiltTextures,
     references: Sequence[dict[str, int]],
-    settings: AllSettings,
+    settings: TexmeshSettings,
     package_settings: PackageSettings,
 ) -> Steps[ErrorTable]:
     """Measure the errors of levels and of parts of the base colors."""
@@ -166,7 +161,7 @@ def _measure(
             _choose_states(len(built.flips)),
             decode,
             package_settings.pixels,
-            settings.perception.pixels_per_degree,
+            settings.pixels_per_degree,
         )
     )
 
@@ -213,7 +208,7 @@ def _assemble(
         time_limit=settings.time_limit,
         pixels=float(settings.pixels),
     )
-    if settings.with_glb:
+    if settings.gltf_file:
         contents[LEVELS_GLB] = encode_levels(name, chain, materials)
     counts = tuple(sum(level.triangle_counts) for level in reversed(levels))
     mesh_sizes = [manifest.mesh_size(level) for level in range(len(levels))]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .scale_space.scale_map import SCALES
+from .scale_space.features import SCALES
 
 RAMP = np.array([[0.20, 0.22, 0.55], [0.13, 0.45, 0.60], [0.15, 0.65, 0.45], [0.60, 0.80, 0.20], [1.00, 0.88, 0.12]])  # sRGB
 OPACITY = 0.9

@@ -13,11 +13,11 @@ from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.packages.files import write_package
 from ...core.packages.package import PackageReport, build_package
 from ...core.packages.settings import PackageSettings
-from ...core.texmesh.level_chain import AllSettings
+from ...core.texmesh.settings import TexmeshSettings
 from .. import properties, start_job
 from ..properties import absolute_path
 from ..texmesh.job import describe_skipped
-from ..texmesh.operators import CORE_SETTINGS, disabled_reason
+from ..texmesh.operators import disabled_reason
 from ..texmesh.sources import read_sources, source_objects
 
 FOLDER = {"name": "Folder", "description": "Folder for the package; files of an earlier one in it are replaced", "subtype": "DIR_PATH"}
@@ -30,7 +30,7 @@ class PackageJob:
     core_fraction = 0.999
 
     sources: Sequence[PackageSource]
-    settings: AllSettings
+    settings: TexmeshSettings
     package_settings: PackageSettings
     folder: Path
     skipped: list[str]
@@ -69,8 +69,8 @@ class FARFIELD_OT_packages_export(start_job.StartJob, bpy.types.Operator):
     bl_idname = "farfield.packages_export"
     bl_label = "Export Package of Perceptual Levels"
     bl_options = {"REGISTER"}
-    settings_types, panel_property = CORE_SETTINGS, "farfield_texmesh"
-    __annotations__ = start_job.setting_properties(*CORE_SETTINGS, PackageSettings) | {
+    settings_types, panel_property = (TexmeshSettings,), "farfield_texmesh"
+    __annotations__ = start_job.setting_properties(TexmeshSettings, PackageSettings) | {
         "folder": bpy.props.StringProperty(**FOLDER, options={"SKIP_SAVE", "PATH_SUPPORTS_BLEND_RELATIVE"})
     }
 
@@ -81,7 +81,7 @@ class FARFIELD_OT_packages_export(start_job.StartJob, bpy.types.Operator):
 
     def prepare(self, context: bpy.types.Context) -> PackageJob:
         """Read the selected objects."""
-        settings = AllSettings(*self.read_settings(context).values())
+        settings = self.read_settings(context)[TexmeshSettings]
         panel = context.scene.farfield_packages
         properties.fill_unset(PackageSettings, self, panel)
         package_settings = properties.read(PackageSettings, self)
@@ -94,14 +94,16 @@ class FARFIELD_OT_packages_export(start_job.StartJob, bpy.types.Operator):
 def prepare_packages(
     context: bpy.types.Context,
     objects: Sequence[bpy.types.Object],
-    settings: AllSettings,
+    settings: TexmeshSettings,
     package_settings: PackageSettings,
     folder: Path,
 ) -> PackageJob:
-    """Return the job that writes packages of `objects`. Levels are subsets of the vertices, whatever their kind in `settings`, so that they
-    can be sent one after the other. Raises FarfieldError if none can be read."""
+    """Return the job that writes packages of `objects`. Raises FarfieldError if none can be read.
+
+    The vertices of levels are those of the original, whatever `settings` say, so that levels can be sent one after the other.
+    """
     sources, skipped = read_sources(context, objects, read_package_source)
-    settings = replace(settings, levels=replace(settings.levels, product="subset"))
+    settings = replace(settings, vertices="original")
     return PackageJob(sources, settings, package_settings, folder, skipped)
 
 

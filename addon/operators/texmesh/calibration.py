@@ -13,7 +13,7 @@ from ...core.errors import GeometryError, SettingsError
 from ...core.messages import format_count
 from ...core.settings import describe
 from ...core.texmesh.perception.recorded_answers import estimate_recorded
-from ...core.texmesh.perception.settings import PerceptionSettings
+from ...core.texmesh.settings import TexmeshSettings
 from .. import long_work
 from ..error_reports import report_message, reports_errors
 from ..follow_handlers import add_handlers, remove_handlers
@@ -24,7 +24,7 @@ from .preview import current as preview
 TICK = 1.0 / 30.0  # seconds
 HELP = "Do both look the same? Wheel or Up/Down: Move Nearer/Farther until You See a Difference, Enter: Accept, Esc: End"
 NEARER, FARTHER = {"WHEELUPMOUSE", "UP_ARROW", "NUMPAD_PLUS"}, {"WHEELDOWNMOUSE", "DOWN_ARROW", "NUMPAD_MINUS"}
-THRESHOLD = next(item for item in describe(PerceptionSettings) if item.name == "weber_threshold")
+THRESHOLD = next(item for item in describe(TexmeshSettings) if item.name == "weber_threshold")
 
 _run: CalibrationRun | None = None  # handlers of Blender end the one that runs
 

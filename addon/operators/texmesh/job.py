@@ -17,12 +17,11 @@ from ...bridge.texmesh.sources import TexturedSource
 from ...core.errors import GeometryError
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.messages import format_count
-from ...core.texmesh.level_chain import AllSettings, LevelChain, make_levels
+from ...core.texmesh.level_chain import LevelChain, make_levels
 from ...core.texmesh.rebaking.rebake import RebakedTextures
 from ...core.texmesh.scale_space.analysis import analyze_scale_space
-from ...core.texmesh.scale_space.scale_map import ScaleMap
-from ...core.texmesh.scale_space.settings import ScaleSpaceSettings
-from ...core.texmesh.settings import SceneSettings
+from ...core.texmesh.scale_space.features import ScaleMap
+from ...core.texmesh.settings import AnalysisSettings, SceneSettings, TexmeshSettings
 from .rebaking import create_images, read_textures, rebake_chain
 from .sources import read_sources
 
@@ -36,7 +35,7 @@ class AnalysisJob:
     core_fraction = 0.98
 
     sources: list[TexturedSource]
-    settings: ScaleSpaceSettings
+    settings: AnalysisSettings
     skipped: list[str]
     results: list[tuple[str, ScaleMap]] = field(default_factory=list)
 
@@ -75,7 +74,7 @@ class LevelsJob:
     core_fraction = 0.95
 
     sources: list[TexturedSource]
-    settings: AllSettings
+    settings: TexmeshSettings
     scene_settings: SceneSettings
     scene_uid: int
     skipped: list[str]
@@ -150,7 +149,7 @@ class LevelsJob:
 
     def _switch_distance(self, pixel_size: float) -> float:
         """Return the distance, in units of the object, at which a pixel of the display has a size."""
-        return pixel_size / np.tan(np.radians(1.0 / self.settings.perception.pixels_per_degree))
+        return pixel_size / np.tan(np.radians(1.0 / self.settings.pixels_per_degree))
 
 
 def describe_chain(chain: LevelChain) -> dict:
@@ -176,27 +175,27 @@ def describe_chain(chain: LevelChain) -> dict:
     }
 
 
-def prepare_analysis(context: bpy.types.Context, objects: Sequence[bpy.types.Object], settings: ScaleSpaceSettings) -> AnalysisJob:
+def prepare_analysis(context: bpy.types.Context, objects: Sequence[bpy.types.Object], settings: AnalysisSettings) -> AnalysisJob:
     """Return the job that analyzes `objects`. Raises FarfieldError if none can be read."""
     sources, skipped = read_sources(context, objects)
     return AnalysisJob(sources, settings, skipped)
 
 
 def prepare_levels(
-    context: bpy.types.Context, objects: Sequence[bpy.types.Object], settings: AllSettings, scene_settings: SceneSettings
+    context: bpy.types.Context, objects: Sequence[bpy.types.Object], settings: TexmeshSettings, scene_settings: SceneSettings
 ) -> LevelsJob:
     """Return the job that makes levels of `objects`. Raises FarfieldError if none can be read."""
     sources, skipped = read_sources(context, objects)
-    textures = read_textures(sources, settings.levels)
+    textures = read_textures(sources, settings)
     return LevelsJob(sources, settings, scene_settings, context.scene.session_uid, skipped, textures)
 
 
 def _show(levels: LevelSet, scene: bpy.types.Scene, settings: SceneSettings) -> None:
-    if settings.crossfade:
+    if settings.cross_fade:
         levels.add_crossfade(scene, settings.fade_range)
     else:
         levels.show(0)
-    if not settings.keep_source_visible:
+    if not settings.keep_original_visible:
         levels.hide_source(True)
     bpy.context.view_layer.update()
     first = levels.levels[0]

@@ -5,29 +5,20 @@ import bpy
 from ...bridge import cameras
 from ...bridge.texmesh.level_sets import LevelSet, level_sets_in, remove_level_set, set_hidden
 from ...core.messages import format_count
-from ...core.texmesh.level_chain import AllSettings
-from ...core.texmesh.perception.settings import PerceptionSettings
-from ...core.texmesh.scale_space.settings import ScaleSpaceSettings
-from ...core.texmesh.settings import LevelSettings, SceneSettings
-from ...core.texmesh.simplification.settings import SimplificationSettings
+from ...core.settings import describe
+from ...core.texmesh.settings import PRESETS, AnalysisSettings, ResearchSettings, SceneSettings, TexmeshSettings
 from .. import long_work, properties, start_job
 from ..error_reports import report_message, reports_errors
 from .job import AnalysisJob, LevelsJob, prepare_analysis, prepare_levels
 from .sources import refusal, source_objects
 
-CORE_SETTINGS = (LevelSettings, ScaleSpaceSettings, SimplificationSettings, PerceptionSettings)  # in the order of `AllSettings`
-ALL_SETTINGS = (*CORE_SETTINGS, SceneSettings)
 NO_LEVELS = "Select a level of detail, or the object that levels were made from"
 
 
 class FARFIELD_PG_texmesh(bpy.types.PropertyGroup):
     """Settings of the panel *Perceptual Levels*, stored per scene."""
 
-    __annotations__ = {
-        name: annotation
-        for settings_type in ALL_SETTINGS
-        for name, annotation in properties.build_annotations(settings_type, set()).items()
-    }
+    __annotations__ = properties.build_annotations(TexmeshSettings, set()) | properties.build_annotations(SceneSettings, set())
 
 
 class FARFIELD_OT_texmesh_analyze(start_job.StartJob, bpy.types.Operator):
@@ -36,7 +27,7 @@ class FARFIELD_OT_texmesh_analyze(start_job.StartJob, bpy.types.Operator):
     bl_idname = "farfield.texmesh_analyze"
     bl_label = "Analyze Features in Scale Space"
     bl_options = {"REGISTER", "UNDO"}
-    settings_types, panel_property = (ScaleSpaceSettings,), "farfield_texmesh"
+    settings_types, panel_property = (AnalysisSettings,), "farfield_texmesh"
     __annotations__ = start_job.setting_properties(*settings_types)
 
     @classmethod
@@ -46,7 +37,7 @@ class FARFIELD_OT_texmesh_analyze(start_job.StartJob, bpy.types.Operator):
 
     def prepare(self, context: bpy.types.Context) -> AnalysisJob:
         """Read the selected objects."""
-        return prepare_analysis(context, source_objects(context), self.read_settings(context)[ScaleSpaceSettings])
+        return prepare_analysis(context, source_objects(context), self.read_settings(context)[AnalysisSettings])
 
 
 class FARFIELD_OT_texmesh_levels(start_job.StartJob, bpy.types.Operator):
@@ -55,7 +46,7 @@ class FARFIELD_OT_texmesh_levels(start_job.StartJob, bpy.types.Operator):
     bl_idname = "farfield.texmesh_levels"
     bl_label = "Make Perceptual Levels"
     bl_options = {"REGISTER", "UNDO"}
-    settings_types, panel_property = ALL_SETTINGS, "farfield_texmesh"
+    settings_types, panel_property = (TexmeshSettings, SceneSettings), "farfield_texmesh"
     __annotations__ = start_job.setting_properties(*settings_types)
 
     @classmethod
@@ -65,8 +56,38 @@ class FARFIELD_OT_texmesh_levels(start_job.StartJob, bpy.types.Operator):
 
     def prepare(self, context: bpy.types.Context) -> LevelsJob:
         """Read the selected objects."""
-        *settings, scene_settings = self.read_settings(context).values()
-        return prepare_levels(context, source_objects(context), AllSettings(*settings), scene_settings)
+        settings = self.read_settings(context)
+        return prepare_levels(context, source_objects(context), settings[TexmeshSettings], settings[SceneSettings])
+
+
+class FARFIELD_OT_texmesh_preset(bpy.types.Operator):
+    """Set all research controls of perceptual levels"""
+
+    bl_idname = "farfield.texmesh_preset"
+    bl_label = "Set Research Controls of Perceptual Levels"
+    bl_options = {"REGISTER", "UNDO"}
+    __annotations__ = {
+        "preset": bpy.props.EnumProperty(
+            name="Preset",
+            description="Values of all research controls",
+            items=[(name, choice.label, choice.help) for name, (choice, _) in PRESETS.items()],
+        )
+    }
+
+    @classmethod
+    def description(cls, _context: bpy.types.Context, chosen: bpy.types.OperatorProperties) -> str:
+        """Return what the preset does."""
+        return PRESETS[chosen.preset][0].help
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Set the controls in the panel."""
+        choice, values = PRESETS[self.preset]
+        for item in describe(ResearchSettings):
+            value = values.get(item.name, item.default)
+            setattr(context.scene.farfield_texmesh, item.name, properties.to_blender(item, value))
+        report_message(self, f"The research controls are {choice.label}.")
+        return {"FINISHED"}
 
 
 class LevelsOperator:
@@ -224,6 +245,7 @@ register, unregister = properties.scene_settings_factory(
         FARFIELD_PG_texmesh,
         FARFIELD_OT_texmesh_analyze,
         FARFIELD_OT_texmesh_levels,
+        FARFIELD_OT_texmesh_preset,
         FARFIELD_OT_texmesh_show,
         FARFIELD_OT_texmesh_crossfade,
         FARFIELD_OT_texmesh_show_for_camera,

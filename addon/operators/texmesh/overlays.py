@@ -13,7 +13,7 @@ from ...bridge.texmesh.scale_attributes import SCALE_ATTRIBUTE, read_scales
 from ...bridge.texmesh.scale_overlay import ScaleOverlay
 from ...core.errors import SettingsError
 from ...core.texmesh.figures import read_figures, step_function
-from ...core.texmesh.scale_space.scale_map import SCALES
+from ...core.texmesh.scale_space.features import SCALES
 from ...core.texmesh.settings import InspectionSettings
 from .. import long_work, properties
 from ..error_reports import report_message, reports_errors

@@ -183,7 +183,7 @@ class FARFIELD_OT_texmesh_flicker(bpy.types.Operator):
             current.stop(follows_view=True)
         else:
             settings = properties.read(InspectionSettings, context.scene.farfield_texmesh_inspection)
-            current.flicker(context_viewport(context), settings.flicker_seconds, context.scene)
+            current.flicker(context_viewport(context), settings.flicker_time, context.scene)
         return {"FINISHED"}
 
     @reports_errors

@@ -11,12 +11,12 @@ from ...bridge.texmesh.sources import TexturedSource
 from ...core.jobs.progress import Steps
 from ...core.texmesh.level_chain import LevelChain
 from ...core.texmesh.rebaking.rebake import RebakedTextures, rebake_textures
-from ...core.texmesh.settings import LevelSettings
+from ...core.texmesh.settings import TexmeshSettings
 
 
-def read_textures(sources: Sequence[TexturedSource], settings: LevelSettings) -> list[RebakeTextures | None]:
+def read_textures(sources: Sequence[TexturedSource], settings: TexmeshSettings) -> list[RebakeTextures | None]:
     """Return what textures are rebaked from, None for each object if they are not."""
-    is_used = settings.rebake and settings.product == "refit"
+    is_used = settings.rebake_textures and settings.vertices == "optimized"
     return [read_rebake_textures(source) if is_used else None for source in sources]
 
 

@@ -8,12 +8,14 @@ import numpy as np
 from ...jobs.progress import Steps, subprogress
 from ..increments import Increments
 from ..manifest import PackageTexture
+from ..settings import PackageSettings
 from .best_state import measure_error
 from .coding import CodedTexture, code_texture
-from .settings import TextureSettings
 from .texture_tiles import TextureSource, check_source
 from .tile_states import choose_states, order_tiles
 from .visibility import measure_visibility
+
+VIEWS = 24  # from all around
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,27 +32,41 @@ class BuiltTextures:
     flips: np.ndarray
 
 
-def build_textures(sources: Sequence[TextureSource], settings: TextureSettings) -> Steps[BuiltTextures]:
+NO_TEXTURES = BuiltTextures((), Increments(*[np.zeros(0, np.int64)] * 6), b"", np.zeros(1))
+
+
+def build_textures(
+    sources: Sequence[TextureSource], settings: PackageSettings, pixels_per_degree: float, views: int = VIEWS
+) -> Steps[BuiltTextures]:
     """Code textures as tiles, and order them. The same sources give the same bytes.
+
+    Args:
+        pixels_per_degree: of the display. views: from all around, in which the visibility of textures is measured.
 
     Raises:
         ImageError: a source cannot be coded, see `check_source`.
     """
-    return assemble_textures((yield from code_textures(sources, settings)))
+    if not sources:
+        return NO_TEXTURES
+    return assemble_textures((yield from code_textures(sources, settings, pixels_per_degree, views)))
 
 
-def code_textures(sources: Sequence[TextureSource], settings: TextureSettings) -> Steps[list[CodedTexture]]:
+def code_textures(
+    sources: Sequence[TextureSource], settings: PackageSettings, pixels_per_degree: float, views: int = VIEWS
+) -> Steps[list[CodedTexture]]:
     """Code textures as tiles.
 
     Raises:
         ImageError: see `build_textures`.
     """
     grids = [check_source(source, settings.tile_size) for source in sources]
-    visibility = yield from subprogress(measure_visibility(sources, grids, settings.views, settings.pixels), 0.0, 0.3)
+    visibility = yield from subprogress(measure_visibility(sources, grids, views, settings.pixels), 0.0, 0.3)
     coded = []
     for index, (source, grid) in enumerate(zip(sources, grids, strict=True)):
         start, stop = (0.3 + 0.7 * (index + step) / len(sources) for step in (0, 1))
-        coded.append((yield from subprogress(code_texture(source, grid, visibility[index], settings), start, stop)))
+        coded.append(
+            (yield from subprogress(code_texture(source, grid, visibility[index], settings.quality, pixels_per_degree), start, stop))
+        )
     return coded
 
 

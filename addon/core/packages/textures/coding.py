@@ -14,7 +14,6 @@ from ..manifest import PackageTexture
 from ..tile_pyramid import TilePyramid, sum_tiles
 from .avif_files import decode_tile, encode_tile
 from .enlarging import sharpen_for_enlarging
-from .settings import TextureSettings
 from .texture_errors import TextureErrors, to_bytes, values_of_bytes
 from .texture_tiles import TextureSource, TileGrid, cut_tiles, fill_unused, find_used_texels, join_tiles
 from .visibility import BLOCK
@@ -74,7 +73,9 @@ class CodedTexture:
         return [sum_tiles(self.used.astype(np.int64), level) > 0 for level in range(len(self.sizes))]
 
 
-def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, settings: TextureSettings) -> Steps[CodedTexture]:
+def code_texture(
+    source: TextureSource, grid: TileGrid, visibility: np.ndarray, quality: int, pixels_per_degree: float
+) -> Steps[CodedTexture]:
     """Code a texture.
 
     Args:
@@ -88,7 +89,7 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
     used_tiles = cut_tiles(used, grid.tile_size).any(axis=(1, 2)).reshape(pyramid.shapes[0])
     del used
     mipmaps = build_mipmaps(image, values_of_bytes(source.role))
-    judge = TextureErrors(source.role, mipmaps, shown, settings.pixels_per_degree)
+    judge = TextureErrors(source.role, mipmaps, shown, pixels_per_degree)
     errors = np.full((len(pyramid.shapes), len(VARIANTS), *pyramid.shapes[0]), np.inf)
     headers: dict[bytes, int] = {}
     tiles: dict[tuple[int, int, int], CodedTile] = {}
@@ -107,7 +108,7 @@ def code_texture(source: TextureSource, grid: TileGrid, visibility: np.ndarray, 
         for position, index in enumerate(indices):
             variant = VARIANTS[index]
             cut = sharpened if variant.is_sharpened else plain
-            code = partial(_code_tile, cut if has_colors else cut[..., 0], max(round(variant.fraction * settings.quality), 1))
+            code = partial(_code_tile, cut if has_colors else cut[..., 0], max(round(variant.fraction * quality), 1))
             decoded = np.full((len(cut), side, side, 3), MISSING, np.uint8)
             for count, (number, header, payload, result) in enumerate(map_ordered(code, chosen.tolist())):
                 done = (position + count / len(chosen)) / len(indices)

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import maximum_filter
 
-from ...errors import ImageError, SettingsError
+from ...errors import ImageError
 from ...imaging.images import dilate_in_place
 from ...imaging.raster import rasterize
 from ...texmesh.textured_mesh import TexturedMesh
 from ..manifest import MAX_TEXTURE_SIDE, MAX_TILES, ROLES
 
-TILE_UNIT = 16  # pixels
 MARGIN = 4  # texels around triangles that are used too: bilinear samples and mipmaps read them
 MAX_PERIODS = 16  # of a texture that repeats; with more, all of it is used
 
@@ -61,10 +60,7 @@ def check_source(source: TextureSource, tile_size: int) -> TileGrid:
 
     Raises:
         ImageError: the image has another shape or type, or too many pixels; the role is unknown; no triangle uses it.
-        SettingsError: `tile_size` is no multiple of 16.
     """
-    if tile_size < TILE_UNIT or tile_size % TILE_UNIT:
-        raise SettingsError(f"Tile Size must be a multiple of {TILE_UNIT}, not {tile_size}.", settings=("tile_size",))
     image = source.image
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or not image.size:
         raise ImageError(f'"{source.name}" must have pixels with three channels of 8 bits to be sent; convert it.')

@@ -8,7 +8,7 @@ import numpy as np
 from ...imaging.flip import FlipImage, compare, filter_radius, prepare_image
 from ...imaging.mipmaps import Mipmaps, build_mipmaps, resize_by_area
 from ...jobs.chunks import map_ordered
-from .settings import PerceptionSettings
+from ..settings import TexmeshSettings
 from .views import BACKGROUND, Frame, PlacedSamples, Render, ViewedSurface, place_samples, render, shade
 
 # Renders for images up to a size: samples per side, and the divisor of the number of views. Differences are largest in the same views
@@ -27,11 +27,11 @@ class Difference:
     means: np.ndarray
     highs: np.ndarray
 
-    def is_seen(self, settings: PerceptionSettings) -> bool:
+    def is_seen(self, settings: TexmeshSettings) -> bool:
         """Return whether the difference can be seen in any view."""
         return bool((self.measure_ratios(settings) > 1.0).any())
 
-    def measure_ratios(self, settings: PerceptionSettings) -> np.ndarray:
+    def measure_ratios(self, settings: TexmeshSettings) -> np.ndarray:
         """Return the differences (N,) relative to the largest ones that cannot be seen."""
         return np.maximum(self.means / settings.max_difference, self.highs / settings.max_local_difference)
 
@@ -110,7 +110,7 @@ class LevelComparison:
 
     fine: LevelImages
     coarse: LevelImages
-    settings: PerceptionSettings
+    settings: TexmeshSettings
     ranking: list[int]
 
     def examine(self, size: int) -> Difference:

@@ -13,8 +13,8 @@ import numpy as np
 
 from ...geometry.directions import fibonacci_sphere
 from ...jobs.progress import Progress, Steps
+from ..settings import TexmeshSettings
 from .level_images import TIERS, Difference, LevelComparison, LevelImages, measure_difference
-from .settings import PerceptionSettings
 from .views import ViewedSurface, frame_around
 
 MIN_IMAGE = 1  # pixels per side of the smallest image that is compared
@@ -44,7 +44,7 @@ class Switch:
     limit: Literal["", "nearest", "farthest"]
 
 
-def open_images(levels: Sequence[ViewedSurface], settings: PerceptionSettings, opened: Sequence[LevelImages] = ()) -> list[LevelImages]:
+def open_images(levels: Sequence[ViewedSurface], settings: TexmeshSettings, opened: Sequence[LevelImages] = ()) -> list[LevelImages]:
     """Return the images of `levels` of one object, finest first, in all views around it. Those of the first ones may be `opened` already,
     others are not rendered yet."""
     frame, directions = frame_around(levels[0].vertices), fibonacci_sphere(settings.views)
@@ -52,7 +52,7 @@ def open_images(levels: Sequence[ViewedSurface], settings: PerceptionSettings, o
     return [*opened, *added]
 
 
-def find_switches(images: Sequence[LevelImages], settings: PerceptionSettings, gap: int = 0) -> Steps[list[Switch]]:
+def find_switches(images: Sequence[LevelImages], settings: TexmeshSettings, gap: int = 0) -> Steps[list[Switch]]:
     """Return a switch for each of the levels but the first, finest first: from where on it may replace its finer neighbor.
 
     The search goes from small images to larger ones up to the first in which a difference is seen, so that none is seen from farther away.
@@ -69,7 +69,7 @@ def find_switches(images: Sequence[LevelImages], settings: PerceptionSettings, g
     return switches
 
 
-def find_shown_levels(images: Sequence[LevelImages], settings: PerceptionSettings) -> Steps[tuple[list[int], list[Switch]]]:
+def find_shown_levels(images: Sequence[LevelImages], settings: TexmeshSettings) -> Steps[tuple[list[int], list[Switch]]]:
     """Return the indices of the levels that are shown from some distance, ascending from 0, and the switch of each but the first.
 
     See `find_switches`. Sizes of images at switches decrease at least by MIN_SWITCH_RATIO. A level is left out if a coarser one can replace
@@ -123,7 +123,7 @@ def screen_coverage(pixel_size: float, radius: float, image_size: tuple[int, int
 class _PairSearch:
     """Searches for the switches of pairs of levels with `images`, each beginning with the views where the last one found differences."""
 
-    def __init__(self, images: Sequence[LevelImages], settings: PerceptionSettings) -> None:
+    def __init__(self, images: Sequence[LevelImages], settings: TexmeshSettings) -> None:
         self._images, self._settings, self._ranking = images, settings, list(range(settings.views))
 
     def run(self, fine: int, coarse: int, largest: int) -> Switch:
@@ -189,7 +189,7 @@ class SwitchCheck:
 
     images: Sequence[LevelImages]
     pixel_sizes: Sequence[float]
-    settings: PerceptionSettings
+    settings: TexmeshSettings
 
     def __call__(self, fine: int, coarse: int) -> bool:
         """Return whether level `coarse` looks like level `fine` from the distance from which `fine` is shown on."""

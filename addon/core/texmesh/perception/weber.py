@@ -7,7 +7,7 @@ from scipy.sparse import csr_array, eye_array
 from scipy.sparse.linalg import spsolve_triangular
 
 from ...geometry.mesh import face_areas_and_normals, vertex_normals
-from .settings import PerceptionSettings
+from ..settings import TexmeshSettings
 
 MAX_CANDIDATES = 8  # displacements of a scale whose thickness is measured: casting a line costs a pass over all triangles
 MIN_LENGTH = 1e-6  # of the diagonal: a shorter cross-section is that of a line which only touches the surface
@@ -45,7 +45,7 @@ class Impacts:
 
 
 def measure_impacts(
-    vertices: np.ndarray, triangles: np.ndarray, collapses: Collapses, scale_count: int, settings: PerceptionSettings
+    vertices: np.ndarray, triangles: np.ndarray, collapses: Collapses, scale_count: int, settings: TexmeshSettings
 ) -> Impacts:
     """Return the Weber fraction of each refinement between `scale_count` + 1 scales, and whether it exceeds the threshold.
 

@@ -5,14 +5,14 @@ the fine mesh at equal texture coordinates; texture coordinates move by Gauss-Ne
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...jobs.parallel_steps import run_in_parallel
 from ...jobs.progress import Progress, Steps, subprogress
+from ..settings import TexmeshSettings
 from ..simplification.levels import SubsetLevel, extract_level, simplify_by_cost
-from ..simplification.settings import SimplificationSettings
 from ..simplification.topology import find_islands
 from ..textured_mesh import TexturedMesh
 from .border_curves import BorderCurves, Freedom, find_border_curves, find_freedom, move_uvs
@@ -24,28 +24,43 @@ from .least_squares import Linearization, compute_moments
 from .level_state import LevelState, attach
 from .outlier_repair import approach, avoid_folds, flip_outliers, pull_back
 from .outliers import FineSurface, measure_distances
-from .settings import RefitSettings
 
-MIN_SAMPLES, MAX_SAMPLES = 16_000, 300_000  # per level
-TRIANGLE_FRACTION = 0.5  # of the samples, those that are divided evenly among the triangles of the fine mesh: small parts need some
-MAX_SAMPLED = 1_200_000  # samples times iterations: large levels get fewer iterations, as most of their error goes in the first
-MIN_ITERATIONS = 3
-INITIAL_DAMPING, MIN_DAMPING = 0.1, 1e-3  # of moves of texture coordinates
-DAMPING_DECREASE, DAMPING_INCREASE = 0.5, 8.0
-TOLERANCE = 5e-3  # decrease of the cost below which the fit ends
-FLIP_ROUNDS = 1  # per iteration
-SPLIT_PARTS = 2  # the splits are divided into so many iterations, each after the fit has followed the one before
-LATE_SPLIT_FRACTION = 0.4  # of all splits, those of the edges that are farthest after the fit
-LATE_SPLITS = 2  # rounds of repair in which edges are split
-REPAIR_ROUNDS = 5  # of flips and moves of outliers
-PEAK_SCALE = 4.0  # squared distances count more if they are large compared with this multiple of their mean
-MAX_EMPHASIS = 3.0
-MAX_SAMPLE_FRACTION = 5e-3  # of the cost, which one sample counts: the point of a few may jump to another part of a level
-SIMPLIFICATION_FRACTION = 0.1  # of the progress, for the simplification
+
+@dataclass(frozen=True)
+class RefitTuning:
+    """The numbers of the optimization of a level."""
+
+    iterations: int = 12  # Moves of vertices and texture coordinates; large levels get fewer.
+    min_iterations: int = 3
+    samples_per_triangle: int = 8  # Points of the fine mesh per triangle of the level, to which it is fitted.
+    min_samples: int = 16_000
+    max_samples: int = 300_000
+    max_sampled: int = 1_200_000  # Samples times iterations: most of the error of large levels goes in the first ones.
+    triangle_fraction: float = 0.5  # This part of the samples is divided evenly among the fine triangles: small parts need some.
+    normal_weight: float = 8.0  # A squared deviation of the surface counts so much more than one of the texture along the surface.
+    peak_weight: float = 1.0  # Places count more where the surface deviates most; 0 for the smallest mean.
+    peak_scale: float = 4.0  # Squared distances count more if they are large compared with this multiple of their mean.
+    max_emphasis: float = 3.0
+    max_sample_fraction: float = 5e-3  # One sample counts for at most this part of the cost: a few may jump to another part of a level.
+    initial_damping: float = 0.1  # Moves of texture coordinates are damped, less after each step that lowers the cost.
+    min_damping: float = 1e-3
+    damping_decrease: float = 0.5
+    damping_increase: float = 8.0
+    tolerance: float = 5e-3  # The fit ends when the cost decreases by a smaller fraction.
+    flip_rounds: int = 1  # Rounds of edge flips per iteration.
+    split_fraction: float = 0.05  # This part of the triangles of a level is added where the surface deviates most.
+    split_parts: int = 2  # Splits are divided into so many iterations, each after the fit has followed the one before.
+    late_split_fraction: float = 0.4  # This part of the splits is of the edges that are farthest after the fit.
+    late_splits: int = 2  # Rounds of repair in which edges are split.
+    repair_rounds: int = 5  # Rounds of flips and moves of outliers.
+    simplification_fraction: float = 0.1  # The part of the progress that is the simplification.
+
+
+TUNING = RefitTuning()
 
 
 def make_refit_levels(
-    fine: TexturedMesh, targets: list[int], settings: RefitSettings, simplification: SimplificationSettings
+    fine: TexturedMesh, targets: list[int], settings: TexmeshSettings, iterations: int = TUNING.iterations
 ) -> Steps[list[TexturedMesh]]:
     """Make a level of `fine` for each of the `targets`, triangle counts that descend, with the smallest deviation found.
 
@@ -55,30 +70,28 @@ def make_refit_levels(
     Raises:
         SettingsError: the targets do not descend or are not positive.
     """
-    starts = yield from subprogress(make_starts(fine, targets, settings, simplification), 0.0, SIMPLIFICATION_FRACTION)
-    return (yield from subprogress(refit_starts(fine, starts, targets, settings), SIMPLIFICATION_FRACTION, 1.0))
+    starts = yield from subprogress(make_starts(fine, targets, settings), 0.0, TUNING.simplification_fraction)
+    return (yield from subprogress(refit_starts(fine, starts, targets, iterations), TUNING.simplification_fraction, 1.0))
 
 
-def make_starts(
-    fine: TexturedMesh, targets: list[int], settings: RefitSettings, simplification: SimplificationSettings
-) -> Steps[tuple[SubsetLevel, ...]]:
+def make_starts(fine: TexturedMesh, targets: list[int], settings: TexmeshSettings) -> Steps[tuple[SubsetLevel, ...]]:
     """Return the subset levels from which refits start, see `make_refit_levels`."""
-    cost = DeviationQuadrics(fine, settings.normal_weight)
-    counts = [max(round((1.0 - settings.split_fraction) * target), 1) for target in targets]
-    return (yield from simplify_by_cost(fine, cost, counts, simplification)).levels
+    cost = DeviationQuadrics(fine, TUNING.normal_weight)
+    counts = [max(round((1.0 - TUNING.split_fraction) * target), 1) for target in targets]
+    return (yield from simplify_by_cost(fine, cost, counts, settings)).levels
 
 
 def refit_starts(
-    fine: TexturedMesh, starts: Sequence[SubsetLevel], targets: Sequence[int], settings: RefitSettings
+    fine: TexturedMesh, starts: Sequence[SubsetLevel], targets: Sequence[int], iterations: int = TUNING.iterations
 ) -> Steps[list[TexturedMesh]]:
     """Return the levels that `starts` of `make_starts`, or some of them, become, with their `targets`."""
     surface = FineSurface(fine, find_islands(fine))
-    tasks = [refit(fine, extract_level(fine, start), settings, target, surface) for target, start in zip(targets, starts, strict=True)]
+    tasks = [refit(fine, extract_level(fine, start), target, surface, iterations) for target, start in zip(targets, starts, strict=True)]
     return (yield from run_in_parallel(tasks))
 
 
 def refit(
-    fine: TexturedMesh, level: TexturedMesh, settings: RefitSettings, target: int = 0, surface: FineSurface | None = None
+    fine: TexturedMesh, level: TexturedMesh, target: int = 0, surface: FineSurface | None = None, iterations: int = TUNING.iterations
 ) -> Steps[TexturedMesh]:
     """Return `level` with positions, texture coordinates and edges such that it deviates least from `fine`.
 
@@ -90,30 +103,30 @@ def refit(
         level: any simplification of `fine`, in the same space. surface: of `fine`, for several levels; None to make it.
     """
     yield Progress(0.0, "Refitting")
-    count = int(np.clip(settings.samples_per_triangle * max(len(level.triangles), target), MIN_SAMPLES, MAX_SAMPLES))
+    count = int(np.clip(TUNING.samples_per_triangle * max(len(level.triangles), target), TUNING.min_samples, TUNING.max_samples))
     surface = FineSurface(fine, find_islands(fine)) if surface is None else surface
     islands, uv_scale = surface.islands, compute_uv_scale(fine)
-    samples = sample_surface(fine, islands, count, np.random.default_rng(0), TRIANGLE_FRACTION)
+    samples = sample_surface(fine, islands, count, np.random.default_rng(0), TUNING.triangle_fraction)
     level_islands = match_islands(samples, fine.materials[samples.triangles], level, uv_scale)
-    start = state = attach(level, level_islands, samples, settings.normal_weight)
+    start = state = attach(level, level_islands, samples, TUNING.normal_weight)
     curves = find_border_curves(fine, islands)
-    iterations = min(settings.iterations, max(MAX_SAMPLED // count, MIN_ITERATIONS))
-    reserve = round(LATE_SPLIT_FRACTION * settings.split_fraction * target)
-    damping, is_converged = INITIAL_DAMPING, False
+    iterations = min(iterations, max(TUNING.max_sampled // count, TUNING.min_iterations))
+    reserve = round(TUNING.late_split_fraction * TUNING.split_fraction * target)
+    damping, is_converged = TUNING.initial_damping, False
     for index in range(iterations):
         yield Progress(index / iterations, "Refitting")
-        missing, parts = (target - reserve - len(state.mesh.triangles)) // 2, SPLIT_PARTS - max(index - 1, 0) // 2
-        may_split = missing > 0 and (index % 2 == 1 or iterations <= 2 * SPLIT_PARTS)
+        missing, parts = (target - reserve - len(state.mesh.triangles)) // 2, TUNING.split_parts - max(index - 1, 0) // 2
+        may_split = missing > 0 and (index % 2 == 1 or iterations <= 2 * TUNING.split_parts)
         if may_split:
             state = split_edges(state, -(-missing // max(min(parts, iterations - 1 - index), 1)))
-        if index > 0 and settings.peak_weight > 0.0:
-            state = emphasize_peaks(state, samples.weights, settings.peak_weight)
-        state = flip_edges(state, FLIP_ROUNDS)
+        if index > 0 and TUNING.peak_weight > 0.0:
+            state = emphasize_peaks(state, samples.weights, TUNING.peak_weight)
+        state = flip_edges(state, TUNING.flip_rounds)
         moved = _move(state, curves, uv_scale, damping)
         cost, new_cost = sum_costs(state, moved)
         is_better = new_cost < cost
-        damping = max(damping * DAMPING_DECREASE, MIN_DAMPING) if is_better else damping * DAMPING_INCREASE
-        is_converged = is_better and new_cost > (1.0 - TOLERANCE) * cost and missing <= 0
+        damping = max(damping * TUNING.damping_decrease, TUNING.min_damping) if is_better else damping * TUNING.damping_increase
+        is_converged = is_better and new_cost > (1.0 - TUNING.tolerance) * cost and missing <= 0
         state = moved if is_better else state
         if is_converged:
             break
@@ -125,18 +138,18 @@ def refit(
 def _repair(state: LevelState, surface: FineSurface, curves: BorderCurves, uv_scale: float, target: int) -> LevelState:
     """Return the level with its outliers nearer to the fine surface."""
     measured = measure_distances(state, surface)
-    for index in range(REPAIR_ROUNDS):
+    for index in range(TUNING.repair_rounds):
         missing = target - len(state.mesh.triangles)
-        if missing > 0 and index < LATE_SPLITS:
-            missing = min(2 * -(-missing // (2 * (LATE_SPLITS - index))), missing)  # most edges add two triangles
+        if missing > 0 and index < TUNING.late_splits:
+            missing = min(2 * -(-missing // (2 * (TUNING.late_splits - index))), missing)  # most edges add two triangles
             state = split_far_edges(state, measured, missing, surface, curves)
-            state = _move(flip_edges(state, FLIP_ROUNDS), curves, uv_scale, MIN_DAMPING)
+            state = _move(flip_edges(state, TUNING.flip_rounds), curves, uv_scale, TUNING.min_damping)
             measured = measure_distances(state, surface, measured)
         flipped = flip_outliers(state, surface, measured)
         if flipped is not state:
             state, measured = flipped, measure_distances(flipped, surface, measured)
         moved = approach(state, surface, measured, uv_scale)
-        if moved is state and index >= LATE_SPLITS:
+        if moved is state and index >= TUNING.late_splits:
             break
         state, measured = moved, measure_distances(moved, surface, measured)
     return pull_back(state, surface, measured)
@@ -153,8 +166,8 @@ def _move(state: LevelState, curves: BorderCurves, uv_scale: float, damping: flo
 
 
 def _linearize(state: LevelState, directions: np.ndarray | None, damping: float) -> Linearization:
-    """Return the cost around a level, with smaller weights of samples that count more than MAX_SAMPLE_FRACTION."""
-    limit = MAX_SAMPLE_FRACTION * state.costs.sum()
+    """Return the cost around a level, with smaller weights of samples that count too much."""
+    limit = TUNING.max_sample_fraction * state.costs.sum()
     if state.costs.max(initial=0.0) > limit:
         weights = state.samples.weights * np.minimum(limit / np.maximum(state.costs, np.finfo(float).tiny), 1.0)
         state = replace(state, samples=replace(state.samples, weights=weights))
@@ -162,8 +175,8 @@ def _linearize(state: LevelState, directions: np.ndarray | None, damping: float)
 
 
 def sum_costs(state: LevelState, other: LevelState) -> tuple[float, float]:
-    """Return the costs of two states with the same samples, each of which counts at most MAX_SAMPLE_FRACTION of the cost of the first."""
-    limit = MAX_SAMPLE_FRACTION * state.costs.sum()
+    """Return the costs of two states with the same samples, each of which counts for at most a small part of the cost of the first."""
+    limit = TUNING.max_sample_fraction * state.costs.sum()
     return float(np.minimum(state.costs, limit).sum()), float(np.minimum(other.costs, limit).sum())
 
 
@@ -172,6 +185,6 @@ def emphasize_peaks(state: LevelState, areas: np.ndarray, peak_weight: float) ->
     _, normals = state.areas_and_normals
     squares = np.einsum("ni,ni->n", state.residuals, normals[state.found.triangles]) ** 2
     mean = max(float((squares * areas).sum() / areas.sum()), np.finfo(float).tiny)
-    emphasis = 1.0 + np.minimum(peak_weight * squares / (PEAK_SCALE * mean), MAX_EMPHASIS)
+    emphasis = 1.0 + np.minimum(peak_weight * squares / (TUNING.peak_scale * mean), TUNING.max_emphasis)
     weights = 0.5 * (areas * emphasis + state.samples.weights)  # the mean of two iterations, so that weights do not swing
     return replace(state, samples=replace(state.samples, weights=weights))

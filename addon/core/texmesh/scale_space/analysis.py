@@ -12,13 +12,12 @@ from ...geometry.transforms import signed_areas
 from ...imaging.colors import LUMINANCE
 from ...imaging.mipmaps import build_mipmaps, sample_mipmaps
 from ...jobs.progress import Progress, Steps, subprogress
+from ..settings import AnalysisSettings
 from ..textured_mesh import TexturedMesh
-from .cotangent_laplacian import assemble_laplacian, integrate_mean_curvature, integrate_over_vertices, mollify_lengths, triangle_areas
 from .diffusion import build_levels, choose_times, diffuse, search_last_sigma
-from .feature_tracing import FeatureTracer, rank_coverage, thin_features
+from .features import FeatureTracer, ScaleMap, rank_coverage, thin_features
+from .mesh_operators import assemble_laplacian, integrate_mean_curvature, integrate_over_vertices, mollify_lengths, triangle_areas
 from .paper_mode import analyze_range_image
-from .scale_map import ScaleMap
-from .settings import ScaleSpaceSettings
 
 MIN_MASS = 1e-12  # of the mean, of a vertex: one without triangles has this
 FIRST_RADIUS = 1.6  # of aggregates, relative to the distance between vertices
@@ -29,20 +28,21 @@ POINTS = np.full((3, 3), 1.0 / 6.0) + 0.5 * np.eye(3)  # barycentric coordinates
 CUBE_ROOT_LIMIT, LINE_SCALE = (6.0 / 29.0) ** 3, 9.0329  # of CIE L*, as a fraction of white
 
 
-def analyze_scale_space(mesh: TexturedMesh, textures: Sequence[np.ndarray | None], settings: ScaleSpaceSettings) -> Steps[ScaleMap]:
+def analyze_scale_space(mesh: TexturedMesh, textures: Sequence[np.ndarray | None], settings: AnalysisSettings) -> Steps[ScaleMap]:
     """Find for each vertex of `mesh` the last of 21 scales at which it is a feature.
 
-    textures: per material an image (H, W, 3) float32, scene-linear, row 0 at the bottom, or None. Mode `paper` looks at the shape alone.
+    textures: per material an image (H, W, 3) float32, scene-linear, row 0 at the bottom, or None. Range images
+    show the shape alone.
 
     Raises:
-        GeometryError: in mode `paper`, next to nothing of the surface faces the axis.
+        GeometryError: with a range image, next to nothing of the surface faces the axis.
     """
-    if settings.mode == "paper":
+    if settings.analysis == "range_image":
         return (yield from analyze_range_image(mesh, settings))
     return (yield from analyze_surface(mesh, textures, settings))
 
 
-def analyze_surface(mesh: TexturedMesh, textures: Sequence[np.ndarray | None], settings: ScaleSpaceSettings) -> Steps[ScaleMap]:
+def analyze_surface(mesh: TexturedMesh, textures: Sequence[np.ndarray | None], settings: AnalysisSettings) -> Steps[ScaleMap]:
     """Return the scale map of `mesh` by diffusion on its surface; arguments as for `analyze_scale_space`.
 
     Features are zero crossings of the Laplacian of the diffused mean curvature, and of the diffused lightness of the textures. Of the ends

@@ -17,7 +17,7 @@ from scipy.sparse.linalg import splu
 
 from ...arrays import TINY
 from ...jobs.progress import Progress, Steps
-from .scale_map import SCALES
+from .features import SCALES
 
 GROWTHS = [Fraction(*pair) for pair in [(6, 5), (5, 4), (4, 3), (7, 5), (3, 2), (8, 5), (5, 3), (7, 4), (2, 1), (5, 2), (3, 1), (4, 1)]]
 MIN_STEPS, COARSE_STEPS = 2, 3  # per scale, on the mesh and on coarse levels

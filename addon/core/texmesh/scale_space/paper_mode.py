@@ -5,10 +5,10 @@ from scipy.ndimage import convolve1d
 
 from ...errors import GeometryError
 from ...jobs.progress import Progress, Steps
+from ..settings import AnalysisSettings
 from ..textured_mesh import TexturedMesh
+from .features import SCALES, LastFeatures, ScaleMap
 from .range_image import RangeImage, build_range_image
-from .scale_map import SCALES, LastFeatures, ScaleMap
-from .settings import ScaleSpaceSettings
 
 ROUNDING = 1e-9  # of the largest range: smaller differences of the Laplacian owe their sign to rounding
 SEARCH_STEPS = 20  # bisections of the largest standard deviation
@@ -89,7 +89,7 @@ def _convolve(image: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.nd
     return convolve1d(convolve1d(image, columns, axis=1, mode="wrap"), rows, axis=0, mode="constant")
 
 
-def analyze_range_image(mesh: TexturedMesh, settings: ScaleSpaceSettings) -> Steps[ScaleMap]:
+def analyze_range_image(mesh: TexturedMesh, settings: AnalysisSettings) -> Steps[ScaleMap]:
     """Return the scale map of `mesh` by filters of its range image. The last scale of a vertex is that of its pixel, 0 if its pixel shows
     another part of the surface.
 

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from ...geometry.mesh import face_areas_and_normals
+from ..settings import TexmeshSettings
 from .collapse_fans import measure_uv_quality
 from .engine import CollapseEngine
-from .settings import SimplificationSettings
 from .topology import BOUNDARY, label_connected
 
 MAX_LOCKED_FRACTION = 0.25  # of the vertices of a level: with more, what can be unlocked is unlocked before all others are gone
@@ -23,7 +23,7 @@ MIN_FILL_QUALITY = 1e-3  # in texture space, of triangles that close holes
 class DrasticSteps:
     """The steps for one engine, and sentences about what they did."""
 
-    def __init__(self, engine: CollapseEngine, settings: SimplificationSettings) -> None:
+    def __init__(self, engine: CollapseEngine, settings: TexmeshSettings) -> None:
         self._engine, self._settings = engine, settings
         self._area = float(face_areas_and_normals(engine.mesh.vertices[engine.mesh.triangles])[0].sum())
         self._target, self._taken = 0, 0
@@ -35,12 +35,13 @@ class DrasticSteps:
         for step in (self._unlock_attributes, self._free_seam_ends, self._unlock_touching_surfaces):
             topology = self._engine.topology
             locked_count = np.count_nonzero(topology.is_used & ~topology.is_removable)
-            if self._settings.drastic and locked_count > MAX_LOCKED_FRACTION * target / 2.0:  # a surface has half as many vertices
+            has_many = locked_count > MAX_LOCKED_FRACTION * target / 2.0  # A surface has half as many vertices as triangles.
+            if self._settings.drastic_simplification and has_many:
                 step(0.0)
 
     def take_next(self, target: int) -> bool:
         """Take the next step that changes anything on the way to `target` triangles. Return whether there was one."""
-        if not self._settings.drastic:
+        if not self._settings.drastic_simplification:
             return False
         if target != self._target:
             self._target, self._taken = target, 0

@@ -11,12 +11,12 @@ import numpy as np
 
 from ...errors import SettingsError
 from ...jobs.progress import Progress, Steps
+from ..settings import TexmeshSettings
 from ..textured_mesh import TexturedMesh
 from .collapse_fans import FLIP, FOLD, SHORT_CURVE, TOPOLOGY, VALID
 from .drastic import DrasticSteps
 from .engine import CollapseEngine, RemovalOrder
 from .removal_orders import CheapestOrder, CollapseCost, GivenOrder, TextureQuadrics
-from .settings import SimplificationSettings
 
 TOLERANCE = 0.01  # of a target: a count within it has reached the target
 REFUSALS = {
@@ -65,9 +65,7 @@ class Simplification:
     perceptual_values: np.ndarray
 
 
-def simplify_in_order(
-    mesh: TexturedMesh, priorities: np.ndarray, targets: list[int], settings: SimplificationSettings
-) -> Steps[Simplification]:
+def simplify_in_order(mesh: TexturedMesh, priorities: np.ndarray, targets: list[int], settings: TexmeshSettings) -> Steps[Simplification]:
     """Simplify `mesh` by removing vertices with low `priorities` (V,) first, ties by perceptual value, each onto its nearest neighbor.
 
     The order holds up to the independence of the collapses of a round, which are chosen among the first fifth of the vertices. Vertices
@@ -88,9 +86,7 @@ def simplify_in_order(
     return (yield from _make_levels(engine, order, targets, settings))
 
 
-def simplify_by_cost(
-    mesh: TexturedMesh, cost: CollapseCost | None, targets: list[int], settings: SimplificationSettings
-) -> Steps[Simplification]:
+def simplify_by_cost(mesh: TexturedMesh, cost: CollapseCost | None, targets: list[int], settings: TexmeshSettings) -> Steps[Simplification]:
     """Simplify `mesh` by the collapses with the smallest `cost`, by default `TextureQuadrics`. See `simplify_in_order`."""
     engine = CollapseEngine(mesh)
     order = CheapestOrder(TextureQuadrics(mesh) if cost is None else cost, engine.fine_vertices)
@@ -117,9 +113,7 @@ def extract_level(mesh: TexturedMesh, level: SubsetLevel) -> TexturedMesh:
     )
 
 
-def _make_levels(
-    engine: CollapseEngine, order: RemovalOrder, targets: list[int], settings: SimplificationSettings
-) -> Steps[Simplification]:
+def _make_levels(engine: CollapseEngine, order: RemovalOrder, targets: list[int], settings: TexmeshSettings) -> Steps[Simplification]:
     if any(target < 1 for target in targets) or any(first < second for first, second in pairwise(targets)):
         raise SettingsError(f"Triangle counts of levels must be positive and descend, not {', '.join(map(str, targets))}.")
     drastic = DrasticSteps(engine, settings)

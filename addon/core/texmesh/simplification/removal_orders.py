@@ -9,7 +9,7 @@ from ...arrays import TINY
 from ...geometry.mesh import longest_side, scaled_normals
 from ...geometry.transforms import signed_areas
 from ...jobs.chunks import slices
-from ..scale_space.scale_map import ScaleMap
+from ..scale_space.features import ScaleMap
 from ..textured_mesh import TexturedMesh
 from .collapse_fans import CollapseFans
 from .engine import CollapseEngine
@@ -40,7 +40,7 @@ class GivenOrder:
     """Vertices with low priorities are removed first, and collapse onto the nearest neighbor. Ties are broken by perceptual values."""
 
     def __init__(self, positions: np.ndarray, priorities: np.ndarray, protected_fraction: float) -> None:
-        """positions: (3, V). priorities: (V,) float64. protected_fraction: see `SimplificationSettings.protected_fraction`."""
+        """positions: (3, V). priorities: (V,) float64. protected_fraction: see `TexmeshSettings.protected_fraction`."""
         self._positions, self._priorities, self._protected_fraction = positions, priorities, protected_fraction
         has_ties = len(np.unique(priorities)) < (1.0 - TIED_FRACTION) * len(priorities)
         self._needs_values = has_ties or protected_fraction > 0.0

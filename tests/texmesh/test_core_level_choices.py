@@ -12,18 +12,21 @@ from farfield.addon.core.errors import SettingsError
 from farfield.addon.core.geometry.directions import fibonacci_sphere
 from farfield.addon.core.imaging.mipmaps import build_mipmaps
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.texmesh.perception import views
-from farfield.addon.core.texmesh.perception.level_choice import RANGE_MARGIN, LevelBudget, LevelOption, choose_levels
-from farfield.addon.core.texmesh.perception.level_images import LevelImages
-from farfield.addon.core.texmesh.perception.major_scales import (
-    choose_scale,
+from farfield.addon.core.texmesh.level_choices import (
+    CHOICES,
+    RANGE_MARGIN,
+    LevelBudget,
+    LevelOption,
+    choose_levels,
     find_major_scales,
     find_red_refinements,
     find_zones,
     keep_visible_scales,
 )
-from farfield.addon.core.texmesh.perception.settings import PerceptionSettings
+from farfield.addon.core.texmesh.perception import views
+from farfield.addon.core.texmesh.perception.level_images import LevelImages
 from farfield.addon.core.texmesh.perception.switch_distances import SwitchCheck, find_switches
+from farfield.addon.core.texmesh.settings import LEVELS, TexmeshSettings
 from textured_levels import checkered, textured_sphere
 
 #  scale                0    1    2    3    4    5    6    7
@@ -39,7 +42,6 @@ def test_steep_parts_are_red_and_flat_parts_are_green():
 def test_the_coarsest_scale_of_a_green_zone_is_taken_and_every_scale_of_a_red_one():
     assert find_zones(RED) == [(0, 0), (1, 3), (4, 4), (5, 7)]
     assert find_major_scales(RED).tolist() == [0, 3, 3, 3, 4, 7, 7, 7]
-    assert [choose_scale(distance, DISTANCES, RED) for distance in (0.5, 1.0, 4.9, 5.0, 9.0, 100.0)] == [0, 3, 3, 4, 7, 7]
 
 
 @given(FLAGS)
@@ -69,7 +71,7 @@ def test_unusable_distances_are_refused():
 
 
 def test_flip_tells_which_scales_can_be_dropped():
-    settings = PerceptionSettings(views=2, max_image=64)
+    settings = TexmeshSettings(views=2, max_image=64)
     meshes = [textured_sphere(count) for count in (20, 18, 4)]
     frame = views.frame_around(meshes[0].vertices)
     textures = [build_mipmaps(checkered())]
@@ -114,12 +116,14 @@ def test_the_choice_is_the_best_of_all(budget):
     assert chosen in allowed and mean_triangles(chosen, levels) <= min(mean_triangles(item, levels) for item in allowed) * (1.0 + 1e-9)
 
 
+def test_every_choice_of_levels_has_a_function():
+    assert set(CHOICES) == set(LEVELS)
+
+
 def test_limits_of_the_choice():
     levels = options()
     assert choose_levels(levels, LevelBudget(count=1)) == [0]
     assert choose_levels(levels, LevelBudget(triangles=300))[0] == 2  # the finest that fits
-    assert max(choose_levels(levels, LevelBudget(pixel_size_at_farthest=0.03))) == 2
-    assert max(choose_levels(levels, LevelBudget(pixels=2.0, pixel_size_at_farthest=0.03))) == 3
     with pytest.raises(SettingsError, match="increase it"):
         choose_levels(levels, LevelBudget(triangles=3))
     with pytest.raises(SettingsError, match="grow"):

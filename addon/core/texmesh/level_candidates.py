@@ -1,0 +1,164 @@
+"""Candidates for levels of detail: subset levels of a mesh from fine to coarse, made by simplification."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import SettingsError
+from ..geometry.transforms import signed_areas
+from ..jobs.parallel_steps import run_in_parallel
+from ..jobs.progress import Steps
+from .perception.weber import Collapses
+from .refitting.refit import make_starts
+from .scale_space.features import SCALES, ScaleMap
+from .settings import TexmeshSettings
+from .simplification.levels import Simplification, SubsetLevel, extract_level, simplify_by_cost, simplify_in_order
+from .simplification.removal_orders import ScaleWeightedQuadrics
+from .textured_mesh import TexturedMesh
+
+MIN_TRIANGLES = 8  # With fewer triangles there is nothing to simplify. The coarsest candidate has at least half of them.
+MIN_REDUCTION = 0.6  # A candidate has at most this fraction of the triangles of the one before it.
+STEP_BEYOND = 0.5  # Beyond the last scale, a candidate has this fraction of the triangles of the one before it.
+MIN_FRACTION = 0.002  # The coarsest candidate has at least this fraction of the triangles of the original.
+MAX_RATIOS = 32
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A level that is tried.
+
+    Attributes:
+        mesh: the level.
+        scale: the last scale whose features it has, 0 for the original.
+        subset: what it is of the original, None for the original itself.
+        start: the subset level from which it is optimized, None if it is not.
+        target: triangles of the optimized level, 0 if it is not optimized.
+    """
+
+    mesh: TexturedMesh
+    scale: int
+    subset: SubsetLevel | None
+    start: SubsetLevel | None = None
+    target: int = 0
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """The candidates of a mesh, the original first, and the simplification that made them.
+
+    is_optimized: whether their vertices are to be moved.
+    """
+
+    items: list[Candidate]
+    simplification: Simplification
+    is_optimized: bool
+
+    def divide_collapses(self) -> Collapses:
+        """Return the collapses; their scales are the indices of the coarsest candidates that contain the removed vertices."""
+        counts = [item.subset.collapse_count for item in self.items[1:]]
+        used = slice(0, counts[-1] if counts else 0)
+        simplification = self.simplification
+        removed, kept, values = simplification.removed[used], simplification.kept[used], simplification.perceptual_values[used]
+        return Collapses(removed, kept, values, np.searchsorted(counts, np.arange(len(removed)), side="right"))
+
+
+def make_candidates(mesh: TexturedMesh, scale_map: ScaleMap, ratios: Sequence[float], settings: TexmeshSettings) -> Steps[Candidates]:
+    """Simplify a mesh to candidates for levels, each coarser than the one before it.
+
+    ratios: the fractions of the triangles that they have; none to have one candidate for each scale that makes a difference.
+
+    Raises:
+        SettingsError: see `targets_of_ratios`.
+    """
+    targets, scales = targets_of_ratios(mesh, scale_map, ratios) if ratios else choose_targets(mesh, scale_map)
+    is_optimized = settings.vertices == "optimized" and bool(signed_areas(mesh.corner_uvs).any())  # without UV area, nothing can be fitted
+    tasks: list[Steps] = [_simplify(mesh, scale_map, targets, settings)]
+    if is_optimized:
+        tasks.append(make_starts(mesh, targets, settings))
+    simplification, *starts = yield from run_in_parallel(tasks)
+    items = [Candidate(mesh, 0, None)]
+    rows = zip(simplification.levels, scales, targets, starts[0] if is_optimized else [None] * len(targets), strict=True)
+    for level, scale, target, start in rows:
+        if 0 < len(level.triangles) < len(items[-1].mesh.triangles):
+            items.append(Candidate(extract_level(mesh, level), scale, level, start, target))
+    return Candidates(items, simplification, is_optimized)
+
+
+def _simplify(mesh: TexturedMesh, scale_map: ScaleMap, targets: list[int], settings: TexmeshSettings) -> Steps[Simplification]:
+    if settings.removal_order == "scale":
+        return simplify_in_order(mesh, _priorities(scale_map), targets, settings)
+    return simplify_by_cost(mesh, ScaleWeightedQuadrics(mesh, scale_map), targets, settings)
+
+
+def _priorities(scale_map: ScaleMap) -> np.ndarray:
+    """Return the order in which vertices are removed, (V,) float64: by last scale, then by strength."""
+    rank = np.empty(len(scale_map.strengths))
+    rank[np.argsort(scale_map.strengths, kind="stable")] = np.arange(len(rank))
+    return scale_map.last_scales + rank / max(len(rank), 1)
+
+
+def choose_targets(mesh: TexturedMesh, scale_map: ScaleMap) -> tuple[list[int], list[int]]:
+    """Return triangle counts of candidates, descending, and the scale whose features each has.
+
+    A mesh without the features below a scale has two triangles less per removed vertex, if that is no boundary. Beyond the last scale, the
+    strongest features stay.
+    """
+    total, vertices = len(mesh.triangles), len(mesh.vertices)
+    smallest = max(MIN_TRIANGLES // 2, round(MIN_FRACTION * total))
+    targets, scales, last = [], [], total
+    for scale in range(1, SCALES):
+        count = max(total - 2 * (vertices - int(scale_map.counts[scale])), smallest)
+        if count <= MIN_REDUCTION * last:
+            targets.append(count)
+            scales.append(scale)
+            last = count
+    while last * STEP_BEYOND >= smallest:
+        last = max(round(last * STEP_BEYOND), 1)
+        targets.append(last)
+        scales.append(SCALES - 1)
+    return targets, scales
+
+
+def parse_ratios(text: str) -> list[float]:
+    """Return the fractions that `text` lists, "0.5, 0.25" or "50%, 25%", in descending order.
+
+    Raises:
+        SettingsError: it lists something else than different fractions between 0 and 1, or more than MAX_RATIOS.
+    """
+    words = [word.strip() for word in text.split(",")]
+    ratios = sorted({_parse_ratio(word, text) for word in words}, reverse=True)
+    if len(ratios) < len(words):
+        raise SettingsError(f'Ratios are "{text}", which names one twice; write each once.', settings=("ratios",))
+    if len(ratios) > MAX_RATIOS:
+        raise SettingsError(f"There are {len(ratios)} ratios; the maximum is {MAX_RATIOS}.", settings=("ratios",))
+    return ratios
+
+
+def targets_of_ratios(mesh: TexturedMesh, scale_map: ScaleMap, ratios: Sequence[float]) -> tuple[list[int], list[int]]:
+    """Return triangle counts, descending, and the last scale of which each still has all features, see `choose_targets`.
+
+    Raises:
+        SettingsError: a ratio leaves no triangle, or two the same number.
+    """
+    total, removed = len(mesh.triangles), len(mesh.vertices) - scale_map.counts
+    targets = [round(ratio * total) for ratio in ratios]
+    if targets[-1] < 1 or len(set(targets)) < len(targets):
+        raise SettingsError(
+            f"A mesh of {total:,} triangles has no level for every ratio; use larger or fewer ratios.", settings=("ratios",)
+        )
+    scales = [int(max((total - 2 * removed >= target).nonzero()[0], default=0)) for target in targets]
+    return targets, scales
+
+
+def _parse_ratio(word: str, text: str) -> float:
+    try:
+        ratio = float(word.rstrip("% ")) / (100.0 if word.endswith("%") else 1.0)
+    except ValueError:
+        ratio = math.nan
+    if not 0.0 < ratio < 1.0:
+        raise SettingsError(
+            f'Ratios are "{text}"; write fractions between 0 and 1 separated by commas, as in 0.5,0.25.', settings=("ratios",)
+        )
+    return ratio
