@@ -39,8 +39,9 @@ def test_a_volume_and_a_level_set(openvdb, tmp_path):
     openvdb.write(str(tmp_path / "Kugel 樹.vdb"), [sphere])
     solid = volume_of(write_fog(openvdb, tmp_path / "fog.vdb"), 12.0)(Grid((-6, -6, 0), (12, 12, 12), 1.0)) > 0
     assert solid.sum() == 8 * 10 * 12
-    side = float(read_file(tmp_path / "Kugel 樹.vdb", READERS).values.shape[0])
-    upwards = volume_of(tmp_path / "Kugel 樹.vdb", side)(Grid((0, 0, 0), (1, 1, 45), 1.0)).ravel()
+    voxels = read_file(tmp_path / "Kugel 樹.vdb", READERS)
+    settings = ClipboxSettings(terrain="volume", source=str(tmp_path / "fog.vdb"), source_size=float(voxels.values.shape[0]))
+    upwards = build_sampler(settings, {".vdb": lambda _path: voxels}).function(Grid((0, 0, 0), (1, 1, 45), 1.0)).ravel()
     assert (upwards > 0).sum() == pytest.approx(40, abs=1)
 
 
