@@ -81,7 +81,7 @@ def test_a_plain_image_covers_the_field(tmp_path, name):
         assert np.abs(sample(store, positions)[:, :2] - expected).max() <= (3.0 if name.endswith(("tif", "png")) else 6.0)
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("dtype", [pytest.param(np.uint8, marks=pytest.mark.exhaustive), np.uint16])
 def test_a_georeferenced_image_lies_at_its_position(tmp_path, dtype):
     pixels = gradient(400, 400, dtype)
     west, north, step = WEST + 200.0, NORTH - 100.0, 1.5  # 600 m wide and high
@@ -113,7 +113,7 @@ def test_world_files_place_images_and_later_ones_lie_on_top(tmp_path):
         assert np.abs(reds[(east > 405.0) & (east < 990.0)].astype(int) - 200).max() <= 1
 
 
-@pytest.mark.parametrize("image_format", ["raw", "jpeg", "webp"])
+@pytest.mark.parametrize("image_format", ["jpeg", *(pytest.param(name, marks=pytest.mark.exhaustive) for name in ("raw", "webp"))])
 def test_texels_over_holes_are_transparent(tmp_path, image_format):
     Image.fromarray(gradient(600, 600)).save(tmp_path / "ground.png")
     dem = write_dem(tmp_path, holes=True)

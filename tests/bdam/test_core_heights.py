@@ -93,7 +93,7 @@ def random_points(store: TerrainStore, seed: int, count: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ["whole", "geographic"])
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(0, 60))
 def test_heights_are_interpolated_in_the_triangles_of_the_samples(stores, name, seed, count):
     points = random_points(stores[name], seed, count)
@@ -146,12 +146,12 @@ def test_triangles_without_a_known_sample_are_holes(stores):
 
 
 @pytest.mark.parametrize("name", ["whole", "hole", "geographic"])
-@pytest.mark.parametrize("max_error", [0.5, 5.0, 50.0])
+@pytest.mark.parametrize("max_error", [pytest.param(0.5, marks=pytest.mark.exhaustive), 5.0, 50.0])
 def test_heights_of_a_cut_are_those_of_its_mesh(stores, name, max_error):
     store = stores[name]
     cut = extract_uniform_cut(store, max_error)
     mesh = build_cut_mesh(store, cut)
-    points = random_points(store, 3, 500)
+    points = random_points(store, 3, 200)
     heights, normals = height_at(store, points, cut)
     corners = mesh.positions[mesh.triangles]
     for point, height, normal in zip(points, heights, normals, strict=True):
@@ -167,7 +167,7 @@ def test_heights_of_a_cut_are_those_of_its_mesh(stores, name, max_error):
         assert name == "geographic" or np.allclose(normal, plane / np.linalg.norm(plane), atol=1e-6)
 
 
-@settings(max_examples=10)
+@settings(max_examples=5)
 @given(max_error=st.floats(0.02, 60.0))
 def test_a_cut_is_within_its_error_of_the_samples(stores, max_error):
     store = stores["whole"]
@@ -199,7 +199,7 @@ def test_cuts_of_a_geographic_grid_are_within_their_errors_in_meters(tmp_path):
     with TerrainStore(tmp_path / "store") as store:
         positions = np.stack([*store.frame.to_local(x, y), stored(heights)], axis=2).reshape(-1, 3)
         assert all((level.errors > 0.0).all() for level in store.levels[:-1])
-        for max_error in (0.1, 0.5, 2.0, 20.0):
+        for max_error in (0.5, 20.0):
             mesh = build_cut_mesh(store, extract_uniform_cut(store, max_error))
             distances = measure_in_meters(mesh, positions)
             is_inside = np.isfinite(distances)
@@ -246,7 +246,7 @@ def test_damaged_patches_are_named_and_the_others_usable(tmp_path):
             height_at(store, points)
 
 
-@settings(max_examples=30)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_triangle_search_finds_the_triangle_that_contains_a_point(seed):
     random = np.random.default_rng(seed)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from farfield.addon.core.bdam.textures.build import list_tiles
@@ -50,6 +50,7 @@ def random_tree(seed: int):
     return generator, index, own.astype(np.float32)
 
 
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_neighbors_in_a_cut_differ_by_one_level_at_most(seed):
     generator, index, own = random_tree(seed)
@@ -60,6 +61,7 @@ def test_neighbors_in_a_cut_differ_by_one_level_at_most(seed):
         assert (is_refined[index.parents()] | ~is_refined | (index.levels == 0)).all(), "a refined tile has refined ancestors"
 
 
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_errors_never_shrink_towards_the_root_nor_grow_without_need(seed):
     _, index, own = random_tree(seed)

@@ -15,6 +15,7 @@ ROWS, COLUMNS = 65, 81
 
 
 @pytest.mark.once
+@pytest.mark.exhaustive  # Other tests run tasks with Dask, and builds in processes.
 def test_dask_builds_the_same_bytes_with_textures(scheduler, tmp_path):
     scheduler.start_workers(2)
     heights = hills(ROWS, COLUMNS)
