@@ -14,9 +14,9 @@ from bridge import blender_scenes
 from bridge.bakes import open_cloud
 from farfield.addon.bridge.billboards.level_objects import PBR_MATERIAL, read_level_texels
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
-from farfield.addon.bridge.btf.capture.source_renderers import sun_angle
 from farfield.addon.bridge.btf.levels.decode import read_relightable_texture
 from farfield.addon.bridge.btf.levels.emission_levels import link_suns, raise_transparent_bounces
+from farfield.addon.core.btf.reflectance.disc_lights import disc_radius
 from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.geometry.directions import DirectionGrid
 from farfield.addon.operators.btf.estimates import EstimateCache
@@ -198,7 +198,7 @@ def test_a_cloud_with_changed_sources_is_rejected(cloud, change, message):
 
 @pytest.mark.parametrize(("side", "upper"), [(8, False), (8, True), (3, True)])
 def test_suns_cover_the_sphere_or_its_upper_half_once(side, upper):
-    width = sun_angle(BtfSettings(lights_per_side=side, upper_hemisphere=upper))
+    width = 2.0 * disc_radius(BtfSettings(lights_per_side=side, upper_hemisphere=upper).sun_solid_angle)
     disc = 2.0 * np.pi * (1.0 - np.cos(0.5 * width))
     assert side**2 * disc == pytest.approx((2.0 if upper else 4.0) * np.pi)
 

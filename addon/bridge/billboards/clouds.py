@@ -45,17 +45,12 @@ def create_cloud(
         level_object.data.materials.append(material)
         _write_properties(level_object, index, level, camera, material)
         level_object[CENTER] = (read_positions(mesh).astype(np.float64).mean(axis=0) + source.origin).tolist()
-        _write_drawn_primitives(level_object.data, level)
+        mesh[DRAWN_OFFSETS], mesh[DRAWN] = level.quads.drawn_offsets.tolist(), level.quads.drawn.tolist()  # Later bakes need them.
         level_object.hide_viewport = level_object.hide_render = index > 0
         collection.objects.link(level_object)
     collection[FINGERPRINT] = source.fingerprint
     collection_parent.children.link(collection)
     return collection
-
-
-def _write_drawn_primitives(mesh: bpy.types.Mesh, level: Level) -> None:
-    """Store which primitives of the source each quad shows; later bakes of the quads' textures need them."""
-    mesh[DRAWN_OFFSETS], mesh[DRAWN] = level.quads.drawn_offsets.tolist(), level.quads.drawn.tolist()
 
 
 def read_drawn_primitives(mesh: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray]:

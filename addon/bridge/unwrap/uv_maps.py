@@ -76,7 +76,7 @@ def read_uv_target(item: bpy.types.Object, vertex_group: str | None) -> UvTarget
         other_triangles=loop_vertices[loops[~is_selected]],
         loops=loops[is_selected],
         polygon_ids=polygons[is_selected],
-        seams=_read_seams(mesh),
+        seams=read_values(mesh.edges, "vertices", 2, np.int32)[read_values(mesh.edges, "use_seam", dtype=bool)],
         normal_sign=-1.0 if is_mirrored else 1.0,
         group_weights=np.zeros(len(mesh.vertices)) if vertex_group is None else _read_vertex_group(item, vertex_group),
     )
@@ -177,10 +177,6 @@ def read_metrics(mesh: bpy.types.Mesh) -> dict[str, float]:
 def _is_stretch(attribute: bpy.types.Attribute) -> bool:
     """Whether an attribute has the domain and type of the stretch that `write_uv_map` stores."""
     return (attribute.domain, attribute.data_type) == ("FACE", "FLOAT")
-
-
-def _read_seams(mesh: bpy.types.Mesh) -> np.ndarray:
-    return read_values(mesh.edges, "vertices", 2, np.int32)[read_values(mesh.edges, "use_seam", dtype=bool)]
 
 
 def _read_vertex_group(item: bpy.types.Object, name: str) -> np.ndarray:

@@ -59,11 +59,6 @@ def search_error(
             error = MAX_ERROR
         # The number of builds is not known in advance: each takes half of the rest of the progress bar.
         attempts.append((yield from subprogress(build(error), 1.0 - 0.5**index, 1.0 - 0.5 ** (index + 1))))
-    return find_best_attempt(attempts, limit)
-
-
-def find_best_attempt(attempts: Sequence[Attempt], limit: float) -> Attempt:
-    """Return the first of `attempts` with the largest usage within `limit`, or the one with the largest error if all exceed it."""
     within = [attempt for attempt in attempts if attempt.usage <= limit]
     return max(within, key=lambda attempt: attempt.usage) if within else max(attempts, key=lambda attempt: attempt.relative_error)
 

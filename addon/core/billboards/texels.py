@@ -1,7 +1,5 @@
 """Texels on the quads of a level, in texture space and in world space."""
 
-import itertools
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -54,13 +52,6 @@ class Texels:
         indices = np.full((self.texture_size[1], self.texture_size[0]), -1, np.int32)
         indices[self.pixels[:, 1], self.pixels[:, 0]] = np.arange(len(self))
         return indices
-
-    @staticmethod
-    def subsample_offsets(count: int) -> Iterator[np.ndarray]:
-        """Yield the centers (2,) of count x count parts of a texel, relative to the texel center, in multiples of its steps."""
-        offsets = (2.0 * np.arange(count) + 1.0) / (2.0 * count) - 0.5
-        for x, y in itertools.product(offsets, offsets):
-            yield np.array([x, y])
 
     def to_image(self, values: np.ndarray) -> np.ndarray:
         """Write `values` (N, C) to the pixels of an image (H, W, C) that is 0 elsewhere."""

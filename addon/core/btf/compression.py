@@ -81,7 +81,11 @@ class LevelCompressor:
         try:
             steps = write_residuals(self._store, chromaticity, lobes, self._views, self._suns)
             residuals = yield from subprogress(steps, LOBES_END, RESIDUALS_END)
-            steps = _factorize_color(ViewMatrix(residuals, count, self._weights, self._column_weights), settings)
+            matrix = ViewMatrix(residuals, count, self._weights, self._column_weights)
+            if settings.codec == "lpca":
+                steps = factorize_lpca(matrix, settings.clusters, settings.cluster_components, settings.seed)
+            else:
+                steps = factorize(matrix, settings.components, settings.seed)
             color = yield from subprogress(steps, RESIDUALS_END, COLOR_END)
         finally:
             residual_files(self._store).remove_all()
@@ -167,10 +171,3 @@ class LevelCompressor:
         dome_views = [DomeView(self._store, view) for view in range(len(self._views))]
         lobes = replace(lobes, shadows=shadows, sky_visibility=self._suns.sky_visibility)
         return (yield from subprogress(fit_dome(dome_views, lobes, self._views, self._weights), 0.8, 1.0))
-
-
-def _factorize_color(matrix: ViewMatrix, settings: BtfSettings) -> Steps[Factors]:
-    """Factorize residual colors with the codec of the settings."""
-    if settings.codec == "lpca":
-        return (yield from factorize_lpca(matrix, settings.clusters, settings.cluster_components, settings.seed))
-    return (yield from factorize(matrix, settings.components, settings.seed))

@@ -36,7 +36,7 @@ def read_sources(context: bpy.types.Context, objects: Sequence[bpy.types.Object]
     if combine:
         originals = [source for cloud in rebuilt for source in cloud.sources]
         with temporarily_visible(context, originals) as depsgraph:
-            return _read_selected(_unique([*ordinary, *originals]), depsgraph, True, skipped), skipped
+            return _read_selected(list(dict.fromkeys([*ordinary, *originals])), depsgraph, True, skipped), skipped
     sources = _read_clouds(context, rebuilt, skipped)
     if ordinary or not sources:
         try:
@@ -94,10 +94,6 @@ def _read_surfaces(
     if combine or len(names) == 1:
         return [combined]
     return [meshes.read_source([item], depsgraph) for item in objects if item.name in names]
-
-
-def _unique(objects: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:
-    return list(dict.fromkeys(objects))
 
 
 def quote_names(scene_clouds: Sequence[SceneCloud]) -> str:

@@ -27,8 +27,7 @@ from pathlib import Path
 from farfield.addon.core.jobs import heartbeat
 from farfield.addon.core.btf.capture.shards import ShardStore
 from farfield.addon.core.jobs.core_worker import EXIT_ERROR, encode_error
-from farfield.addon.core.btf.capture.reference_images import ReferenceImage
-from farfield.addon.core.btf.capture.observations import Observation
+from farfield.addon.core.btf.capture.observations import Observation, ReferenceImage
 from farfield.addon.core.errors import FileError
 
 reference = ReferenceImage(np.ones((5, 4, 4, 3), np.float32), np.ones((4, 4), np.float32))

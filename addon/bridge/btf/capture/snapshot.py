@@ -63,7 +63,7 @@ def write_snapshot(
         "settings": asdict(settings),
         "levels": len(specs),
         "frame": scene.frame_current,
-        "properties": {name: _read_properties(owner, names) for name, owner, names in _property_owners(scene)},
+        "properties": {key: {name: getattr(owner, name) for name in names} for key, owner, names in _property_owners(scene)},
         "images": {},
     }
     try:
@@ -153,10 +153,6 @@ def _property_owners(scene: bpy.types.Scene) -> Iterator[tuple[str, Any, tuple[s
     yield "units", scene.unit_settings, UNIT_PROPERTIES
 
 
-def _read_properties(owner: Any, names: Sequence[str]) -> dict[str, Any]:
-    return {name: getattr(owner, name) for name in names}
-
-
 def _unsaved_images(source: Source) -> list[bpy.types.Image]:
     """Return the images of the materials of `source` that have unsaved pixels.
 
@@ -177,7 +173,8 @@ def may_run_python_drivers() -> bool:
 
     Blender does not tell. It evaluates a driver of a temporary scene, which calls a method: restricted drivers may not.
     """
-    if not any(_needs_permission(driver) for driver in _drivers()):
+    # Some drivers that run the full interpreter do not need the permission; Blender decides when it runs them.
+    if not any(driver.type == "SCRIPTED" and not driver.is_simple_expression for driver in _drivers()):
         return False
     calls: list[int] = []
     scene = bpy.data.scenes.new("Farfield Driver Probe")
@@ -191,11 +188,6 @@ def may_run_python_drivers() -> bool:
         bpy.app.driver_namespace.pop(PROBE, None)
         bpy.data.scenes.remove(scene)
     return bool(calls)
-
-
-def _needs_permission(driver: bpy.types.Driver) -> bool:
-    """Whether a driver runs the full Python interpreter. Some of these do not need the permission; Blender decides when it runs them."""
-    return driver.type == "SCRIPTED" and not driver.is_simple_expression
 
 
 def _drivers() -> Iterator[bpy.types.Driver]:

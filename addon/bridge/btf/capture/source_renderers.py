@@ -17,6 +17,7 @@ from ....core.btf.reflectance.disc_lights import disc_radius
 from ....core.btf.settings import BtfSettings
 from ....core.geometry.cameras import OrthographicView
 from ....core.geometry.directions import DirectionGrid
+from ....core.geometry.mesh import face_areas_and_normals
 from ...cameras import light_matrix, set_camera_view
 from ...geometry.mesh_arrays import write_attribute
 from ...geometry.meshes import Source
@@ -51,7 +52,7 @@ class RadianceRenderer:
     def __init__(self, work: RenderScene, source: Source, settings: BtfSettings) -> None:
         self.work, self._source, self._settings = work, source, settings
         light = work.own(bpy.data.lights.new("Farfield Sun", "SUN"))
-        light.energy, light.angle = 1.0, sun_angle(settings)
+        light.energy, light.angle = 1.0, 2.0 * disc_radius(settings.sun_solid_angle)
         self._sun = work.add_object(light)
         self._black_world, self._white_world = (work.add_world(radiance) for radiance in (0.0, 1.0))
         self._has_emission = has_emission(source.materials)
@@ -189,11 +190,6 @@ def open_surface_renderer(source: Source, settings: BtfSettings, threads: int) -
         yield SurfaceRenderer(work, source, add_channel_proxies(work, source, single_placement(np.zeros(3)), 1.0), settings)
 
 
-def sun_angle(settings: BtfSettings) -> float:
-    """Return the angular diameter, in radians, of a Sun light of the bake; see `BtfSettings.sun_solid_angle`."""
-    return 2.0 * disc_radius(settings.sun_solid_angle)
-
-
 def build_views(source: Source, grid: DirectionGrid, pixel_size: float) -> list[OrthographicView]:
     """Return one view per direction of `grid` that contains the whole source. pixel_size: a length."""
     points = source.mesh.vertices if source.mesh is not None else source.points.points
@@ -208,9 +204,7 @@ def _face_planes(source: Source, face_ids: np.ndarray) -> tuple[np.ndarray, np.n
     if source.mesh is None:
         return source.points.points[face_ids], source.points.normals[face_ids]
     corners = source.mesh.vertices[source.mesh.triangles[face_ids]]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return corners[:, 0], normals / np.where(lengths > 0.0, lengths, 1.0)
+    return corners[:, 0], face_areas_and_normals(corners)[1]
 
 
 def _prepare_scene(work: RenderScene, settings: BtfSettings, threads: int) -> None:

@@ -24,7 +24,6 @@ from ....core.geometry.cameras import OrthographicView
 from ....core.jobs.core_worker import EXIT_ERROR, encode_error
 from ....core.jobs.dispatch import Shard
 from ....core.jobs.heartbeat import exit_when_run_ends
-from ...geometry.meshes import Source
 from ...shading.node_groups import has_emission
 from ...worker_processes import worker_command
 from . import source_renderers
@@ -96,7 +95,13 @@ def _capture_face_ids(snapshot: Snapshot, jobs: list["_ViewJob"], threads: int) 
             start = face_id_renderer.work.render_seconds
             face_ids = face_id_renderer.render_face_ids(job.view.supersample(ID_BUFFER_SCALE))
             job.store.face_ids.write(job.index, {"face_ids": face_ids}, compressed=True)
-            visibility = [_sun_visibility(job.spec, source, sun, face_id_renderer.render_face_ids(sun)) for sun in job.suns]
+            visibility = []
+            for sun in job.suns:
+                face_ids = face_id_renderer.render_face_ids(sun)
+                heights = source_renderers.compute_heights(source, sun, face_ids)
+                spec = job.spec
+                counts = visible_subsamples(spec.texels, sun, face_ids, heights, spec.quad_faces, spec.error)
+                visibility.append(encode_visibility(*counts))
             visibility_and_seconds.append((visibility, face_id_renderer.work.render_seconds - start))
     return visibility_and_seconds
 
@@ -173,8 +178,3 @@ class _ViewJob:
         """Write the finished view. reference_weights (L, M): of the images of `render` in the colors of the reference image."""
         observation = observe(self.spec.texels, self.view, render, self.spec.quad_faces, self.spec.error)
         self.store.write(self.index, observation, compute_reference_image(render, reference_weights), visibility, seconds)
-
-
-def _sun_visibility(spec: LevelCaptureSpec, source: Source, sun: OrthographicView, face_ids: np.ndarray) -> np.ndarray:
-    heights = source_renderers.compute_heights(source, sun, face_ids)
-    return encode_visibility(*visible_subsamples(spec.texels, sun, face_ids, heights, spec.quad_faces, spec.error))

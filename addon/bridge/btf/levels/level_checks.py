@@ -44,10 +44,11 @@ def check_level(level_object: bpy.types.Object, source: Source) -> None:
             level is in Edit Mode.
     """
     _check_mode(level_object)
+    primitive_count = len(source.points.points) if source.mesh is None else len(source.mesh.triangles)
     problem = (
         _numbers_problem(level_object)
         or _mesh_problem(level_object.data)
-        or _drawn_problem(level_object.data, _primitive_count(source))
+        or _drawn_problem(level_object.data, primitive_count)
         or _atlas_problem(level_object)
     )
     if not problem:
@@ -182,7 +183,3 @@ def _normal(corners: np.ndarray) -> np.ndarray:
     normal = np.cross(centered, np.roll(centered, -1, axis=0)).sum(axis=0)
     length = np.linalg.norm(normal)
     return normal / length if length > 0.0 else normal
-
-
-def _primitive_count(source: Source) -> int:
-    return len(source.points.points) if source.mesh is None else len(source.mesh.triangles)

@@ -24,15 +24,11 @@ class PrimitiveGroups:
 
 def build_groups(labels: np.ndarray, pairs: np.ndarray) -> PrimitiveGroups:
     """Build groups from `labels` (P,); groups are adjacent if one of the `pairs` (E, 2) of primitives joins them."""
-    return PrimitiveGroups(labels, group_by_label(labels), _build_adjacency(labels, pairs))
-
-
-def _build_adjacency(labels: np.ndarray, pairs: np.ndarray) -> csr_matrix:
-    """Build the symmetric adjacency matrix of the groups."""
     count = int(labels.max()) + 1
     a, b = labels[pairs].T
     ones = np.ones(2 * len(a), bool)
-    return coo_matrix((ones, (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(count, count)).tocsr()
+    adjacency = coo_matrix((ones, (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(count, count)).tocsr()
+    return PrimitiveGroups(labels, group_by_label(labels), adjacency)
 
 
 def grow_regions(

@@ -55,7 +55,8 @@ def decimate_to_error(vertices: np.ndarray, triangles: np.ndarray, error: float,
         max_normal_deviation: radians between a fine face and the triangle that replaces it.
     """
     reference = ReferenceMesh(vertices[triangles], error, float(np.cos(max_normal_deviation)))
-    welded = _weld(vertices, triangles)
+    positions, index = np.unique(vertices, axis=0, return_inverse=True)
+    welded = remove_degenerate(positions, index.reshape(-1)[triangles])
     yield Progress(0.0, "Proposing a coarse mesh")
     steps = _run_rounds(reference, *_find_start(reference, *welded))
     history = yield from subprogress(steps, PROPOSAL_PROGRESS, ROUNDS_PROGRESS)
@@ -125,12 +126,6 @@ def _descend(reference: ReferenceMesh, best: DecimatedMesh) -> Steps[DecimatedMe
         else:
             skipped += 1
     return best
-
-
-def _weld(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mesh with one vertex per position and without duplicate faces."""
-    positions, index = np.unique(vertices, axis=0, return_inverse=True)
-    return remove_degenerate(positions, index.reshape(-1)[triangles])
 
 
 def _bisect_count(count: int, attempt: Callable[[int], Result | None]) -> Result | None:

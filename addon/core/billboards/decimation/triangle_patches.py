@@ -129,8 +129,10 @@ def cover_flat_surfaces(
     is_flat = flat_bounds.contain(primitives.positions, primitives.normals, normal, offset) & (np.abs(cosines) >= bounds.min_cosine)
     indices: list[np.ndarray] = []
     patches: list[Patch] = []
-    surfaces = _find_surfaces(components, cosines > 0.0) if is_flat.all() else []
-    for members in surfaces:
+    labels = np.unique(2 * components.labels + (cosines > 0.0), return_inverse=True)[1].reshape(-1)
+    for members in group_by_label(labels) if is_flat.all() else []:
+        if components.loose[members].any():
+            continue
         sign = 1.0 if cosines[members[0]] > 0.0 else -1.0
         first = sum(len(other) for other in indices)
         drawn, frame = np.arange(first, first + len(members)), frames_from_normals(sign * normal[None])[0, :2]
@@ -141,9 +143,3 @@ def cover_flat_surfaces(
             patches.append(patch)
     owner = np.repeat(np.arange(len(patches), dtype=np.int32), [len(members) for members in indices])
     return np.concatenate([np.empty(0, np.int64), *indices]), Covering(patches, owner)
-
-
-def _find_surfaces(components: Components, is_front: np.ndarray) -> list[np.ndarray]:
-    """Return the primitives of each connected surface, without loose parts, front and back faces separately."""
-    labels = np.unique(2 * components.labels + is_front, return_inverse=True)[1].reshape(-1)
-    return [members for members in group_by_label(labels) if not components.loose[members].any()]

@@ -3,6 +3,7 @@
 Silhouettes are refined against reference images, which show the source under low-order lights.
 """
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -140,7 +141,8 @@ def _subsample_visibility(
     projected, projected_heights = view.project(view.center + texels.steps.reshape(-1, 3))
     steps, height_steps = (projected - 0.5 * view.resolution).reshape(-1, 2, 2), projected_heights.reshape(-1, 2)
     flat_ids, flat_heights = face_ids.ravel(), heights.ravel()
-    for offset in texels.subsample_offsets(SUBSAMPLES):
+    offsets = (2.0 * np.arange(SUBSAMPLES) + 1.0) / (2.0 * SUBSAMPLES) - 0.5
+    for offset in map(np.array, itertools.product(offsets, offsets)):
         positions = np.floor(centers + np.einsum("a,qac->qc", offset, steps)[texels.quad_indices])
         column, row = np.clip(positions, 0, view.resolution - 1).astype(np.int64).T
         pixel = row * view.resolution + column

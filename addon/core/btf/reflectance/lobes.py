@@ -135,7 +135,7 @@ def specular_lobe(normals: np.ndarray, view: np.ndarray, lights: np.ndarray, rou
 
     normals (N, 3): facing `view` (3,); lights (L, 3); all unit. roughness (N,): its square is the alpha of GGX.
     """
-    view_cosine, light_cosine = _clamped_cosine(normals, view)[:, None], np.maximum(normals @ lights.T, 0.0)
+    view_cosine, light_cosine = np.clip(normals @ view, MIN_COSINE, 1.0)[:, None], np.maximum(normals @ lights.T, 0.0)
     half = lights + view
     half = half / np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-6)
     alpha = np.maximum(roughness, MIN_ROUGHNESS)[:, None] ** 4
@@ -163,7 +163,3 @@ def lobe_responses(surface: TexelSurface, view: np.ndarray, suns: DiscLights, ro
     if suns.sky_visibility is not None:
         responses[:, -1, :LOBE_COUNT] *= suns.sky_visibility[rows, None]
     return responses
-
-
-def _clamped_cosine(normals: np.ndarray, view: np.ndarray) -> np.ndarray:
-    return np.clip(normals @ view, MIN_COSINE, 1.0)

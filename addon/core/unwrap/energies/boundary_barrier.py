@@ -148,12 +148,9 @@ def _any_intersect(segments: np.ndarray) -> bool:
     """Return whether the segments of any pair intersect, (Q, 2, 2, 2): pair, segment, end, axis."""
     (a, b), (c, d) = (segments[:, index].transpose(1, 0, 2) for index in (0, 1))
     is_separated = (_orientation(a, b, c) * _orientation(a, b, d) > 0.0) | (_orientation(c, d, a) * _orientation(c, d, b) > 0.0)
-    return bool((~is_separated & _boxes_overlap(a, b, c, d)).any())
+    boxes_overlap = ((np.minimum(a, b) <= np.maximum(c, d)) & (np.minimum(c, d) <= np.maximum(a, b))).all(axis=1)
+    return bool((~is_separated & boxes_overlap).any())
 
 
 def _orientation(start: np.ndarray, end: np.ndarray, point: np.ndarray) -> np.ndarray:
     return cross(end - start, point - start)
-
-
-def _boxes_overlap(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
-    return ((np.minimum(a, b) <= np.maximum(c, d)) & (np.minimum(c, d) <= np.maximum(a, b))).all(axis=1)
