@@ -28,7 +28,7 @@ from btf_models import DATA, MODELS
 from scipy.ndimage import binary_erosion
 
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
-from farfield.addon.bridge.shading.node_groups import nodes_in
+from farfield.addon.bridge.shading.node_builder import nodes_in
 from farfield.addon.core.jobs.progress import Progress, Steps, run_to_end, subprogress
 from lib import command_line, scene_files
 from lib.contact_sheet import write_png

@@ -12,8 +12,7 @@ import bpy
 
 from ..compat import enable_nodes
 from .objects import add_scene_driver
-from .shading.node_builder import NodeBuilder, SocketOrValue
-from .shading.node_groups import ensure_shared_group
+from .shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
 
 GROUP_NAME, GROUP_VERSION = "Farfield Cross-Fade", 1
 # Custom properties of a cross-fading object. Lengths are in the object's units.

@@ -9,8 +9,7 @@ from lib import environment
 environment.import_farfield()
 
 from farfield.addon.bridge.btf.materials.nodes.table_nodes import fold_below_horizon, to_octahedral
-from farfield.addon.bridge.shading.node_builder import NodeBuilder, SocketOrValue
-from farfield.addon.bridge.shading.node_groups import create_group
+from farfield.addon.bridge.shading.node_builder import NodeBuilder, SocketOrValue, create_group
 from farfield.addon.core.btf.octahedral import FrameGrid, OctahedralAtlas
 from farfield.addon.core.imaging.images import MIN_ALPHA
 

@@ -7,7 +7,7 @@ pytest.importorskip("bpy")
 import bpy
 
 from bridge import blender_scenes
-from farfield.addon.bridge.shading.node_groups import has_emission
+from farfield.addon.bridge.shading.node_builder import has_emission
 
 
 @pytest.fixture(autouse=True)

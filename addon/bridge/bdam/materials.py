@@ -7,8 +7,7 @@ import bpy
 
 from ...compat import enable_nodes
 from ...core.bdam.textures.tile_blocks import CodedTile
-from ..shading.node_builder import NodeBuilder
-from ..shading.node_groups import ensure_shared_group
+from ..shading.node_builder import NodeBuilder, ensure_shared_group
 
 GROUND_GROUP, GROUND_VERSION = "Farfield Terrain Ground", 1
 LEVEL_ATTRIBUTE = "terrain_level"  # attribute of faces: the level of the patch

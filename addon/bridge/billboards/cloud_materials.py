@@ -5,8 +5,7 @@ import itertools
 import bpy
 
 from ...compat import enable_nodes
-from ..shading.node_builder import NodeBuilder, SocketOrValue
-from ..shading.node_groups import ensure_shared_group
+from ..shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
 
 GROUP_NAME = "Farfield Cloud"
 GROUP_VERSION = 1

@@ -9,8 +9,7 @@ import numpy as np
 from ...compat import enable_nodes
 from ...core.errors import FileError
 from ..imaging.images import create_image
-from ..shading.node_builder import NodeBuilder, SocketOrValue
-from ..shading.node_groups import ensure_shared_group
+from ..shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
 
 GROUP_NAME = "Farfield Ground"
 GROUP_VERSION = 1

@@ -14,7 +14,7 @@ from ...core.files.filenames import safe_filename
 from ...core.files.height_maps import check_size
 from ..blender import error_sentence
 from ..geometry.meshes import Source
-from ..shading.node_groups import nodes_in
+from ..shading.node_builder import nodes_in
 
 INDEPENDENT_ALPHA = {"CHANNEL_PACKED", "NONE"}  # modes in which colors are not weighted by alpha
 EXTENSIONS = {False: "png", True: "exr"}  # lossless, by whether the pixels are floats

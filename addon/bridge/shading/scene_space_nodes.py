@@ -12,8 +12,7 @@ from collections.abc import Callable
 import bpy
 import numpy as np
 
-from .node_builder import NodeBuilder
-from .node_groups import nodes_in
+from .node_builder import NodeBuilder, nodes_in
 
 POSITION, OBJECT, GENERATED = "farfield_position", "farfield_object", "farfield_generated"
 LOCATION, RANDOM, ISLAND = "farfield_location", "farfield_random", "farfield_island"

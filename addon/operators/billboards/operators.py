@@ -31,6 +31,23 @@ class FARFIELD_PG_billboards(bpy.types.PropertyGroup):
     }
 
 
+def disabled_reason(context: bpy.types.Context) -> str:
+    """Return why nothing can be built now, or an empty string."""
+    if long_work.running_job_message():
+        return long_work.running_job_message()
+    candidates = [item for item in context.selected_objects if may_have_surface(item)]
+    if not candidates:
+        return "Select an object with a surface"
+    if not context.scene.is_editable:
+        return "The scene is linked from a library"
+    if any(clouds.KIND not in item for item in candidates):
+        return ""
+    scene_clouds = clouds_of_levels(context.scene, candidates)
+    if any(cloud.sources and not cloud.missing_source_names for cloud in scene_clouds):
+        return ""
+    return f"Select an object: of this cloud {missing_original_message(scene_clouds[0])}" if scene_clouds else "Select an object"
+
+
 class FARFIELD_OT_billboards_build(start_job.StartJob, bpy.types.Operator):
     """Create a billboard cloud with several levels of detail for each selected object, or build a selected cloud again from its original"""
 
@@ -38,12 +55,8 @@ class FARFIELD_OT_billboards_build(start_job.StartJob, bpy.types.Operator):
     bl_label = "Build Billboard Cloud"
     bl_options = {"REGISTER", "UNDO"}
     settings_types, panel_property = (BillboardSettings, BuildOptions), "farfield_billboards"
+    disabled_reason = staticmethod(disabled_reason)
     __annotations__ = start_job.setting_properties(*settings_types)
-
-    @classmethod
-    def disabled_reason(cls, context: bpy.types.Context) -> str:
-        """Return why nothing can be built now, or an empty string."""
-        return disabled_reason(context)
 
     def prepare(self, context: bpy.types.Context) -> BillboardJob:
         """Read the selected objects, and the originals of selected clouds."""
@@ -174,23 +187,6 @@ def selected_clouds(context: bpy.types.Context) -> list[SceneCloud]:
     """Return the clouds of the active object and of the selected objects, each once."""
     found = [find_cloud(context.scene, item) for item in (context.active_object, *context.selected_objects)]
     return list({cloud.collection.name: cloud for cloud in found if cloud is not None}.values())
-
-
-def disabled_reason(context: bpy.types.Context) -> str:
-    """Return why nothing can be built now, or an empty string."""
-    if long_work.running_job_message():
-        return long_work.running_job_message()
-    candidates = [item for item in context.selected_objects if may_have_surface(item)]
-    if not candidates:
-        return "Select an object with a surface"
-    if not context.scene.is_editable:
-        return "The scene is linked from a library"
-    if any(clouds.KIND not in item for item in candidates):
-        return ""
-    scene_clouds = clouds_of_levels(context.scene, candidates)
-    if any(cloud.sources and not cloud.missing_source_names for cloud in scene_clouds):
-        return ""
-    return f"Select an object: of this cloud {missing_original_message(scene_clouds[0])}" if scene_clouds else "Select an object"
 
 
 def _camera_disabled_reason(context: bpy.types.Context) -> str:

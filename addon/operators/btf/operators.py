@@ -46,6 +46,12 @@ class FARFIELD_PG_btf(bpy.types.PropertyGroup):
     )
 
 
+def disabled_reason(context: bpy.types.Context) -> str:
+    """Return why nothing can be baked now, or an empty string."""
+    no_cloud = "" if active_cloud(context) is not None else "Select a billboard cloud or its original"
+    return long_work.running_job_message() or no_cloud or linked_reason(context)
+
+
 class FARFIELD_OT_btf_bake(start_job.StartJob, bpy.types.Operator):
     """Bake textures that change with the view and light direction for the active billboard cloud, with Cycles"""
 
@@ -53,12 +59,8 @@ class FARFIELD_OT_btf_bake(start_job.StartJob, bpy.types.Operator):
     bl_label = "Bake Relightable Textures"
     bl_options = {"REGISTER", "UNDO"}
     settings_types, panel_property = (BtfSettings,), "farfield_btf"
+    disabled_reason = staticmethod(disabled_reason)
     __annotations__ = start_job.setting_properties(*settings_types)
-
-    @classmethod
-    def disabled_reason(cls, context: bpy.types.Context) -> str:
-        """Return why nothing can be baked now, or an empty string."""
-        return disabled_reason(context)
 
     def prepare(self, context: bpy.types.Context) -> BakeJob:
         """Read the source objects of the active cloud. Finished views are kept in a folder of the user until it ends."""
@@ -138,12 +140,6 @@ def is_baked(cloud: SceneCloud | None) -> bool:
 def shows_linked_suns(cloud: SceneCloud) -> bool:
     """Whether any level shows linked Sun lights only."""
     return any(btf_clouds.needs_linked_suns(level) for level in cloud.levels)
-
-
-def disabled_reason(context: bpy.types.Context) -> str:
-    """Return why nothing can be baked now, or an empty string."""
-    no_cloud = "" if active_cloud(context) is not None else "Select a billboard cloud or its original"
-    return long_work.running_job_message() or no_cloud or linked_reason(context)
 
 
 def linked_reason(context: bpy.types.Context) -> str:

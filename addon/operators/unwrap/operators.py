@@ -19,6 +19,14 @@ class FARFIELD_PG_unwrap(bpy.types.PropertyGroup):
     __annotations__ = properties.build_annotations(UnwrapSettings, set())
 
 
+def disabled_reason(context: bpy.types.Context) -> str:
+    """Return why nothing can be unwrapped now, or an empty string."""
+    if context.mode not in ("OBJECT", "EDIT_MESH"):
+        return "Switch to Object Mode or Edit Mode"
+    has_mesh = any(item.type == "MESH" for item in target_objects(context))
+    return long_work.running_job_message() or ("" if has_mesh else "Select a mesh object")
+
+
 class FARFIELD_OT_unwrap(start_job.StartJob, bpy.types.Operator):
     """Create low-stretch UV maps for the selected meshes, or for the selected faces in Edit Mode, with more texels in important areas"""
 
@@ -26,12 +34,8 @@ class FARFIELD_OT_unwrap(start_job.StartJob, bpy.types.Operator):
     bl_label = "Unwrap with Low Stretch"
     bl_options = {"REGISTER", "UNDO"}
     settings_types, panel_property = (UnwrapSettings,), "farfield_unwrap"
+    disabled_reason = staticmethod(disabled_reason)
     __annotations__ = start_job.setting_properties(*settings_types)
-
-    @classmethod
-    def disabled_reason(cls, context: bpy.types.Context) -> str:
-        """Return why nothing can be unwrapped now, or an empty string."""
-        return disabled_reason(context)
 
     def prepare(self, context: bpy.types.Context) -> UnwrapJob:
         """Read the selected meshes."""
@@ -117,14 +121,6 @@ def target_objects(context: bpy.types.Context) -> list[bpy.types.Object]:
 def is_unwrapped(item: bpy.types.Object | None) -> bool:
     """Return whether an object is a mesh that this tool has unwrapped."""
     return item is not None and item.type == "MESH" and bool(uv_maps.read_metrics(item.data))
-
-
-def disabled_reason(context: bpy.types.Context) -> str:
-    """Return why nothing can be unwrapped now, or an empty string."""
-    if context.mode not in ("OBJECT", "EDIT_MESH"):
-        return "Switch to Object Mode or Edit Mode"
-    has_mesh = any(item.type == "MESH" for item in target_objects(context))
-    return long_work.running_job_message() or ("" if has_mesh else "Select a mesh object")
 
 
 CLASSES = (

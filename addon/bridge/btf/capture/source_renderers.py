@@ -23,8 +23,7 @@ from ...geometry.mesh_arrays import write_attribute
 from ...geometry.meshes import Source
 from ...rendering.render_scene import RenderScene, prepare_channel_render, prepare_cycles, render_scene
 from ...shading.material_channels import CaptureMaterial, build_capture_material
-from ...shading.node_builder import NodeBuilder
-from ...shading.node_groups import has_emission
+from ...shading.node_builder import NodeBuilder, has_emission
 from .proxies import add_channel_proxies, add_proxies, single_placement
 
 MAX_TRANSPARENT_BOUNCES = 256

@@ -24,7 +24,7 @@ from ....core.geometry.cameras import OrthographicView
 from ....core.jobs.core_worker import EXIT_ERROR, encode_error
 from ....core.jobs.dispatch import Shard
 from ....core.jobs.heartbeat import exit_when_run_ends
-from ...shading.node_groups import has_emission
+from ...shading.node_builder import has_emission
 from ...worker_processes import worker_command
 from . import source_renderers
 from .snapshot import Snapshot, open_snapshot, store_folder

@@ -20,7 +20,7 @@ from ....core.geometry.directions import DirectionGrid
 from ....core.imaging.images import decode_normals
 from ...billboards.level_objects import read_level_texels
 from ...imaging.images import read_pixels
-from ...shading.node_groups import nodes_in
+from ...shading.node_builder import nodes_in
 from ..materials.emission_material import (
     ALPHA_BASIS,
     ALPHA_WEIGHTS,

@@ -23,8 +23,7 @@ from ...billboards.cloud_materials import (
     create_two_sided_material,
     sample_map,
 )
-from ...shading.node_builder import NodeBuilder, SocketOrValue
-from ...shading.node_groups import create_group
+from ...shading.node_builder import NodeBuilder, SocketOrValue, create_group
 from .emission_material import ALPHA_BASIS, ALPHA_WEIGHTS, EMISSION
 from .nodes.parallax_nodes import depth_uv
 from .nodes.table_nodes import map_uv, sample_image, sample_weights, weighted_scalar_sum

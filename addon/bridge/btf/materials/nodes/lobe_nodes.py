@@ -4,8 +4,7 @@ import math
 from dataclasses import dataclass, fields
 
 from .....core.btf.reflectance.lobes import MIN_COSINE, MIN_FRESNEL_COSINE, MIN_ROUGHNESS, SCHLICK, GrazingFresnel
-from ....shading.node_builder import NodeBuilder, SocketOrValue
-from ....shading.node_groups import ensure_shared_group
+from ....shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
 from .table_nodes import call_group
 
 GROUP_NAME, GROUP_VERSION = "Farfield Lobes", 3

@@ -3,8 +3,7 @@
 import bpy
 
 from .....core.btf.tables import LookupTables
-from ....shading.node_builder import NodeBuilder, SocketOrValue
-from ....shading.node_groups import create_group
+from ....shading.node_builder import NodeBuilder, SocketOrValue, create_group
 from .table_nodes import BLACK, map_uv, offset_to_cluster, split_pairs, split_weights, weight_sockets, weighted_sum
 
 BASIS = "Basis"  # Label of image nodes.

@@ -6,8 +6,7 @@ import bpy
 
 from .....core.btf.reflectance.shadows import PENUMBRA_ANGLE
 from .....core.btf.tables import LookupTables
-from ....shading.node_builder import NodeBuilder, SocketOrValue
-from ....shading.node_groups import create_group
+from ....shading.node_builder import NodeBuilder, SocketOrValue, create_group
 from .table_nodes import call_group, flatten_pairs, map_uv, sample_weights, split_pairs, weight_sockets, weighted_scalar_sum
 
 SHADOW_WEIGHTS, SHADOW_BASIS = "Shadow Weights", "Shadow Basis"  # Labels of image nodes; weights have several, indexed from 0.

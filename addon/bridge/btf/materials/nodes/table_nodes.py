@@ -5,8 +5,7 @@ from collections.abc import Iterable
 import bpy
 
 from .....core.btf.tables import ViewTable
-from ....shading.node_builder import NodeBuilder, SocketOrValue
-from ....shading.node_groups import ensure_shared_group
+from ....shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
 
 OCTAHEDRAL_VERSION = 1
 BLACK = (0.0, 0.0, 0.0)
