@@ -8,6 +8,7 @@ a hole, restored with several settings), landscape (mountains in nested boxes), 
 of a walk through caves), cliffs (a terrain with cliffs as a network of triangles and as right triangles).
 """
 
+import io
 import shutil
 import sys
 import tempfile
@@ -30,6 +31,7 @@ from figures.relight_strip import draw_relight_strip
 from figures.restore_comparison import draw_restore_comparison
 from figures.terrain_cuts import compare_meshes
 from figures.unwrap_comparison import unwrap_copies
+from PIL import Image
 
 import billboards
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
@@ -64,6 +66,7 @@ LANDSCAPE_WIDTH = 720
 CLIFFS_PIXELS = 520
 WALK_WIDTH = 184
 WALK_ROWS = ("1 to 4", "5 to 8", "9 to 12")
+WEBP_QUALITY = 90
 
 
 def main(arguments: list[str], line: command_line.ProgressLine) -> str:
@@ -77,7 +80,10 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     out = given.out.absolute()
     for index, name in enumerate(given.only):
         line.show(Progress(index / len(given.only), f"Rendering {name}"))
-        FIGURES[name](given.scene.absolute(), out / f"{name}.png", given.samples)
+        with tempfile.TemporaryDirectory() as folder:
+            picture = Path(folder) / f"{name}.png"
+            FIGURES[name](given.scene.absolute(), picture, given.samples)
+            save_webp(picture, out / f"{name}.webp")
     return f"{len(given.only)} images in {out}"
 
 
@@ -348,6 +354,18 @@ def create_clay_material(roughness: float) -> bpy.types.Material:
     links.new(ramp.outputs["Color"], surface.inputs["Base Color"])
     surface.inputs["Roughness"].default_value = roughness
     return material
+
+
+def save_webp(picture: Path, path: Path) -> None:
+    """Convert a PNG to WebP: lossless if that is smaller, as it is for images of few colors. The file appears complete or not at all."""
+    with Image.open(picture) as image:
+        encoded = []
+        for lossless in (False, True):
+            file = io.BytesIO()
+            image.convert("RGB").save(file, "WEBP", lossless=lossless, quality=WEBP_QUALITY, method=6)
+            encoded.append(file.getvalue())
+    with atomic_file(path) as temporary:
+        temporary.write_bytes(min(encoded, key=len))
 
 
 def write(path: Path, image: np.ndarray) -> None:

@@ -189,6 +189,17 @@ def test_operator_adds_crossfade_and_show_level_removes_it(scene):
     assert [item.hide_render for item in (ball, *cloud.levels)].count(False) == 1
 
 
+def test_every_face_of_a_proxy_keeps_its_material(scene):
+    ball = blender_scenes.ball("Ball", emissive(RED))
+    ball.data.materials.append(emissive(BLUE))
+    ball.data.polygons[0].material_index = 1
+    bpy.ops.farfield.billboards_build(levels=1, error=4.0, textures=False)
+    bpy.ops.farfield.billboards_crossfade()
+    (proxy,) = source_objects.find_source_proxies(clouds_in(scene)[0].collection)
+    assert [polygon.material_index for polygon in proxy.data.polygons] == [polygon.material_index for polygon in ball.data.polygons]
+    assert proxy.data.materials[0] != proxy.data.materials[1]
+
+
 def test_coverage_is_preserved_while_fading(scene):
     _, cloud = build_ball_cloud()
     bpy.ops.farfield.billboards_crossfade(fade_range=100.0)

@@ -82,13 +82,14 @@ def _copy_mesh(
     slots = [slot.material for slot in evaluated.material_slots]
     mesh = bpy.data.meshes.new_from_object(evaluated, preserve_all_data_layers=True, depsgraph=depsgraph)
     mesh.name = name
-    materials = [slots[index] if index < len(slots) else material for index, material in enumerate(mesh.materials)] or [None]
-    mesh.materials.clear()
-    for material in materials:
-        original = None if material is None else material.original
+    if not mesh.materials:
+        mesh.materials.append(None)
+    for index, material in enumerate(mesh.materials):
+        shown = slots[index] if index < len(slots) else material
+        original = None if shown is None else shown.original
         if original not in copies:
             copies[original] = _copy_material(original)
-        mesh.materials.append(copies[original])
+        mesh.materials[index] = copies[original]  # Replaced in place, because clear() assigns all faces to the first slot.
     return mesh
 
 
