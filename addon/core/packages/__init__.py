@@ -1,6 +1,6 @@
 """Packages of textured meshes that are sent over a network within a time limit (sections III.B, III.C, V and VI of the TexMesh paper).
 
-`build_package` builds the package of a mesh, `write_package` writes it with the page that shows it, and `read_package` reads and checks one.
+`build_package` builds the package of a mesh, `write_package` writes it with the page that shows it, and `read_package` checks one.
 """
 
 from .files import PackageContent, read_package, write_package
