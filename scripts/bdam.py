@@ -23,13 +23,20 @@ import bpy
 import numpy as np
 
 from farfield.addon.bridge.imaging.images import read_gray_image
-from farfield.addon.core.bdam.building.terrain_build import build_terrain, folder_bytes
-from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field, warn_of_heights
-from farfield.addon.core.bdam.settings import BdamSettings, ViewSettings
-from farfield.addon.core.bdam.store.terrain_store import TerrainStore
-from farfield.addon.core.bdam.view.cut_files import ExtractedMesh, extract_mesh
+from farfield.addon.core.bdam import (
+    BdamSettings,
+    CutSettings,
+    ExtractedMesh,
+    FieldSettings,
+    TerrainStore,
+    build_terrain,
+    extract_mesh,
+    open_field,
+)
+from farfield.addon.core.bdam.building.terrain_build import folder_bytes
+from farfield.addon.core.bdam.fields.terrain_field import warn_of_heights
+from farfield.addon.core.bdam.settings import ViewSettings
 from farfield.addon.core.bdam.view.engine import BdamEngine
-from farfield.addon.core.bdam.view.extraction import CutSettings
 from farfield.addon.core.errors import FileError, SettingsError
 from farfield.addon.core.files.scratch import Scratch
 from farfield.addon.core.geometry.viewers import Projection, Viewer, camera_window, look_at

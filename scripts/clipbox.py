@@ -24,10 +24,10 @@ import bpy
 import numpy as np
 
 from farfield.addon.bridge.clipbox import sources
-from farfield.addon.core.clipbox.engine import TerrainEngine, Update, check_viewer, weld
+from farfield.addon.core.clipbox import ClipboxSettings, ConvertSettings, TerrainEngine, Update, weld
+from farfield.addon.core.clipbox.engine import check_viewer
 from farfield.addon.core.clipbox.files.readers import check_path
 from farfield.addon.core.clipbox.layout import choose_terrain_origin
-from farfield.addon.core.clipbox.settings import ClipboxSettings, ConvertSettings
 from farfield.addon.core.errors import FileError, SettingsError
 from farfield.addon.core.files.file_access import check_readable, error_reason
 from farfield.addon.core.jobs.progress import Progress, StageClock, Steps, run_to_end, subprogress

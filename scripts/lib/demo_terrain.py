@@ -12,9 +12,7 @@ from lib import environment
 environment.import_farfield()
 
 from farfield.addon.bridge.bdam.objects import SceneTerrain
-from farfield.addon.core.bdam.building.terrain_build import build_terrain
-from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field
-from farfield.addon.core.bdam.settings import BdamSettings
+from farfield.addon.core.bdam import BdamSettings, FieldSettings, build_terrain, open_field
 from farfield.addon.core.jobs.progress import Progress, StageClock, Steps, subprogress
 from lib.contact_sheet import draw_contact_sheet
 from lib.demo_photos import render, set_size

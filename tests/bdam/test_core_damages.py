@@ -93,7 +93,7 @@ def area_of(mesh) -> float:
     return 0.5 * float((first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).sum())
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=25)
 @given(data=st.data())
 def test_a_flipped_byte_anywhere_is_named_and_the_rest_is_usable(intact, contents, folder, viewer, data):
     files = sorted(path.relative_to(intact) for path in intact.rglob("*") if path.is_file())
@@ -189,7 +189,7 @@ def test_the_geometry_of_another_terrain_with_as_many_patches_is_refused(folder,
     TerrainStore(folder).close()
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 12))
 def test_cuts_avoid_any_damaged_patches_without_cracks(folder, viewer, seed, count):
     random = np.random.default_rng(seed)
@@ -204,7 +204,7 @@ def test_cuts_avoid_any_damaged_patches_without_cracks(folder, viewer, seed, cou
             assert all(any(f"{label} " in sentence for label in labels) for sentence in extracted.warnings)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 12))
 def test_the_ground_over_damaged_leaves_is_that_of_the_coarser_patches_that_replace_them(folder, seed, count):
     random = np.random.default_rng(seed)
@@ -227,7 +227,7 @@ def test_the_ground_over_damaged_leaves_is_that_of_the_coarser_patches_that_repl
         assert np.array_equal(again, heights)
 
 
-@settings(max_examples=40)
+@settings(max_examples=100)
 @given(seed=st.integers(0, 2**32 - 1), fraction=st.sampled_from([0.01, 0.1, 0.5, 0.9]))
 def test_limits_are_consistent(intact, seed, fraction):
     with TerrainStore(intact) as store:

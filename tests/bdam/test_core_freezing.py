@@ -64,7 +64,7 @@ def are_open_edges_on_border(x: np.ndarray, y: np.ndarray, triangles: np.ndarray
     return bool(len(edges)) and bool((on_border[0] | on_border[1]).all())
 
 
-@settings(max_examples=6)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 6), tolerance=st.floats(0.3, 30.0), exaggeration=st.floats(0.2, 5.0))
 def test_the_union_cut_satisfies_every_frame_without_cracks(stores, seed, count, tolerance, exaggeration):
     store, viewers, cut_settings = stores["plain"], path(seed, count), CutSettings(tolerance, exaggeration)
@@ -76,7 +76,7 @@ def test_the_union_cut_satisfies_every_frame_without_cracks(stores, seed, count,
     assert are_open_edges_on_border(*(mesh.positions[:, :2].T / EXTENT), mesh.triangles)
 
 
-@settings(max_examples=5)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_union_cut_of_one_frame_is_its_cut(stores, seed):
     (viewer,) = path(seed, 1)
@@ -89,7 +89,7 @@ def test_the_union_cut_of_one_frame_is_its_cut(stores, seed):
     assert found.max_error == pytest.approx(expected.max_error, rel=1e-12)  # matrix products of other lengths round differently
 
 
-@settings(max_examples=5)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_union_cut_refines_only_what_a_frame_refines(stores, seed):
     store, viewers, cut_settings = stores["plain"], path(seed, 4), CutSettings(4.0)
@@ -147,7 +147,7 @@ def test_textures_of_a_path_are_as_fine_as_those_of_every_frame(stores):
     assert {mesh.materials[0] for mesh in meshes} == set(run_to_end(choose_path_cut(store, viewers, view_settings))[0].numbers.values())
 
 
-@settings(max_examples=12)
+@settings(max_examples=25)
 @given(st.integers(0, 2**31), st.integers(1, 5), st.sampled_from([1, 4, 7, 16, 64]), st.floats(0.1, 20.0))
 def test_a_path_has_a_limited_number_of_textures_that_keep_their_stated_tolerance(stores, seed, count, max_count, tolerance):
     store, viewers = stores["texture"], path(seed, count)

@@ -93,7 +93,7 @@ def random_points(store: TerrainStore, seed: int, count: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ["whole", "geographic"])
-@settings(max_examples=10)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(0, 60))
 def test_heights_are_interpolated_in_the_triangles_of_the_samples(stores, name, seed, count):
     points = random_points(stores[name], seed, count)
@@ -167,7 +167,7 @@ def test_heights_of_a_cut_are_those_of_its_mesh(stores, name, max_error):
         assert name == "geographic" or np.allclose(normal, plane / np.linalg.norm(plane), atol=1e-6)
 
 
-@settings(max_examples=5)
+@settings(max_examples=10)
 @given(max_error=st.floats(0.02, 60.0))
 def test_a_cut_is_within_its_error_of_the_samples(stores, max_error):
     store = stores["whole"]
@@ -246,7 +246,7 @@ def test_damaged_patches_are_named_and_the_others_usable(tmp_path):
             height_at(store, points)
 
 
-@settings(max_examples=15)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_triangle_search_finds_the_triangle_that_contains_a_point(seed):
     random = np.random.default_rng(seed)

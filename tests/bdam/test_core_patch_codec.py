@@ -111,7 +111,6 @@ def test_the_boundary_is_that_of_the_triangle(level, index):
 SEEDS, HOLES = st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.3, 1.0])
 
 
-@settings(max_examples=50)
 @given(index=st.integers(0, (2 << TREE.leaf_level) - 1), seed=SEEDS, holes=HOLES)
 def test_leaves_come_back(index, seed, holes):
     patch, corners, grid = create_leaf(index, seed, holes)
@@ -120,7 +119,6 @@ def test_leaves_come_back(index, seed, holes):
     assert encode_patch(patch, corners.min(axis=0), True, GRADIENT_STEP) == block
 
 
-@settings(max_examples=50)
 @given(level=st.integers(0, 5), data=st.data(), count=st.integers(0, 300), seed=SEEDS, holes=HOLES)
 def test_networks_come_back(level, data, count, seed, holes):
     patch, corners = create_network(level, data.draw(st.integers(0, (2 << level) - 1)), count, seed, holes)
@@ -185,7 +183,7 @@ def blocks():
     ]
 
 
-@settings(max_examples=150)
+@settings(max_examples=400)
 @given(data=st.data())
 def test_damaged_streams_give_a_patch_or_a_file_error(blocks, data):
     streams, decode_block = data.draw(st.sampled_from(blocks))
@@ -196,7 +194,7 @@ def test_damaged_streams_give_a_patch_or_a_file_error(blocks, data):
     decode_damaged(zstandard.ZstdCompressor().compress(bytes(changed)), decode_block)
 
 
-@settings(max_examples=150)
+@settings(max_examples=300)
 @given(data=st.data())
 def test_damaged_blocks_give_a_patch_or_a_file_error(blocks, data):
     streams, decode_block = data.draw(st.sampled_from(blocks))

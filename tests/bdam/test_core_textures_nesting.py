@@ -50,7 +50,6 @@ def random_tree(seed: int):
     return generator, index, own.astype(np.float32)
 
 
-@settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_neighbors_in_a_cut_differ_by_one_level_at_most(seed):
     generator, index, own = random_tree(seed)

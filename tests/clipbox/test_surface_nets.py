@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from farfield.addon.core.clipbox.meshing.case_table import HIGH, LOW, OCTANTS, case_table, edge_octants
@@ -59,14 +59,12 @@ class TestCaseTable:
 class TestSurface:
     """Surfaces of whole volumes."""
 
-    @settings(max_examples=40)
     @given(SEEDS)
     def test_surfaces_are_closed_manifolds(self, seed):
         surface = extract_surface(random_volume(seed))
         assert len(open_edges(surface.quads)) == 0
         assert (directed_edge_counts(surface.quads) == 1).all()
 
-    @settings(max_examples=40)
     @given(SEEDS)
     def test_each_face_separates_a_solid_from_an_empty_voxel(self, seed):
         volume = random_volume(seed)
@@ -80,7 +78,6 @@ class TestSurface:
         inside, outside = (np.floor(centers + 0.5 * sign * normals).astype(int) for sign in (-1, 1))
         assert (volume[tuple(inside.T)] > 0).all() and (volume[tuple(outside.T)] <= 0).all()
 
-    @settings(max_examples=40)
     @given(SEEDS)
     def test_smooth_and_blocky_surfaces_have_the_same_topology(self, seed):
         volume = random_volume(seed)
@@ -89,7 +86,6 @@ class TestSurface:
         assert np.abs(smooth.vertices - blocky.vertices).max(initial=0.0) <= 0.5
         assert np.array_equal(blocky.vertices, blocky.corners)
 
-    @settings(max_examples=40)
     @given(SEEDS)
     def test_vertices_of_a_part_equal_those_of_the_full_volume(self, seed):
         volume = random_volume(seed, (9, 9, 9))
@@ -124,7 +120,6 @@ class TestSurface:
         assert len(extract_surface(np.full((4, 5, 6), value, np.float32)).quads) == 0
 
 
-@settings(max_examples=40)
 @given(SEEDS)
 def test_neighbors_are_the_vertices_along_edges(seed):
     surface = extract_surface(random_volume(seed), blocky=True)
@@ -158,7 +153,6 @@ class TestRepair:
         repaired = self.repair(*blocks)
         assert len({(2, 3, 3), (3, 2, 3)} & repaired) == 1 and set(blocks) <= repaired
 
-    @settings(max_examples=40)
     @given(SEEDS)
     def test_parts_are_repaired_like_the_full_volume(self, seed):
         volume = np.random.default_rng(seed).random((8, 9, 7)) < 0.5
