@@ -70,14 +70,10 @@ class FARFIELD_OT_packages_export(start_job.StartJob, bpy.types.Operator):
     bl_label = "Export Package of Perceptual Levels"
     bl_options = {"REGISTER"}
     settings_types, panel_property = (TexmeshSettings,), "farfield_texmesh"
+    disabled_reason = staticmethod(disabled_reason)
     __annotations__ = start_job.setting_properties(TexmeshSettings, PackageSettings) | {
         "folder": bpy.props.StringProperty(**FOLDER, options={"SKIP_SAVE", "PATH_SUPPORTS_BLEND_RELATIVE"})
     }
-
-    @classmethod
-    def disabled_reason(cls, context: bpy.types.Context) -> str:
-        """Return why nothing can be exported now, or an empty string."""
-        return disabled_reason(context)
 
     def prepare(self, context: bpy.types.Context) -> PackageJob:
         """Read the selected objects."""

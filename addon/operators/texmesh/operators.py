@@ -21,6 +21,19 @@ class FARFIELD_PG_texmesh(bpy.types.PropertyGroup):
     __annotations__ = properties.build_annotations(TexmeshSettings, set()) | properties.build_annotations(SceneSettings, set())
 
 
+def disabled_reason(context: bpy.types.Context) -> str:
+    """Return why the selected objects cannot be worked on now, or an empty string."""
+    if long_work.running_job_message():
+        return long_work.running_job_message()
+    if not context.scene.is_editable:
+        return "The scene is linked from a library"
+    objects = source_objects(context)
+    if not objects:
+        return "Select a mesh with a texture"
+    reasons = [refusal(item, context.view_layer) for item in objects]
+    return reasons[0] if all(reasons) else ""
+
+
 class FARFIELD_OT_texmesh_analyze(start_job.StartJob, bpy.types.Operator):
     """Find the features of the selected objects at 21 scales, and store the last scale of each vertex as an attribute"""
 
@@ -28,12 +41,8 @@ class FARFIELD_OT_texmesh_analyze(start_job.StartJob, bpy.types.Operator):
     bl_label = "Analyze Features in Scale Space"
     bl_options = {"REGISTER", "UNDO"}
     settings_types, panel_property = (AnalysisSettings,), "farfield_texmesh"
+    disabled_reason = staticmethod(disabled_reason)
     __annotations__ = start_job.setting_properties(*settings_types)
-
-    @classmethod
-    def disabled_reason(cls, context: bpy.types.Context) -> str:
-        """Return why nothing can be analyzed now, or an empty string."""
-        return disabled_reason(context)
 
     def prepare(self, context: bpy.types.Context) -> AnalysisJob:
         """Read the selected objects."""
@@ -47,12 +56,8 @@ class FARFIELD_OT_texmesh_levels(start_job.StartJob, bpy.types.Operator):
     bl_label = "Make Perceptual Levels"
     bl_options = {"REGISTER", "UNDO"}
     settings_types, panel_property = (TexmeshSettings, SceneSettings), "farfield_texmesh"
+    disabled_reason = staticmethod(disabled_reason)
     __annotations__ = start_job.setting_properties(*settings_types)
-
-    @classmethod
-    def disabled_reason(cls, context: bpy.types.Context) -> str:
-        """Return why no levels can be made now, or an empty string."""
-        return disabled_reason(context)
 
     def prepare(self, context: bpy.types.Context) -> LevelsJob:
         """Read the selected objects."""
@@ -201,19 +206,6 @@ class FARFIELD_OT_texmesh_remove(LevelsOperator, bpy.types.Operator):
                     source.select_set(True)
         report_message(self, f"Removed the levels of {format_count(len(editable), 'object')}.")
         return {"FINISHED"}
-
-
-def disabled_reason(context: bpy.types.Context) -> str:
-    """Return why the selected objects cannot be worked on now, or an empty string."""
-    if long_work.running_job_message():
-        return long_work.running_job_message()
-    if not context.scene.is_editable:
-        return "The scene is linked from a library"
-    objects = source_objects(context)
-    if not objects:
-        return "Select a mesh with a texture"
-    reasons = [refusal(item, context.view_layer) for item in objects]
-    return reasons[0] if all(reasons) else ""
 
 
 def selected_level_sets(context: bpy.types.Context) -> list[LevelSet]:
