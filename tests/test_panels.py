@@ -27,7 +27,7 @@ def shown(tool: str, name: str) -> list[str]:
     return [item.name for item in panel.shown_settings(bpy.context)] if is_visible else []
 
 
-@pytest.mark.parametrize("tool", [tool for tool in TOOLS if tool not in ("texmesh", "packages")])
+@pytest.mark.parametrize("tool", TOOLS)
 def test_every_setting_is_in_one_panel(tool):
     module = importlib.import_module(f"farfield.addon.core.{tool}.settings")
     types = [item for _, item in inspect.getmembers(module, inspect.isclass) if issubclass(item, Settings) and item is not Settings]
