@@ -27,7 +27,7 @@ from farfield.addon.bridge.texmesh.glb_levels import write_levels
 from farfield.addon.bridge.texmesh.level_sets import read_level_set
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
-from farfield.addon.core.settings import add_flags, from_flags
+from farfield.addon.core.settings import add_flags
 from farfield.addon.core.texmesh.scale_space.features import ScaleMap
 from farfield.addon.core.texmesh.settings import AnalysisSettings, SceneSettings, TexmeshSettings
 from farfield.addon.operators.job_run import run_job
@@ -67,7 +67,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
 
 def make_levels(given: Namespace, line: command_line.ProgressLine) -> str:
     """Make levels and write them."""
-    settings, scene_settings = read_level_settings(given), from_flags(SceneSettings, given)
+    settings, scene_settings = read_level_settings(given), command_line.read_settings(given, SceneSettings)[SceneSettings]
     out = given.out.absolute()
     if out.suffix.lower() not in EXTENSIONS:
         raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(EXTENSIONS)}.')
@@ -87,7 +87,7 @@ def make_levels(given: Namespace, line: command_line.ProgressLine) -> str:
 
 def analyze(given: Namespace, line: command_line.ProgressLine) -> str:
     """Find features, and write report and plot."""
-    settings = from_flags(AnalysisSettings, given)
+    settings = command_line.read_settings(given, AnalysisSettings)[AnalysisSettings]
     if given.plot is not None and given.plot.suffix.lower() != ".png":
         raise FileError(f'--plot is "{given.plot}"; it must end in .png.')
     check_outputs({"--plot": given.plot}, {"the input": given.input}, given.report)

@@ -30,7 +30,6 @@ from lib import environment
 
 tables = runpy.run_path(str(environment.ROOT / "docs" / "tables.py"))
 find_settings, markdown_table = tables["find_settings"], tables["markdown_table"]
-TABLES = [name for name in find_settings() if not name.startswith(("texmesh", "packages"))]
 DESCRIPTIONS = {item.name: item for item in describe(BillboardSettings)}
 NUMBERS = [item for item in DESCRIPTIONS.values() if item.type in (int, float) and item.minimum is not None]
 
@@ -200,7 +199,7 @@ def test_flags_that_are_not_used_are_named():
     assert unused("--count", "3", "--tool", "spray") == ["--count is not used with --is-soft."]
 
 
-@pytest.mark.parametrize("table", TABLES)
+@pytest.mark.parametrize("table", list(find_settings()))
 def test_the_flag_of_a_setting_is_its_label(table):
     for item in describe(find_settings()[table]):
         assert item.flag == "--" + item.label.lower().replace(" ", "-")
@@ -218,5 +217,5 @@ def test_conditions_name_values_that_exist(table):
 
 def test_panel_labels_fit_into_a_narrow_sidebar():
     """At the default width of the sidebar about 15 characters fit next to a value; check boxes have the whole width."""
-    items = describe(*(find_settings()[table] for table in TABLES))
+    items = describe(*find_settings().values())
     assert [item.panel_label for item in items if item.type is not bool and len(item.panel_label) > 15] == []

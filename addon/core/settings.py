@@ -34,8 +34,6 @@ class Unit(Enum):
     NONE = ""
     FRACTION = "%"  # A fraction internally; the help says of which quantity.
     ANGLE = "degrees"  # Radians internally.
-    COUNT = "count"
-    MEGABYTES = "MB"
     LENGTH = "scene units"
     SECONDS = "seconds"
 

@@ -10,10 +10,12 @@ from lib import environment
 environment.import_farfield()
 
 from farfield.addon.core.errors import SettingsError
-from farfield.addon.core.settings import from_flags
+from farfield.addon.core.settings import describe
 from farfield.addon.core.texmesh.level_candidates import parse_ratios
-from farfield.addon.core.texmesh.settings import BUDGETS, TexmeshSettings
-from lib import scene_files
+from farfield.addon.core.texmesh.settings import LevelSettings, TexmeshSettings
+from lib import command_line, scene_files
+
+BUDGETS = {choice: item for item in describe(LevelSettings) for choice in item.used_if.get("levels", ())}
 
 
 def read_level_settings(given: Namespace) -> TexmeshSettings:
@@ -22,13 +24,13 @@ def read_level_settings(given: Namespace) -> TexmeshSettings:
     Raises:
         SettingsError: a value is invalid, or two flags imply different choices of levels.
     """
-    implied = [choice for choice, name in BUDGETS.items() if getattr(given, name) is not None]
+    implied = [choice for choice, item in BUDGETS.items() if getattr(given, item.name) is not None]
     if given.levels is None and implied:
         if len(implied) > 1:
-            names = " and ".join(f"--{BUDGETS[choice].replace('_', '-')}" for choice in implied)
+            names = " and ".join(BUDGETS[choice].flag for choice in implied)
             raise SettingsError(f"{names} exclude each other; give one, or name the one that counts by --levels.")
         given.levels = implied[0]
-    settings = from_flags(TexmeshSettings, given)
+    settings = command_line.read_settings(given, TexmeshSettings)[TexmeshSettings]
     if settings.levels == "ratios":
         parse_ratios(settings.ratios)
     return settings

@@ -22,13 +22,6 @@ LEVELS = {
     "pixels": Choice("Pixels", "Levels for an object that is never seen larger than a number of pixels"),
     "ratios": Choice("Ratios", "Levels with fractions of the triangles"),
 }
-BUDGETS = {  # the setting that each choice of levels needs
-    "number": "number",
-    "triangles": "max_triangles",
-    "size": "max_size",
-    "pixels": "max_pixels",
-    "ratios": "ratios",
-}
 REMOVAL_ORDERS = {
     "visibility": Choice("Visibility", "What changes shape and texture least first; features of coarse scales count more"),
     "scale": Choice("Scale", "By the last scale at which vertices are features, as in the paper"),
@@ -74,7 +67,6 @@ class LevelSettings(Settings):
         "Size of all levels together, without the original and textures",
         minimum=1e-3,
         maximum=1e5,
-        unit=Unit.MEGABYTES,
         used_if={"levels": ("size",)},
     )
     max_pixels: int = setting(
@@ -96,7 +88,11 @@ class LevelSettings(Settings):
         0.04, "Largest mean FLIP difference over the pixels of the object where levels switch", minimum=0.001, maximum=0.5
     )
     max_local_difference: float = of_comparison(
-        0.2, "Largest FLIP difference of all but 5% of the object's pixels where levels switch", minimum=0.001, maximum=1.0
+        0.2,
+        "Largest FLIP difference of all but 5% of the object's pixels where levels switch",
+        minimum=0.001,
+        maximum=1.0,
+        panel_label="Max Local",
     )
     shaded: bool = of_comparison(True, "Compare shaded images, in which the shape of the surface counts")
 
@@ -163,14 +159,20 @@ class ResearchSettings(AnalysisSettings):
         used_if={"drastic_simplification": True},
     )
     pixels_per_degree: float = of_research(
-        67.0, "Pixels of the display within one degree of the viewer's visual field", minimum=5.0, maximum=300.0
+        67.0,
+        "Pixels of the display within one degree of the viewer's visual field",
+        minimum=5.0,
+        maximum=300.0,
+        panel_label="Pixels / Degree",
     )
     views: int = of_research(8, "Views around the object in which levels are compared", minimum=1, maximum=64)
     max_image: int = of_research(512, "Pixels of the largest image of the object in which levels are compared", minimum=16, maximum=2048)
     weber_threshold: float = of_research(
         0.096, "Weber fraction above which a change of shape is noticed. The paper measured 0.096", minimum=0.001, maximum=1.0
     )
-    perceptual_value: str = of_research("cross_section", "How much a change of shape is seen", choices=PERCEPTUAL_VALUES)
+    perceptual_value: str = of_research(
+        "cross_section", "How much a change of shape is seen", choices=PERCEPTUAL_VALUES, panel_label="Perception"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
