@@ -75,7 +75,7 @@ class TestScene:
         triangles = [len(level.data.polygons) for level in bpy.data.collections["Rock Levels"].objects]
         assert triangles[0] == len(rock.data.polygons) and triangles == sorted(set(triangles), reverse=True) and len(triangles) > 1
 
-    def test_the_forest_leaves_the_middle_of_the_view_free(self):
+    def test_the_forest_leaves_a_clearing(self):
         copies = [item for item in bpy.data.objects if item.instance_type == "COLLECTION"]
         assert {item.instance_collection.name for item in copies} == {"Pine Cloud", "Rock Levels"}
         assert len(copies) == int(SMALL["copies"]) and all(abs(item.location.x) > 9.0 for item in copies)
