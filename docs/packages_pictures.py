@@ -29,7 +29,7 @@ from farfield.addon.core.jobs.progress import Progress
 from lib import command_line
 from lib.atomic_output import atomic_file
 
-COLORS, KMEANS = 256, 3  # of the palette of an image, and rounds that improve it
+COLORS, KMEANS = 256, 3  # The size of the palette of an image, and the rounds that improve it.
 SPOT = environment.ROOT.parent / "shared" / "data" / "textured" / "spot"
 
 

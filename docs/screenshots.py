@@ -25,8 +25,8 @@ from figures.restore_comparison import create_scratched_weave
 from lib import blender_window, command_line
 from lib.contact_sheet import write_png
 
-SIZES = {"closed": (1280, 720), "open": (1280, 1400)}  # of the window, by the state of the sub-panels
-SIZES_BY_TOOL = {  # of other windows than SIZES
+SIZES = {"closed": (1280, 720), "open": (1280, 1400)}  # The size of the window, by the state of the sub-panels.
+SIZES_BY_TOOL = {  # The tools whose windows have other sizes.
     "restore": {"closed": (960, 660), "open": (960, 1400)},  # whose screenshots show the image as well
     "bdam": {"closed": (1280, 1130), "open": (1280, 1700)},
     "texmesh": {"closed": (1280, 860), "open": (1280, 1700)},

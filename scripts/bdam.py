@@ -49,7 +49,7 @@ from lib.atomic_output import atomic_file, check_outputs
 from lib.mesh_export import write_obj, write_ply
 
 EXTENSIONS = (".blend", ".ply", ".obj")
-MAX_KEPT_BYTES = 64 << 20  # of images of heights that stay in memory
+MAX_KEPT_BYTES = 64 << 20  # Images of heights up to this size stay in memory.
 MAX_SIDE = 65536  # pixels of an image
 MAX_NAMED = 5  # damaged parts that a message names
 CLIP_FRACTION, CLIP_FACTOR = 1e-3, 1e3  # nearest and farthest visible depth relative to the cell and to the terrain

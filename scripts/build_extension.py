@@ -30,7 +30,7 @@ ROOT = environment.ROOT
 WHEELS_LOCK = ROOT / "requirements" / "wheels.txt"
 WHEELS_CACHE = ROOT / "build" / "wheels"
 STAGED_FILES = ("addon", "__init__.py", "LICENSE")  # in addition to the manifest, to which the wheels are added
-PYTHON_VERSIONS = ("3.11", "3.13")  # of Blender 4.5 and 5.0, and of 5.1 and later
+PYTHON_VERSIONS = ("3.11", "3.13")  # Blender 4.5 and 5.0 have the first, 5.1 and later the second.
 PLATFORMS = {  # wheel tags for the oldest systems that Blender 4.5 and 5.2 support
     "linux-x64": ("manylinux_2_28_x86_64", "manylinux_2_27_x86_64", "manylinux_2_17_x86_64", "manylinux2014_x86_64"),
     "macos-arm64": ("macosx_12_0_arm64",),

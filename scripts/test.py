@@ -5,9 +5,8 @@
 `--all` adds the exhaustive variants and more random examples. Tests that open a Blender window (tests/gui) run only with `--window`, or if
 they are named: `python3 scripts/test.py tests/gui`. `--record` writes how long the tests took, see lib/durations.py.
 
-Test files run in parallel, the longest ones first, one per core but at most four, since each process loads a Blender; `-n 0` runs them one
-after the other, the fast ones first. If Blender crashes in one of the processes, the test files that have no result are run once more, in a
-new process.
+Test files run in parallel, the longest ones first, see lib/schedule.py; `-n 0` runs them one after the other, the fast ones first. If
+Blender crashes in one of the processes, the test files that have no result are run once more, in a new process.
 
 The first run creates an environment, see lib/environment.py. FARFIELD_BPY=4.5, 5.0 or 5.2 selects the Blender to test with.
 """
@@ -30,7 +29,7 @@ environment.ensure(extra_modules=("pytest", "pytest_timeout", "xdist", "hypothes
 from lib import crash_recorder, window_tests  # which need pytest
 
 # A crash of Blender ends the run: xdist may wait forever for the replacement of a worker.
-PARALLEL_OPTIONS = ("-n", "auto", "--maxprocesses", "4", "--dist", "loadfile", "--max-worker-restart", "0")
+PARALLEL_OPTIONS = ("-n", "auto", "--dist", "loadfile", "--max-worker-restart", "0")
 
 
 MEMORY_DISK = Path("/dev/shm")  # a file system in memory, on Linux

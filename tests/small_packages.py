@@ -112,7 +112,7 @@ def decode_textures(folder: Path, manifest: Manifest) -> list[np.ndarray]:
         texture = manifest.textures[index]
         side, columns = texture.tile_size, -(-texture.width // texture.tile_size)
         if tile >= columns * -(-texture.height // side):
-            continue  # of a coarse level: all of level 0 come in the end
+            continue  # The tile is one of a coarser level; all of level 0 come in the end.
         size = len(part)
         file = b"".join([texture.headers[header], size.to_bytes(4, "big"), (size + 8).to_bytes(4, "big"), b"mdat", part])
         y, x = tile // columns * side, tile % columns * side

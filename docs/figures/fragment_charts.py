@@ -6,7 +6,7 @@ import numpy as np
 
 from farfield.addon.bridge.overlays.line_chart import HEIGHT, LINE_HEIGHT, PAPER_GRAY, draw_line_chart, draw_text
 
-SCALES = (4, 8, 12, 16)  # of the lookup table
+SCALES = (4, 8, 12, 16)  # The scales of the lookup table.
 MAP_PIXELS = 11  # per fragment
 GAP = 10
 

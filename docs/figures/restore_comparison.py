@@ -23,7 +23,7 @@ SETTINGS = {
     "default": RestoreSettings(),
 }
 TONE = np.float32([0.55, 0.50, 0.45])  # mean color of the texture
-CONTRAST = 0.6  # of the texture, to leave room for the gradient
+CONTRAST = 0.6  # The contrast of the texture leaves room for the gradient.
 GRADIENT = 0.6  # difference between the darkest and the brightest corner
 DISKS = ((0.36, 0.62, 0.24), (0.62, 0.36, 0.19))  # centers (row, column) and radii of the hole, relative to the side
 HOLE_GRAY = 1.0

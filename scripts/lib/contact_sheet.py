@@ -18,13 +18,13 @@ from farfield.addon.bridge.overlays.line_chart import LINE_HEIGHT, PAPER_GRAY, d
 
 GAP = 10
 SAMPLE_BYTES = 1 << 20  # by which the filter of a PNG is chosen
-LARGE_BYTES = 1 << 24  # of images from which speed counts more than size
+LARGE_BYTES = 1 << 24  # For larger images, speed counts more than size.
 
 
 def draw_contact_sheet(
     title: str, rows: Sequence[Sequence[np.ndarray]], row_labels: Sequence[str], column_labels: Sequence[Sequence[str]]
 ) -> np.ndarray:
-    """Return a sheet of images of one size. `rows[r][c]` is below the lines of text of column c and beside the label of row r."""
+    """Return a sheet of images of one size. `rows[r][c]` is below the lines of text of column c and to the right of the label of row r."""
     height, width = rows[0][0].shape[:2]
     lines = max(len(label) for label in column_labels)
     label_masks = [rasterize_text(label, LINE_HEIGHT) for label in row_labels]

@@ -27,7 +27,7 @@ SAMPLES = 3  # per pixel along each side, at the size of a cell
 DIRECTION = np.array([0.4, -0.7, 0.6]) / np.linalg.norm([0.4, -0.7, 0.6])  # from the model towards the viewer
 ISLANDS = 4  # UV islands along the ring
 TEXTURE_SIDE = 256
-MAKE_END = 0.9  # of the progress
+MAKE_END = 0.9  # This fraction of the progress is making the levels.
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from lib.relighting import Candidate, RelightingComparison, compare_relighting, 
 
 BAKE_END, IMPOSTOR_END = 0.7, 0.85  # fractions of the progress
 MAX_SHEET_COLUMNS = 6
-PBR_TEXEL_BYTES = 20  # of the maps of both sides, which the impostor has as well
+PBR_TEXEL_BYTES = 20  # The maps of both sides need this much; the impostor has them as well.
 
 
 @dataclass(frozen=True)

@@ -19,13 +19,13 @@ from lib.demo_photos import render, set_size
 from lib.studio import SUN_STRENGTH, look_at_matrix, set_uniform_sky, sun_matrix
 
 CELL_SIZE = 20.0  # meters
-HEIGHT_FRACTION = 0.09  # of the side of the terrain, between the lowest and the highest sample
-HURST_EXPONENT = 0.95  # of the fractal; larger is smoother
+HEIGHT_FRACTION = 0.09  # The range of heights, as a fraction of the side of the terrain.
+HURST_EXPONENT = 0.95  # A fractal with a larger exponent is smoother.
 SEED = 11
 CLEARANCE = 120.0  # meters between the camera and the highest ground below its path
 LOOK_DOWN = 0.22  # meters per meter
 SHADINGS = ("slope", "level")
-BUILD_END = 0.5  # of the progress
+BUILD_END = 0.5  # This fraction of the progress is building the terrain.
 CLIP_DISTANCE = 1e6  # meters
 
 

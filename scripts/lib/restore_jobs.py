@@ -27,7 +27,7 @@ from lib.numbered_files import find_numbers, find_placeholder, numbered_path
 from lib.restore_masks import is_mask_file, masked_pixels, read_mask
 from lib.script_stdout import mute_stderr
 
-BAND_PREFIX = "high"  # of stages with mean 0, which are shown around middle gray
+BAND_PREFIX = "high"  # Stages with this prefix have the mean 0 and are shown around middle gray.
 NORMAL_CHANNELS = 3
 INPUTS = {"image": "the image", "mask": "the mask", "source_mask": "--source-mask", "barriers": "--barriers"}  # and names in messages
 OUTPUTS = {"out": "--out", "curve": "--curve"}

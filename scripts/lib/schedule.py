@@ -3,6 +3,7 @@
 All processes are busy to the end, and each stays within one folder while it can.
 """
 
+import os
 from collections import Counter
 from contextlib import suppress
 
@@ -14,6 +15,7 @@ from xdist.workermanage import WorkerController
 from .durations import Durations, folder_of
 
 DURATIONS = "farfield-durations"  # the name of a plugin
+MAX_PROCESSES = 4
 
 
 class LongestFirst(LoadFileScheduling):
@@ -55,6 +57,14 @@ def pytest_configure(config: pytest.Config) -> None:
     """Measure the tests, in the controlling process."""
     if not hasattr(config, "workerinput"):
         config.pluginmanager.register(Durations(), DURATIONS)
+
+
+@pytest.hookimpl(optionalhook=True, tryfirst=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """Start one process more than there are cores, because some tests wait for other processes and for times to pass. Each process loads a
+    Blender, so there are at most MAX_PROCESSES."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(cores + 1, MAX_PROCESSES)
 
 
 @pytest.hookimpl(optionalhook=True)

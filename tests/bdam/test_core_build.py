@@ -195,7 +195,7 @@ def find_damage(folder):
 def test_a_terrain_is_replaced_and_other_folders_are_kept(tmp_path):
     source = write_source(tmp_path, size=33)
     run_to_end(steps_of([source], tmp_path / "store"))
-    (tmp_path / "store.new").mkdir()  # of a build that was killed just before it replaced the terrain
+    (tmp_path / "store.new").mkdir()  # A build was killed just before it replaced the terrain.
     shutil.copy(tmp_path / "store" / "structure.bdam", tmp_path / "store.new")
     (tmp_path / "store" / "structure.bdam").unlink()  # its backup still says what the folder is
     write_source(tmp_path, size=41)

@@ -15,7 +15,7 @@ from texture_builds import tile_uv
 from tiff_writer import AREA_KEYS, POINT_KEYS, UTM_KEYS, map_tags, write_tiff
 
 SIZE, CELL = 49, 20.0
-WEST, NORTH = 500_000.0, 5_200_000.0  # of the sample in the north-west
+WEST, NORTH = 500_000.0, 5_200_000.0  # The position of the sample in the north-west.
 OTHER_UTM_KEYS = UTM_KEYS[:-5] + (32633, *UTM_KEYS[-4:])
 
 
@@ -123,7 +123,7 @@ def test_texels_over_holes_are_transparent(tmp_path, image_format):
         alpha = sample(store, positions)[:, 3]
         low = positions.astype(int)
         corners = np.stack([is_known[low[:, 1] + y, low[:, 0] + x] for x in (0, 1) for y in (0, 1)])
-        is_inside = np.abs(positions - np.rint(positions)).min(axis=1) > 0.1  # of a cell: the nearest texel lies in the same one
+        is_inside = np.abs(positions - np.rint(positions)).min(axis=1) > 0.1  # The nearest texel lies in the same cell.
         assert (alpha[is_inside & ~corners.any(axis=0)] == 0).all() and (alpha[is_inside & corners.all(axis=0)] == 255).all()
         assert (is_inside & ~corners.any(axis=0)).sum() > 50
         mixed = is_inside & corners.any(axis=0) & ~corners.all(axis=0)

@@ -19,7 +19,7 @@ from small_terrain_stores import ArrayField, build_cut_mesh, build_store, hills
 
 pytest.importorskip("zstandard")
 ROWS, COLUMNS, STEP = 99, 71, 0.01
-HOLE = slice(40, 53), slice(20, 37)  # of samples, rows and columns
+HOLE = slice(40, 53), slice(20, 37)  # Rows and columns of samples.
 
 
 class GeographicField(ArrayField):

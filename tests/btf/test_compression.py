@@ -1,4 +1,4 @@
-"""Compression preserves suns beside a bright dome, and weights texels by their visible area."""
+"""Compression preserves suns in front of a bright dome, and weights texels by their visible area."""
 
 import numpy as np
 import pytest

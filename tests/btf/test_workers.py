@@ -90,7 +90,7 @@ def test_several_processes_write_the_same_bytes(cloud, reference_digests, tmp_pa
 
 
 def test_a_moved_cloud_is_captured_as_if_it_had_not_moved(cloud, reference_digests, tmp_path):
-    """People put a cloud beside its original to compare them, then bake it."""
+    """People put a cloud next to its original to compare them, then bake it."""
     parent = bpy.data.objects.new("Parent", None)
     bpy.context.scene.collection.objects.link(parent)
     parent.location, parent.rotation_euler, parent.scale = (5.0, -2.0, 1.0), (0.3, 0.2, 0.1), (2.0, 1.0, 1.0)

@@ -21,7 +21,7 @@ from terrain_files import nifti, patch_bytes, write_voxels
 SCRIPTS = environment.ROOT / "scripts"
 SIDE = 256  # voxels
 OVERHEAD_BYTES = 32 * 2**20  # temporary arrays of fixed size
-COPIES = 2.2  # of the samples in memory, at most
+COPIES = 2.2  # At most this many copies of the samples are in memory.
 
 
 def write_samples(path):

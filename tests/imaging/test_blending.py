@@ -88,7 +88,7 @@ class TestPoisson:
         for length in (5.0, 20.0):
             row = solve_screened_poisson(links, np.zeros((len(links.first), 1)), colors, length).reshape(20, 200)[10]
             assert row[[0, -1]] == pytest.approx([0.0, 0.5], abs=0.01)
-            expected = 0.25 * np.exp((np.arange(100) - 99.5) / length)  # of the equation on a line
+            expected = 0.25 * np.exp((np.arange(100) - 99.5) / length)  # The solution of the equation on a line.
             assert row[:100] == pytest.approx(expected, abs=0.01)
 
     def test_parts_that_are_not_linked_do_not_influence_each_other(self):

@@ -36,7 +36,7 @@ class TestMerge:
         photographs = [photograph(mesh, uvs, texture, camera) for camera in ring(4)]
         result = run_to_end(merge(mesh, uvs, photographs, PhotosSettings(size=SIZE, method=method)))
         seen = result.source >= 0
-        margin = SIZE // 12 + 3 if method == "paper" else 3  # of whole triangles at the silhouette, or of texels
+        margin = SIZE // 12 + 3 if method == "paper" else 3  # The silhouette costs whole triangles, or texels.
         assert seen[margin:-margin, margin:-margin].all() and not (result.holes & seen).any()
         assert np.sqrt(np.mean((result.colors - texture)[seen] ** 2)) < 0.01
 

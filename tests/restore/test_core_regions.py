@@ -114,7 +114,7 @@ class TestLabeling:
 
 
 def test_smooth_parts_do_not_fill_other_textures():
-    """A texture beside a calm one, whose differences from anything are small. Without regard to contrast all copies come from there."""
+    """A texture next to a calm one, whose differences from anything are small. Without regard to contrast all copies come from there."""
     random = np.random.default_rng(3)
     image = gaussian_filter(random.random((90, 180, 1)), (1, 1, 0)).astype(np.float32)
     image[:, :90] = 0.5 + 0.15 * (image[:, :90] - 0.5)

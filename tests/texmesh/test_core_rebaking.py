@@ -85,7 +85,7 @@ def test_thin_parts_have_the_colors_of_their_own_side():
 @settings(max_examples=15, deadline=None)
 @given(st.integers(0, 2**31), st.floats(0.2, 0.7), st.floats(0.5, 12.0))
 def test_islands_are_continued_without_the_background(seed, side, texels):
-    """The texture has one color within the island and another beside it: only the first is in the result, in every texel."""
+    """The texture has one color within the island and another around it: only the first is in the result, in every texel."""
     generator = np.random.default_rng(seed)
     low = generator.uniform(0.05, 0.95 - side)
     fine = grid(5, low, low + side, lambda x, y: 0.1 * x * y)

@@ -34,14 +34,14 @@ def test_collapses_within_a_plane_cost_nothing_but_their_length():
 
 
 def test_the_cost_of_leaving_a_plane_is_the_squared_height_by_area():
-    """A peak on a plane: the vertex beside it stands for two triangles of the peak and four of the plane."""
+    """A peak on a plane: the vertex next to it stands for two triangles of the peak and four of the plane."""
     heights = np.zeros((7, 7))
     heights[3, 4] = 1e-3
     mesh = plane(6, 6, heights)
-    beside, peak = center_of(mesh, 2.0, 3.0), center_of(mesh, 4.0, 3.0)
+    neighbor, peak = center_of(mesh, 2.0, 3.0), center_of(mesh, 4.0, 3.0)
     collapses = collapses_of(mesh, center_of(mesh, 3.0, 3.0))
     quadrics = TextureQuadrics(mesh)
-    flat = quadrics.evaluate(collapses)[collapses.kept == beside]
+    flat = quadrics.evaluate(collapses)[collapses.kept == neighbor]
     onto_peak = quadrics.evaluate(collapses)[collapses.kept == peak]
     # Four of six triangles of 1/2 at the vertex are flat, each counts by a third of its area; of the peak's own, all contain it.
     height, area = 1e-3 / 6.0, 0.5 / 36.0

@@ -46,7 +46,7 @@ def test_an_isometry_of_any_size_has_no_stretch(size, angle):
 def test_a_map_of_twice_the_width():
     mesh, corner_uvs = flat_sheet()
     metrics = measure(mesh, corner_uvs * [2.0, 1.0])
-    assert metrics.linf == pytest.approx(np.sqrt(2.0))  # of lengths along v, relative to a map of the same area
+    assert metrics.linf == pytest.approx(np.sqrt(2.0))  # Lengths along v are this much larger, relative to a map of the same area.
     assert metrics.l2 == pytest.approx(np.sqrt(0.5 * (2.0 + 0.5)))
     assert metrics.symmetric_dirichlet == pytest.approx(2.0 * 2.5)
 

@@ -73,8 +73,8 @@ def test_occluders_hide_the_surface_behind_them():
 
 def test_surfaces_outside_the_view_show_no_pixels():
     mesh = sheet(4)
-    beside, behind = TriangleMesh(mesh.vertices + [50.0, 0, 0], mesh.triangles), TriangleMesh(mesh.vertices + [0, 0, 20.0], mesh.triangles)
-    assert visible_pixel_areas(beside, orthographic(1e-3)).max() == 0.0
+    outside, behind = TriangleMesh(mesh.vertices + [50.0, 0, 0], mesh.triangles), TriangleMesh(mesh.vertices + [0, 0, 20.0], mesh.triangles)
+    assert visible_pixel_areas(outside, orthographic(1e-3)).max() == 0.0
     assert visible_pixel_areas(behind, orthographic(5.0)).max() == 0.0
 
 

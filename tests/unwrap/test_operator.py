@@ -305,7 +305,7 @@ def test_the_stretch_image_is_saved(tmp_path):
     save_stretch_image(item, path, 64)
 
 
-LINE = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (2.0, 0.0, 0.0)]  # of a triangle without area
+LINE = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (2.0, 0.0, 0.0)]  # A triangle without area.
 
 
 def test_an_object_without_area_is_named_and_the_others_are_unwrapped(capfd):

@@ -51,7 +51,7 @@ def test_shadow_boundaries_are_sharp_between_two_grid_directions():
     lights = np.cos(heights)[:, None] * edge + np.sin(heights)[:, None] * walls[0]
     visibility = shadows.visibility(lights, slice(0, 1))[0]
     assert abs(heights[np.argmin(np.abs(visibility - 0.5))]) < 0.5 * CELL
-    assert ((visibility > 0.05) & (visibility < 0.95)).mean() < 1.5 * PENUMBRA_ANGLE  # of one radian
+    assert ((visibility > 0.05) & (visibility < 0.95)).mean() < 1.5 * PENUMBRA_ANGLE  # The heights cover one radian.
 
 
 def test_unoccluded_texels_see_all_lights_and_enclosed_ones_none():
