@@ -11,6 +11,7 @@ from scipy import ndimage
 
 from farfield.addon.core.geometry.edges import find_edges
 from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.photos.photographs.surface import Surface
 from farfield.addon.core.photos.texels.face_visibility import order_by_corner
 from farfield.addon.core.photos.texels.hole_filling import HoleFiller
 from farfield.addon.core.photos.texels.hole_interpolation import interpolate_colors, interpolate_holes
@@ -50,14 +51,13 @@ def fill_and_score(
     """
     mesh, corner_uvs = unwrapped
     texel_map = TexelMap(corner_uvs, len(texture))
-    edges = find_edges(mesh.triangles, len(mesh.vertices))
     known = covered & ~missing
     started = time.perf_counter()
     interpolated = interpolate(unwrapped, texel_map, texture, known)
     results = {"interpolate": (interpolated, time.perf_counter() - started)}
     restored = interpolated.reshape(-1, 3).copy()
     started = time.perf_counter()
-    counts = run_to_end(HoleFiller(mesh, edges, corner_uvs, texel_map, restored, known.ravel()).fill())
+    counts = run_to_end(HoleFiller(Surface.around_origin(mesh), texel_map, restored, known.ravel()).fill())
     results["restore"] = (restored.reshape(texture.shape), time.perf_counter() - started)
     figures: dict[str, Any] = {"texels": int(missing.sum()), "found": counts.found, "restored": counts.restored}
     filled = fill_with_lagrange(mesh, corner_uvs, texture, known)

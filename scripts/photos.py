@@ -36,8 +36,8 @@ from farfield.addon.core.messages import format_count
 from farfield.addon.core.photos.importers import read_cameras
 from farfield.addon.core.photos.merging import merge
 from farfield.addon.core.photos.photo_texture import PhotoTexture
-from farfield.addon.core.photos.photographs.overlays import draw_overlay
 from farfield.addon.core.photos.photographs.photograph import Photograph
+from farfield.addon.core.photos.previews import draw_overlay
 from farfield.addon.core.photos.registration.refinement import refine
 from farfield.addon.core.photos.settings import PhotosSettings
 from farfield.addon.core.photos.texels.pages import PageLayout, lay_out_pages

@@ -13,8 +13,10 @@ from ..operators.restore.operators import (
     FARFIELD_OT_restore_mask,
     FARFIELD_OT_restore_outline,
     counterpart,
+    edited_image,
+    find_problem,
+    find_target,
 )
-from ..operators.restore.prepare import edited_image, find_problem, find_target
 from .sidebar import SettingsPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, sub_panels
 
 PANEL = "FARFIELD_PT_restore"

@@ -3,6 +3,7 @@
 import pytest
 
 from farfield.addon.core.photos import merging
+from farfield.addon.core.photos.texels import pages
 
 OBSERVED_POINTS = 12_000
 OVERLAP_SIZE = 256
@@ -14,5 +15,5 @@ def quick_merges():
     photographs and textures of tests."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(merging, "POINTS", OBSERVED_POINTS)
-        patch.setattr(overlaps, "SIZE", OVERLAP_SIZE)
+        patch.setattr(pages, "OVERLAP_SIZE", OVERLAP_SIZE)
         yield

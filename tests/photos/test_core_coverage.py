@@ -6,8 +6,8 @@ import pytest
 from farfield.addon.core.errors import GeometryError
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.photos.coverage import INTERPOLATED, PHOTOGRAPHED, UNBOUND, classify_triangles, measure_classes
 from farfield.addon.core.photos.photographs.photograph import Photograph
+from farfield.addon.core.photos.previews import INTERPOLATED, PHOTOGRAPHED, UNBOUND, classify_triangles, measure_classes
 from photo_scenes import box, camera_at, grid
 
 SIZE = (300, 240)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from farfield.addon.core.geometry.edges import find_edges
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.photos.photographs.surface import Surface
 from farfield.addon.core.photos.texels.hole_filling import MIN_TEXELS, HoleFiller
 from farfield.addon.core.photos.texels.texel_map import TexelMap
 
@@ -39,7 +39,7 @@ def fill(mesh, uvs, paint, is_missing):
         found[tile.texels] = ~is_missing(points)
     missing = ~found & (texel_map.triangles >= 0)
     colors = np.where(found[:, None], truth, np.float32(0.5))
-    counts = run_to_end(HoleFiller(mesh, find_edges(mesh.triangles), uvs, texel_map, colors, found).fill())
+    counts = run_to_end(HoleFiller(Surface.around_origin(mesh), texel_map, colors, found).fill())
     return colors, truth, missing, counts
 
 

@@ -8,19 +8,20 @@ from hypothesis import strategies as st
 from farfield.addon.core.errors import GeometryError, ImageError
 from farfield.addon.core.files.scratch import Scratch
 from farfield.addon.core.geometry.edges import find_edges
-from farfield.addon.core.geometry.mesh import TriangleMesh, vertex_normals
+from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.imaging.colors import decode_signed_srgb, encode_signed_srgb
 from farfield.addon.core.imaging.raster import draw_ids
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.photos.merging import merge
 from farfield.addon.core.photos.photographs.color_correction import estimate_gains
 from farfield.addon.core.photos.photographs.photograph import Photograph, apply_gain
+from farfield.addon.core.photos.photographs.surface import Surface
 from farfield.addon.core.photos.photographs.views import View
 from farfield.addon.core.photos.settings import METHODS, PhotosSettings
-from farfield.addon.core.photos.texels.face_visibility import HIDDEN, MIXED, VISIBLE, FaceVisibility, prepare_surface
+from farfield.addon.core.photos.texels.face_visibility import HIDDEN, MIXED, VISIBLE, FaceVisibility, ShownSurface
 from farfield.addon.core.photos.texels.hole_interpolation import interpolate_colors
 from farfield.addon.core.photos.texels.regions import choose_labels, find_vertex_labels, solve_corrections
-from farfield.addon.core.photos.texels.texel_map import TexelMap, corner_normals
+from farfield.addon.core.photos.texels.texel_map import TexelMap
 from photo_scenes import SIZE, box, camera_at, grid, observations, photograph, ring, smooth_texture
 
 pytestmark = pytest.mark.usefixtures("quick_merges")
@@ -231,12 +232,13 @@ class TestFaces:
     def test_decisions_by_triangle_agree_with_those_by_texel(self, seed):
         random = np.random.default_rng(seed)
         mesh, uvs = grid(60, lambda x, y: 0.3 * np.sin(4.0 * x) * np.cos(5.0 * y))
-        normals = vertex_normals(mesh.vertices, mesh.triangles)
+        surface = Surface.around_origin(mesh)
+        mesh = surface.mesh
         view = View(camera_at((*random.uniform(-1.5, 1.5, 2), 2.0)), mesh)
-        faces = FaceVisibility(view, prepare_surface(mesh, normals, corner_normals(mesh, normals)), is_cosine=False)
+        faces = FaceVisibility(view, ShownSurface(surface), is_cosine=False)
         assert {HIDDEN, VISIBLE, MIXED} >= set(faces.status.tolist()) and (faces.status != MIXED).mean() > 0.5
         for tile in TexelMap(uvs, 256).tiles():
-            points, directions = tile.interpolate(mesh.corners), tile.interpolate(corner_normals(mesh, normals))
+            points, directions = tile.interpolate(mesh.corners), tile.interpolate(surface.corner_normals)
             each = view.see(points, directions / np.linalg.norm(directions, axis=1, keepdims=True))
             seen = faces.see(tile, points, np.arange(len(points)))
             both, first, second = np.intersect1d(each.indices, seen.indices, return_indices=True)

@@ -4,8 +4,8 @@ import numpy as np
 
 from farfield.addon.core.geometry.lenses import Lens, PhotoCamera
 from farfield.addon.core.geometry.mesh import TriangleMesh
-from farfield.addon.core.photos.photographs.overlays import DIMMED, LINE_COLOR, MAX_SIDE, draw_overlay
 from farfield.addon.core.photos.photographs.photograph import Photograph
+from farfield.addon.core.photos.previews import DIMMED, LINE_COLOR, MAX_OVERLAY_SIDE, draw_overlay
 
 SQUARE = TriangleMesh(
     np.array([[-1.0, -1.0, 4.0], [1.0, -1.0, 4.0], [1.0, 1.0, 4.0], [-1.0, 1.0, 4.0]]), np.array([[0, 1, 2], [0, 2, 3]], np.int32)
@@ -45,6 +45,6 @@ def test_a_camera_that_sees_nothing_gives_a_dark_photograph():
 
 
 def test_large_photographs_are_drawn_smaller():
-    image = draw_overlay(SQUARE, photograph(size=(2 * MAX_SIDE + 10, 30), focal=3000.0))
-    assert max(image.shape) <= MAX_SIDE
+    image = draw_overlay(SQUARE, photograph(size=(2 * MAX_OVERLAY_SIDE + 10, 30), focal=3000.0))
+    assert max(image.shape) <= MAX_OVERLAY_SIDE
     assert image.shape[0] == 10

@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from farfield.addon.core.errors import GeometryError
-from farfield.addon.core.geometry.edges import find_edges
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.photos.merging import merge
+from farfield.addon.core.photos.photographs.surface import Surface
 from farfield.addon.core.photos.settings import PhotosSettings
 from farfield.addon.core.photos.texels.hole_filling import HoleFiller
 from farfield.addon.core.photos.texels.pages import MAX_PAGES, NO_PAGE, find_overlapping, lay_out_pages
@@ -145,7 +145,7 @@ def test_holes_are_filled_from_the_surface_and_not_from_the_other_page(seed):
         colors[tile.texels] = np.where(points[:, 1:2] > 0.0, np.float32(0.3), np.float32(0.1))
         found[tile.texels] = np.hypot(*(points[:, :2] - hole).T) > 0.3
     colors[~found] = 0.9
-    counts = run_to_end(HoleFiller(mesh, find_edges(mesh.triangles), local, texel_map, colors, found).fill())
+    counts = run_to_end(HoleFiller(Surface.around_origin(mesh), texel_map, colors, found).fill())
     assert counts.restored == counts.found > 0
     assert colors[texel_map.triangles >= 0].max() < 0.31
 

@@ -9,14 +9,14 @@ from scipy.spatial.transform import Rotation
 from farfield.addon.core.errors import ImageError
 from farfield.addon.core.files.scratch import Scratch
 from farfield.addon.core.geometry.lenses import Lens
-from farfield.addon.core.geometry.mesh import TriangleMesh, vertex_normals
+from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.photos.merging import merge
+from farfield.addon.core.photos.photographs.surface import Surface
 from farfield.addon.core.photos.photographs.views import View
-from farfield.addon.core.photos.registration.matching import Matches, Surface, make_gray, match_photograph
+from farfield.addon.core.photos.registration.matching import Matches, make_gray, match_photograph
 from farfield.addon.core.photos.registration.refinement import MIN_MATCHES, fit_camera, refine
 from farfield.addon.core.photos.settings import PhotosSettings
-from farfield.addon.core.photos.texels.texel_map import corner_normals
 from photo_scenes import SIZE, detailed_texture, distance_in_pixels, grid, photograph, ring
 
 pytestmark = pytest.mark.usefixtures("quick_merges")
@@ -56,7 +56,7 @@ class TestMatching:
         moved = replace(lens, center=(lens.center[0] - x, lens.center[1] + y))  # so that the photograph shows all at +x, +y
         photographs[0] = replace(photographs[0], camera=replace(photographs[0].camera, lens=moved))
         grays = [make_gray(each, View(each.camera, mesh), np.ones(3)) for each in photographs]
-        found = match_photograph(grays[0], grays[1:], Surface(mesh, corner_normals(mesh, vertex_normals(mesh.vertices, mesh.triangles))))
+        found = match_photograph(grays[0], grays[1:], Surface(mesh, np.zeros(3), np.ones(len(mesh.triangles))))
         assert len(found.points) > 15 and np.linalg.norm(found.displacements - (x, y), axis=1).mean() < 0.2
         assert np.allclose(photographs[0].camera.project(found.points)[0], found.positions, atol=0.02)
         assert found.fractions.mean() == pytest.approx(0.75, abs=0.1), "three of four photographs are others"
@@ -65,7 +65,7 @@ class TestMatching:
         mesh, _, photographs = shoot()
         behind = turn(photographs[0], (0.0, 180.0, 0.0))
         grays = [make_gray(each, View(each.camera, mesh), np.ones(3)) for each in (behind, *photographs[1:])]
-        assert not len(match_photograph(grays[0], grays[1:], Surface(mesh, mesh.corners)).points)
+        assert not len(match_photograph(grays[0], grays[1:], Surface(mesh, np.zeros(3), np.ones(len(mesh.triangles)))).points)
 
 
 class TestRefine:

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from farfield.addon.core.photos.coverage import INTERPOLATED, MAX_SIDE, PHOTOGRAPHED, UNBOUND, UNCOVERED, classify_texels, draw_trust
 from farfield.addon.core.photos.photographs.photograph import Photograph
+from farfield.addon.core.photos.previews import INTERPOLATED, MAX_STAGE_SIDE, PHOTOGRAPHED, UNBOUND, UNCOVERED, classify_texels, draw_trust
 from photo_scenes import camera_at
 
 
@@ -23,7 +23,7 @@ def test_untrusted_cells_and_masked_pixels_are_red():
 
 
 def test_large_photographs_become_small_pictures():
-    assert max(draw_trust(gray(3 * MAX_SIDE + 5, 30), np.ones((2, 100), np.float32)).shape) <= MAX_SIDE
+    assert max(draw_trust(gray(3 * MAX_STAGE_SIDE + 5, 30), np.ones((2, 100), np.float32)).shape) <= MAX_STAGE_SIDE
 
 
 def test_classes():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from farfield.addon.core.geometry.edges import find_edges
+from farfield.addon.core.photos.photographs.surface import Surface
 from farfield.addon.core.photos.texels.surface_windows import SurfaceWindows
 from farfield.addon.core.photos.texels.texel_map import TexelMap
 from photo_scenes import box, grid
@@ -24,7 +24,7 @@ def test_each_texel_is_the_own_one_of_one_window(size, margin):
     mesh, uvs = box()
     texels = TexelMap(uvs, 128)
     counts = np.zeros(128 * 128, int)
-    for window in SurfaceWindows(texels, mesh.triangles, find_edges(mesh.triangles), size, margin):
+    for window in SurfaceWindows(texels, Surface.around_origin(mesh), size, margin):
         counts[window.tile.texels[window.is_own]] += 1
         assert len(np.unique(window.pixels)) == len(window.pixels)
     assert np.array_equal(counts, (texels.triangles >= 0).astype(int))
@@ -36,7 +36,7 @@ def test_own_pixels_show_their_texels():
     expected = np.zeros((96 * 96, 3))
     for tile in texels.tiles():
         expected[tile.texels] = tile.interpolate(mesh.corners)
-    for window in SurfaceWindows(texels, mesh.triangles, find_edges(mesh.triangles), 40, 10):
+    for window in SurfaceWindows(texels, Surface.around_origin(mesh), 40, 10):
         points = window.tile.interpolate(mesh.corners)
         assert points[window.is_own] == pytest.approx(expected[window.tile.texels[window.is_own]], abs=1e-5)
 
@@ -45,7 +45,7 @@ def test_own_pixels_show_their_texels():
 def test_a_plane_continues_behind_a_seam(scale):
     """All pixels of a window, on the island and behind its seam, lie where the island's own affine map puts them."""
     mesh, texels = turned_halves(256, scale=scale)
-    for window in SurfaceWindows(texels, mesh.triangles, find_edges(mesh.triangles), 1000, 30):
+    for window in SurfaceWindows(texels, Surface.around_origin(mesh), 1000, 30):
         points = window.tile.interpolate(mesh.corners)[:, :2]
         rows, columns = np.divmod(window.pixels, window.shape[1])
         design = np.column_stack([columns, rows, np.ones(len(rows))])
@@ -59,7 +59,7 @@ def test_the_surface_of_a_box_continues_over_its_edges():
     """Neighbors in a window are neighbors on the surface, apart from corners of the box, where three sides meet."""
     mesh, uvs = box()
     texels = TexelMap(uvs, 128)
-    for window in SurfaceWindows(texels, mesh.triangles, find_edges(mesh.triangles), 1000, 12):
+    for window in SurfaceWindows(texels, Surface.around_origin(mesh), 1000, 12):
         shown = window.to_image(np.ones(len(window.pixels), bool))
         points = window.to_image(window.tile.interpolate(mesh.corners))
         both = shown[:, 1:] & shown[:, :-1]
@@ -71,5 +71,5 @@ def test_the_surface_of_a_box_continues_over_its_edges():
 
 def test_mesh_boundaries_have_nothing_behind():
     mesh, uvs = grid(5)
-    for window in SurfaceWindows(TexelMap(uvs * 0.5 + 0.25, 64), mesh.triangles, find_edges(mesh.triangles), 100, 10):
+    for window in SurfaceWindows(TexelMap(uvs * 0.5 + 0.25, 64), Surface.around_origin(mesh), 100, 10):
         assert window.is_own.all()

@@ -11,7 +11,7 @@ from farfield.addon.bridge.photos.scene_cameras import LENS_PROPERTY, read_lens
 from farfield.addon.core.geometry.transforms import signed_areas
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.photos.merging import merge
-from farfield.addon.core.photos.photographs.overlays import draw_overlay
+from farfield.addon.core.photos.previews import draw_overlay
 from farfield.addon.core.photos.settings import PhotosSettings
 from farfield.addon.core.unwrap.overlaps import count_overlaps
 from image_data import write_image

@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 from farfield.addon.core.errors import ImageError
 from farfield.addon.core.imaging.diffusion import diffuse
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.restore import synthesis
+from farfield.addon.core.restore import neighborhoods, synthesis
 from farfield.addon.core.restore.levels import Page, build_levels
 from farfield.addon.core.restore.restoration import restore
 from farfield.addon.core.restore.settings import METHODS, ORDERS, RestoreSettings
@@ -209,8 +209,8 @@ class TestInvariants:
 
     def test_matches_are_those_of_the_literal_method(self, monkeypatch):
         for module, name, value in (
-            (kernels, "TREE_EPS", 0.0),
-            (kernels, "MAX_DIMENSIONS", 1000),
+            (neighborhoods, "TREE_EPS", 0.0),
+            (neighborhoods, "MAX_DIMENSIONS", 1000),
             (synthesis, "MATCHES", 1),
             (synthesis, "SWEEPS", 0),
             (synthesis, "_continuations", lambda _level, pixels: np.full((len(pixels), 1), -1)),

@@ -12,8 +12,7 @@ from farfield.addon.core.restore.settings import MaskSettings
 from farfield.addon.operators import image_editors
 from farfield.addon.operators.properties import read as read_settings
 from farfield.addon.operators.restore.guides import find_shown_masks
-from farfield.addon.operators.restore.operators import counterpart
-from farfield.addon.operators.restore.prepare import edited_image, find_problem, find_target
+from farfield.addon.operators.restore.operators import counterpart, edited_image, find_problem, find_target
 from restore_images import FAST, HEIGHT, WIDTH, hole, new_image, new_mask, ramp, read, restore
 
 

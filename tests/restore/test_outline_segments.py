@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from farfield.addon.bridge.restore import outline
 from farfield.addon.bridge.restore.outline import find_segments
 
 
@@ -38,7 +39,7 @@ def test_straight_edges_are_one_segment():
 
 
 def test_noise_is_drawn_more_coarsely(monkeypatch):
-    monkeypatch.setattr(outline_segments, "MAX_EDGES", 500)
+    monkeypatch.setattr(outline, "MAX_EDGES", 500)
     mask = np.random.default_rng(2).random((101, 67)) < 0.5
     segments = find_segments(mask)
     assert 0 < len(segments) <= 500 and segments.min() >= 0.0 and segments.max() <= 1.0

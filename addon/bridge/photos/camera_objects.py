@@ -73,8 +73,8 @@ def set_render_size(scene: bpy.types.Scene, size: tuple[int, int]) -> None:
 
 
 def show_lens(data: bpy.types.Camera, lens: Lens, scene: bpy.types.Scene) -> None:
-    """Store `lens` with a camera, and set its focal length, sensor and shift like those of `lens` without its distortion, so that the camera
-    view shows the photograph, fitted into the render size of `scene`, where it belongs."""
+    """Store `lens` with a camera, and set its focal length, sensor and shift like `lens` without its distortion, so that the camera view
+    shows the photograph, fitted into the render size of `scene`, where it belongs."""
     store_lens(data, lens)
     (width, height), (focal_x, focal_y) = lens.size, lens.focal
     render = scene.render
@@ -90,11 +90,8 @@ def show_lens(data: bpy.types.Camera, lens: Lens, scene: bpy.types.Scene) -> Non
 
 
 def check_movable(item: bpy.types.Object) -> None:
-    """Check that nothing but its own transform and its parent place a camera object.
-
-    Raises:
-        SettingsError: it is linked, constrained or animated.
-    """
+    """Check that nothing but its own transform and its parent place a camera object. Raises SettingsError if it is linked, constrained or
+    animated."""
     if not item.is_editable:
         raise SettingsError(f'The camera "{item.name}" is linked from a library; make it local.')
     animation = item.animation_data

@@ -4,7 +4,7 @@ import bpy
 import numpy as np
 
 from ...core.geometry.mesh import TriangleMesh, vertex_normals
-from ...core.photos.coverage import CLASS_COLORS
+from ...core.photos.previews import CLASS_COLORS
 from ..geometry.meshes import SourceInstance
 from ..overlays.face_overlay import FaceColors, FaceOverlay, offset_from_faces
 
@@ -47,12 +47,10 @@ class CoverageOverlay(FaceOverlay):
 
     def update(self, depsgraph: bpy.types.Depsgraph | None) -> None:
         """Hide the overlay if a mesh or a camera has changed."""
-        if depsgraph is None or any(self._is_affected(update) for update in depsgraph.updates):
+        updates = [] if depsgraph is None else [each for each in depsgraph.updates if each.is_updated_geometry or each.is_updated_transform]
+        changed = {each.id.original.session_uid for each in updates if isinstance(each.id, bpy.types.Object)}
+        if depsgraph is None or changed & self._watched:
             self.hide()
-
-    def _is_affected(self, update: bpy.types.DepsgraphUpdate) -> bool:
-        is_changed = update.is_updated_geometry or update.is_updated_transform
-        return is_changed and isinstance(update.id, bpy.types.Object) and update.id.original.session_uid in self._watched
 
 
 overlay = CoverageOverlay()

@@ -30,20 +30,13 @@ class MaterialGroups:
 
     def name_textures(self, fallback: str) -> list[str]:
         """Return a name for the texture of each group: that of its material or, without one, `fallback`, and a suffix."""
-        return [base_name(name or fallback) + SUFFIX for name in self.names]
-
-
-def base_name(name: str) -> str:
-    """Return the name of the material that a material with this name was copied from."""
-    return name.rpartition(SUFFIX)[0] or name
+        names = (name or fallback for name in self.names)
+        return [(name.rpartition(SUFFIX)[0] or name) + SUFFIX for name in names]  # Materials of an earlier merge have the suffix.
 
 
 def read_material_groups(objects: list[bpy.types.Object], instances: list[SourceInstance]) -> MaterialGroups:
-    """Return the materials of all triangles of `instances`, which show `objects`.
-
-    Raises:
-        GeometryError: a material is that of a modifier instead of a material slot.
-    """
+    """Return the materials of all triangles of `instances`, which show `objects`. Raises GeometryError if a material is that of a modifier
+    instead of a material slot."""
     slots = {item.session_uid: {_slot_key(slot) for slot in item.material_slots} or {None} for item in objects}
     indices: dict[MaterialKey | None, int] = {}
     triangles = []

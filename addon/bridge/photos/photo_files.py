@@ -47,11 +47,8 @@ def size_reader(folder: Path) -> Callable[[str], tuple[int, int]]:
 
 
 def find_photograph(folder: Path, name: str) -> Path:
-    """Return the path of the photograph `name` in `folder`, where it may lie without its folders or have another extension.
-
-    Raises:
-        FileError: there is no such file.
-    """
+    """Return the path of the photograph `name` in `folder`, where it may lie without its folders or have another extension. Raises
+    FileError if there is no such file."""
     found = _find_file(folder, name, lambda path: [path, *(path.with_suffix(extension) for extension in EXTENSIONS)])
     if found is None:
         raise FileError(

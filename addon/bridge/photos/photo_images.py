@@ -59,22 +59,12 @@ def open_background(camera: PhotoCamera, background: bpy.types.CameraBackgroundI
         ImageError: it is not a single image, or its size is not that of the camera.
     """
     image = background.image
-    check_background(image)
-    source = Path(find_path(image)) if _shows_file(image) else _read_image(camera, image)
-    return PhotoSource(camera, source, background.use_flip_x, background.use_flip_y)
-
-
-def check_background(image: bpy.types.Image) -> None:
-    """Check that `image` is a single image and that its file exists, without loading it.
-
-    Raises:
-        FileError: the file is missing.
-        ImageError: it is a movie, a sequence, a tiled image or a result of rendering.
-    """
     if image.source not in {"FILE", "GENERATED"}:
         raise ImageError(f'The background image "{image.name}" is not a single image; open each photograph as an image of its own.')
     if image.source == "FILE" and not image.packed_files and not image.has_data:
         check_readable(Path(find_path(image)))
+    source = Path(find_path(image)) if _shows_file(image) else _read_image(camera, image)
+    return PhotoSource(camera, source, background.use_flip_x, background.use_flip_y)
 
 
 def is_missing(image: bpy.types.Image) -> bool:

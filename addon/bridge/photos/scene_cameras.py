@@ -67,11 +67,7 @@ def store_lens(data: bpy.types.Camera, lens: Lens) -> None:
 
 
 def read_lens(data: bpy.types.Camera) -> Lens | None:
-    """Return the lens stored with a camera, None if there is none.
-
-    Raises:
-        SettingsError: the property is no lens.
-    """
+    """Return the lens stored with a camera, None if there is none. Raises SettingsError if the property is no lens."""
     stored = data.get(LENS_PROPERTY)
     if stored is None:
         return None
@@ -89,11 +85,8 @@ def read_lens(data: bpy.types.Camera) -> Lens | None:
 
 
 def _read_axes(evaluated: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
-    """Return the unit axes of a camera in the columns of (3, 3), and its position (3,). Its scale does not matter, as in Blender.
-
-    Raises:
-        SettingsError: an axis has no length, or the axes are not perpendicular.
-    """
+    """Return the unit axes of a camera in the columns of (3, 3), and its position (3,). Its scale does not matter, as in Blender. Raises
+    SettingsError if an axis has no length, or the axes are not perpendicular."""
     matrix = np.array(evaluated.matrix_world, np.float64)
     lengths = np.linalg.norm(matrix[:3, :3], axis=0)
     if not np.isfinite(matrix).all() or not lengths.all():
@@ -108,11 +101,7 @@ def _lens_of_background(
     name: str, data: bpy.types.Camera, background: bpy.types.CameraBackgroundImage, scene: bpy.types.Scene
 ) -> tuple[Lens, np.ndarray]:
     """Return the lens of a background image, and the rotation (3, 3) that takes camera space to the space of this lens: the image may be
-    rotated in the frame, so that the camera seems to roll.
-
-    Raises:
-        SettingsError: the image has no size in the view.
-    """
+    rotated in the frame, so that the camera seems to roll. Raises SettingsError if the image has no size in the view."""
     width, height = background.image.size
     image, angle = _place_background(background, *_read_frame(data, scene))
     if width < 1 or height < 1 or image.width <= 0.0 or image.height <= 0.0:

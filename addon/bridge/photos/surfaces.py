@@ -55,11 +55,8 @@ def split_layout(instances: list[SourceInstance], layout: PageLayout) -> Iterato
 
 
 def check_separate_uvs(instances: list[SourceInstance], layout: PageLayout) -> None:
-    """Check that UV maps of different `instances`, whose triangles are on common pages, cover different texels.
-
-    Raises:
-        GeometryError: two of them overlap.
-    """
+    """Check that UV maps of different `instances`, whose triangles are on common pages, cover different texels. Raises GeometryError if two
+    of them overlap."""
     all_owners = np.full(max(len(layout.tiles), 1) * OVERLAP_SIZE**2, -1)
     for index, (instance, corner_uvs, pages) in enumerate(split_layout(instances, layout) if len(instances) > 1 else ()):
         covered = TexelMap(corner_uvs, OVERLAP_SIZE, pages).triangles >= 0

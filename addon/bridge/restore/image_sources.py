@@ -19,11 +19,8 @@ NUMBERED_FILE = re.compile(r"(.*?)(\d+)(\D*)$", re.DOTALL)  # the last number of
 
 
 def find_image(name: str, setting: str) -> bpy.types.Image:
-    """Return the image with this name, which the setting with the label `setting` names; of a local and a linked one, the local one.
-
-    Raises:
-        ImageError: there is none.
-    """
+    """Return the image with this name, which the setting with the label `setting` names; of a local and a linked one, the local one. Raises
+    ImageError if there is none."""
     named = [image for image in bpy.data.images if image.name == name]
     if not named:
         raise ImageError(f'There is no image "{name}"; choose another one as {setting}.')
@@ -52,11 +49,7 @@ def check_image(image: bpy.types.Image) -> None:
 
 
 def list_frames(image: bpy.types.Image) -> dict[int, Path]:
-    """Return the files of an image sequence by frame number, in order.
-
-    Raises:
-        FileError: there are none, or the folder cannot be read.
-    """
+    """Return the files of an image sequence by frame number, in order. Raises FileError if there are none, or the folder cannot be read."""
     path = Path(find_path(image))
     match = NUMBERED_FILE.match(path.name)
     if match is None:
@@ -72,11 +65,8 @@ def list_frames(image: bpy.types.Image) -> dict[int, Path]:
 
 @contextmanager
 def load_frame(image: bpy.types.Image, path: Path) -> Iterator[bpy.types.Image]:
-    """Yield a temporary image of one file of a sequence or a tiled image, with its color space and alpha mode.
-
-    Raises:
-        FileError: the file is not a complete image.
-    """
+    """Yield a temporary image of one file of a sequence or a tiled image, with its color space and alpha mode. Raises FileError if the file
+    is not a complete image."""
     check_readable(path)
     frame = load_image(path)
     try:

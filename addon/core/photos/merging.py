@@ -7,6 +7,7 @@ between such regions are blended. Details are sharpened by comparison with the p
 
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -17,7 +18,6 @@ from ..geometry.transforms import signed_areas
 from ..imaging.images import dilate_in_place, sample_bilinear
 from ..jobs.chunks import map_ordered
 from ..jobs.progress import Progress, StageClock, Steps, subprogress
-from .coverage import CLASS_COLORS, classify_texels, draw_trust
 from .photo_texture import PhotoTexture
 from .photographs.background import find_surface
 from .photographs.color_correction import EXPOSURE_POINTS, ColorCorrection, estimate_corrections
@@ -26,10 +26,11 @@ from .photographs.observations import MAX_OBSERVATIONS, POINTS, Observations, ob
 from .photographs.photograph import Photograph
 from .photographs.surface import Surface
 from .photographs.views import View
+from .previews import CLASS_COLORS, classify_texels, draw_trust
 from .registration.alignment import align
 from .settings import PhotosSettings
-from .texels.blending import BlendedSurface, blend_gradients, blend_labels, blend_masks, shrink_masks
-from .texels.face_visibility import VISIBLE, order_by_corner, prepare_surface
+from .texels.blending import BlendedSurface, blend_gradients, blend_labels, blend_masks, blend_windows, shrink_masks
+from .texels.face_visibility import VISIBLE, order_by_corner
 from .texels.hole_filling import HoleCounts, HoleFiller
 from .texels.hole_interpolation import interpolate_colors, interpolate_holes
 from .texels.pages import check_overlaps, check_texel_count
@@ -206,11 +207,15 @@ class _Merger:
         """Compute the texels, tile by tile."""
         count = len(self.map.triangles)
         with self.clock.stage("faces"):
-            surface = prepare_surface(self.surface)
-            is_cosine = self.settings.method == "paper"
-            self.painter = TexelPainter(surface, self.photographs, self.views, self.color_corrections, self.scratch, is_cosine=is_cosine)
-            if self.settings.reduce_highlights:
-                self.painter.reduce_highlights()
+            self.painter = TexelPainter(
+                self.surface,
+                self.photographs,
+                self.views,
+                self.color_corrections,
+                self.scratch,
+                is_cosine=self.settings.method == "paper",
+                reduces_highlights=self.settings.reduce_highlights,
+            )
             if len(self.pairs.keys):
                 self.painter.use_labels(self.pairs, self.vertex_colors.corrections)
         self.colors, self.confidence = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
@@ -268,15 +273,13 @@ class _Merger:
         if method in ("none", "level"):
             return
         known = self.source != NO_PHOTOGRAPH if self.settings.fill == "none" else self.map.triangles >= 0
-        surface = BlendedSurface(self.painter, self.map, self.mesh.triangles, self.surface.edges, self.colors, known)
+        blended = BlendedSurface(self.painter, self.map, self.surface, self.colors, known)
         if method == "masks":
             masks = np.stack([faces.status == VISIBLE for faces in self.painter.faces])
-            shrunken = shrink_masks(masks, self.mesh.triangles, len(self.mesh.vertices))
-            self.colors = yield from blend_masks(surface, shrunken)
-        elif method == "spline":
-            self.colors = yield from blend_labels(surface, self.source)
+            blend = partial(blend_masks, blended, shrink_masks(masks, self.mesh.triangles, len(self.mesh.vertices)))
         else:
-            self.colors = yield from blend_gradients(surface, self.source)
+            blend = partial(blend_labels if method == "spline" else blend_gradients, blended, self.source)
+        self.colors = yield from blend_windows(blended, blend)
         np.clip(self.colors, 0.0, 1.0, out=self.colors)
 
     def _keep_stage(self, name: str, colors: np.ndarray) -> None:

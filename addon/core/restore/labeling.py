@@ -73,7 +73,7 @@ class Labeling:
                 complete = np.bincount(blocks[members], minlength=len(sizes)) == sizes
                 kept = complete[blocks[members]]
                 self._expand(members[kept], targets[kept], np.unique(blocks[members[kept]], return_inverse=True)[1])
-            self._drop_unused()
+            self._candidates = [each for each in self._candidates if (self.sources[each.members] == each.sources).any()]
 
     def optimize_seams(self) -> None:
         """Move the seams by single pixels."""
@@ -81,9 +81,6 @@ class Labeling:
         for members, targets in self._candidates:
             kept = near[members] & (self.sources[members] != targets)
             self._expand(members[kept], targets[kept], np.arange(np.count_nonzero(kept)))
-
-    def _drop_unused(self) -> None:
-        self._candidates = [each for each in self._candidates if (self.sources[each.members] == each.sources).any()]
 
     def _near_seams(self) -> np.ndarray:
         """Return the pixels (P,) bool at most NEAR_SEAM away from a seam or the boundary of the hole."""

@@ -43,11 +43,11 @@ class Restoration:
 
 @dataclass(frozen=True)
 class _Options:
-    """What all windows have in common."""
+    """What all windows have in common; usable: (H, W) bool, pixels that may be copied."""
 
     settings: RestoreSettings
     kappa: int
-    source_mask: np.ndarray | None
+    usable: np.ndarray
     barriers: np.ndarray | None
 
 
@@ -102,7 +102,7 @@ def restore(
     if keep_stages:
         stages["first_fill"] = pixels.copy()
     if kappa >= 0:
-        options = _Options(settings, kappa, source_mask, barriers)
+        options = _Options(settings, kappa, ~mask if source_mask is None else ~mask & source_mask, barriers)
         yield from subprogress(_restore_texture(pixels, mask, windows, options, clock, stages), 0.15, 1.0)
         pixels[mask] = np.clip(pixels[mask], *_find_range(image, mask))
     if is_normal_map:
@@ -128,8 +128,7 @@ def _restore_texture(
             with clock.stage("structure"):
                 low = low_band.evaluate(window.rows, window.columns)
                 structures.append(diffuse(low, window.hole, _part(options.barriers, window), window.wrap))
-            known = ~mask[window.area]
-            pages.append(Page(pixels[window.area] - low, window.hole, known, known & _usable(options, window.area), window.wrap))
+            pages.append(Page(pixels[window.area] - low, window.hole, ~mask[window.area], options.usable[window.area], window.wrap))
         with clock.stage("pyramid"):
             pages += _further_pages(pixels, mask, low_band, pages, options)
             levels = build_levels(pages, options.settings.pyramid_levels)
@@ -159,7 +158,7 @@ def _further_pages(pixels: np.ndarray, mask: np.ndarray, low_band: LowBand, page
     for area in choose_areas(mask.shape, width, sources, generator):
         structure = low_band.evaluate(*(np.arange(part.start, part.stop) for part in area))
         known = ~mask[area]
-        further.append(Page(pixels[area] - structure, np.zeros_like(known), known, known & _usable(options, area)))
+        further.append(Page(pixels[area] - structure, np.zeros_like(known), known, options.usable[area]))
     return further
 
 
@@ -170,10 +169,6 @@ def _check_sources(level: Level) -> None:
             f"Only {sources} pixels with unmasked neighborhoods of {MIN_SIDE} x {MIN_SIDE} pixels can be copied; at least {MIN_SOURCES} "
             "are necessary. Mask less, extend the source mask, or use Diffusion Only."
         )
-
-
-def _usable(options: "_Options", area: tuple) -> np.ndarray | bool:
-    return True if options.source_mask is None else options.source_mask[area]
 
 
 def _check(image: np.ndarray, mask: np.ndarray, others: dict[str, np.ndarray | None]) -> None:

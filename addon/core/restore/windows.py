@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import binary_dilation, find_objects, label
+from scipy.sparse import coo_matrix, csgraph
 
 MIN_MARGIN = 48  # pixels around a hole
 MARGIN_FRACTION = 0.75  # the same relative to the longer side of the hole, if that is more
@@ -39,11 +40,9 @@ def find_windows(mask: np.ndarray, tileable: bool) -> list[Window]:
     joined = _join(mask, tileable)
     labels, count = label(joined, structure=np.ones((3, 3), bool))
     if tileable:
-        labels, count = _join_labels_across_borders(labels, count)
+        labels = _join_labels_across_borders(labels, count)
     windows = []
     for number, found in enumerate(find_objects(labels), start=1):
-        if found is None:
-            continue
         spans = []
         for axis in (0, 1):
             used = (labels[found] == number).any(axis=1 - axis)
@@ -96,21 +95,13 @@ def _join(mask: np.ndarray, tileable: bool) -> np.ndarray:
     return binary_dilation(padded, iterations=radius)[radius:-radius, radius:-radius]
 
 
-def _join_labels_across_borders(labels: np.ndarray, count: int) -> tuple[np.ndarray, int]:
-    """Return `labels` (H, W) with one number for parts that touch across opposite borders."""
-    roots = np.arange(count + 1)
-
-    def root(number: int) -> int:
-        while roots[number] != number:
-            number = roots[number]
-        return number
-
-    for first, last in ((labels[0], labels[-1]), (labels[:, 0], labels[:, -1])):
-        for step in (-1, 0, 1):
-            moved = np.roll(last, step)
-            for a, b in set(zip(first[(first > 0) & (moved > 0)].tolist(), moved[(first > 0) & (moved > 0)].tolist(), strict=True)):
-                roots[max(root(a), root(b))] = min(root(a), root(b))
-    return np.array([root(number) for number in range(count + 1)])[labels], count
+def _join_labels_across_borders(labels: np.ndarray, count: int) -> np.ndarray:
+    """Return `labels` (H, W), of which there are `count`, with one number for parts that touch across opposite borders."""
+    borders = [(first, np.roll(last, step)) for first, last in (labels[[0, -1]], labels.T[[0, -1]]) for step in (-1, 0, 1)]
+    first, last = np.concatenate(borders, axis=1)
+    touches = (first > 0) & (last > 0)
+    links = coo_matrix((touches[touches], (first[touches], last[touches])), shape=(count + 1, count + 1))
+    return csgraph.connected_components(links, directed=False)[1][labels]
 
 
 def _span(used: np.ndarray, size: int, tileable: bool) -> tuple[int, int]:

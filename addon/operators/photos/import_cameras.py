@@ -88,10 +88,7 @@ class FARFIELD_OT_photos_import_cameras(bpy.types.Operator):
 
 def _draw_overlays(context: bpy.types.Context, cameras: Sequence[bpy.types.Object]) -> str:
     """Draw overlays of `cameras` if a mesh is selected, in the background if there is a window. Returns a message, empty without a mesh.
-
-    Raises:
-        FarfieldError: an overlay cannot be drawn.
-    """
+    Raises FarfieldError if an overlay cannot be drawn."""
     usable = [item for item in cameras if not is_missing(find_background(item.data).image)]
     if not usable or not selected_meshes(context) or context.mode != "OBJECT":
         return ""

@@ -14,8 +14,7 @@ from ...core.errors import GeometryError
 from ...core.geometry.mesh import TriangleMesh
 from ...core.jobs.progress import Progress, Steps
 from ...core.messages import format_count
-from ...core.photos.coverage import INTERPOLATED, PHOTOGRAPHED, UNBOUND, classify_triangles, measure_classes
-from ...core.photos.photographs.overlays import draw_overlay
+from ...core.photos.previews import INTERPOLATED, PHOTOGRAPHED, UNBOUND, classify_triangles, draw_overlay, measure_classes
 from .. import long_work, start_job
 from ..error_reports import reports_errors
 from .sources import disabled_reason, find_cameras, open_photographs, read_targets
@@ -42,11 +41,7 @@ class CoverageJob:
         return classify_triangles(self.mesh, (source.read() for source in self.sources), len(self.sources))
 
     def scene_steps(self, core_result: np.ndarray) -> Steps[str]:
-        """Show the overlay.
-
-        Raises:
-            GeometryError: a mesh was changed or removed in the meantime.
-        """
+        """Show the overlay. Raises GeometryError if a mesh was changed or removed in the meantime."""
         yield Progress(0.0, "Drawing faces")
         objects = {item.session_uid: item for item in bpy.context.view_layer.objects}
         uids = dict.fromkeys(instance.object_uid for instance in self.instances)

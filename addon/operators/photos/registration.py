@@ -12,7 +12,7 @@ from ...bridge.photos.scene_cameras import has_photograph, read_photo_camera
 from ...core.errors import SettingsError
 from ...core.geometry.lenses import Lens
 from ...core.messages import format_count
-from .. import image_editors
+from .. import image_editors, long_work
 from ..error_reports import report_message, reports_errors
 
 NO_IMAGE = "Open a photograph in the Image Editor"
@@ -34,17 +34,10 @@ class _ImageOperator:
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Return whether there is an image to work on."""
-        reason = find_image_problem(context) if image_editors.is_image_editor(context) else ""
-        if reason:
-            cls.poll_message_set(reason)
-        return not reason
+        return long_work.poll_with_reason(cls, find_image_problem(context) if image_editors.is_image_editor(context) else "")
 
     def find_image(self, context: bpy.types.Context) -> bpy.types.Image:
-        """Return the image of this name, or the one in the editor.
-
-        Raises:
-            SettingsError: there is none, or it has no pixels.
-        """
+        """Return the image of this name, or the one in the editor. Raises SettingsError if there is none, or it has no pixels."""
         image = bpy.data.images.get(self.image) if self.image else image_editors.shown_image(context)
         if image is None:
             raise SettingsError(f'There is no image "{self.image}".' if self.image else f"{NO_IMAGE}.")

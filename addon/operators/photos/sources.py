@@ -65,11 +65,7 @@ def read_photographs(sources: list[PhotoSource], scratch: Scratch) -> Steps[list
 
 def read_targets(context: bpy.types.Context) -> tuple[list[bpy.types.Object], list[SourceInstance], list[str]]:
     """Return the selected meshes that can get a texture, their surfaces, and the other selected objects but cameras and Empties, with the
-    reason.
-
-    Raises:
-        GeometryError: there is no such mesh, or it has no faces.
-    """
+    reason. Raises GeometryError if there is no such mesh, or it has no faces."""
     targets, skipped = [], []
     for item in context.selected_objects:
         if item.type in {"CAMERA", "EMPTY"}:

@@ -25,11 +25,8 @@ MAX_RATIO_ERROR = 1e-6
 
 
 def read_meshroom(path: Path, _read_size: ReadSize) -> list[PhotoCamera]:
-    """Read the cameras of all views with a pose, in the order of their names.
-
-    Raises:
-        FileError: the file cannot be read, or has a rig, anamorphic pixels, or a distortion that no lens model here has.
-    """
+    """Read the cameras of all views with a pose, in the order of their names. Raises FileError if the file cannot be read, or has a rig,
+    anamorphic pixels, or a distortion that no lens model here has."""
     document = json.loads(read_file(path))
     version = tuple(int(part) for part in document.get("version", ("1", "0", "0")))
     intrinsics = {item["intrinsicId"]: item for item in document.get("intrinsics", [])}

@@ -14,11 +14,8 @@ FRAME_TYPES = {"frame": "FULL_OPENCV", "fisheye": "OPENCV_FISHEYE"}
 
 
 def read_metashape(path: Path, _read_size: ReadSize) -> list[PhotoCamera]:
-    """Read the aligned cameras of the first chunk, in its world coordinates.
-
-    Raises:
-        FileError: the file cannot be read, or has a lens with skew, spherical projection or other coefficients that no lens model here has.
-    """
+    """Read the aligned cameras of the first chunk, in its world coordinates. Raises FileError if the file cannot be read, or has a lens
+    with skew, spherical projection or other coefficients that no lens model here has."""
     data = read_file(path)
     if any(word in data for word in FORBIDDEN):
         raise ValueError("declares entities")

@@ -19,11 +19,8 @@ MAX_SCALE_ERROR = 1e-3  # between products of the columns of a matrix and those 
 
 
 def read_transforms(path: Path, _read_size: ReadSize) -> list[PhotoCamera]:
-    """Read the cameras of all frames, in the order of the file.
-
-    Raises:
-        FileError: the file cannot be read, or lacks a size or a focal length.
-    """
+    """Read the cameras of all frames, in the order of the file. Raises FileError if the file cannot be read, or lacks a size or a focal
+    length."""
     document = json.loads(read_file(path))
     return [_build_camera({**document, **frame}, path) for frame in document["frames"]]
 

@@ -15,13 +15,6 @@ POINTS = 60_000
 MAX_OBSERVATIONS = 1_200_000  # if every photograph showed every point: more photographs get fewer points
 
 
-class SurfacePoints(NamedTuple):
-    """Points (N, 3) on a surface and its unit normals (N, 3) there."""
-
-    positions: np.ndarray
-    normals: np.ndarray
-
-
 class Observations(NamedTuple):
     """What photographs show of points, one row for each visible point and photograph, ordered by points.
 
@@ -35,23 +28,23 @@ class Observations(NamedTuple):
     colors: np.ndarray
 
 
-def sample_surface(surface: Surface, count: int) -> SurfacePoints:
-    """Return random points, evenly by the areas of the triangles, with interpolated normals."""
+def sample_surface(surface: Surface, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return random points (N, 3), evenly by the areas of the triangles, and interpolated unit normals (N, 3)."""
     generator = np.random.default_rng(0)
     triangles = generator.choice(len(surface.areas), count, p=surface.areas / surface.areas.sum())
     barycentric = generator.dirichlet((1.0, 1.0, 1.0), count)
     points = np.einsum("ni,nic->nc", barycentric, surface.mesh.vertices[surface.mesh.triangles[triangles]])
-    return SurfacePoints(points, to_unit(np.einsum("ni,nic->nc", barycentric, surface.corner_normals[triangles])))
+    return points, to_unit(np.einsum("ni,nic->nc", barycentric, surface.corner_normals[triangles]))
 
 
-def observe(points: SurfacePoints, photographs: list[Photograph], views: list[View], scratch: Scratch) -> Observations:
-    """Return what `photographs` show of `points`, with colors that do not depend on the finest details.
+def observe(points: tuple[np.ndarray, np.ndarray], photographs: list[Photograph], views: list[View], scratch: Scratch) -> Observations:
+    """Return what `photographs` show of `points` (see `sample_surface`), with colors that do not depend on the finest details.
 
     `scratch` keeps the images of photographs and views, and releases each after its use.
     """
 
     def look(label: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        seen = views[label].see(points.positions, points.normals)
+        seen = views[label].see(*points)
         colors = photographs[label].smoothed().sample(seen.positions)
         scratch.release(label)
         return seen.indices, np.full(len(seen.indices), label), seen.positions, colors

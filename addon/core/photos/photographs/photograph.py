@@ -48,11 +48,7 @@ class Photograph:
         return self.pixels[area].astype(np.float32) / np.float32(self.white), area
 
     def check(self) -> None:
-        """Check the sizes of pixels and mask.
-
-        Raises:
-            ImageError: a size differs from what the camera says.
-        """
+        """Check the sizes of pixels and mask. Raises ImageError if a size differs from what the camera says."""
         width, height = self.camera.lens.size
         for name, values in (("photograph", self.pixels), ("mask", self.mask)):
             if values is not None and values.shape[:2] != (height, width):

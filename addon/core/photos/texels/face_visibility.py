@@ -28,33 +28,20 @@ class SeenTexels(NamedTuple):
     weights: np.ndarray
 
 
-class ShownSurface(NamedTuple):
+class ShownSurface:
     """A surface for visibility, in float32.
 
     Attributes:
-        vertices: (V, 3).
-        vertex_normals: (V, 3) unit normals.
-        corners: (T, 3, 3).
-        corner_normals: (T, 3, 3) unit normals.
+        vertices, vertex_normals: (V, 3).
+        corners, corner_normals: (T, 3, 3), ordered by corner.
         corner_vertices: (3, T) indices of vertices.
     """
 
-    vertices: np.ndarray
-    vertex_normals: np.ndarray
-    corners: np.ndarray
-    corner_normals: np.ndarray
-    corner_vertices: np.ndarray
-
-
-def prepare_surface(surface: Surface) -> ShownSurface:
-    """Return a surface for visibility."""
-    return ShownSurface(
-        surface.mesh.vertices.astype(np.float32),
-        surface.normals.astype(np.float32),
-        order_by_corner(surface.mesh.corners),
-        order_by_corner(surface.corner_normals),
-        np.ascontiguousarray(surface.mesh.triangles.T),
-    )
+    def __init__(self, surface: Surface) -> None:
+        mesh = surface.mesh
+        self.vertices, self.vertex_normals = mesh.vertices.astype(np.float32), surface.normals.astype(np.float32)
+        self.corners, self.corner_normals = order_by_corner(mesh.corners), order_by_corner(surface.corner_normals)
+        self.corner_vertices = np.ascontiguousarray(mesh.triangles.T)
 
 
 def order_by_corner(values: np.ndarray) -> np.ndarray:

@@ -4,7 +4,6 @@ share texels with others, which cannot have textures of their own.
 Arrays of texels stack the pages, the first at the bottom; UVs are those within the page of the triangle.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,32 +90,19 @@ def lay_out_pages(corner_uvs: np.ndarray, groups: np.ndarray | None = None) -> P
 
 
 def check_texel_count(pages: np.ndarray | None, size: int) -> None:
-    """Check that there is a chance to keep all texels of the `pages` (T,) of triangles, with `size` texels per side, in memory.
-
-    Raises:
-        GeometryError: there are more than MAX_TEXELS.
-    """
+    """Check that there is a chance to keep all texels of the `pages` (T,) of triangles, with `size` texels per side, in memory. Raises
+    GeometryError if there are more than MAX_TEXELS."""
     count = 1 if pages is None else int(pages.max(initial=0)) + 1
     if count * size**2 > MAX_TEXELS:
         raise GeometryError(f"The UV map needs {count:,} images of {size:,} x {size:,} pixels, which is too much; choose a smaller Size.")
-
-
-def split_by_page(pages: np.ndarray | None, count: int) -> Iterator[np.ndarray]:
-    """Yield the indices of the triangles of each page that has some; `pages` (T,) None: all `count` triangles are on one."""
-    if pages is None:
-        yield np.arange(count)
-        return
-    for page in range(int(pages.max(initial=NO_PAGE)) + 1):
-        chosen = np.flatnonzero(pages == page)
-        if len(chosen):
-            yield chosen
 
 
 def find_overlapping(corner_uvs: np.ndarray, pages: np.ndarray | None = None) -> np.ndarray:
     """Return which triangles (T,) bool with UVs (T, 3, 2) share most of their texels with others of the same of `pages` (T,); none of a
     page if these are few altogether."""
     found = np.zeros(len(corner_uvs), bool)
-    for chosen in split_by_page(pages, len(corner_uvs)):
+    for page in [None] if pages is None else np.unique(pages[pages != NO_PAGE]):
+        chosen = slice(None) if page is None else pages == page
         found[chosen] = _find_overlapping(corner_uvs[chosen])
     return found
 
@@ -153,11 +139,7 @@ def describe_overlaps(count: int) -> str:
 
 
 def check_overlaps(corner_uvs: np.ndarray, pages: np.ndarray | None = None) -> None:
-    """Check that triangles with UVs (T, 3, 2) have texels of their own in their `pages` (T,).
-
-    Raises:
-        GeometryError: they do not.
-    """
+    """Check that triangles with UVs (T, 3, 2) have texels of their own in their `pages` (T,). Raises GeometryError if they do not."""
     count = int(np.count_nonzero(find_overlapping(corner_uvs, pages)))
     if count:
         raise GeometryError(f"The UV map overlaps itself: {describe_overlaps(count)}")

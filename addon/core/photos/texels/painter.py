@@ -7,6 +7,7 @@ import numpy as np
 from ...files.scratch import Scratch
 from ..photographs.color_correction import ColorCorrection
 from ..photographs.photograph import Photograph
+from ..photographs.surface import Surface
 from ..photographs.views import View
 from .face_visibility import FaceVisibility, SeenTexels, ShownSurface
 from .highlights import HighlightDetector
@@ -51,35 +52,35 @@ class TexelPainter:
 
     def __init__(
         self,
-        surface: ShownSurface,
+        surface: Surface,
         photographs: list[Photograph],
         views: list[View],
         color_corrections: list[ColorCorrection],
         scratch: Scratch,
         *,
         is_cosine: bool,
+        reduces_highlights: bool,
     ) -> None:
-        """Look at all triangles; `is_cosine`: whether photographs are weighted by the cosine between normal and view direction alone.
-        `scratch` keeps what belongs to a photograph in its group."""
-        self._surface, self._photographs, self._color_corrections = surface, photographs, color_corrections
+        """Look at all triangles.
+
+        scratch: keeps what belongs to a photograph in its group. is_cosine: whether photographs are weighted by the cosine between normal
+        and view direction alone. reduces_highlights: whether they count less where they show highlights, in averages.
+        """
+        self._surface, self._photographs, self._color_corrections = ShownSurface(surface), photographs, color_corrections
         self.faces, self._scratch = [], scratch
         for index, view in enumerate(views):
-            self.faces.append(FaceVisibility(view, surface, is_cosine=is_cosine))
+            self.faces.append(FaceVisibility(view, self._surface, is_cosine=is_cosine))
             self.faces[-1].keep_in(scratch, index)
             scratch.release(index)
         self._regions: list[np.ndarray] = []
         self._corrections: np.ndarray | None = None
-        self._highlights: HighlightDetector | None = None
+        self._highlights = HighlightDetector(photographs, color_corrections, scratch) if reduces_highlights else None
 
     def use_labels(self, pairs: VertexLabels, corrections: np.ndarray) -> None:
         """Texture the triangles around each of the `pairs` of a vertex and a photograph from it, with `corrections` (P, 3) of colors."""
         self._regions = [pairs.find(self._surface.corner_vertices.T, index).astype(np.int32) for index in range(len(self.faces))]
         self._pair_weights = np.append(pairs.weights, np.float32(0.0))  # the last one is that of no pair
         self._corrections = np.concatenate([corrections, np.zeros((1, 3), np.float32)])
-
-    def reduce_highlights(self) -> None:
-        """Give photographs less weight where they show highlights, in averages."""
-        self._highlights = HighlightDetector(self._photographs, self._color_corrections, self._scratch)
 
     def with_photographs(self, photographs: list[Photograph]) -> "TexelPainter":
         """Return a painter that takes `photographs` in place of its own, as they are: without gains and corrections."""

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from ...arrays import concatenate_ranges
 from ...geometry.edges import Edges
 from ...imaging.raster import locate_positions
+from ..photographs.surface import Surface
 from .texel_map import TexelMap, TexelTile
 
 MAX_GAP = 1e-3  # texels between the UVs of both sides of an edge that is no seam
@@ -49,11 +50,11 @@ class SurfaceWindow:
 class SurfaceWindows:
     """Divides a texture into windows."""
 
-    def __init__(self, texel_map: TexelMap, triangles: np.ndarray, edges: Edges, size: int, margin: int) -> None:
-        """Prepare windows of `size` texels, with `margin` more on each side, of the mesh with `triangles` (T, 3) and `edges`."""
+    def __init__(self, texel_map: TexelMap, surface: Surface, size: int, margin: int) -> None:
+        """Prepare windows of `size` texels, with `margin` more on each side, of a surface."""
         self._map, self._size, self._margin = texel_map, size, margin
-        self._seams = _Seams(texel_map, triangles, edges)
-        self._islands = find_islands(len(texel_map.corners), edges, self._seams.is_seam)
+        self._seams = _Seams(texel_map, surface.mesh.triangles, surface.edges)
+        self._islands = find_islands(len(texel_map.corners), surface.edges, self._seams.is_seam)
         self.count = int(self._islands.max(initial=-1)) + 1
 
     def __iter__(self) -> Iterator[SurfaceWindow]:
@@ -96,7 +97,9 @@ class SurfaceWindows:
             outside = np.flatnonzero(~is_island & (distance_transform_edt(~is_island) <= margin))
             found.append(self._continue(outside, positions.reshape(-1, 2)[outside], seam_points))
         pixels, owners, places, sources = (np.concatenate(values) for values in zip(*found, strict=True))
-        tile = TexelTile(sources, owners.astype(np.int32), _barycentric(self._map.corners[owners], places).astype(np.float32))
+        corners = self._map.corners[owners]
+        barycentric = locate_positions(corners, np.ones(corners.shape[:2]), places)
+        tile = TexelTile(sources, owners.astype(np.int32), barycentric.astype(np.float32))
         return SurfaceWindow(shape, tile, pixels, (is_island & in_core).ravel()[pixels])
 
     def _continue(
@@ -186,8 +189,3 @@ class _Seams:
 
 def _to_complex(positions: np.ndarray) -> np.ndarray:
     return positions[..., 0] + 1j * positions[..., 1]
-
-
-def _barycentric(corners: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Return the barycentric coordinates (N, 3) of `positions` (N, 2), each in a triangle of its own with `corners` (N, 3, 2)."""
-    return locate_positions(corners, np.ones(corners.shape[:2]), positions)
