@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 from packages_bytes import build
-from reference.sending_state import Job, Span, add_table
-from sending.network import Line
-from sending.simulation import CLIENTS, SendingReport, SentPackage, build_sent_package, simulate
+from reference.streaming_state import Span, TransferPlan, add_table
+from sending.network import Connection
+from sending.simulation import CLIENTS, StreamedPackage, StreamingReport, build_streamed_package, simulate
 from sending.traces import MEGABIT, Trace, burst_trace, cellular_trace, ramp_trace, read_trace, step_trace
 from texmesh_textured_models import open_textured
 
@@ -38,7 +38,7 @@ PATIENCE = 1e9  # seconds
 BOUNDS = {"step": 0.01, "ramp": 0.01, "burst": 0.03, "3G": 0.03, "4G": 0.03}  # lateness that 95 % must not exceed, fractions of the limit
 
 
-def open_packages(data: Path) -> list[SentPackage]:
+def open_packages(data: Path) -> list[StreamedPackage]:
     """Return the packages of REAL_MODELS; those that are missing in the folder for temporary files are built."""
     packages = []
     for name in REAL_MODELS:
@@ -48,11 +48,11 @@ def open_packages(data: Path) -> list[SentPackage]:
             package = build(open_textured(data, name, MODEL_SEED), name)
             write_package(package.manifest, package.contents, folder)
         content = read_package(folder)
-        packages.append(build_sent_package(content.manifest, content.increments))
+        packages.append(build_streamed_package(content.manifest, content.increments))
     return packages
 
 
-def make_package(rng: np.random.Generator) -> SentPackage:
+def make_package(rng: np.random.Generator) -> StreamedPackage:
     """Return a plausible package."""
     level_count = int(rng.integers(4, 9))
     growth = rng.uniform(1.5, 2.5) ** np.arange(level_count) * rng.uniform(0.8, 1.2, level_count)
@@ -78,10 +78,12 @@ def make_package(rng: np.random.Generator) -> SentPackage:
     table = ErrorTable(level_errors, np.arange(state_count), texture_errors, float(rng.uniform(1.0, 4.0)), 0.0)
     levels = tuple(Span(MESH, start, end) for start, end in pairwise([0, *mesh_ends]))
     table_size = TABLE_BYTES * len(sizes)
-    job = Job((levels[0], Span(TEXTURES, 0, table_size)), levels, table.predict(texture_errors).tabulate(), table_size + 4 * len(sizes))
+    plan = TransferPlan(
+        (levels[0], Span(TEXTURES, 0, table_size)), levels, table.predict(texture_errors).tabulate(), table_size + 4 * len(sizes)
+    )
     zeros = np.zeros(len(sizes), np.int64)
     increments = Increments(zeros, np.arange(len(sizes)), zeros, np.array(sizes), np.array(firsts), np.array(lasts))
-    return SentPackage(add_table(job, sizes, firsts, lasts), increments, 8000)
+    return StreamedPackage(add_table(plan, sizes, firsts, lasts), increments, 8000)
 
 
 def make_trace(rng: np.random.Generator, kind: str, limit: float, rate: float) -> Trace:
@@ -92,40 +94,40 @@ def make_trace(rng: np.random.Generator, kind: str, limit: float, rate: float) -
     return {"step": step_trace, "ramp": ramp_trace, "burst": burst_trace}[kind](rng, duration, rate)
 
 
-def run_clients(rng: np.random.Generator, kind: str, package: SentPackage) -> dict[str, SendingReport]:
-    """Return what each client gets of a package over a new line. `waiting` is the client with compensation that waits after the limit for
-    all that it has asked for."""
-    limit, rate, delay = draw_line(rng, kind, package)
-    line = Line(make_trace(rng, kind, limit, rate), delay)
+def run_clients(rng: np.random.Generator, kind: str, package: StreamedPackage) -> dict[str, StreamingReport]:
+    """Return what each client gets of a package over a new connection. `waiting` is the client with compensation that waits after the limit
+    for all that it has asked for."""
+    limit, rate, delay = draw_connection(rng, kind, package)
+    connection = Connection(make_trace(rng, kind, limit, rate), delay)
     history, seed = rate * float(rng.lognormal(0.0, 0.4)), int(rng.integers(10**9))
-    reports = {name: simulate(package, (line,), limit, name, history, seed=seed) for name in CLIENTS}
-    return reports | {"waiting": simulate(package, (line,), limit, rate=history, patience=PATIENCE, seed=seed)}
+    reports = {name: simulate(package, (connection,), limit, name, history, seed=seed) for name in CLIENTS}
+    return reports | {"waiting": simulate(package, (connection,), limit, rate=history, patience=PATIENCE, seed=seed)}
 
 
-def draw_line(rng: np.random.Generator, kind: str, package: SentPackage) -> tuple[float, float, float]:
+def draw_connection(rng: np.random.Generator, kind: str, package: StreamedPackage) -> tuple[float, float, float]:
     """Return a limit (s), a mean rate (bytes/s) that brings 20 to 150 % of `package` before it, and a delay (s)."""
     wanted = float(rng.uniform(0.2, 1.5)) * (
-        package.manifest_size + package.job.levels[-1].end + package.job.first[-1].end + package.job.sizes[-1]
+        package.manifest_size + package.plan.levels[-1].end + package.plan.first[-1].end + package.plan.sizes[-1]
     )
     fastest = {"3G": 3.0, "4G": 30.0}.get(kind, 100.0) * MEGABIT
     limit = max(float(rng.uniform(3.0, 10.0)), wanted / fastest)
     return limit, wanted / limit, float(rng.uniform(0.06, 0.12) if kind == "3G" else rng.uniform(0.02, 0.06))
 
 
-def run_mirrors(rng: np.random.Generator, case: str, package: SentPackage) -> SendingReport:
+def run_mirrors(rng: np.random.Generator, case: str, package: StreamedPackage) -> StreamingReport:
     """Return what the client gets from two to four mirrors, of which none is down, one is down for a while or for good, or which lose 2 %
     of the responses."""
     kind = str(rng.choice(["step", "ramp", "burst"]))
-    limit, rate, delay = draw_line(rng, kind, package)
+    limit, rate, delay = draw_connection(rng, kind, package)
     parts = rng.dirichlet(np.full(int(rng.integers(2, 5)), 3.0))
-    lines = [Line(make_trace(rng, kind, limit, rate * float(part)), delay) for part in parts]
+    connections = [Connection(make_trace(rng, kind, limit, rate * float(part)), delay) for part in parts]
     begin = float(rng.uniform(0.0, 0.7)) * limit
     down = {"pause": (begin, begin + 0.2 * limit), "down": (begin, 1e9)}
     if case in down:
-        lines[-1] = replace(lines[-1], down=down[case])
+        connections[-1] = replace(connections[-1], down=down[case])
     elif case == "loss":
-        lines = [replace(line, loss=0.02) for line in lines]
-    return simulate(package, tuple(lines), limit, rate=rate / len(lines), seed=int(rng.integers(10**9)))
+        connections = [replace(connection, loss=0.02) for connection in connections]
+    return simulate(package, tuple(connections), limit, rate=rate / len(connections), seed=int(rng.integers(10**9)))
 
 
 def replay_trace(given: Namespace) -> dict[str, Any]:
@@ -137,8 +139,8 @@ def replay_trace(given: Namespace) -> dict[str, Any]:
     if given.trace is None:
         raise SettingsError("--package needs the file of a connection; add --trace.")
     content, trace = read_package(given.package.absolute()), read_trace(given.trace.absolute())
-    package, limit = build_sent_package(content.manifest, content.increments), content.manifest.time_limit
-    return {name: json.loads(simulate(package, (Line(trace),), limit, name, seed=given.seed).to_json()) for name in CLIENTS}
+    package, limit = build_streamed_package(content.manifest, content.increments), content.manifest.time_limit
+    return {name: json.loads(simulate(package, (Connection(trace),), limit, name, seed=given.seed).to_json()) for name in CLIENTS}
 
 
 def measure_sending(given: Namespace) -> dict[str, Any]:
@@ -152,7 +154,7 @@ def measure_sending(given: Namespace) -> dict[str, Any]:
     for kind in KINDS:
         runs = [run_clients(rng, kind, package) for package in packages]
         figures[kind] = {name: summarize([run[name] for run in runs], BOUNDS[kind]) for name in runs[0]}
-    packages = [package for package in packages if package.job.sizes[-1] >= MIN_MIRRORED]
+    packages = [package for package in packages if package.plan.sizes[-1] >= MIN_MIRRORED]
     for case in MIRROR_CASES:
         figures[f"mirrors {case}"] = {"compensating": summarize([run_mirrors(rng, case, package) for package in packages], 0.01)}
     ours = [figures[kind][name] for kind in KINDS for name in ("compensating", "waiting")]
@@ -161,9 +163,10 @@ def measure_sending(given: Namespace) -> dict[str, Any]:
     return figures
 
 
-def summarize(reports: list[SendingReport], bound: float) -> dict[str, Any]:
-    """Return how late and how early (percent of the limit; median, 95 % and worst; early without packages that came wholly), errors beside
-    those of an oracle, used bytes beside those that the line carried (worst, 5 % and median), and when the mesh was seen (s, 95 %)."""
+def summarize(reports: list[StreamingReport], bound: float) -> dict[str, Any]:
+    """Return how late and how early (percent of the limit; median, 95 % and worst; early without packages that came wholly), errors
+    relative to those of an oracle, used bytes relative to those that the connection carried (worst, 5 %
+    and median), and when the mesh was seen (s, 95 %)."""
     early = [max(-report.deviation, 0.0) / report.limit for report in reports if not report.is_complete]
     ratios = np.array([report.error / report.oracle_error for report in reports])
     return {

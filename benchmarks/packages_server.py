@@ -13,10 +13,10 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
+from small_packages import write_opaque_package
 
 from farfield.addon.core.packages.files import read_page
 from lib.package_server import run_server
-from small_packages import write_opaque_package
 
 CLIENTS, REQUESTS = 100, 100_000
 CANARY = b"canary-5d41402abc4b2a76"

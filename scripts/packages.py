@@ -30,7 +30,7 @@ from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.operators.job_run import run_job
 from farfield.addon.operators.packages.operators import prepare_packages
 from lib import command_line
-from lib.line_rate import LineRate, parse_rate
+from lib.connection_rate import ConnectionRate, parse_rate
 from lib.texmesh_inputs import open_objects, read_level_settings
 
 LOOPBACK = "127.0.0.1"
@@ -121,7 +121,7 @@ def serve(given: Namespace, line: command_line.ProgressLine) -> str:
     """Serve a package until Ctrl+C."""
     from lib import package_server  # here: Blender's Python lacks the web server
 
-    rate = None if given.rate is None else LineRate(((0.0, parse_rate(given.rate)),))
+    rate = None if given.rate is None else ConnectionRate(((0.0, parse_rate(given.rate)),))
 
     def announce(url: str) -> None:
         line.clear()

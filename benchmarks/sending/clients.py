@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from reference import controller
-from reference.sending_state import DEFAULT_DELAY, DEFAULT_RATE, Event, Job, Request, Span, begin
+from reference.streaming_state import DEFAULT_DELAY, DEFAULT_RATE, Event, Request, Span, TransferPlan, begin
 
 from farfield.addon.core.packages.increments import Increments
 from farfield.addon.core.packages.manifest import MESH, TEXTURES
@@ -15,17 +15,17 @@ PAPER_FRAGMENTS = 24  # into which a client as in the paper divides the tiles
 class CompensatingClient:
     """The controller of the page."""
 
-    def __init__(self, job: Job, limit: float, rate: float | None, servers: int, patience: float) -> None:
-        self._job, self._known = job, replace(job, ends=None if job.ends else ())
-        self._ends = np.array([job.begin, *(job.ends or ())])
-        self._state = begin(job, limit, rate, servers, patience)
+    def __init__(self, plan: TransferPlan, limit: float, rate: float | None, servers: int, patience: float) -> None:
+        self._plan, self._known = plan, replace(plan, ends=None if plan.ends else ())
+        self._ends = np.array([plan.begin, *(plan.ends or ())])
+        self._state = begin(plan, limit, rate, servers, patience)
 
-    def hear(self, event: Event) -> tuple[list[Request], list[int]]:
+    def on_response(self, event: Event) -> tuple[list[Request], list[int]]:
         """Return the requests to send after `event`, and the ids of those to abort. The first event is a tick: sending may begin."""
         self._state, requests, aborted = controller.decide(self._known, self._state, event)
-        waits = [flight.span for flight in self._state.flights] + self._state.pending
-        if not any(span.file == TEXTURES and span.start < self._job.begin for span in waits):
-            self._known = self._job
+        waits = [running.span for running in self._state.in_flight] + self._state.pending
+        if not any(span.file == TEXTURES and span.start < self._plan.begin for span in waits):
+            self._known = self._plan
         return requests, aborted
 
     def is_finished(self) -> bool:
@@ -37,7 +37,7 @@ class CompensatingClient:
         return controller.received_level(self._known, self._state)
 
     def received(self) -> np.ndarray:
-        """Return which increments have come, (N,) bool."""
+        """Return which increments are received, (N,) bool."""
         starts, ends = self._ends[:-1], self._ends[1:]
         is_here = np.zeros(len(ends), bool)
         for start, end in controller.list_received(self._state):
@@ -52,8 +52,8 @@ class CompensatingClient:
 class _SequentialClient:
     """Asks for the first spans, then for those of a level, then for parts of the texture, one request after the other."""
 
-    def __init__(self, job: Job, increments: Increments, limit: float, rate: float | None) -> None:
-        self.job, self.increments, self.limit, self.rate = job, increments, limit, rate or DEFAULT_RATE
+    def __init__(self, plan: TransferPlan, increments: Increments, limit: float, rate: float | None) -> None:
+        self.plan, self.increments, self.limit, self.rate = plan, increments, limit, rate or DEFAULT_RATE
         self.delay = DEFAULT_DELAY
         self.mask = np.zeros(len(increments.sizes), bool)
         self.sizes = increments.sizes
@@ -63,9 +63,9 @@ class _SequentialClient:
         self.differences: list[float] = []
         self.span: Span | None = None
         self.parts: np.ndarray | None = None
-        self.queue = list(job.first)
+        self.queue = list(plan.first)
 
-    def hear(self, event: Event) -> tuple[list[Request], list[int]]:
+    def on_response(self, event: Event) -> tuple[list[Request], list[int]]:
         """Return the requests to send after `event`; it never aborts one."""
         if self.span is None:
             return self._send(event.time), []
@@ -75,7 +75,7 @@ class _SequentialClient:
             elif self.parts is not None:
                 self.mask |= self.parts & (np.cumsum(np.where(self.parts, self.sizes, 0)) <= event.received)
             if event.received == self.span.end - self.span.start:
-                self._take(event.time)
+                self._allocate(event.time)
                 return self._send(event.time), []
         return ([Request(self.next_id - 1, 0, self.span)] if event.failed else []), []
 
@@ -88,14 +88,14 @@ class _SequentialClient:
         return self.shown
 
     def received(self) -> np.ndarray:
-        """Return which increments have come, (N,) bool."""
+        """Return which increments are received, (N,) bool."""
         return self.mask.copy()
 
     def mean_difference(self) -> float:
         """Return Lambda (eq. 9 of the paper), seconds."""
         return float(np.mean(self.differences[:-1])) if len(self.differences) > 1 else 0.0
 
-    def _take(self, time: float) -> None:
+    def _allocate(self, time: float) -> None:
         self.differences.append(abs(time - self.asked - self.planned))
         self.measure(self.span.end - self.span.start, time)
         if self.parts is None and not self.queue:
@@ -105,7 +105,7 @@ class _SequentialClient:
         if not self.queue and self.row is None:
             self.row = self.choose_row(time)
             if self.row[0]:
-                self.queue.append(Span(MESH, self.job.levels[1].start, self.job.levels[self.row[0]].end))
+                self.queue.append(Span(MESH, self.plan.levels[1].start, self.plan.levels[self.row[0]].end))
         if self.queue:
             self.span, self.parts = self.queue.pop(0), None
         else:
@@ -122,9 +122,9 @@ class _SequentialClient:
 
     def choose_row(self, time: float) -> tuple[int, int]:
         """Return the level and the state of the textures that are best and fit into the rest of the time at the present rate."""
-        budget = self.rate * (self.limit - time - 2.0 * self.delay) + self.job.levels[0].end
-        options = [(error, level, state) for level, row in enumerate(self.job.errors) for state, error in enumerate(row)]
-        fitting = [item for item in options if self.job.levels[item[1]].end + self.job.sizes[item[2]] <= budget]
+        budget = self.rate * (self.limit - time - 2.0 * self.delay) + self.plan.levels[0].end
+        options = [(error, level, state) for level, row in enumerate(self.plan.errors) for state, error in enumerate(row)]
+        fitting = [item for item in options if self.plan.levels[item[1]].end + self.plan.sizes[item[2]] <= budget]
         return min(fitting)[1:] if fitting else (0, 0)
 
     def next_parts(self, time: float) -> np.ndarray | None:
@@ -144,8 +144,8 @@ class PaperClient(_SequentialClient):
     """One fragment after the other, as in the paper. A fragment is one of PAPER_FRAGMENTS parts of the increments, with the quality of the
     set that the lookup table (here: a state of the textures) has for the rest of the time at the rate of the fragments before."""
 
-    def __init__(self, job: Job, increments: Increments, limit: float, rate: float | None) -> None:
-        super().__init__(job, increments, limit, rate)
+    def __init__(self, plan: TransferPlan, increments: Increments, limit: float, rate: float | None) -> None:
+        super().__init__(plan, increments, limit, rate)
         self.left = PAPER_FRAGMENTS
 
     def measure(self, size: int, time: float) -> None:

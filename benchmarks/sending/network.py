@@ -1,24 +1,24 @@
-"""A discrete-event model of servers and lines between them and a client.
+"""A discrete-event model of servers and connections between them and a client.
 
-Each server has a line whose rate follows a trace and which its running responses divide equally, as TCP connections do; the client may have
-an access line that all servers share. Headers of a response come after the delay of the line, then its bytes. A lost response stops at a
-random byte forever. Not modeled: the slow start of new connections (a client keeps its connections open), and queues that grow with load.
-"""
+Each server has a connection whose rate follows a trace and which its running responses divide equally, as TCP connections do; the client
+may have an access connection that all servers share. Headers of a response come after the delay of the connection, then its bytes. A lost
+response stops at a random byte forever. Not modeled: the slow start of new connections (a client keeps its connections open), and queues
+that grow with load."""
 
 import math
 import random
 from collections import deque
 from dataclasses import dataclass
 
-from reference.sending_state import Event
+from reference.streaming_state import Event
 from sending.traces import Trace
 
 REPORT_INTERVAL = 0.05  # seconds between two reports of bytes, and between two ticks
 
 
 @dataclass(frozen=True)
-class Line:
-    """The line to a server.
+class Connection:
+    """The connection to a server.
 
     delay: seconds from a request to the headers of its response. jitter: fraction of the delay that varies. overhead: bytes of headers of
     each response. loss: fraction of responses that stop midway. down: seconds [from, to) in which requests fail and responses stop.
@@ -32,7 +32,7 @@ class Line:
     down: tuple[float, float] = (math.inf, math.inf)
 
     def bytes_until(self, time: float) -> float:
-        """Return how many bytes the line carries from 0 to `time`."""
+        """Return how many bytes the connection carries from 0 to `time`."""
         begin, end = (min(moment, time) for moment in self.down)
         return self.trace.bytes_until(time) - (self.trace.bytes_until(end) - self.trace.bytes_until(begin))
 
@@ -58,8 +58,8 @@ class _Response:
 class Network:
     """Lines, running responses, and the time. alarm: there is a tick at this time. bytes: carried so far, headers included."""
 
-    def __init__(self, lines: tuple[Line, ...], access: Trace | None = None, seed: int = 0, alarm: float = math.inf) -> None:
-        self.lines, self.access, self.alarm = lines, access, alarm
+    def __init__(self, connections: tuple[Connection, ...], access: Trace | None = None, seed: int = 0, alarm: float = math.inf) -> None:
+        self.connections, self.access, self.alarm = connections, access, alarm
         self.time = 0.0
         self.bytes = 0.0
         self._random = random.Random(seed)
@@ -68,19 +68,19 @@ class Network:
         self._next_report = REPORT_INTERVAL
 
     def fetch(self, server: int, size: int) -> float:
-        """Return when `size` bytes have come that are asked for now, alone, and that are not lost."""
-        begin = self.time + self.lines[server].delay
-        self.time = self.lines[server].trace.time_of(self.lines[server].trace.bytes_until(begin) + size)
+        """Return when `size` bytes are received that are requested now, alone, and not lost."""
+        begin = self.time + self.connections[server].delay
+        self.time = self.connections[server].trace.time_of(self.connections[server].trace.bytes_until(begin) + size)
         self._next_report = self.time + REPORT_INTERVAL
         self.bytes += size
         return self.time
 
     def send(self, id: int, server: int, size: int) -> None:
         """Ask `server` for `size` bytes now."""
-        line = self.lines[server]
-        opens = self.time + line.delay * (1.0 + line.jitter * abs(self._random.gauss(0.0, 1.0)))
-        stop = self._random.uniform(0.0, size) if self._random.random() < line.loss else -1.0
-        self._responses.append(_Response(id, server, size, opens, size + line.overhead, stop))
+        connection = self.connections[server]
+        opens = self.time + connection.delay * (1.0 + connection.jitter * abs(self._random.gauss(0.0, 1.0)))
+        stop = self._random.uniform(0.0, size) if self._random.random() < connection.loss else -1.0
+        self._responses.append(_Response(id, server, size, opens, size + connection.overhead, stop))
 
     def abort(self, id: int) -> None:
         """Stop the response to request `id`."""
@@ -134,10 +134,10 @@ class Network:
     def _rates(self) -> tuple[list[float], float]:
         """Return the rate of each running response of every server, and until when the rates hold."""
         totals, end, counts = [], math.inf, []
-        for server, line in enumerate(self.lines):
+        for server, connection in enumerate(self.connections):
             count = sum(response.is_open and response.left > response.stop for response in self._responses if response.server == server)
-            rate, until = line.trace.rate(self.time)
-            end = min(end, until, *(moment for moment in line.down if moment > self.time))
+            rate, until = connection.trace.rate(self.time)
+            end = min(end, until, *(moment for moment in connection.down if moment > self.time))
             counts.append(count)
             totals.append(rate if count and not self._is_down(server) else 0.0)
         if self.access is not None:
@@ -148,5 +148,5 @@ class Network:
         return [total / max(count, 1) for total, count in zip(totals, counts, strict=True)], end
 
     def _is_down(self, server: int) -> bool:
-        begin, end = self.lines[server].down
+        begin, end = self.connections[server].down
         return begin <= self.time < end

@@ -1,14 +1,14 @@
-"""Simulations of sending a package over lines whose rates change, with a report."""
+"""Simulations of sending a package over connections whose rates change, with a report."""
 
 import json
 import math
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from reference.sending_path import describe_textures, estimate_errors
-from reference.sending_state import Event, Job, Span, add_table, build_job
+from reference.streaming_path import describe_textures, estimate_errors
+from reference.streaming_state import Event, Span, TransferPlan, add_table, build_plan
 from sending.clients import CompensatingClient, FixedClient, PaperClient
-from sending.network import Line, Network
+from sending.network import Connection, Network
 from sending.traces import Trace
 
 from farfield.addon.core.errors import SettingsError
@@ -20,37 +20,37 @@ MAX_ROUNDS = 20.0  # limits after which a simulation ends
 
 
 @dataclass(frozen=True, eq=False)
-class SentPackage:
-    """What a simulation needs of a package. job: with the table of increments. manifest_size: bytes."""
+class StreamedPackage:
+    """What a simulation needs of a package. plan: with the table of increments. manifest_size: bytes."""
 
-    job: Job
+    plan: TransferPlan
     increments: Increments
     manifest_size: int
 
     def error(self, level: int, received: np.ndarray) -> float:
         """Return the predicted error with `level` (-1: nothing is shown, error 1) and the received increments, (N,) bool."""
-        return 1.0 if level < 0 else estimate_errors(self.job, describe_textures(self._missing_bytes(received)))[level]
+        return 1.0 if level < 0 else estimate_errors(self.plan, describe_textures(self._missing_bytes(received)))[level]
 
     def is_complete(self, level: int, received: np.ndarray) -> bool:
         """Return whether the finest level and the last state of the textures are there."""
-        return level == len(self.job.levels) - 1 and self._missing_bytes(received)[-1] == 0
+        return level == len(self.plan.levels) - 1 and self._missing_bytes(received)[-1] == 0
 
     def _missing_bytes(self, received: np.ndarray) -> list[int]:
         sizes = np.where(received, 0, self.increments.sizes)
-        return [int(sizes[self.increments.are_in(state)].sum()) for state in range(len(self.job.sizes))]
+        return [int(sizes[self.increments.are_in(state)].sum()) for state in range(len(self.plan.sizes))]
 
     def best(self, byte_count: float) -> tuple[int, int, float]:
         """Return the level, the last complete state of the textures and the error of the best use of `byte_count` bytes. What is left of
         them is used for a part of a later state."""
-        table = sum(_size(span) for span in self.job.first[1:])
+        table = sum(_size(span) for span in self.plan.first[1:])
         best = (-1, -1, 1.0)
-        sizes = np.array([0, *self.job.sizes])
-        steps = np.array([self.job.sizes, *self.job.steps])  # from nothing, and from each state
-        for level, span in enumerate(self.job.levels):
+        sizes = np.array([0, *self.plan.sizes])
+        steps = np.array([self.plan.sizes, *self.plan.steps])  # from nothing, and from each state
+        for level, span in enumerate(self.plan.levels):
             rest = byte_count - table - span.end
             if rest < 0.0:
                 break
-            errors = np.array([1.0, *self.job.errors[level]])
+            errors = np.array([1.0, *self.plan.errors[level]])
             fractions = np.clip((rest - sizes[:, None]) / np.maximum(steps, 1), 0.0, 1.0)
             found = errors[:, None] + (errors[1:] - errors[:, None]) * fractions
             found[(sizes > rest)[:, None] | (steps <= 0)] = np.inf
@@ -62,14 +62,25 @@ class SentPackage:
 
 
 @dataclass(frozen=True)
-class SendingReport:
+class StreamingReport:
     """What a client got.
 
-    finished: when it stopped, seconds. deviation: Pi, seconds after the limit (negative: before it). mean_difference: Lambda of eq. 9,
-    seconds. is_complete: everything came. byte_count: carried by the lines, headers of responses included. useful_bytes: of the level and
-    increments at the end. level, increments, error: at the limit or at the end if that is earlier. oracle_*: of a client that knows the
-    trace; its bytes are those that lines can carry after the manifest has come, which names the mirrors. first_seen: when level 0 was
-    there; first_textured: when the first increment was there; infinite if never.
+    Attributes:
+        client: one of CLIENTS.
+        trace: the names of the traces.
+        limit: seconds.
+        finished: when it stopped, seconds.
+        deviation: Pi, seconds after the limit (negative: before it).
+        mean_difference: Lambda of eq. 9, seconds.
+        is_complete: whether everything was received.
+        requests, aborted: how many there were.
+        byte_count: bytes that the connections carried, headers of responses included.
+        useful_bytes: bytes of the level and increments at the end.
+        level, increments, error: at the limit, or at the end if that is earlier.
+        oracle_bytes, oracle_level, oracle_state, oracle_error: of a client that knows the trace; its bytes are those that connections can
+            carry after the manifest is received, which names the mirrors.
+        first_seen: when level 0 was there, infinite if never.
+        first_textured: when the first increment was there, infinite if never.
     """
 
     client: str
@@ -117,10 +128,10 @@ class SendingReport:
         )
 
 
-def build_sent_package(manifest: Manifest, increments: Increments) -> SentPackage:
+def build_streamed_package(manifest: Manifest, increments: Increments) -> StreamedPackage:
     """Return what simulations need of a package."""
-    job = add_table(build_job(manifest), *(values.tolist() for values in (increments.sizes, increments.firsts, increments.lasts)))
-    return SentPackage(job, increments, len(encode_manifest(manifest)))
+    plan = add_table(build_plan(manifest), *(values.tolist() for values in (increments.sizes, increments.firsts, increments.lasts)))
+    return StreamedPackage(plan, increments, len(encode_manifest(manifest)))
 
 
 def simulate_package(
@@ -134,8 +145,8 @@ def simulate_package(
     loss: float = 0.0,
     patience: float = 0.0,
     seed: int = 0,
-) -> SendingReport:
-    """Return what a client gets from a package over a line with a trace, or from several servers with a trace each.
+) -> StreamingReport:
+    """Return what a client gets from a package over a connection with a trace, or from several servers with a trace each.
 
     limit: seconds since the user's wish. client, rate, patience, seed: see `simulate`. delay: seconds until a response begins. loss:
     fraction of responses that stop midway.
@@ -143,49 +154,49 @@ def simulate_package(
     Raises:
         SettingsError: see `simulate`.
     """
-    lines = tuple(Line(trace, delay, loss=loss) for trace in ((traces,) if isinstance(traces, Trace) else traces))
-    return simulate(build_sent_package(manifest, increments), lines, limit, client, rate, patience, seed=seed)
+    connections = tuple(Connection(trace, delay, loss=loss) for trace in ((traces,) if isinstance(traces, Trace) else traces))
+    return simulate(build_streamed_package(manifest, increments), connections, limit, client, rate, patience, seed=seed)
 
 
 def simulate(
-    package: SentPackage,
-    lines: tuple[Line, ...],
+    package: StreamedPackage,
+    connections: tuple[Connection, ...],
     limit: float,
     client: str = "compensating",
     rate: float | None = None,
     patience: float = 0.0,
     access: Trace | None = None,
     seed: int = 0,
-) -> SendingReport:
+) -> StreamingReport:
     """Return what a client gets from `package`.
 
-    lines: one per server. limit: seconds since the user's wish; the manifest is fetched first. client: one of CLIENTS. rate: bytes per
-    second that the client had before, None if it knows nothing. patience: seconds after the limit for which that with time compensation
-    waits for running responses; the others wait for all that they have asked for. access: trace of the client's own line. seed: of losses
-    and jitter.
+    connections: one per server. limit: seconds since the user's wish; the manifest is fetched first. client: one of CLIENTS. rate: bytes
+    per second that the client had before, None if it knows nothing. patience: seconds after the limit for which that with time compensation
+    waits for running responses; the others wait for all that they have asked for. access: trace of the client's own connection. seed: of
+    losses and jitter.
 
     Raises:
-        SettingsError: there is no such client, no line, or no time.
+        SettingsError: there is no such client, no connection, or no time.
     """
-    if client not in CLIENTS or not lines or not limit > 0.0:
+    if client not in CLIENTS or not connections or not limit > 0.0:
         raise SettingsError(
-            f"A client {client!r} with {len(lines)} lines and {limit:g} s is impossible; choose one of {', '.join(CLIENTS)}."
+            f"A client {client!r} with {len(connections)} connections and {limit:g} s is impossible; choose one of {', '.join(CLIENTS)}."
         )
-    job = package.job
+    plan = package.plan
     agent = {
-        "compensating": lambda: CompensatingClient(job, limit, rate, len(lines), patience),
-        "fixed": lambda: FixedClient(package.job, package.increments, limit, rate),
-        "paper": lambda: PaperClient(package.job, package.increments, limit, rate),
+        "compensating": lambda: CompensatingClient(plan, limit, rate, len(connections), patience),
+        "fixed": lambda: FixedClient(package.plan, package.increments, limit, rate),
+        "paper": lambda: PaperClient(package.plan, package.increments, limit, rate),
     }[client]()
-    course = _Course(Network(lines, access, seed, limit + patience), agent)
+    course = _Course(Network(connections, access, seed, limit + patience), agent)
     course.run(package.manifest_size, limit)
     level, received = course.at_limit
-    oracle_bytes = _possible_bytes(lines, access, course.begin, limit)
+    oracle_bytes = _possible_bytes(connections, access, course.begin, limit)
     oracle = package.best(oracle_bytes)
-    sizes = np.diff([job.begin, *job.ends])
-    return SendingReport(
+    sizes = np.diff([plan.begin, *plan.ends])
+    return StreamingReport(
         client=client,
-        trace=" + ".join(line.trace.name for line in lines),
+        trace=" + ".join(connection.trace.name for connection in connections),
         limit=limit,
         finished=course.finished,
         deviation=course.finished - limit,
@@ -194,7 +205,7 @@ def simulate(
         requests=course.requests,
         aborted=course.aborted,
         byte_count=course.network.bytes,
-        useful_bytes=int(sizes[received].sum()) + (0 if level < 0 else job.levels[level].end),
+        useful_bytes=int(sizes[received].sum()) + (0 if level < 0 else plan.levels[level].end),
         level=level,
         increments=int(received.sum()),
         error=package.error(level, received),
@@ -208,8 +219,8 @@ def simulate(
 
 
 class _Course:
-    """What happens to a client: see `SendingReport`. begin: when the manifest has come. at_limit: the level and the increments that have
-    come at the limit or at the end."""
+    """What happens to a client: see `StreamingReport`. begin: when the manifest is received. at_limit: the received level and increments
+    at the limit or at the end."""
 
     def __init__(self, network: Network, agent: CompensatingClient | FixedClient | PaperClient) -> None:
         self.network, self.agent = network, agent
@@ -228,7 +239,7 @@ class _Course:
             event = self.network.advance()
 
     def _tell(self, event: Event, limit: float) -> None:
-        requests, aborted = self.agent.hear(event)
+        requests, aborted = self.agent.on_response(event)
         for id in aborted:
             self.network.abort(id)
         for request in requests:
@@ -244,12 +255,12 @@ class _Course:
         self.first_textured = min(self.first_textured, event.time if received.any() else math.inf)
 
 
-def _possible_bytes(lines: tuple[Line, ...], access: Trace | None, begin: float, limit: float) -> float:
-    """Return the bytes that all lines can carry before the limit, after the manifest, which comes at `begin`, and a delay."""
+def _possible_bytes(connections: tuple[Connection, ...], access: Trace | None, begin: float, limit: float) -> float:
+    """Return the bytes that all connections can carry before the limit, after the manifest, which comes at `begin`, and a delay."""
     total, opens = 0.0, limit
-    for line in lines:
-        opens = min(opens, begin + line.delay)
-        total += max(line.bytes_until(limit) - line.bytes_until(begin + line.delay), 0.0)
+    for connection in connections:
+        opens = min(opens, begin + connection.delay)
+        total += max(connection.bytes_until(limit) - connection.bytes_until(begin + connection.delay), 0.0)
     return total if access is None else min(total, access.bytes_until(limit) - access.bytes_until(opens))
 
 

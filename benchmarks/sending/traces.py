@@ -1,4 +1,4 @@
-"""Traces of lines: the rate of a line over time, generated or read from a file."""
+"""Traces of connections: the rate of a connection over time, generated or read from a file."""
 
 import math
 from bisect import bisect_left, bisect_right
@@ -14,13 +14,13 @@ PACKET_BYTES = 1500  # of one line of a file of Mahimahi
 PACKET_INTERVAL = 0.1  # seconds over which packets are averaged
 MAX_TRACE_BYTES = 64 * 2**20
 MAX_TRACE_SECONDS = 86400.0
-STEP = 0.1  # seconds between two rates of generated cellular lines
+STEP = 0.1  # seconds between two rates of generated cellular connections
 MEGABIT = 125000.0  # bytes
 
 
 @dataclass(frozen=True)
 class Trace:
-    """The rate of a line.
+    """The rate of a connection.
 
     name: of the trace. times: seconds, ascending from 0. rates: bytes per second from each time to the next one. duration: seconds, after
     which it begins again; at least one rate is positive.
@@ -50,13 +50,13 @@ class Trace:
         return self.rates[index], max(end, math.nextafter(time, math.inf))
 
     def bytes_until(self, time: float) -> float:
-        """Return how many bytes the line carries from 0 to `time`."""
+        """Return how many bytes the connection carries from 0 to `time`."""
         rounds, rest = divmod(time, self.duration)
         index = bisect_right(self.times, rest) - 1
         return rounds * self._sums[-1] + self._sums[index] + (rest - self.times[index]) * self.rates[index]
 
     def time_of(self, byte_count: float) -> float:
-        """Return when the line has carried `byte_count` bytes since 0."""
+        """Return when the connection has carried `byte_count` bytes since 0."""
         rounds, rest = divmod(byte_count, self._sums[-1])
         index = min(bisect_left(self._sums, rest), len(self.rates)) - 1
         if rest <= 0.0:
@@ -65,19 +65,19 @@ class Trace:
 
 
 def constant_trace(rate: float) -> Trace:
-    """Return a line that always carries `rate` bytes per second."""
+    """Return a connection that always carries `rate` bytes per second."""
     return Trace("constant", (0.0,), (rate,), 1e6)
 
 
 def step_trace(rng: np.random.Generator, duration: float, rate: float) -> Trace:
-    """Return a line around `rate` bytes per second that changes to another rate, 0.25 to 4 times as large, one to three times."""
+    """Return a connection around `rate` bytes per second that changes to another rate, 0.25 to 4 times as large, one to three times."""
     count = int(rng.integers(1, 4))
     times = np.concatenate([[0.0], np.sort(rng.uniform(0.05, 0.95, count)) * duration])
     return _normalized("step", times, 4.0 ** rng.uniform(-0.5, 0.5, count + 1), duration, rate)
 
 
 def ramp_trace(rng: np.random.Generator, duration: float, rate: float) -> Trace:
-    """Return a line whose rate rises or falls linearly, up to 6 times as large at one end as at the other."""
+    """Return a connection whose rate rises or falls linearly, up to 6 times as large at one end as at the other."""
     factor = rng.uniform(1.5, 6.0)
     times = np.arange(0.0, duration, STEP / 2.0)
     rates = 1.0 + (factor - 1.0) * times / duration
@@ -85,7 +85,7 @@ def ramp_trace(rng: np.random.Generator, duration: float, rate: float) -> Trace:
 
 
 def burst_trace(rng: np.random.Generator, duration: float, rate: float) -> Trace:
-    """Return a line on which others send for 0.2 to 1 s now and then: its rate falls to 10 to 50 % meanwhile."""
+    """Return a connection on which others send for 0.2 to 1 s now and then: its rate falls to 10 to 50 % meanwhile."""
     times, rates, time = [0.0], [1.0], 0.0
     while True:
         time += rng.exponential(1.5) + 0.1
@@ -98,7 +98,7 @@ def burst_trace(rng: np.random.Generator, duration: float, rate: float) -> Trace
 
 
 def cellular_trace(rng: np.random.Generator, duration: float, generation: int, rate: float) -> Trace:
-    """Return a line like that of a moving phone: a Markov-modulated rate with fades.
+    """Return a connection like that of a moving phone: a Markov-modulated rate with fades.
 
     The mean of the logarithm of the rate jumps between states that last seconds; around it the rate is a first-order autoregressive
     process; fades to a few percent come on average every 12 s and last 0.3 to 1.5 s. Variation is chosen after what is reported for
@@ -122,8 +122,8 @@ def cellular_trace(rng: np.random.Generator, duration: float, generation: int, r
 
 
 def read_trace(path: Path) -> Trace:
-    """Return the trace in a text file: lines of two numbers, seconds and bytes per second from then on; or, as Mahimahi writes them, lines
-    of one number, the milliseconds at which the line carries one packet of 1500 bytes.
+    """Return the trace in a text file: lines of two numbers, seconds and bytes per second from then on; or, as Mahimahi writes them,
+    lines of one number, the milliseconds at which the connection carries one packet of 1500 bytes.
 
     Raises:
         FileError: it cannot be read, or is not such a file.

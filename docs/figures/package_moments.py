@@ -12,11 +12,11 @@ from chromium import SKIP_REASON, Page, find_chromium, run_chromium
 from farfield.addon.bridge.overlays.line_chart import LINE_HEIGHT, PAPER_GRAY, draw_text
 from farfield.addon.core.errors import SettingsError
 from lib import environment
-from lib.line_rate import LineRate
+from lib.connection_rate import ConnectionRate
 from lib.package_server import run_server
 
 GAP = 6  # pixels
-BYTES_PER_SECOND, LATENCY = 8_000.0, 0.05  # a slow line, so that moments can be told apart where WebGL is computed by the processor
+BYTES_PER_SECOND, LATENCY = 8_000.0, 0.05  # a slow connection, so that moments can be told apart where WebGL is computed by the processor
 TIME_LIMIT = 12  # seconds
 MOMENTS = (1.5, 5.5)  # seconds after the start; the last image is the complete model
 SIDE = 300  # pixels
@@ -39,8 +39,8 @@ def draw_moments(model: Path, texture: Path, folder: Path) -> np.ndarray:
         raise SettingsError(f"The image of the page {SKIP_REASON}.")
     build_package(model, texture, folder)
     (folder / "profile").mkdir()
-    line = LineRate(((1.0, BYTES_PER_SECOND),), latency=LATENCY)
-    with run_chromium(folder / "profile") as page, run_server(folder / "package", line=line) as url:
+    connection = ConnectionRate(((1.0, BYTES_PER_SECOND),), latency=LATENCY)
+    with run_chromium(folder / "profile") as page, run_server(folder / "package", connection=connection) as url:
         page.open(url, SIDE, SIDE)
         page.wait_for("window.farfield?.loader?.manifest", MAX_SECONDS)
         page.wait_for("triangles.textContent.length > 1", MAX_SECONDS)

@@ -27,7 +27,7 @@ environment.import_farfield()
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.files.file_access import error_reason
 from farfield.addon.core.packages.files import INDEX
-from lib.line_rate import LineRate, Throttle
+from lib.connection_rate import ConnectionRate, Throttle
 from lib.package_files import PackageFile, close_package, open_package
 
 LOOPBACK = "127.0.0.1"
@@ -196,12 +196,12 @@ class PackageHttpServer(HTTPServer):
 
 @contextmanager
 def run_server(
-    folder: Path, address: str = LOOPBACK, port: int = 0, line: LineRate | None = None, limits: ClientLimits | None = None
+    folder: Path, address: str = LOOPBACK, port: int = 0, connection: ConnectionRate | None = None, limits: ClientLimits | None = None
 ) -> Iterator[str]:
     """Serve the package in `folder` within the context, from a thread of its own. Yields the URL of its page.
 
     Args:
-        address: of the network interface; "127.0.0.1" for this machine only. port: 0 for any free one. line: rate of all responses
+        address: of the network interface; "127.0.0.1" for this machine only. port: 0 for any free one. connection: rate of all responses
             together, None for no limit.
 
     Raises:
@@ -220,7 +220,7 @@ def run_server(
     stopping = asyncio.Event()
 
     async def run() -> None:
-        shared = {"files": paths, "throttle": Throttle(line), "limits": limits or ClientLimits()}
+        shared = {"files": paths, "throttle": Throttle(connection), "limits": limits or ClientLimits()}
         application = Application(default_handler_class=PackageHandler, default_handler_args=shared, log_function=lambda _handler: None)
         server = PackageHttpServer(application, shared["limits"])
         server.add_sockets(sockets)
@@ -240,21 +240,25 @@ def run_server(
         close_package(files)
 
 
-def serve(folder: Path, address: str, port: int, line: LineRate | None, announce: Callable[[str], None], wait: Callable[[], None]) -> None:
+def serve(
+    folder: Path, address: str, port: int, connection: ConnectionRate | None, announce: Callable[[str], None], wait: Callable[[], None]
+) -> None:
     """Serve the package in `folder` until `wait`, which is called several times a second, raises KeyboardInterrupt. announce: called with
     the URL of the page. Otherwise see `run_server`."""
-    with run_server(folder, address, port, line) as url, suppress(KeyboardInterrupt):
+    with run_server(folder, address, port, connection) as url, suppress(KeyboardInterrupt):
         announce(url)
         while True:
             wait()
             time.sleep(WAIT_SECONDS)
 
 
-def open_view(folder: Path, port: int, line: LineRate | None, announce: Callable[[str], None], wait: Callable[[], None]) -> None:
+def open_view(
+    folder: Path, port: int, connection: ConnectionRate | None, announce: Callable[[str], None], wait: Callable[[], None]
+) -> None:
     """Show the package in `folder` in the user's web browser and serve it on this machine only, as `serve` does."""
 
     def show(url: str) -> None:
         announce(url)
         webbrowser.open(url)
 
-    serve(folder, LOOPBACK, port, line, show, wait)
+    serve(folder, LOOPBACK, port, connection, show, wait)

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from reference import controller, sending_servers
+from reference import controller, streaming_servers
 from reference.byte_intervals import insert, measure, subtract
-from reference.sending_path import describe_textures, estimate_errors, find_path, inspect_textures
-from reference.sending_state import Event, Job, Span, add_table, begin
-from sending.network import REPORT_INTERVAL, Line
-from sending.simulation import SentPackage, simulate
+from reference.streaming_path import describe_textures, estimate_errors, find_path, inspect_textures
+from reference.streaming_state import Event, Span, TransferPlan, add_table, begin
+from sending.network import REPORT_INTERVAL, Connection
+from sending.simulation import StreamedPackage, simulate
 from sending.traces import constant_trace
+from streaming_scenarios import Exchange, hide_table, make_package, random_exchange, random_plan, wavering_trace
 
 from farfield.addon.core.packages.increments import Increments
 from farfield.addon.core.packages.manifest import MESH, TEXTURES
-from sending_scenarios import Exchange, hide_table, make_package, random_exchange, random_job, wavering_trace
 
 WAITING = 1e9  # seconds of patience
 
@@ -31,15 +31,15 @@ def test_requests_never_overlap_what_has_come_or_is_running(seed):
     state = exchange.initial
     received = []  # spans
     for (is_known, event), decision in zip(exchange.events, exchange.decisions, strict=True):
-        job = exchange.job if is_known else hide_table(exchange.job)
-        before = {flight.id: flight for flight in state.flights}
-        state, requests, aborted = controller.decide(job, state, event)
+        plan = exchange.plan if is_known else hide_table(exchange.plan)
+        before = {running.id: running for running in state.in_flight}
+        state, requests, aborted = controller.decide(plan, state, event)
         assert (requests, aborted) == decision
         if event.id in before and event.received:
             span = before[event.id].span
             received.append((span.file, span.start + before[event.id].received, span.start + event.received))
         for request in requests:
-            running = [(f.span.file, f.span.start + f.received, f.span.end) for f in state.flights if f.id != request.id]
+            running = [(f.span.file, f.span.start + f.received, f.span.end) for f in state.in_flight if f.id != request.id]
             for file, start, end in received + running:
                 assert file != request.span.file or end <= request.span.start or start >= request.span.end
 
@@ -49,15 +49,15 @@ def test_requests_never_overlap_what_has_come_or_is_running(seed):
 def test_requests_stay_within_the_package_and_end_with_increments(seed):
     """Those to several servers may end within one, of which others bring the rest."""
     exchange = random_exchange(seed)
-    job, is_alone = exchange.job, len(exchange.initial.servers) == 1
-    parts = [Span(MESH, 0, job.levels[-1].end), *job.first]
+    plan, is_alone = exchange.plan, len(exchange.initial.servers) == 1
+    parts = [Span(MESH, 0, plan.levels[-1].end), *plan.first]
     for requests, _ in exchange.decisions:
         for request in requests:
             span = request.span
             assert 0 <= request.server < len(exchange.initial.servers)
             assert span.start < span.end
-            if span.file == TEXTURES and span.start >= job.begin:
-                assert span.end in job.ends or (not is_alone and span.end < job.ends[-1])
+            if span.file == TEXTURES and span.start >= plan.begin:
+                assert span.end in plan.ends or (not is_alone and span.end < plan.ends[-1])
             else:
                 assert any(part.file == span.file and part.start <= span.start and span.end <= part.end for part in parts)
 
@@ -68,14 +68,14 @@ def test_time_never_goes_back_and_nothing_is_asked_for_after_the_limit(seed):
     exchange = random_exchange(seed)
     state = exchange.initial
     for is_known, event in exchange.events:
-        job = exchange.job if is_known else hide_table(exchange.job)
+        plan = exchange.plan if is_known else hide_table(exchange.plan)
         late = dataclasses.replace(event, time=event.time - 0.3)  # a clock that went back
-        after, _, _ = controller.decide(job, state, late)
+        after, _, _ = controller.decide(plan, state, late)
         assert after.time >= state.time
-        state, requests, _ = controller.decide(job, state, event)
+        state, requests, _ = controller.decide(plan, state, event)
         if event.time >= state.limit and not state.keeps_refining:
             assert all(
-                any(span.file == request.span.file and span.start <= request.span.start < span.end for span in job.first)
+                any(span.file == request.span.file and span.start <= request.span.start < span.end for span in plan.first)
                 for request in requests
             )
 
@@ -83,8 +83,8 @@ def test_time_never_goes_back_and_nothing_is_asked_for_after_the_limit(seed):
 def test_states_are_not_changed():
     exchange = random_exchange(3)
     copy = dataclasses.asdict(exchange.state)
-    controller.decide(exchange.job, exchange.state, Event(exchange.time + 0.1))
-    controller.decide(exchange.job, exchange.state, Event(exchange.time + 20.0))
+    controller.decide(exchange.plan, exchange.state, Event(exchange.time + 0.1))
+    controller.decide(exchange.plan, exchange.state, Event(exchange.time + 20.0))
     assert dataclasses.asdict(exchange.state) == copy
 
 
@@ -93,39 +93,41 @@ def test_states_are_not_changed():
 def test_everything_comes_once_if_there_is_time(seed, keeps_refining):
     """All levels and the last state of the textures, and never a byte twice."""
     rng = random.Random(seed)
-    job = random_job(rng)
+    plan = random_plan(rng)
     limit = 0.1 if keeps_refining else 1e4
-    exchange = Exchange(rng, job, begin(job, limit, 1e5, rng.randint(1, 3), keeps_refining=keeps_refining))
+    exchange = Exchange(rng, plan, begin(plan, limit, 1e5, rng.randint(1, 3), keeps_refining=keeps_refining))
     exchange.tell(Event(0.0))
     for _ in range(3000):
-        known = job if exchange.has_table else hide_table(job)
+        known = plan if exchange.has_table else hide_table(plan)
         if controller.is_finished(known, exchange.state):
             break
         exchange.time += 0.02
-        flights = exchange.state.flights
-        exchange.tell(Event(exchange.time, flights[0].id, flights[0].span.end - flights[0].span.start) if flights else Event(exchange.time))
+        in_flight = exchange.state.in_flight
+        exchange.tell(
+            Event(exchange.time, in_flight[0].id, in_flight[0].span.end - in_flight[0].span.start) if in_flight else Event(exchange.time)
+        )
     state = exchange.state
-    assert controller.is_finished(job, state)
-    assert not subtract(job.states[-1], controller.list_received(state))
-    assert controller.received_level(job, state) == len(job.levels) - 1
-    assert state.mesh == job.levels[-1].end
+    assert controller.is_finished(plan, state)
+    assert not subtract(plan.states[-1], controller.list_received(state))
+    assert controller.received_level(plan, state) == len(plan.levels) - 1
+    assert state.mesh == plan.levels[-1].end
     sent = [request.span for requests, _ in exchange.decisions for request in requests]
     sizes = {file: sum(span.end - span.start for span in sent if span.file == file) for file in (MESH, TEXTURES)}
-    assert sizes[MESH] == job.levels[-1].end
-    table = sum(span.end - span.start for span in job.first if span.file == TEXTURES)
-    assert job.sizes[-1] + table <= sizes[TEXTURES] == measure(state.asked) + table <= sum(job.sizes) + 300 * len(sent) + table
+    assert sizes[MESH] == plan.levels[-1].end
+    table = sum(span.end - span.start for span in plan.first if span.file == TEXTURES)
+    assert plan.sizes[-1] + table <= sizes[TEXTURES] == measure(state.requested) + table <= sum(plan.sizes) + 300 * len(sent) + table
 
 
 def test_first_requests_are_level_0_and_the_table():
-    job = hide_table(make_package().job)
-    _, requests, _ = controller.decide(job, begin(job, 5.0), Event(0.0))
-    assert [request.span for request in requests] == list(job.first)
+    plan = hide_table(make_package().plan)
+    _, requests, _ = controller.decide(plan, begin(plan, 5.0), Event(0.0))
+    assert [request.span for request in requests] == list(plan.first)
 
 
 @pytest.mark.parametrize("rate", [1e5, 2e5, 4e5])
 def test_constant_rate_ends_within_one_increment_of_the_limit(rate):
     package = make_package(texture_size=3_000_000, increment_count=3000)
-    report = simulate(package, (Line(constant_trace(rate), 0.05, jitter=0.0, overhead=0),), 5.0, rate=rate, patience=WAITING)
+    report = simulate(package, (Connection(constant_trace(rate), 0.05, jitter=0.0, overhead=0),), 5.0, rate=rate, patience=WAITING)
     assert -0.01 * 5.0 <= report.deviation <= 0.002 * 5.0
     assert report.useful_bytes >= 0.8 * report.oracle_bytes
     assert report.error <= 1.35 * report.oracle_error
@@ -139,12 +141,12 @@ def test_deviation_is_within_its_bound(seed, variation, delay, limit):
     rng = random.Random(seed)
     rate = 5e5
     package = make_package(texture_size=6_000_000, increment_count=3000)
-    line = Line(wavering_trace(rng, rate, variation), delay, jitter=0.0, overhead=0)
-    report = simulate(package, (line,), limit, rate=rate, patience=WAITING)
+    connection = Connection(wavering_trace(rng, rate, variation), delay, jitter=0.0, overhead=0)
+    report = simulate(package, (connection,), limit, rate=rate, patience=WAITING)
     slowest = rate * (1.0 - variation)
     increment = 2000 / slowest
     window = (1.0 + controller.LEAD) * delay + increment / (1.0 - controller.FRACTION)
-    error = (1.0 + variation) * (1.0 + REPORT_INTERVAL / sending_servers.FAST) / (1.0 - variation) - 1.0
+    error = (1.0 + variation) * (1.0 + REPORT_INTERVAL / streaming_servers.FAST) / (1.0 - variation) - 1.0
     if not report.is_complete:
         assert report.deviation >= -(increment + window + REPORT_INTERVAL)
         assert report.deviation <= error * window + 1e-6
@@ -163,44 +165,44 @@ def test_deviation_of_even_parts_is_the_harmonic_product(errors):
     assert abs(left) <= largest / count * math.exp(largest * sum(1.0 / rest for rest in range(1, count))) + 1e-9
 
 
-def ask_all(job: Job, limit: float, rate: float) -> list[Span]:
+def ask_all(plan: TransferPlan, limit: float, rate: float) -> list[Span]:
     """The spans that a client asks for if each comes when the next one is asked for, at `rate`."""
-    state, sent, time = begin(job, limit, rate), [], 0.0
+    state, sent, time = begin(plan, limit, rate), [], 0.0
     event = Event(0.0)
     while time < limit:
-        state, requests, _ = controller.decide(job, state, event)
+        state, requests, _ = controller.decide(plan, state, event)
         sent += [request.span for request in requests]
-        if not state.flights:
+        if not state.in_flight:
             break
-        flight = state.flights[0]
-        size = flight.span.end - flight.span.start
-        if flight.is_open:
+        running = state.in_flight[0]
+        size = running.span.end - running.span.start
+        if running.is_open:
             time += size / rate
-        event = Event(time, flight.id, size if flight.is_open else 0)
+        event = Event(time, running.id, size if running.is_open else 0)
     return sent
 
 
-def nested_job(mesh_ends: tuple[int, ...], state_sizes: tuple[int, ...], errors: tuple[tuple[float, ...], ...]) -> Job:
-    """A job with increments of 100 bytes, whose states add to those before and replace nothing."""
+def nested_plan(mesh_ends: tuple[int, ...], state_sizes: tuple[int, ...], errors: tuple[tuple[float, ...], ...]) -> TransferPlan:
+    """A plan with increments of 100 bytes, whose states add to those before and replace nothing."""
     levels = tuple(Span(MESH, start, end) for start, end in pairwise((0, *mesh_ends)))
-    job = Job((levels[0], Span(TEXTURES, 0, 800)), levels, errors, 1000)
+    plan = TransferPlan((levels[0], Span(TEXTURES, 0, 800)), levels, errors, 1000)
     firsts = [state for state, (start, end) in enumerate(pairwise((0, *state_sizes))) for _ in range(start, end, 100)]
-    return add_table(job, [100] * len(firsts), firsts, [len(state_sizes) - 1] * len(firsts))
+    return add_table(plan, [100] * len(firsts), firsts, [len(state_sizes) - 1] * len(firsts))
 
 
-def replaced_job(state_sizes: tuple[int, ...], texture_errors: tuple[float, ...], are_single: bool = False) -> Job:
-    """A job with one level, of whose textures each state replaces all of those before: by increments of 100 bytes, or by a single one."""
-    job = Job((Span(MESH, 0, 1000), Span(TEXTURES, 0, 800)), (Span(MESH, 0, 1000),), (texture_errors,), 1000)
+def replaced_plan(state_sizes: tuple[int, ...], texture_errors: tuple[float, ...], are_single: bool = False) -> TransferPlan:
+    """A plan with one level, of whose textures each state replaces all of those before: by increments of 100 bytes, or by a single one."""
+    plan = TransferPlan((Span(MESH, 0, 1000), Span(TEXTURES, 0, 800)), (Span(MESH, 0, 1000),), (texture_errors,), 1000)
     if are_single:
-        return add_table(job, state_sizes, range(len(state_sizes)), range(len(state_sizes)))
+        return add_table(plan, state_sizes, range(len(state_sizes)), range(len(state_sizes)))
     firsts = [state for state, size in enumerate(state_sizes) for _ in range(0, size, 100)]
-    return add_table(job, [100] * len(firsts), firsts, firsts)
+    return add_table(plan, [100] * len(firsts), firsts, firsts)
 
 
 def test_texture_begins_before_finer_levels_and_all_comes_in_order():
     errors = ((0.6, 0.5, 0.45), (0.5, 0.3, 0.25), (0.45, 0.25, 0.2), (0.4, 0.2, 0.1))
-    job = nested_job((1000, 3000, 6000, 9000), (1500, 4000, 10_000), errors)
-    sent = ask_all(job, 60.0, 1e4)
+    plan = nested_plan((1000, 3000, 6000, 9000), (1500, 4000, 10_000), errors)
+    sent = ask_all(plan, 60.0, 1e4)
     assert sent[2].file == TEXTURES
     for file, begin_ in ((MESH, 1000), (TEXTURES, 1000)):
         spans = [span for span in sent[2:] if span.file == file]
@@ -209,21 +211,21 @@ def test_texture_begins_before_finer_levels_and_all_comes_in_order():
     assert sum(span.end - span.start for span in sent if span.file == TEXTURES) == 800 + 10_000
 
 
-def walk(job: Job, budget: float) -> list[tuple[int, int]]:
+def walk(plan: TransferPlan, budget: float) -> list[tuple[int, int]]:
     """The levels and states on the best path from level 0 without textures for `budget` bytes, step by step."""
     asked, visited = [], [(0, -1)]
     while True:
         level, state = visited[-1]
-        rest = budget - job.levels[level].end + job.levels[0].end - measure(asked)
-        size = job.levels[level + 1].end - job.levels[level].end if level + 1 < len(job.levels) else 0
-        textures = inspect_textures(job, asked)
-        step = find_path(job, level, textures, measure(asked), size, max(rest, 0.0), 1.0)
+        rest = budget - plan.levels[level].end + plan.levels[0].end - measure(asked)
+        size = plan.levels[level + 1].end - plan.levels[level].end if level + 1 < len(plan.levels) else 0
+        textures = inspect_textures(plan, asked)
+        step = find_path(plan, level, textures, measure(asked), size, max(rest, 0.0), 1.0)
         if step[0] == level and step[1] == state:
             return visited
         if step[0] > level:
             visited.append((step[0], state))
         else:
-            asked = union(asked, job.states[step[1]])
+            asked = union(asked, plan.states[step[1]])
             visited.append((level, step[1]))
 
 
@@ -234,24 +236,24 @@ def union(intervals, others):
 
 
 def test_path_is_the_best_one_where_bytes_are_certain_to_come():
-    job = nested_job((1000, 11_000), (2000, 4000, 10_000), ((0.5, 0.4, 0.38), (0.35, 0.2, 0.1)))
-    path = walk(job, 1e6)
+    plan = nested_plan((1000, 11_000), (2000, 4000, 10_000), ((0.5, 0.4, 0.38), (0.35, 0.2, 0.1)))
+    path = walk(plan, 1e6)
     assert path[0] == (0, -1) and path[-1] == (1, 2)
-    assert (1, -1) not in walk(job, 3000.0)
+    assert (1, -1) not in walk(plan, 3000.0)
 
 
 def test_states_that_would_be_replaced_are_left_out():
     """Each state that comes costs all its bytes again."""
-    job = replaced_job((400, 800, 1600, 3200, 6400, 12_800), (0.3, 0.2, 0.14, 0.1, 0.07, 0.05))
+    plan = replaced_plan((400, 800, 1600, 3200, 6400, 12_800), (0.3, 0.2, 0.14, 0.1, 0.07, 0.05))
     for budget, last in ((2000.0, 2), (3800.0, 3), (7200.0, 4), (20_000.0, 5)):
-        path = walk(job, budget)
+        path = walk(plan, budget)
         states = [state for _, state in path]
         assert last in states
-        assert sum(job.sizes[state] for state in states[1 : states.index(last) + 1]) <= 1.6 * job.sizes[last]
+        assert sum(plan.sizes[state] for state in states[1 : states.index(last) + 1]) <= 1.6 * plan.sizes[last]
 
 
 def test_error_of_a_part_is_between_those_of_states():
-    job = replaced_job((400, 1600, 6400), (0.3, 0.2, 0.1))
+    plan = replaced_plan((400, 1600, 6400), (0.3, 0.2, 0.1))
     for level_error, left in (
         (1.0, [400, 1600, 6400]),
         (0.3, [0, 1600, 6400]),
@@ -259,79 +261,79 @@ def test_error_of_a_part_is_between_those_of_states():
         (0.2, [0, 0, 6400]),
         (0.15, [0, 0, 3200]),
     ):
-        assert estimate_errors(job, describe_textures(left)) == pytest.approx([level_error])
-    assert estimate_errors(job, describe_textures([0, 0, 0])) == [0.1]
+        assert estimate_errors(plan, describe_textures(left)) == pytest.approx([level_error])
+    assert estimate_errors(plan, describe_textures([0, 0, 0])) == [0.1]
 
 
 @given(st.integers(0, 10**6))
 @settings(max_examples=60, deadline=None)
 def test_states_and_their_steps_are_the_increments_of_the_table(seed):
     rng = random.Random(seed)
-    job = random_job(rng, rng.randint(1, 60))
-    for state, intervals in enumerate(job.states):
-        assert measure(intervals) == job.sizes[state]
+    plan = random_plan(rng, rng.randint(1, 60))
+    for state, intervals in enumerate(plan.states):
+        assert measure(intervals) == plan.sizes[state]
         assert all(first[1] < second[0] for first, second in pairwise(intervals))
         for earlier in range(state):
-            assert measure(subtract(intervals, job.states[earlier])) == job.steps[earlier][state]
+            assert measure(subtract(intervals, plan.states[earlier])) == plan.steps[earlier][state]
 
 
 def test_large_level_is_begun_early_if_it_will_come_and_late_increments_gain_little():
     """Without level 1 the error hardly falls behind the first state, so that it is the level that must not be missed."""
-    job = nested_job((1000, 11_000), (2000, 8000, 10_000), ((0.07, 0.068, 0.065), (0.03, 0.012, 0.01)))
+    plan = nested_plan((1000, 11_000), (2000, 8000, 10_000), ((0.07, 0.068, 0.065), (0.03, 0.012, 0.01)))
     for budget in (12_000.0, 14_000.0, 20_000.0):
-        assert walk(job, budget)[:3] == [(0, -1), (0, 0), (1, 0)]
+        assert walk(plan, budget)[:3] == [(0, -1), (0, 0), (1, 0)]
 
 
 @given(st.integers(0, 10**6), st.floats(0.0, 1e6), st.floats(1.0, 1e6))
 @settings(max_examples=60, deadline=None)
 def test_path_goes_forward_within_the_package(seed, budget, window):
     rng = random.Random(seed)
-    job = random_job(rng)
-    level = rng.randrange(len(job.levels))
+    plan = random_plan(rng)
+    level = rng.randrange(len(plan.levels))
     asked = []
-    for start, end in zip((job.begin, *job.ends), job.ends, strict=False):
+    for start, end in zip((plan.begin, *plan.ends), plan.ends, strict=False):
         if rng.random() < 0.7:
             asked = insert(asked, start, end)
-    owed = job.levels[level + 1].end - job.levels[level].end if level + 1 < len(job.levels) else 0
-    textures = inspect_textures(job, asked)
-    found = find_path(job, level, textures, measure(asked), owed, budget, window)
-    assert level <= found[0] < len(job.levels)
-    assert textures.state < found[1] < len(job.sizes) or textures.state == found[1] == len(job.sizes) - 1
+    owed = plan.levels[level + 1].end - plan.levels[level].end if level + 1 < len(plan.levels) else 0
+    textures = inspect_textures(plan, asked)
+    found = find_path(plan, level, textures, measure(asked), owed, budget, window)
+    assert level <= found[0] < len(plan.levels)
+    assert textures.state < found[1] < len(plan.sizes) or textures.state == found[1] == len(plan.sizes) - 1
 
 
 def test_level_that_cannot_come_is_not_begun():
-    job = nested_job((1000, 60_000), (2500, 10_000, 30_000, 100_000), ((0.5, 0.4, 0.35, 0.3), (0.4, 0.3, 0.2, 0.1)))
-    sent = ask_all(job, 2.0, 1e4)
-    assert [span for span in sent if span.file == MESH] == [job.levels[0]]
+    plan = nested_plan((1000, 60_000), (2500, 10_000, 30_000, 100_000), ((0.5, 0.4, 0.35, 0.3), (0.4, 0.3, 0.2, 0.1)))
+    sent = ask_all(plan, 2.0, 1e4)
+    assert [span for span in sent if span.file == MESH] == [plan.levels[0]]
     assert sum(span.end - span.start for span in sent if span.file == TEXTURES) > 0.8 * 2e4
-    assert any(span.file == MESH and span.start == 1000 for span in ask_all(job, 20.0, 1e4))
+    assert any(span.file == MESH and span.start == 1000 for span in ask_all(plan, 20.0, 1e4))
 
 
 def test_state_with_an_increment_that_cannot_come_is_not_gone_to():
     """The best states have one that is longer than the budget, until a part of it has come."""
-    job = replaced_job((400, 1600, 30_000, 40_000), (0.3, 0.25, 0.02, 0.01), are_single=True)
-    textures = inspect_textures(job, list(job.states[0]))
-    assert find_path(job, 0, textures, 400, 0, 29_000.0, 1e4)[1] == 1
-    assert find_path(job, 0, textures, 400, 0, 35_000.0, 1e4)[1] == 2
-    part = (job.begin + 2000, job.begin + 17_000)  # of the increment of state 2
-    assert find_path(job, 0, inspect_textures(job, [*job.states[0], part]), 15_400, 0, 29_000.0, 1e4)[1] == 2
+    plan = replaced_plan((400, 1600, 30_000, 40_000), (0.3, 0.25, 0.02, 0.01), are_single=True)
+    textures = inspect_textures(plan, list(plan.states[0]))
+    assert find_path(plan, 0, textures, 400, 0, 29_000.0, 1e4)[1] == 1
+    assert find_path(plan, 0, textures, 400, 0, 35_000.0, 1e4)[1] == 2
+    part = (plan.begin + 2000, plan.begin + 17_000)  # A part of the increment of state 2.
+    assert find_path(plan, 0, inspect_textures(plan, [*plan.states[0], part]), 15_400, 0, 29_000.0, 1e4)[1] == 2
 
 
 def test_long_increment_comes_from_all_servers():
     """Too long for any of them before the limit."""
-    job = replaced_job((400, 60_000), (0.3, 0.02), are_single=True)
+    plan = replaced_plan((400, 60_000), (0.3, 0.02), are_single=True)
     sizes, indices = np.array([400, 60_000]), np.arange(2)
-    package = SentPackage(job, Increments(0 * indices, indices, 0 * indices, sizes, indices, indices), 1000)
-    lines = tuple(Line(constant_trace(6000.0), 0.05, jitter=0.0) for _ in range(4))
-    report = simulate(package, lines, 5.0, rate=6000.0)
+    package = StreamedPackage(plan, Increments(0 * indices, indices, 0 * indices, sizes, indices, indices), 1000)
+    connections = tuple(Connection(constant_trace(6000.0), 0.05, jitter=0.0) for _ in range(4))
+    report = simulate(package, connections, 5.0, rate=6000.0)
     assert report.is_complete and report.error == 0.02
-    alone = simulate(package, lines[:1], 5.0, rate=6000.0)
-    assert not alone.is_complete and alone.byte_count < 5000.0  # the line is not filled with bytes of no use
+    alone = simulate(package, connections[:1], 5.0, rate=6000.0)
+    assert not alone.is_complete and alone.byte_count < 5000.0  # the connection is not filled with bytes of no use
 
 
 def test_level_goes_before_increments_that_would_cost_it():
-    job = nested_job((1000, 21_000), (2500, 5000, 20_000), ((0.5, 0.45, 0.4), (0.3, 0.2, 0.1)))
-    sent = ask_all(job, 3.7, 1e4)  # 37 kB: not enough for all increments and level 1
+    plan = nested_plan((1000, 21_000), (2500, 5000, 20_000), ((0.5, 0.45, 0.4), (0.3, 0.2, 0.1)))
+    sent = ask_all(plan, 3.7, 1e4)  # 37 kB: not enough for all increments and level 1
     assert sum(span.end - span.start for span in sent if span.file == MESH) == 21_000
     assert sum(span.end - span.start for span in sent if span.file == TEXTURES) < 800 + 20_000
 
@@ -351,26 +353,26 @@ def test_intervals_are_sets_of_bytes(first, second):
 
 
 def test_received_level_has_all_coarser_ones():
-    job = make_package().job
-    state = dataclasses.replace(begin(job, 5.0), mesh=job.levels[2].end, pending=[])
-    assert controller.received_level(job, state) == 2
-    assert controller.received_level(job, dataclasses.replace(state, pending=[job.levels[1]])) == 0
-    assert controller.received_level(job, dataclasses.replace(state, pending=[Span(MESH, 100, 200)])) == -1
+    plan = make_package().plan
+    state = dataclasses.replace(begin(plan, 5.0), mesh=plan.levels[2].end, pending=[])
+    assert controller.received_level(plan, state) == 2
+    assert controller.received_level(plan, dataclasses.replace(state, pending=[plan.levels[1]])) == 0
+    assert controller.received_level(plan, dataclasses.replace(state, pending=[Span(MESH, 100, 200)])) == -1
 
 
 def test_what_is_silent_is_asked_for_again_from_another_server():
-    job = make_package().job
-    state, requests, _ = controller.decide(job, begin(job, 5.0, server_count=2), Event(0.0))
+    plan = make_package().plan
+    state, requests, _ = controller.decide(plan, begin(plan, 5.0, server_count=2), Event(0.0))
     silent = next(request for request in requests if request.server == 0)
     others = [request for request in requests if request.id != silent.id]
-    state, _, _ = controller.decide(job, state, Event(0.1, silent.id))
-    state, _, _ = controller.decide(job, state, Event(0.2, silent.id, 5000))
+    state, _, _ = controller.decide(plan, state, Event(0.1, silent.id))
+    state, _, _ = controller.decide(plan, state, Event(0.2, silent.id, 5000))
     rest, was_aborted = Span(MESH, silent.span.start + 5000, silent.span.end), False
     for tick in range(3, 40):
         events = [Event(0.1 * tick, other.id, other.span.end - other.span.start) for other in others] + [Event(0.1 * tick)]
         others = []
         for event in events:
-            state, new, aborted = controller.decide(job, state, event)
+            state, new, aborted = controller.decide(plan, state, event)
             others += [request for request in new if request.server == 1]
             was_aborted = was_aborted or silent.id in aborted
             if rest in [request.span for request in new]:
@@ -381,20 +383,20 @@ def test_what_is_silent_is_asked_for_again_from_another_server():
 
 
 def test_server_that_failed_gets_nothing_for_a_while():
-    job = make_package().job
-    state, requests, _ = controller.decide(job, begin(job, 5.0), Event(0.0))
-    state, more, _ = controller.decide(job, state, Event(0.1, requests[0].id, failed=True))
+    plan = make_package().plan
+    state, requests, _ = controller.decide(plan, begin(plan, 5.0), Event(0.0))
+    state, more, _ = controller.decide(plan, state, Event(0.1, requests[0].id, failed=True))
     assert not more
-    state, more, _ = controller.decide(job, state, Event(0.1 + 0.9 * sending_servers.MIN_PAUSE))
+    state, more, _ = controller.decide(plan, state, Event(0.1 + 0.9 * streaming_servers.MIN_PAUSE))
     assert not more
-    state, more, _ = controller.decide(job, state, Event(0.1 + 1.1 * sending_servers.MIN_PAUSE))
+    state, more, _ = controller.decide(plan, state, Event(0.1 + 1.1 * streaming_servers.MIN_PAUSE))
     assert [request.span for request in more] == [requests[0].span]
 
 
 def test_refining_goes_on_after_the_limit():
-    job = make_package().job
-    state = dataclasses.replace(begin(job, 1.0, keeps_refining=True), pending=[])
-    _, requests, _ = controller.decide(job, state, Event(1.5))
+    plan = make_package().plan
+    state = dataclasses.replace(begin(plan, 1.0, keeps_refining=True), pending=[])
+    _, requests, _ = controller.decide(plan, state, Event(1.5))
     assert requests
-    _, requests, _ = controller.decide(job, dataclasses.replace(state, keeps_refining=False), Event(1.5))
+    _, requests, _ = controller.decide(plan, dataclasses.replace(state, keeps_refining=False), Event(1.5))
     assert not requests

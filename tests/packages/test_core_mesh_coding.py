@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from packed_meshes import SECTIONS, make_random_mesh, order_with_levels, pack, read_section, replace_section
 from reference.mesh_decoding import decode_level, dequantize
 
 from farfield.addon.core.errors import FileError, GeometryError
@@ -12,7 +13,6 @@ from farfield.addon.core.packages.mesh.order import order_mesh
 from farfield.addon.core.packages.mesh.traversal import find_opposite_halfedges, traverse
 from farfield.addon.core.texmesh.simplification.levels import Simplification, SubsetLevel
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
-from packed_meshes import SECTIONS, make_random_mesh, order_with_levels, pack, read_section, replace_section
 from textured_models import cube, plane, torus
 
 MODELS = {"torus": torus(has_materials=True), "cube": cube(), "plane": plane(12, 9)}

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from packed_meshes import SECTIONS, make_random_mesh, order_with_levels, pack, read_section, replace_section
 from reference.mesh_decoding import decode_level, dequantize
 
 from farfield.addon.core import packages
 from farfield.addon.core.errors import FileError
-from packed_meshes import SECTIONS, make_random_mesh, order_with_levels, pack, read_section, replace_section
 from textured_models import cube, torus
 
 DECODER = Path(packages.__file__).parent / "page" / "mesh_decoding.js"

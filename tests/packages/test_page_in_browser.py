@@ -18,15 +18,15 @@ from scipy import ndimage
 pytest.importorskip("tornado")
 
 from reference.mesh_decoding import decode_level, dequantize
+from small_packages import decode_textures, painted_image, write_files, write_textured_package
 
 from chromium import SKIP_REASON, Page, find_chromium, run_chromium
 from farfield.addon.core.imaging.mipmaps import build_mipmaps, measure_footprints, sample_mipmaps
 from farfield.addon.core.imaging.raster import locate_pixels
 from farfield.addon.core.packages.files import read_page
 from farfield.addon.core.packages.manifest import MESH, TEXTURES, Manifest
-from lib.line_rate import LineRate
+from lib.connection_rate import ConnectionRate
 from lib.package_server import run_server
-from small_packages import decode_textures, painted_image, write_files, write_textured_package
 from textured_models import torus
 
 pytestmark = [
@@ -34,8 +34,8 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(find_chromium() is None, reason=f"THE PAGE WAS NOT TESTED IN A BROWSER: it {SKIP_REASON}"),
 ]
-LINE = LineRate(((1.0, 250_000.0),), latency=0.02)  # 2 Mbit/s
-TRIES = 6  # of measuring times: the machine does other work meanwhile
+LINE = ConnectionRate(((1.0, 250_000.0),), latency=0.02)  # 2 Mbit/s
+TRIES = 6  # Times are measured so often: the machine does other work meanwhile.
 FINISHED = "window.farfield?.isFinished"
 MISSING = "(({ bytes, total }) => total - bytes)(farfield.loader.measures)"
 
@@ -109,7 +109,7 @@ def test_something_is_shown_soon_and_all_within_limit(page, tmp_path):
     manifest = write_textured_package(tmp_path, torus(96, 48), [image.clip(0, 255).astype(np.uint8)], time_limit=2.5)
     assert manifest.files[TEXTURES][0] > 1.2 * manifest.time_limit * LINE.rate_at(0.0)
     first_images, deviations = [], []
-    with run_server(tmp_path, line=LINE) as url:
+    with run_server(tmp_path, connection=LINE) as url:
         for _ in range(TRIES):
             page.open(url)
             page.wait_for(FINISHED)
@@ -127,7 +127,7 @@ def test_something_is_shown_soon_and_all_within_limit(page, tmp_path):
 
 def test_refining_goes_on_after_limit(page, package):
     folder, manifest = package
-    with run_server(folder, line=LineRate(((5.0, 20_000.0), (1.0, 200_000.0)))) as url:
+    with run_server(folder, connection=ConnectionRate(((5.0, 20_000.0), (1.0, 200_000.0)))) as url:
         page.open(url)
         page.wait_for(FINISHED)
         assert page.evaluate(f"{MISSING} > 0")

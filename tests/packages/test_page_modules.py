@@ -17,7 +17,7 @@ from farfield.addon.core.packages.files import PAGE_FOLDER, join_modules, read_p
 from farfield.addon.core.packages.increments import Increments, encode_increments
 from farfield.addon.core.packages.tile_pyramid import TilePyramid
 
-MAX_BYTES = 24_000  # of all files, each compressed
+MAX_BYTES = 24_000  # Size of all files, each compressed.
 needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed, so modules of the page are not run")
 
 

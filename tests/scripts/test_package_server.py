@@ -17,11 +17,12 @@ from hypothesis import strategies as st
 
 pytest.importorskip("tornado")
 
+from small_packages import write_opaque_package
+
 from farfield.addon.core.errors import FileError, SettingsError
 from farfield.addon.core.packages.files import read_page
-from lib.line_rate import LineRate, parse_rate
+from lib.connection_rate import ConnectionRate, parse_rate
 from lib.package_server import ClientLimits, read_range, run_server
-from small_packages import write_opaque_package
 
 SECRET = b"canary in the coal mine"
 PATH_TRICKS = [
@@ -261,27 +262,27 @@ def test_parse_rate():
 
 
 def test_arrival_follows_steps_of_rate():
-    line = LineRate(((1.0, 100.0), (1.0, 0.0), (1.0, 50.0)))
-    assert line.arrival(0.0, 50) == 0.5
-    assert line.arrival(0.5, 50) == 1.0
-    assert line.arrival(0.5, 100) == 3.0
-    assert line.arrival(5.0, 50) == 6.0
+    connection = ConnectionRate(((1.0, 100.0), (1.0, 0.0), (1.0, 50.0)))
+    assert connection.arrival(0.0, 50) == 0.5
+    assert connection.arrival(0.5, 50) == 1.0
+    assert connection.arrival(0.5, 100) == 3.0
+    assert connection.arrival(5.0, 50) == 6.0
     with pytest.raises(SettingsError):
-        LineRate(((1.0, 0.0),))
+        ConnectionRate(((1.0, 0.0),))
 
 
 @given(st.lists(st.tuples(st.floats(0.0, 2.0), st.floats(0.0, 1e4)), max_size=4), st.lists(st.integers(1, 1000), min_size=1, max_size=20))
 def test_parts_arrive_when_their_sum_does(steps, sizes):
-    line = LineRate((*steps, (1.0, 500.0)))
+    connection = ConnectionRate((*steps, (1.0, 500.0)))
     position = 0.0
     for size in sizes:
-        position = line.arrival(position, size)
-    assert position == pytest.approx(line.arrival(0.0, sum(sizes)), rel=1e-9, abs=1e-6)
+        position = connection.arrival(position, size)
+    assert position == pytest.approx(connection.arrival(0.0, sum(sizes)), rel=1e-9, abs=1e-6)
 
 
 def test_rate_is_kept(tmp_path):
     write_opaque_package(tmp_path, textures_size=100_000)
-    with run_server(tmp_path, line=LineRate(((1.0, 200_000.0),), latency=0.1)) as url:
+    with run_server(tmp_path, connection=ConnectionRate(((1.0, 200_000.0),), latency=0.1)) as url:
         start = time.monotonic()
         request(url, "/textures.bin")
         assert 0.55 < time.monotonic() - start < 5.0

@@ -7,9 +7,9 @@ import numpy as np
 from farfield.addon.core.arrays import concatenate_ranges
 from farfield.addon.core.errors import FileError
 
-MAX_RATIO = 1032  # of DEFLATE: bytes from one byte
+MAX_RATIO = 1032  # Bytes that DEFLATE can make of one byte.
 MAX_LEB128_BYTES = 5
-MAX_SYMBOL = 59  # of a residual: 16 bits, of which 13 are extra
+MAX_SYMBOL = 59  # The symbol of a residual with 16 bits, 13 of which are extra.
 MAX_RESIDUAL_BYTES = 3  # symbol and extra bits, rounded up
 
 

@@ -1,19 +1,19 @@
 // Decides which bytes of a package to ask for next, so that sending ends at the time limit. tests/packages/reference/controller.py is
 // the same function, explains it, and has the same arithmetic in the same order: both decide alike bit for bit, as a test checks.
 //
-//   let job = buildJob(manifest)      // the parsed manifest.json
-//   let state = begin(job, {limit, rate, servers, patience, keepsRefining})
-//   [state, requests, aborted] = decide(job, state, {time, id, received, failed})
+//   let plan = buildPlan(manifest)      // the parsed manifest.json
+//   let state = begin(plan, {limit, rate, servers, patience, keepsRefining})
+//   [state, requests, aborted] = decide(plan, state, {time, id, received, failed})
 //
 // Times are seconds since the user's wish. Call `decide` with {time} at first, about 20 times per second, and at the limit; and for request
 // `id` with {time, id, received: 0} when its headers come, {time, id, received} when bytes come (received: bytes of this response altogether;
 // the last byte ends it), or {time, id, failed: true}. Send `requests`, [{id, server, file, start, end}, ...]: bytes [start, end) of a file
-// from server `server` (0: the page's folder, then the mirrors), and abort those whose ids are in `aborted`; keep what has come of them: only
-// the rest is asked for again. When the table of increments has come, go on with job = addTable(job, table).
+// from server `server` (0: the page's folder, then the mirrors), and abort those whose ids are in `aborted`; keep their received bytes: only
+// the rest is asked for again. When the table of increments is received, go on with plan = addTable(plan, table).
 // To read: state.ended - limit (deviation Pi), and the functions below.
 
 import { insert, measure, subtract } from "./byte_intervals.js";
-import { findPath, inspectTextures, listIncrements } from "./sending_path.js";
+import { findPath, inspectTextures, listIncrements } from "./streaming_path.js";
 
 const MESH = "mesh.bin", TEXTURES = "textures.bin";
 const DEFAULT_RATE = 250000, DEFAULT_DELAY = 0.1, PRIOR_SECONDS = 0.1;
@@ -22,15 +22,15 @@ const SMALLEST = 15000, LATE = 0.3, TWICE = 2, MIN_SAVING = 0.2, SILENCE = 0.5, 
 const { abs, floor, max, min } = Math;
 
 /** What `manifest` has to send. */
-export function buildJob(manifest) {
+export function buildPlan(manifest) {
   const levels = manifest.levels.map((level) => {
     const sections = [level.positions, level.parents, level.wedges, level.uvs, level.corners];
     return { file: MESH, start: min(...sections.map(([start]) => start)), end: max(...sections.map(([start, size]) => start + size)) };
   });
   const [start, size] = manifest.increments, isTextured = manifest.increment_count > 0;
   const first = [levels[0], ...(isTextured ? [{ file: TEXTURES, start, end: start + size }] : [])];
-  const job = { first, levels, errors: tabulateErrors(manifest.errors), begin: manifest.first_increment, ends: null };
-  return isTextured ? job : addTable(job, { sizes: [], firsts: [], lasts: [] });
+  const plan = { first, levels, errors: tabulateErrors(manifest.errors), begin: manifest.first_increment, ends: null };
+  return isTextured ? plan : addTable(plan, { sizes: [], firsts: [], lasts: [] });
 }
 
 function tabulateErrors({ levels, states, exponent }) {
@@ -38,10 +38,10 @@ function tabulateErrors({ levels, states, exponent }) {
   return levels.map((level) => states.map((state) => min(combine(level, state), 1)));
 }
 
-/** `job` with its increments: arrays of their bytes, and of the first and the last state that has each. */
-export function addTable(job, { sizes, firsts, lasts }) {
-  const empty = job.errors[0].map(() => 0), states = empty.map(() => []), totals = [...empty], steps = empty.map(() => [...empty]), ends = [];
-  let end = job.begin;
+/** `plan` with its increments: arrays of their bytes, and of the first and the last state that has each. */
+export function addTable(plan, { sizes, firsts, lasts }) {
+  const empty = plan.errors[0].map(() => 0), states = empty.map(() => []), totals = [...empty], steps = empty.map(() => [...empty]), ends = [];
+  let end = plan.begin;
   sizes.forEach((size, i) => {
     const start = end;
     ends.push((end += size));
@@ -53,53 +53,55 @@ export function addTable(job, { sizes, firsts, lasts }) {
       for (let earlier = 0; earlier < firsts[i]; earlier++) steps[earlier][state] += size;
     }
   });
-  return { ...job, ends, states, sizes: totals, steps };
+  return { ...plan, ends, states, sizes: totals, steps };
 }
 
-/** The state before the first request. limit, patience: seconds; rate: bytes per second that the user's line had before, or 0. */
-export function begin(job, { limit, rate = 0, servers = 1, patience = 0, keepsRefining = false }) {
+/** The state before the first request. limit, patience: seconds; rate: bytes per second that the user's connection had before, or 0. */
+export function begin(plan, { limit, rate = 0, servers = 1, patience = 0, keepsRefining = false }) {
   const bytes = (rate || DEFAULT_RATE) * PRIOR_SECONDS;
-  const server = { bytes, seconds: PRIOR_SECONDS, slowBytes: bytes, slowSeconds: PRIOR_SECONDS, delay: DEFAULT_DELAY };
-  Object.assign(server, { measured: 0, mark: 0, heard: 0, failures: 0, failed: 0, until: 0 });
+  const server = {
+    bytes, seconds: PRIOR_SECONDS, slowBytes: bytes, slowSeconds: PRIOR_SECONDS, delay: DEFAULT_DELAY,
+    measured: 0, mark: 0, lastResponse: 0, failures: 0, failed: 0, until: 0,
+  };
   return {
-    limit, patience, keepsRefining, servers: Array.from({ length: servers }, () => ({ ...server })), time: 0, flights: [],
-    pending: [...job.first], nextId: 0, mesh: job.levels[0].end, asked: [], ended: 0, difference: 0, latest: 0, responses: 0,
+    limit, patience, keepsRefining, servers: Array.from({ length: servers }, () => ({ ...server })), time: 0, inFlight: [],
+    pending: [...plan.first], nextId: 0, mesh: plan.levels[0].end, requested: [], ended: 0, difference: 0, latest: 0, responses: 0,
   };
 }
 
 /** The state after `event`, the requests to send, and the ids of those to abort. */
-export function decide(job, before, { time, id = -1, received = 0, failed = false }) {
+export function decide(plan, before, { time, id = -1, received = 0, failed = false }) {
   const copy = (items) => items.map((item) => ({ ...item }));
-  const state = { ...before, servers: copy(before.servers), flights: copy(before.flights), pending: [...before.pending] };
+  const state = { ...before, servers: copy(before.servers), inFlight: copy(before.inFlight), pending: [...before.pending] };
   state.time = max(state.time, time);
-  const heard = state.flights.find((flight) => flight.id === id);
-  if (heard) hear(job, state, heard, received, failed);
+  const answered = state.inFlight.find((request) => request.id === id);
+  if (answered) onResponse(plan, state, answered, received, failed);
   const isOver = state.time >= state.limit + state.patience && !state.keepsRefining;
   const aborted = [];
-  for (const flight of [...state.flights].reverse()) { // the newest first
-    const silent = isSilent(state, flight);
-    if (silent) pause(state, flight);
-    if (silent || (!isFirst(job, flight) && (isOver || isExcess(state, flight)))) {
-      owe(job, state, flight);
-      aborted.push(flight.id);
+  for (const request of [...state.inFlight].reverse()) { // the newest first
+    const silent = isSilent(state, request);
+    if (silent) pause(state, request);
+    if (silent || (!isFirst(plan, request) && (isOver || isExcess(state, request)))) {
+      requeue(plan, state, request);
+      aborted.push(request.id);
     }
   }
   const requests = [];
-  while (ask(job, state, requests, aborted));
+  while (nextRequest(plan, state, requests, aborted));
   return [state, requests, aborted];
 }
 
 /** Whether no response is waited for and nothing will be asked for anymore. */
-export function isFinished(job, state) {
-  if (state.flights.length || state.pending.some((span) => isFirst(job, span))) return false;
+export function isFinished(plan, state) {
+  if (state.inFlight.length || state.pending.some((span) => isFirst(plan, span))) return false;
   if (state.time >= state.limit && !state.keepsRefining) return true;
-  return job.ends !== null && !subtract(job.states.at(-1), state.asked).length && !state.pending.length && state.mesh === job.levels.at(-1).end;
+  return plan.ends !== null && !subtract(plan.states.at(-1), state.requested).length && !state.pending.length && state.mesh === plan.levels.at(-1).end;
 }
 
-/** The finest level that has come with all coarser ones, or -1. */
-export function receivedLevel(job, state) {
-  const missing = [...state.pending, ...state.flights].filter((span) => span.file === MESH);
-  return levelUpTo(job, min(state.mesh, ...missing.map(({ start, received = 0 }) => start + received)));
+/** The finest received level of which all coarser ones are received, or -1. */
+export function receivedLevel(plan, state) {
+  const missing = [...state.pending, ...state.inFlight].filter((span) => span.file === MESH);
+  return levelUpTo(plan, min(state.mesh, ...missing.map(({ start, received = 0 }) => start + received)));
 }
 
 /** Lambda (eq. 9 of the paper), seconds. */
@@ -110,7 +112,7 @@ export function meanDifference(state) {
 /** The bytes per second of a server that are to be expected for the next `horizon` seconds. */
 export function estimateRate(state, index, horizon) {
   const server = state.servers[index];
-  const isOpen = state.flights.some((flight) => flight.isOpen && flight.server === index);
+  const isOpen = state.inFlight.some((request) => request.isOpen && request.server === index);
   const gap = isOpen ? max(0, state.time - server.mark - GRACE) : 0;
   const fast = server.bytes / (server.seconds + gap);
   const slow = server.slowBytes / (server.slowSeconds + gap);
@@ -118,32 +120,32 @@ export function estimateRate(state, index, horizon) {
 }
 
 /** The finest level that ends at `offset` at most, or -1. */
-function levelUpTo(job, offset) {
-  return job.levels.filter(({ end }) => end <= offset).length - 1;
+function levelUpTo(plan, offset) {
+  return plan.levels.filter(({ end }) => end <= offset).length - 1;
 }
 
-function hear(job, state, flight, received, failed) {
+function onResponse(plan, state, request, received, failed) {
   if (failed) {
-    pause(state, flight);
-    owe(job, state, flight);
+    pause(state, request);
+    requeue(plan, state, request);
     return;
   }
-  const server = state.servers[flight.server];
-  const isBusy = state.flights.some((other) => other.isOpen && other.server === flight.server);
-  const size = flight.end - flight.start;
-  received = min(max(received, flight.received), size);
-  let fresh = received - flight.received;
-  if (!flight.isOpen) {
-    flight.isOpen = true;
-    server.delay += (state.time - flight.asked - server.delay) * (server.measured ? 0.25 : 1);
+  const server = state.servers[request.server];
+  const isBusy = state.inFlight.some((other) => other.isOpen && other.server === request.server);
+  const size = request.end - request.start;
+  received = min(max(received, request.received), size);
+  let fresh = received - request.received;
+  if (!request.isOpen) {
+    request.isOpen = true;
+    server.delay += (state.time - request.sent - server.delay) * (server.measured ? 0.25 : 1);
   }
   if (!isBusy) [server.mark, fresh] = [state.time, 0]; // bytes that come with the headers took a time that nobody measured
-  learn(server, fresh, state.time - server.mark);
-  server.mark = flight.heard = server.heard = state.time;
-  flight.received = received;
+  measureRate(server, fresh, state.time - server.mark);
+  server.mark = request.lastResponse = server.lastResponse = state.time;
+  request.received = received;
   if (received === size) {
-    state.flights = state.flights.filter((other) => other !== flight);
-    state.latest = abs(state.time - flight.due);
+    state.inFlight = state.inFlight.filter((other) => other !== request);
+    state.latest = abs(state.time - request.due);
     state.difference += state.latest;
     state.responses += 1;
     state.ended = state.time;
@@ -151,7 +153,7 @@ function hear(job, state, flight, received, failed) {
   }
 }
 
-function learn(server, count, seconds) {
+function measureRate(server, count, seconds) {
   const fast = FAST / (FAST + seconds), slow = SLOW / (SLOW + seconds);
   server.bytes = server.bytes * fast + count;
   server.seconds = server.seconds * fast + seconds;
@@ -160,9 +162,9 @@ function learn(server, count, seconds) {
   server.measured += seconds;
 }
 
-function isSilent(state, flight) {
-  const server = state.servers[flight.server];
-  const since = max(flight.heard, min(server.heard, flight.due));
+function isSilent(state, request) {
+  const server = state.servers[request.server];
+  const since = max(request.lastResponse, min(server.lastResponse, request.due));
   const patience = max(SILENCE, 4 * server.delay) * (state.servers.length === 1 ? 2 << min(server.failures, 3) : 1);
   return state.time - since > (server.measured ? patience : 2 * patience); // connecting takes longer
 }
@@ -172,27 +174,27 @@ function findSlow(state, index, start, rate) {
   if (!state.servers[index].measured) return slow;
   state.servers.forEach((server, other) => {
     let busy = 0;
-    const theirs = line(state, other)[2];
-    for (const flight of state.flights) {
-      if (flight.server !== other || other === index) continue;
-      const left = flight.end - flight.start - flight.received;
-      const begins = flight.isOpen ? busy : max(busy, flight.asked + server.delay - state.time);
+    const theirs = lookAhead(state, other)[2];
+    for (const request of state.inFlight) {
+      if (request.server !== other || other === index) continue;
+      const left = request.end - request.start - request.received;
+      const begins = request.isOpen ? busy : max(busy, request.sent + server.delay - state.time);
       busy = begins + left / theirs;
       const saving = busy - TWICE * (start + left / rate);
-      if (saving > most && state.time + busy > flight.due + LATE) [slow, most] = [flight, saving];
+      if (saving > most && state.time + busy > request.due + LATE) [slow, most] = [request, saving];
     }
   });
   return slow;
 }
 
-function isExcess(state, flight) {
-  const isAlone = state.flights.every((other) => other.server !== flight.server || other.id >= flight.id);
-  if (isAlone || flight.file === MESH || state.keepsRefining) return false;
-  return line(state, flight.server)[0] > EXCESS * max(state.limit - state.time, 0);
+function isExcess(state, request) {
+  const isAlone = state.inFlight.every((other) => other.server !== request.server || other.id >= request.id);
+  if (isAlone || request.file === MESH || state.keepsRefining) return false;
+  return lookAhead(state, request.server)[0] > EXCESS * max(state.limit - state.time, 0);
 }
 
-function pause(state, flight) {
-  const server = state.servers[flight.server];
+function pause(state, request) {
+  const server = state.servers[request.server];
   if (state.time < server.until) return; // one of several requests that fail together
   server.failed = state.time;
   server.until = state.time + min(MIN_PAUSE * (1 << (2 * min(server.failures, 3))), MAX_PAUSE);
@@ -205,87 +207,87 @@ function isPaused(state, index) {
   return state.time < server.until && !(isNeeded && state.time >= server.failed + MIN_PAUSE);
 }
 
-function owe(job, state, flight) {
-  state.flights = state.flights.filter((other) => other !== flight);
-  const { file, end } = flight, rest = { file, start: flight.start + flight.received, end };
-  if (file === TEXTURES && !isFirst(job, rest)) state.asked = subtract(state.asked, [[rest.start, end]]);
+function requeue(plan, state, request) {
+  state.inFlight = state.inFlight.filter((other) => other !== request);
+  const { file, end } = request, rest = { file, start: request.start + request.received, end };
+  if (file === TEXTURES && !isFirst(plan, rest)) state.requested = subtract(state.requested, [[rest.start, end]]);
   else state.pending.unshift(rest);
 }
 
-function isFirst(job, span) {
-  return job.first.some((first) => span.file === first.file && first.start <= span.start && span.start < first.end);
+function isFirst(plan, span) {
+  return plan.first.some((first) => span.file === first.file && first.start <= span.start && span.start < first.end);
 }
 
-function ask(job, state, requests, aborted) {
-  const owesFirst = state.servers.length === 1 && state.pending.some((span) => isFirst(job, span));
-  const lines = [];
+function nextRequest(plan, state, requests, aborted) {
+  const needsFirst = state.servers.length === 1 && state.pending.some((span) => isFirst(plan, span));
+  const free = [];
   state.servers.forEach((server, index) => {
-    const [busy, rest, rate] = line(state, index);
-    if (!isPaused(state, index) && (owesFirst || busy <= LEAD * server.delay)) lines.push([max(busy, server.delay), index, rest, rate]);
+    const [busy, rest, rate] = lookAhead(state, index);
+    if (!isPaused(state, index) && (needsFirst || busy <= LEAD * server.delay)) free.push([max(busy, server.delay), index, rest, rate]);
   });
-  lines.sort((a, b) => a[0] - b[0] || a[1] - b[1]);
-  for (const [start, server, rest, rate] of lines) {
+  free.sort((a, b) => a[0] - b[0] || a[1] - b[1]);
+  for (const [start, server, rest, rate] of free) {
     const slow = findSlow(state, server, start, rate);
     if (slow) {
-      owe(job, state, slow);
+      requeue(plan, state, slow);
       aborted.push(slow.id);
     }
-    const span = take(job, state, rest, rate, state.servers[server]);
+    const span = allocate(plan, state, rest, rate, state.servers[server]);
     if (!span) continue;
     const due = state.time + start + (span.end - span.start) / rate;
     const id = state.nextId++;
-    state.flights.push({ id, server, ...span, asked: state.time, due, heard: state.time, received: 0, isOpen: false });
+    state.inFlight.push({ id, server, ...span, sent: state.time, due, lastResponse: state.time, received: 0, isOpen: false });
     requests.push({ id, server, ...span });
     return true;
   }
   return false;
 }
 
-function line(state, index) {
+function lookAhead(state, index) {
   const isRefining = state.keepsRefining && state.time >= state.limit;
   const left = isRefining ? ENDLESS : max(state.limit - state.time, 0);
   const rate = max(estimateRate(state, index, left), MIN_RATE);
   const { delay } = state.servers[index];
   let busy = 0;
-  for (const flight of state.flights) {
-    if (flight.server !== index) continue;
-    const begins = flight.isOpen ? busy : max(busy, flight.asked + delay - state.time);
-    busy = begins + (flight.end - flight.start - flight.received) / rate;
+  for (const request of state.inFlight) {
+    if (request.server !== index) continue;
+    const begins = request.isOpen ? busy : max(busy, request.sent + delay - state.time);
+    busy = begins + (request.end - request.start - request.received) / rate;
   }
   return [busy, isRefining ? left : left - max(busy, delay), rate];
 }
 
-function take(job, state, rest, rate, server) {
+function allocate(plan, state, rest, rate, server) {
   const longest = server.measured >= MEASURED ? MAX_REQUEST : FIRST_REQUEST, isAlone = state.servers.length === 1;
-  const owedFirst = state.pending.findIndex((span) => isFirst(job, span));
-  if (owedFirst >= 0) {
-    const { start, end } = state.pending[owedFirst];
-    return cut(state, owedFirst, isAlone ? end : min(end, start + floor(longest * rate)));
+  const first = state.pending.findIndex((span) => isFirst(plan, span));
+  if (first >= 0) {
+    const { start, end } = state.pending[first];
+    return cut(state, first, isAlone ? end : min(end, start + floor(longest * rate)));
   }
-  if (rest <= 0 || job.ends === null) return null;
+  if (rest <= 0 || plan.ends === null) return null;
   const shortest = state.patience || !isAlone ? server.delay : max(server.delay, SMALLEST / rate), possible = rest * rate;
   const wanted = rest <= shortest ? possible : max(min(rest * FRACTION, longest), shortest) * rate;
-  const [span, position] = choose(job, state, wanted), { file, start } = span;
+  const [span, position] = choose(plan, state, wanted), { file, start } = span;
   let { end } = span;
   if ((file === MESH || !isAlone) && end - start > min(MAX_PARTS * wanted, possible)) end = start + floor(min(PARTS * wanted, possible));
   if (end === start) return null;
   if (position >= 0) return cut(state, position, end);
   if (file === MESH) state.mesh = end;
-  else state.asked = insert(state.asked, start, end);
+  else state.requested = insert(state.requested, start, end);
   return { file, start, end };
 }
 
-function choose(job, state, wanted) {
-  let owed = 0, offset = state.mesh;
-  for (const { start, end } of state.pending) [owed, offset] = [owed + end - start, min(offset, start)];
-  const level = levelUpTo(job, offset);
-  if (level + 1 < job.levels.length) owed += max(job.levels[level + 1].end - state.mesh, 0);
-  const textures = inspectTextures(job, state.asked), budget = budgetOf(state);
-  const [next, target] = findPath(job, level, textures, measure(state.asked), owed, budget, wanted);
-  if (next === level || (!state.asked.length && textures.state < 0)) { // something of the textures first
-    return [missingSpan(job, state, textures.missing[target], wanted, budget), -1];
+function choose(plan, state, wanted) {
+  let remaining = 0, offset = state.mesh;
+  for (const { start, end } of state.pending) [remaining, offset] = [remaining + end - start, min(offset, start)];
+  const level = levelUpTo(plan, offset);
+  if (level + 1 < plan.levels.length) remaining += max(plan.levels[level + 1].end - state.mesh, 0);
+  const textures = inspectTextures(plan, state.requested), budget = budgetOf(state);
+  const [next, target] = findPath(plan, level, textures, measure(state.requested), remaining, budget, wanted);
+  if (next === level || (!state.requested.length && textures.state < 0)) { // something of the textures first
+    return [missingSpan(plan, state, textures.missing[target], wanted, budget), -1];
   }
-  return state.pending.length ? [state.pending[0], 0] : [{ file: MESH, start: state.mesh, end: job.levels[next].end }, -1];
+  return state.pending.length ? [state.pending[0], 0] : [{ file: MESH, start: state.mesh, end: plan.levels[next].end }, -1];
 }
 
 function cut(state, position, end) {
@@ -294,12 +296,12 @@ function cut(state, position, end) {
   return { ...span, end };
 }
 
-function missingSpan(job, state, missing, wanted, possible) {
-  let first = job.begin, last = first;
-  for (const [start, end] of listIncrements(job, missing)) {
+function missingSpan(plan, state, missing, wanted, possible) {
+  let first = plan.begin, last = first;
+  for (const [start, end] of listIncrements(plan, missing)) {
     if (first === last) {
       if (end - start <= possible) [first, last] = [start, end];
-    } else if (end - first > wanted || start - last > MAX_GAP || state.asked.some((item) => item[0] < start && item[1] > last)) break;
+    } else if (end - first > wanted || start - last > MAX_GAP || state.requested.some((item) => item[0] < start && item[1] > last)) break;
     else last = end;
   }
   return { file: TEXTURES, start: first, end: last };
@@ -307,7 +309,7 @@ function missingSpan(job, state, missing, wanted, possible) {
 
 function budgetOf(state) {
   return state.servers.reduce((sum, _, index) => {
-    const [, rest, rate] = line(state, index);
+    const [, rest, rate] = lookAhead(state, index);
     return isPaused(state, index) ? sum : sum + max(rest, 0) * rate;
   }, 0);
 }

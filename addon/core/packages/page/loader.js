@@ -1,9 +1,9 @@
 // Loads a package within a time limit: asks for what the controller decides, checks it, and passes on levels and tiles as they come.
 
 import { measure, subtract } from "./byte_intervals.js";
-import { addTable, begin, buildJob, decide, estimateRate, isFinished, meanDifference } from "./controller.js";
+import { addTable, begin, buildPlan, decide, estimateRate, isFinished, meanDifference } from "./controller.js";
 import { decodeLevel, inflate } from "./mesh_decoding.js";
-import { crc32, DamageError, openRange, PartialFile, SimulatedLine } from "./network.js";
+import { crc32, DamageError, openRange, PartialFile, Connection } from "./network.js";
 import { readIncrements, ROW_BYTES, TileDecoder } from "./tiles.js";
 
 const FORMAT = "farfield-package", VERSION = 3;
@@ -51,22 +51,22 @@ function checkManifest(manifest) {
 /** One run of loading a package.
  *
  * events: {level(mesh, counts, index), tile(texture, place, bitmap), problem(sentence)}, see `decodeLevel` and `TileDecoder`. options: {limit
- * (seconds), keepsRefining, rate (bytes per second that the line had before, or 0), simulatedRate (bytes per second, or 0),
+ * (seconds), keepsRefining, rate (bytes per second that the connection had before, or 0), simulatedRate (bytes per second, or 0),
  * start (performance.now() in ms)}. */
 export class Loader {
   constructor(base, manifest, options, events) {
     const urls = [base, ...manifest.mirrors].map((url) => new URL(url, base));
-    Object.assign(this, { urls, manifest, options, events, shown: -1, wanted: -1, exact: 0, passed: 0, tasks: 0, table: null });
-    Object.assign(this, { isWhole: false, isStopped: false, isTableWanted: false, ended: 0, rate: 0 });
+    Object.assign(this, { urls, manifest, options, events, shown: -1, wanted: -1, exact: 0, passed: 0, tasks: 0, table: null,
+      isWhole: false, isStopped: false, isTableWanted: false, ended: 0, rate: 0 });
     this.files = Object.fromEntries([MESH, TEXTURES].map((name) => [name, new PartialFile(name, manifest.files[name][0])]));
-    this.line = new SimulatedLine(options.simulatedRate);
+    this.connection = new Connection(options.simulatedRate);
     this.requests = new Map(); // AbortControllers by id
     this.decoder = new TileDecoder(manifest, events.tile);
     this.meshes = [];
     this.work = Promise.resolve(); // sections are decoded one after the other
-    this.job = buildJob(manifest);
+    this.plan = buildPlan(manifest);
     const { limit, rate, keepsRefining } = options;
-    this.state = begin(this.job, { limit, rate, servers: urls.length, keepsRefining });
+    this.state = begin(this.plan, { limit, rate, servers: urls.length, keepsRefining });
   }
 
   /** Begin to load. */
@@ -91,9 +91,9 @@ export class Loader {
     return (performance.now() - this.options.start) / 1000;
   }
 
-  /** Whether all that will be asked for has come and is decoded. */
+  /** Whether all that will be requested is received and decoded. */
   get isFinished() {
-    const isHere = this.isWhole ? this.ended > 0 : isFinished(this.job, this.state);
+    const isHere = this.isWhole ? this.ended > 0 : isFinished(this.plan, this.state);
     return isHere && !this.tasks && this.decoder.isIdle;
   }
 
@@ -102,7 +102,7 @@ export class Loader {
   get measures() {
     const [mesh, textures] = [MESH, TEXTURES].map((name) => this.files[name]), received = measure(textures.intervals);
     const bytes = measure(mesh.intervals) + received;
-    const left = this.job.ends ? measure(subtract(this.job.states.at(-1), textures.intervals)) : textures.size - received;
+    const left = this.plan.ends ? measure(subtract(this.plan.states.at(-1), textures.intervals)) : textures.size - received;
     const ended = this.isWhole ? this.ended || this.time : this.state.ended;
     const rate = this.isWhole ? bytes / ended : this.rate;
     return { bytes, total: mesh.size + received + left, rate, ended, deviation: ended - this.options.limit, difference: meanDifference(this.state) };
@@ -117,7 +117,7 @@ export class Loader {
   #decide(event) {
     if (this.isStopped || this.isWhole) return;
     let requests, aborted;
-    [this.state, requests, aborted] = decide(this.job, this.state, { time: this.time, ...event });
+    [this.state, requests, aborted] = decide(this.plan, this.state, { time: this.time, ...event });
     if (event.received) this.rate = this.urls.reduce((sum, _, index) => sum + estimateRate(this.state, index, 1), 0);
     for (const id of aborted) this.requests.get(id)?.abort();
     for (const request of requests) this.#send(request);
@@ -127,7 +127,7 @@ export class Loader {
     const file = this.files[name], abort = new AbortController();
     this.requests.set(id, abort);
     try {
-      const { isWhole, parts } = await openRange(new URL(name, this.urls[server]), file, start, end, this.line, abort.signal);
+      const { isWhole, parts } = await openRange(new URL(name, this.urls[server]), file, start, end, this.connection, abort.signal);
       if (isWhole && end - start < file.size) return await this.#takeWhole(file, parts, server, abort);
       this.#decide({ id, received: 0 });
       for await (const [offset, part] of parts) {
@@ -156,7 +156,7 @@ export class Loader {
     await this.#keep(file, parts);
     const other = Object.values(this.files).find((item) => item !== file);
     const url = new URL(other.name, this.urls[server]);
-    await this.#keep(other, (await openRange(url, other, 0, other.size, this.line, abort.signal)).parts);
+    await this.#keep(other, (await openRange(url, other, 0, other.size, this.connection, abort.signal)).parts);
     this.ended = this.time;
   }
 
@@ -175,7 +175,7 @@ export class Loader {
       this.#do(() => this.#readTable());
     }
     if (this.table) this.#passIncrements();
-    let level = -1, exact = 0; // of positions that have not come, the decoder makes estimates
+    let level = -1, exact = 0; // the decoder estimates missing positions
     while (level + 1 < manifest.levels.length && this.#isHere(level + 1, level < 0 ? SECTIONS : REFERENCES)) level++;
     while (exact <= level && this.#isHere(exact, SECTIONS)) exact++;
     if (level <= this.wanted && exact <= this.exact) return;
@@ -187,7 +187,7 @@ export class Loader {
     return names.every((name) => this.files[MESH].read(this.manifest.levels[level][name]));
   }
 
-  /** Pass on the increments that have come, also those behind gaps in the file: each shows its part of a texture by itself. */
+  /** Pass on the received increments, also those behind gaps in the file: each shows its part of a texture by itself. */
   #passIncrements() {
     const { table } = this, file = this.files[TEXTURES];
     const end = Math.max(...file.intervals.map((interval) => interval[1]));
@@ -205,7 +205,7 @@ export class Loader {
     const planes = await inflate(content, ROW_BYTES * this.manifest.increment_count);
     this.table = readIncrements(planes, this.manifest);
     this.table.isPassed = new Uint8Array(this.table.ends.length);
-    this.job = addTable(this.job, this.table);
+    this.plan = addTable(this.plan, this.table);
     this.#passIncrements();
     this.#decide({});
   }
@@ -231,7 +231,7 @@ export class Loader {
     for (let attempt = 0; crc32(file.read(section)) !== expected; attempt++) {
       if (attempt === this.urls.length) throw new DamageError(file.name);
       const url = new URL(file.name, this.urls[this.urls.length - 1 - attempt]); // mirrors first: the damage came from somewhere
-      await this.#keep(file, (await openRange(url, file, offset, offset + size, this.line, new AbortController().signal)).parts);
+      await this.#keep(file, (await openRange(url, file, offset, offset + size, this.connection, new AbortController().signal)).parts);
     }
     return file.read(section);
   }

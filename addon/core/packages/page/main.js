@@ -13,7 +13,7 @@ if (!base.pathname.endsWith("/")) base.pathname += "/";
 const historyKey = `farfield-rate ${base.origin}`;
 
 let loader = null, renderer = null, isRequested = false, isSettled = false;
-let levels = []; // surfaces that have come, by level
+let levels = []; // received surfaces, by level
 const first = fetchManifest(base); // before all other work
 first.catch(() => {}); // `load` reports it
 const session = { start: 0, firstImage: null, problems: [] };
@@ -81,7 +81,7 @@ async function load(coming = fetchManifest(base), start = performance.now()) {
   loader.start(); // first: requests are under way while textures are created
   document.title = element("name").textContent = manifest.name;
   renderer.start(manifest);
-  if (renderer.isReduced) report("Textures are shown at a lower resolution, because the graphics processor has a limit.");
+  if (renderer.isReduced) report("The graphics processor limits the resolution of textures.");
   orbit.frame(manifest.bounds);
 }
 

@@ -3,7 +3,7 @@
 //   let mesh = await decodeLevel(manifest, 0, sections)        // sections: Uint8Arrays by name
 //   mesh = await decodeLevel(manifest, 1, sections, mesh)
 // A level needs the coarser ones. If the positions of a level have not come, sections.positions is null, and its positions and those of finer
-// levels are estimated. Decode these levels again when they have come.
+// levels are estimated. Decode these levels again when they are received.
 
 const NEW = 0, RIGHT = 1, LEFT = 2, BOTH = 3, BOUNDARY = 4, OTHER = 5, CANDIDATE = 6; // symbols of edges of the border
 const EXPLICIT_PARENT = 255, ADDED_WEDGE = 1, RING = 3;

@@ -1,10 +1,10 @@
-// Requests for byte ranges, and which bytes of the package's files have come.
+// Requests for byte ranges, and which bytes of the package's files are received.
 
 import { insert } from "./byte_intervals.js";
 
-const STEP_SECONDS = 0.02; // in which a simulated line delivers bytes
+const STEP_SECONDS = 0.02; // in which a simulated connection delivers bytes
 
-/** What has come of a file: its bytes, and the intervals [start, end) of them in ascending order that are there. */
+/** The received part of a file: its bytes, and their intervals [start, end) in ascending order. */
 export class PartialFile {
   constructor(name, size) {
     Object.assign(this, { name, size, bytes: null, intervals: [] });
@@ -17,7 +17,7 @@ export class PartialFile {
     this.intervals = insert(this.intervals, offset, offset + part.length);
   }
 
-  /** The end of the bytes that have come without a gap from `offset` on. */
+  /** The end of the received bytes without a gap from `offset` on. */
   endFrom(offset) {
     const interval = this.intervals.find(([start, end]) => start <= offset && offset < end);
     return interval ? interval[1] : offset;
@@ -30,13 +30,13 @@ export class PartialFile {
   }
 }
 
-/** A line that delivers at most `rate` bytes per second; 0: as many as come. All requests share it. */
-export class SimulatedLine {
+/** A connection that delivers at most `rate` bytes per second; 0: as many as come. All requests share it. */
+export class Connection {
   constructor(rate) {
     Object.assign(this, { rate, free: 0 });
   }
 
-  /** Pass `bytes` on in parts as the line delivers them. */
+  /** Pass `bytes` on in parts as the connection delivers them. */
   async *deliver(bytes, signal) {
     const step = this.rate ? Math.max(Math.floor(this.rate * STEP_SECONDS), 1) : bytes.length;
     for (let offset = 0; offset < bytes.length; offset += step) {
@@ -54,7 +54,7 @@ export class SimulatedLine {
 
 /** Ask for bytes [start, end) of `file` at `url`. Returns whether the server sends the whole file instead, because it does not know ranges,
  * and `parts`, an iterator of [offset, bytes]. Both throw if the response fails, is too short, or is of a file of another size. */
-export async function openRange(url, file, start, end, line, signal) {
+export async function openRange(url, file, start, end, connection, signal) {
   // Browsers let requests for parts of one URL wait for each other where they may store them.
   const response = await fetch(url, { headers: { Range: `bytes=${start}-${end - 1}` }, cache: "no-store", signal });
   const isWhole = response.status === 200;
@@ -63,16 +63,16 @@ export async function openRange(url, file, start, end, line, signal) {
   const length = isWhole && !response.headers.has("Content-Encoding") ? response.headers.get("Content-Length") : null;
   const isOther = range ? +range[1] !== start || +range[3] !== file.size : length !== null && +length !== file.size;
   if (isOther) throw new DamageError(file.name);
-  return { isWhole, parts: readParts(response.body.getReader(), file, isWhole ? [0, file.size] : [start, end], line, signal) };
+  return { isWhole, parts: readParts(response.body.getReader(), file, isWhole ? [0, file.size] : [start, end], connection, signal) };
 }
 
-async function* readParts(reader, file, [offset, end], line, signal) {
+async function* readParts(reader, file, [offset, end], connection, signal) {
   try {
     for (;;) {
       const { done, value } = await reader.read();
       if (done) break;
       if (offset + value.length > end) throw new DamageError(file.name);
-      for await (const part of line.deliver(value, signal)) {
+      for await (const part of connection.deliver(value, signal)) {
         yield [offset, part];
         offset += part.length;
       }

@@ -91,7 +91,7 @@ export class Renderer {
     this.mesh = null;
   }
 
-  /** Prepare to draw the package of `manifest`; nothing has come of it. */
+  /** Prepare to draw the package of `manifest`; nothing of it is received yet. */
   start(manifest) {
     for (const { texture } of this.textures) {
       this.gl.deleteTexture(texture);

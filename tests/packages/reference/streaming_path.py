@@ -5,10 +5,10 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from reference.byte_intervals import Interval, measure, subtract
-from reference.sending_state import Job
+from reference.streaming_state import TransferPlan
 
-# Bytes after which the client may have to stop, relative to the expected number, equally likely: small ones since lines fade, and because
-# what comes is seen at once; most are near the expected number, since a state that does not become complete is of little use.
+# Bytes after which the client may have to stop, relative to the expected number, equally likely: small ones since connections fade, and
+# because what comes is seen at once; most are near the expected number, since a state that does not become complete is of little use.
 STOPS = (0.3, 0.5, 0.6, 0.7, 0.77, 0.84, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2, 1.3, 1.5)
 HEADERS = 400  # bytes of those of a response
 MIN_ERROR = 1e-6
@@ -24,9 +24,9 @@ class Textures(NamedTuple):
     missing: list[list[Interval]]
 
 
-def inspect_textures(job: Job, asked: list[Interval]) -> Textures:
-    """Return what has been asked for of the textures. asked: bytes of textures.bin."""
-    missing = [subtract(state, asked) for state in job.states]
+def inspect_textures(plan: TransferPlan, requested: list[Interval]) -> Textures:
+    """Return what has been asked for of the textures. requested: bytes of textures.bin."""
+    missing = [subtract(state, requested) for state in plan.states]
     return describe_textures([measure(intervals) for intervals in missing], missing)
 
 
@@ -36,31 +36,33 @@ def describe_textures(left: list[int], missing: Sequence[list[Interval]] = ()) -
     return Textures(complete[-1] if complete else -1, left, list(missing))
 
 
-def list_increments(job: Job, intervals: list[Interval]) -> Iterator[Interval]:
+def list_increments(plan: TransferPlan, intervals: list[Interval]) -> Iterator[Interval]:
     """Yield the increments, or parts of some, that lie in intervals of textures.bin."""
     for start, end in intervals:
-        begin, index = start, bisect_right(job.ends, start)
+        begin, index = start, bisect_right(plan.ends, start)
         while begin < end:
-            stop = min(job.ends[index], end)
+            stop = min(plan.ends[index], end)
             yield begin, stop
             begin, index = stop, index + 1
 
 
-def estimate_errors(job: Job, textures: Textures) -> list[float]:
+def estimate_errors(plan: TransferPlan, textures: Textures) -> list[float]:
     """Return the error of each level with these textures: between those of the complete state and of a later one, by the bytes of the
     latter that have been asked for."""
     found = []
-    for row in job.errors:
+    for row in plan.errors:
         start = row[textures.state] if textures.state >= 0 else 1.0
         best = start
         for state in range(textures.state + 1, len(row)):
-            step = job.steps[textures.state][state] if textures.state >= 0 else job.sizes[state]
+            step = plan.steps[textures.state][state] if textures.state >= 0 else plan.sizes[state]
             best = min(best, start + (row[state] - start) * (1.0 - textures.left[state] / step))
         found.append(best)
     return found
 
 
-def find_path(job: Job, level: int, textures: Textures, spent: int, owed: int, budget: float, window: float) -> tuple[int, int]:
+def find_path(
+    plan: TransferPlan, level: int, textures: Textures, spent: int, remaining: int, budget: float, window: float
+) -> tuple[int, int]:
     """Return the level that the best path has asked for after about `window` bytes, and the state of the textures that it goes to next.
 
     A path goes from `level` and `textures` to the best level and the last state. It goes to a state that differs between paths, and from
@@ -71,24 +73,24 @@ def find_path(job: Job, level: int, textures: Textures, spent: int, owed: int, b
     that is longer than `window` is the first step or none.
 
     Args:
-        level: the finest one of which nothing is left to ask for. spent: bytes of increments that have been asked for. owed: bytes that are
+        level: the finest one of which nothing is left to ask for. spent: requested bytes of increments. remaining: bytes that are
             left of the next level. budget: bytes that are expected before the limit.
     """
-    finest, last = len(job.levels) - 1, len(job.errors[0]) - 1
-    meshes = [0] + [job.levels[other].end - job.levels[level + 1].end + owed + HEADERS for other in range(level + 1, finest + 1)]
-    present = estimate_errors(job, textures)
+    finest, last = len(plan.levels) - 1, len(plan.errors[0]) - 1
+    meshes = [0] + [plan.levels[other].end - plan.levels[level + 1].end + remaining + HEADERS for other in range(level + 1, finest + 1)]
+    present = estimate_errors(plan, textures)
     budget = min(budget, meshes[-1] + textures.left[last])
     stops = [budget * stop for stop in STOPS]
-    weights = [1.0 / _least_error(job, job.levels[level].end + spent + stop) for stop in stops]
+    weights = [1.0 / _least_error(plan, plan.levels[level].end + spent + stop) for stop in stops]
     best, found = -1.0, (level, last)
     for state in range(min(textures.state + 1, last), last + 1):
-        if state < last and textures.left[state] > budget and _has_longer(job, textures.missing[state], budget):
+        if state < last and textures.left[state] > budget and _has_longer(plan, textures.missing[state], budget):
             continue
-        states = _list_states(job, textures, state)
+        states = _list_states(plan, textures, state)
         sizes = [0]
         for index, other in enumerate(states):
-            sizes.append(sizes[-1] + HEADERS + (textures.left[other] if index == 0 else job.steps[states[index - 1]][other]))
-        errors = [[error, *(min(error, job.errors[row][other]) for other in states)] for row, error in enumerate(present[level:], level)]
+            sizes.append(sizes[-1] + HEADERS + (textures.left[other] if index == 0 else plan.steps[states[index - 1]][other]))
+        errors = [[error, *(min(error, plan.errors[row][other]) for other in states)] for row, error in enumerate(present[level:], level)]
         cost, takes_level = _find_costs(meshes, sizes, errors, stops, weights)
         if best < 0.0 or cost < best:
             best, found = cost, (level + _walk(meshes, sizes, takes_level, window), states[0] if states else last)
@@ -97,19 +99,19 @@ def find_path(job: Job, level: int, textures: Textures, spent: int, owed: int, b
     return found
 
 
-def _has_longer(job: Job, intervals: list[Interval], size: float) -> bool:
+def _has_longer(plan: TransferPlan, intervals: list[Interval], size: float) -> bool:
     """Return whether an increment, or a part of one, in intervals of textures.bin has more than `size` bytes."""
-    return any(end - start > size for start, end in list_increments(job, intervals))
+    return any(end - start > size for start, end in list_increments(plan, intervals))
 
 
-def _list_states(job: Job, textures: Textures, state: int) -> list[int]:
+def _list_states(plan: TransferPlan, textures: Textures, state: int) -> list[int]:
     """Return the states on a path to `state` and then to the last one: first of all comes state 0, so that something is seen soon."""
-    last = len(job.errors[0]) - 1
-    states = [0] if state > 0 and textures.state < 0 and job.sizes[0] * STRIDE <= job.sizes[state] else []
+    last = len(plan.errors[0]) - 1
+    states = [0] if state > 0 and textures.state < 0 and plan.sizes[0] * STRIDE <= plan.sizes[state] else []
     if textures.state < state:
         states.append(state)
     while states and states[-1] < last:
-        states.append(next((other for other in range(states[-1] + 1, last) if job.sizes[other] >= STRIDE * job.sizes[states[-1]]), last))
+        states.append(next((other for other in range(states[-1] + 1, last) if plan.sizes[other] >= STRIDE * plan.sizes[states[-1]]), last))
     return states
 
 
@@ -165,11 +167,11 @@ def _walk(meshes: list[int], sizes: list[int], takes_level: list[list[bool]], wi
     return row
 
 
-def _least_error(job: Job, byte_count: float) -> float:
+def _least_error(plan: TransferPlan, byte_count: float) -> float:
     """Return the least error with `byte_count` bytes of levels and increments."""
     least = 1.0
-    for span, row in zip(job.levels, job.errors, strict=True):
-        for size, error in zip(job.sizes, row, strict=True):
+    for span, row in zip(plan.levels, plan.errors, strict=True):
+        for size, error in zip(plan.sizes, row, strict=True):
             if span.end + size <= byte_count:
                 least = min(least, error)
     return max(least, MIN_ERROR)

@@ -22,7 +22,7 @@ class Span:
 
 
 @dataclass(frozen=True)
-class Job:
+class TransferPlan:
     """What there is to send.
 
     first: spans without which nothing is shown: level 0 and the table of increments. levels: the sections of each, one behind the other;
@@ -44,8 +44,8 @@ class Job:
 
 @dataclass
 class Server:
-    """The measurements of a server: recent bytes and seconds of its line (two averages), the delay of its responses, when it was measured
-    and heard last, failures in a row, when it failed last, until when others come first."""
+    """The measurements of a server: recent bytes and seconds of its connection (two averages), the delay of its responses, when it was
+    measured and heard last, failures in a row, when it failed last, until when others come first."""
 
     bytes: float
     seconds: float
@@ -54,22 +54,22 @@ class Server:
     delay: float
     measured: float = 0.0  # seconds
     mark: float = 0.0
-    heard: float = 0.0
+    last_response: float = 0.0
     failures: int = 0
     failed: float = 0.0
     until: float = 0.0
 
 
 @dataclass
-class Flight:
-    """A request that has not been answered wholly: asked for at `asked`, planned to end at `due`; `received` bytes have come."""
+class InFlightRequest:
+    """A request that has not been answered wholly: sent at `sent`, planned to end at `due`; of which `received` bytes are there."""
 
     id: int
     server: int
     span: Span
-    asked: float
+    sent: float
     due: float
-    heard: float
+    last_response: float
     received: int = 0
     is_open: bool = False
 
@@ -78,7 +78,7 @@ class Flight:
 class State:
     """The state of a client. Times are seconds since the user's wish; read it, but only `decide` changes it.
 
-    mesh: end of the levels that were asked for. asked: bytes of increments that were asked for. ended: when the last response ended.
+    mesh: end of the levels that were requested. requested: bytes of increments that were requested. ended: when the last response ended.
     difference: sum of the absolute differences between planned and actual times of `responses` requests, `latest` is that of the last one.
     """
 
@@ -87,11 +87,11 @@ class State:
     keeps_refining: bool
     servers: list[Server]
     time: float = 0.0
-    flights: list[Flight] = field(default_factory=list)
+    in_flight: list[InFlightRequest] = field(default_factory=list)
     pending: list[Span] = field(default_factory=list)
     next_id: int = 0
     mesh: int = 0
-    asked: list[Interval] = field(default_factory=list)
+    requested: list[Interval] = field(default_factory=list)
     ended: float = 0.0
     difference: float = 0.0
     latest: float = 0.0
@@ -100,8 +100,8 @@ class State:
 
 @dataclass(frozen=True)
 class Event:
-    """What happened at `time`: nothing (id is -1), request `id` failed, or `received` bytes of its response have come altogether (0: its
-    headers). A response whose last byte has come has ended."""
+    """What happened at `time`: nothing (id is -1), request `id` failed, or `received` bytes of its response are there altogether (0: its
+    headers). A response ends with its last byte."""
 
     time: float
     id: int = -1
@@ -118,22 +118,22 @@ class Request:
     span: Span
 
 
-def build_job(manifest: Manifest) -> Job:
-    """Return what `manifest` has to send, without the table of increments: add it when it has come."""
+def build_plan(manifest: Manifest) -> TransferPlan:
+    """Return what `manifest` has to send, without the table of increments: add it when it is received."""
     levels = tuple(_span(level.positions, level.parents, level.wedges, level.uvs, level.corners) for level in manifest.levels)
     table = Span(TEXTURES, manifest.increments.offset, manifest.increments.end)
     if not manifest.increment_count:
-        return add_table(Job(levels[:1], levels, manifest.errors.tabulate(), manifest.first_increment), (), (), ())
-    return Job((levels[0], table), levels, manifest.errors.tabulate(), manifest.first_increment)
+        return add_table(TransferPlan(levels[:1], levels, manifest.errors.tabulate(), manifest.first_increment), (), (), ())
+    return TransferPlan((levels[0], table), levels, manifest.errors.tabulate(), manifest.first_increment)
 
 
-def add_table(job: Job, sizes: Sequence[int], firsts: Sequence[int], lasts: Sequence[int]) -> Job:
-    """Return `job` with its increments: their bytes, and the first and the last state that has each."""
-    count = len(job.errors[0])
+def add_table(plan: TransferPlan, sizes: Sequence[int], firsts: Sequence[int], lasts: Sequence[int]) -> TransferPlan:
+    """Return `plan` with its increments: their bytes, and the first and the last state that has each."""
+    count = len(plan.errors[0])
     ends: list[int] = []
     states: list[list[Interval]] = [[] for _ in range(count)]
     totals, steps = [0] * count, [[0] * count for _ in range(count)]
-    end = job.begin
+    end = plan.begin
     for size, first, last in zip(sizes, firsts, lasts, strict=True):
         start, end = end, end + size
         ends.append(end)
@@ -144,20 +144,20 @@ def add_table(job: Job, sizes: Sequence[int], firsts: Sequence[int], lasts: Sequ
             for earlier in range(first):
                 steps[earlier][state] += size
     rows = tuple(tuple(row) for row in steps)
-    return replace(job, ends=tuple(ends), states=tuple(tuple(state) for state in states), sizes=tuple(totals), steps=rows)
+    return replace(plan, ends=tuple(ends), states=tuple(tuple(state) for state in states), sizes=tuple(totals), steps=rows)
 
 
 def begin(
-    job: Job, limit: float, rate: float | None = None, server_count: int = 1, patience: float = 0.0, keeps_refining: bool = False
+    plan: TransferPlan, limit: float, rate: float | None = None, server_count: int = 1, patience: float = 0.0, keeps_refining: bool = False
 ) -> State:
     """Return the state before the first request.
 
-    limit: seconds. rate: bytes per second that the user's line had before (B0 of the paper). patience: seconds after the limit for which
-    responses are waited for. keeps_refining: go on after the limit until everything has come.
+    limit: seconds. rate: bytes per second that the user's connection had before (B0 of the paper). patience: seconds after the limit for
+    which responses are waited for. keeps_refining: go on after the limit until everything is received.
     """
     bytes_ = (rate or DEFAULT_RATE) * PRIOR_SECONDS
     servers = [Server(bytes_, PRIOR_SECONDS, bytes_, PRIOR_SECONDS, DEFAULT_DELAY) for _ in range(server_count)]
-    return State(limit, patience, keeps_refining, servers, pending=list(job.first), mesh=job.levels[0].end)
+    return State(limit, patience, keeps_refining, servers, pending=list(plan.first), mesh=plan.levels[0].end)
 
 
 def _span(*sections: Section) -> Span:

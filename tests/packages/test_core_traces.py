@@ -1,10 +1,10 @@
-"""Traces of lines and the simulated network: what lines carry, and when."""
+"""Traces of connections and the simulated network: what connections carry, and when."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sending.network import Line, Network
+from sending.network import Connection, Network
 from sending.traces import Trace, burst_trace, cellular_trace, constant_trace, ramp_trace, read_trace, step_trace
 
 from farfield.addon.core.errors import FileError
@@ -87,41 +87,41 @@ def receive(network: Network, ids: set[int]) -> dict[int, float]:
 
 
 def test_response_takes_a_delay_and_its_bytes():
-    network = Network((Line(constant_trace(1000.0), 0.5, jitter=0.0, overhead=100),))
+    network = Network((Connection(constant_trace(1000.0), 0.5, jitter=0.0, overhead=100),))
     network.send(7, 0, 1000)
     assert receive(network, {7})[7] == pytest.approx(0.5 + 1.1)
 
 
 def test_responses_divide_a_line():
-    network = Network((Line(constant_trace(1000.0), 0.5, jitter=0.0, overhead=0),))
+    network = Network((Connection(constant_trace(1000.0), 0.5, jitter=0.0, overhead=0),))
     network.send(1, 0, 1000)
     network.send(2, 0, 1000)
     assert receive(network, {1, 2}) == {1: pytest.approx(2.5), 2: pytest.approx(2.5)}
 
 
 def test_servers_divide_the_access_line():
-    lines = (Line(constant_trace(1000.0), 0.5, jitter=0.0, overhead=0),) * 2
-    network = Network(lines, access=constant_trace(500.0))
+    connections = (Connection(constant_trace(1000.0), 0.5, jitter=0.0, overhead=0),) * 2
+    network = Network(connections, access=constant_trace(500.0))
     network.send(1, 0, 1000)
     network.send(2, 1, 1000)
     assert receive(network, {1, 2}) == {1: pytest.approx(4.5), 2: pytest.approx(4.5)}
 
 
 def test_server_that_is_down_fails_or_stops():
-    network = Network((Line(constant_trace(1000.0), 0.5, jitter=0.0, overhead=0, down=(1.0, 2.0)),))
+    network = Network((Connection(constant_trace(1000.0), 0.5, jitter=0.0, overhead=0, down=(1.0, 2.0)),))
     network.send(1, 0, 1000)
     assert receive(network, {1})[1] == pytest.approx(2.5)  # half a second before, the rest after
-    network = Network((Line(constant_trace(1000.0), 0.5, jitter=0.0, down=(0.0, 2.0)),))
+    network = Network((Connection(constant_trace(1000.0), 0.5, jitter=0.0, down=(0.0, 2.0)),))
     network.send(1, 0, 1000)
     assert receive(network, {1})[1] == pytest.approx(-0.5)
 
 
 def test_lost_responses_never_end():
-    network = Network((Line(constant_trace(1000.0), 0.1, loss=1.0),))
+    network = Network((Connection(constant_trace(1000.0), 0.1, loss=1.0),))
     network.send(1, 0, 1000)
     assert receive(network, {1}) == {}
 
 
 def test_there_is_a_tick_at_the_alarm():
-    network = Network((Line(constant_trace(1000.0)),), alarm=0.333)
+    network = Network((Connection(constant_trace(1000.0)),), alarm=0.333)
     assert 0.333 in {network.advance().time for _ in range(12)}

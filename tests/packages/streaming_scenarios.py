@@ -1,4 +1,4 @@
-"""Random packages, events and lines for controllers of clients."""
+"""Random packages, events and connections for controllers of clients."""
 
 import random
 from bisect import bisect_right
@@ -8,15 +8,15 @@ from itertools import pairwise
 
 import numpy as np
 from reference import controller
-from reference.sending_state import Event, Job, Request, Span, State, add_table, begin
-from sending.simulation import SentPackage
+from reference.streaming_state import Event, Request, Span, State, TransferPlan, add_table, begin
+from sending.simulation import StreamedPackage
 from sending.traces import Trace
 
 from farfield.addon.core.packages.increments import Increments
 from farfield.addon.core.packages.manifest import MESH, TEXTURES
 
 
-def random_job(rng: random.Random, increment_count: int | None = None) -> Job:
+def random_plan(rng: random.Random, increment_count: int | None = None) -> TransferPlan:
     """A package with 1 to 5 levels, and 1 to 12 states of its textures, if it has increments."""
     levels = rng.randint(1, 5)
     count = rng.randint(0, 300) if increment_count is None else increment_count
@@ -34,7 +34,7 @@ def random_job(rng: random.Random, increment_count: int | None = None) -> Job:
         [0.3 * rng.uniform(0.3, 0.6) ** level for level in range(levels)], [rng.uniform(0.6, 0.9) ** k for k in range(states)]
     )
     first = (spans[0], Span(TEXTURES, 0, table)) if count else (spans[0],)
-    return add_table(Job(first, tuple(spans), errors, table + rng.randint(0, 5000)), sizes, firsts, lasts)
+    return add_table(TransferPlan(first, tuple(spans), errors, table + rng.randint(0, 5000)), sizes, firsts, lasts)
 
 
 def make_errors(level_errors: Sequence[float], texture_errors: Sequence[float]) -> tuple[tuple[float, ...], ...]:
@@ -43,16 +43,16 @@ def make_errors(level_errors: Sequence[float], texture_errors: Sequence[float]) 
     return tuple(tuple(row) for row in np.minimum(errors, 1.0).tolist())
 
 
-def hide_table(job: Job) -> Job:
-    """The job before the table of increments has come."""
-    return replace(job, ends=None, states=(), sizes=(), steps=()) if job.ends else job
+def hide_table(plan: TransferPlan) -> TransferPlan:
+    """The plan before the table of increments has come."""
+    return replace(plan, ends=None, states=(), sizes=(), steps=()) if plan.ends else plan
 
 
 class Exchange:
     """A client that is told what happens, by random: it keeps all events and decisions."""
 
-    def __init__(self, rng: random.Random, job: Job, state: State, rate: float | None = None) -> None:
-        self.rng, self.job, self.state, self.initial, self.rate = rng, job, state, state, rate
+    def __init__(self, rng: random.Random, plan: TransferPlan, state: State, rate: float | None = None) -> None:
+        self.rng, self.plan, self.state, self.initial, self.rate = rng, plan, state, state, rate
         self.time = 0.0
         self.has_table = False
         self.events: list[tuple[bool, Event]] = []
@@ -66,42 +66,42 @@ class Exchange:
             self.tell(self.random_event())
 
     def tell(self, event: Event) -> None:
-        """Decide after `event`. The table of increments has come when no flight or pending span reads it."""
-        job = self.job if self.has_table else hide_table(self.job)
+        """Decide after `event`. The table of increments has come when no running or pending span reads it."""
+        plan = self.plan if self.has_table else hide_table(self.plan)
         self.events.append((self.has_table, event))
-        self.state, requests, aborted = controller.decide(job, self.state, event)
+        self.state, requests, aborted = controller.decide(plan, self.state, event)
         self.decisions.append((requests, aborted))
-        spans = [flight.span for flight in self.state.flights] + self.state.pending
-        self.has_table = not any(span.file == TEXTURES and span.start < self.job.begin for span in spans)
+        spans = [running.span for running in self.state.in_flight] + self.state.pending
+        self.has_table = not any(span.file == TEXTURES and span.start < self.plan.begin for span in spans)
 
     def random_event(self) -> Event:
         """A tick, a failure, or some or all of the bytes of a response."""
-        if not self.state.flights or self.rng.random() < 0.1:
+        if not self.state.in_flight or self.rng.random() < 0.1:
             return Event(self.time)
-        flight = self.rng.choice(self.state.flights)
+        running = self.rng.choice(self.state.in_flight)
         if self.rng.random() < 0.03:
-            return Event(self.time, flight.id, failed=True)
-        size = flight.span.end - flight.span.start
-        if not flight.is_open and self.rng.random() < 0.7:
-            return Event(self.time, flight.id)
+            return Event(self.time, running.id, failed=True)
+        size = running.span.end - running.span.start
+        if not running.is_open and self.rng.random() < 0.7:
+            return Event(self.time, running.id)
         is_last = self.rng.random() < 0.5
-        return Event(self.time, flight.id, size if is_last else self.rng.randint(flight.received, size))
+        return Event(self.time, running.id, size if is_last else self.rng.randint(running.received, size))
 
 
 def random_exchange(seed: int, steps: int = 80) -> Exchange:
     """A whole exchange of a random client."""
     rng = random.Random(seed)
-    job = random_job(rng)
+    plan = random_plan(rng)
     rate = rng.choice([None, rng.lognormvariate(12.5, 1.0)])
     limit, patience = rng.uniform(0.5, 10.0), rng.choice([0.0, 0.1, 1e9])
-    exchange = Exchange(rng, job, begin(job, limit, rate, rng.randint(1, 3), patience, rng.random() < 0.2), rate)
+    exchange = Exchange(rng, plan, begin(plan, limit, rate, rng.randint(1, 3), patience, rng.random() < 0.2), rate)
     exchange.run(steps)
     return exchange
 
 
 def make_package(
     texture_size: int = 1_000_000, increment_count: int = 1000, level_sizes: tuple[int, ...] = (20_000, 40_000, 80_000)
-) -> SentPackage:
+) -> StreamedPackage:
     """A package whose increments have equal sizes, half of which each state replaces, and whose states grow by equal factors."""
     sizes = np.full(increment_count, texture_size // increment_count)
     counts = np.unique(np.geomspace(increment_count / 100, increment_count / 2, 12).astype(int))
@@ -112,14 +112,14 @@ def make_package(
     errors = make_errors([0.2 * 0.3**level for level in range(len(level_sizes) - 1)] + [0.0], texture_errors.tolist())
     offsets = [0, *np.cumsum(level_sizes).tolist()]
     spans = tuple(Span(MESH, start, end) for start, end in pairwise(offsets))
-    job = Job((spans[0], Span(TEXTURES, 0, 6000)), spans, errors, 8000)
+    plan = TransferPlan((spans[0], Span(TEXTURES, 0, 6000)), spans, errors, 8000)
     zeros = np.zeros(increment_count, np.int64)
     increments = Increments(zeros, np.arange(increment_count) % 64, zeros, sizes, firsts, lasts)
-    return SentPackage(add_table(job, sizes.tolist(), firsts.tolist(), lasts.tolist()), increments, 2000)
+    return StreamedPackage(add_table(plan, sizes.tolist(), firsts.tolist(), lasts.tolist()), increments, 2000)
 
 
 def wavering_trace(rng: random.Random, rate: float, variation: float) -> Trace:
-    """A line whose rate changes every 0.05 to 0.5 s within `rate` (1 - `variation`) to `rate` (1 + `variation`)."""
+    """A connection whose rate changes every 0.05 to 0.5 s within `rate` (1 - `variation`) to `rate` (1 + `variation`)."""
     times, rates, time = [], [], 0.0
     while time < 30.0:
         times.append(time)
