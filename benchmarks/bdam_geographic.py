@@ -41,7 +41,7 @@ def measure_geographic(given: Namespace, workplace: Workplace) -> dict[str, Any]
             cut = extract_uniform_cut(store, max_error)
             mesh = build_cut_mesh(cache, cut)
             shown, _ = run_to_end(find_ground(MeshSurface([(mesh.positions, mesh.triangles)]), points))
-            outside = np.flatnonzero(np.isnan(shown))  # beside the straight border of the mesh: planes of the triangles there
+            outside = np.flatnonzero(np.isnan(shown))  # Outside the straight border of the mesh, the planes of the triangles there count.
             shown[outside] = HeightQuery(store, cut).find(points[outside])[0]
             distances = np.abs(shown - known)
             figures["cuts"][str(max_error)] = {

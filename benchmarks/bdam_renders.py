@@ -24,7 +24,7 @@ from lib.flip_metric import mean_flip
 
 MAX_SIZE = 4097  # a full grid of more samples does not fit into the memory of small machines
 SAMPLES = 32
-FRAME = 100  # of the fly-over
+FRAME = 100  # This frame of the fly-over is rendered.
 SUN_DIRECTION, SUN_STRENGTH, SKY = (0.5, -0.4, 0.5), 2.0, 0.3
 FLIP_BOUND = 0.02
 TOLERANCES = (1.0, 0.5, 0.25)  # pixels

@@ -64,7 +64,7 @@ class Noise:
         return drawn[row : row + rows[1] - rows[0], column : column + columns[1] - columns[0]]
 
 
-SPLINE_DEVIATION = 0.48  # of white noise with a deviation of 1 after smoothing along both axes, the mean over all phases
+SPLINE_DEVIATION = 0.48  # White noise with a deviation of 1 has this one after smoothing along both axes: the mean over all phases.
 
 
 def _spline_weights(positions: np.ndarray, spacing: int, first: int, count: int) -> sparse.csr_matrix:

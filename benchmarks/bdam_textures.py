@@ -28,7 +28,7 @@ from texture_builds import build_textures, stretch_over_field, tile_uv
 
 FORMATS: tuple[ImageFormat, ...] = ("raw", "jpeg", "webp")
 POINTS_PER_EDGE = 2000
-BOUNDS = {"raw": 0.0, "mean": 1.5, "99.9th": 8.0}  # of 255
+BOUNDS = {"raw": 0.0, "mean": 1.5, "99.9th": 8.0}  # Differences of values up to 255.
 
 
 def create_plan(samples: int, image: ImageSource, image_format: ImageFormat) -> TexturePlan:

@@ -4,7 +4,7 @@
 Prints JSON. Parts: `images` (scores relative to the source, also of PBR maps, an octahedral impostor of the same size in bytes, and a
 decimated mesh with the same number of triangles, at the switch distance and half of it; compression, also with Local PCA), `time` (bakes
 relative to Cycles alone, and executors), `memory` (60,000 texels, 4,160 renders), `noise` (effect of the compression on the noise of few
-samples), `eevee` (relative to Cycles, for the result of `images`). The meshes are in ../shared/data beside the project, except for the tree
+samples), `eevee` (relative to Cycles, for `images`). The meshes are in ../shared/data, next to the project, except for the tree
 of the demo. FLIP needs the environment of scripts/reference_tools.py. With --work a cancelled run resumes.
 """
 
@@ -40,7 +40,7 @@ def build_parser() -> command_line.Parser:
     parser = command_line.Parser(prog="bench_btf.py", description="Measure relightable textures.")
     parser.add_argument("--only", nargs="+", choices=list(PARTS), default=list(PARTS), help="the parts to measure (default: all)")
     parser.add_argument("--models", nargs="+", choices=list(MODELS), default=list(MODELS), help="the models to measure (default: all)")
-    parser.add_argument("--data", type=Path, default=DATA, help="folder of the meshes (default: ../shared/data beside the project)")
+    parser.add_argument("--data", type=Path, default=DATA, help="folder of the meshes (default: ../shared/data next to the project)")
     parser.add_argument(
         "--work", type=Path, help="folder for clouds and finished views, so that a cancelled run can resume (default: none)"
     )

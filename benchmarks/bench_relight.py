@@ -53,7 +53,7 @@ def build_parser() -> command_line.Parser:
     parser.add_argument("--reference-samples", type=int, default=96, help="samples of the source in them (default: 96)")
     parser.add_argument("--seed", type=int, help="seed of the directions (default: a random one)")
     parser.add_argument("--bake-flags", default="", help="flags of the bake, for comparisons of settings (default: none)")
-    parser.add_argument("--data", type=Path, default=DATA, help="folder of the meshes (default: ../shared/data beside the project)")
+    parser.add_argument("--data", type=Path, default=DATA, help="folder of the meshes (default: ../shared/data next to the project)")
     parser.add_argument("--work", type=Path, help="folder for clouds and finished views, so that a cancelled run can resume")
     parser.add_argument("--sheets", type=Path, help="folder for contact sheets")
     parser.add_argument("--report", type=Path, help="write the measurements to this JSON file")

@@ -65,7 +65,7 @@ def cloud_folder(name: str, options: CloudOptions, error: str) -> Path:
 
 
 def build_cloud(name: str, options: CloudOptions, error: str) -> BenchmarkCloud:
-    """Return the cloud of a model. An existing one in the work folder is reused, so that the finished views beside it stay valid.
+    """Return the cloud of a model. An existing one in the work folder is reused, so that the finished views next to it stay valid.
 
     Raises:
         FarfieldError: if a script fails.
@@ -81,7 +81,7 @@ def build_cloud(name: str, options: CloudOptions, error: str) -> BenchmarkCloud:
 
 
 def bake(cloud: BenchmarkCloud, name: str, work: Path, options: BenchmarkOptions, *flags: str) -> dict[str, Any]:
-    """Bake `cloud` with the model *emission* into the file `name` beside it, with finished views in `work`. Return the report
+    """Bake `cloud` with the model *emission* into the file `name` next to it, with finished views in `work`. Return the report
     and the wall time of the script.
 
     An existing result of the same code with the same cloud and flags is reused.

@@ -14,7 +14,7 @@ from farfield.addon.core.jobs.progress import Progress, Steps, run_to_end
 from lib import scene_files
 
 REFERENCE_SAMPLE_FACTOR = 32  # with this many times the samples there is almost no noise
-DIRECTIONS_PER_SIDE = 5  # of views and lights: enough to separate noise from colors
+DIRECTIONS_PER_SIDE = 5  # So many views and lights are enough to separate noise from colors.
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import campaign_scenes
 
 import random_inputs
 
-PREFIX = "farfield"  # of our custom properties
+PREFIX = "farfield"  # Our custom properties begin with it.
 BAD_PROPERTIES: tuple[Any, ...] = (
     "", "text", "[]", "null", '{"voxel_size": "a"}', '{"terrain": 5}', '{"resolution": 64.5}', '["Missing"]', "../../escaped", -1, 0, 10**6,
     2**31 - 1, math.nan, math.inf, -1.5, [0.0], [math.nan] * 3, [1, 2], [10**6, 10**6], {"a": 1}, True,

@@ -131,7 +131,7 @@ def _is_beside(name: str, outputs: list[str]) -> bool:
 
 
 def _belongs_to_output(name: str, outputs: list[str]) -> bool:
-    """Whether a path is an output, in one, beside one, or a folder that holds one."""
+    """Whether a path is an output, in one, next to one, or a folder that holds one."""
     is_part = any(name == output or name.startswith(output + "/") or output.startswith(name + "/") for output in outputs)
     return is_part or _is_beside(name, outputs)
 

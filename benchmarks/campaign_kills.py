@@ -15,8 +15,8 @@ from campaign_runs import BAKE_FLAGS, BUILD_FLAGS, POLL_SECONDS, RESTORE_FLAGS, 
 
 ORPHAN_SECONDS = 15.0  # workers must notice within this time that their run has died
 KILLS_PER_RUN = 5  # then a complete run in the same folder must remove what is left
-MIN_FRACTION = 0.2  # of a run's time: before, it loads Blender
-WRITING_FRACTION = 0.75  # of a run's time: half of the kills come later, when files are written
+MIN_FRACTION = 0.2  # Before this fraction of its time, a run loads Blender.
+WRITING_FRACTION = 0.75  # Half of the kills come after this fraction of a run's time, when files are written.
 
 
 @dataclass
@@ -157,5 +157,5 @@ def _variables(campaign: Campaign, job: KilledJob) -> dict[str, str]:
 
 
 def _leftovers(job: KilledJob) -> Iterator[Path]:
-    """Yield what runs left beside the outputs of a job and in its temporary folder, except for Blender's own folders."""
+    """Yield what runs left next to the outputs of a job and in its temporary folder, except for Blender's own folders."""
     yield from (path for path in job.folder.rglob("*") if TEMPORARY_NAME.match(path.name) and path.exists())

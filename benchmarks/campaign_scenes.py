@@ -11,7 +11,7 @@ import bpy
 import random_inputs
 from farfield.addon.compat import enable_nodes
 
-MAX_COORDINATE = 3.0e38  # of single precision
+MAX_COORDINATE = 3.0e38  # The largest number of single precision, rounded.
 LENGTHS = (0.0, 0.0, 1.0, 5.0, -5.0, 1e4, 1e7, 1e15, 1e30, math.nan, math.inf)
 SCALES = (1.0, 1.0, 1.0, 1.0, 2.0, -1.0, 0.0, 1e-6, 1e-30, 1e6, 1e20, math.nan)
 MODIFIERS = ("SUBSURF", "MIRROR", "ARRAY", "DECIMATE", "SOLIDIFY", "WIREFRAME", "BOOLEAN", "ARMATURE", "NODES", "PARTICLE_SYSTEM", "BUILD")

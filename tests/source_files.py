@@ -95,9 +95,10 @@ def words_of(name: str) -> list[str]:
 
 
 def fields_of(node: ast.ClassDef) -> list[str]:
-    """The public fields of a data class or a named tuple; none of settings, whose help texts describe them."""
-    fields = [item for item in node.body if isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name)]
-    is_data = any("dataclass" in ast.unparse(item) for item in node.decorator_list) or "NamedTuple" in map(ast.unparse, node.bases)
-    if not is_data or any(item.value is not None and "setting(" in ast.unparse(item.value) for item in fields):
-        return []
-    return [item.target.id for item in fields if not item.target.id.startswith("_")]
+    """The public fields of a data class or a named tuple. None of settings, whose help texts describe them, and of `Tuning`, the numbers of
+    a method with a comment for each."""
+    fields = [item.target.id for item in node.body if isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name)]
+    bases = [ast.unparse(base) for base in node.bases]
+    is_data = any("dataclass" in ast.unparse(item) for item in node.decorator_list) or "NamedTuple" in bases
+    describes_itself = node.name == "Tuning" or any(base.endswith("Settings") for base in bases)
+    return [name for name in fields if not name.startswith("_")] if is_data and not describes_itself else []
