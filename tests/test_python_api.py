@@ -1,6 +1,5 @@
 """The examples in docs/python-api.md run and do what the page says."""
 
-import importlib
 import re
 import runpy
 
@@ -28,8 +27,7 @@ def test_every_example_of_the_page_is_run_here():
 
 
 def test_examples_use_what_tools_export():
-    exports = {tool: hasattr(importlib.import_module(f"farfield.addon.core.{tool}"), "__all__") for tool in TOOLS}
-    assert not [name for tool, name in re.findall(r"from farfield\.addon\.core\.(\w+)\.([\w.]+) import", PAGE) if exports.get(tool)]
+    assert not re.findall(rf"from farfield\.addon\.core\.(?:{'|'.join(TOOLS)})\.[\w.]+ import", PAGE)
 
 
 def test_the_table_lists_every_registered_operator_and_a_button_for_each(extension):
