@@ -31,9 +31,8 @@ import benchmark_cli
 import texmesh_glb
 from texmesh_levels import measure_speed, measure_switching, measure_targets
 from texmesh_paper import measure_paper
-from texmesh_rebakes import measure_rebakes
 from texmesh_refits import measure_refits
-from texmesh_renders import measure_renders
+from texmesh_renders import measure_rebakes, measure_renders
 
 from farfield.addon.core.errors import SettingsError
 from lib import command_line

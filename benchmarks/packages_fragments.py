@@ -21,7 +21,7 @@ from sending.fragments import (
     quality_of_scale,
     tabulate_sizes,
 )
-from texmesh_textured_models import open_textured
+from texmesh_models import open_textured
 
 from farfield.addon.core.imaging.coded_images import encode
 from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import texmesh_models
+from packages_views import PIXELS_PER_DEGREE, random_directions
 from PIL import Image
-from texmesh_texture_views import PIXELS_PER_DEGREE, random_directions
-from texmesh_textured_models import paint_patches
+from texmesh_models import paint_patches
 
 from farfield.addon.core.geometry.mesh import vertex_normals
 from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
@@ -24,8 +24,7 @@ from farfield.addon.core.imaging.raster import PixelLocations, draw_ids, locate_
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.packages.settings import PackageSettings
 from farfield.addon.core.packages.textures.building import assemble_textures, code_textures
-from farfield.addon.core.packages.textures.coding import CodedTexture
-from farfield.addon.core.packages.textures.decoding import decode_textures
+from farfield.addon.core.packages.textures.coding import CodedTexture, decode_textures
 from farfield.addon.core.packages.textures.texture_tiles import TextureSource
 from farfield.addon.core.texmesh.perception.views import BACKGROUND, frame_around, view_axes
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh

@@ -19,7 +19,7 @@ from reference.streaming_state import Span, TransferPlan, add_table
 from sending.network import Connection
 from sending.simulation import CLIENTS, StreamedPackage, StreamingReport, build_streamed_package, simulate
 from sending.traces import MEGABIT, Trace, burst_trace, cellular_trace, ramp_trace, read_trace, step_trace
-from texmesh_textured_models import open_textured
+from texmesh_models import open_textured
 
 from farfield.addon.core.errors import SettingsError
 from farfield.addon.core.packages.files import read_package, write_package

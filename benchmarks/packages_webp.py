@@ -94,7 +94,7 @@ def main(names: list[str]) -> None:
 
     environment.ensure()
     environment.import_farfield()
-    from texmesh_textured_models import open_textured
+    from texmesh_models import open_textured
 
     program = os.environ[VARIABLE]
     print("| model | quality | Pillow | gltf-transform | ratio | largest difference of pixels |\n|---|---|---|---|---|---|")

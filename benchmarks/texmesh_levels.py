@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 import texmesh_models
-from texmesh_chains import TexturedModel, default_settings, make_chain, model_names, open_textured, paint
-from texmesh_costs import measure_cost
-from texmesh_texture_views import random_directions
+from packages_views import random_directions
+from texmesh_chains import TexturedModel, default_settings, make_chain, measure_cost, model_names, open_textured, paint
 
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end

@@ -27,10 +27,9 @@ import texmesh_files
 import texmesh_models
 import texmesh_peers
 from PIL import Image
+from texmesh_deviation import make_refit_levels, measure_geometric_deviation, measure_texture_deviation
 
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.texmesh.refitting.deviation import measure_geometric_deviation, measure_texture_deviation
-from farfield.addon.core.texmesh.refitting.refit import make_refit_levels
 from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 from lib import command_line

@@ -26,7 +26,7 @@ from .mesh.order import order_mesh
 from .planning import ErrorTable, PlanRow, make_plan, measure_errors
 from .settings import PackageSettings
 from .textures.building import BuiltTextures, build_textures
-from .textures.decoding import decode_textures
+from .textures.coding import decode_textures
 from .textures.texture_tiles import TextureSource
 
 STATES = 6  # of the textures, whose errors are measured

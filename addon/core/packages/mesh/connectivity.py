@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .coarse_fans import CoarseFans
 from .order import OrderedLevel, OrderedMesh
 from .sections import encode_integers, encode_signed
 from .traversal import BOUNDARY, NEW, OTHER
@@ -16,6 +15,52 @@ from .traversal import BOUNDARY, NEW, OTHER
 CANDIDATE = 6  # the first of the symbols beyond those of `traversal`: the vertex is a candidate of `CoarseFans`
 EXPLICIT_PARENT = 255  # symbol of a parent that is none of them
 SAME_WEDGE, ADDED_WEDGE, OTHER_WEDGE = 0, 1, 2  # codes of wedges: the predicted one, an added one, the first of the others in the ring
+FIRST, SECOND, THIRD, RING = range(4)  # candidates: RING + k is the next vertex in the triangle k of the fan of the first one
+MAX_CANDIDATE = 239
+
+
+class CoarseFans:
+    """Fans of the vertices of a level: triangles in ascending order."""
+
+    def __init__(self, triangles: np.ndarray, vertex_count: int) -> None:
+        """triangles: (T, 3) vertices below `vertex_count`."""
+        corners = triangles.reshape(-1)
+        order = np.argsort(corners, kind="stable")
+        self._starts = np.concatenate([[0], np.cumsum(np.bincount(corners, minlength=vertex_count))]).tolist()
+        self._nexts = np.roll(triangles, -1, axis=1).reshape(-1)[order].tolist()
+        self._thirds = np.roll(triangles, -2, axis=1).reshape(-1)[order].tolist()
+
+    def find_index(self, vertex: int, near: tuple[int, int, int]) -> int:
+        """Return which candidate `vertex` is, -1 if it is none. near: the vertices to which start, end and apex of an edge belong."""
+        first, second, _ = near
+        if vertex == first:
+            return FIRST
+        if vertex == second:
+            return SECOND
+        if vertex == self._find_third(near):
+            return THIRD
+        begin, end = self._starts[first], min(self._starts[first + 1], self._starts[first] + MAX_CANDIDATE + 1 - RING)
+        for slot in range(begin, end):
+            if self._nexts[slot] == vertex:
+                return RING + slot - begin
+        return -1
+
+    def find_candidate(self, index: int, near: tuple[int, int, int]) -> int:
+        """Return the candidate `index`, -1 if there is none."""
+        if index in (FIRST, SECOND):
+            return near[index]
+        if index == THIRD:
+            return self._find_third(near)
+        slot = self._starts[near[0]] + index - RING
+        return self._nexts[slot] if slot < self._starts[near[0] + 1] else -1
+
+    def _find_third(self, near: tuple[int, int, int]) -> int:
+        first, second, apex = near
+        if first != second:
+            for slot in range(self._starts[first], self._starts[first + 1]):
+                if self._nexts[slot] == second:
+                    return self._thirds[slot]
+        return apex
 
 
 @dataclass(frozen=True)
