@@ -20,8 +20,15 @@ CHANNELS = ("Red", "Green", "Blue")
 
 @dataclass(frozen=True)
 class PackageSource:
-    """One object. mesh: about the origin of the object, with the axes and the unit of the world. materials: by material of the mesh; at
-    least one. textures: their base colors for the analysis, (H, W, 3) float32 scene-linear or None. remarks: see `TexturedSource`."""
+    """One object.
+
+    Attributes:
+        name: of the object.
+        mesh: about the origin of the object, with the axes and the unit of the world.
+        materials: by material of the mesh; at least one.
+        textures: their base colors for the analysis, (H, W, 3) float32 scene-linear or None.
+        remarks: see `TexturedSource`.
+    """
 
     name: str
     mesh: TexturedMesh

@@ -37,7 +37,15 @@ EncodedMesh = tuple[bytes, tuple[MeshLevel, ...], Bounds, Bounds]
 
 @dataclass(frozen=True)
 class PackageReport:
-    """Figures about a package. levels: triangles, finest first. plan: the best uses of growing numbers of bytes."""
+    """Figures about a package.
+
+    Attributes:
+        name: of the object.
+        levels: triangles, finest first.
+        mesh_bytes, texture_bytes: of mesh.bin and textures.bin.
+        table: the measured errors.
+        plan: the best uses of growing numbers of bytes.
+    """
 
     name: str
     levels: tuple[int, ...]

@@ -32,8 +32,12 @@ Textures = Sequence[Mipmaps | None]
 class ErrorTable:
     """Mean FLIP errors over the pixels of the object.
 
-    level_errors: (K,) of levels with the whole texture, coarsest first. states: (P,) ascending, of the textures. texture_errors: (P,) of
-    the finest level with them. exponent: p. residual: largest difference between predicted and measured errors of combinations.
+    Attributes:
+        level_errors: (K,) of levels with the whole texture, coarsest first.
+        states: (P,) ascending, of the textures.
+        texture_errors: (P,) of the finest level with them.
+        exponent: p.
+        residual: largest difference between predicted and measured errors of combinations.
     """
 
     level_errors: np.ndarray

@@ -67,9 +67,12 @@ class CoarseFans:
 class LevelSymbols:
     """The code of a level, given coarser ones.
 
-    symbols: one byte per examined edge of the border. vertices, wedges, parents: LEB128 integers: explicit vertices, codes of wedges,
-    explicit parents. parent_symbols: one byte per added vertex. vertex_references: (N, 3) of the N added vertices: a position is
-    predicted to be first + second - third. wedge_references: (M, 3), the same for the texture coordinates of the M added wedges.
+    Attributes:
+        symbols: one byte per examined edge of the border.
+        vertices, wedges, parents: LEB128 integers: explicit vertices, codes of wedges, explicit parents.
+        parent_symbols: one byte per added vertex.
+        vertex_references: (N, 3) of the N added vertices: a position is predicted to be first + second - third.
+        wedge_references: (M, 3), the same for the texture coordinates of the M added wedges.
     """
 
     symbols: bytes

@@ -50,10 +50,14 @@ class CodedTile(NamedTuple):
 class CodedTexture:
     """A texture with L levels of tiles in V = len(VARIANTS) variants.
 
-    texture: with the headers. pyramid: of tiles, of which level 0 has R rows and C columns. used: (R, C) bool, which of those triangles
-    show. tiles: by level, variant and number, of those that triangles show and variants that a level has. sizes: for each level (V, R', C')
-    bytes. errors: (L, V, R, C), of all tiles of level 0 if they are shown so: mean FLIP error of their pixels, times the fraction of all
-    pixels of the object that they are; infinite where a level does not have the variant.
+    Attributes:
+        texture: with the headers.
+        pyramid: of tiles, of which level 0 has R rows and C columns.
+        used: (R, C) bool, which of those triangles show.
+        tiles: by level, variant and number, of those that triangles show and variants that a level has.
+        sizes: for each level (V, R', C') bytes.
+        errors: (L, V, R, C), of all tiles of level 0 if they are shown so: mean FLIP error of their pixels, times the fraction of all
+            pixels of the object that they are; infinite where a level does not have the variant.
     """
 
     texture: PackageTexture

@@ -22,8 +22,12 @@ MAX_PERIODS = 16  # of a texture that repeats; with more, all of it is used
 class TextureSource:
     """A texture to code, and what uses it.
 
-    role: one of ROLES. image: (H, W, 3) uint8 as stored (sRGB-encoded colors, or data such as normals), row 0 at the bottom. mesh: the
-    finest level. materials: those of its materials, by number, that use the texture. name: for messages.
+    Attributes:
+        role: one of ROLES.
+        image: (H, W, 3) uint8 as stored (sRGB-encoded colors, or data such as normals), row 0 at the bottom.
+        mesh: the finest level.
+        materials: those of its materials, by number, that use the texture.
+        name: for messages.
     """
 
     role: str

@@ -46,11 +46,16 @@ class Answer:
 
 @dataclass(frozen=True)
 class Threshold:
-    """A psychometric function: the probability that a difference of `stimulus` is noticed is 1 / (1 + exp(-steepness (stimulus - value))).
+    """A psychometric function.
 
-    value: the threshold, noticed in half of all trials. low, high: its 95 % confidence interval. steepness: per unit of the stimulus.
-    correlation: between the function and the fractions of answers that noticed a difference, NaN if either is constant. answers: their
-    number.
+    The probability that a difference of `stimulus` is noticed is 1 / (1 + exp(-steepness (stimulus - value))).
+
+    Attributes:
+        value: the threshold, noticed in half of all trials.
+        low, high: its 95 % confidence interval.
+        steepness: per unit of the stimulus.
+        correlation: between the function and the fractions of answers that noticed a difference, NaN if either is constant.
+        answers: their number.
     """
 
     value: float

@@ -38,8 +38,17 @@ class Difference:
 
 @dataclass(eq=False)
 class LevelImages:
-    """The images of one level. directions: (N, 3), towards the viewer of each view. placed: where the samples of renders are, by view and
-    samples per side, None not to keep it for other textures."""
+    """The images of one level.
+
+    Attributes:
+        surface: the level.
+        frame: the square that all images of the object show.
+        directions: (N, 3), towards the viewer of each view.
+        pixels_per_degree: of the display.
+        placed: where the samples of renders are, by view and samples per side, None not to keep it for other textures.
+        renders: by view and samples per side.
+        images: as FLIP compares them, and their coverage, by view and pixels per side.
+    """
 
     surface: ViewedSurface
     frame: Frame

@@ -31,10 +31,12 @@ MIN_SWITCH_RATIO = 1.25  # of the sizes at two switches in a row; a level betwee
 class Switch:
     """From where on a coarse level may replace its finer neighbor.
 
-    pixel_size: the smallest size of a pixel in the object's unit at which they look the same, `farfield_error` of the coarse level.
-    pixels: side of the object's image there. difference, local_difference: mean and 95th percentile of FLIP over the object's pixels, of
-    the views where they are largest. limit: "nearest" if they look the same even in the largest image that was compared, "farthest" if they
-    differ even in the smallest, "" otherwise.
+    Attributes:
+        pixel_size: the smallest size of a pixel in the object's unit at which they look the same, `farfield_error` of the coarse level.
+        pixels: side of the object's image there.
+        difference, local_difference: mean and 95th percentile of FLIP over the object's pixels, of the views where they are largest.
+        limit: "nearest" if they look the same even in the largest image that was compared, "farthest" if they differ even in the smallest,
+            "" otherwise.
     """
 
     pixel_size: float

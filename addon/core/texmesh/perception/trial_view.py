@@ -19,8 +19,13 @@ MAX_FILLED = 0.9  # of twice that distance, or of the height, by an object
 class TrialView:
     """A perspective viewer and two objects with the same center and radius.
 
-    camera: the viewer. aspect: width divided by height of the image. near: distance of the near clipping plane. center: (3,), object space.
-    radius: of a sphere around the center that contains both, object units. pixels_per_degree: of the display that distances are meant for.
+    Attributes:
+        camera: the viewer.
+        aspect: width divided by height of the image.
+        near: distance of the near clipping plane.
+        center: (3,), object space.
+        radius: of a sphere around the center that contains both, object units.
+        pixels_per_degree: of the display that distances are meant for.
     """
 
     camera: Camera

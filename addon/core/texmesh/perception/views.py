@@ -26,8 +26,13 @@ FRAME_MARGIN = 1.04  # side of an image relative to the diameter of the object
 class ViewedSurface:
     """What renders need of a mesh, prepared once for all views.
 
-    vertices: (V, 3) float64. triangles: (T, 3) int32. corner_uvs: (T, 3, 2) float64. corner_normals: (T, 3, 3) float32, None for renders
-    without light. materials: (T,) int32 into textures, each mipmaps with three channels or None.
+    Attributes:
+        vertices: (V, 3) float64.
+        triangles: (T, 3) int32.
+        corner_uvs: (T, 3, 2) float64.
+        corner_normals: (T, 3, 3) float32, None for renders without light.
+        materials: (T,) int32 into textures.
+        textures: mipmaps with three channels, or None.
     """
 
     vertices: np.ndarray

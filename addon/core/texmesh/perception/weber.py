@@ -31,10 +31,16 @@ class Collapses:
 
 @dataclass(frozen=True, eq=False)
 class Impacts:
-    """How noticeable each refinement is. Row i - 1 is the refinement from scale i to i - 1.
+    """How noticeable each refinement is.
 
-    values: (S,) largest displacement. lengths: (S,) what it is relative to. fractions: (S,) their quotient, 0 where nothing is added.
-    vertices: (S,) removed vertex with that displacement, -1 where nothing is added. is_noticed: (S,) bool, above the threshold.
+    Row i - 1 is the refinement from scale i to i - 1.
+
+    Attributes:
+        values: (S,) largest displacement.
+        lengths: (S,) what it is relative to.
+        fractions: (S,) their quotient, 0 where nothing is added.
+        vertices: (S,) removed vertex with that displacement, -1 where nothing is added.
+        is_noticed: (S,) bool, above the threshold.
     """
 
     values: np.ndarray

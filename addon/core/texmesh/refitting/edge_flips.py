@@ -38,8 +38,11 @@ def flip_edges(state: LevelState, max_rounds: int) -> LevelState:
 class Quads:
     """Pairs of triangles whose common edge may be flipped.
 
-    triangles: (K, 2). corners: (K, 4) of the level, counterclockwise; the edge joins 1 and 3, the flipped one 0 and 2. vertices, wedges:
-    (K, 4), of these corners. normals: (K, 3), means of both triangles.
+    Attributes:
+        triangles: (K, 2).
+        corners: (K, 4) of the level, counterclockwise; the edge joins 1 and 3, the flipped one 0 and 2.
+        vertices, wedges: (K, 4), of these corners.
+        normals: (K, 3), means of both triangles.
     """
 
     triangles: np.ndarray

@@ -76,11 +76,17 @@ class FineSurface:
 class LevelDistances:
     """How far a level is from the fine mesh.
 
-    vertices: (V, 3) of the level. edges: its E edges. at_vertices: (V,) distances of its vertices, at_edges: (E, 3) those of the points
-    EDGE_FRACTIONS of its edges, from the lower vertex to the other one; where they are far below the limit, upper bounds or estimates.
-    triangles, barycentric, targets: K points of the level, and the points of the fine mesh (K, 3) that they should be nearer to: the
-    nearest ones of distant points of the level, then distant samples of the fine mesh. distances: (K,) between them. missed: (M,) the
-    samples that are the last of the targets. limit: the distance above which points are outliers.
+    Attributes:
+        vertices: (V, 3) of the level.
+        edges: its E edges.
+        at_vertices: (V,) distances of its vertices.
+        at_edges: (E, 3) distances of the points EDGE_FRACTIONS of its edges, from the lower vertex to the other one. Distances far below the
+            limit are upper bounds or estimates.
+        triangles, barycentric, targets: K points of the level, and the points of the fine mesh (K, 3) that they should be nearer to: the
+            nearest ones of distant points of the level, then distant samples of the fine mesh.
+        distances: (K,) between them.
+        missed: (M,) the samples that are the last of the targets.
+        limit: the distance above which points are outliers.
     """
 
     vertices: np.ndarray

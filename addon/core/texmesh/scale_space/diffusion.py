@@ -36,9 +36,13 @@ MASS_DIGITS = 1e5  # mass relative to the mean is rounded to this for an order t
 
 @dataclass(frozen=True)
 class Level:
-    """Laplacian and mass (n, n) of functions with n degrees of freedom at `positions` (n, 3).
+    """Functions with n degrees of freedom on a mesh.
 
-    radius: distance within which vertices were aggregated, 0 for the mesh itself. prolongation: (n of the finer level, n), None there.
+    Attributes:
+        laplacian, mass: (n, n).
+        positions: (n, 3), of the degrees of freedom.
+        radius: distance within which vertices were aggregated, 0 for the mesh itself.
+        prolongation: (n of the finer level, n), None for the mesh itself.
     """
 
     laplacian: sparse.csc_array

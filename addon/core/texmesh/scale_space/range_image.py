@@ -35,7 +35,8 @@ class RangeImage:
     """Distances of the outermost surface from an axis, by angle (columns, wrapped) and height (rows, from the bottom).
 
     Attributes:
-        ranges: (rows, columns) float64, 0 in holes. is_known: (rows, columns) bool.
+        ranges: (rows, columns) float64, 0 in holes.
+        is_known: (rows, columns) bool.
         column_length, row_length: distance between samples, at the mean radius and along the axis.
         pixels: (V,) int64, the pixel of each vertex, row by row.
         is_seen: (V,) bool: whether the vertex is on the surface that its pixel shows.

@@ -21,9 +21,14 @@ DEGENERATE_QUALITY = 1e-6  # of triangles in texture space that count as having 
 class CollapseFans:
     """All corners of removed vertices, in P pairs.
 
-    collapses: N of them. owners: (P,) int32, index of the collapse, ascending. corners: (P,) int32, halfedges that begin at the removed
-    vertices. following, preceding: (P,) int32, the other two vertices of their triangles. vanishes: (P,) bool, whether a triangle contains
-    the kept vertex, too. wedges: (P,) int32, the wedge of the kept vertex that replaces that of the removed one.
+    Attributes:
+        topology: of the mesh.
+        collapses: N of them.
+        owners: (P,) int32, index of the collapse, ascending.
+        corners: (P,) int32, halfedges that begin at the removed vertices.
+        following, preceding: (P,) int32, the other two vertices of their triangles.
+        vanishes: (P,) bool, whether a triangle contains the kept vertex, too.
+        wedges: (P,) int32, the wedge of the kept vertex that replaces that of the removed one.
     """
 
     topology: Topology
