@@ -31,11 +31,11 @@ from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
 ROLES = ("base_color", "normal", "roughness")
 KINDS = ("planet", "mirrored")
-SIDE = 1024  # of normal and roughness maps; the base color has 2048
+SIDE = 1024  # Side of normal and roughness maps; the base color has 2048.
 STEEPNESS = 6.0  # gradient of a change of the height by 1 between two texels
 PIXELS, VIEWS = 512, 4
-FACTORS = (1.0 / 16.0, 0.25, 1.0, 4.0)  # of the weights of a role
-PARTS = (0.1, 0.2, 0.5)  # of all bytes
+FACTORS = (1.0 / 16.0, 0.25, 1.0, 4.0)  # Factors of the weights of a role.
+PARTS = (0.1, 0.2, 0.5)  # Fractions of all bytes.
 LIGHTS = ((-0.5, 0.6, 0.62, 2.2), (0.8, 0.1, 0.59, 0.9))  # direction in the view: right, up, towards the viewer; strength
 AMBIENT, F0 = 0.15, 0.04
 MIN_ROUGHNESS = 0.05

@@ -78,7 +78,7 @@ def paint(side: int, generator: np.random.Generator) -> np.ndarray:
 
 
 def measure_cost(run: Callable[[], Result], max_seconds: float, max_memory_mb: float) -> tuple[Result, dict[str, Any]]:
-    """Return the result of `run`, and its seconds, CPU seconds of all threads and peak memory, beside their bounds. The memory is that of
+    """Return the result of `run`, and its seconds, CPU seconds of all threads and peak memory, with their bounds. The memory is that of
     the process."""
     before = command_line.peak_memory_mb()
     started, cpu_started = time.perf_counter(), time.process_time()

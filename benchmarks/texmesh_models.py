@@ -28,7 +28,7 @@ REAL_MODELS = {
     "truck": "hard_surface/CesiumMilkTruck.glb",
 }
 BUNNY = "meshes/stanford_bunny.obj"
-ISLAND_MARGIN = 0.04  # of a cell of the texture
+ISLAND_MARGIN = 0.04  # Relative to a cell of the texture.
 BUMPS = 40
 TUNING = ("spot", "bunny")
 JUDGING = ("blub", "capsule", "fuze", "truck", "sceaux")  # and the generated ones

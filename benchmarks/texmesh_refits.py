@@ -37,8 +37,8 @@ from lib import command_line
 FRACTIONS = (0.5, 0.25, 0.1, 0.03)
 TUNING_MODELS = ("spot", "planet:1")
 MAX_TEXTURE_RATIO = 0.7
-MAX_EXCESS = 1.02  # of a target that a peer may have and still reaches it
-MIN_REACHED = 0.9  # of a target; with fewer triangles a peer is not comparable
+MAX_EXCESS = 1.02  # A peer with at most this multiple of a target reaches it.
+MIN_REACHED = 0.9  # A peer with less than this fraction of a target is not comparable.
 SAMPLES = 50_000
 
 

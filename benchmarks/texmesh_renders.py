@@ -31,10 +31,10 @@ from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
 VIEWS = 8
-MAX_EXCESS, MIN_REACHED = 1.02, 0.9  # of the triangles of a level; with more or fewer a peer is not comparable
-MAX_RATIO = 1.0  # of the difference to that of the best peer
+MAX_EXCESS, MIN_REACHED = 1.02, 0.9  # Relative to the triangles of a level; with more or fewer a peer is not comparable.
+MAX_RATIO = 1.0  # Ratio of the difference to that of the best peer.
 NEARER = 3  # times as near as the switch
-MAX_PIXELS = 1024  # of an image of a nearer level
+MAX_PIXELS = 1024  # Pixels of an image of a nearer level.
 
 
 def measure_renders(given: Namespace) -> dict[str, Any]:

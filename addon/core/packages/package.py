@@ -29,8 +29,8 @@ from .textures.building import BuiltTextures, build_textures
 from .textures.coding import decode_textures
 from .textures.texture_tiles import TextureSource
 
-STATES = 6  # of the textures, whose errors are measured
-MIN_BITS, MAX_BITS = 8, 16  # of positions and texture coordinates
+STATES = 6  # Errors of so many states of the textures are measured.
+MIN_BITS, MAX_BITS = 8, 16  # Bits of positions and texture coordinates.
 POSITION_BITS, UV_BITS = 4, 2  # below a pixel and a texel
 EncodedMesh = tuple[bytes, tuple[MeshLevel, ...], Bounds, Bounds]
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import SettingsError
 
-MAX_FIGURES = 10_000  # of a kind
+MAX_FIGURES = 10_000  # Limit of the figures of each kind.
 
 
 @dataclass(frozen=True)

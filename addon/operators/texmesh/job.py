@@ -25,7 +25,7 @@ from ...core.texmesh.settings import AnalysisSettings, SceneSettings, TexmeshSet
 from .rebaking import create_images, read_textures, rebake_chain
 from .sources import read_sources
 
-REBAKE_FRACTION = 0.3  # of the progress of an object
+REBAKE_FRACTION = 0.3  # This part of the progress of an object is rebaking.
 
 
 @dataclass

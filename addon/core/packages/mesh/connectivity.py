@@ -1,7 +1,9 @@
 """Symbols that encode the triangles of levels, and the references from which positions and texture coordinates are predicted.
 
 The vertices and wedges that a level adds are numbered in the order in which its triangles meet them, so that most triangles are one symbol.
-A vertex of a coarser level that is met is mostly the parent of an added vertex nearby.
+A vertex of a coarser level that is met is mostly the parent of an added vertex nearby. Collapses map each triangle of the finer level to a
+triangle of the coarser one, to an edge or to a vertex. So the third vertex of a triangle belongs to the first or second one, or to the
+vertex on their side of the edge between these, or is next to them.
 """
 
 from dataclasses import dataclass
@@ -89,11 +91,11 @@ class ConnectivityEncoder:
 
     def __init__(self, ordered: OrderedMesh) -> None:
         self._wedge_vertices = ordered.wedge_vertices
-        self._triangles = np.zeros((0, 3), np.int32)  # of the last level
+        self._triangles = np.zeros((0, 3), np.int32)  # The triangles of the last level.
         self._vertices = ordered.wedge_vertices.tolist()
         self._parents = ordered.parents.tolist()
         self._next_wedges = list(range(len(self._vertices)))  # the next wedge of the same vertex, in a ring
-        self._first_wedges: list[int] = []  # of each vertex so far
+        self._first_wedges: list[int] = []  # The first wedge of each vertex so far.
         self._wedge_count = 0
 
     def encode(self, level: OrderedLevel) -> LevelSymbols:

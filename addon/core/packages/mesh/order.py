@@ -14,7 +14,7 @@ from ...texmesh.simplification.levels import Simplification, SubsetLevel
 from ...texmesh.textured_mesh import TexturedMesh
 from .traversal import Traversal, traverse
 
-MAX_CHAIN = 10_000  # of collapses between two levels that are followed to find the parent of a vertex
+MAX_CHAIN = 10_000  # So many collapses between two levels are followed to find the parent of a vertex.
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ def _find_ancestors(simplification: Simplification, rounds: np.ndarray) -> np.nd
     rounds: (V,) index of the coarsest level that has the vertex.
     """
     targets = np.full(len(rounds), -1)
-    targets[simplification.removed] = simplification.kept  # of several collapses of copies of a vertex, the last one
+    targets[simplification.removed] = simplification.kept  # The last of several collapses of copies of a vertex counts.
     ancestors = targets.copy()
     rows = np.arange(len(rounds))
     for _ in range(MAX_CHAIN):

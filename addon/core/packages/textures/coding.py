@@ -1,4 +1,5 @@
-"""One texture, coded: variants of all tiles of its pyramid, with their bytes and what viewers notice of their errors."""
+"""One texture, coded: variants of all tiles of its pyramid, with their bytes and what viewers notice of their errors; and
+textures as pixels again, in any state."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,10 +20,11 @@ from .texture_errors import TextureErrors, to_bytes, values_of_bytes
 from .texture_tiles import TextureSource, TileGrid, cut_tiles, fill_unused, find_used_texels, join_tiles
 from .visibility import BLOCK
 
-MISSING = 128  # of all channels of tiles that have not come
-FEW_TILES = 2  # of levels whose tiles have all variants, since one tile is much there; others have the COMMON ones
-FINER_TILES = (8, 16)  # of a level finer than images show, up to which it has three and two variants; there, details matter little
-MIN_VISIBILITY = 1e-3  # of blocks that no view shows, relative to the mean of the used ones
+MISSING = 128  # Value of all channels of missing tiles.
+FEW_TILES = 2  # Levels with so few tiles have all variants, since one tile is much there; others have the COMMON ones.
+# Levels finer than images show have three and two variants up to these numbers of tiles; details matter little there.
+FINER_TILES = (8, 16)
+MIN_VISIBILITY = 1e-3  # Visibility of blocks that no view shows, relative to the mean of the used ones.
 
 
 class Variant(NamedTuple):
@@ -33,7 +35,7 @@ class Variant(NamedTuple):
     is_sharpened: bool
 
 
-COMMON = (Variant(0.4, False), Variant(0.4, True), Variant(0.7, True), Variant(1.0, False))  # of all levels
+COMMON = (Variant(0.4, False), Variant(0.4, True), Variant(0.7, True), Variant(1.0, False))  # Variants of all levels.
 VARIANTS = (*COMMON, Variant(0.55, False), Variant(0.7, False), Variant(1.0, True))
 COMPLETE = 3  # index of the variant of complete textures
 UNSHARPENED = (0, 5, COMPLETE)  # indices of variants of levels that images do not show enlarged

@@ -3,7 +3,8 @@
 A state shows every part of a texture by one tile of its pyramid in one variant. For a price per byte, the best state is found from the
 finest level up: a tile is better than its four children if its error and the price of its bytes are less than theirs. As the price falls,
 a tile is in a few states one after the other, and is then replaced by finer ones. Such states lie on the convex hull of errors over bytes.
-Where neighbors on the hull differ much in size, others are added between them (`state_gaps`).
+Where neighbors on the hull differ much in size, one tile is replaced by a much larger variant, or by its finer tiles. Other replacements of
+it gain less per byte, but have fewer bytes, and are the best for clients that have no time for more; such states are added in between.
 
 In the file, a tile stands where the first state that has it adds it; of the tiles that a state adds, those that later states keep longest
 come first. So the tiles that a state needs beyond an earlier one are few contiguous ranges of the file, and a client can leave out those
@@ -22,7 +23,7 @@ from .best_state import Choice, choose_state, decide, list_choices, measure_erro
 from .coding import COMPLETE, CodedTexture
 
 BYTE_FACTOR = 1.2  # between neighboring states, at most where there are so many; tiles are in several of them
-PRICES = np.geomspace(1.0, 1e-12, 241)  # of a byte, in error
+PRICES = np.geomspace(1.0, 1e-12, 241)  # Prices of a byte, in error.
 MIN_PRICE_FACTOR = 1.0001  # between prices whose states differ much, so that others are looked for between
 FACTOR_STEP = 1.05  # by which states grow faster if there are too many
 MAX_ERROR_FACTOR = 0.95  # between a state and the one before it

@@ -18,7 +18,7 @@ PLAIN_COLOR = 0.6  # linear, of materials without a texture
 AMBIENT = 0.25  # fraction of the color that shows without the headlight
 BACKGROUND = 0.214  # linear; middle gray as displayed
 MIN_SMOOTH_COSINE = np.cos(np.radians(40.0))  # between a face and the normal of a vertex; a sharper vertex is shaded flat
-MIN_LENGTH = np.float32(1e-6)  # of an interpolated normal: opposite ones cancel
+MIN_LENGTH = np.float32(1e-6)  # Length of an interpolated normal; opposite ones cancel.
 FRAME_MARGIN = 1.04  # side of an image relative to the diameter of the object
 
 

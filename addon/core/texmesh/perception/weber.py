@@ -10,7 +10,7 @@ from ...geometry.mesh import face_areas_and_normals, vertex_normals
 from ..settings import TexmeshSettings
 
 MAX_CANDIDATES = 8  # displacements of a scale whose thickness is measured: casting a line costs a pass over all triangles
-MIN_LENGTH = 1e-6  # of the diagonal: a shorter cross-section is that of a line which only touches the surface
+MIN_LENGTH = 1e-6  # Relative to the diagonal; a shorter cross-section is that of a line which only touches the surface.
 BORDER = 1e-9  # barycentric coordinate of a line that meets an edge
 
 

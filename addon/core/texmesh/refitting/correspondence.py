@@ -1,4 +1,7 @@
-"""The point of a level that has the texture coordinates of a point of the fine mesh."""
+"""Points on the fine mesh, uniform by area, and the points of a level that have their texture coordinates.
+
+Triangles in UV space are searched for those that contain texture coordinates or are nearest to them.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,8 +23,8 @@ LABEL_POINTS = LABEL_POINTS / LABEL_POINTS.sum(axis=1, keepdims=True)
 CHUNK_POINTS = 1 << 14
 CELLS_PER_TRIANGLE = 2.0
 MAX_CELLS = 1 << 22
-INSIDE_TOLERANCE = 1e-9  # of barycentric coordinates
-LAYER_SPACING = 16.0  # of UV islands in the third coordinate, relative to the largest texture coordinate
+INSIDE_TOLERANCE = 1e-9  # Tolerance of barycentric coordinates.
+LAYER_SPACING = 16.0  # Distance of UV islands in the third coordinate, relative to the largest texture coordinate.
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,14 +23,14 @@ from .diffusion import build_levels, choose_times, diffuse, search_last_sigma
 from .features import FeatureTracer, ScaleMap, rank_coverage, thin_features
 from .range_image import analyze_range_image
 
-MIN_MASS = 1e-12  # of the mean, of a vertex: one without triangles has this
-FIRST_RADIUS = 1.6  # of aggregates, relative to the distance between vertices
+MIN_MASS = 1e-12  # Relative to the mean; a vertex without triangles has this mass.
+FIRST_RADIUS = 1.6  # Radius of aggregates, relative to the distance between vertices.
 MAX_SIGMA = 0.25  # relative to the square root of the area
 MAX_RADIUS = 0.1  # relative to the same
 MIN_RANGES = np.array([0.05, 0.1])  # a turn in radians and a lightness; smaller signals are weak features, not stretched to strong ones
 POINTS = np.full((3, 3), 1.0 / 6.0) + 0.5 * np.eye(3)  # barycentric coordinates of samples, one near each corner
-CUBE_ROOT_LIMIT, LINE_SCALE = (6.0 / 29.0) ** 3, 9.0329  # of CIE L*, as a fraction of white
-MOLLIFICATION = 1e-5  # of the mean edge length, by which two sides of a triangle together are longer than the third
+CUBE_ROOT_LIMIT, LINE_SCALE = (6.0 / 29.0) ** 3, 9.0329  # Constants of CIE L*, as a fraction of white.
+MOLLIFICATION = 1e-5  # Two sides of a triangle together are longer than the third by this fraction of the mean edge length.
 
 
 def analyze_scale_space(mesh: TexturedMesh, textures: Sequence[np.ndarray | None], settings: AnalysisSettings) -> Steps[ScaleMap]:

@@ -18,16 +18,16 @@ from .features import SCALES, LastFeatures, ScaleMap
 
 MIN_COLUMNS, MIN_ROWS = 8, 4
 MAX_COLUMNS = MAX_ROWS = 1 << 13
-MAX_TURN = 0.5 * np.pi  # of a triangle around the axis; one that turns farther is beside the axis or around it
+MAX_TURN = 0.5 * np.pi  # A triangle that turns farther around the axis is next to it or around it.
 MIN_FACING = 0.05  # cosine between the normal and the direction away from the axis; below, a triangle is seen edge-on
 MIN_EXTENT = 1e-9  # in height, relative to the largest
 LAYER_TOLERANCE = 1.0  # samples between a point and the surface around its pixel
-ROUNDING = 1e-9  # of the largest range: smaller differences of the Laplacian owe their sign to rounding
+ROUNDING = 1e-9  # Differences of the Laplacian below this fraction of the largest range owe their sign to rounding.
 SEARCH_STEPS = 20  # bisections of the largest standard deviation
 MIN_SAMPLES = 16
-MIN_LOSS = 0.0005  # of the area, that is worth a sentence
+MIN_LOSS = 0.0005  # A loss of this fraction of the area is worth a sentence.
 WINDOW = 1.4  # half the side of the window relative to the standard deviation (section II.A)
-MIN_WEIGHT = 1e-9  # of known samples in a window
+MIN_WEIGHT = 1e-9  # A window with less weight of known samples is unknown.
 
 
 @dataclass(frozen=True)

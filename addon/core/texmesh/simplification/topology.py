@@ -1,7 +1,8 @@
 """Halfedges of a textured mesh, its curves of seams and boundaries, and the collapses that these allow.
 
 Triangles are stored as (3, T), see `geometry.vertex_rings`. Halfedge T * row + t begins at corner `row` of triangle t and ends at the next
-corner. A curve is a chain of seams, or of boundary edges.
+corner. A curve is a chain of seams, or of boundary edges. Meshes are divided at edges with more than two triangles, so that each part is a
+surface.
 """
 
 from dataclasses import dataclass, replace
@@ -102,7 +103,7 @@ class Topology:
         once = np.flatnonzero(self.is_curve & (self.twins < np.arange(len(self.twins))))
         vertices, others = (np.concatenate(pair) for pair in ((self.starts[once], self.ends[once]), (self.ends[once], self.starts[once])))
         neighbors = np.zeros((2, self.vertex_count), np.int32)
-        neighbors[0, vertices], neighbors[1, vertices[::-1]] = others, others[::-1]  # of several assignments, the last one stays
+        neighbors[0, vertices], neighbors[1, vertices[::-1]] = others, others[::-1]  # The last of several assignments stays.
         return neighbors
 
     @cached_property
